@@ -1,0 +1,93 @@
+"""One clear line for everything that is wrong with what a user gives.
+
+A mistake in a file is not a bug: the user needs one line that names the file, the line or the key,
+and what would be right. Every reader of input raises `InputError` with such a line, and nothing
+else; `inside` adds where we are as the error travels outwards.
+"""
+
+import contextlib
+import math
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+
+class InputError(ValueError):
+    """Wrong user input: one line naming file, line or key, and what would be right."""
+
+    def __init__(self, message: str):
+        # Names and cells come from files: they must neither break the line nor reach a terminal raw.
+        line = " ".join(str(message).split())
+        super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in line))
+
+
+@contextlib.contextmanager
+def inside(where: str) -> Iterator[None]:
+    """Put `where` in front of any InputError raised within."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def quote(value: Any, most: int = 40) -> str:
+    """How a user would recognise what they wrote, shortened."""
+    if isinstance(value, bool):
+        text = str(value).lower()
+    elif isinstance(value, str):
+        text = f'"{value}"'
+    else:
+        try:
+            text = str(value)
+        except ValueError:  # Python refuses to print integers of thousands of digits
+            text = "a huge number"
+    return text if len(text) <= most else text[: most - 3] + "..."
+
+
+def number(key: str, value: Any, unit: str, *, above: float | None = None) -> float:
+    """`value` as a finite float, in `unit`, and greater than `above`."""
+    what = f"a number ({unit})" if above is None else f"a number above {above:g} ({unit})"
+    try:
+        if isinstance(value, (bool, str, bytes)):
+            raise TypeError
+        result = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{key} = {quote(value)}: must be {what}") from None
+    if not math.isfinite(result) or (above is not None and not result > above):
+        raise InputError(f"{key} = {quote(value)}: must be {what}")
+    return result
+
+
+def flag(key: str, value: Any) -> bool:
+    """`value`, which must be true or false."""
+    if not isinstance(value, bool):
+        raise InputError(f"{key} = {quote(value)}: must be true or false")
+    return value
+
+
+def read_text(path: str | os.PathLike[str], kind: str) -> str:
+    """The text of a UTF-8 file; `kind` is what it should be, for the error's line."""
+    where = os.fspath(path)
+    try:
+        data = Path(path).read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{where}: there is no such file; a {kind} was expected") from None
+    except IsADirectoryError:
+        raise InputError(f"{where}: is a folder; a {kind} was expected") from None
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"{where}: cannot be read ({why}); a {kind} was expected") from None
+    return decode(data, where, kind)
+
+
+def decode(data: bytes, where: str, kind: str) -> str:
+    """`data` as text; a byte order mark at its start is dropped."""
+    bad = data.find(b"\0")
+    if bad < 0:
+        try:
+            return data.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            bad = error.start
+    line = data.count(b"\n", 0, bad) + 1
+    raise InputError(f"{where}, line {line}: is not UTF-8 text; a {kind} in UTF-8 was expected")

@@ -1,0 +1,242 @@
+"""Noise is what is left of a reading when everything smooth is taken away.
+
+Cut a recording into short blocks and express each in polynomials, degree by degree, orthonormal on
+the block's own sample times. Motion is smooth: its share falls faster than exponentially with the
+degree and is gone after a few. White noise has the same size in every degree. So beyond the degree
+where the spectrum turns flat only noise is left: its level is the sigma of one reading, without any
+model of the motion, and a single reading which does not fit is one that stands out of that rest.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ._input import InputError
+
+_BLOCK = 32
+"""Readings per block: long enough that noise fills most degrees, short against a slow motion."""
+
+_SURE = 5.0
+GUARD = 0.2
+FRAC=.33
+_RUN=4
+PEN=9
+MAXRUNS=4
+SHARE=.7
+"""Standard deviations at which a reading is wild: 7 in a million of white noise are."""
+
+
+def estimate_noise(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Sigma of one reading, per joint, from what is above the motion's band.
+
+    Never below the rounding of an encoder or a printout (step/sqrt(12)), nor below 1e-9 of the rms
+    motion: data without any noise still need a sigma. A joint that never moves shows no noise; it
+    gets the largest of the others'.
+
+    **Arguments:** `time` (N,) s; `angle` (N, n) rad or m, NaN where a sample was lost.
+
+    **Returns:** (n,) rad or m, all positive.
+    """
+    return noise_and_doubts(time, angle)[0]
+
+
+def noise_and_doubts(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """`estimate_noise`, and in words the joints whose noise could not be seen."""
+    time, angle = _table(time, angle)
+    sigma, doubts, still = np.zeros(angle.shape[1]), [], []
+    for j, column in enumerate(angle.T):
+        seen = np.isfinite(column)
+        if np.count_nonzero(seen) < 8:
+            raise InputError(f"q{j + 1} has fewer than 8 readings: too few to see their noise")
+        values = column[seen]
+        if np.ptp(values) == 0:
+            still.append(j)
+            continue
+        good = seen & ~_wild(time, column, 0.0)
+        blocks = _blocks(time[good], column[good])
+        sigma[j] = max(blocks.spread, _step(values) / math.sqrt(12))
+        floor = 1e-9 * float(np.sqrt(np.mean((values - np.median(values)) ** 2)))
+        if sigma[j] < floor:
+            sigma[j] = floor
+            doubts.append(
+                f"noise of q{j + 1} could not be seen in the data; {floor:.3g} is taken, 1e-9 of "
+                "its rms motion; give noise to say what it is"
+            )
+    for j in still:
+        value = abs(float(angle[np.isfinite(angle[:, j]), j][0]))
+        sigma[j] = sigma.max() if len(still) < len(sigma) else 1e-9 * max(value, 1.0)
+        doubts.append(
+            f"q{j + 1} never moves: all its readings are the same, so their noise cannot be seen; "
+            f"{sigma[j]:.3g} is taken; give noise to say what it is"
+        )
+    return sigma, doubts
+
+
+def wild_samples(
+    time: np.ndarray, angle: np.ndarray, noise: np.ndarray | float | None = None
+) -> np.ndarray:
+    """Readings that sit far off their neighbours: spikes, or marker swaps of a few samples.
+
+    Each block is fitted by polynomials and, one by one, the readings that stand out; what stays
+    flagged stands out together with the others and explains nearly all that the polynomials leave.
+    That tells it from a stick or a knock, which is no polynomial either, but misfits all around.
+
+    **Arguments:** `time` (N,) s; `angle` (N, n) rad or m, NaN where a sample was lost; `noise`, if
+    known, the sigma of one reading, (n,) or one number.
+
+    **Returns:** (N, n) bool; False where the sample was lost.
+    """
+    time, angle = _table(time, angle)
+    least = np.broadcast_to(0.0 if noise is None else np.asarray(noise, float), angle.shape[1:])
+    return np.stack(
+        [_wild(time, column, float(s)) for column, s in zip(angle.T, least, strict=True)], axis=1
+    )
+
+
+class _Blocks(NamedTuple):
+    first: np.ndarray
+    """(B,) index of each block's first reading; neighbours overlap by half."""
+    basis: np.ndarray
+    """(B, m, m) orthonormal: column k is a polynomial of degree k, the last quarter is the rest."""
+    share: np.ndarray
+    """(B, m) what each column holds of the readings."""
+    degree: int
+    """The first degree that holds nothing but noise."""
+    spread: float
+    """Robust standard deviation of the shares from there on."""
+
+
+def _blocks(time: np.ndarray, values: np.ndarray) -> _Blocks:
+    """The polynomial spectrum of one joint's readings (no lost ones among them)."""
+    m = int(np.clip(len(time) // 4, 8, _BLOCK))
+    first = np.unique(np.append(np.arange(0, len(time) - m, m // 2), len(time) - m))
+    span = time[first + m - 1] - time[first]
+    first = first[span <= 2 * np.median(span)]  # across a long gap nothing is smooth
+    index = first[:, None] + np.arange(m)
+    t, y = time[index], values[index]
+    x = 2 * (t - t[:, :1]) / (t[:, -1:] - t[:, :1]) - 1
+    top = 3 * m // 4  # the highest degrees need no names, and are ill-conditioned
+    basis = np.linalg.qr(np.polynomial.legendre.legvander(x, top - 1), mode="complete")[0]
+    share = np.einsum("bmk,bm->bk", basis, y - y.mean(axis=1, keepdims=True))
+    moves = np.ptp(y, axis=1) > 0
+    seen = share[moves]
+    vigour = np.median(np.abs(y - np.median(y, axis=1, keepdims=True)), axis=1)[moves]
+    # an encoder at rest says nothing of the noise
+    if not len(seen):
+        return _Blocks(first, basis, share, 1, 0.0)
+    # Down from the top while the next degree is as small as all above it, within its statistics;
+    # then up again by two, past motion that was too small to be noticed.
+    live = seen[vigour >= np.quantile(vigour, 1 - FRAC)]
+    limit = math.sqrt(1 + 3 * math.sqrt(4 / len(live)))
+    degree = top
+    while degree > 1 and _spread(live[:, degree - 1]) <= limit * _spread(live[:, degree:]):
+        degree -= 1
+    degree = min(degree + 2, top)
+    return _Blocks(first, basis, share, degree, _spread(seen[:, degree:]))
+
+
+def _spread(values: np.ndarray) -> float:
+    """Standard deviation about zero, blind to a minority of outliers: clipped at three sigma."""
+    values = np.abs(values).ravel()
+    sigma = 1.4826 * float(np.median(values))
+    for _ in range(10):
+        # 0.97334: the variance of a normal variable that is kept within three sigma.
+        new = math.sqrt(float(np.mean(values[values <= 3 * sigma] ** 2)) / 0.97334)
+        if abs(new - sigma) <= 1e-4 * sigma:
+            break
+        sigma = new
+    return sigma
+
+
+def _step(values: np.ndarray) -> float:
+    """The grid that readings lie on (an encoder's step, a printout's last digit); 0 for none."""
+    gaps = np.diff(np.unique(values))
+    if not len(gaps):
+        return 0.0
+    least = float(gaps.min())
+    # Steps between neighbours only: over the whole range a printout's rounding would add up.
+    near = gaps[gaps <= 1.5 * least]
+    step = float(near.mean())
+    counts = gaps / step
+    on_grid = np.mean(np.abs(counts - np.rint(counts)) < 0.1) >= 0.99
+    return step if on_grid else 0.0
+
+
+def _wild(time: np.ndarray, column: np.ndarray, least: float) -> np.ndarray:
+    """`wild_samples` of one joint; `least` is the smallest sigma to believe."""
+    flagged = np.zeros(len(column), dtype=bool)
+    seen = np.flatnonzero(np.isfinite(column))
+    if len(seen) < 8 or np.ptp(column[seen]) == 0:
+        return flagged
+    least = max(least, _step(column[seen]) / math.sqrt(12))
+    # A second look without the first one's finds sees what those had hidden.
+    for _ in range(2):
+        kept = seen[~flagged[seen]]
+        if len(kept) < 8:
+            break
+        found = _stand_out(_blocks(time[kept], column[kept]), column[kept], least)
+        flagged[kept[found]] = True
+        if not found.any():
+            break
+    return flagged
+
+
+def _stand_out(blocks: _Blocks, values: np.ndarray, least: float) -> np.ndarray:
+    found = np.zeros(len(values), dtype=bool)
+    m = blocks.basis.shape[1]
+    noise = blocks.basis[:, :, blocks.degree :]
+    sigma = max(blocks.spread, least, 1e-9 * float(np.std(values)))
+    rest = np.einsum("bmk,bk->bm", noise, blocks.share[:, blocks.degree :]) / sigma
+    room = np.einsum("bmk,bmk->bm", noise, noise)
+    # Noise with tails heavier than the normal law's is noise still.
+    rest /= max(1.0, float(np.quantile(np.abs(rest) / np.sqrt(room), 0.95)) / 1.96)
+    for b in np.flatnonzero((rest**2 > 9 * room).any(axis=1)):
+        pick = _explain(noise[b] @ noise[b].T, rest[b])
+        # A knock of the motion itself cannot be larger than its acceleration.
+        index = blocks.first[b] + np.arange(m)
+        bend = np.median(np.abs(np.diff(values[index], 2))) / sigma
+        # Each reading is judged in the block that has it well inside, if there is one.
+        inner = slice(0 if b == 0 else m // 4, m if b == len(blocks.first) - 1 else m - m // 4)
+        for i, size in pick.items():
+            if inner.start <= i < inner.stop and abs(size) > GUARD * bend:
+                found[index[i]] = True
+    return found
+
+
+def _explain(room: np.ndarray, rest: np.ndarray) -> dict[int, float]:
+    """The short runs of readings which, let free, explain what is left of a block; how far off.
+
+    **Arguments:** `room` (m, m) projects on what polynomials leave; `rest` (m,) is that part of the
+    readings, in sigmas.
+    """
+    too_much = float(rest @ rest - np.trace(room))
+    picked: list[int] = []
+    now, free = rest, room
+    for _ in range(MAXRUNS):
+        best, run = _SURE**2, None
+        for length in range(1, _RUN + 1):
+            at = np.arange(len(rest) - length + 1)[:, None] + np.arange(length)
+            # A hair of ridge: a run that is already free has no room left.
+            own = free[at[:, :, None], at[:, None, :]] + 1e-6 * np.eye(length)
+            size = np.linalg.solve(own, now[at][:, :, None])[:, :, 0]
+            gain = np.einsum("il,il->i", now[at], size) - PEN * (length - 1)
+            if gain.max() > best:
+                best, run = float(gain.max()), at[int(gain.argmax())]
+        if run is None:
+            break
+        picked += [int(i) for i in run if i not in picked]
+        across = np.linalg.solve(room[np.ix_(picked, picked)] + 1e-6 * np.eye(len(picked)), room[picked])
+        now = rest - across.T @ rest[picked]
+        free = room - room[:, picked] @ across
+    else:
+        return {}
+    if not picked or rest @ rest - now @ now < SHARE * too_much:
+        return {}
+    size = np.linalg.solve(room[np.ix_(picked, picked)] + 1e-6 * np.eye(len(picked)), rest[picked])
+    return dict(zip(picked, size.tolist(), strict=True))
+
+
+def _table(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    time, angle = np.asarray(time, dtype=float), np.asarray(angle, dtype=float)
+    return time, angle[:, None] if angle.ndim == 1 else angle

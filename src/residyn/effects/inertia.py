@@ -1,0 +1,77 @@
+"""Errors of the inertia side: Eq. 3 as printed, and inertias that are off by some share."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..mechanism import AbstractMechanism, PlanarArm
+from ..parameter import RATIO, param
+from .base import AbstractEffect
+
+
+def _needs_arm(name: str, mechanism: AbstractMechanism) -> None:
+    if not isinstance(mechanism, PlanarArm):
+        raise ValueError(f"{name} is about the two-link arm of Eq. 2; this experiment has no [arm]")
+
+
+class PrintedInertiaTorque(AbstractEffect):
+    """Eq. 3 as printed, minus the energy-conserving form: turns the one into the other.
+
+    The printed f^w = [l1 h (q2'^2 - q1'^2) sin th, -l1 h q1'^2 sin th] has the opposite sign and
+    does not conserve energy. It is kept to show that, and has nothing to fit.
+    """
+
+    name = "printed_inertia_torque"
+    equation = "f^w as printed in Eq. 3 - energy-conserving f^w"
+    looks_like = "large swings that gain or lose energy for no reason; nothing at small ones"
+    source = "paper, Eq. 3"
+
+    share: Float[Array, ""] = param(
+        "share of the printed form", RATIO, default=1.0, silent=0.0, fitted=False
+    )
+
+    @classmethod
+    def places(cls, mechanism):
+        _needs_arm(cls.name, mechanism)
+        return ()
+
+    def torque(self, motion, mechanism):
+        v = motion.v
+        s = mechanism.link_lengths[0] * mechanism.coupling
+        s = s * jnp.sin(mechanism.theta2 + motion.q[1])
+        printed = s * (v[1] ** 2 - v[0] ** 2), -s * v[0] ** 2
+        conserving = mechanism.inertia_torque(motion.q, v)
+        return tuple(self.share * (p - c) for p, c in zip(printed, conserving, strict=True))
+
+
+class InertiaError(AbstractEffect):
+    """One of the arm's three inertias is off by a share: true = given (1 + share)."""
+
+    name = "inertia_error"
+    equation = "Z(q) with shoulder, elbow or coupling times (1 + e)"
+    looks_like = (
+        "modes and mode shapes off together; alone from free motion only as a ratio (Eq. 9)"
+    )
+    source = "paper, Eq. 9 and section 2.2"
+
+    part: str = eqx.field(static=True)
+    share: Float[Array, ""] = param("error of the given inertia, as a share of it", RATIO)
+
+    @classmethod
+    def places(cls, mechanism):
+        _needs_arm(cls.name, mechanism)
+        return ("shoulder", "elbow", "coupling")
+
+    @property
+    def label(self):
+        return f"{self.name}:{self.part}"
+
+    def bodies(self, mechanism):
+        return eqx.tree_at(
+            lambda arm: getattr(arm, self.part),
+            mechanism,
+            getattr(mechanism, self.part) * (1.0 + self.share),
+        )
+
+    def torque(self, motion, mechanism):
+        return (0.0,) * len(mechanism.joints)

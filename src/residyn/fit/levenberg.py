@@ -1,0 +1,117 @@
+"""Levenberg-Marquardt from many starts at once.
+
+Ringing makes a cruel cost: off by half a cycle at the end of the record, the fit sits in a wrong
+valley. Two things lead out of it. The closed-form start is already close. And each start first
+fits the first few cycles alone, where no phase can slip, then a longer stretch, then everything.
+All starts run abreast under `vmap`, in one compiled program; a start that has fallen far behind
+after the first stretch follows the best one from there, and is not counted as agreeing.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int
+
+from .problem import Problem, Unknowns, compressed
+
+MAX_STEPS = 40
+# Steps end when the whitened residual moves by less than this many sigma, in total ...
+_RESIDUAL_TOLERANCE = 3e-3
+# ... and no unknown by more than this share of its scale.
+_UNKNOWN_TOLERANCE = 1e-5
+# A start this many times worse than the best after the first stretch has lost its way.
+_LOST = 25.0
+
+
+class Polished(NamedTuple):
+    """Where every start (leading axis S) ended."""
+
+    unknowns: Unknowns
+    cost: Float[Array, " S"]  # sum of squared whitened residuals
+    steps: Int[Array, " S"]
+    converged: Bool[Array, " S"]
+    lost: Bool[Array, " S"]
+
+
+class _Rows(NamedTuple):
+    """Compressed residual: the only thing that the optimiser sees."""
+
+    along: Float[Array, "R L"]
+    beside: Float[Array, " R"]
+
+
+def _norm(tree) -> Float[Array, ""]:
+    """Size of a step for the stopping rule, in units of its own tolerance."""
+    if isinstance(tree, _Rows):
+        return optx.two_norm(tree.along)
+    return optx.max_norm(tree) * (_RESIDUAL_TOLERANCE / _UNKNOWN_TOLERANCE)
+
+
+class _Stretch(NamedTuple):
+    """A problem over the first `only` integration steps of every recording."""
+
+    problem: Problem
+    only: Int[Array, ""]
+
+
+@eqx.filter_custom_jvp
+def _rows(y: Unknowns, stretch: _Stretch) -> _Rows:
+    """Compressed residual. Its Jacobian is known already, so it is attached, not derived."""
+    squeezed = compressed(stretch.problem, y, stretch.only)
+    return _Rows(squeezed.along, squeezed.beside)
+
+
+@_rows.def_jvp
+def _rows_jvp(primals, tangents):
+    (y, stretch), (dy, _) = primals, tangents
+    squeezed = compressed(stretch.problem, y, stretch.only)
+    everywhere = jnp.broadcast_to(dy.numbers, (dy.states.shape[0], dy.numbers.shape[0]))
+    local = jnp.concatenate([everywhere, dy.states], axis=1)
+    along = jnp.einsum("rij,rj->ri", squeezed.factor, local)
+    return (
+        _Rows(squeezed.along, squeezed.beside),
+        _Rows(along, jnp.zeros_like(squeezed.beside)),
+    )
+
+
+def descend(stretch: _Stretch, y: Unknowns):
+    """One Levenberg-Marquardt descent: where it ended, cost, steps, whether it converged."""
+    solver = optx.LevenbergMarquardt(rtol=0.0, atol=_RESIDUAL_TOLERANCE, norm=_norm)
+    solution = optx.least_squares(
+        _rows, solver, y, args=stretch, options={"jac": "fwd"}, max_steps=MAX_STEPS, throw=False
+    )
+    rows = solution.state.f_info.residual
+    total = jnp.sum(rows.along**2) + jnp.sum(rows.beside**2)
+    done = solution.result == optx.RESULTS.successful
+    return solution.value, total, solution.stats["num_steps"], done
+
+
+@eqx.filter_jit
+def polish(problem: Problem, starts: Unknowns, shares: Float[Array, " H"]) -> Polished:
+    """Descend from every start over growing shares (0 to 1) of the recordings."""
+    row = jnp.arange(problem.steps)[:, None, None]
+
+    def stretch(carry, share):
+        y, lost, taken = carry
+        only = jnp.ceil(share * problem.steps).astype(int)
+        weights = jnp.where(row < only, problem.recorded.weights, 0.0)
+        stage = _Stretch(eqx.tree_at(lambda p: p.recorded.weights, problem, weights), only)
+        y, total, steps, good = jax.vmap(lambda start: descend(stage, start))(y)
+        total = jnp.where(jnp.isfinite(total), total, jnp.inf)
+        best = jnp.argmin(total)
+        lost = lost | ~(total <= _LOST * total[best])
+        y = jax.tree.map(lambda x: jnp.where(_like(lost, x), x[best][None], x), y)
+        return (y, lost, taken + steps), (total, good)
+
+    none = jnp.zeros(starts.numbers.shape[0], bool)
+    (y, lost, taken), (total, good) = jax.lax.scan(
+        stretch, (starts, none, jnp.zeros_like(none, int)), shares
+    )
+    return Polished(y, total[-1], taken, good[-1], lost)
+
+
+def _like(mask, leaf):
+    return mask.reshape(mask.shape + (1,) * (leaf.ndim - 1))

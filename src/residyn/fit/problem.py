@@ -1,0 +1,224 @@
+"""The fit as a least-squares problem: unknowns in, whitened residuals out.
+
+The unknowns are the model's numbers, shared by all recordings, and each recording's own initial
+state, which nobody measured. One recording's residual depends on the numbers and its own state
+only, so its Jacobian has few columns; from the Jacobian J and the residual r of a recording, only the
+small triangular factor of J'J, the projection of r on J's columns and what is left of r matter to
+least squares. `compressed` returns just these. They stand in for thousands of residuals exactly:
+same cost, same gradient, same Gauss-Newton matrix. So the optimiser's own algebra costs nothing,
+and its cost does not grow with the number of samples.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, ScalarLike
+
+from ..mechanism import AbstractMechanism
+from ..model import Model
+from ..recording import Recording
+from ..simulate import Drive, march, read_slots
+
+# A residual beyond this many sigma comes from a simulation that has run away.
+_RUNAWAY = 1e6
+
+
+class Unknowns(NamedTuple):
+    """What a fit moves: (P,) numbers of the model and (R, 2n) initial states (q0, v0)."""
+
+    numbers: Float[Array, " P"]
+    states: Float[Array, "R 2n"]
+
+
+class Recorded(eqx.Module):
+    """R recordings as arrays, their readings sorted into M integration steps of at most m each."""
+
+    start: Float[Array, " R"]
+    stop: Float[Array, " R"]
+    place: Float[Array, "R M m"]  # of each reading within its step, 0 to 1
+    angles: Float[Array, "R M m n"]
+    weights: Float[Array, "R M m n"]  # 1/sigma of each reading; 0 where there is none
+    mechanism: AbstractMechanism
+    drive: Drive | None
+
+
+class Layout(NamedTuple):
+    """Where one recording's N readings went: row and slot of each."""
+
+    row: np.ndarray
+    slot: np.ndarray
+
+    def take(self, grid: np.ndarray) -> np.ndarray:
+        """(M, m, ...) values back in the order of the readings, (N, ...)."""
+        return np.asarray(grid)[self.row, self.slot]
+
+
+class Problem(eqx.Module):
+    """A model, its recordings and the scales in which the unknowns are of order one."""
+
+    model: Model
+    recorded: Recorded
+    scale: Unknowns
+    active: Float[Array, " P"]  # 1 for a number that the fit moves, 0 for one it must keep
+
+    @property
+    def steps(self) -> int:
+        """M, the number of integration steps of every recording."""
+        return self.recorded.place.shape[-2]
+
+    def numbers(self, y: Unknowns) -> Float[Array, " P"]:
+        """The model's numbers, in their own units, at scaled unknowns."""
+        kept = self.model.vector()
+        moved = self.scale.numbers * y.numbers
+        return jnp.where(self.active > 0, moved, kept)
+
+    def states(self, y: Unknowns) -> Float[Array, "R 2n"]:
+        """The initial states, rad and rad/s, at scaled unknowns."""
+        return self.scale.states * y.states
+
+    def scaled(self, numbers, states) -> Unknowns:
+        """The inverse of `numbers` and `states`."""
+        return Unknowns(numbers / self.scale.numbers, states / self.scale.states)
+
+
+def bucket(count: int) -> int:
+    """The next of 1, 1.25, 1.5, 1.75 times a power of two: few sizes, so few compilations."""
+    power = 2 ** max(0, int(np.floor(np.log2(max(count, 1)))) - 2)
+    return int(-(-count // power) * power)
+
+
+def lay_out(
+    recordings: Sequence[Recording],
+    mechanisms: Sequence[AbstractMechanism],
+    wild: Sequence[np.ndarray],
+    steps: int,
+) -> tuple[Recorded, list[Layout]]:
+    """Sort readings into `steps` equal steps a recording; `wild` (N, n) ones get no weight."""
+    layouts = []
+    for r in recordings:
+        part = (r.time - r.time[0]) / (r.time[-1] - r.time[0]) * steps
+        row = np.clip(np.floor(part).astype(int), 0, steps - 1)
+        slot = np.arange(len(row)) - np.searchsorted(row, row)
+        layouts.append((Layout(row, slot), part - row))
+    slots = max(int(layout.slot.max()) + 1 for layout, _ in layouts)
+    joints = recordings[0].angle.shape[1]
+    place = np.zeros((len(recordings), steps, slots))
+    angles = np.zeros((len(recordings), steps, slots, joints))
+    weights = np.zeros_like(angles)
+    for i, (r, bad, (layout, part)) in enumerate(zip(recordings, wild, layouts, strict=True)):
+        seen = np.isfinite(r.angle) & ~bad
+        place[i, layout.row, layout.slot] = part
+        angles[i, layout.row, layout.slot] = np.where(seen, r.angle, 0.0)
+        weights[i, layout.row, layout.slot] = np.where(seen, 1.0 / r.noise, 0.0)
+    longest = max(r.time[-1] - r.time[0] for r in recordings)
+    stacked = Recorded(
+        start=jnp.asarray([r.time[0] for r in recordings]),
+        stop=jnp.asarray([r.time[-1] for r in recordings]),
+        place=jnp.asarray(place),
+        angles=jnp.asarray(angles),
+        weights=jnp.asarray(weights),
+        mechanism=jax.tree.map(lambda *leaves: jnp.stack(leaves), *mechanisms),
+        drive=_drives(recordings, longest / steps),
+    )
+    return stacked, [layout for layout, _ in layouts]
+
+
+def _drives(recordings: Sequence[Recording], step: float) -> Drive | None:
+    """Drive torques on one uniform grid each, averaged over `step` so that no impulse is lost."""
+    if all(r.drive is None for r in recordings):
+        return None
+    longest = max(r.time[-1] - r.time[0] for r in recordings)
+    count = bucket(int(np.ceil(longest / step)) + 1)
+    drives = []
+    for r in recordings:
+        spacing = (r.time[-1] - r.time[0]) / (count - 1)
+        grid = r.time[0] + spacing * np.arange(count)
+        values = r.drive if r.drive is not None else np.zeros_like(r.angle)
+        impulse = np.concatenate(
+            [np.zeros((1, values.shape[1])), np.cumsum(_trapezia(r.time, values), axis=0)]
+        )
+        left = np.clip(grid - spacing / 2, r.time[0], r.time[-1])
+        right = np.clip(grid + spacing / 2, r.time[0], r.time[-1])
+        columns = [
+            (np.interp(right, r.time, i) - np.interp(left, r.time, i)) / (right - left)
+            for i in impulse.T
+        ]
+        drives.append(Drive(r.time[0], spacing, np.stack(columns, axis=1)))
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *drives)
+
+
+def _trapezia(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return 0.5 * (values[1:] + values[:-1]) * np.diff(time)[:, None]
+
+
+def posed(model: Model, mechanism: AbstractMechanism) -> Model:
+    """The model on another mechanism: another pose of the arm, or with its bearings off."""
+    return eqx.tree_at(lambda m: m.mechanism, model, mechanism)
+
+
+def predict(problem: Problem, one: Recorded, numbers, state, only=None) -> Float[Array, "M m n"]:
+    """Predicted readings of one recording (`one` without its leading axis)."""
+    n = state.shape[0] // 2
+    model = posed(problem.model.with_vector(numbers), one.mechanism)
+    nodes = march(
+        model,
+        one.start,
+        one.stop,
+        state[:n],
+        state[n:],
+        steps=problem.steps,
+        drive=one.drive,
+        only=only,
+    )
+    return read_slots(nodes, one.place)
+
+
+def residual(problem: Problem, one: Recorded, numbers, state, only=None) -> Float[Array, " Mmn"]:
+    """Whitened residual of one recording: (model - measurement) / sigma."""
+    misfit = (predict(problem, one, numbers, state, only) - one.angles) * one.weights
+    sane = jnp.isfinite(misfit) & (jnp.abs(misfit) < _RUNAWAY)
+    return jnp.where(sane, misfit, jnp.where(one.weights > 0, _RUNAWAY, 0.0)).reshape(-1)
+
+
+class Compressed(NamedTuple):
+    """A least-squares problem at a point, one row per recording (L = P + 2n local unknowns)."""
+
+    factor: Float[Array, "R L L"]  # upper triangular, factor'factor = J'J
+    along: Float[Array, "R L"]  # residual projected on J's columns
+    beside: Float[Array, " R"]  # length of the rest of the residual
+
+
+def compressed(problem: Problem, y: Unknowns, only: ScalarLike | None = None) -> Compressed:
+    """Residual and Jacobian at scaled unknowns, compressed; `only`: of the first so many steps."""
+    numbers = problem.scale.numbers.shape[0]
+
+    def one(recorded, scale, state):
+        def local(z):
+            moved = Unknowns(z[:numbers], y.states)
+            return residual(problem, recorded, problem.numbers(moved), scale * z[numbers:], only)
+
+        z = jnp.concatenate([y.numbers, state])
+        r, jacobian = jax.vmap(lambda e: jax.jvp(local, (z,), (e,)), out_axes=(None, 0))(
+            jnp.eye(len(z))
+        )
+        jacobian = jnp.where(jnp.isfinite(jacobian), jacobian, 0.0)
+        return _compress(jacobian @ jacobian.T, jacobian @ r, r @ r)
+
+    return jax.vmap(one)(problem.recorded, problem.scale.states, y.states)
+
+
+def _compress(square, slope, total) -> Compressed:
+    diagonal = jnp.diag(square)
+    size = jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0))
+    # Columns of unit length: what rounding leaves of a combination that the data cannot see is then
+    # about 1e-16, and the tiny ridge keeps the factor real.
+    unit = square / size / size[:, None] + 1e-14 * jnp.eye(len(size))
+    unit = unit + jnp.diag(jnp.where(diagonal > 0, 0.0, 1.0))
+    lower = jnp.linalg.cholesky(unit) * size[:, None]
+    along = jax.scipy.linalg.solve_triangular(lower, slope, lower=True)
+    beside = jnp.sqrt(jnp.maximum(total - along @ along, 0.0))
+    return Compressed(lower.T, along, beside)

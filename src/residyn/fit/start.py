@@ -1,0 +1,205 @@
+"""A start without simulation: Eq. 1 in weak form.
+
+Smoothed by a kernel K, the measured angles give K*q, K'*q and K''*q: position, rate and
+acceleration which all passed the *same* filter, so that a linear equation of motion still holds
+exactly between them, whatever the kernel's width. No noisy difference is ever taken. Stiffness
+and damping then follow from linear least squares on `q'' - acceleration(q, q'; numbers) = 0`;
+numbers that enter non-linearly take a few Gauss-Newton steps from each value of their grid.
+
+Which width is best depends on modes and noise that are not known yet: narrow ones let noise in,
+which biases the stiffness, and wide ones leave nothing of a fast mode. So every width of a
+geometric ladder gives one candidate, the least uncertain ones go on, and the simulations of the
+multi-start judge between them.
+"""
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..model import Model
+from ..motion import Motion, split, stack
+from ..recording import Recording
+
+_POWER = 5  # (1 - s^2)^5 is smooth enough at its ends for two derivatives
+_NARROWEST = 4  # samples in half a kernel
+_LADDER = 12  # kernels tried, each 1.5 times wider than the last
+_GAUSS_NEWTON = 8
+
+
+class Uniform(NamedTuple):
+    """A recording on a uniform grid of G instants, `dt` s apart."""
+
+    q: np.ndarray  # (G, n)
+    good: np.ndarray  # (G,) False where readings were missing for more than a few samples
+    drive: np.ndarray  # (G, n)
+    dt: float
+
+
+def uniform(recording: Recording, wild: np.ndarray) -> Uniform:
+    """Resample to the median spacing, leaving out lost and wild readings."""
+    time = recording.time
+    dt = float(np.median(np.diff(time)))
+    grid = np.arange(time[0], time[-1] + 1e-9 * dt, dt)
+    q = np.empty((len(grid), recording.angle.shape[1]))
+    good = np.ones(len(grid), bool)
+    for joint in range(q.shape[1]):
+        use = np.isfinite(recording.angle[:, joint]) & ~wild[:, joint]
+        known = time[use]
+        q[:, joint] = _cubic(known, recording.angle[use, joint], grid)
+        after = np.searchsorted(known, grid).clip(1, len(known) - 1)
+        good &= np.diff(known)[after - 1] < 4.5 * dt
+    drive = np.zeros_like(q)
+    if recording.drive is not None:
+        drive = np.stack([np.interp(grid, time, u) for u in recording.drive.T], axis=1)
+    return Uniform(q, good, drive, dt)
+
+
+def _cubic(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Cubic Lagrange interpolation through the four nearest readings."""
+    first = (np.searchsorted(x, at) - 2).clip(0, len(x) - 4)
+    index = first[:, None] + np.arange(4)
+    nodes, values = x[index], y[index]
+    total = np.zeros(len(at))
+    for i in range(4):
+        others = [k for k in range(4) if k != i]
+        top = np.prod(at[:, None] - nodes[:, others], axis=1)
+        total += values[:, i] * top / np.prod(nodes[:, [i]] - nodes[:, others], axis=1)
+    return total
+
+
+def kernel(half: int, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The kernel of half-width `half` samples and its first two derivatives, s^-1 and s^-2."""
+    s = np.arange(-half, half + 1) / half
+    bump, p = 1 - s**2, _POWER
+    value = bump**p
+    first = -2 * p * s * bump ** (p - 1)
+    second = -2 * p * bump ** (p - 1) + 4 * p * (p - 1) * s**2 * bump ** (p - 2)
+    total, width = value.sum(), half * dt
+    return value / total, first / total / width, second / total / width**2
+
+
+def smooth(data: Uniform, half: int, noise: np.ndarray):
+    """(q, v, a, drive, weight) through one kernel; the weight is 0 where it does not apply."""
+    kernels = kernel(half, data.dt)
+    length = len(data.q)
+
+    def through(columns: np.ndarray, k: np.ndarray) -> np.ndarray:
+        return np.stack([np.convolve(c, k, "same") for c in columns.T], axis=1)
+
+    q, v, a = (through(data.q, k) for k in kernels)
+    inside = np.zeros(length, bool)
+    inside[half : length - half] = True
+    filled = np.convolve((~data.good).astype(float), np.ones(2 * half + 1), "same") > 0.5
+    # Where the motion has died away only noise is left, which would pull the numbers to itself.
+    left = noise * np.sqrt((kernels[0] ** 2).sum())
+    rest = np.median(data.q[-max(10, length // 10) :], axis=0)
+    block = np.ones(4 * half + 1) / (4 * half + 1)
+    size2 = through((data.q - rest) ** 2, block)
+    share = (size2 / (6 * left) ** 2).max(axis=1)
+    weight = share / (1 + share) * (inside & ~filled)
+    return q, v, a, through(data.drive, kernels[0]), weight
+
+
+class Candidates(NamedTuple):
+    """Closed-form estimates, best first: (C, P) numbers and (C,) typical log relative spread."""
+
+    numbers: np.ndarray
+    spread: np.ndarray
+
+
+def closed_form(
+    models: Sequence[Model], recordings: Sequence[Recording], wild: Sequence[np.ndarray]
+) -> Candidates:
+    """Candidate numbers for a model from its recordings (one model per recording's pose).
+
+    **Returns:** the candidates, the least uncertain first; empty if the model has no numbers.
+    """
+    grids = [uniform(r, w) for r, w in zip(recordings, wild, strict=True)]
+    shortest, longest = min(len(g.q) for g in grids), max(len(g.q) for g in grids)
+    halves = [round(_NARROWEST * 1.5**i) for i in range(_LADDER)]
+    halves = [h for h in halves if h <= max(_NARROWEST, shortest // 8)]
+    rows = []
+    for half, (grid, recording) in itertools.product(halves, zip(grids, recordings, strict=True)):
+        parts = smooth(grid, half, recording.noise)
+        pad = longest - len(grid.q)
+        rows.append([np.pad(p, [(0, pad)] + [(0, 0)] * (p.ndim - 1)) for p in parts])
+    shape = (len(halves), len(grids))
+    arrays = [
+        np.stack(column).reshape(*shape, longest, *column[0].shape[1:])
+        for column in zip(*rows, strict=True)
+    ]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *models)
+    beginnings = _grid(models[0])
+    numbers, spread = jax.device_get(
+        _solve(stacked, jnp.asarray(beginnings), *map(jnp.asarray, arrays))
+    )
+    # Overlapping kernels share their noise: a kernel of half-width h leaves about 1/h as many
+    # independent equations.
+    spread = spread + 0.5 * np.log(np.asarray(halves, float))[:, None]
+    numbers, spread = numbers.reshape(-1, numbers.shape[-1]), spread.reshape(-1)
+    spread = np.where(np.isfinite(numbers).all(axis=1), spread, np.inf)
+    order = np.argsort(spread, kind="stable")
+    order = order[np.isfinite(spread[order])]
+    return Candidates(numbers[order], spread[order])
+
+
+def _grid(model: Model) -> np.ndarray:
+    """Every combination of the grid values of the numbers that have a grid."""
+    values = np.asarray(model.vector())
+    choices = [n.meaning.grid or (v,) for n, v in zip(model.fitted, values, strict=True)]
+    return np.asarray(list(itertools.product(*choices)), float).reshape(-1, len(values))
+
+
+@eqx.filter_jit
+def _solve(models, beginnings, q, v, a, drive, weight):
+    """Gauss-Newton on the acceleration error, for every kernel (axis 0) and beginning."""
+    linear = beginnings.shape[0] == 1
+
+    def error(vector, model, q, v, a, drive, weight):
+        model = model.with_vector(vector)
+        wanted = stack(model.acceleration(Motion.at(0.0, q, v), split(drive)))
+        return jnp.sqrt(weight) * (a - wanted)
+
+    def equations(vector, *data):  # one kernel
+        def one(model, *arrays):
+            def row(*instant):
+                e = error(vector, model, *instant)
+                return e, jax.jacfwd(error)(vector, model, *instant)
+
+            e, j = jax.vmap(row)(*arrays)
+            return jnp.einsum("gnp,gnr->pr", j, j), jnp.einsum("gnp,gn->p", j, e), jnp.sum(e**2)
+
+        return jax.tree.map(lambda x: x.sum(0), jax.vmap(one)(models, *data))
+
+    def solve(vector, *data):
+        def step(vector, _):
+            square, slope, _ = equations(vector, *data)
+            size = jnp.sqrt(jnp.where(jnp.diag(square) > 0, jnp.diag(square), 1.0))
+            scaled = square / size / size[:, None] + 1e-12 * jnp.eye(len(size))
+            return vector - jnp.linalg.solve(scaled, slope / size) / size, None
+
+        vector = jax.lax.scan(step, vector, None, length=1 if linear else _GAUSS_NEWTON)[0]
+        square, _, total = equations(vector, *data)
+        count = jnp.sum(data[-1]) * q.shape[-1]
+        # Log of the typical relative standard deviation, for ranking only.
+        spread = 0.5 * (
+            jnp.log(total / count) - jnp.linalg.slogdet(square)[1] / max(1, len(vector))
+        )
+        return vector, spread
+
+    each_beginning = jax.vmap(solve, in_axes=(0,) + (None,) * 5)
+    return jax.vmap(each_beginning, in_axes=(None,) + (0,) * 5)(beginnings, q, v, a, drive, weight)
+
+
+def perturbed(best: np.ndarray, count: int, spread: float = 0.3) -> np.ndarray:
+    """`count` points around one: each number times a log-normal factor of log-spread `spread`.
+
+    The factors are always the same ones, so that the same recording gives the same fit.
+    """
+    factors = np.random.default_rng(0).standard_normal((count, len(best)))
+    return best * np.exp(spread * factors)

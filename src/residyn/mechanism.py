@@ -1,0 +1,147 @@
+"""Bodies without forces: the inertia side of Eq. 1.
+
+A mechanism knows its mass matrix `Z(q)` and the torque `f^w(q, v)` which the motion of its own
+masses asks for, and nothing of springs or friction. Adding an effect to it makes a `Model`.
+"""
+
+import abc
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, ScalarLike
+
+from .motion import Joints
+
+if TYPE_CHECKING:  # `mechanism + effect` is a Model, which comes later in the import order
+    from .model import Model
+
+
+class AbstractMechanism(eqx.Module):
+    """A mechanism of n coordinates. To write one: give `joints`, `units` and `mass_matrix`.
+
+    `inertia_torque` then follows from the mass matrix by automatic differentiation (Lagrange), and
+    so conserves energy; a closed form, where you have one, is only faster.
+    """
+
+    joints: eqx.AbstractVar[tuple[str, ...]]
+    units: eqx.AbstractVar[tuple[str, ...] | None]
+
+    @abc.abstractmethod
+    def mass_matrix(self, q: Joints) -> tuple[Joints, ...]:
+        """Z(q) of Eq. 1, kg m^2 (kg for a sliding joint), as n rows of n scalars."""
+
+    def inertia_torque(self, q: Joints, v: Joints) -> Joints:
+        """f^w(q, v) of Eq. 1, N m: dZ/dt v - (1/2) d(v'Z v)/dq, so that energy is conserved."""
+
+        def momentum(q):
+            return tuple(_dot(row, v) for row in self.mass_matrix(q))
+
+        q = tuple(jnp.asarray(x, float) for x in q)
+        v = tuple(jnp.asarray(x, float) for x in v)
+        rate = jax.jvp(momentum, (q,), (v,))[1]
+        # Forward mode, so that whoever differentiates the motion may use either mode.
+        pull = jax.jacfwd(lambda q: self.kinetic_energy(q, v))(q)
+        return tuple(r - p for r, p in zip(rate, pull, strict=True))
+
+    def link_angles(self, q: Joints) -> Joints:
+        """Absolute angle of each link, rad: what gravity acts on.
+
+        **Raises:** `ValueError` where the coordinates do not define the links' directions.
+        """
+        if len(self.joints) == 1:
+            return q
+        raise ValueError(
+            f"{type(self).__name__} of {len(self.joints)} joints does not know its links' absolute "
+            "angles, which gravity needs; use [arm], or a mechanism with a link_angles method"
+        )
+
+    def kinetic_energy(self, q: Joints, v: Joints) -> ScalarLike:
+        """(1/2) v'Z(q) v, J."""
+        return 0.5 * _dot(v, tuple(_dot(row, v) for row in self.mass_matrix(q)))
+
+    def __add__(self, effect: Any) -> "Model":
+        """`mechanism + effect`: a Model."""
+        from .model import Model
+
+        return Model(self) + effect
+
+
+def _dot(x: Joints, y: Joints) -> ScalarLike:
+    return sum(a * b for a, b in zip(x, y, strict=True))
+
+
+class PlanarArm(AbstractMechanism):
+    """Two links in a plane: the arm of the paper, Eq. 2.
+
+    **Arguments:**
+
+    - `link_lengths`: l1, l2 in m.
+    - `shoulder`: I1 + m2 l1^2, kg m^2.
+    - `elbow`: I2 about the elbow joint, kg m^2.
+    - `coupling`: m2 rho2, kg m.
+    - `theta2`: elbow angle at rest, rad.
+    """
+
+    link_lengths: Float[Array, " 2"] = eqx.field(converter=jnp.asarray)
+    shoulder: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    elbow: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    coupling: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    theta2: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=0.0)
+    joints: tuple[str, ...] = eqx.field(static=True, default=("shoulder", "elbow"))
+    units: tuple[str, ...] | None = eqx.field(static=True, default=("rad", "rad"))
+
+    def mass_matrix(self, q):
+        """Eq. 2."""
+        cross = self.link_lengths[0] * self.coupling * jnp.cos(self.theta2 + q[1])
+        off = self.elbow + cross
+        return (self.shoulder + off + cross, off), (off, self.elbow)
+
+    def inertia_torque(self, q, v):
+        """The energy-conserving form of Eq. 3, with q2' the elbow's own rate.
+
+        Eq. 3 as printed has the opposite sign and reads q2' as link 2's absolute rate; it is kept
+        as the effect `printed_inertia_torque`.
+        """
+        s = self.link_lengths[0] * self.coupling * jnp.sin(self.theta2 + q[1])
+        return -s * (2.0 * v[0] * v[1] + v[1] * v[1]), s * v[0] * v[0]
+
+    def link_angles(self, q):
+        """q1 and q1 + theta2 + q2."""
+        return q[0], q[0] + self.theta2 + q[1]
+
+
+class ConstantInertia(AbstractMechanism):
+    """Any number of joints with a mass matrix that does not depend on their positions.
+
+    **Arguments:**
+
+    - `matrix`: kg m^2, or kg for sliding joints; (n, n), symmetric, positive definite.
+    - `joints`: one name per coordinate; "q1", "q2", ... if not given.
+    - `units`: "rad" or "m" per joint, or None if not known.
+    """
+
+    matrix: Float[Array, "n n"] = eqx.field(converter=jnp.asarray)
+    joints: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[str, ...] | None = eqx.field(static=True)
+
+    def __init__(self, matrix, joints=None, units=None):
+        self.matrix = jnp.atleast_2d(jnp.asarray(matrix, dtype=float))
+        n = self.matrix.shape[-1]
+        self.joints = tuple(joints) if joints is not None else tuple(f"q{i + 1}" for i in range(n))
+        self.units = tuple(units) if units is not None else None
+        if self.matrix.shape[-2:] != (n, n) or len(self.joints) != n:
+            raise ValueError(
+                f"matrix has shape {self.matrix.shape}: it must be square, "
+                f"one row per joint ({', '.join(self.joints)})"
+            )
+
+    def mass_matrix(self, q):
+        """The constant matrix."""
+        n = len(self.joints)
+        return tuple(tuple(self.matrix[i, j] for j in range(n)) for i in range(n))
+
+    def inertia_torque(self, q, v):
+        """Zero: the mass matrix does not change with the motion."""
+        return (0.0,) * len(self.joints)

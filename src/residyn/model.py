@@ -1,0 +1,182 @@
+"""A model is a mechanism plus effects: Eq. 1 as a value.
+
+`PlanarArm(...) + Spring("shoulder", 16.7) + Damper("shoulder", 0.1)` is a model. Models are
+immutable pytrees: adding or removing an effect gives a new one, and their leaves are the numbers
+that JAX differentiates, vmaps and fits.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import NamedTuple, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
+
+from .effects import AbstractEffect
+from .mechanism import AbstractMechanism
+from .motion import Joints, Motion, split, stack
+from .parameter import Parameter, parameters_of
+
+
+class Number(NamedTuple):
+    """One number of a model: its public name, its meaning, the joint's index (None: no one joint)."""
+
+    name: str
+    meaning: Parameter
+    effect: int
+    joint: int | None
+
+
+class Model(eqx.Module):
+    """Eq. 1: `mechanism.mass_matrix(q) q'' + f^w(q, q') + sum of effect torques = drive`."""
+
+    mechanism: AbstractMechanism
+    effects: tuple[AbstractEffect, ...] = ()
+
+    def __add__(self, effect: AbstractEffect) -> Self:
+        """The model with one more effect.
+
+        **Raises:** `ValueError` if it is there already; `TypeError` if it is no effect.
+        """
+        if not isinstance(effect, AbstractEffect):
+            raise TypeError(f"{effect!r} is no effect: a model is a mechanism plus effects")
+        if effect.label in self.labels:
+            raise ValueError(f"{effect.label} is in the model already")
+        return dataclasses.replace(self, effects=(*self.effects, effect))
+
+    def without(self, label: str) -> Self:
+        """The model less the effect with this label.
+
+        **Raises:** `ValueError` if it is not in the model.
+        """
+        if label not in self.labels:
+            raise ValueError(f"{label} is not in the model ({', '.join(self.labels)})")
+        kept = tuple(effect for effect in self.effects if effect.label != label)
+        return dataclasses.replace(self, effects=kept)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """`name` or `name:place` of each effect, in order."""
+        return tuple(effect.label for effect in self.effects)
+
+    @property
+    def dry(self) -> bool:
+        """Whether a joint can stick: whether any torque jumps with the direction of sliding."""
+        return any(effect.dry for effect in self.effects)
+
+    # -- physics -----------------------------------------------------------------------------
+
+    @property
+    def bodies(self) -> AbstractMechanism:
+        """The mechanism as the effects leave it."""
+        mechanism = self.mechanism
+        for effect in self.effects:
+            mechanism = effect.bodies(mechanism)
+        return mechanism
+
+    def torque(self, motion: Motion) -> Joints:
+        """Sum of the effects' torques on each joint, N m (or N)."""
+        bodies = self.bodies
+        total: Joints = (0.0,) * len(bodies.joints)
+        for effect in self.effects:
+            total = _add(total, effect.torque(motion, bodies))
+        return total
+
+    def acceleration(
+        self, motion: Motion, drive: Joints | None = None, held: Joints | None = None
+    ) -> Joints:
+        """q'' of Eq. 1, rad/s^2. `held` is 1 for a joint that sticks, whose q'' is then 0."""
+        bodies = self.bodies
+        load = _add(bodies.inertia_torque(motion.q, motion.v), self.torque(motion))
+        load = tuple(-x for x in load) if drive is None else _add(drive, tuple(-x for x in load))
+        matrix = bodies.mass_matrix(motion.q)
+        if held is not None:
+            # A held joint is one of very large inertia: one solve serves every pattern of sticking.
+            matrix = tuple(
+                tuple(z * (1.0 + 1e14 * held[i]) if i == j else z for j, z in enumerate(row))
+                for i, row in enumerate(matrix)
+            )
+        return solve_inertia(matrix, load)
+
+    def vector_field(self, t, y, args=None):
+        """(q', q'') at `y = (q, v)`, arrays (n,), in diffrax's signature.
+
+        `args` is None or the drive torque, (n,) N m.
+        """
+        q, v = y
+        drive = None if args is None else split(args)
+        return v, stack(self.acceleration(Motion.at(t, q, v), drive))
+
+    # -- numbers -----------------------------------------------------------------------------
+
+    @property
+    def numbers(self) -> tuple[Number, ...]:
+        """Every declared number of every effect, in order."""
+        found = []
+        for index, effect in enumerate(self.effects):
+            place = effect.label.partition(":")[2]
+            joints = self.mechanism.joints
+            joint = joints.index(place) if place in joints else None
+            for meaning in parameters_of(effect):
+                found.append(Number(f"{effect.label}.{meaning.name}", meaning, index, joint))
+        return tuple(found)
+
+    @property
+    def fitted(self) -> tuple[Number, ...]:
+        """The numbers that a fit moves."""
+        return tuple(number for number in self.numbers if number.meaning.fitted)
+
+    def vector(self) -> Float[Array, " p"]:
+        """The fitted numbers as one array, in the order of `fitted`."""
+        values = [getattr(self.effects[n.effect], n.meaning.field) for n in self.fitted]
+        return jnp.stack([jnp.asarray(v, float) for v in values]) if values else jnp.zeros(0)
+
+    def with_vector(self, values: Float[Array, " p"]) -> Self:
+        """The model with its fitted numbers replaced."""
+        return self._with(dict(zip([n.name for n in self.fitted], list(values), strict=True)))
+
+    def values(self) -> dict[str, Array]:
+        """Public name -> value, for every number."""
+        return {n.name: getattr(self.effects[n.effect], n.meaning.field) for n in self.numbers}
+
+    def with_values(self, values: Mapping[str, PyTree]) -> Self:
+        """The model with some numbers replaced, by public name.
+
+        **Raises:** `ValueError` for a name that the model does not have.
+        """
+        known = {n.name for n in self.numbers}
+        for name in values:
+            if name not in known:
+                raise ValueError(f"{name} is no number of this model ({', '.join(sorted(known))})")
+        return self._with(values)
+
+    def _with(self, values: Mapping[str, PyTree]) -> Self:
+        effects = list(self.effects)
+        for number in self.numbers:
+            if number.name in values:
+                effects[number.effect] = dataclasses.replace(
+                    effects[number.effect],
+                    **{number.meaning.field: values[number.name]},  # pyright: ignore
+                )
+        return dataclasses.replace(self, effects=tuple(effects))
+
+
+def _add(x: Joints, y: Joints) -> Joints:
+    return tuple(a + b for a, b in zip(x, y, strict=True))
+
+
+def solve_inertia(matrix: tuple[Joints, ...], load: Joints) -> Joints:
+    """Z^-1 load, by elimination written out: for so few joints a library call costs more."""
+    n = len(load)
+    rows, right = [list(row) for row in matrix], list(load)
+    for pivot in range(n):  # Z is positive definite: no pivoting
+        for row in range(pivot + 1, n):
+            factor = rows[row][pivot] / rows[pivot][pivot]
+            right[row] = right[row] - factor * right[pivot]
+            for column in range(pivot + 1, n):
+                rows[row][column] = rows[row][column] - factor * rows[pivot][column]
+    for row in reversed(range(n)):
+        rest = sum(rows[row][column] * right[column] for column in range(row + 1, n))
+        right[row] = (right[row] - rest) / rows[row][row]
+    return tuple(right)

@@ -1,0 +1,122 @@
+"""What a number means.
+
+A fit moves plain numbers; a person reads stiffnesses, torques and angles. `param` ties the two
+together: an effect declares each of its numbers once, as a field with its meaning (words, dimension,
+allowed sign, the *silent value* at which the effect is exactly absent), and everything that needs
+the meaning (units in a table, the scale of a step, the bounds of a search) reads it from there.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+Sign = Literal["any", "positive"]
+
+
+class Scales(NamedTuple):
+    """Typical size of a joint's motion: what a parameter of that joint can be measured against.
+
+    `inertia` in kg m^2 (or kg), `frequency` in rad/s, `amplitude` in rad (or m).
+    """
+
+    inertia: float = 1.0
+    frequency: float = 1.0
+    amplitude: float = 1.0
+
+
+class Dimension(NamedTuple):
+    """A kind of quantity: its unit at a rotary joint, at a sliding joint, and its typical size."""
+
+    rotary: str
+    sliding: str
+    size: Callable[[Scales], float]
+
+    def unit(self, joint_unit: str | None) -> str:
+        """The unit for a joint read in "rad" or "m"; both when the joint's unit is not known."""
+        if joint_unit == "rad" or self.rotary == self.sliding:
+            return self.rotary
+        return self.sliding if joint_unit == "m" else f"{self.rotary} or {self.sliding}"
+
+
+STIFFNESS = Dimension("N m/rad", "N/m", lambda s: s.inertia * s.frequency**2)
+DAMPING = Dimension("N m s/rad", "N s/m", lambda s: s.inertia * s.frequency)
+TORQUE = Dimension("N m", "N", lambda s: s.inertia * s.frequency**2 * s.amplitude)
+ANGLE = Dimension("rad", "m", lambda s: s.amplitude)
+DIRECTION = Dimension("rad", "rad", lambda s: 1.0)
+INERTIA = Dimension("kg m^2", "kg", lambda s: s.inertia)
+FIRST_MOMENT = Dimension("kg m", "kg m", lambda s: s.inertia)
+RATIO = Dimension("1", "1", lambda s: 1.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """The meaning of one number of an effect, as declared with `param`."""
+
+    field: str
+    name: str
+    words: str
+    dimension: Dimension
+    sign: Sign
+    silent: float
+    fitted: bool
+    grid: tuple[float, ...]
+
+
+_KEY = "residyn"
+
+
+def param(
+    words: str,
+    dimension: Dimension,
+    *,
+    sign: Sign = "any",
+    silent: float = 0.0,
+    default: float | None = None,
+    fitted: bool = True,
+    grid: tuple[float, ...] = (),
+    name: str | None = None,
+) -> Any:
+    """Declare a number of an effect: a field of its class whose value is a scalar array.
+
+    **Arguments:**
+
+    - `words`: what it is, for a person.
+    - `dimension`: the kind of quantity, which gives its unit and its typical size.
+    - `sign`: "positive" if physics allows no negative value; "any" otherwise. A fit is not forced
+      to obey (that would bias its errors); it says so when it does not.
+    - `silent`: the value at which the effect is exactly absent.
+    - `default`: the value of an instance made without one; `silent` if not given.
+    - `fitted`: whether a fit moves it.
+    - `grid`: values to start from, for a number that enters the torque non-linearly, in units of
+      the dimension's typical size.
+    - `name`: what users call it, where that differs from the field's name.
+    """
+    meaning = dict(
+        name=name,
+        words=words,
+        dimension=dimension,
+        sign=sign,
+        silent=silent,
+        fitted=fitted,
+        grid=grid,
+    )
+    return eqx.field(
+        default=silent if default is None else default,
+        converter=jnp.asarray,
+        metadata={_KEY: meaning},
+    )
+
+
+def parameters_of(effect: Any) -> tuple[Parameter, ...]:
+    """The declared numbers of an effect (a class or an instance), in the order of declaration."""
+    return tuple(
+        Parameter(
+            field=field.name,
+            **{**field.metadata[_KEY], "name": field.metadata[_KEY]["name"] or field.name},
+        )
+        for field in dataclasses.fields(effect)
+        if _KEY in field.metadata
+    )
