@@ -19,11 +19,11 @@ _BLOCK = 32
 
 _SURE = 5.0
 GUARD = 0.2
-FRAC=.33
-_RUN=4
-PEN=9
-MAXRUNS=4
-SHARE=.7
+FRAC = 0.33
+_RUN = 4
+PEN = 9
+MAXRUNS = 4
+SHARE = 0.7
 """Standard deviations at which a reading is wild: 7 in a million of white noise are."""
 
 
@@ -127,7 +127,8 @@ def _blocks(time: np.ndarray, values: np.ndarray) -> _Blocks:
         return _Blocks(first, basis, share, 1, 0.0)
     # Down from the top while the next degree is as small as all above it, within its statistics;
     # then up again by two, past motion that was too small to be noticed.
-    live = seen[vigour >= np.quantile(vigour, 1 - FRAC)]
+    few = np.sort(vigour)[-min(8, len(vigour))]
+    live = seen[vigour >= min(few, FRAC * vigour.max())]
     limit = math.sqrt(1 + 3 * math.sqrt(4 / len(live)))
     degree = top
     while degree > 1 and _spread(live[:, degree - 1]) <= limit * _spread(live[:, degree:]):
@@ -226,7 +227,9 @@ def _explain(room: np.ndarray, rest: np.ndarray) -> dict[int, float]:
         if run is None:
             break
         picked += [int(i) for i in run if i not in picked]
-        across = np.linalg.solve(room[np.ix_(picked, picked)] + 1e-6 * np.eye(len(picked)), room[picked])
+        across = np.linalg.solve(
+            room[np.ix_(picked, picked)] + 1e-6 * np.eye(len(picked)), room[picked]
+        )
         now = rest - across.T @ rest[picked]
         free = room - room[:, picked] @ across
     else:

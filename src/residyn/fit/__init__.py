@@ -1,0 +1,11 @@
+"""Fitting a model to recordings."""
+
+from .pipeline import DEFAULT_STARTS as DEFAULT_STARTS
+from .pipeline import fit as fit
+from .result import Fit as Fit
+from .result import FitError as FitError
+from .result import Mode as Mode
+from .result import Number as Number
+from .result import RecordingFit as RecordingFit
+from .setup import mechanism_of as mechanism_of
+from .setup import model_for as model_for

@@ -1,0 +1,35 @@
+# `make demo` and `make test` each set up what they need in .venv, from Python 3.11+ alone.
+PYTHON ?= $(firstword $(foreach p,python3.13 python3.12 python3.11 python3 python,\
+  $(if $(shell $(p) -c 'import sys; print(1 if sys.version_info >= (3, 11) else "")' 2>/dev/null),$(p))))
+BIN := .venv/bin
+RUN := $(BIN)/python
+
+.PHONY: demo test lint clean
+
+demo: .venv/.demo
+	$(BIN)/residyn demo
+
+test: lint
+	$(RUN) -m pytest -n 2 --dist worksteal
+
+lint: .venv/.test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+.venv/.venv:
+	@test -n "$(PYTHON)" || { echo "residyn needs Python 3.11 or newer (set PYTHON=...)"; exit 1; }
+	$(PYTHON) -m venv .venv
+	@touch $@
+
+# Two sets of packages: the demo must not wait for the test tools.
+.venv/.demo: .venv/.venv pyproject.toml
+	$(RUN) -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+.venv/.test: .venv/.venv pyproject.toml
+	$(RUN) -m pip install --quiet --disable-pip-version-check --editable ".[test]"
+	@touch $@ .venv/.demo
+
+clean:
+	rm -rf .venv

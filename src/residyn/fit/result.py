@@ -1,0 +1,217 @@
+"""What a fit returns, and how it reads.
+
+Values with errors, in the units of the parameter's declaration, and in words whatever a careful
+person would want to be told: what the data cannot determine, what trades against what, which
+readings were set aside, how many starts agreed and why the search stopped.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..model import Model
+from ..recording import Experiment, Recording
+
+STRONG = 0.9
+"""Correlations beyond this are named."""
+
+
+class FitError(RuntimeError):
+    """The numbers could not be had: one line that says why."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """One fitted number. `std` is inf where the data cannot determine it."""
+
+    name: str
+    words: str
+    value: float
+    std: float
+    start: float
+    unit: str
+    sign: str
+    determined: bool
+
+    @property
+    def percent(self) -> float:
+        """Standard error in % of the value."""
+        return 100 * self.std / abs(self.value) if self.value else float("inf")
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One mode of the linearised model: natural frequency in Hz, damping ratio, and their errors."""
+
+    frequency_hz: float
+    frequency_hz_std: float
+    damping_ratio: float
+    damping_ratio_std: float
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingFit:
+    """One recording beside the model: arrays (N, n) in rad or m."""
+
+    recording: Recording
+    predicted: np.ndarray
+    wild: np.ndarray  # readings set aside as wild
+    state: np.ndarray  # fitted (q0, v0)
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Measured minus predicted; NaN where the sample was lost."""
+        return self.recording.angle - self.predicted
+
+    @property
+    def used(self) -> np.ndarray:
+        """Readings that count."""
+        return np.isfinite(self.recording.angle) & ~self.wild
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted model beside its recordings. Print it; or `to_dict()` for the JSON."""
+
+    experiment: Experiment
+    model: Model
+    numbers: tuple[Number, ...]
+    covariance: np.ndarray  # (P, P) of the numbers, NaN where undetermined
+    recordings: tuple[RecordingFit, ...]  # fitted ones, then held-out ones
+    reduced_chi2: float
+    modes: tuple[Mode, ...]
+    starts: int
+    agreeing_starts: int
+    converged: bool
+    reason: str
+    steps: int
+    seconds: float
+    warnings: tuple[str, ...]
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints."""
+        return self.experiment.joints
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """(P, P) correlations of the numbers."""
+        spread = np.sqrt(np.diag(self.covariance))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return self.covariance / spread / spread[:, None]
+
+    @property
+    def rmse(self) -> np.ndarray:
+        """(n,) rms residual of the fitted recordings per joint, wild readings apart."""
+        return _rms([r for r in self.recordings if r.recording.role != "check"])
+
+    @property
+    def check_rmse(self) -> np.ndarray | None:
+        """(n,) rms residual of the held-out recordings; None if there are none."""
+        held_out = [r for r in self.recordings if r.recording.role == "check"]
+        return _rms(held_out) if held_out else None
+
+    @property
+    def noise(self) -> np.ndarray:
+        """(n,) standard deviation of one reading, rms over the fitted recordings."""
+        fitted = [r for r in self.recordings if r.recording.role != "check"]
+        return np.sqrt(np.mean([r.recording.noise**2 for r in fitted], axis=0))
+
+    def saying(self, warnings: tuple[str, ...]) -> "Fit":
+        """The same fit with other warnings."""
+        return replace(self, warnings=warnings)
+
+    def strong_correlations(self) -> list[tuple[str, str, float]]:
+        """Pairs of numbers that this data hardly tells apart."""
+        found = []
+        for i, j in zip(*np.triu_indices(len(self.numbers), 1), strict=True):
+            r = self.correlation[i, j]
+            if abs(r) > STRONG:
+                found.append((self.numbers[i].name, self.numbers[j].name, float(r)))
+        return sorted(found, key=lambda row: -abs(row[2]))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON of `residyn fit`."""
+        per_joint = lambda x: dict(zip(self.joints, map(_number, x), strict=True))  # noqa: E731
+        return {
+            "model": list(self.model.labels),
+            "parameters": {
+                n.name: {"value": _number(n.value), "std": _number(n.std), "unit": n.unit}
+                for n in self.numbers
+            },
+            "rmse": per_joint(self.rmse),
+            "noise": per_joint(self.noise),
+            "reduced_chi2": _number(self.reduced_chi2),
+            "check_rmse": None if self.check_rmse is None else per_joint(self.check_rmse),
+            "modes": [
+                {
+                    "frequency_hz": _number(m.frequency_hz),
+                    "frequency_hz_std": _number(m.frequency_hz_std),
+                    "damping_ratio": _number(m.damping_ratio),
+                    "damping_ratio_std": _number(m.damping_ratio_std),
+                }
+                for m in self.modes
+            ],
+            "starts": self.starts,
+            "agreeing_starts": self.agreeing_starts,
+            "converged": self.converged,
+            "seconds": _number(self.seconds),
+            "warnings": list(self.warnings),
+        }
+
+    def __str__(self) -> str:
+        return "\n".join(_lines(self))
+
+
+def _rms(fits: list[RecordingFit]) -> np.ndarray:
+    total = sum((np.where(f.used, f.residual, 0.0) ** 2).sum(axis=0) for f in fits)
+    return np.sqrt(total / sum(f.used.sum(axis=0) for f in fits))
+
+
+def _number(x) -> float | None:
+    return float(x) if np.isfinite(x) else None
+
+
+def _lines(fit: Fit) -> list[str]:
+    lines = [f"[[Model]]  {' + '.join(fit.model.labels)}", "[[Fit]]"]
+    fitted = [r for r in fit.recordings if r.recording.role != "check"]
+    readings = sum(int(r.used.sum()) for r in fitted)
+    lines += [
+        f"    recordings     {', '.join(r.recording.name for r in fitted)}  ({readings} readings)",
+        f"    starts         {fit.agreeing_starts} of {fit.starts} agree",
+        f"    stopped        {fit.reason}",
+        f"    chi-square     {fit.reduced_chi2:.4g} per degree of freedom (1: noise alone)",
+    ]
+    check = fit.check_rmse
+    units = fit.experiment.units or ("rad or m",) * len(fit.joints)
+    for i, joint in enumerate(fit.joints):
+        ratio = fit.rmse[i] / fit.noise[i]
+        line = f"    rms residual   {fit.rmse[i]:.4g} {units[i]} at {joint}: {ratio:.3g} x noise"
+        if check is not None:
+            line += f"; held out: {check[i]:.4g} {units[i]}"
+        lines.append(line)
+    lines.append("[[Parameters]]  value +/- standard error (error in %), start")
+    width = max((len(n.name) for n in fit.numbers), default=0)
+    for n in fit.numbers:
+        if n.determined:
+            text = f"{n.value:11.6g} +/- {n.std:<9.3g} ({n.percent:.3g} %)"
+        else:
+            text = f"{n.value:11.6g} +/- not determined"
+        unit = "" if n.unit == "1" else f" {n.unit}"
+        lines.append(f"    {n.name:<{width}}  {text:<38} start {n.start:<9.4g}{unit}")
+    if fit.modes:
+        lines.append("[[Modes]]  natural frequency, damping ratio")
+    for i, m in enumerate(fit.modes, 1):
+        lines.append(
+            f"    {i}  {m.frequency_hz:.6g} +/- {m.frequency_hz_std:.2g} Hz   "
+            f"{m.damping_ratio:.4g} +/- {m.damping_ratio_std:.2g}"
+        )
+    strong = fit.strong_correlations()
+    if strong:
+        lines.append(f"[[Correlations]]  beyond {STRONG}")
+        lines += [f"    {a} with {b}: {r:+.3f}" for a, b, r in strong]
+    if fit.warnings:
+        lines.append("[[Warnings]]")
+        lines += [f"    {w}" for w in fit.warnings]
+    return lines

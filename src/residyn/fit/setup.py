@@ -1,0 +1,165 @@
+"""An experiment made ready to fit: bodies, model, step, scales, first guesses of the states."""
+
+import math
+from collections.abc import Sequence
+from typing import Literal, NamedTuple, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..bearings import AirBearing, without_bearings
+from ..effects import AbstractEffect, effects_named
+from ..mechanism import AbstractMechanism, ConstantInertia, PlanarArm
+from ..model import Model
+from ..parameter import Scales
+from ..recording import ArmTable, Experiment, Recording
+from ..simulate import DRY_STEP, fastest
+from .problem import Layout, Problem, Unknowns, bucket, lay_out, posed
+
+# Step of a fit times fastest angular frequency: good to 1e-6 of the amplitude, far below any noise.
+_STEP = 0.5
+# A driven motion is as quick as its drive, whatever the modes: samples per step at most.
+_SAMPLES_DRIVEN = 5
+
+
+def mechanism_of(experiment: Experiment, recording: Recording) -> AbstractMechanism:
+    """The bodies of an experiment as they were in one recording (Eq. 2 and 5)."""
+    table = experiment.inertia
+    if isinstance(table, ArmTable):
+        if table.shoulder is None or table.elbow is None or table.coupling is None:
+            raise ValueError(
+                "[arm] has no inertias: free motion fixes stiffness and damping only relative to "
+                "them (Eq. 9), so measure them first and write them into [arm]"
+            )
+        arm = PlanarArm(
+            table.link_lengths, table.shoulder, table.elbow, table.coupling, recording.theta2
+        )
+        if not recording.air_bearings:
+            where = Literal["elbow", "wrist"]
+            on = [AirBearing(cast(where, b.joint), b.mass, b.inertia) for b in experiment.bearings]
+            arm = without_bearings(arm, on)
+        return jax.tree.map(lambda x: jnp.asarray(x, float), arm)
+    matrix = np.array(table.matrix, float)
+    matrix[0, 0] += recording.extra_mass
+    return ConstantInertia(matrix, table.joints, table.units)
+
+
+def model_for(mechanism: AbstractMechanism, effects: Sequence[str | AbstractEffect] = ()) -> Model:
+    """The base model (a spring and a damper at every joint, Eq. 4) plus effects, all silent.
+
+    **Raises:** `ValueError`, in one line, for an effect that does not exist or is there twice.
+    """
+    model = Model(mechanism)
+    for effect in ("spring", "damper", *effects):
+        named = (
+            (effect,) if isinstance(effect, AbstractEffect) else effects_named(effect, mechanism)
+        )
+        for each in named:
+            model = model + jax.tree.map(lambda x: jnp.asarray(x, float), each)
+    return model
+
+
+class Ready(NamedTuple):
+    """Recordings, the model on each one's bodies, and the resolution that its motion needs."""
+
+    model: Model
+    recordings: tuple[Recording, ...]
+    mechanisms: tuple[AbstractMechanism, ...]
+
+    def posed(self, model: Model | None = None) -> list[Model]:
+        """The model as each recording saw it."""
+        return [posed(model or self.model, m) for m in self.mechanisms]
+
+    def problem(
+        self, begin: Model, wild: Sequence[np.ndarray], active: bool = True
+    ) -> tuple[Problem, list[Layout], np.ndarray]:
+        """The least-squares problem near the model `begin`, and guessed initial states (R, 2n).
+
+        `active` False keeps the numbers and leaves only the states free.
+        """
+        frequency = self.frequency(begin)
+        recorded, layouts = self._lay_out(begin, wild, frequency)
+        states = np.stack(
+            [_first_state(r, bad, frequency) for r, bad in zip(self.recordings, wild, strict=True)]
+        )
+        size = np.max([_amplitude(r) for r in self.recordings], axis=0)
+        scale = Unknowns(
+            jnp.asarray(_scales(begin, size, frequency)),
+            jnp.asarray(np.tile(np.concatenate([size, size * frequency]), (len(states), 1))),
+        )
+        numbers = len(begin.fitted)
+        problem = Problem(begin, recorded, scale, jnp.full(numbers, 1.0 if active else 0.0))
+        return problem, layouts, states
+
+    def frequency(self, begin: Model) -> float:
+        """Fastest angular frequency that the integration must follow, rad/s."""
+        fast = max(fastest(m) for m in self.posed(begin))
+        # No mode above the sampling's own limit can have been seen, none below one cycle matters.
+        least = max(2 * math.pi / r.duration for r in self.recordings)
+        most = max(math.pi / float(np.median(np.diff(r.time))) for r in self.recordings)
+        return float(np.clip(fast if np.isfinite(fast) else most, least, most))
+
+    def _lay_out(self, begin, wild, frequency):
+        size = DRY_STEP if begin.dry else _STEP
+        longest = max(r.duration for r in self.recordings)
+        steps = longest * frequency / size
+        for r in self.recordings:
+            if r.drive is not None:
+                steps = max(steps, len(r.time) * longest / r.duration / _SAMPLES_DRIVEN)
+        return lay_out(self.recordings, self.mechanisms, wild, bucket(max(16, math.ceil(steps))))
+
+    def typical(self) -> np.ndarray:
+        """(1, P) numbers of typical size, for data that give no better start."""
+        size = np.max([_amplitude(r) for r in self.recordings], axis=0)
+        frequency = 10 * max(2 * math.pi / r.duration for r in self.recordings)
+        return _scales(self.model, size, frequency)[None]
+
+
+def ready(
+    experiment: Experiment, recordings: Sequence[Recording], effects: Sequence[str | AbstractEffect]
+) -> Ready:
+    """Make recordings of an experiment ready to fit."""
+    mechanisms = tuple(mechanism_of(experiment, r) for r in recordings)
+    return Ready(model_for(mechanisms[0], effects), tuple(recordings), mechanisms)
+
+
+def reweighted(problem: Problem, layouts: Sequence[Layout], wild: Sequence[np.ndarray]) -> Problem:
+    """The problem with wild readings (N, n) taken out."""
+    weights = np.array(problem.recorded.weights)
+    for i, (layout, bad) in enumerate(zip(layouts, wild, strict=True)):
+        weights[i, layout.row, layout.slot] *= ~bad
+    return eqx.tree_at(lambda p: p.recorded.weights, problem, jnp.asarray(weights))
+
+
+def _scales(model: Model, amplitude: np.ndarray, frequency: float) -> np.ndarray:
+    """A size for every number, never zero: its value, or what its dimension is typically."""
+    matrix = model.bodies.mass_matrix((0.0,) * len(model.mechanism.joints))
+    sizes = []
+    for number, value in zip(model.fitted, np.asarray(model.vector()), strict=True):
+        joint = number.joint or 0
+        scales = Scales(float(matrix[joint][joint]), frequency, float(amplitude[joint]))
+        typical = float(number.meaning.dimension.size(scales))
+        sizes.append(max(abs(value) if np.isfinite(value) else 0.0, 1e-2 * typical))
+    return np.asarray(sizes, float)
+
+
+def _amplitude(recording: Recording) -> np.ndarray:
+    """(n,) rms angle about the middle of its range of values, at least a few sigma."""
+    about = recording.angle - np.nanmedian(recording.angle, axis=0)
+    return np.maximum(np.sqrt(np.nanmean(about**2, axis=0)), 3 * recording.noise)
+
+
+def _first_state(recording: Recording, wild: np.ndarray, frequency: float) -> np.ndarray:
+    """(q0, v0) from a cubic through the first quarter cycle."""
+    time = recording.time - recording.time[0]
+    state = []
+    for joint in range(recording.angle.shape[1]):
+        use = np.flatnonzero(np.isfinite(recording.angle[:, joint]) & ~wild[:, joint])
+        count = max(8, int(np.searchsorted(time[use], 1.5 / frequency)))
+        use = use[:count]
+        window = time[use[-1]] or 1.0
+        line = np.polynomial.polynomial.polyfit(time[use] / window, recording.angle[use, joint], 3)
+        state.append((line[0], line[1] / window))
+    return np.concatenate(np.transpose(state))

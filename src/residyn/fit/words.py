@@ -1,0 +1,86 @@
+"""What a careful person would want to be told about a fit, one line each."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .identify import in_words
+from .result import Fit, RecordingFit
+
+_STRUCTURE = 1.2  # reduced chi-square beyond which the residual is more than noise
+_SMALL = 0.85  # and below which the noise must have been overstated
+_NEGATIVE = 2.0  # standard errors below zero that make a sign more than chance
+_NAMED = 3  # wild readings whose times are given
+
+
+def warnings_for(fit: Fit, open_groups: Sequence[tuple[int, ...]]) -> tuple[str, ...]:
+    """All warnings of a fit: the recordings' own, then the fit's."""
+    return (
+        *fit.experiment.warnings,
+        *in_words(fit.model, open_groups),
+        *_wild(fit.recordings),
+        *_signs(fit),
+        *_misfit(fit),
+        *_search(fit),
+    )
+
+
+def _wild(recordings: Sequence[RecordingFit]) -> list[str]:
+    said = []
+    for beside in recordings:
+        rows = np.flatnonzero(beside.wild.any(axis=1))
+        if len(rows):
+            times = ", ".join(f"{beside.recording.time[i]:.6g}" for i in rows[:_NAMED])
+            more = f" and {len(rows) - _NAMED} more" if len(rows) > _NAMED else ""
+            count = int(beside.wild.sum())
+            said.append(
+                f"{beside.recording.name}: {count} wild reading{'s' * (count > 1)} set aside "
+                f"(at {times} s{more})"
+            )
+    return said
+
+
+def _signs(fit: Fit) -> list[str]:
+    said = []
+    for number in fit.numbers:
+        if number.sign == "positive" and number.value < 0 and number.determined:
+            sure = -number.value > _NEGATIVE * number.std
+            said.append(
+                f"{number.name} is negative, which physics does not allow"
+                + (
+                    ": the model lacks something, or an input is wrong"
+                    if sure
+                    else ", but no more than its error: these data cannot tell it from zero"
+                )
+            )
+    return said
+
+
+def _misfit(fit: Fit) -> list[str]:
+    units = fit.experiment.units
+    if fit.reduced_chi2 > _STRUCTURE:
+        worst = int(np.argmax(fit.rmse / fit.noise))
+        unit = f" {units[worst]}" if units else ""
+        return [
+            f"the residual at {fit.joints[worst]} is {fit.rmse[worst] / fit.noise[worst]:.3g} times "
+            f"the noise ({fit.noise[worst]:.3g}{unit}): the model misses something, and the "
+            "errors above, which assume white noise, are too small"
+        ]
+    if fit.reduced_chi2 < _SMALL:
+        return [
+            f"chi-square is {fit.reduced_chi2:.3g}, below what the stated noise allows: "
+            "the noise is overstated, and the errors above are too large"
+        ]
+    return []
+
+
+def _search(fit: Fit) -> list[str]:
+    said = []
+    if not fit.converged:
+        said.append("the fit did not settle: treat the numbers as rough")
+    if fit.starts > 1 and fit.agreeing_starts < max(2, fit.starts // 3):
+        said.append(
+            f"only {fit.agreeing_starts} of {fit.starts} starts led here: "
+            "there may be a better minimum; try more starts"
+        )
+    return said
