@@ -11,14 +11,14 @@ SOURCE = Path(__file__).parents[1] / "src" / "residyn"
 
 # Each layer may import from those before it, and from within itself.
 LAYERS = [
-    ["_input", "parameter", "motion"],
+    ["_input", "_units", "parameter", "motion"],
     ["mechanism", "bearings"],
     ["effects"],
     ["model"],
     ["modes", "simulate", "recording", "_csv", "_noise", "_release", "_toml"],
     ["fit"],
     ["plot"],
-    ["report"],
+    ["_verdict", "report"],
     ["demo"],
     ["cli"],
 ]

@@ -1,5 +1,7 @@
 """Eq. 1 against closed forms and against an independent simulator (MuJoCo)."""
 
+import dataclasses
+
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -36,11 +38,205 @@ def arm_of(case_arm) -> residyn.Model:
     return model
 
 
-def energy(model, q, v):
-    stored = sum(
-        0.5 * e.stiffness * x**2
-        for e, x in zip([e for e in model.effects if e.name == "spring"], q, strict=True)
-    )
-    return model.mechanism.kinetic_energy(tuple(v), tuple(q * 0 + q)) * 0 + (
-        0.5 * v @ np.array(model.mechanism.mass_matrix(tuple(q))) @ v + stored
-    )
+def energy(model, nodes):
+    """Kinetic plus spring energy at every node, J."""
+    springs = jnp.stack([e.stiffness for e in model.effects if e.name == "spring"])
+
+    def one(q, v):
+        return model.mechanism.kinetic_energy(tuple(q), tuple(v)) + 0.5 * jnp.sum(springs * q**2)
+
+    return np.asarray(jax.vmap(one)(nodes.q, nodes.v))
+
+
+@pytest.fixture
+def undamped(double):
+    arm = PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.7)
+    return arm + Spring("shoulder", 16.67) + Spring("elbow", 16.67)
+
+
+def test_energy_is_kept_over_1000_periods(undamped):
+    period = 2 * np.pi / 2.27  # the slow mode
+    drift = []
+    for size in (0.15, 0.075):
+        steps = int(1000 * period * fastest(undamped) / size)
+        nodes = march(undamped, 0.0, 1000 * period, [0.4, -0.3], [0.0, 0.0], steps=steps)
+        total = energy(undamped, nodes)
+        drift.append(np.abs(total / total[0] - 1).max())
+    # What is lost is the integrator's: it falls with the fifth power of the step.
+    assert drift[0] < 1e-3
+    assert drift[1] < drift[0] / 20
+
+
+def test_printed_inertia_torque_does_not_keep_energy(undamped):
+    printed = undamped + PrintedInertiaTorque()
+    ratios = []
+    for steps in (2000, 8000):
+        nodes = march(printed, 0.0, 10.0, [0.1, -0.05], [0.0, 0.0], steps=steps)
+        total = energy(printed, nodes)
+        ratios.append(np.abs(total / total[0] - 1).max())
+    assert ratios[1] > 0.02
+    # Not the integrator's doing: smaller steps change nothing.
+    assert ratios[1] == pytest.approx(ratios[0], rel=1e-3)
+
+
+def test_eq_3_as_printed_is_what_the_effect_adds_up_to(undamped):
+    q, v = (0.2, -0.1), (0.5, -0.8)
+    arm = undamped.mechanism
+    s = 0.4 * 1.4384 * np.sin(0.7 + q[1])
+    printed = s * np.array([v[1] ** 2 - v[0] ** 2, -(v[0] ** 2)])
+    added = PrintedInertiaTorque().torque(Motion.at(0.0, q, v), arm)
+    total = np.array(arm.inertia_torque(q, v)) + np.array(added)
+    np.testing.assert_allclose(total, printed, rtol=1e-12)
+
+
+def test_closed_form_inertia_torque_is_lagranges(undamped):
+    arm = undamped.mechanism
+    q, v = (0.3, -0.4), (0.7, 0.2)
+    generic = residyn.AbstractMechanism.inertia_torque(arm, q, v)
+    np.testing.assert_allclose(arm.inertia_torque(q, v), generic, rtol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_simulation_agrees_with_mujoco(seed):
+    rng = np.random.default_rng([7, seed])
+    arm = rig.random_arm(rng)
+    q0 = rig.random_release(rng)
+    t = np.arange(2001) * 0.01
+    theirs, _ = rig.simulate(arm, t, q0)
+    ours = residyn.simulate(arm_of(arm), t, q0)
+    assert np.abs(np.asarray(ours.q) - theirs).max() < 1e-5
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_dry_friction_agrees_with_mujoco(seed):
+    """Sticking included. The rig itself is good to about 1e-5 rad here."""
+    case = next(rig.friction_cases(np.random.default_rng([11, seed]), 1))
+    model = arm_of(case.arm)
+    for joint, level in zip(model.mechanism.joints, case.frictionloss, strict=True):
+        model = model + CoulombFriction(joint, level)
+    ours = residyn.simulate(model, case.t, case.q0)
+    amplitude = np.abs(case.q0).max()
+    assert np.abs(np.asarray(ours.q) - case.truth).max() < 0.0005 * amplitude
+
+
+def test_coulomb_friction_against_its_closed_form():
+    """A mass on a spring loses 4 F/k of amplitude every cycle and rests off centre."""
+    mass, k, level, start = 0.5685, 712.6, 0.5, 0.02
+    cart = ConstantInertia([[mass]], ["cart"], ["m"])
+    model = cart + Spring("cart", k) + CoulombFriction("cart", level)
+    w, d = np.sqrt(k / mass), level / k
+    halves = np.arange(0, int((start / d + 1) / 2) + 1)
+    turns = residyn.simulate(model, np.append(halves * np.pi / w, 3.0), [start]).q[:, 0]
+    expected = (-1.0) ** halves * (start - 2 * d * halves)
+    np.testing.assert_allclose(turns[:-1], expected, atol=1e-3 * start)
+    rest = expected[np.argmax(np.abs(expected) <= d)]
+    assert turns[-1] == pytest.approx(rest, abs=2e-6)
+    assert abs(rest) > d / 10  # off centre
+
+
+def test_gravity_agrees_with_mujoco():
+    arm = dataclasses.replace(rig.paper_twin(0.4), link1_moment=1.3)
+    q0 = np.array([0.3, -0.2])
+    t = np.arange(1001) * 0.01
+    for gravity in (rig.HANGING, rig.tilt(0.05, 2.0)):
+        theirs, _ = rig.simulate(arm, t, q0, gravity=gravity)
+        pull = float(np.hypot(*gravity))
+        # Link 1 at rest lies along +x: the links hang along the pull.
+        direction = float(np.arctan2(gravity[1], gravity[0]))
+        model = arm_of(arm) + Gravity(1.3 * pull, arm.coupling * pull, direction)
+        ours = residyn.simulate(model, t, q0)
+        assert np.abs(np.asarray(ours.q) - theirs).max() < 1e-5
+
+
+def test_every_adjoint_gives_the_same_motion_and_gradient(undamped):
+    model = undamped + Damper("elbow", 0.1)
+    t = jnp.linspace(0.0, 3.0, 50)
+
+    def loss(stiffness, adjoint):
+        moved = model.with_values({"spring:elbow.stiffness": stiffness})
+        return jnp.sum(residyn.simulate(moved, t, [0.2, -0.1], steps=150, adjoint=adjoint).q ** 2)
+
+    value, slope = jax.value_and_grad(loss)(16.0, None)
+    for adjoint in (diffrax.RecursiveCheckpointAdjoint(), diffrax.DirectAdjoint()):
+        other, other_slope = jax.value_and_grad(loss)(16.0, adjoint)
+        assert float(other) == pytest.approx(float(value), rel=1e-10)
+        assert float(other_slope) == pytest.approx(float(slope), rel=1e-8)
+    forward = jax.jvp(lambda k: loss(k, diffrax.ForwardMode()), (16.0,), (1.0,))[1]
+    assert float(forward) == pytest.approx(float(slope), rel=1e-8)
+    finite = (loss(16.0 + 1e-5, None) - loss(16.0 - 1e-5, None)) / 2e-5
+    assert float(finite) == pytest.approx(float(slope), rel=1e-5)
+
+
+def test_sensitivity_through_stick_and_slip_is_the_finite_difference():
+    cart = ConstantInertia([[0.5685]], ["cart"], ["m"])
+    model = cart + Spring("cart", 712.6) + Damper("cart", 0.3) + CoulombFriction("cart", 0.4)
+    t = jnp.linspace(0.0, 2.0, 200)
+
+    def motion(numbers):
+        return residyn.simulate(model.with_vector(numbers), t, [0.02], steps=500).q[:, 0]
+
+    numbers = model.vector()
+    exact = np.asarray(jax.jacfwd(motion)(numbers))
+    for i, size in enumerate((1e-4, 1e-5, 1e-6)):
+        step = jnp.zeros(3).at[i].set(size)
+        finite = np.asarray(motion(numbers + step) - motion(numbers - step)) / (2 * size)
+        # The instant of sticking moves with the numbers: a few samples there may differ.
+        off = np.abs(finite - exact[:, i]) > 2e-3 * np.abs(exact[:, i]).max()
+        assert off.mean() < 0.02
+
+
+def test_drive_torque_moves_the_arm_as_in_mujoco():
+    rng = np.random.default_rng(5)
+    arm = rig.random_arm(rng)
+    t = np.arange(1001) * 0.01
+    torque = np.stack([np.sin(2.0 * t), 0.5 * np.cos(3.1 * t)], axis=1)
+    theirs, _ = rig.simulate(arm, t, np.zeros(2), drive=torque)
+    ours = residyn.simulate(arm_of(arm), t, [0.0, 0.0], drive=residyn.Drive(0.0, 0.01, torque))
+    assert np.abs(np.asarray(ours.q) - theirs).max() < 1e-5
+
+
+def test_steps_must_be_given_under_tracing(undamped):
+    model = undamped
+
+    def late(k):
+        moved = model.with_values({"spring:elbow.stiffness": k})
+        return residyn.simulate(moved, jnp.linspace(0.0, 1.0, 9), [0.1, 0.0]).q[-1, 0]
+
+    with pytest.raises(ValueError, match="give steps="):
+        jax.grad(late)(16.0)
+
+
+def test_single_precision_works_too():
+    with jax.enable_x64(False):
+        model = PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.7) + Spring("shoulder", 16.67)
+        model = model + Spring("elbow", 16.67) + CoulombFriction("elbow", 0.05)
+        q = residyn.simulate(model, np.arange(200) * 0.01, [0.1, 0.0]).q
+        assert q.dtype == jnp.float32
+        assert np.isfinite(q).all()
+
+
+@pytest.mark.parametrize("joints", [1, 3, 5])
+def test_constant_inertia_of_any_size_rings_at_its_eigenfrequencies(joints):
+    rng = np.random.default_rng(joints)
+    root = rng.normal(size=(joints, joints))
+    matrix, k = root @ root.T + joints * np.eye(joints), rng.uniform(5, 50, joints)
+    model = residyn.Model(ConstantInertia(matrix))
+    for name, each in zip(model.mechanism.joints, k, strict=True):
+        model = model + Spring(name, each)
+    expected = np.sqrt(np.linalg.eigvals(np.linalg.solve(matrix, np.diag(k))).real) / (2 * np.pi)
+    np.testing.assert_allclose(residyn.modes(model).frequency_hz, np.sort(expected), rtol=1e-10)
+
+
+def test_bearings_on_and_off_and_the_papers_frequencies():
+    """From the paper's own numbers: 0.3494 Hz with bearings and 0.5182 Hz without."""
+    arm = PlanarArm([0.4, 0.4], 1.1662, 0.5790, 1.4384, 0.0)
+    bearings = [residyn.AirBearing(j, 1.9635, 0.00245437) for j in ("elbow", "wrist")]
+    bare = residyn.without_bearings(arm, bearings)
+    again = residyn.with_bearings(bare, bearings)
+    assert float(again.coupling) == pytest.approx(1.4384)
+    found = []
+    for bodies in (arm, bare):
+        model = bodies + Spring("shoulder", 16.2717) + Spring("elbow", 16.1601)
+        model = model + Damper("shoulder", 0.0754) + Damper("elbow", 0.1522)
+        found.append(float(residyn.modes(model).frequency_hz[0]))
+    assert found == pytest.approx([0.3494, 0.5182], abs=5e-5)

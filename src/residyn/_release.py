@@ -49,17 +49,19 @@ def release_time(time: np.ndarray, angle: np.ndarray) -> float:
             f"(at {clock[peak]:.6g} s); give start in seconds"
         )
     left = peak + int(left[0])
-    held = peak + int(np.flatnonzero(side[peak:left] >= 0.98 * side[peak])[-1])
+    # From half its excursion to rest is a third of a quarter period.
+    quarter = 3 * (left - peak - int(np.flatnonzero(side[peak:left] >= 0.5 * side[peak])[-1]))
     back = np.flatnonzero(side[left:] > 0)
     back = left + int(back[0]) if len(back) else len(side)
-    free = _last_breach(_breach(motion, max(1, (left - held) // 4)), left - held)
-    if free > back:
-        free = held  # the law itself is wrong, as in a large swing under gravity
-    elif free < peak:
-        # Thrown rather than let go: the decay begins where the throw ends.
-        ahead = excursion[free:]
-        falls = np.flatnonzero(np.diff(ahead) < 0)
-        free += int(falls[0]) if len(falls) else 0
+    free = _last_breach(_breach(motion, excursion, quarter)[: back + 1], quarter)
+    if True:
+        # Thrown rather than let go, it rises still: the decay begins where the throw ends.
+        speed = np.sqrt(
+            np.mean(np.gradient(_smooth(motion, max(1, quarter // 4))[0], axis=0) ** 2, axis=1)
+        )
+        falls = np.flatnonzero(np.diff(excursion[free:]) < 0)
+        if speed[free] > TH * speed.max() and len(falls):
+            free += int(falls[0])
     return float(time[np.searchsorted(time, clock[free] - 1e-9 * (clock[1] - clock[0]))])
 
 
@@ -72,34 +74,60 @@ def _even(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return clock, np.stack(columns, axis=1)
 
 
-def _breach(motion: np.ndarray, w: int) -> np.ndarray:
+def _breach(motion: np.ndarray, excursion: np.ndarray, quarter: int) -> np.ndarray:
     """How far each sample of `motion` (N, n) breaks the law of the ring-down; below 1, it keeps it.
 
-    Smoothing and differences reach `w` samples.
+    `quarter` is a quarter period in samples.
     """
-    pad = np.concatenate([np.repeat(motion[:1], 2 * w, 0), motion, np.repeat(motion[-1:], 2 * w, 0)])
+    breach = np.zeros(len(motion))
+    for part in (4, 2, 1):
+        w = max(1, quarter // part)
+        q, v, a = _smooth(motion, w)
+        speed = np.sqrt(np.mean(v**2, axis=1))
+        # A hand that holds still or pulls slowly has many samples but no speed; a quick pull is
+        # outvoted in least absolute deviations.
+        live = speed >= LIVE * speed.max()
+        wrong, usual = _misfit(q, v, a, live)
+        most = np.quantile(wrong[live], 0.9, axis=0)
+        size = np.sqrt(np.mean(a[live] ** 2, axis=0))
+        limit = np.maximum(np.maximum(SD * usual, Q9 * most), ACC * np.abs(a[live]).max(axis=0))
+        breach = (wrong / np.maximum(limit, 1e-12)).max(axis=1)
+        # A hand that holds still is one whatever the law says.
+        breach[(speed < HS * speed.max()) & (excursion > HE * excursion.max())] = np.inf
+        if (usual <= NZ * size).all():
+            break
+    return breach
+
+
+def _smooth(motion: np.ndarray, w: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Angle, velocity and acceleration (both per step), (N, n) each, over `w` samples each way."""
+    pad = np.concatenate(
+        [np.repeat(motion[:1], 2 * w, 0), motion, np.repeat(motion[-1:], 2 * w, 0)]
+    )
     total = np.cumsum(np.concatenate([np.zeros_like(pad[:1]), pad]), axis=0)
     smooth = (total[w:] - total[:-w]) / w
     at = 2 * w - w // 2 + np.arange(len(motion))
     q, ahead, behind = smooth[at], smooth[at + w], smooth[at - w]
-    v, a = ahead - behind, ahead - 2 * q + behind
-    speed = np.sqrt(np.mean(v**2, axis=1))
-    # A hand that holds still or pulls slowly has many samples but no speed; a quick pull is
-    # outvoted in least absolute deviations.
-    live = speed >= LIVE * speed.max()
-    breach = np.zeros(len(q))
-    for j in range(motion.shape[1]):
+    return q, ahead - behind, ahead - 2 * q + behind
+
+
+def _misfit(
+    q: np.ndarray, v: np.ndarray, a: np.ndarray, live: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What the law, learnt where `live`, leaves of the accelerations: (N, n) and usual size (n,)."""
+    wrong = np.empty_like(a)
+    for j in range(a.shape[1]):
         sign = np.tanh(v[:, j] / (0.05 * np.abs(v[:, j]).max() + 1e-300))
         causes = np.column_stack([q, v, sign, np.ones(len(q))])
-        weight, wrong, usual = np.ones((len(q), 1)), np.zeros(len(q)), 0.0
+        weight = np.ones((len(q), 1))
         for _ in range(15):
-            law = np.linalg.lstsq((causes * weight)[live], a[live, j] * weight[live, 0], rcond=None)[0]
-            wrong = np.abs(a[:, j] - causes @ law)
-            usual = 1.4826 * float(np.median(wrong[live]))
-            weight = 1 / np.sqrt(np.maximum(wrong, usual + 1e-12))[:, None]
-        limit = max(SD * usual, ACC * float(np.abs(a[live, j]).max()), 1e-12)
-        breach = np.maximum(breach, wrong / limit)
-    return breach
+            law = np.linalg.lstsq(
+                (causes * weight)[live], (a[:, j] * weight[:, 0])[live], rcond=None
+            )
+            wrong[:, j] = np.abs(a[:, j] - causes @ law[0])
+            floor = np.median(wrong[live, j]) + 1e-12
+            weight = 1 / np.sqrt(np.maximum(wrong[:, j], floor))[:, None]
+    return wrong, 1.4826 * np.median(wrong[live], axis=0)
 
 
 def _last_breach(breach: np.ndarray, quarter: int) -> int:
@@ -115,6 +143,13 @@ def _last_breach(breach: np.ndarray, quarter: int) -> int:
     while free < len(breach) - 1 and breach[free] >= 1:
         free += 1
     return free
-ACC=.05
-SD=5
-LIVE=.2
+
+
+ACC = 0.05
+LIVE = 0.2
+SD = 4
+Q9 = 1.5
+HS = 0.1
+HE = 0.3
+NZ = 0.1
+TH = 0.3

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Complex, Float
 
 from .model import Model
 from .motion import Motion, split, stack
@@ -31,8 +31,10 @@ def equilibrium(model: Model) -> Float[Array, " n"]:
 
     def step(q, _):
         slope = jax.jacfwd(push)(q)
-        # Least squares: a joint without stiffness rests anywhere, so it stays where it is.
-        return q - jnp.linalg.lstsq(slope, push(q))[0], None
+        # A joint without stiffness rests anywhere: the small ridge leaves it where it is.
+        square = slope.T @ slope
+        ridge = (1e-12 * jnp.trace(square) + 1e-300) * jnp.eye(len(q))
+        return q - jnp.linalg.solve(square + ridge, slope.T @ push(q)), None
 
     start = jnp.zeros(len(model.mechanism.joints))
     return jax.lax.scan(step, start, None, length=12)[0]
@@ -52,15 +54,17 @@ def state_matrix(model: Model, q: Float[Array, " n"] | None = None) -> Float[Arr
 
 def modes(model: Model) -> Modes:
     """Natural frequencies and damping ratios, differentiable in the model's numbers."""
-    values = jnp.linalg.eigvals(state_matrix(model))
-    n = values.shape[0] // 2
-    # One of each conjugate pair; pairs that do not ring come last, by size.
-    order = jnp.argsort(-values.imag - 1e-9 * jnp.abs(values))[:n]
-    values = values[order]
+    return modes_of(jnp.linalg.eigvals(state_matrix(model)))
+
+
+def modes_of(values: Complex[Array, " 2n"]) -> Modes:
+    """Modes from the eigenvalues of a state matrix."""
     size = jnp.abs(values)
-    order = jnp.argsort(size)
+    # One of each conjugate pair: the upper half plane first, real values by size after it.
+    keep = jnp.argsort(-jnp.sign(values.imag) - 1e-9 * size / jnp.max(size))[: len(values) // 2]
+    keep = keep[jnp.argsort(size[keep])]
     safe = jnp.where(size > 0, size, 1.0)
-    return Modes((size / (2 * jnp.pi))[order], (-values.real / safe)[order])
+    return Modes((size / (2 * jnp.pi))[keep], (-values.real / safe)[keep])
 
 
 def _still(model: Model, q, v):

@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Array, Float, ScalarLike
 
 from .model import Model, solve_inertia
+from .modes import state_matrix
 from .motion import Joints, Motion, split, stack
 
 # Largest step times fastest angular frequency. Measured on random arms (benchmarks/accuracy.py).
@@ -372,17 +373,12 @@ def _polynomial(coefficients, s):
 
 
 def fastest(model: Model) -> float:
-    """Largest angular frequency of the model linearised at q = 0, rad/s (concrete numbers only)."""
-    n = len(model.mechanism.joints)
-    zero = jnp.zeros(n)
+    """Largest angular frequency of the linearised model, rad/s (concrete numbers only)."""
+    matrix = np.asarray(compiled_state_matrix(model))
+    return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else np.inf
 
-    def acceleration(q, v):
-        still = (0.0,) * n  # dry friction has no slope
-        return stack(model.acceleration(Motion(0.0, split(q), split(v), still)))
 
-    stiffness, damping = jax.jacfwd(acceleration, (0, 1))(zero, zero)
-    system = np.block([[np.zeros((n, n)), np.eye(n)], [np.asarray(stiffness), np.asarray(damping)]])
-    return float(np.abs(np.linalg.eigvals(system)).max())
+compiled_state_matrix = eqx.filter_jit(state_matrix)
 
 
 def steps_for(model: Model, duration: float, frequency: float | None = None) -> int:

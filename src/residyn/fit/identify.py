@@ -2,19 +2,16 @@
 
 At the best fit the whitened residual's Jacobian J gives the covariance (J'J)^-1 of all unknowns;
 its block of the numbers has the initial states' uncertainty in it. Where a combination of numbers
-leaves the prediction unchanged, J'J has no inverse: the combination is named and its numbers get no error,
-rather than a huge one that looks like a measurement.
+leaves the prediction unchanged, J'J has no inverse: the combination is named and its numbers get no
+error, rather than a huge one that looks like a measurement.
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import numpy as np
 
 from ..model import Model
-from .problem import Compressed, Problem, Unknowns, compressed
 
 # Eigenvalue of J'J with unit columns below which a combination has no effect on the prediction:
 # its standard error is 1e5 times that of its numbers alone.
@@ -35,34 +32,30 @@ class Spread(NamedTuple):
         return np.sqrt(np.where(np.isfinite(variance), variance, np.inf))
 
 
-@eqx.filter_jit
-def squeezed(problem: Problem, y: Unknowns) -> Compressed:
-    """The problem compressed at a point."""
-    return compressed(problem, y)
+def information(factors: np.ndarray, numbers: int) -> np.ndarray:
+    """(P, P) information J'J on the first P of L unknowns, the rest (states) taken out.
 
-
-def information(problem: Problem, y: Unknowns) -> np.ndarray:
-    """(P, P) information J'J on the scaled numbers, the initial states taken out."""
-    p = problem.scale.numbers.shape[0]
-    total = np.zeros((p, p))
-    for factor in np.asarray(jax.device_get(squeezed(problem, y).factor)):
+    `factors` (R, L, L): each recording's triangular factor of J'J.
+    """
+    total = np.zeros((numbers, numbers))
+    for factor in factors:
         # QR with the states first leaves, below them, the numbers' information alone.
-        order = np.concatenate([np.arange(p, factor.shape[1]), np.arange(p)])
-        rest = np.linalg.qr(factor[:, order], mode="r")[-p:, -p:] if p else np.zeros((0, 0))
+        states_first = np.roll(factor, -numbers, axis=1)
+        rest = np.linalg.qr(states_first, mode="r")[-numbers:, -numbers:]
         total += rest.T @ rest
     return total
 
 
-def spread_of(problem: Problem, y: Unknowns, inflation: float) -> Spread:
-    """Covariance of the numbers at the best fit, times `inflation`."""
-    square = information(problem, y)
+def spread_of(factors: np.ndarray, sizes: np.ndarray, inflation: float) -> Spread:
+    """Covariance of the numbers, scaled by `sizes` (P,), at the best fit, times `inflation`."""
+    square = information(factors, len(sizes))
     diagonal = np.diag(square)
     size = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(square / size / size[:, None])
     blind = values < _BLIND
     with np.errstate(divide="ignore"):
         inverse = (vectors * np.where(blind, 0.0, 1.0 / np.where(blind, 1.0, values))) @ vectors.T
-    scale = np.asarray(problem.scale.numbers) / size
+    scale = sizes / size
     covariance = inflation * inverse * scale * scale[:, None]
     groups = []
     for vector in vectors[:, blind].T:

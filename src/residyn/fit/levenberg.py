@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
-from .problem import Problem, Unknowns, compressed
+from .problem import Compressed, Problem, Unknowns, compressed
 
 MAX_STEPS = 40
 # Steps end when the whitened residual moves by less than this many sigma, in total ...
@@ -34,6 +34,7 @@ class Polished(NamedTuple):
     steps: Int[Array, " S"]
     converged: Bool[Array, " S"]
     lost: Bool[Array, " S"]
+    compressed: Compressed
 
 
 class _Rows(NamedTuple):
@@ -58,10 +59,10 @@ class _Stretch(NamedTuple):
 
 
 @eqx.filter_custom_jvp
-def _rows(y: Unknowns, stretch: _Stretch) -> _Rows:
+def _rows(y: Unknowns, stretch: _Stretch) -> tuple[_Rows, Compressed]:
     """Compressed residual. Its Jacobian is known already, so it is attached, not derived."""
     squeezed = compressed(stretch.problem, y, stretch.only)
-    return _Rows(squeezed.along, squeezed.beside)
+    return _Rows(squeezed.along, squeezed.beside), squeezed
 
 
 @_rows.def_jvp
@@ -71,22 +72,26 @@ def _rows_jvp(primals, tangents):
     everywhere = jnp.broadcast_to(dy.numbers, (dy.states.shape[0], dy.numbers.shape[0]))
     local = jnp.concatenate([everywhere, dy.states], axis=1)
     along = jnp.einsum("rij,rj->ri", squeezed.factor, local)
-    return (
-        _Rows(squeezed.along, squeezed.beside),
-        _Rows(along, jnp.zeros_like(squeezed.beside)),
-    )
+    rows = _Rows(squeezed.along, squeezed.beside)
+    still = jax.tree.map(jnp.zeros_like, squeezed)
+    return (rows, squeezed), (_Rows(along, jnp.zeros_like(squeezed.beside)), still)
 
 
 def descend(stretch: _Stretch, y: Unknowns):
-    """One Levenberg-Marquardt descent: where it ended, cost, steps, whether it converged."""
+    """One Levenberg-Marquardt descent: where it ended, steps, whether it converged, and J there."""
     solver = optx.LevenbergMarquardt(rtol=0.0, atol=_RESIDUAL_TOLERANCE, norm=_norm)
     solution = optx.least_squares(
-        _rows, solver, y, args=stretch, options={"jac": "fwd"}, max_steps=MAX_STEPS, throw=False
+        _rows,
+        solver,
+        y,
+        args=stretch,
+        has_aux=True,
+        options={"jac": "fwd"},
+        max_steps=MAX_STEPS,
+        throw=False,
     )
-    rows = solution.state.f_info.residual
-    total = jnp.sum(rows.along**2) + jnp.sum(rows.beside**2)
     done = solution.result == optx.RESULTS.successful
-    return solution.value, total, solution.stats["num_steps"], done
+    return solution.value, solution.stats["num_steps"], done, solution.aux
 
 
 @eqx.filter_jit
@@ -95,22 +100,29 @@ def polish(problem: Problem, starts: Unknowns, shares: Float[Array, " H"]) -> Po
     row = jnp.arange(problem.steps)[:, None, None]
 
     def stretch(carry, share):
-        y, lost, taken = carry
+        y, lost, taken, _ = carry
         only = jnp.ceil(share * problem.steps).astype(int)
         weights = jnp.where(row < only, problem.recorded.weights, 0.0)
         stage = _Stretch(eqx.tree_at(lambda p: p.recorded.weights, problem, weights), only)
-        y, total, steps, good = jax.vmap(lambda start: descend(stage, start))(y)
-        total = jnp.where(jnp.isfinite(total), total, jnp.inf)
+        y, steps, good, squeezed = jax.vmap(lambda start: descend(stage, start))(y)
+        total = _cost(squeezed)
         best = jnp.argmin(total)
         lost = lost | ~(total <= _LOST * total[best])
         y = jax.tree.map(lambda x: jnp.where(_like(lost, x), x[best][None], x), y)
-        return (y, lost, taken + steps), (total, good)
+        return (y, lost, taken + steps, squeezed), good
 
     none = jnp.zeros(starts.numbers.shape[0], bool)
-    (y, lost, taken), (total, good) = jax.lax.scan(
-        stretch, (starts, none, jnp.zeros_like(none, int)), shares
+    shape = jax.eval_shape(lambda y: jax.vmap(lambda each: compressed(problem, each, 1))(y), starts)
+    empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shape)
+    (y, lost, taken, squeezed), good = jax.lax.scan(
+        stretch, (starts, none, jnp.zeros_like(none, int), empty), shares
     )
-    return Polished(y, total[-1], taken, good[-1], lost)
+    return Polished(y, _cost(squeezed), taken, good[-1], lost, squeezed)
+
+
+def _cost(squeezed: Compressed) -> Float[Array, " S"]:
+    total = jnp.sum(squeezed.along**2, axis=(1, 2)) + jnp.sum(squeezed.beside**2, axis=1)
+    return jnp.where(jnp.isfinite(total), total, jnp.inf)
 
 
 def _like(mask, leaf):

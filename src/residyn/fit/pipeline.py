@@ -15,11 +15,12 @@ import numpy as np
 
 from ..effects import AbstractEffect
 from ..model import Model
-from ..modes import Modes, modes
+from ..modes import modes_of
 from ..recording import Experiment, wild_samples
-from .identify import Spread, spread_of, squeezed
+from ..simulate import compiled_state_matrix
+from .identify import Spread, spread_of
 from .levenberg import Polished, polish
-from .problem import Layout, Problem, Unknowns, predict
+from .problem import Compressed, Layout, Problem, Unknowns
 from .result import Fit, FitError, Mode, Number, RecordingFit
 from .setup import Ready, ready, reweighted
 from .start import closed_form, perturbed
@@ -87,13 +88,14 @@ def _fit(experiment, effects, starts, progress) -> Fit:
     chi2 = descent.cost / max(1, readings - unknown)
     # Errors assume that the residual is white noise of the size that was stated; where it is larger
     # they grow with it.
-    spread = spread_of(descent.problem, descent.unknowns, max(1.0, chi2))
+    sizes = np.asarray(descent.problem.scale.numbers)
+    spread = spread_of(descent.compressed.factor, sizes, max(1.0, chi2))
     result = Fit(
         experiment=experiment,
         model=model,
         numbers=_numbers(model, np.asarray(candidates[0]), spread),
         covariance=spread.covariance,
-        recordings=(*fitted, *_held_out(experiment, effects, model)),
+        recordings=(*fitted, *_held_out(experiment, effects, model, descent)),
         reduced_chi2=chi2,
         modes=_modes(model, spread.covariance),
         starts=starts,
@@ -114,15 +116,17 @@ class _Descent(NamedTuple):
     layouts: list[Layout]
     wild: list[np.ndarray]
     unknowns: Unknowns
+    compressed: Compressed
     cost: float
     steps: int
     converged: bool
+    starts: int
     agreeing: int
 
     def beside(self, here: Ready) -> list[RecordingFit]:
         """Each recording beside the model."""
         states = np.asarray(self.problem.states(self.unknowns))
-        predicted = _predictions(self.problem, self.unknowns, self.layouts)
+        predicted = _predictions(self.compressed, self.layouts)
         parts = zip(here.recordings, predicted, self.wild, states, strict=True)
         return [RecordingFit(*part) for part in parts]
 
@@ -133,41 +137,45 @@ def _descend(
     numbers: np.ndarray,
     wild: list[np.ndarray],
     progress: Callable[[str], None],
-    active: bool = True,
+    like: Problem | None = None,
 ) -> _Descent:
-    """Descend from every row of `numbers`; set wild readings aside; descend again if there were."""
-    problem, layouts, states = here.problem(begin, wild, active)
+    """Descend from every row of `numbers`; set wild readings aside; descend again if there were.
+
+    With `like`, the numbers stay as in `begin`, and that problem's compiled program serves.
+    """
+    problem, layouts, states = here.problem(begin, wild, like)
+    if like is not None:
+        problem = eqx.tree_at(lambda p: p.active, problem, jnp.zeros_like(problem.active))
+    starts = len(numbers)
     y = Unknowns(
         jnp.asarray(numbers) / problem.scale.numbers,
-        jnp.broadcast_to(jnp.asarray(states) / problem.scale.states, (len(numbers), *states.shape)),
+        jnp.broadcast_to(jnp.asarray(states) / problem.scale.states, (starts, *states.shape)),
     )
     longest = max(r.duration for r in here.recordings)
     first = min(1.0, _FIRST_CYCLES * 2 * math.pi / here.frequency(begin) / longest)
     out = jax.device_get(polish(problem, y, jnp.asarray([first, math.sqrt(first), 1.0])))
-    best, agreeing = int(np.argmin(out.cost)), _agreeing(problem, out)
+    best, agreeing = int(np.argmin(out.cost)), _agreeing(out)
     steps = int(out.steps[best])
-    for _ in range(_ROUNDS):
+    for round_ in range(_ROUNDS + 1):
         if not np.isfinite(out.cost[best]):
             raise FitError("no start led to finite numbers: is this the arm that was recorded?")
-        at = jax.tree.map(lambda x: jnp.asarray(x[best]), out.unknowns)  # noqa: B023
-        predicted = _predictions(problem, at, layouts)
-        pairs = zip(here.recordings, predicted, wild, strict=True)
-        found = _wild(here, [r.angle - p for r, p, _ in pairs])
+        at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
+        predicted = _predictions(squeezed, layouts)
+        pairs = zip(here.recordings, predicted, strict=True)
+        found = _wild(here, [r.angle - p for r, p in pairs])
         found = [new | old for new, old in zip(found, wild, strict=True)]
-        if all((f == w).all() for f, w in zip(found, wild, strict=True)):
-            break
-        if any(f.mean() > _MOST_WILD for f in found):
+        settled = all((f == w).all() for f, w in zip(found, wild, strict=True))
+        if settled or round_ == _ROUNDS or any(f.mean() > _MOST_WILD for f in found):
             break
         progress("fitting again without wild readings")
         wild = found
         problem = reweighted(problem, layouts, wild)
         # From the best point, in every lane, so that the compiled program serves again.
-        again = jax.tree.map(lambda x: jnp.broadcast_to(x, (len(numbers), *x.shape)), at)
+        again = jax.tree.map(lambda x: jnp.broadcast_to(x, (starts, *x.shape)), at)
         out = jax.device_get(polish(problem, again, jnp.ones(3)))
         steps, best = steps + int(out.steps[0]), 0
-    at = jax.tree.map(lambda x: jnp.asarray(x[best]), out.unknowns)
     total, done = float(out.cost[best]), bool(out.converged[best])
-    return _Descent(problem, layouts, wild, at, total, steps, done, agreeing)
+    return _Descent(problem, layouts, wild, at, squeezed, total, steps, done, starts, agreeing)
 
 
 def _wild(here: Ready, readings: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -175,42 +183,44 @@ def _wild(here: Ready, readings: Sequence[np.ndarray]) -> list[np.ndarray]:
     return [wild_samples(r.time, angle, r.noise) for r, angle in pairs]
 
 
-@eqx.filter_jit
-def _grids(problem: Problem, y: Unknowns):
-    numbers = problem.numbers(y)
-    return jax.vmap(lambda one, state: predict(problem, one, numbers, state))(
-        problem.recorded, problem.states(y)
-    )
+def _row(tree, index: int):
+    return jax.tree.map(lambda x: x[index], tree)
 
 
-def _predictions(problem: Problem, y: Unknowns, layouts: Sequence[Layout]) -> list[np.ndarray]:
-    grids = np.asarray(_grids(problem, y))
-    return [layout.take(grid) for layout, grid in zip(layouts, grids, strict=True)]
+def _predictions(squeezed: Compressed, layouts: Sequence[Layout]) -> list[np.ndarray]:
+    pairs = zip(layouts, squeezed.predicted, strict=True)
+    return [layout.take(grid) for layout, grid in pairs]
 
 
-def _agreeing(problem: Problem, out: Polished) -> int:
+def _agreeing(out: Polished) -> int:
     """How many starts ended where the best one did, counting it."""
     best = int(np.argmin(out.cost))
-    at = jax.tree.map(lambda x: jnp.asarray(x[best]), out.unknowns)
-    factor = np.asarray(squeezed(problem, at).factor)
-    off = jax.tree.map(lambda x, y: np.asarray(x) - np.asarray(y), out.unknowns, at)
+    off = jax.tree.map(lambda x: x - x[best], out.unknowns)
     everywhere = np.broadcast_to(
         off.numbers[:, None], (*off.states.shape[:2], off.numbers.shape[-1])
     )
     local = np.concatenate([everywhere, off.states], axis=-1)
-    distance = np.sqrt(np.sum(np.einsum("rij,srj->sri", factor, local) ** 2, axis=(1, 2)))
-    return int(np.sum((distance < _AGREE) & ~np.asarray(out.lost)))
+    moved = np.einsum("rij,srj->sri", out.compressed.factor[best], local)
+    distance = np.sqrt(np.sum(moved**2, axis=(1, 2)))
+    return int(np.sum((distance < _AGREE) & ~out.lost))
 
 
-def _held_out(experiment: Experiment, effects, model: Model) -> list[RecordingFit]:
+def _held_out(
+    experiment: Experiment, effects, model: Model, descent: _Descent
+) -> list[RecordingFit]:
     """Check recordings beside the fitted model: only their initial states are fitted."""
-    if not experiment.check_recordings:
-        return []
-    here = ready(experiment, experiment.check_recordings, effects)
-    wild = _wild(here, [r.angle for r in here.recordings])
-    begin = here.model.with_vector(model.vector())
-    only = np.asarray(model.vector())[None]
-    return _descend(here, begin, only, wild, lambda words: None, active=False).beside(here)
+    group, found = len(descent.layouts), []
+    numbers = np.tile(np.asarray(model.vector()), (descent.starts, 1))
+    for first in range(0, len(experiment.check_recordings), group):
+        # As many at a time as were fitted, so that no other program need be compiled.
+        some = experiment.check_recordings[first : first + group]
+        filled = [*some, *[some[-1]] * (group - len(some))]
+        here = ready(experiment, filled, effects)
+        begin = here.model.with_vector(model.vector())
+        wild = _wild(here, [r.angle for r in here.recordings])
+        end = _descend(here, begin, numbers, wild, lambda words: None, like=descent.problem)
+        found += end.beside(here)[: len(some)]
+    return found
 
 
 def _numbers(model: Model, start: np.ndarray, spread: Spread) -> tuple[Number, ...]:
@@ -234,31 +244,24 @@ def _numbers(model: Model, start: np.ndarray, spread: Spread) -> tuple[Number, .
     return tuple(found)
 
 
-@eqx.filter_jit
-def _modes_and_slopes(model: Model) -> tuple[Modes, Modes]:
-    def at(vector):
-        return modes(model.with_vector(vector))
-
-    vector = model.vector()
-    return at(vector), jax.jacfwd(at)(vector)
-
-
 def _modes(model: Model, covariance: np.ndarray) -> tuple[Mode, ...]:
     """The modes that ring, with errors carried over from the numbers."""
-    values, slopes = jax.device_get(_modes_and_slopes(model))
+    vector = np.asarray(model.vector())
+
+    def at(numbers: np.ndarray) -> np.ndarray:
+        matrix = compiled_state_matrix(model.with_vector(jnp.asarray(numbers)))
+        return np.stack(modes_of(np.linalg.eigvals(np.asarray(matrix))))
+
+    best, slopes = at(vector), []
+    for i, value in enumerate(vector):
+        step = np.zeros_like(vector)
+        step[i] = 1e-6 * max(abs(value), 1e-6)
+        slopes.append((at(vector + step) - at(vector - step)) / (2 * step[i]))
     found = []
-    for i in range(len(values.frequency_hz)):
-        if values.frequency_hz[i] <= 0 or values.damping_ratio[i] >= 1 - 1e-9:
-            continue
-        spread = [_carried(slope[i], covariance) for slope in slopes]
-        found.append(
-            Mode(
-                float(values.frequency_hz[i]),
-                spread[0],
-                float(values.damping_ratio[i]),
-                spread[1],
-            )
-        )
+    for i, (frequency, damping) in enumerate(best.T):
+        if frequency > 0 and abs(damping) < 1 - 1e-9:
+            spread = [_carried(np.array([s[j, i] for s in slopes]), covariance) for j in (0, 1)]
+            found.append(Mode(float(frequency), spread[0], float(damping), spread[1]))
     return tuple(found)
 
 

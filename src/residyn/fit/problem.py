@@ -96,15 +96,19 @@ def lay_out(
     mechanisms: Sequence[AbstractMechanism],
     wild: Sequence[np.ndarray],
     steps: int,
+    slots: int = 0,
 ) -> tuple[Recorded, list[Layout]]:
-    """Sort readings into `steps` equal steps a recording; `wild` (N, n) ones get no weight."""
+    """Sort readings into `steps` equal steps a recording; `wild` (N, n) ones get no weight.
+
+    `slots` is the least m to lay out for.
+    """
     layouts = []
     for r in recordings:
         part = (r.time - r.time[0]) / (r.time[-1] - r.time[0]) * steps
         row = np.clip(np.floor(part).astype(int), 0, steps - 1)
         slot = np.arange(len(row)) - np.searchsorted(row, row)
         layouts.append((Layout(row, slot), part - row))
-    slots = max(int(layout.slot.max()) + 1 for layout, _ in layouts)
+    slots = max(slots, *(int(layout.slot.max()) + 1 for layout, _ in layouts))
     joints = recordings[0].angle.shape[1]
     place = np.zeros((len(recordings), steps, slots))
     angles = np.zeros((len(recordings), steps, slots, joints))
@@ -177,41 +181,46 @@ def predict(problem: Problem, one: Recorded, numbers, state, only=None) -> Float
     return read_slots(nodes, one.place)
 
 
-def residual(problem: Problem, one: Recorded, numbers, state, only=None) -> Float[Array, " Mmn"]:
+def whiten(one: Recorded, predicted) -> Float[Array, "M m n"]:
     """Whitened residual of one recording: (model - measurement) / sigma."""
-    misfit = (predict(problem, one, numbers, state, only) - one.angles) * one.weights
+    misfit = (predicted - one.angles) * one.weights
     sane = jnp.isfinite(misfit) & (jnp.abs(misfit) < _RUNAWAY)
-    return jnp.where(sane, misfit, jnp.where(one.weights > 0, _RUNAWAY, 0.0)).reshape(-1)
+    return jnp.where(sane, misfit, jnp.where(one.weights > 0, _RUNAWAY, 0.0))
 
 
 class Compressed(NamedTuple):
     """A least-squares problem at a point, one row per recording (L = P + 2n local unknowns)."""
+
+    predicted: Float[Array, "R M m n"]  # readings, rad or m
 
     factor: Float[Array, "R L L"]  # upper triangular, factor'factor = J'J
     along: Float[Array, "R L"]  # residual projected on J's columns
     beside: Float[Array, " R"]  # length of the rest of the residual
 
 
+@eqx.filter_jit  # inside a larger program too: it is traced once where it is used many times
 def compressed(problem: Problem, y: Unknowns, only: ScalarLike | None = None) -> Compressed:
     """Residual and Jacobian at scaled unknowns, compressed; `only`: of the first so many steps."""
     numbers = problem.scale.numbers.shape[0]
 
     def one(recorded, scale, state):
         def local(z):
-            moved = Unknowns(z[:numbers], y.states)
-            return residual(problem, recorded, problem.numbers(moved), scale * z[numbers:], only)
+            moved = problem.numbers(Unknowns(z[:numbers], y.states))
+            predicted = predict(problem, recorded, moved, scale * z[numbers:], only)
+            return whiten(recorded, predicted), predicted
 
         z = jnp.concatenate([y.numbers, state])
-        r, jacobian = jax.vmap(lambda e: jax.jvp(local, (z,), (e,)), out_axes=(None, 0))(
-            jnp.eye(len(z))
-        )
-        jacobian = jnp.where(jnp.isfinite(jacobian), jacobian, 0.0)
-        return _compress(jacobian @ jacobian.T, jacobian @ r, r @ r)
+        misfit, slopes, predicted = jax.vmap(
+            lambda e: jax.jvp(local, (z,), (e,), has_aux=True), out_axes=(None, 0, None)
+        )(jnp.eye(len(z)))
+        slopes = jnp.where(jnp.isfinite(slopes), slopes, 0.0).reshape(len(z), -1)
+        flat = misfit.reshape(-1)
+        return Compressed(predicted, *_compress(slopes @ slopes.T, slopes @ flat, flat @ flat))
 
     return jax.vmap(one)(problem.recorded, problem.scale.states, y.states)
 
 
-def _compress(square, slope, total) -> Compressed:
+def _compress(square, slope, total):
     diagonal = jnp.diag(square)
     size = jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0))
     # Columns of unit length: what rounding leaves of a combination that the data cannot see is then
@@ -221,4 +230,4 @@ def _compress(square, slope, total) -> Compressed:
     lower = jnp.linalg.cholesky(unit) * size[:, None]
     along = jax.scipy.linalg.solve_triangular(lower, slope, lower=True)
     beside = jnp.sqrt(jnp.maximum(total - along @ along, 0.0))
-    return Compressed(lower.T, along, beside)
+    return lower.T, along, beside

@@ -73,14 +73,17 @@ class Ready(NamedTuple):
         return [posed(model or self.model, m) for m in self.mechanisms]
 
     def problem(
-        self, begin: Model, wild: Sequence[np.ndarray], active: bool = True
+        self, begin: Model, wild: Sequence[np.ndarray], like: Problem | None = None
     ) -> tuple[Problem, list[Layout], np.ndarray]:
         """The least-squares problem near the model `begin`, and guessed initial states (R, 2n).
 
-        `active` False keeps the numbers and leaves only the states free.
+        `like` gives the problem the shapes of another one, so that its compiled program serves.
         """
         frequency = self.frequency(begin)
-        recorded, layouts = self._lay_out(begin, wild, frequency)
+        steps, slots = bucket(self._steps(begin, frequency)), 0
+        if like is not None and like.steps >= steps:
+            steps, slots = like.recorded.place.shape[-2:]
+        recorded, layouts = lay_out(self.recordings, self.mechanisms, wild, steps, slots)
         states = np.stack(
             [_first_state(r, bad, frequency) for r, bad in zip(self.recordings, wild, strict=True)]
         )
@@ -89,8 +92,7 @@ class Ready(NamedTuple):
             jnp.asarray(_scales(begin, size, frequency)),
             jnp.asarray(np.tile(np.concatenate([size, size * frequency]), (len(states), 1))),
         )
-        numbers = len(begin.fitted)
-        problem = Problem(begin, recorded, scale, jnp.full(numbers, 1.0 if active else 0.0))
+        problem = Problem(begin, recorded, scale, jnp.ones(len(begin.fitted)))
         return problem, layouts, states
 
     def frequency(self, begin: Model) -> float:
@@ -101,14 +103,14 @@ class Ready(NamedTuple):
         most = max(math.pi / float(np.median(np.diff(r.time))) for r in self.recordings)
         return float(np.clip(fast if np.isfinite(fast) else most, least, most))
 
-    def _lay_out(self, begin, wild, frequency):
-        size = DRY_STEP if begin.dry else _STEP
+    def _steps(self, begin: Model, frequency: float) -> int:
+        """How many integration steps the longest recording needs."""
         longest = max(r.duration for r in self.recordings)
-        steps = longest * frequency / size
+        steps = longest * frequency / (DRY_STEP if begin.dry else _STEP)
         for r in self.recordings:
             if r.drive is not None:
                 steps = max(steps, len(r.time) * longest / r.duration / _SAMPLES_DRIVEN)
-        return lay_out(self.recordings, self.mechanisms, wild, bucket(max(16, math.ceil(steps))))
+        return max(16, math.ceil(steps))
 
     def typical(self) -> np.ndarray:
         """(1, P) numbers of typical size, for data that give no better start."""

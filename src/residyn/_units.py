@@ -1,0 +1,54 @@
+"""Numbers as people read them: with a unit of a fitting size, and no more digits than are known."""
+
+import math
+
+_PREFIXES = {
+    "rad": ((1.0, "rad"), (1e-3, "mrad"), (1e-6, "µrad")),
+    "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm")),
+}
+
+
+def prefixed(unit: str | None, size: float) -> tuple[float, str]:
+    """The unit in which a quantity of this size reads as 0.1 or more.
+
+    **Returns:** the size of that unit in `unit`, and its name; (1, "") where the unit is not known.
+    """
+    choices = _PREFIXES.get(unit or "", ((1.0, unit or ""),))
+    if not (math.isfinite(size) and size > 0):
+        return choices[0]
+    return next((c for c in choices if abs(size) >= 0.1 * c[0]), choices[-1])
+
+
+def amount(value: float, unit: str | None, digits: int = 3) -> str:
+    """`value`, given in `unit`, as text: 0.00123 rad reads "1.23 mrad"."""
+    factor, name = prefixed(unit, abs(value))
+    return f"{plain(value / factor, digits)} {name}".strip()
+
+
+def plain(value: float, digits: int = 3) -> str:
+    """`value` to some significant digits, without an exponent where people would write none."""
+    if not math.isfinite(value):
+        return "?"
+    if value == 0:
+        return "0"
+    power = math.floor(math.log10(abs(value)))
+    if -4 <= power < max(6, digits):
+        return f"{value:.{max(0, digits - 1 - power)}f}"
+    return f"{value:.{digits - 1}e}"
+
+
+def with_error(value: float, std: float) -> tuple[str, str]:
+    """Value and standard error as text, both ending at the error's second digit."""
+    if not (math.isfinite(std) and std > 0 and math.isfinite(value)):
+        return plain(value, 6), plain(std, 2)
+    last = math.floor(math.log10(std)) - 1
+    size = max(abs(value), std)
+    if last < -9 or size >= 1e6 or size < 1e-4:
+        digits = max(1, math.floor(math.log10(size)) - last)
+        return f"{value:.{digits}e}", f"{std:.1e}"
+    return f"{value:.{max(0, -last)}f}", f"{std:.{max(0, -last)}f}"
+
+
+def ratio(value: float) -> str:
+    """How many times, to two digits: 0.98 reads "1.0", as the third digit says nothing."""
+    return plain(value, 2) if not 0.1 <= value < 9.95 else f"{value:.1f}"

@@ -1,0 +1,64 @@
+"""One look for all pictures: quiet axes, few colours, a unit on every scale."""
+
+import functools
+from collections.abc import Callable
+from typing import Any, ParamSpec
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+WIDE, NARROW = 8.6, 3.7
+"""Widths in inches: stretched to a laptop's page or a phone, 9 point text reads as 9 or more."""
+
+# Okabe and Ito's colours, which stay apart for every kind of colour vision. What is measured is a
+# broad pale line and the model a thin dark one on top: where they part, both can be seen.
+MEASURED, MODEL, RESIDUAL, WILD = "#a8a8a8", "#0072b2", "#d55e00", "#cc79a7"
+HELD_OUT = "#9fcbe8"
+BAND, SHADE, INK, FAINT = "#d4d4d4", "#f4f4f4", "#222222", "#777777"
+DASHED = (0, (4, 3))
+
+_STYLE: dict[str, Any] = {
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9,
+    "xtick.labelsize": 9,
+    "ytick.labelsize": 9,
+    "legend.fontsize": 9,
+    "legend.frameon": False,
+    "legend.borderpad": 0.0,
+    "legend.columnspacing": 1.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": FAINT,
+    "axes.linewidth": 0.7,
+    "xtick.color": FAINT,
+    "ytick.color": FAINT,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "text.parse_math": False,  # names come from users: a dollar sign is a dollar sign
+}
+
+_P = ParamSpec("_P")
+
+
+def styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
+    """Draw in this style, whatever the user's own is, and leave the user's own as it was."""
+
+    @functools.wraps(draw)
+    def wrapped(*args: _P.args, **named: _P.kwargs) -> Figure:
+        defaults = {k: v for k, v in mpl.rcParamsDefault.items() if k != "backend"}
+        with mpl.rc_context({**defaults, **_STYLE}):
+            return draw(*args, **named)
+
+    return wrapped
+
+
+def largest(values: np.ndarray) -> float:
+    """Largest size among the finite values; 0 if there are none."""
+    values = np.abs(values[np.isfinite(values)])
+    return float(values.max()) if len(values) else 0.0
