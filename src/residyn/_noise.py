@@ -78,9 +78,9 @@ def wild_samples(
 ) -> np.ndarray:
     """Readings that sit far off their neighbours: spikes, or marker swaps of a few samples.
 
-    Each block is fitted by polynomials and, one by one, the readings that stand out; what stays
-    flagged stands out together with the others and explains nearly all that the polynomials leave.
-    That tells it from a stick or a knock, which is no polynomial either, but misfits all around.
+    They are the runs of one to four readings which, let free, explain nearly all that polynomials
+    leave of a block. That tells them from a stick or a knock, which is no polynomial either but
+    misfits all around.
 
     **Arguments:** `time` (N,) s; `angle` (N, n) rad or m, NaN where a sample was lost; `noise`, if
     known, the sigma of one reading, (n,) or one number.
@@ -119,22 +119,23 @@ def _blocks(time: np.ndarray, values: np.ndarray) -> _Blocks:
     top = 3 * m // 4  # the highest degrees need no names, and are ill-conditioned
     basis = np.linalg.qr(np.polynomial.legendre.legvander(x, top - 1), mode="complete")[0]
     share = np.einsum("bmk,bm->bk", basis, y - y.mean(axis=1, keepdims=True))
+    # An encoder at rest says nothing of the noise, and where the motion ends must be seen where it
+    # is at its largest.
     moves = np.ptp(y, axis=1) > 0
-    seen = share[moves]
-    vigour = np.median(np.abs(y - np.median(y, axis=1, keepdims=True)), axis=1)[moves]
-    # an encoder at rest says nothing of the noise
-    if not len(seen):
+    if not moves.any():
         return _Blocks(first, basis, share, 1, 0.0)
+    size = np.median(np.abs(y - np.median(y, axis=1, keepdims=True)), axis=1)
+    lively = moves & (size >= min(0.3 * size.max(), np.sort(size)[-min(8, len(size))]))
     # Down from the top while the next degree is as small as all above it, within its statistics;
     # then up again by two, past motion that was too small to be noticed.
-    few = np.sort(vigour)[-min(8, len(vigour))]
-    live = seen[vigour >= min(few, FRAC * vigour.max())]
-    limit = math.sqrt(1 + 3 * math.sqrt(4 / len(live)))
+    limit = math.sqrt(1 + 3 * math.sqrt(4 / np.count_nonzero(lively)))
     degree = top
-    while degree > 1 and _spread(live[:, degree - 1]) <= limit * _spread(live[:, degree:]):
+    while degree > 1 and _spread(share[lively, degree - 1]) <= limit * _spread(
+        share[lively, degree:]
+    ):
         degree -= 1
     degree = min(degree + 2, top)
-    return _Blocks(first, basis, share, degree, _spread(seen[:, degree:]))
+    return _Blocks(first, basis, share, degree, _spread(share[moves, degree:]))
 
 
 def _spread(values: np.ndarray) -> float:
@@ -184,60 +185,73 @@ def _wild(time: np.ndarray, column: np.ndarray, least: float) -> np.ndarray:
 
 
 def _stand_out(blocks: _Blocks, values: np.ndarray, least: float) -> np.ndarray:
+    """Which of `values` do not fit their block, of sigma `least` or more."""
     found = np.zeros(len(values), dtype=bool)
     m = blocks.basis.shape[1]
     noise = blocks.basis[:, :, blocks.degree :]
     sigma = max(blocks.spread, least, 1e-9 * float(np.std(values)))
     rest = np.einsum("bmk,bk->bm", noise, blocks.share[:, blocks.degree :]) / sigma
     room = np.einsum("bmk,bmk->bm", noise, noise)
+    score = np.abs(rest) / np.sqrt(np.maximum(room, 1e-9))
     # Noise with tails heavier than the normal law's is noise still.
-    rest /= max(1.0, float(np.quantile(np.abs(rest) / np.sqrt(room), 0.95)) / 1.96)
-    for b in np.flatnonzero((rest**2 > 9 * room).any(axis=1)):
-        pick = _explain(noise[b] @ noise[b].T, rest[b])
-        # A knock of the motion itself cannot be larger than its acceleration.
+    tail = max(1.0, float(np.quantile(score, 0.95)) / 1.96)
+    for b in np.flatnonzero(score.max(axis=1) > 3.5 * tail):
+        pick = _explain(noise[b] @ noise[b].T, rest[b] / tail)
         index = blocks.first[b] + np.arange(m)
-        bend = np.median(np.abs(np.diff(values[index], 2))) / sigma
+        # What motion itself can do within a sample is a part of its acceleration.
+        bend = 0.3 * float(np.median(np.abs(np.diff(values[index], 2)))) / (sigma * tail)
         # Each reading is judged in the block that has it well inside, if there is one.
-        inner = slice(0 if b == 0 else m // 4, m if b == len(blocks.first) - 1 else m - m // 4)
+        start = 0 if b == 0 else m // 4
+        stop = m if b == len(blocks.first) - 1 else m - m // 4
         for i, size in pick.items():
-            if inner.start <= i < inner.stop and abs(size) > GUARD * bend:
+            if start <= i < stop and abs(size) > bend:
                 found[index[i]] = True
     return found
 
 
 def _explain(room: np.ndarray, rest: np.ndarray) -> dict[int, float]:
-    """The short runs of readings which, let free, explain what is left of a block; how far off.
+    """The readings which, let free, explain what is left of a block, and how far off each is.
+
+    Empty when there are none, or when so many would be needed that they are no exception.
 
     **Arguments:** `room` (m, m) projects on what polynomials leave; `rest` (m,) is that part of the
     readings, in sigmas.
     """
     too_much = float(rest @ rest - np.trace(room))
     picked: list[int] = []
-    now, free = rest, room
-    for _ in range(MAXRUNS):
-        best, run = _SURE**2, None
-        for length in range(1, _RUN + 1):
-            at = np.arange(len(rest) - length + 1)[:, None] + np.arange(length)
-            # A hair of ridge: a run that is already free has no room left.
-            own = free[at[:, :, None], at[:, None, :]] + 1e-6 * np.eye(length)
-            size = np.linalg.solve(own, now[at][:, :, None])[:, :, 0]
-            gain = np.einsum("il,il->i", now[at], size) - PEN * (length - 1)
-            if gain.max() > best:
-                best, run = float(gain.max()), at[int(gain.argmax())]
+    size, left, free = np.zeros(0), rest, room
+    for _ in range(_RUN):
+        run = _best_run(free, left)
         if run is None:
             break
-        picked += [int(i) for i in run if i not in picked]
-        across = np.linalg.solve(
-            room[np.ix_(picked, picked)] + 1e-6 * np.eye(len(picked)), room[picked]
-        )
-        now = rest - across.T @ rest[picked]
-        free = room - room[:, picked] @ across
+        picked += [i for i in run if i not in picked]
+        inner = room[np.ix_(picked, picked)] + _HAIR * np.eye(len(picked))
+        across = np.linalg.solve(inner, room[picked])
+        size = np.linalg.solve(inner, rest[picked])
+        left, free = rest - across.T @ rest[picked], room - room[:, picked] @ across
     else:
         return {}
-    if not picked or rest @ rest - now @ now < SHARE * too_much:
+    if rest @ rest - left @ left < 0.8 * too_much:
         return {}
-    size = np.linalg.solve(room[np.ix_(picked, picked)] + 1e-6 * np.eye(len(picked)), rest[picked])
     return dict(zip(picked, size.tolist(), strict=True))
+
+
+_HAIR = 1e-6
+"""A ridge: a reading that is free already has no room left."""
+
+
+def _best_run(room: np.ndarray, rest: np.ndarray) -> list[int] | None:
+    """The run of up to four readings that explains most, if it is surely more than noise."""
+    best, run = _SURE**2, None
+    for length in range(1, _RUN + 1):
+        at = np.arange(len(rest) - length + 1)[:, None] + np.arange(length)
+        inner = room[at[:, :, None], at[:, None, :]] + _HAIR * np.eye(length)
+        size = np.linalg.solve(inner, rest[at][:, :, None])[:, :, 0]
+        # Each further reading must earn its place: by three standard deviations.
+        gain = np.einsum("il,il->i", rest[at], size) - 9 * (length - 1)
+        if gain.max() > best:
+            best, run = float(gain.max()), at[int(gain.argmax())].tolist()
+    return run
 
 
 def _table(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

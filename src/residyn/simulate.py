@@ -119,7 +119,8 @@ def _dry_step(args: _Args, t, h, q, v):
     )
     v1 = tuple(jnp.where(stuck > 0, 0.0, x) for x, stuck in zip(v1, held, strict=True))
     # The last stage stands at the end of the step.
-    return _reversals(args, t, h, (q, v, first), (q1, v1, last), direction, held), first
+    q2, v2 = _reversals(args, t, h, (q, v, first), (q1, v1, last), direction, held)
+    return _break_away(args, t, h, q, q2, v2, held), first
 
 
 class UnrolledTsit5(diffrax.AbstractSolver):
@@ -157,18 +158,23 @@ class StickSlip(UnrolledTsit5):
         return _dry_step(args, t, h, q, v)
 
 
-def _friction(args: _Args, t, q, v) -> Joints:
-    """Half the jump of each joint's torque where its own direction flips: its friction level."""
-    signs = _signs(v)
-
-    def half_jump(joint):
-        up, down = (
-            args.model.torque(Motion(t, q, v, (*signs[:joint], sign, *signs[joint + 1 :])))[joint]
-            for sign in (1.0, -1.0)
-        )
-        return 0.5 * (up - down)
-
-    return tuple(half_jump(joint) for joint in range(len(q)))
+def _friction(args: _Args, t, q: Joints, v: Joints) -> list[ScalarLike | None]:
+    """Half the jump of each joint's torque where its direction flips; None without dry friction."""
+    bodies, n = args.model.bodies, len(q)
+    level: list[ScalarLike | None] = [None] * n
+    for effect in args.model.effects:
+        if not effect.dry:
+            continue
+        signs = _signs(v)
+        for joint in range(n):
+            up, down = (
+                effect.torque(Motion(t, q, v, (*signs[:joint], s, *signs[joint + 1 :])), bodies)
+                for s in (1.0, -1.0)
+            )
+            if not isinstance(up[joint], float):  # a plain 0.0: the effect leaves this joint alone
+                more = 0.5 * (up[joint] - down[joint])
+                level[joint] = more if level[joint] is None else level[joint] + more
+    return level
 
 
 def sliding(args: _Args, t, q: Joints, v: Joints) -> tuple[Joints, Joints]:
@@ -177,43 +183,81 @@ def sliding(args: _Args, t, q: Joints, v: Joints) -> tuple[Joints, Joints]:
     # Joints at rest: what would they do if nothing held them?
     free = _acceleration(args, t, q, v, _signs(v))
     direction, held = [], []
-    for joint, column in enumerate(_mobility(args, q)):
+    for joint, limit in enumerate(level):
+        if limit is None:
+            direction.append(jnp.sign(v[joint]))
+            held.append(0.0)
+            continue
         rests = v[joint] == 0.0
-        push = jnp.abs(free[joint] / column[joint])  # torque that would keep it at rest
+        # Torque that would keep it at rest.
+        push = jnp.abs(free[joint] / _mobility(args, q, joint)[joint])
         direction.append(jnp.where(rests, jnp.sign(free[joint]), jnp.sign(v[joint])))
-        held.append(jnp.where(rests & (level[joint] > 0) & (push <= level[joint]), 1.0, 0.0))
+        held.append(jnp.where(rests & (limit > 0) & (push <= limit), 1.0, 0.0))
     return tuple(direction), tuple(held)
 
 
-def _mobility(args: _Args, q: Joints) -> tuple[Joints, ...]:
-    """Columns of Z^-1: acceleration of every joint per unit torque on each."""
-    matrix, n = args.model.bodies.mass_matrix(q), len(q)
-    return tuple(
-        solve_inertia(matrix, tuple(1.0 if i == j else 0.0 for i in range(n))) for j in range(n)
-    )
+def _mobility(args: _Args, q: Joints, joint: int) -> Joints:
+    """A column of Z^-1: acceleration of every joint per unit torque on one."""
+    unit = tuple(1.0 if i == joint else 0.0 for i in range(len(q)))
+    return solve_inertia(args.model.bodies.mass_matrix(q), unit)
 
 
 def _reversals(args: _Args, t, h, begin, end, direction, held) -> tuple[Joints, Joints]:
     """The end of the step, corrected for joints which came to rest inside it."""
     (q0, v0, a0), (q1, v1, a1) = begin, end
-    level = _friction(args, t + h, q1, tuple(1e-12 * d for d in direction))
-    q, v = list(q1), list(v1)
-    for j, column in enumerate(_mobility(args, q1)):
+    level = _friction(args, t + h, q1, direction)
+    q, v = q1, v1
+    for j, limit in enumerate(level):
+        if limit is None:
+            continue
+        column = _mobility(args, q1, j)
         crosses = (held[j] == 0) & (v0[j] != 0.0) & (v1[j] * direction[j] < 0.0)
         share = _root(v0[j], v1[j], h * a0[j], h * a1[j])
         rest = (1.0 - share) * h
         slowing = a0[j] + share * (a1[j] - a0[j])
-        sticks = crosses & (jnp.abs(slowing) <= 2.0 * column[j] * level[j])
-        # Torque change after the reversal: the friction flips, or takes what holds the joint.
-        change = jnp.where(sticks, -slowing / column[j], 2.0 * level[j] * direction[j])
-        change = jnp.where(crosses, change, 0.0)
-        for i in range(len(q)):
-            v[i] = v[i] + column[i] * change * rest
-            q[i] = q[i] + column[i] * change * (0.5 * rest**2)
+        sticks = crosses & (jnp.abs(slowing) <= 2.0 * column[j] * limit)
+        # Torque change after the reversal: the friction flips, or takes what holds the joint, which
+        # runs from `slowing` to the end's a1; its mean counts for v, its first moment for q.
+        flip = 2.0 * limit * direction[j]
+        for_v = jnp.where(sticks, -0.5 * (slowing + a1[j]) / column[j], flip)
+        for_q = jnp.where(sticks, -(2.0 * slowing + a1[j]) / 3.0 / column[j], flip)
+        dq = tuple(jnp.where(crosses, 0.5 * rest**2 * for_q, 0.0) * c for c in column)
+        dv = tuple(jnp.where(crosses, rest * for_v, 0.0) * c for c in column)
+        # The springs answer to dq, which grows as the square of the time since the reversal:
+        # integrated once and twice, their answer at the end counts 1/3 and 1/12.
+        answer = _acceleration(args, t + h, _plus(q1, dq), v1, direction, held)
+        answer = tuple(jnp.where(crosses, x - y, 0.0) for x, y in zip(answer, a1, strict=True))
+        q = _plus(q, dq, tuple(rest**2 / 12.0 * x for x in answer))
+        v = _plus(v, dv, tuple(rest / 3.0 * x for x in answer))
         stop = _hermite3(share, q0[j], q1[j], h * v0[j], h * v1[j])
-        v[j] = jnp.where(sticks, 0.0, v[j])
-        q[j] = jnp.where(sticks, stop, q[j])
-    return tuple(q), tuple(v)
+        q = tuple(jnp.where(sticks, stop, x) if i == j else x for i, x in enumerate(q))
+        v = tuple(jnp.where(sticks, 0.0, x) if i == j else x for i, x in enumerate(v))
+    return q, v
+
+
+def _break_away(args: _Args, t, h, begin: Joints, q, v, held) -> tuple[Joints, Joints]:
+    """The end of the step, corrected for joints that friction could no longer hold inside it."""
+    free = {
+        "begin": _acceleration(args, t, begin, v, _signs(v)),
+        "end": _acceleration(args, t + h, q, v, _signs(v)),
+    }
+    for j, limit in enumerate(_friction(args, t + h, q, v)):
+        if limit is None:
+            continue
+        column = _mobility(args, q, j)
+        before, after = (jnp.abs(free[when][j] / column[j]) for when in ("begin", "end"))
+        excess = jnp.where(held[j] > 0, jnp.maximum(after - limit, 0.0), 0.0)
+        grown = jnp.where(excess > 0, after - before, 1.0)
+        rest = h * jnp.clip(excess / grown, 0.0, 1.0)
+        # From then on the torque that is not held grows in proportion to time.
+        kick = tuple(c * excess * jnp.sign(free["end"][j]) for c in column)
+        q = _plus(q, tuple(rest**2 / 6.0 * k for k in kick))
+        v = _plus(v, tuple(rest / 2.0 * k for k in kick))
+    return q, v
+
+
+def _plus(*terms: Joints) -> Joints:
+    return tuple(sum(parts[1:], parts[0]) for parts in zip(*terms, strict=True))
 
 
 def _root(v0, v1, d0, d1):

@@ -51,7 +51,7 @@ def errors(fits: Sequence[Fit], names: Sequence[str], *, narrow: bool = False) -
         ax.axvline(noise / factor, color=INK, lw=1.1, ls=DASHED, zorder=3, label="noise")
         ax.set_ylim(len(fits) - 0.5, -0.5)
         # Room for the words beside the longest bar.
-        ax.set_xlim(0, longest / factor * (2.3 if narrow else 1.75))
+        ax.set_xlim(0, longest / factor * (2.7 if narrow else 1.75))
         ax.xaxis.set_major_locator(MaxNLocator(4))
         ax.set_yticks(range(len(fits)), [_broken(n, 18 if narrow else 26) for n in names])
         ax.tick_params(axis="y", length=0)

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from .._units import plain, prefixed
+from .._units import prefixed
 from ..fit.result import Fit, Mode, RecordingFit
 from ._style import (
     BAND,
@@ -53,7 +53,7 @@ class _Layout(NamedTuple):
 
 
 _WIDE = _Layout(WIDE, 0.92, 0.62, (4.62, 2.32), 0.28)
-_NARROW = _Layout(NARROW, 0.86, 0.0, (2.72,), 0.46, main=1.1, strip=0.6)
+_NARROW = _Layout(NARROW, 0.9, 0.0, (2.68,), 0.46, main=1.1, strip=0.6, label=0.57)
 
 
 @styled
@@ -95,7 +95,7 @@ def overlay(
                     for ax in (main, strip):
                         ax.axvspan(time[zoom][0], time[-1], color=SHADE, lw=0, zorder=-5)
                 if joint == 0:
-                    last = f"the last {plain(time[-1] - time[zoom][0], 2)} s, enlarged"
+                    last = f"the last {time[-1] - time[zoom][0]:.2g} s, enlarged"
                     main.set_title(last if window is zoom else _heading(each, narrow))
                 if joint == joints - 1:
                     strip.set_xlabel("time (s)")
@@ -170,7 +170,8 @@ def _draw(main: Axes, strip: Axes, fit: Fit, each: RecordingFit, joint: int, win
 
     sigma = float(np.asarray(each.recording.noise)[joint])
     residual = good - each.predicted
-    factor, label = prefixed(unit, max(largest(residual[:, joint]), 3 * sigma))
+    # A third: a residual reads best in the smaller unit.
+    factor, label = prefixed(unit, max(largest(residual[:, alike]), 3 * sigma) / 3)
     left, sigma = residual[window, joint] / factor, sigma / factor
     strip.axhspan(-2 * sigma, 2 * sigma, color=BAND, lw=0, zorder=0)
     strip.axhline(0, color=FAINT, lw=0.6, zorder=1)

@@ -1,0 +1,51 @@
+"""The command: `residyn fit`, `simulate`, `effects`, `demo`.
+
+Nothing here computes. Each command reads what the user gave, calls the same functions that a
+notebook would, and prints. Two promises shape these files: asking for help is instant, so JAX and
+matplotlib are imported inside the commands that need them; and whoever makes a mistake reads one
+line that says what would be right, never a traceback (`_shell`).
+"""
+
+import typer
+
+from . import _demo, _effects, _fit, _simulate
+from ._shell import run
+
+app = typer.Typer(
+    name="residyn",
+    help="Fit the joint stiffness and damping of a braked arm from recorded motion.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    rich_markup_mode=None,
+)
+
+
+@app.callback(invoke_without_command=True)
+def residyn(
+    context: typer.Context,
+    version: bool = typer.Option(False, "--version", help="Print the version and stop."),
+) -> None:
+    """Fit the joint stiffness and damping of a braked arm from recorded motion."""
+    if version:
+        from .. import __version__
+
+        print(__version__)
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+        raise typer.Exit
+
+
+app.command("fit")(_fit.fit)
+app.command("simulate")(_simulate.simulate)
+app.command("effects")(_effects.effects)
+app.command("demo")(_demo.demo)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the command with these words (those of the command line, if not given).
+
+    **Returns:** the exit status.
+    """
+    return run(app, args)

@@ -1,0 +1,137 @@
+"""`residyn effects`."""
+
+import difflib
+import inspect
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .._input import InputError
+from ._shell import console, progress
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from ..effects import AbstractEffect
+    from ..parameter import Parameter
+
+_ROOMY = 110
+"""Columns of text from which the table has a column for everything."""
+
+
+def effects(
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="NAME", help="One effect, in full; all, if not given.", show_default=False
+        ),
+    ] = None,
+) -> None:
+    """The catalogue of physical effects: equation, parameters, and what each looks like."""
+    with progress() as say:
+        say("loading")
+        from ..effects import CATALOGUE
+    out = console()
+    if name is not None:
+        name = name.partition(":")[0]
+        if name not in CATALOGUE:
+            close = difflib.get_close_matches(name, CATALOGUE, n=1)
+            hint = f'did you mean "{close[0]}"?' if close else "`residyn effects` lists them"
+            raise InputError(f'there is no effect "{name}"; {hint}')
+        _one(out, CATALOGUE[name])
+        return
+    kinds = list(CATALOGUE.values())
+    if not out.is_terminal:
+        _plain(kinds)
+    elif out.width >= _ROOMY:
+        _table(out, kinds)
+    else:
+        _stacked(out, kinds)
+    if out.is_terminal:
+        out.print("spring and damper are in every model; add others with --with NAME:JOINT.")
+
+
+def _numbers(kind: "type[AbstractEffect]") -> list[str]:
+    """Each parameter as `name (unit)`; both units where rotary and sliding joints differ."""
+    from ..parameter import parameters_of
+
+    return [f"{p.name}{_unit(p)}" for p in parameters_of(kind)]
+
+
+def _unit(parameter: "Parameter") -> str:
+    unit = parameter.dimension.unit(None)
+    return "" if unit == "1" else f" ({unit})"
+
+
+def _plain(kinds: "list[type[AbstractEffect]]") -> None:
+    """One line each in aligned columns, for grep and friends."""
+    rows = [["name", "equation", "parameters", "looks like"]]
+    rows += [[k.name, k.equation, ", ".join(_numbers(k)), k.looks_like] for k in kinds]
+    widths = [max(len(row[i]) for row in rows) for i in range(3)]
+    for row in rows:
+        cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=False)]
+        print("   ".join([*cells, row[3]]))
+
+
+def _table(out: "Console", kinds: "list[type[AbstractEffect]]") -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, padding=(0, 2, 1, 0), pad_edge=False)
+    table.add_column("name", no_wrap=True, style="bold")
+    table.add_column("equation", ratio=3)
+    table.add_column("parameters", ratio=3)
+    table.add_column("what it looks like in the data", ratio=4)
+    table.expand = True
+    for kind in kinds:
+        table.add_row(kind.name, kind.equation, "\n".join(_numbers(kind)), kind.looks_like)
+    out.print(table)
+
+
+def _stacked(out: "Console", kinds: "list[type[AbstractEffect]]") -> None:
+    """Too narrow for four columns: the name, and all else under each other beside it."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, padding=(0, 2, 1, 0), pad_edge=False)
+    table.add_column("name", no_wrap=True, style="bold")
+    table.add_column("equation, parameters, what it looks like in the data")
+    for kind in kinds:
+        numbers = _numbers(kind)
+        table.add_row(kind.name, "\n".join([kind.equation, *numbers, kind.looks_like]))
+    out.print(table)
+
+
+def _one(out: "Console", kind: "type[AbstractEffect]") -> None:
+    from rich.padding import Padding
+
+    from ..effects import JointEffect
+    from ..parameter import parameters_of
+
+    def paragraph(words: str) -> None:
+        out.print(Padding(words, (0, 0, 0, 2)))
+
+    out.print(kind.name, style="bold")
+    for part in inspect.cleandoc(kind.__doc__ or "").split("\n\n"):
+        paragraph(" ".join(part.split()))
+        out.print()
+    out.print("equation", style="bold")
+    paragraph(kind.equation)
+    out.print("parameters", style="bold")
+    for p in parameters_of(kind):
+        limits = ", never negative" if p.sign == "positive" else ""
+        fixed = "" if p.fitted else ", not fitted"
+        paragraph(f"{p.name}{_unit(p)}: {p.words}{limits}{fixed}; absent at {p.silent:g}")
+    out.print("what it looks like in the data", style="bold")
+    paragraph(kind.looks_like)
+    out.print("properties", style="bold")
+    paragraph("never adds energy" if kind.dissipates else "may add energy as well as take it")
+    if kind.of_bearings:
+        paragraph("belongs to the air bearings: leaves when they are taken off")
+    out.print("source", style="bold")
+    paragraph(kind.source)
+    if kind.name in ("spring", "damper"):
+        out.print("in every model already")
+    else:
+        place = "[:JOINT]" if issubclass(kind, JointEffect) else ""
+        out.print(f"residyn fit EXPERIMENT --with {kind.name}{place}")

@@ -1,0 +1,34 @@
+"""`residyn fit`."""
+
+import typer
+
+from .._input import InputError
+from . import _options
+from ._experiment import fitted, input_files, load, title
+from ._shell import DONE, NO_NUMBERS, Outputs, complain, set_up_jax
+
+
+def fit(
+    experiment: _options.Experiment,
+    effects: _options.With = None,
+    starts: _options.Starts = _options.STARTS,
+    method: _options.Method = _options.METHODS[0],
+    json: _options.Json = None,
+    report: _options.Report = None,
+    no_cache: _options.NoCache = False,
+) -> None:
+    """Fit springs, dampers and any effects to the recordings of an experiment."""
+    if method not in _options.METHODS:
+        known = " or ".join(_options.METHODS)
+        raise InputError(f'--method "{method}": there is no such method; it must be {known}')
+    out = Outputs(json, report)
+    set_up_jax(not no_cache)
+    loaded = load(experiment)
+    out.spare(input_files(experiment, loaded))
+    result = fitted(loaded, effects or [], starts)
+    out.words.print(str(result), soft_wrap=True)
+    out.write_json(result.to_dict())
+    if report is not None:
+        out.write_report([(title(experiment), result)])
+        out.words.print(f"report: {report}", soft_wrap=True)
+    raise typer.Exit(DONE if result.converged else complain(result.reason, NO_NUMBERS))

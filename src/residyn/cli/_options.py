@@ -1,0 +1,60 @@
+"""The options that several commands share, so that they read the same everywhere."""
+
+from typing import Annotated
+
+import typer
+
+Experiment = Annotated[
+    str,
+    typer.Argument(
+        metavar="EXPERIMENT",
+        help='A TOML file that describes the arm and its recordings; "-" reads it from '
+        "standard input.",
+        show_default=False,
+    ),
+]
+With = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--with",
+        metavar="EFFECT",
+        help="Add an effect to the springs and dampers: NAME, or NAME:JOINT. May be repeated; "
+        "`residyn effects` lists them.",
+        show_default=False,
+    ),
+]
+Starts = Annotated[
+    int, typer.Option("--starts", metavar="N", min=1, help="How many starts to fit from.")
+]
+Method = Annotated[
+    str, typer.Option("--method", metavar="METHOD", help="How to search: levenberg.")
+]
+Json = Annotated[
+    str | None,
+    typer.Option(
+        "--json",
+        metavar="FILE",
+        help='Write the result as JSON; "-" writes it to standard output, and all words to '
+        "standard error.",
+        show_default=False,
+    ),
+]
+Report = Annotated[
+    str | None,
+    typer.Option(
+        "--report",
+        metavar="FILE.html",
+        help="Write one self-contained page with pictures.",
+        show_default=False,
+    ),
+]
+NoCache = Annotated[
+    bool,
+    typer.Option(
+        "--no-cache",
+        help="Keep no compiled programs in your cache folder, and use none.",
+    ),
+]
+
+METHODS = ("levenberg",)
+STARTS = 6

@@ -1,0 +1,240 @@
+"""What all commands share: exit statuses, where words go, progress, output files, JAX's settings."""
+
+import contextlib
+import json
+import math
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from .._input import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from ..fit.result import Fit
+
+DONE, NO_NUMBERS, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
+TRACEBACK = "RESIDYN_TRACEBACK"
+
+# The class of all complaints about the command line, which typer itself does not name.
+_UsageError: Any = typer.BadParameter.__bases__[0]
+
+
+class NoNumbers(Exception):
+    """The input was fine, and still the numbers could not be had: one line that says why."""
+
+
+# -- from words to an exit status ------------------------------------------------------------
+
+
+def run(app: typer.Typer, args: Sequence[str] | None) -> int:
+    """Run a command line; every way it can end is one exit status and at most one line."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(AttributeError, ValueError):
+            # A terminal that cannot show a letter gets a question mark, not a crash.
+            stream.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
+    command = typer.main.get_command(app)
+    try:
+        words = list(sys.argv[1:] if args is None else args)
+        with command.make_context("residyn", words) as context:
+            command.invoke(context)
+        sys.stdout.flush()
+        return DONE
+    except typer.Exit as end:
+        return _flushed(end.exit_code)
+    except (KeyboardInterrupt, typer.Abort):
+        return complain("interrupted", INTERRUPTED)
+    except BrokenPipeError:
+        return _hang_up()
+    except _UsageError as error:
+        return complain(_usage(error), BAD_INPUT)
+    except InputError as error:
+        return complain(str(error), BAD_INPUT)
+    except NoNumbers as error:
+        return complain(str(error), NO_NUMBERS)
+    except Exception as error:
+        if os.environ.get(TRACEBACK):
+            raise
+        what = f"{type(error).__name__}: {error}".splitlines()[0]
+        return complain(
+            f"this should not have happened, {what} (set {TRACEBACK}=1 to see where)", NO_NUMBERS
+        )
+
+
+def complain(line: str, status: int) -> int:
+    """Say one line on standard error."""
+    with contextlib.suppress(OSError):
+        print(f"residyn: {line}", file=sys.stderr, flush=True)
+    return status
+
+
+def _flushed(status: int) -> int:
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        return _hang_up()
+    return status
+
+
+def _hang_up() -> int:
+    """Whoever read standard output has left: nothing is wrong, and nothing more is to be said."""
+    # Python flushes once more at exit, and would complain then.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return BROKEN_PIPE
+
+
+def _usage(error: Any) -> str:
+    line = " ".join(error.format_message().split()).rstrip(".")
+    path = error.ctx.command_path if error.ctx is not None else "residyn"
+    return f"{line[:1].lower()}{line[1:]}; see {path} --help"
+
+
+# -- words -----------------------------------------------------------------------------------
+
+
+def console(*, stderr: bool = False) -> "Console":
+    """Where words for people go. Not a terminal: no colours, and lines as long as they are."""
+    from rich.console import Console
+
+    out = Console(stderr=stderr, highlight=False, markup=False, emoji=False, soft_wrap=False)
+    if not out.is_terminal:
+        out = Console(stderr=stderr, highlight=False, markup=False, emoji=False, width=1000)
+    return out
+
+
+@contextlib.contextmanager
+def progress() -> Iterator[Callable[[str], None]]:
+    """A line on standard error that says what is being done and for how long; gone afterwards."""
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    out = console(stderr=True)
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    with Progress(*columns, console=out, transient=True, disable=not out.is_terminal) as bar:
+        task = bar.add_task("starting", total=None)
+        yield lambda words: bar.update(task, description=words)
+
+
+# -- files -----------------------------------------------------------------------------------
+
+
+class Outputs:
+    """Where results go. Made before the long work, so that a wrong path costs no waiting."""
+
+    def __init__(self, json_file: str | None, report: str | None):
+        self.json_file, self.report = json_file, report
+        if report == "-":
+            raise InputError("--report -: a report needs the name of a file")
+        if report is not None and json_file is not None and _same(report, json_file):
+            raise InputError(f"--report and --json are the same file, {report}")
+        for option, path in (("--json", json_file), ("--report", report)):
+            if path is not None and not (option == "--json" and path == "-"):
+                _check_writable(option, path)
+
+    @property
+    def words(self) -> "Console":
+        """Standard output, unless that is for the JSON."""
+        return console(stderr=self.json_file == "-")
+
+    def spare(self, inputs: Sequence[Path]) -> None:
+        """Refuse to write over a file that was read.
+
+        **Raises:** `InputError`.
+        """
+        for option, path in (("--json", self.json_file), ("--report", self.report)):
+            if path is not None and any(_same(path, each) for each in inputs):
+                raise InputError(f"{option} {path}: is an input of this experiment; choose another")
+
+    def write_json(self, result: Mapping[str, Any]) -> None:
+        """Write the JSON, if it was asked for."""
+        if self.json_file is None:
+            return
+        text = json.dumps(finite(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        if self.json_file == "-":
+            sys.stdout.write(text)
+            sys.stdout.flush()
+            return
+        try:
+            Path(self.json_file).write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise _unwritable("--json", self.json_file, error) from None
+
+    def write_report(self, fits: "Sequence[tuple[str, Fit]]") -> None:
+        """Write the report, if it was asked for."""
+        if self.report is None:
+            return
+        from ..report import write_report
+
+        with progress() as say:
+            say("writing the report")
+            write_report(self.report, fits)
+
+
+def finite(value: Any) -> Any:
+    """JSON knows no infinities: what is not finite becomes null."""
+    if isinstance(value, Mapping):
+        return {key: finite(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _same(one: str | Path, other: str | Path) -> bool:
+    return os.path.realpath(one) == os.path.realpath(other)
+
+
+def _check_writable(option: str, path: str) -> None:
+    """Open the file for writing, as will be done later, and leave it as it was.
+
+    **Raises:** `InputError`.
+    """
+    there = os.path.lexists(path)
+    try:
+        with open(path, "ab"):
+            pass
+        if not there:
+            os.unlink(path)
+    except (OSError, ValueError) as error:
+        raise _unwritable(option, path, error) from None
+
+
+def _unwritable(option: str, path: str, error: Exception) -> InputError:
+    why = getattr(error, "strerror", None) or error
+    return InputError(f"{option} {path}: cannot be written ({why})")
+
+
+# -- JAX -------------------------------------------------------------------------------------
+
+
+def set_up_jax(cache: bool) -> None:
+    """Numbers in float64, and compiled programs kept for the next run.
+
+    A command sets this for itself; importing the package sets nothing.
+    """
+    # A recording is a chain of small steps, which is what a CPU does best; the user may disagree.
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    folder = _cache_folder() if cache else None
+    if folder is not None:
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def _cache_folder() -> Path | None:
+    """The user's cache folder, or None if it cannot be written."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    try:
+        # A relative XDG_CACHE_HOME is invalid, says its specification, and must be ignored.
+        home = Path(base) if os.path.isabs(base) else Path.home() / ".cache"
+        folder = home / "residyn"
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder if os.access(folder, os.W_OK | os.X_OK) else None
+    except (OSError, RuntimeError):
+        return None
