@@ -140,10 +140,11 @@ def test_gravity_agrees_with_mujoco():
     t = np.arange(1001) * 0.01
     for gravity in (rig.HANGING, rig.tilt(0.05, 2.0)):
         theirs, _ = rig.simulate(arm, t, q0, gravity=gravity)
-        pull = float(np.hypot(*gravity))
-        # Link 1 at rest lies along +x: the links hang along the pull.
-        direction = float(np.arctan2(gravity[1], gravity[0]))
-        model = arm_of(arm) + Gravity(1.3 * pull, arm.coupling * pull, direction)
+        # Link 1 at rest lies along +x. V = -(moments . gravity).
+        along, across = gravity
+        model = arm_of(arm) + Gravity(
+            1.3 * along, arm.coupling * along, -1.3 * across, -arm.coupling * across
+        )
         ours = residyn.simulate(model, t, q0)
         assert np.abs(np.asarray(ours.q) - theirs).max() < 1e-5
 

@@ -17,7 +17,7 @@ class InputError(ValueError):
     """Wrong user input: one line naming file, line or key, and what would be right."""
 
     def __init__(self, message: str):
-        # Names and cells come from files: they must neither break the line nor reach a terminal raw.
+        # Names and cells come from files: they must not break the line, nor steer a terminal.
         line = " ".join(str(message).split())
         super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in line))
 
@@ -45,17 +45,24 @@ def quote(value: Any, most: int = 40) -> str:
     return text if len(text) <= most else text[: most - 3] + "..."
 
 
-def number(key: str, value: Any, unit: str, *, above: float | None = None) -> float:
-    """`value` as a finite float, in `unit`, and greater than `above`."""
-    what = f"a number ({unit})" if above is None else f"a number above {above:g} ({unit})"
+def number(
+    key: str, value: Any, unit: str, *, above: float | None = None, least: float | None = None
+) -> float:
+    """`value` as a finite float, in `unit`, and greater than `above`, not less than `least`."""
+    what = f"a number ({unit})"
+    if above is not None:
+        what = f"a number above {above:g} ({unit})"
+    elif least is not None:
+        what = f"a number not below {least:g} ({unit})"
     try:
         if isinstance(value, (bool, str, bytes)):
             raise TypeError
         result = float(value)
     except (TypeError, ValueError, OverflowError):
+        result = math.nan
+    low = (above is not None and result <= above) or (least is not None and result < least)
+    if low or not math.isfinite(result):
         raise InputError(f"{key} = {quote(value)}: must be {what}") from None
-    if not math.isfinite(result) or (above is not None and not result > above):
-        raise InputError(f"{key} = {quote(value)}: must be {what}")
     return result
 
 

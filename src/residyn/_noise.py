@@ -12,19 +12,23 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ._arrays import check_table
 from ._input import InputError
 
 _BLOCK = 32
 """Readings per block: long enough that noise fills most degrees, short against a slow motion."""
 
 _SURE = 5.0
-GUARD = 0.2
-FRAC = 0.33
+"""Standard deviations from which readings are wild."""
+
 _RUN = 4
-PEN = 9
-MAXRUNS = 4
-SHARE = 0.7
-"""Standard deviations at which a reading is wild: 7 in a million of white noise are."""
+"""The most wild readings in a row that are looked for."""
+
+_TINY = 1e-100
+"""Motion smaller than this is none."""
+
+_HAIR = 1e-6
+"""A ridge for small inverses: a reading that is free already has no room left."""
 
 
 def estimate_noise(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -43,19 +47,20 @@ def estimate_noise(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 def noise_and_doubts(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """`estimate_noise`, and in words the joints whose noise could not be seen."""
-    time, angle = _table(time, angle)
+    time, angle = check_table(time, angle)
     sigma, doubts, still = np.zeros(angle.shape[1]), [], []
     for j, column in enumerate(angle.T):
         seen = np.isfinite(column)
         if np.count_nonzero(seen) < 8:
             raise InputError(f"q{j + 1} has fewer than 8 readings: too few to see their noise")
         values = column[seen]
-        if np.ptp(values) == 0:
+        if np.ptp(values) < _TINY:
             still.append(j)
             continue
-        good = seen & ~_wild(time, column, 0.0)
-        blocks = _blocks(time[good], column[good])
-        sigma[j] = max(blocks.spread, _step(values) / math.sqrt(12))
+        good = np.flatnonzero(seen & ~_wild(time, column, 0.0))
+        good = good if len(good) >= 8 else np.flatnonzero(seen)
+        parts = [_blocks(time[part], column[part]).spread for part in _parts(good)]
+        sigma[j] = max(float(np.median(parts)), _step(values) / math.sqrt(12))
         floor = 1e-9 * float(np.sqrt(np.mean((values - np.median(values)) ** 2)))
         if sigma[j] < floor:
             sigma[j] = floor
@@ -87,7 +92,7 @@ def wild_samples(
 
     **Returns:** (N, n) bool; False where the sample was lost.
     """
-    time, angle = _table(time, angle)
+    time, angle = check_table(time, angle)
     least = np.broadcast_to(0.0 if noise is None else np.asarray(noise, float), angle.shape[1:])
     return np.stack(
         [_wild(time, column, float(s)) for column, s in zip(angle.T, least, strict=True)], axis=1
@@ -117,7 +122,10 @@ def _blocks(time: np.ndarray, values: np.ndarray) -> _Blocks:
     t, y = time[index], values[index]
     x = 2 * (t - t[:, :1]) / (t[:, -1:] - t[:, :1]) - 1
     top = 3 * m // 4  # the highest degrees need no names, and are ill-conditioned
+    if np.ptp(x, axis=0).max() < 1e-6 / m:
+        x = x[:1]  # evenly sampled: one basis serves all blocks
     basis = np.linalg.qr(np.polynomial.legendre.legvander(x, top - 1), mode="complete")[0]
+    basis = np.broadcast_to(basis, (len(first), m, m))
     share = np.einsum("bmk,bm->bk", basis, y - y.mean(axis=1, keepdims=True))
     # An encoder at rest says nothing of the noise, and where the motion ends must be seen where it
     # is at its largest.
@@ -126,13 +134,13 @@ def _blocks(time: np.ndarray, values: np.ndarray) -> _Blocks:
         return _Blocks(first, basis, share, 1, 0.0)
     size = np.median(np.abs(y - np.median(y, axis=1, keepdims=True)), axis=1)
     lively = moves & (size >= min(0.3 * size.max(), np.sort(size)[-min(8, len(size))]))
+    lively = np.flatnonzero(lively)
+    live = share[lively[:: max(1, len(lively) // 1000)]]
     # Down from the top while the next degree is as small as all above it, within its statistics;
     # then up again by two, past motion that was too small to be noticed.
-    limit = math.sqrt(1 + 3 * math.sqrt(4 / np.count_nonzero(lively)))
+    limit = math.sqrt(1 + 3 * math.sqrt(4 / len(live)))
     degree = top
-    while degree > 1 and _spread(share[lively, degree - 1]) <= limit * _spread(
-        share[lively, degree:]
-    ):
+    while degree > 1 and _spread(live[:, degree - 1]) <= limit * _spread(live[:, degree:]):
         degree -= 1
     degree = min(degree + 2, top)
     return _Blocks(first, basis, share, degree, _spread(share[moves, degree:]))
@@ -169,19 +177,25 @@ def _wild(time: np.ndarray, column: np.ndarray, least: float) -> np.ndarray:
     """`wild_samples` of one joint; `least` is the smallest sigma to believe."""
     flagged = np.zeros(len(column), dtype=bool)
     seen = np.flatnonzero(np.isfinite(column))
-    if len(seen) < 8 or np.ptp(column[seen]) == 0:
+    if len(seen) < 8 or np.ptp(column[seen]) < _TINY:
         return flagged
     least = max(least, _step(column[seen]) / math.sqrt(12))
-    # A second look without the first one's finds sees what those had hidden.
-    for _ in range(2):
-        kept = seen[~flagged[seen]]
-        if len(kept) < 8:
-            break
-        found = _stand_out(_blocks(time[kept], column[kept]), column[kept], least)
-        flagged[kept[found]] = True
-        if not found.any():
-            break
+    for part in _parts(seen):
+        # A second look without the first one's finds sees what those had hidden.
+        for _ in range(2):
+            kept = part[~flagged[part]]
+            if len(kept) < 8:
+                break
+            found = _stand_out(_blocks(time[kept], column[kept]), column[kept], least)
+            flagged[kept[found]] = True
+            if not found.any():
+                break
     return flagged
+
+
+def _parts(index: np.ndarray) -> list[np.ndarray]:
+    """`index` in pieces that fit in memory."""
+    return np.array_split(index, math.ceil(len(index) / 100_000))
 
 
 def _stand_out(blocks: _Blocks, values: np.ndarray, least: float) -> np.ndarray:
@@ -198,8 +212,8 @@ def _stand_out(blocks: _Blocks, values: np.ndarray, least: float) -> np.ndarray:
     for b in np.flatnonzero(score.max(axis=1) > 3.5 * tail):
         pick = _explain(noise[b] @ noise[b].T, rest[b] / tail)
         index = blocks.first[b] + np.arange(m)
-        # What motion itself can do within a sample is a part of its acceleration.
-        bend = 0.3 * float(np.median(np.abs(np.diff(values[index], 2)))) / (sigma * tail)
+        # A knock may be as sharp as a spike, but is no larger than a part of the acceleration.
+        bend = 0.3 * float(np.quantile(np.abs(np.diff(values[index], 2)), 0.75)) / sigma
         # Each reading is judged in the block that has it well inside, if there is one.
         start = 0 if b == 0 else m // 4
         stop = m if b == len(blocks.first) - 1 else m - m // 4
@@ -236,10 +250,6 @@ def _explain(room: np.ndarray, rest: np.ndarray) -> dict[int, float]:
     return dict(zip(picked, size.tolist(), strict=True))
 
 
-_HAIR = 1e-6
-"""A ridge: a reading that is free already has no room left."""
-
-
 def _best_run(room: np.ndarray, rest: np.ndarray) -> list[int] | None:
     """The run of up to four readings that explains most, if it is surely more than noise."""
     best, run = _SURE**2, None
@@ -252,8 +262,3 @@ def _best_run(room: np.ndarray, rest: np.ndarray) -> list[int] | None:
         if gain.max() > best:
             best, run = float(gain.max()), at[int(gain.argmax())].tolist()
     return run
-
-
-def _table(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    time, angle = np.asarray(time, dtype=float), np.asarray(angle, dtype=float)
-    return time, angle[:, None] if angle.ndim == 1 else angle

@@ -11,11 +11,43 @@ towards a later one, but do not bend the law.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
-from ._input import InputError
+from ._arrays import LEAST, check_enough, check_table
+from ._input import InputError, number, quote
 from ._noise import wild_samples
+
+
+def window(time: np.ndarray, angle: np.ndarray, start: Any, stop: Any) -> slice:
+    """The samples from `start` to `stop`, in s or None; `start` may be "release"."""
+    if len(time) < LEAST:
+        check_enough(angle, part=False)
+    step = float(np.median(np.diff(time)))
+    # A stop of 20 s belongs to 2000 samples at 100 Hz, the last of which is at 19.99 s.
+    room, hair = 2 * step, 1e-6 * step
+    within = f"must be within the recording, {time[0]:g} to {time[-1]:g} s on its own clock"
+    low, high = 0, len(time)
+    if stop is not None:
+        stop = number("stop", stop, "s")
+        if not time[0] <= stop <= time[-1] + room:
+            raise InputError(f"stop = {stop:g} s: {within}")
+        high = int(np.searchsorted(time, stop + hair, side="right"))
+    if isinstance(start, str):
+        if start != "release":
+            raise InputError(f'start = {quote(start)}: must be a number (s) or "release"')
+        check_enough(angle[:high], part=True)
+        start = release_time(time[:high], angle[:high])
+        low = int(np.searchsorted(time, start - hair))
+    elif start is not None:
+        start = number("start", start, "s")
+        if not time[0] - room <= start <= time[-1]:
+            raise InputError(f"start = {start:g} s: {within}")
+        if stop is not None and start >= stop:
+            raise InputError(f"start = {start:g} s: must be before stop = {stop:g} s")
+        low = int(np.searchsorted(time, start - hair))
+    return slice(low, high)
 
 
 def release_time(time: np.ndarray, angle: np.ndarray) -> float:
@@ -26,11 +58,8 @@ def release_time(time: np.ndarray, angle: np.ndarray) -> float:
 
     **Arguments:** `time` (N,) s, increasing; `angle` (N, n) rad or m, NaN where a sample was lost.
     """
-    time = np.asarray(time, dtype=float)
-    angle = np.asarray(angle, dtype=float)
-    angle = angle[:, None] if angle.ndim == 1 else angle
-    if len(time) < 20 or (np.isfinite(angle).sum(axis=0) < 20).any():
-        raise InputError('start = "release": too few readings to find where the free decay begins')
+    time, angle = check_table(time, angle)
+    check_enough(angle, part=False)
     clock, motion = _even(time, angle)
     motion = motion - np.median(motion[-(len(motion) // 4) :], axis=0)
     size = np.abs(motion).max(axis=0)
@@ -122,7 +151,7 @@ def _misfit(q: np.ndarray, v: np.ndarray, a: np.ndarray, live: np.ndarray) -> np
     for j in range(a.shape[1]):
         sign = np.tanh(v[:, j] / max(0.05 * np.abs(v[:, j]).max(), 1e-300))
         causes = np.column_stack([q, v, sign, np.ones(len(q))])
-        weight = np.ones(len(live))
+        weight, law = np.ones(len(live)), np.zeros(causes.shape[1])
         for _ in range(15):  # least absolute deviations: a quick pull is outvoted
             matrix, right = causes[live] * weight[:, None], a[live, j] * weight
             law = np.linalg.lstsq(matrix, right, rcond=None)[0]

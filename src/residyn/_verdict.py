@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._units import ratio
+from ._units import plain, ratio
 from .fit.result import Fit, RecordingFit
 
 EXPLAINED = 1.2
@@ -85,7 +85,7 @@ def verdict(fit: Fit) -> str:
     if explained(fit):
         words = f"The model explains the motion down to the noise: it leaves {_each(errors)}."
     else:
-        words = f"The model misses something: it leaves {_each(errors)}."
+        words = f"The model misses something: it leaves {_each(errors, shares=True)}."
     held_out = [e.check_ratio for e in errors if e.check_ratio is not None]
     if held_out:
         ratios = _listed([ratio(r) for r in held_out])
@@ -111,15 +111,15 @@ def chi2_words(chi2: float) -> str:
     return "much more is left than the noise alone would leave: something is missing in the model"
 
 
-def _each(errors: Sequence[JointError]) -> str:
-    return _listed(
-        [
-            f"{ratio(e.ratio)} times the noise at the {e.joint}"
-            if not i
-            else f"{ratio(e.ratio)} times at the {e.joint}"
-            for i, e in enumerate(errors)
-        ]
-    )
+def _each(errors: Sequence[JointError], shares: bool = False) -> str:
+    words = []
+    for error in errors:
+        noise, motion = ("", "") if words else (" the noise", " of the motion")
+        part = f"{ratio(error.ratio)} times{noise} at the {error.joint}"
+        if shares:
+            part += f" ({plain(100 * error.share, 2)} %{motion})"
+        words.append(part)
+    return _listed(words)
 
 
 def _listed(words: Sequence[str]) -> str:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, ScalarLike
+from jaxtyping import Array, Float
 
-from .motion import Joints
+from .motion import Joints, Scalar
 
 if TYPE_CHECKING:  # `mechanism + effect` is a Model, which comes later in the import order
     from .model import Model
@@ -57,7 +57,7 @@ class AbstractMechanism(eqx.Module):
             "angles, which gravity needs; use [arm], or a mechanism with a link_angles method"
         )
 
-    def kinetic_energy(self, q: Joints, v: Joints) -> ScalarLike:
+    def kinetic_energy(self, q: Joints, v: Joints) -> Scalar:
         """(1/2) v'Z(q) v, J."""
         return 0.5 * _dot(v, tuple(_dot(row, v) for row in self.mass_matrix(q)))
 
@@ -68,7 +68,7 @@ class AbstractMechanism(eqx.Module):
         return Model(self) + effect
 
 
-def _dot(x: Joints, y: Joints) -> ScalarLike:
+def _dot(x: Joints, y: Joints) -> Scalar:
     return sum(a * b for a, b in zip(x, y, strict=True))
 
 

@@ -20,7 +20,7 @@ from .parameter import Parameter, parameters_of
 
 
 class Number(NamedTuple):
-    """One number of a model: its public name, its meaning, the joint's index (None: no one joint)."""
+    """One number of a model: its public name, its meaning, its joint (None: of no one joint)."""
 
     name: str
     meaning: Parameter

@@ -13,9 +13,12 @@ times faster than small arrays.
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, ScalarLike
+from jaxtyping import Array, Float
 
-Joints = tuple[ScalarLike, ...]
+Scalar = Float[Array, ""] | float
+"""An array of no dimensions, or a plain number."""
+
+Joints = tuple[Scalar, ...]
 """One scalar per joint."""
 
 
@@ -25,13 +28,13 @@ class Motion(NamedTuple):
     `direction` is +1 or -1 where a joint slides, and the held fraction in between where it sticks.
     """
 
-    t: ScalarLike
+    t: Scalar
     q: Joints
     v: Joints
     direction: Joints
 
     @classmethod
-    def at(cls, t: ScalarLike, q, v) -> "Motion":
+    def at(cls, t: Scalar, q, v) -> "Motion":
         """From any sequences of n scalars, arrays included; `direction` is the sign of `v`."""
         v = split(v)
         return cls(t, split(q), v, tuple(jnp.sign(x) for x in v))
@@ -44,10 +47,10 @@ class Motion(NamedTuple):
 class JointMotion(NamedTuple):
     """One instant of one joint: the entries of `Motion` as scalars."""
 
-    t: ScalarLike
-    q: ScalarLike
-    v: ScalarLike
-    direction: ScalarLike
+    t: Scalar
+    q: Scalar
+    v: Scalar
+    direction: Scalar
 
 
 def split(x) -> tuple:

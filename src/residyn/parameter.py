@@ -1,9 +1,9 @@
 """What a number means.
 
 A fit moves plain numbers; a person reads stiffnesses, torques and angles. `param` ties the two
-together: an effect declares each of its numbers once, as a field with its meaning (words, dimension,
-allowed sign, the *silent value* at which the effect is exactly absent), and everything that needs
-the meaning (units in a table, the scale of a step, the bounds of a search) reads it from there.
+together: an effect declares each of its numbers once, as a field with its meaning (words,
+dimension, allowed sign, the *silent value* at which the effect is exactly absent), and everything
+that needs the meaning (units in a table, the scale of a step, bounds) reads it from there.
 """
 
 import dataclasses
@@ -94,15 +94,15 @@ def param(
       the dimension's typical size.
     - `name`: what users call it, where that differs from the field's name.
     """
-    meaning = dict(
-        name=name,
-        words=words,
-        dimension=dimension,
-        sign=sign,
-        silent=silent,
-        fitted=fitted,
-        grid=grid,
-    )
+    meaning = {
+        "name": name,
+        "words": words,
+        "dimension": dimension,
+        "sign": sign,
+        "silent": silent,
+        "fitted": fitted,
+        "grid": grid,
+    }
     return eqx.field(
         default=silent if default is None else default,
         converter=jnp.asarray,

@@ -20,11 +20,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, ScalarLike
+from jaxtyping import Array, Float
 
 from .model import Model, solve_inertia
 from .modes import state_matrix
-from .motion import Joints, Motion, split, stack
+from .motion import Joints, Motion, Scalar, split, stack
 
 # Largest step times fastest angular frequency. Measured on random arms (benchmarks/accuracy.py).
 SMOOTH_STEP = 0.3
@@ -49,7 +49,7 @@ class Drive(eqx.Module):
     spacing: Float[Array, ""] = eqx.field(converter=jnp.asarray)
     values: Float[Array, "M n"] = eqx.field(converter=jnp.asarray)
 
-    def __call__(self, t: ScalarLike) -> Joints:
+    def __call__(self, t: Scalar) -> Joints:
         """Torque on each joint at an instant."""
         last = self.values.shape[0] - 1
         place = jnp.clip((t - self.start) / self.spacing, 0.0, last)
@@ -144,7 +144,7 @@ class UnrolledTsit5(diffrax.AbstractSolver):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         (q, v), _ = self.advance(args, t0, t1 - t0, *map(split, y0))
         y1 = stack(q), stack(v)
-        return y1, None, dict(y0=y0, y1=y1), None, diffrax.RESULTS.successful
+        return y1, None, {"y0": y0, "y1": y1}, None, diffrax.RESULTS.successful
 
     def advance(self, args, t, h, q, v):
         """One step from (q, v): its end, and the acceleration at its beginning."""
@@ -158,10 +158,10 @@ class StickSlip(UnrolledTsit5):
         return _dry_step(args, t, h, q, v)
 
 
-def _friction(args: _Args, t, q: Joints, v: Joints) -> list[ScalarLike | None]:
+def _friction(args: _Args, t, q: Joints, v: Joints) -> list[Scalar | None]:
     """Half the jump of each joint's torque where its direction flips; None without dry friction."""
     bodies, n = args.model.bodies, len(q)
-    level: list[ScalarLike | None] = [None] * n
+    level: list[Scalar | None] = [None] * n
     for effect in args.model.effects:
         if not effect.dry:
             continue
@@ -310,7 +310,7 @@ def march(
     steps: int,
     drive: Drive | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
-    only: ScalarLike | None = None,
+    only: Scalar | None = None,
 ) -> Nodes:
     """Integrate Eq. 1 over `steps` equal steps. Any number here may be traced, `steps` may not.
 

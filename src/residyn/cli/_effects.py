@@ -27,7 +27,7 @@ def effects(
         ),
     ] = None,
 ) -> None:
-    """The catalogue of physical effects: equation, parameters, and what each looks like."""
+    """The catalogue of effects, or one of them in full."""
     with progress() as say:
         say("loading")
         from ..effects import CATALOGUE
@@ -48,7 +48,7 @@ def effects(
     else:
         _stacked(out, kinds)
     if out.is_terminal:
-        out.print("spring and damper are in every model; add others with --with NAME:JOINT.")
+        out.print("spring and damper are in every model; --with NAME adds another")
 
 
 def _numbers(kind: "type[AbstractEffect]") -> list[str]:

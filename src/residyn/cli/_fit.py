@@ -17,7 +17,7 @@ def fit(
     report: _options.Report = None,
     no_cache: _options.NoCache = False,
 ) -> None:
-    """Fit springs, dampers and any effects to the recordings of an experiment."""
+    """Fit springs, dampers and other effects to recordings."""
     if method not in _options.METHODS:
         known = " or ".join(_options.METHODS)
         raise InputError(f'--method "{method}": there is no such method; it must be {known}')

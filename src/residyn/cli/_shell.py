@@ -1,4 +1,4 @@
-"""What all commands share: exit statuses, where words go, progress, output files, JAX's settings."""
+"""What all commands share: exit statuses, words, progress, output files, JAX's settings."""
 
 import contextlib
 import json

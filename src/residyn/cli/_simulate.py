@@ -9,12 +9,11 @@ import typer
 from .._input import InputError, number
 from . import _options
 from ._experiment import fitted, input_files, load
-from ._shell import DONE, NO_NUMBERS, NoNumbers, complain, console, progress, set_up_jax
+from ._shell import DONE, NO_NUMBERS, complain, console, progress, set_up_jax
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..model import Model
     from ..recording import Experiment, Recording
 
 _Set = Annotated[
@@ -37,7 +36,7 @@ _Q0 = Annotated[
     typer.Option(
         "--q0",
         metavar="ANGLES",
-        help="Where to begin, rad (or m), as 0.25,-0.3; one number per joint.",
+        help="Where to begin, rad (or m): one number per joint, as 0.25,-0.3.",
         show_default=False,
     ),
 ]
@@ -46,7 +45,7 @@ _V0 = Annotated[
     typer.Option(
         "--v0",
         metavar="RATES",
-        help="Rates to begin with, rad/s (or m/s); one number per joint.",
+        help="Rates to begin with, rad/s (or m/s): one number per joint.",
         show_default=False,
     ),
 ]
@@ -64,49 +63,72 @@ def simulate(
     starts: _options.Starts = _options.STARTS,
     no_cache: _options.NoCache = False,
 ) -> None:
-    """Write what a model predicts: one CSV per recording of the experiment, at its times."""
+    """Write predicted recordings, one CSV file each."""
     if not 0 <= noise < float("inf"):
         raise InputError(f"--noise {noise:g}: must be a number from 0 up (rad or m)")
     numbers = _numbers(values or [])
     set_up_jax(not no_cache)
     loaded = load(experiment)
-    begin = tuple(_per_joint(o, w, loaded) for o, w in (("--q0", q0), ("--v0", v0)))
+    angles, rates = _per_joint("--q0", q0, loaded), _per_joint("--v0", v0, loaded)
     # Driven recordings of step 1 have their brakes off: springs and dampers say nothing of them.
     shown = [r for r in loaded.recordings if r.role != "inertia"]
     if not shown:
         raise InputError(f"{experiment}: has no recording of braked motion to simulate")
     paths = _paths(Path(out), shown, input_files(experiment, loaded))
-    say = console(stderr=True)
+    words, status = console(stderr=True), DONE
     if numbers:
-        predicted = _set(loaded, shown, effects or [], numbers, begin)
-        if begin[0] is None or begin[1] is None:
-            taken = " and ".join(
-                words
-                for words, given in (
-                    ("angles from the first readings, smoothed", begin[0]),
-                    ("at rest", begin[1]),
-                )
-                if given is None
-            )
-            say.print(f"beginning with {taken} (--q0 and --v0 give others)", soft_wrap=True)
-        status = DONE
+        predicted = _with_numbers(loaded, shown, effects or [], numbers, angles, rates)
+        taken = [] if angles is not None else ["angles from the first readings, smoothed"]
+        taken += [] if rates is not None else ["rates of zero"]
+        if taken:
+            words.print(f"begins with {' and '.join(taken)}; --q0 and --v0 give others")
     else:
         result = fitted(loaded, effects or [], starts)
-        say.print(str(result), soft_wrap=True)
-        by_recording = {id(r.recording): r for r in result.recordings}
-        predicted = [by_recording[id(r)].predicted for r in shown]
-        if begin != (None, None):
-            n = len(loaded.joints)
-            states = [by_recording[id(r)].state for r in shown]
-            predicted = [
-                _run(result.model, loaded, r, _or(begin[0], s[:n]), _or(begin[1], s[n:]))
-                for r, s in zip(shown, states, strict=True)
-            ]
-        status = DONE if result.converged else complain(result.reason, NO_NUMBERS)
+        words.print(str(result), soft_wrap=True)
+        if not result.converged:
+            status = complain(result.reason, NO_NUMBERS)
+        predicted = _with_fit(result, shown, angles, rates)
     _write(paths, shown, predicted, noise, seed)
     for path, recording in zip(paths, shown, strict=True):
-        print(f"{path}: {len(recording.time)} samples as in {recording.name}")
+        print(f"{path}: {len(recording.time)} samples, at the times of {recording.name}")
     raise typer.Exit(status)
+
+
+def _with_numbers(experiment, recordings, effects, numbers, angles, rates) -> "list[np.ndarray]":
+    """The motion with numbers that the user gave."""
+    with progress() as say:
+        say("loading")
+        import numpy as np
+
+        from ._predict import first_angles, model_with, motion
+
+        model = model_with(experiment, effects, numbers)
+        v0 = np.zeros(len(experiment.joints)) if rates is None else rates
+        found = []
+        for recording in recordings:
+            say(f"simulating {recording.name}")
+            q0 = first_angles(model, experiment, recording, v0) if angles is None else angles
+            found.append(motion(model, experiment, recording, q0, v0))
+        return found
+
+
+def _with_fit(fit, recordings, angles, rates) -> "list[np.ndarray]":
+    """The motion with the numbers of a fit, from its own initial states unless others are given."""
+    from ._predict import motion
+
+    beside = {id(r.recording): r for r in fit.recordings}
+    if angles is None and rates is None:
+        return [beside[id(r)].predicted for r in recordings]
+    n = len(fit.experiment.joints)
+    found = []
+    with progress() as say:
+        for recording in recordings:
+            say(f"simulating {recording.name}")
+            state = beside[id(recording)].state
+            q0 = state[:n] if angles is None else angles
+            v0 = state[n:] if rates is None else rates
+            found.append(motion(fit.model, fit.experiment, recording, q0, v0))
+    return found
 
 
 def _numbers(words: Sequence[str]) -> dict[str, float]:
@@ -137,18 +159,11 @@ def _per_joint(option: str, words: str | None, experiment: "Experiment") -> "np.
         return None
     import numpy as np
 
-    parts = words.split(",")
-    joints = experiment.joints
+    parts, joints = words.split(","), experiment.joints
     if len(parts) != len(joints):
-        raise InputError(
-            f"{option} {words}: must be {len(joints)} number{'s' * (len(joints) > 1)} separated by "
-            f"commas, for {', '.join(joints)}"
-        )
+        many = f"{len(joints)} numbers separated by commas" if len(joints) > 1 else "one number"
+        raise InputError(f"{option} {words}: must be {many}, for {', '.join(joints)}")
     return np.array([_float(option, part) for part in parts])
-
-
-def _or(given: "np.ndarray | None", otherwise: "np.ndarray") -> "np.ndarray":
-    return otherwise if given is None else given
 
 
 def _paths(folder: Path, recordings: "Sequence[Recording]", inputs: Sequence[Path]) -> list[Path]:
@@ -170,88 +185,6 @@ def _paths(folder: Path, recordings: "Sequence[Recording]", inputs: Sequence[Pat
     except OSError as error:
         raise InputError(f"--out {folder}: cannot be made ({error.strerror})") from None
     return paths
-
-
-def _set(
-    experiment: "Experiment",
-    recordings: "Sequence[Recording]",
-    effects: Sequence[str],
-    numbers: dict[str, float],
-    begin: "Sequence[np.ndarray | None]",
-) -> "list[np.ndarray]":
-    """The motion with numbers given by the user."""
-    from ..fit import mechanism_of, model_for
-
-    try:
-        model = model_for(mechanism_of(experiment, recordings[0]), effects)
-    except ValueError as error:
-        raise InputError(str(error)) from None
-    fitted = [n.name for n in model.fitted]
-    known = [n.name for n in model.numbers]
-    for name in numbers:
-        if name not in known:
-            effect = name.rpartition(".")[0]
-            hint = "" if effect in model.labels or not effect else f"; add --with {effect}?"
-            raise InputError(
-                f"--set {name}: the model has no such number{hint} (it has {', '.join(known)})"
-            )
-    missing = [name for name in fitted if name not in numbers]
-    if missing:
-        raise InputError(
-            f"--set: {', '.join(missing)} not set; set all numbers, or none to have them fitted"
-        )
-    model = model.with_values(numbers)
-    predicted = []
-    for recording in recordings:
-        v0 = _or(begin[1], recording.angle[0] * 0.0) if begin[1] is not None else None
-        rates = v0 if v0 is not None else [0.0] * len(experiment.joints)
-        angles = begin[0] if begin[0] is not None else _first(model, experiment, recording, rates)
-        predicted.append(_run(model, experiment, recording, angles, rates))
-    return predicted
-
-
-def _first(model: "Model", experiment: "Experiment", recording: "Recording", rates):
-    """Angles at the first instant: a parabola of the known slope through the first readings."""
-    import numpy as np
-
-    from ..fit import mechanism_of
-    from ..fit.problem import posed
-    from ..simulate import fastest
-
-    time = recording.time - recording.time[0]
-    # Up to here, a swing at the fastest mode is a parabola within 0.3 %.
-    window = 0.5 / max(fastest(posed(model, mechanism_of(experiment, recording))), 1e-9)
-    angles = []
-    for joint, rate in enumerate(rates):
-        seen = np.flatnonzero(np.isfinite(recording.angle[:, joint]))
-        use = seen[: max(5, int(np.searchsorted(time[seen], window)))]
-        t, q = time[use], recording.angle[use, joint] - rate * time[use]
-        size = t[-1] or 1.0
-        columns = np.stack([np.ones_like(t), (t / size) ** 2], axis=1)
-        angles.append(np.linalg.lstsq(columns, q, rcond=None)[0][0])
-    return np.array(angles)
-
-
-def _run(model: "Model", experiment: "Experiment", recording: "Recording", q0, v0) -> "np.ndarray":
-    """The motion of one recording's bodies at its times."""
-    import numpy as np
-
-    from ..fit import mechanism_of
-    from ..fit.problem import posed
-    from ..simulate import Drive, simulate
-
-    time, drive = recording.time, None
-    if recording.drive is not None:
-        grid = np.linspace(time[0], time[-1], len(time))
-        values = np.stack([np.interp(grid, time, u) for u in recording.drive.T], axis=1)
-        drive = Drive(grid[0], grid[1] - grid[0], values)
-    with progress() as say:
-        say(f"simulating {recording.name}")
-        here = posed(model, mechanism_of(experiment, recording))
-        motion = np.asarray(simulate(here, time, q0, v0, drive=drive).q)
-    if not np.isfinite(motion).all():
-        raise NoNumbers(f"{recording.name}: with these numbers the motion runs away")
-    return motion
 
 
 def _write(

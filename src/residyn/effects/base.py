@@ -11,10 +11,9 @@ import abc
 from typing import ClassVar
 
 import equinox as eqx
-from jaxtyping import ScalarLike
 
 from ..mechanism import AbstractMechanism
-from ..motion import JointMotion, Joints, Motion
+from ..motion import JointMotion, Joints, Motion, Scalar
 
 
 class AbstractEffect(eqx.Module):
@@ -73,7 +72,7 @@ class JointEffect(AbstractEffect):
         return f"{self.name}:{self.joint}"
 
     @abc.abstractmethod
-    def joint_torque(self, motion: JointMotion) -> ScalarLike:
+    def joint_torque(self, motion: JointMotion) -> Scalar:
         """Its torque, given the motion of its joint alone (every entry of `motion` a scalar)."""
 
     def torque(self, motion, mechanism):

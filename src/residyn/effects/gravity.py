@@ -1,32 +1,31 @@
 """Gravity in the plane of motion: a tilted table or, at 90 degrees, a pendulum."""
 
-import math
-
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..parameter import DIRECTION, TORQUE, param
+from ..parameter import TORQUE, param
 from .base import AbstractEffect
 
 
 class Gravity(AbstractEffect):
     """Gravity on each link, in the sine of the link's absolute angle, not linearised.
 
-    With phi_1 = q1 and phi_2 = q1 + theta_2 + q2, link i pulls with M_i sin(phi_i - direction) on
-    every joint that carries it. M_1 = (m1 rho1 + m2 l1) g and M_2 = m2 rho2 g for a pendulum, times
-    sin(tilt) for a tilted table. `direction` is the angle at which the links would hang.
+    With phi_1 = q1 and phi_2 = q1 + theta_2 + q2, link i pulls with
+    `M_i sin(phi_i) + L_i cos(phi_i)` on every joint that carries it. For a pendulum whose links hang
+    at phi = 0, M_1 = (m1 rho1 + m2 l1) g, M_2 = m2 rho2 g and L = 0; for a table tilted by an angle
+    in a direction d (that of the pull, from phi = 0), M = (...) g sin(tilt) cos(d) and
+    L = -(...) g sin(tilt) sin(d). Both enter linearly, so that no angle of tilt is special.
     """
 
     name = "gravity"
-    equation = "M1 sin(phi1 - d) + M2 sin(phi2 - d)  on the links' absolute angles"
+    equation = "sum of M_i sin(phi_i) + L_i cos(phi_i), phi_i the links' absolute angles"
     looks_like = "frequency falls with amplitude; rest shifts on a tilted table"
-    source = "Lagrange, with V = -sum M_i cos(phi_i - d)"
+    source = "Lagrange, with V = sum of -M_i cos(phi_i) + L_i sin(phi_i)"
 
-    moment1: Float[Array, ""] = param("gravity moment of link 1 (and what it carries)", TORQUE)
-    moment2: Float[Array, ""] = param("gravity moment of link 2", TORQUE)
-    direction: Float[Array, ""] = param(
-        "angle at which the links would hang", DIRECTION, grid=(0.0, math.pi / 2)
-    )
+    moment1: Float[Array, ""] = param("pull of link 1 (and what it carries) towards 0", TORQUE)
+    moment2: Float[Array, ""] = param("pull of link 2 towards 0", TORQUE)
+    lateral1: Float[Array, ""] = param("pull of link 1 across", TORQUE)
+    lateral2: Float[Array, ""] = param("pull of link 2 across", TORQUE)
 
     @classmethod
     def places(cls, mechanism):
@@ -34,10 +33,11 @@ class Gravity(AbstractEffect):
         return ()
 
     def torque(self, motion, mechanism):
+        parts = ((self.moment1, self.lateral1), (self.moment2, self.lateral2))
         pull = tuple(
-            moment * jnp.sin(angle - self.direction)
-            for moment, angle in zip(
-                (self.moment1, self.moment2), mechanism.link_angles(motion.q), strict=False
+            moment * jnp.sin(angle) + lateral * jnp.cos(angle)
+            for (moment, lateral), angle in zip(
+                parts, mechanism.link_angles(motion.q), strict=False
             )
         )
         # Link i turns with every joint before it: joint j feels the links from j on.

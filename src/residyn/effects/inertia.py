@@ -49,9 +49,7 @@ class InertiaError(AbstractEffect):
 
     name = "inertia_error"
     equation = "Z(q) with shoulder, elbow or coupling times (1 + e)"
-    looks_like = (
-        "modes and mode shapes off together; alone from free motion only as a ratio (Eq. 9)"
-    )
+    looks_like = "modes and mode shapes off together; free motion shows only ratios (Eq. 9)"
     source = "paper, Eq. 9 and section 2.2"
 
     part: str = eqx.field(static=True)

@@ -74,8 +74,8 @@ def in_words(model: Model, groups: Sequence[tuple[int, ...]]) -> list[str]:
         members = [names[i] for i in group]
         if any(m.startswith("inertia_error") for m in members):
             said.append(
-                "inertia and stiffness cannot both be found from free motion: scaling all inertias, "
-                "stiffnesses and dampings alike leaves the motion unchanged (Eq. 9); these data "
+                "inertia and stiffness cannot both be found from free motion: scaling all "
+                "inertias, stiffnesses and dampings alike leaves it unchanged (Eq. 9); these data "
                 f"determine only ratios of {', '.join(members)}: measure the inertias first, "
                 "with a known drive torque"
             )

@@ -2,8 +2,8 @@
 
 The unknowns are the model's numbers, shared by all recordings, and each recording's own initial
 state, which nobody measured. One recording's residual depends on the numbers and its own state
-only, so its Jacobian has few columns; from the Jacobian J and the residual r of a recording, only the
-small triangular factor of J'J, the projection of r on J's columns and what is left of r matter to
+only, so its Jacobian J has few columns; and of J and the residual r only the small triangular
+factor of J'J, the projection of r on J's columns and the length of what is left of r matter to
 least squares. `compressed` returns just these. They stand in for thousands of residuals exactly:
 same cost, same gradient, same Gauss-Newton matrix. So the optimiser's own algebra costs nothing,
 and its cost does not grow with the number of samples.
@@ -16,10 +16,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, ScalarLike
+from jaxtyping import Array, Float
 
 from ..mechanism import AbstractMechanism
 from ..model import Model
+from ..motion import Scalar
 from ..recording import Recording
 from ..simulate import Drive, march, read_slots
 
@@ -199,7 +200,7 @@ class Compressed(NamedTuple):
 
 
 @eqx.filter_jit  # inside a larger program too: it is traced once where it is used many times
-def compressed(problem: Problem, y: Unknowns, only: ScalarLike | None = None) -> Compressed:
+def compressed(problem: Problem, y: Unknowns, only: Scalar | None = None) -> Compressed:
     """Residual and Jacobian at scaled unknowns, compressed; `only`: of the first so many steps."""
     numbers = problem.scale.numbers.shape[0]
 

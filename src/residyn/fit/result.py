@@ -42,7 +42,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Mode:
-    """One mode of the linearised model: natural frequency in Hz, damping ratio, and their errors."""
+    """One mode of the linearised model: natural frequency (Hz), damping ratio, their errors."""
 
     frequency_hz: float
     frequency_hz_std: float

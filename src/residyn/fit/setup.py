@@ -101,7 +101,12 @@ class Ready(NamedTuple):
         # No mode above the sampling's own limit can have been seen, none below one cycle matters.
         least = max(2 * math.pi / r.duration for r in self.recordings)
         most = max(math.pi / float(np.median(np.diff(r.time))) for r in self.recordings)
-        return float(np.clip(fast if np.isfinite(fast) else most, least, most))
+        # In a wide swing the angles themselves turn the forces round.
+        units = begin.mechanism.units or ("rad",) * len(begin.mechanism.joints)
+        rotary = np.array([u == "rad" for u in units])
+        turning = max(float(_rate(r)[rotary].max(initial=0.0)) for r in self.recordings)
+        fast = math.hypot(fast, turning) if math.isfinite(fast) else most
+        return min(max(fast, least), most)
 
     def _steps(self, begin: Model, frequency: float) -> int:
         """How many integration steps the longest recording needs."""
@@ -151,6 +156,16 @@ def _amplitude(recording: Recording) -> np.ndarray:
     """(n,) rms angle about the middle of its range of values, at least a few sigma."""
     about = recording.angle - np.nanmedian(recording.angle, axis=0)
     return np.maximum(np.sqrt(np.nanmean(about**2, axis=0)), 3 * recording.noise)
+
+
+def _rate(recording: Recording) -> np.ndarray:
+    """(n,) highest sustained rate of each joint, rad/s or m/s, from differences above the noise."""
+    lag = min(4, len(recording.time) - 1)
+    moved = np.abs(recording.angle[lag:] - recording.angle[:-lag])
+    moved = np.maximum(moved - 4 * recording.noise, 0.0)
+    rates = moved / (recording.time[lag:] - recording.time[:-lag])[:, None]
+    rates[~np.isfinite(rates)] = 0.0
+    return np.quantile(rates, 0.99, axis=0)
 
 
 def _first_state(recording: Recording, wild: np.ndarray, frequency: float) -> np.ndarray:

@@ -24,6 +24,7 @@ import numpy as np
 from ..model import Model
 from ..motion import Motion, split, stack
 from ..recording import Recording
+from .problem import bucket
 
 _POWER = 5  # (1 - s^2)^5 is smooth enough at its ends for two derivatives
 _NARROWEST = 4  # samples in half a kernel
@@ -120,19 +121,17 @@ def closed_form(
     **Returns:** the candidates, the least uncertain first; empty if the model has no numbers.
     """
     grids = [uniform(r, w) for r, w in zip(recordings, wild, strict=True)]
-    shortest, longest = min(len(g.q) for g in grids), max(len(g.q) for g in grids)
-    halves = [round(_NARROWEST * 1.5**i) for i in range(_LADDER)]
-    halves = [h for h in halves if h <= max(_NARROWEST, shortest // 8)]
+    shortest, longest = min(len(g.q) for g in grids), bucket(max(len(g.q) for g in grids))
+    halves = np.array([round(_NARROWEST * 1.5**i) for i in range(_LADDER)])
+    fits = halves <= max(_NARROWEST, shortest // 8)
     rows = []
-    for half, (grid, recording) in itertools.product(halves, zip(grids, recordings, strict=True)):
-        parts = smooth(grid, half, recording.noise)
-        pad = longest - len(grid.q)
-        rows.append([np.pad(p, [(0, pad)] + [(0, 0)] * (p.ndim - 1)) for p in parts])
-    shape = (len(halves), len(grids))
-    arrays = [
-        np.stack(column).reshape(*shape, longest, *column[0].shape[1:])
-        for column in zip(*rows, strict=True)
-    ]
+    for half in np.where(fits, halves, _NARROWEST):  # always as many: one compiled program
+        for grid, recording in zip(grids, recordings, strict=True):
+            parts = smooth(grid, int(half), recording.noise)
+            pad = longest - len(grid.q)
+            rows.append([np.pad(p, [(0, pad)] + [(0, 0)] * (p.ndim - 1)) for p in parts])
+    arrays = [np.stack(column) for column in zip(*rows, strict=True)]
+    arrays = [x.reshape(_LADDER, len(grids), *x.shape[1:]) for x in arrays]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *models)
     beginnings = _grid(models[0])
     numbers, spread = jax.device_get(
@@ -140,7 +139,7 @@ def closed_form(
     )
     # Overlapping kernels share their noise: a kernel of half-width h leaves about 1/h as many
     # independent equations.
-    spread = spread + 0.5 * np.log(np.asarray(halves, float))[:, None]
+    spread = spread + np.where(fits, 0.5 * np.log(halves), np.inf)[:, None]
     numbers, spread = numbers.reshape(-1, numbers.shape[-1]), spread.reshape(-1)
     spread = np.where(np.isfinite(numbers).all(axis=1), spread, np.inf)
     order = np.argsort(spread, kind="stable")

@@ -62,8 +62,8 @@ def _misfit(fit: Fit) -> list[str]:
         worst = int(np.argmax(fit.rmse / fit.noise))
         unit = f" {units[worst]}" if units else ""
         return [
-            f"the residual at {fit.joints[worst]} is {fit.rmse[worst] / fit.noise[worst]:.3g} times "
-            f"the noise ({fit.noise[worst]:.3g}{unit}): the model misses something, and the "
+            f"the residual at {fit.joints[worst]} is {fit.rmse[worst] / fit.noise[worst]:.3g} "
+            f"times the noise ({fit.noise[worst]:.3g}{unit}): the model misses something, and the "
             "errors above, which assume white noise, are too small"
         ]
     if fit.reduced_chi2 < _SMALL:

@@ -23,26 +23,27 @@ def errors(fits: Sequence[Fit], names: Sequence[str], *, narrow: bool = False) -
     bars = 2 if any(f.check_rmse is not None for f in fits) else 1
     panel = (0.3 * bars + 0.22) * len(fits) + 0.75
     rows, columns = (len(joints), 1) if narrow else (1, len(joints))
-    width = NARROW if narrow else WIDE if len(joints) > 1 else 0.7 * WIDE
+    width = NARROW if narrow else WIDE
     figure = Figure(figsize=(width, rows * panel + 0.4), layout="constrained")
     axes = figure.subplots(rows, columns, sharey=not narrow, squeeze=False).ravel()
     for joint, ax in enumerate(axes):
-        noise = float(np.sqrt(np.mean([f.noise[joint] ** 2 for f in fits])))
-        kinds = [("fitted recordings", MODEL, [float(f.rmse[joint]) for f in fits])]
+        noise, check_noise = (_noise(fits[0], joint, held_out) for held_out in (False, True))
+        fitted = [float(f.rmse[joint]) for f in fits]
+        kinds = [("fitted recordings", MODEL, noise, fitted)]
         if bars == 2:
             held = [f.check_rmse for f in fits]
             values = [float("nan") if h is None else float(h[joint]) for h in held]
-            kinds.append(("held-out recordings", HELD_OUT, values))
+            kinds.append(("held-out recordings", HELD_OUT, check_noise, values))
         longest = max(largest(np.asarray(values)) for *_, values in kinds)
         factor, label = prefixed(units[joint], longest)
-        for kind, (words, colour, values) in enumerate(kinds):
+        for kind, (words, colour, own, values) in enumerate(kinds):
             place = np.arange(len(fits)) + (kind - (bars - 1) / 2) * 0.38
             ax.barh(place, np.asarray(values) / factor, 0.34, color=colour, label=words, zorder=2)
             for y, value in zip(place, values, strict=True):
                 if np.isfinite(value):
                     size = f"{plain(value / factor, 2)} {label}".strip()
                     ax.annotate(
-                        f"{size} = {ratio(value / noise)} × noise",
+                        f"{size} = {ratio(value / own)} × noise",
                         (max(value, noise) / factor, y),
                         xytext=(5, 0),
                         textcoords="offset points",
@@ -61,6 +62,12 @@ def errors(fits: Sequence[Fit], names: Sequence[str], *, narrow: bool = False) -
     handles = [*handles[1:], handles[0]]  # the line after the bars
     figure.legend(handles=handles, loc="outside upper left", ncols=2 if narrow else 3)
     return figure
+
+
+def _noise(fit: Fit, joint: int, held_out: bool) -> float:
+    """Sigma of a reading in the fitted or in the held-out recordings; NaN if there are none."""
+    each = [r.recording for r in fit.recordings if (r.recording.role == "check") == held_out]
+    return float(np.sqrt(np.mean([r.noise[joint] ** 2 for r in each]))) if each else float("nan")
 
 
 def _broken(words: str, most: int) -> str:

@@ -14,6 +14,7 @@ from .._units import prefixed
 from ..fit.result import Fit, Mode, RecordingFit
 from ._style import (
     BAND,
+    DASHED,
     FAINT,
     MEASURED,
     MODEL,
@@ -175,6 +176,8 @@ def _draw(main: Axes, strip: Axes, fit: Fit, each: RecordingFit, joint: int, win
     left, sigma = residual[window, joint] / factor, sigma / factor
     strip.axhspan(-2 * sigma, 2 * sigma, color=BAND, lw=0, zorder=0)
     strip.axhline(0, color=FAINT, lw=0.6, zorder=1)
+    for edge in (-2 * sigma, 2 * sigma):  # seen through a residual that fills the band
+        strip.axhline(edge, color=FAINT, lw=0.5, ls=DASHED, zorder=3)
     strip.plot(*_thinned(time, left, strip), color=RESIDUAL, lw=0.8, zorder=2)
     reach = 1.08 * max(largest(left), 3 * sigma)
     strip.set_ylim(-reach, reach)

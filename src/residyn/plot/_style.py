@@ -51,8 +51,9 @@ def styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
 
     @functools.wraps(draw)
     def wrapped(*args: _P.args, **named: _P.kwargs) -> Figure:
-        defaults = {k: v for k, v in mpl.rcParamsDefault.items() if k != "backend"}
-        with mpl.rc_context({**defaults, **_STYLE}):
+        settings: dict[Any, Any] = {**mpl.rcParamsDefault, **_STYLE}
+        del settings["backend"]
+        with mpl.rc_context(settings):
             return draw(*args, **named)
 
     return wrapped

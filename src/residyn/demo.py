@@ -1,0 +1,42 @@
+"""The demo: a recording that ships with the package, and where along it a model fails.
+
+A spring-and-damper model of the shipped recording looks good on a plot and is wrong all the same.
+What shows it is the residual, window by window, in units of the noise: a model that lacks nothing
+leaves 1 everywhere.
+"""
+
+import contextlib
+import importlib.resources
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from .fit.result import RecordingFit
+
+HIDDEN = "coulomb_friction:elbow"
+"""The effect that the recording was made with, beside springs and dampers."""
+
+
+@contextlib.contextmanager
+def experiment_file() -> Iterator[Path]:
+    """The shipped experiment as a file, wherever and however the package is installed."""
+    folder = importlib.resources.files("residyn") / "data" / "demo"
+    with importlib.resources.as_file(folder) as here:
+        yield here / "experiment.toml"
+
+
+def by_window(beside: RecordingFit, count: int = 8) -> tuple[np.ndarray, np.ndarray]:
+    """The residual over equal windows of time, in units of the noise.
+
+    **Returns:** the windows' edges, (count + 1,) s; the rms residual over the noise, (count, n),
+    NaN in a window without readings.
+    """
+    time = beside.recording.time
+    edges = np.linspace(time[0], time[-1], count + 1)
+    window = np.clip(np.searchsorted(edges, time, side="right") - 1, 0, count - 1)
+    unit = np.where(beside.used, beside.residual / beside.recording.noise, 0.0)
+    square, readings = np.zeros((2, count, unit.shape[1]))
+    np.add.at(square, window, unit**2)
+    np.add.at(readings, window, beside.used)
+    return edges, np.sqrt(square / np.where(readings > 0, readings, np.nan))

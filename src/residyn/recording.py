@@ -1,0 +1,268 @@
+"""Recordings and experiments: what was measured, on what, and whether it makes sense.
+
+A `Recording` is one run of readings, cut to the part that counts, with the sigma of one reading. An
+`Experiment` is the inertia of the thing that moved, and its recordings; `load` reads one from a
+TOML file and the CSV files it names. Nothing here knows a model. Everything wrong with a file or an
+argument raises `InputError` with one clear line; whatever is merely doubtful is a warning.
+"""
+
+import dataclasses
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ._arrays import (
+    check_drive,
+    check_enough,
+    check_noise,
+    check_table,
+    doubtful_clock,
+)
+from ._csv import read_csv, write_csv
+from ._input import InputError, decode, flag, inside, number, read_text
+from ._noise import estimate_noise, noise_and_doubts, wild_samples
+from ._release import release_time, window
+from ._tables import ArmTable, Bearing, InertiaTable, check_bearings
+from ._toml import check_role, parse
+
+__all__ = [
+    "ArmTable",
+    "Bearing",
+    "Experiment",
+    "InertiaTable",
+    "InputError",
+    "Recording",
+    "estimate_noise",
+    "load",
+    "read_csv",
+    "release_time",
+    "wild_samples",
+    "write_csv",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One run of readings. Make it with `Recording.from_arrays`, which checks and cuts it."""
+
+    name: str
+    """File name as the experiment has it, or as given."""
+    time: np.ndarray
+    """(N,) s, strictly increasing, on the recording's own clock."""
+    angle: np.ndarray
+    """(N, n) rad or m; NaN where a sample was lost."""
+    drive: np.ndarray | None
+    """(N, n) N m or N, or None for free motion."""
+    noise: np.ndarray
+    """(n,) sigma of one reading, rad or m."""
+    noise_given: bool
+    """False where the noise was estimated from the data."""
+    theta2: float = 0.0
+    """Elbow angle at rest, rad (arm only)."""
+    role: str = "fit"
+    """"fit", "check" or "inertia"."""
+    air_bearings: bool = True
+    """Whether the bearings were on."""
+    extra_mass: float = 0.0
+    """Load on the first coordinate, kg (constant inertia only)."""
+    warnings: tuple[str, ...] = ()
+    """What is doubtful, a line each that names the recording."""
+
+    @classmethod
+    def from_arrays(
+        cls,
+        time: Any,
+        angle: Any,
+        *,
+        drive: Any = None,
+        noise: Any = None,
+        theta2: float = 0.0,
+        role: str = "fit",
+        name: str = "recording",
+        start: float | str | None = None,
+        stop: float | None = None,
+        air_bearings: bool = True,
+        extra_mass: float = 0.0,
+    ) -> "Recording":
+        """Check a recording, cut it from `start` to `stop`, estimate its noise if not given.
+
+        **Arguments:**
+
+        - `time`: (N,) s, strictly increasing.
+        - `angle`: (N,) or (N, n) rad or m; NaN where a sample was lost.
+        - `drive`: shaped as `angle`, N m or N; NaN is interpolated over.
+        - `noise`: sigma of one reading, a number or one per joint.
+        - `start`, `stop`: s on the recording's own clock; `start` may be "release", the instant
+          from which the motion is free.
+        - the others: the fields of the same name.
+        """
+        name = str(name)
+        with inside(name):
+            time, angle = check_table(time, angle)
+            force, warnings = check_drive(drive, time, angle)
+            part = window(time, angle, start, stop)
+            time, angle = time[part], angle[part]
+            force = None if force is None else force[part]
+            check_enough(angle, part=start is not None or stop is not None)
+            warnings += doubtful_clock(time)
+            if noise is None:
+                sigma, doubts = noise_and_doubts(time, angle)
+            else:
+                sigma = check_noise(noise, angle.shape[1])
+                still = np.nanmax(angle, axis=0) == np.nanmin(angle, axis=0)
+                doubts = [
+                    f"q{j + 1} never moves: all its readings are the same"
+                    for j in np.flatnonzero(still)
+                ]
+            for array in (time, angle, force, sigma):
+                if array is not None:
+                    array.flags.writeable = False
+            return cls(
+                name=name,
+                time=time,
+                angle=angle,
+                drive=force,
+                noise=sigma,
+                noise_given=noise is not None,
+                theta2=number("theta2", theta2, "rad"),
+                role=check_role(role),
+                air_bearings=flag("air_bearings", air_bearings),
+                extra_mass=number("extra_mass", extra_mass, "kg", least=0),
+                warnings=tuple(f"{name}: {warning}" for warning in [*warnings, *doubts]),
+            )
+
+    @property
+    def duration(self) -> float:
+        """From the first sample to the last, s."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def joints(self) -> int:
+        """How many joints were read."""
+        return self.angle.shape[1]
+
+    @property
+    def lost(self) -> int:
+        """How many readings were lost, all joints together."""
+        return int(np.count_nonzero(np.isnan(self.angle)))
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """The inertia of what moved, and its recordings."""
+
+    inertia: ArmTable | InertiaTable
+    recordings: tuple[Recording, ...]
+    bearings: tuple[Bearing, ...] = ()
+    path: str = ""
+
+    def __post_init__(self):
+        object.__setattr__(self, "recordings", tuple(self.recordings))
+        object.__setattr__(self, "bearings", tuple(self.bearings))
+        check_bearings(self.inertia, self.bearings)
+        for recording in self.recordings:
+            if recording.joints != len(self.joints):
+                raise InputError(
+                    f"{recording.name}: angle has {recording.joints} joints, the experiment has "
+                    f"{len(self.joints)}: {', '.join(self.joints)}"
+                )
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """One name per coordinate."""
+        return self.inertia.joints
+
+    @property
+    def units(self) -> tuple[str, ...] | None:
+        """ "rad" or "m" per joint, or None if not known."""
+        return self.inertia.units
+
+    @property
+    def fit_recordings(self) -> tuple[Recording, ...]:
+        """Those with role "fit"."""
+        return tuple(r for r in self.recordings if r.role == "fit")
+
+    @property
+    def check_recordings(self) -> tuple[Recording, ...]:
+        """Those with role "check": held out, never fitted, always scored."""
+        return tuple(r for r in self.recordings if r.role == "check")
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is doubtful in the recordings, and in their fitting together."""
+        own = [line for recording in self.recordings for line in recording.warnings]
+        return (*own, *_degrees(self), *_not_held_out(self))
+
+
+def load(path: str | os.PathLike[str]) -> Experiment:
+    """Read an experiment from a TOML file and the CSV files it names.
+
+    The CSV files are looked for in the TOML file's folder; if `path` is "-", the TOML is read from
+    standard input and they are looked for in the current folder.
+
+    **Raises:** `InputError`, a single line, for whatever is wrong with the files.
+    """
+    if os.fspath(path) == "-":
+        where, folder = "standard input", Path()
+        data = getattr(sys.stdin, "buffer", sys.stdin).read()
+        text = decode(data, where, "TOML file") if isinstance(data, bytes) else data
+    else:
+        where, folder = os.fspath(path), Path(path).parent
+        text = read_text(path, "TOML file")
+    contents = parse(text, where)
+    with inside(where):
+        recordings = []
+        for i, entry in enumerate(contents.recordings):
+            with inside(f"[[recordings]] {i + 1}"):
+                recordings.append(_read(folder, contents.inertia, **entry))
+        return Experiment(contents.inertia, tuple(recordings), contents.bearings, os.fspath(path))
+
+
+def _read(
+    folder: Path, inertia: ArmTable | InertiaTable, *, file: str, **options: Any
+) -> Recording:
+    """One `[[recordings]]` table's recording."""
+    time, angle, drive, _ = read_csv(folder / file, len(inertia.joints))
+    recording = Recording.from_arrays(time, angle, drive=drive, name=file, **options)
+    if recording.role == "inertia" and drive is None:
+        columns = ", ".join(f"u{j + 1}" for j in range(recording.joints))
+        raise InputError(f'{file}: role = "inertia" needs the drive that moved it, as {columns}')
+    if isinstance(inertia, ArmTable) and "theta2" not in options:
+        doubt = f"{file}: theta2, the elbow's angle at rest, is not given; 0 rad is taken"
+        recording = dataclasses.replace(recording, warnings=(*recording.warnings, doubt))
+    return recording
+
+
+def _degrees(experiment: Experiment) -> list[str]:
+    """Doubts about the unit of angles: no braked joint turns by five radians."""
+    doubts = []
+    for recording in experiment.recordings:
+        sizes = np.nanquantile(np.abs(recording.angle), 0.99, axis=0)
+        units = experiment.units or ("",) * len(sizes)
+        large = [
+            f"q{j + 1} reaches {size:.3g}"
+            for j, (size, unit) in enumerate(zip(sizes, units, strict=True))
+            if unit == "rad" and size > 5
+        ]
+        if abs(recording.theta2) > 2 * np.pi:
+            large.append(f"theta2 = {recording.theta2:g}")
+        doubts += [f"{recording.name}: {x}: in degrees? it must be in rad" for x in large]
+    return doubts
+
+
+def _not_held_out(experiment: Experiment) -> list[str]:
+    """A check on readings that were fitted is none."""
+    doubts = []
+    for check in experiment.check_recordings:
+        for fit in experiment.fit_recordings:
+            _, i, j = np.intersect1d(check.time, fit.time, return_indices=True)
+            same = np.array_equal(check.angle[i], fit.angle[j], equal_nan=True)
+            if check.name == fit.name and len(i) and same:
+                doubts.append(
+                    f'{check.name}: {len(i)} of its samples have role = "check" and are fitted too'
+                )
+    return doubts

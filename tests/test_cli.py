@@ -1,0 +1,412 @@
+"""The command: what it prints where, and how it ends."""
+
+import io
+import json
+import os
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from residyn.cli import main
+
+STIFFNESS, DAMPING, MASS, NOISE = 100.0, 0.8, 1.0, 1e-4
+SETTINGS = (
+    "jax_enable_x64",
+    "jax_compilation_cache_dir",
+    "jax_persistent_cache_min_compile_time_secs",
+    "jax_persistent_cache_min_entry_size_bytes",
+)
+CONTRACT = {
+    "model",
+    "parameters",
+    "rmse",
+    "noise",
+    "reduced_chi2",
+    "check_rmse",
+    "modes",
+    "starts",
+    "agreeing_starts",
+    "converged",
+    "seconds",
+    "warnings",
+}
+
+
+def ringing(time, angle, seed):
+    """A cart on a spring and a damper, let go at rest; with noise."""
+    rate = DAMPING / (2 * MASS)
+    fast = np.sqrt(STIFFNESS / MASS - rate**2)
+    wave = np.cos(fast * time) + rate / fast * np.sin(fast * time)
+    noise = NOISE * np.random.default_rng(seed).standard_normal(len(time))
+    return angle * np.exp(-rate * time) * wave + noise
+
+
+TOML = f"""
+[inertia]
+joints = ["cart"]
+units = ["m"]
+matrix = [[{MASS}]]
+
+[[recordings]]
+file = "one.csv"
+noise = {NOISE}
+
+[[recordings]]
+file = "two.csv"
+noise = {NOISE}
+role = "check"
+"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def settings():
+    """A command changes JAX's settings, as a process of its own may; here, others come after."""
+    import jax
+
+    before = {name: jax.config.values[name] for name in SETTINGS}
+    yield
+    for name, value in before.items():
+        jax.config.update(name, value)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cart")
+    time = np.arange(300) / 100
+    for seed, (name, angle) in enumerate((("one", 0.05), ("two", -0.03))):
+        lines = [f"{t:.2f},{float(q)!r}" for t, q in zip(time, ringing(time, angle, seed), strict=True)]
+        lines[7] = lines[7].split(",")[0] + ","  # a lost sample
+        (folder / f"{name}.csv").write_text("\n".join(["t,q1", *lines, ""]))
+    (folder / "cart.toml").write_text(TOML)
+    return folder
+
+
+@pytest.fixture
+def command(folder, monkeypatch, capsys):
+    """Runs a command in the folder of the experiment."""
+    monkeypatch.chdir(folder)
+
+    def run(*words, stdin=None):
+        if stdin is not None:
+            monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(stdin.encode())))
+        cache = [] if words[:1] not in (("fit",), ("simulate",), ("demo",)) else ["--no-cache"]
+        status = main([*words, *cache])
+        out, err = capsys.readouterr()
+        return SimpleNamespace(status=status, out=out, err=err)
+
+    return run
+
+
+def in_new_process(code, **options):
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, **options
+    )
+
+
+# -- quick things ----------------------------------------------------------------------------
+
+
+def test_help_loads_neither_jax_nor_matplotlib():
+    end = in_new_process(
+        "import sys, residyn.cli\n"
+        "for words in ([], ['--help'], ['fit', '--help'], ['--version'], ['fit', '--no-such']):\n"
+        "    residyn.cli.main(words)\n"
+        "heavy = {'jax', 'matplotlib', 'diffrax', 'equinox', 'jinja2'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    assert end.returncode == 0, end.stderr
+
+
+@pytest.mark.parametrize("words", [(), ("--help",), ("-h",), ("fit", "--help"), ("demo", "-h")])
+def test_help(command, words):
+    end = command(*words)
+    assert (end.status, end.err) == (0, "")
+    assert "Usage: residyn" in end.out
+    assert max(map(len, end.out.splitlines())) <= 80
+
+
+def test_help_names_the_options_of_the_contract(command):
+    text = command("fit", "--help").out
+    for option in ("EXPERIMENT", "--with EFFECT", "--starts N", "--method", "--json", "--report"):
+        assert option in text
+
+
+def test_version(command):
+    import residyn
+
+    assert command("--version").out == f"{residyn.__version__}\n"
+
+
+# -- bad input: one line, exit status 2 ------------------------------------------------------
+
+BAD = {
+    "no experiment": (["fit"], "EXPERIMENT"),
+    "no such command": (["fti", "cart.toml"], "fti"),
+    "no such option": (["fit", "cart.toml", "--fast"], "--fast"),
+    "no such file": (["fit", "none.toml"], "none.toml"),
+    "a folder": (["fit", "."], "folder"),
+    "not an experiment": (["fit", "one.csv"], "one.csv"),
+    "no such effect": (["fit", "cart.toml", "--with", "coulomb"], "coulomb_friction"),
+    "no such joint": (["fit", "cart.toml", "--with", "coulomb_friction:wheel"], "cart"),
+    "effect of arms": (["fit", "cart.toml", "--with", "inertia_error:elbow"], "[arm]"),
+    "twice": (["fit", "cart.toml", "--with", "spring:cart"], "already"),
+    "no such method": (["fit", "cart.toml", "--method", "magic"], "levenberg"),
+    "no starts": (["fit", "cart.toml", "--starts", "0"], "--starts"),
+    "starts in words": (["fit", "cart.toml", "--starts", "six"], "--starts"),
+    "json nowhere": (["fit", "cart.toml", "--json", "no/such/folder.json"], "no/such/folder.json"),
+    "report nowhere": (["fit", "cart.toml", "--report", "no/such.html"], "no/such.html"),
+    "report into a folder": (["fit", "cart.toml", "--report", "."], "--report"),
+    "report to a pipe": (["fit", "cart.toml", "--report", "-"], "name of a file"),
+    "both into one": (["fit", "cart.toml", "--report", "x", "--json", "./x"], "same file"),
+    "json over input": (["fit", "cart.toml", "--json", "one.csv"], "input"),
+    "report over input": (["fit", "cart.toml", "--report", "./cart.toml"], "input"),
+    "demo nowhere": (["demo", "--report", "no/such.html"], "no/such.html"),
+    "no catalogue entry": (["effects", "coulomb"], "coulomb_friction"),
+    "set without value": (
+        ["simulate", "cart.toml", "--set", "spring:cart.stiffness"],
+        "NAME=VALUE",
+    ),
+    "set to words": (["simulate", "cart.toml", "--set", "spring:cart.stiffness=much"], "much"),
+    "set twice": (["simulate", "cart.toml", "--set", "a=1", "--set", "a=2"], "twice"),
+    "set too little": (["simulate", "cart.toml", "--set", "damper:cart.damping=1"], "stiffness"),
+    "set unknown": (
+        ["simulate", "cart.toml", "--set", "coulomb_friction:cart.torque=1"],
+        "--with coulomb_friction:cart",
+    ),
+    "too many angles": (["simulate", "cart.toml", "--q0", "1,2"], "--q0"),
+    "negative noise": (["simulate", "cart.toml", "--noise", "-1"], "--noise"),
+    "over the inputs": (["simulate", "cart.toml", "--out", "."], "one.csv"),
+    "into a file": (["simulate", "cart.toml", "--out", "cart.toml"], "--out"),
+}
+
+
+@pytest.mark.parametrize(("words", "names"), BAD.values(), ids=BAD)
+def test_bad_input_is_one_line(command, folder, words, names):
+    before = {path: path.read_bytes() for path in folder.glob("*.*")}
+    end = command(*words)
+    assert (end.status, end.out) == (2, "")
+    assert end.err.startswith("residyn: ")
+    assert end.err.count("\n") == 1
+    assert names in end.err
+    assert {path: path.read_bytes() for path in folder.glob("*.*")} == before
+
+
+# -- the fit ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def fitted(folder):
+    """One run of `fit` that writes everything: its two files."""
+    files = folder / "fit.json", folder / "fit.html"
+    words = ["fit", str(folder / "cart.toml"), "--no-cache", "--json", str(files[0])]
+    assert main([*words, "--report", str(files[1])]) == 0
+    return json.loads(files[0].read_text()), files[1].read_text()
+
+
+def test_json_keeps_the_contract(fitted):
+    result, _ = fitted
+    assert set(result) >= CONTRACT
+    assert result["model"] == ["spring:cart", "damper:cart"]
+    stiffness = result["parameters"]["spring:cart.stiffness"]
+    assert set(stiffness) == {"value", "std", "unit"}
+    assert stiffness["unit"] == "N/m"
+    assert abs(stiffness["value"] - STIFFNESS) < 5 * stiffness["std"] < 0.05 * STIFFNESS
+    assert result["check_rmse"]["cart"] == pytest.approx(NOISE, rel=0.2)
+    assert set(result["modes"][0]) == {
+        "frequency_hz",
+        "frequency_hz_std",
+        "damping_ratio",
+        "damping_ratio_std",
+    }
+
+
+def test_report_is_written(fitted):
+    assert "spring:" in fitted[1]
+
+
+def test_json_on_standard_output_is_alone_there(command, fitted):
+    end = command("fit", "cart.toml", "--json", "-")
+    assert end.status == 0
+    assert set(json.loads(end.out)) >= CONTRACT
+    assert "spring:cart.stiffness" in end.err
+
+
+def test_experiment_on_standard_input(command, fitted):
+    end = command("fit", "-", stdin=TOML)
+    assert end.status == 0
+    assert "spring:cart.stiffness" in end.out
+    assert end.err == ""  # no progress where nobody watches
+
+
+def test_json_has_no_infinities():
+    from residyn.cli._shell import finite
+
+    inf, nan = float("inf"), float("nan")
+    assert finite({"a": [1.0, inf], "b": (nan, "x", True)}) == {
+        "a": [1.0, None],
+        "b": [None, "x", True],
+    }
+
+
+def breaking_off(monkeypatch, error):
+    import residyn.fit.pipeline  # noqa: F401
+
+    def fit(*_, **__):
+        raise error
+
+    monkeypatch.setattr(sys.modules["residyn.fit"], "fit", fit)
+
+
+def test_no_numbers_is_exit_status_1(command, monkeypatch):
+    from residyn.fit.result import FitError
+
+    breaking_off(monkeypatch, FitError("no start led to finite numbers"))
+    end = command("fit", "cart.toml")
+    assert (end.status, end.out) == (1, "")
+    assert end.err == "residyn: no start led to finite numbers\n"
+
+
+def test_interrupt_is_one_line(command, monkeypatch):
+    breaking_off(monkeypatch, KeyboardInterrupt())
+    end = command("fit", "cart.toml")
+    assert (end.status, end.err) == (130, "residyn: interrupted\n")
+
+
+def test_a_bug_is_one_line_too(command, monkeypatch):
+    breaking_off(monkeypatch, KeyError("oops"))
+    end = command("fit", "cart.toml")
+    assert end.status == 1
+    assert end.err.count("\n") == 1
+    assert "RESIDYN_TRACEBACK" in end.err
+    monkeypatch.setenv("RESIDYN_TRACEBACK", "1")
+    with pytest.raises(KeyError):
+        command("fit", "cart.toml")
+
+
+def test_a_fit_that_did_not_settle_prints_and_is_exit_status_1(command, monkeypatch):
+    class Rough:
+        converged, reason = False, "step limit reached"
+        to_dict = staticmethod(dict)
+        __str__ = staticmethod(lambda: "rough numbers")
+
+    import residyn.fit.pipeline  # noqa: F401
+
+    monkeypatch.setattr(sys.modules["residyn.fit"], "fit", lambda *_, **__: Rough())
+    end = command("fit", "cart.toml")
+    assert end.status == 1
+    assert "step limit" in end.err
+
+
+# -- simulate --------------------------------------------------------------------------------
+
+SET = ("--set", f"spring:cart.stiffness={STIFFNESS}", "--set", f"damper:cart.damping={DAMPING}")
+
+
+def read(path):
+    return np.loadtxt(path, delimiter=",", skiprows=1, unpack=True)
+
+
+def test_simulate_with_given_numbers(command, folder):
+    end = command("simulate", "cart.toml", *SET, "--out", "given")
+    assert end.status == 0
+    assert "first readings" in end.err
+    header = (folder / "given" / "one.csv").read_text().splitlines()[0]
+    assert header == "t,q1"
+    for name, angle in (("one", 0.05), ("two", -0.03)):
+        time, q = read(folder / "given" / f"{name}.csv")
+        true = ringing(time, angle, 0) - ringing(time, 0.0, 0)
+        np.testing.assert_allclose(q, true, atol=2 * NOISE)
+
+
+def test_simulate_begins_where_it_is_told_and_adds_noise(command, folder):
+    words = ("simulate", "cart.toml", *SET, "--q0", "0.2", "--v0", "0", "--out")
+    assert command(*words, "still").err == ""
+    for out, seed in (("a", "3"), ("b", "3"), ("c", "4")):
+        assert command(*words, out, "--noise", "1e-3", "--seed", seed).status == 0
+    still, a, b, c = (read(folder / out / "one.csv")[1] for out in ("still", "a", "b", "c"))
+    assert still[0] == 0.2
+    assert np.std(a - still) == pytest.approx(1e-3, rel=0.2)
+    assert (a == b).all()
+    assert (a != c).all()
+
+
+def test_simulate_fits_first_when_nothing_is_set(command, folder, fitted):
+    end = command("simulate", "cart.toml", "--out", "after")
+    assert end.status == 0
+    assert "spring:cart.stiffness" in end.err
+    time, q = read(folder / "after" / "two.csv")
+    np.testing.assert_allclose(q, ringing(time, -0.03, 0) - ringing(time, 0.0, 0), atol=NOISE)
+
+
+# -- effects ---------------------------------------------------------------------------------
+
+
+def names():
+    from residyn.effects import CATALOGUE
+
+    return list(CATALOGUE)
+
+
+def test_effects_to_a_pipe_is_one_line_each(command):
+    lines = command("effects").out.splitlines()
+    assert [line.split()[0] for line in lines] == ["name", *names()]
+
+
+@pytest.mark.parametrize("width", [60, 80, 120, 200])
+def test_effects_in_a_terminal(width):
+    from rich.console import Console
+
+    from residyn.cli import _effects
+    from residyn.effects import CATALOGUE
+
+    out = Console(file=io.StringIO(), width=width, force_terminal=True, color_system=None)
+    draw = _effects._table if width >= _effects._ROOMY else _effects._stacked
+    draw(out, list(CATALOGUE.values()))
+    assert isinstance(out.file, io.StringIO)
+    lines = out.file.getvalue().splitlines()
+    assert max(map(len, lines)) <= width
+    first = [line.split()[0] for line in lines if line[1:2].strip()]
+    assert [word for word in first if word in CATALOGUE] == names()
+
+
+@pytest.mark.parametrize("name", ["coulomb_friction", "coulomb_friction:elbow", "gravity"])
+def test_one_effect_in_full(command, name):
+    from residyn.effects import CATALOGUE
+
+    end = command("effects", name)
+    kind = CATALOGUE[name.partition(":")[0]]
+    assert end.status == 0
+    for words in (kind.equation, kind.looks_like, kind.source):
+        assert words in end.out
+
+
+def test_a_reader_that_leaves_is_no_error():
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    code = "import sys, residyn.cli; sys.exit(residyn.cli.main(['effects']))"
+    end = subprocess.run(
+        [sys.executable, "-c", code], stdout=write_end, stderr=subprocess.PIPE, check=False
+    )
+    os.close(write_end)
+    assert end.stderr == b""
+    assert end.returncode == 141
+
+
+# -- demo ------------------------------------------------------------------------------------
+
+
+def test_demo_from_end_to_end(command, folder):
+    end = command("demo", "--json", "demo.json")
+    assert end.status == 0, end.err
+    assert "residyn-demo.html" in end.out
+    assert (folder / "residyn-demo.html").stat().st_size > 100_000
+    result = json.loads((folder / "demo.json").read_text())
+    assert result["parameters"]["coulomb_friction:elbow.torque"]["value"] == pytest.approx(
+        0.2, rel=0.02
+    )
+    assert result["reduced_chi2"] < 1.2
+    for said in ("11 x noise", "1.0 x noise", "held out", "17.5-20.0 s"):
+        assert said in end.out

@@ -1,0 +1,287 @@
+"""The page and its pictures: complete, self-contained, safe, and nothing cut off."""
+
+import base64
+import re
+from html.parser import HTMLParser
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+import residyn
+from residyn import _units, _verdict, plot, report
+from residyn.demo import by_window
+from residyn.recording import ArmTable, Experiment, Recording
+
+NASTY = "<script>alert('x')</script> & \"q\" $a$ {{ 7*7 }}.csv"
+WILD, LOST = 120, slice(200, 240)
+
+
+def two_modes(time, sizes, slip):
+    """Two joints that ring in two modes; `slip` is a small third harmonic of the first."""
+    slow, fast = (
+        np.exp(-0.02 * 2 * np.pi * f * time) * np.cos(2 * np.pi * f * time) for f in (0.36, 1.9)
+    )
+    shoulder = sizes[0] * slow + sizes[1] * fast
+    return np.stack(
+        [shoulder + slip * slow**3, 0.4 * sizes[0] * slow - 3 * sizes[1] * fast], axis=1
+    )
+
+
+def recording(name, role, sizes, seed):
+    time = np.arange(800) / 80
+    noise = np.array([1e-3, 2e-3])
+    angle = two_modes(time, sizes, 0.01)
+    angle += noise * np.random.default_rng(seed).standard_normal(angle.shape)
+    angle[WILD, 1] += 0.5
+    angle[LOST] = np.nan
+    return Recording.from_arrays(time, angle, noise=noise, theta2=0.3, name=name, role=role)
+
+
+@pytest.fixture(scope="module")
+def fit():
+    """A fit of an arm that is not quite the model's, with lost and wild readings."""
+    arm = ArmTable((0.4, 0.4), 1.1662, 0.579, 1.4384)
+    runs = (recording(NASTY, "fit", (0.2, 0.05), 1), recording("check.csv", "check", (0.1, 0.1), 2))
+    return residyn.fit(Experiment(arm, runs), starts=2)
+
+
+@pytest.fixture(scope="module")
+def page(fit, tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "two.html"
+    report.write_report(path, [("Springs & dampers", fit), (f"again {NASTY}", fit)])
+    return path.read_text(encoding="utf-8")
+
+
+class Tags(HTMLParser):
+    """Every tag with its attributes, and the text outside of style."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.tags, self.words, self.inside = [], [], []
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        self.inside.append(tag)
+
+    def handle_endtag(self, tag):
+        while self.inside and self.inside.pop() != tag:
+            pass
+
+    def handle_data(self, data):
+        if "style" not in self.inside:
+            self.words.append(data)
+
+
+def test_page_loads_nothing(page):
+    tags = Tags(page).tags
+    assert not {tag for tag, _ in tags} & {"script", "link", "iframe", "object", "embed", "base"}
+    for _, attributes in tags:
+        for key in ("src", "href", "srcset", "data", "action"):
+            assert attributes.get(key, "#").startswith(("data:image/svg+xml;base64,", "#"))
+        assert not [key for key in attributes if key.startswith("on")]
+    # The names of the standards are addresses that nothing fetches; beyond them there is none.
+    assert "http" not in re.sub(r"data:image[^\"]*", "", page)
+    assert "@import" not in page
+    assert "url(" not in page
+
+
+def pictures(page):
+    for code in re.findall(r"data:image/svg\+xml;base64,([A-Za-z0-9+/=]+)", page):
+        yield base64.b64decode(code).decode()
+
+
+def test_pictures_load_nothing_either(page):
+    found = list(pictures(page))
+    assert len(found) == 2 * (1 + 2 * (2 + 1))  # wide and narrow: errors, two motions, a spectrum
+    for svg in found:
+        for element in ElementTree.fromstring(svg).iter():
+            assert element.tag.rpartition("}")[2] not in ("script", "foreignObject", "image")
+            for key, value in element.attrib.items():
+                if key.rpartition("}")[2] == "href":
+                    assert value.startswith("#")
+
+
+def test_names_from_files_are_only_words(page):
+    parsed = Tags(page)
+    assert "script" not in {tag for tag, _ in parsed.tags}
+    assert NASTY in " ".join("".join(parsed.words).split())
+
+
+def test_page_says_everything(page, fit):
+    words = " ".join("".join(Tags(page).words).split())
+    for number in fit.numbers:
+        assert number.name in words
+        assert number.words in words
+    for line in (*fit.warnings, fit.reason, _verdict.verdict(fit), residyn.__version__):
+        assert line in words
+    for line in ("N m/rad", "frequency (Hz)", "held-out", "Springs & dampers"):
+        assert line in words
+
+
+def test_page_of_one_fit_has_no_comparison(fit):
+    one = report.render([("Only", fit)])
+    assert "models of the same recordings" not in one
+    assert "<h1>Only</h1>" in one
+
+
+def test_a_page_is_the_same_each_time(fit):
+    assert report.render([("a", fit)]) == report.render([("a", fit)])
+
+
+def test_an_unwritable_path_is_said(fit, tmp_path, monkeypatch):
+    monkeypatch.setattr(report, "render", lambda fits: "")
+    with pytest.raises(residyn.InputError, match="cannot be written"):
+        report.write_report(tmp_path / "no" / "such.html", [("a", fit)])
+
+
+# -- pictures --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("narrow", [False, True], ids=["wide", "narrow"])
+@pytest.mark.parametrize("kind", ["overlay", "spectrum", "errors"])
+def test_no_word_of_a_picture_is_cut_or_covered(fit, kind, narrow, monkeypatch):
+    names = ["springs and dampers", "with coulomb_friction:elbow"]
+    figure = {
+        "overlay": lambda: plot.overlay(fit, narrow=narrow),
+        "spectrum": lambda: plot.spectrum(fit, narrow=narrow),
+        "errors": lambda: plot.errors([fit, fit], names, narrow=narrow),
+    }[kind]()
+    drawn, draw = {}, Text.draw
+
+    def note(text, renderer, *args, **named):
+        if text.get_visible() and text.get_text().strip():
+            drawn[id(text)] = text.get_text(), text.get_window_extent(renderer)
+        return draw(text, renderer, *args, **named)
+
+    monkeypatch.setattr(Text, "draw", note)
+    FigureCanvasAgg(figure).draw()
+    page, shown = figure.bbox, list(drawn.values())
+    assert len(shown) > 15
+    for i, (words, box) in enumerate(shown):
+        inside = page.x0 <= box.x0 and box.x1 <= page.x1 and page.y0 <= box.y0 and box.y1 <= page.y1
+        assert inside, f"{words!r} is cut"
+        for others, other in shown[:i]:
+            across = min(box.x1, other.x1) - max(box.x0, other.x0)
+            up = min(box.y1, other.y1) - max(box.y0, other.y0)
+            assert across < 1 or up < 1, f"{words!r} and {others!r} overlap"
+
+
+def test_every_axis_has_a_unit(fit):
+    for figure in (plot.overlay(fit), plot.spectrum(fit), plot.errors([fit], ["a"])):
+        for axes in figure.axes:
+            labels = [axes.get_xlabel(), axes.get_ylabel()]
+            assert all(re.search(r"\((s|Hz|m?rad|µrad)\)$", label) for label in labels if label)
+
+
+def test_lost_readings_are_gaps_and_wild_ones_are_marked(fit):
+    figure = plot.overlay(fit, fit.recordings[:1])
+    main = figure.axes[0]
+    measured, model, *_ = main.get_lines()
+    assert np.isnan(np.asarray(measured.get_ydata(), float)).sum() == 40
+    assert np.isfinite(np.asarray(model.get_ydata(), float)).all()
+    elbow = figure.axes[4]
+    marked = [line for line in elbow.get_lines() if line.get_marker() == "x"]
+    assert list(np.asarray(marked[0].get_xdata())) == [WILD / 80]
+
+
+def test_long_recordings_are_thinned_and_look_the_same():
+    from residyn.plot._overlay import _axes, _thinned
+
+    figure = Figure(figsize=(5, 2))
+    axes = _axes(figure, 0.5, 0.5, 4.0, 1.0)
+    time = np.arange(100_000) / 1000
+    values = np.sin(7 * time)
+    values[[123, 54_321]] = 5, -5
+    values[70_000:70_500] = np.nan
+    few, thin = _thinned(time, values, axes)
+    assert len(few) == len(thin) < 2000
+    assert (np.diff(few) >= 0).all()
+    assert (np.nanmax(thin), np.nanmin(thin)) == (5, -5)
+    assert np.isnan(thin[(few > 69.6) & (few < 70.9)]).any()
+
+
+def test_the_users_own_style_is_left_alone(fit):
+    import matplotlib as mpl
+
+    before = dict(mpl.rcParams)
+    plot.errors([fit], ["a"])
+    assert dict(mpl.rcParams) == before
+
+
+# -- words and numbers -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "words"),
+    [
+        (0.00123, "rad", "1.23 mrad"),
+        (0.5, "rad", "0.500 rad"),
+        (5.3e-6, "m", "5.30 µm"),
+        (2.0, None, "2.00"),
+        (0.0, "m", "0 m"),
+        (float("nan"), "m", "? m"),
+    ],
+)
+def test_amounts(value, unit, words):
+    assert _units.amount(value, unit) == words
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "words"),
+    [
+        (16.6702, 0.00247, ("16.6702", "0.0025")),
+        (712.6, 3.2, ("712.6", "3.2")),
+        (7126.0, 320.0, ("7126", "320")),
+        (-0.1, 0.02, ("-0.100", "0.020")),
+        (2e-5, 3e-7, ("2.000e-05", "3.0e-07")),
+    ],
+)
+def test_values_with_errors(value, std, words):
+    assert _units.with_error(value, std) == words
+
+
+def test_an_unknown_error_is_no_number():
+    assert _units.with_error(1.25, float("inf"))[0] == "1.25000"
+
+
+def test_verdict_names_the_misfit(fit):
+    assert not _verdict.explained(fit)
+    words = _verdict.verdict(fit)
+    assert "misses something" in words
+    assert "shoulder" in words
+    assert "elbow" in words
+
+
+@pytest.mark.parametrize(
+    ("chi2", "words"),
+    [
+        (0.3, "overstated"),
+        (1.0, "noise alone"),
+        (1.5, "a little"),
+        (9.0, "missing"),
+        (np.nan, "not"),
+    ],
+)
+def test_chi_square_in_words(chi2, words):
+    assert words in _verdict.chi2_words(chi2)
+
+
+def test_residual_by_window():
+    time = np.arange(100) / 10
+    residual = np.ones((100, 2))
+    residual[50:] = 3.0
+    used = np.ones((100, 2), bool)
+    used[:25, 1] = False
+    noise = np.array([1.0, 0.5])
+    beside = SimpleNamespace(
+        recording=SimpleNamespace(time=time, noise=noise), residual=residual, used=used
+    )
+    edges, sizes = by_window(beside, 4)  # pyright: ignore[reportArgumentType]
+    assert (edges[0], edges[-1]) == (0.0, 9.9)
+    np.testing.assert_allclose(sizes, [[1, np.nan], [1, 2], [3, 6], [3, 6]])
