@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._arrays import check_table
+from ._arrays import check_noise, check_table
 from ._input import InputError
 
 _BLOCK = 32
@@ -50,23 +50,22 @@ def noise_and_doubts(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, l
     time, angle = check_table(time, angle)
     sigma, doubts, still = np.zeros(angle.shape[1]), [], []
     for j, column in enumerate(angle.T):
-        seen = np.isfinite(column)
-        if np.count_nonzero(seen) < 8:
+        seen, y, unit = _scaled(column)
+        if len(seen) < 8:
             raise InputError(f"q{j + 1} has fewer than 8 readings: too few to see their noise")
-        values = column[seen]
-        if np.ptp(values) < _TINY:
+        if not unit:
             still.append(j)
             continue
-        good = np.flatnonzero(seen & ~_wild(time, column, 0.0))
-        good = good if len(good) >= 8 else np.flatnonzero(seen)
-        parts = [_blocks(time[part], column[part]).spread for part in _parts(good)]
-        sigma[j] = max(float(np.median(parts)), _step(values) / math.sqrt(12))
-        floor = 1e-9 * float(np.sqrt(np.mean((values - np.median(values)) ** 2)))
-        if sigma[j] < floor:
-            sigma[j] = floor
+        good = np.flatnonzero(~_wild(time[seen], y, 0.0))
+        good = good if len(good) >= 8 else np.arange(len(y))
+        spread = [_blocks(time[seen[part]], y[part]).spread for part in _parts(good)]
+        floor = 1e-9 * math.sqrt(float(np.mean(y**2)))
+        own = max(float(np.median(spread)), _step(y) / math.sqrt(12))
+        sigma[j] = unit * max(own, floor)
+        if own < floor:
             doubts.append(
-                f"noise of q{j + 1} could not be seen in the data; {floor:.3g} is taken, 1e-9 of "
-                "its rms motion; give noise to say what it is"
+                f"noise of q{j + 1} could not be seen in the data; {sigma[j]:.3g} is taken, 1e-9 "
+                "of its rms motion; give noise to say what it is"
             )
     for j in still:
         value = abs(float(angle[np.isfinite(angle[:, j]), j][0]))
@@ -93,10 +92,24 @@ def wild_samples(
     **Returns:** (N, n) bool; False where the sample was lost.
     """
     time, angle = check_table(time, angle)
-    least = np.broadcast_to(0.0 if noise is None else np.asarray(noise, float), angle.shape[1:])
-    return np.stack(
-        [_wild(time, column, float(s)) for column, s in zip(angle.T, least, strict=True)], axis=1
-    )
+    flagged = np.zeros(angle.shape, dtype=bool)
+    least = np.zeros(angle.shape[1]) if noise is None else check_noise(noise, angle.shape[1])
+    for j, column in enumerate(angle.T):
+        seen, y, unit = _scaled(column)
+        if unit and len(seen) >= 8:
+            known = min(float(least[j]), unit) / unit
+            flagged[seen[_wild(time[seen], y, known)], j] = True
+    return flagged
+
+
+def _scaled(column: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Where a joint was read, its readings in units of their range, and that; 0 if none."""
+    seen = np.flatnonzero(np.isfinite(column))
+    values = column[seen]
+    unit = float(np.ptp(values)) if len(seen) else 0.0
+    if unit < _TINY:
+        return seen, np.zeros(len(seen)), 0.0
+    return seen, (values - np.median(values)) / unit, unit
 
 
 class _Blocks(NamedTuple):
@@ -113,7 +126,7 @@ class _Blocks(NamedTuple):
 
 
 def _blocks(time: np.ndarray, values: np.ndarray) -> _Blocks:
-    """The polynomial spectrum of one joint's readings (no lost ones among them)."""
+    """The polynomial spectrum of one joint's readings, scaled."""
     m = int(np.clip(len(time) // 4, 8, _BLOCK))
     first = np.unique(np.append(np.arange(0, len(time) - m, m // 2), len(time) - m))
     span = time[first + m - 1] - time[first]
@@ -129,7 +142,7 @@ def _blocks(time: np.ndarray, values: np.ndarray) -> _Blocks:
     share = np.einsum("bmk,bm->bk", basis, y - y.mean(axis=1, keepdims=True))
     # An encoder at rest says nothing of the noise, and where the motion ends must be seen where it
     # is at its largest.
-    moves = np.ptp(y, axis=1) > 0
+    moves = np.ptp(y, axis=1) > 1e-14
     if not moves.any():
         return _Blocks(first, basis, share, 1, 0.0)
     size = np.median(np.abs(y - np.median(y, axis=1, keepdims=True)), axis=1)
@@ -162,6 +175,7 @@ def _spread(values: np.ndarray) -> float:
 def _step(values: np.ndarray) -> float:
     """The grid that readings lie on (an encoder's step, a printout's last digit); 0 for none."""
     gaps = np.diff(np.unique(values))
+    gaps = gaps[gaps > 1e-10 * np.ptp(values)]  # less is arithmetic's own rounding
     if not len(gaps):
         return 0.0
     least = float(gaps.min())
@@ -173,20 +187,17 @@ def _step(values: np.ndarray) -> float:
     return step if on_grid else 0.0
 
 
-def _wild(time: np.ndarray, column: np.ndarray, least: float) -> np.ndarray:
-    """`wild_samples` of one joint; `least` is the smallest sigma to believe."""
-    flagged = np.zeros(len(column), dtype=bool)
-    seen = np.flatnonzero(np.isfinite(column))
-    if len(seen) < 8 or np.ptp(column[seen]) < _TINY:
-        return flagged
-    least = max(least, _step(column[seen]) / math.sqrt(12))
-    for part in _parts(seen):
+def _wild(time: np.ndarray, y: np.ndarray, least: float) -> np.ndarray:
+    """`wild_samples` of one joint's readings, scaled; `least` is the smallest sigma to believe."""
+    flagged = np.zeros(len(y), dtype=bool)
+    least = max(least, _step(y) / math.sqrt(12))
+    for part in _parts(np.arange(len(y))):
         # A second look without the first one's finds sees what those had hidden.
         for _ in range(2):
             kept = part[~flagged[part]]
             if len(kept) < 8:
                 break
-            found = _stand_out(_blocks(time[kept], column[kept]), column[kept], least)
+            found = _stand_out(_blocks(time[kept], y[kept]), y[kept], least)
             flagged[kept[found]] = True
             if not found.any():
                 break
@@ -203,7 +214,7 @@ def _stand_out(blocks: _Blocks, values: np.ndarray, least: float) -> np.ndarray:
     found = np.zeros(len(values), dtype=bool)
     m = blocks.basis.shape[1]
     noise = blocks.basis[:, :, blocks.degree :]
-    sigma = max(blocks.spread, least, 1e-9 * float(np.std(values)))
+    sigma = max(blocks.spread, least, 1e-9 * float(np.std(values)), 1e-14)
     rest = np.einsum("bmk,bk->bm", noise, blocks.share[:, blocks.degree :]) / sigma
     room = np.einsum("bmk,bmk->bm", noise, noise)
     score = np.abs(rest) / np.sqrt(np.maximum(room, 1e-9))

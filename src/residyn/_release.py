@@ -63,9 +63,9 @@ def release_time(time: np.ndarray, angle: np.ndarray) -> float:
     clock, motion = _even(time, angle)
     motion = motion - np.median(motion[-(len(motion) // 4) :], axis=0)
     size = np.abs(motion).max(axis=0)
-    if not size.any():
+    if size.max() < 1e-100:
         raise InputError('start = "release": the joints never move; give start in seconds')
-    motion = motion[:, size > 0] / size[size > 0]
+    motion = motion[:, size > 1e-100] / size[size > 1e-100]
     excursion = np.sqrt(np.mean(motion**2, axis=1))
     peak = int(excursion.argmax())
 
@@ -118,7 +118,7 @@ def _broken(motion: np.ndarray, excursion: np.ndarray, quarter: int) -> np.ndarr
         pace = np.sqrt(np.mean(v**2, axis=1))
         # A hand that holds still or pulls slowly has many samples but no speed: do not learn there.
         live = np.flatnonzero(pace >= 0.2 * pace.max())
-        live = live[:: max(1, len(live) // 20_000)]
+        live = live[:: max(1, len(live) // 5000)]
         wrong = _misfit(q, v, a, live)
         usual = 1.4826 * np.median(wrong[live], axis=0)
         limit = np.maximum.reduce(

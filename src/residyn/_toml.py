@@ -77,11 +77,12 @@ def _tables(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text.replace("\r\n", "\n"))
     except tomllib.TOMLDecodeError as error:
-        # "... (at line 3, column 5)"
-        found = re.search(r"^(.*) \(at line (\d+), column \d+\)$", str(error), re.S)
-        if found:
-            raise InputError(f"line {found[2]}: is not TOML: {found[1]}") from None
-        raise InputError(f"is not TOML: {error}") from None
+        # "... (at line 3, column 5)" or "... (at end of document)"
+        place = r"^(.*) \(at (?:line (\d+), column \d+|end of document)\)$"
+        found = re.search(place, str(error), re.S)
+        what, line = found.groups() if found else (error, None)
+        line = line or text.rstrip().count("\n") + 1
+        raise InputError(f"line {line}: is not TOML: {what}") from None
     except RecursionError:
         raise InputError("is not TOML of an experiment: brackets are nested too deep") from None
     except ValueError as error:  # integers of thousands of digits

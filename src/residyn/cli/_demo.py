@@ -43,7 +43,7 @@ def demo(
     base = fitted(experiment, (), _options.STARTS)
     words.print(str(base), soft_wrap=True)
     errors = _verdict.joint_errors(base)
-    words.print("\nThe curves lie on each other, nearly. But what is left is not noise:")
+    words.print("\nThe curves lie on each other, nearly. But what is left is not noise:\n")
     _windows(words, base)
 
     words.print(f"2. The same with {shipped.HIDDEN}\n", style="bold")
@@ -72,13 +72,12 @@ def _opening(words: "Console") -> None:
 
 def _windows(words: "Console", fit: "Fit") -> None:
     """The residual of the first recording along time, in units of the noise."""
-    from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
     from ..demo import by_window
 
     edges, sizes = by_window(fit.recordings[0])
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 2, 0, 0))
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column("time", justify="right", no_wrap=True)
     for joint in fit.experiment.joints:
         table.add_column(f"{joint}: rms residual / noise", no_wrap=True)
@@ -87,29 +86,29 @@ def _windows(words: "Console", fit: "Fit") -> None:
         bars = (f"{ratio(size):>4} {'█' * max(1, round(size * unit))}" for size in row)
         table.add_row(f"{start:.1f}-{stop:.1f} s", *bars)
     words.print(table)
-    words.print("Noise alone would leave 1.0 in every window.\n")
+    words.print("\nNoise alone would leave 1.0 in every window.\n")
 
 
 def _comparison(
     words: "Console", names: tuple[str, ...], models: "tuple[list[JointError], ...]"
 ) -> None:
-    from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("rms residual")
-    table.add_column("recording")
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column("rms residual (x noise)", no_wrap=True)
+    table.add_column("recording", no_wrap=True)
     for error in models[0]:
         table.add_column(error.joint, no_wrap=True)
     for name, errors in zip(names, models, strict=True):
         fitted = [_cell(e.rmse, e.ratio, e) for e in errors]
         table.add_row(name, "fitted", *fitted)
         table.add_row("", "held out", *[_cell(e.check, e.check_ratio, e) for e in errors])
-    table.add_row("noise of a reading", "", *[amount(e.noise, e.unit) for e in models[0]])
+    noise = [f"{amount(e.noise, e.unit)} (1.0 x)" for e in models[0]]
+    table.add_row("noise of a reading", "", *noise)
     words.print(table)
 
 
 def _cell(error: float | None, times: float | None, joint: "JointError") -> str:
     if error is None or times is None:
         return ""
-    return f"{amount(error, joint.unit)}, {ratio(times)} x noise"
+    return f"{amount(error, joint.unit)} ({ratio(times)} x)"

@@ -16,7 +16,7 @@ from ..model import Model
 # Eigenvalue of J'J with unit columns below which a combination has no effect on the prediction:
 # its standard error is 1e5 times that of its numbers alone.
 _BLIND = 1e-10
-_PART = 0.1  # share of a blind combination beyond which a number belongs to it
+_PART = 1e-3  # share of a blind combination beyond which a number belongs to it
 
 
 class Spread(NamedTuple):

@@ -119,7 +119,6 @@ def lay_out(
         place[i, layout.row, layout.slot] = part
         angles[i, layout.row, layout.slot] = np.where(seen, r.angle, 0.0)
         weights[i, layout.row, layout.slot] = np.where(seen, 1.0 / r.noise, 0.0)
-    longest = max(r.time[-1] - r.time[0] for r in recordings)
     stacked = Recorded(
         start=jnp.asarray([r.time[0] for r in recordings]),
         stop=jnp.asarray([r.time[-1] for r in recordings]),
@@ -127,37 +126,48 @@ def lay_out(
         angles=jnp.asarray(angles),
         weights=jnp.asarray(weights),
         mechanism=jax.tree.map(lambda *leaves: jnp.stack(leaves), *mechanisms),
-        drive=_drives(recordings, longest / steps),
+        drive=_drives(recordings, steps),
     )
     return stacked, [layout for layout, _ in layouts]
 
 
-def _drives(recordings: Sequence[Recording], step: float) -> Drive | None:
-    """Drive torques on one uniform grid each, averaged over `step` so that no impulse is lost."""
+def _drives(recordings: Sequence[Recording], steps: int) -> Drive | None:
+    """Drive torques at the ends of the steps, which straight lines join.
+
+    The integrator follows straight lines exactly, but a kink inside a step would cost it its order.
+    So each reading is shared between the two ends of its step by the lever rule, which keeps
+    impulse and its moment, and with them rate and position afterwards.
+    """
     if all(r.drive is None for r in recordings):
         return None
-    longest = max(r.time[-1] - r.time[0] for r in recordings)
-    count = bucket(int(np.ceil(longest / step)) + 1)
     drives = []
     for r in recordings:
-        spacing = (r.time[-1] - r.time[0]) / (count - 1)
-        grid = r.time[0] + spacing * np.arange(count)
+        ends = np.linspace(r.time[0], r.time[-1], steps + 1)
+        h = ends[1] - ends[0]
         values = r.drive if r.drive is not None else np.zeros_like(r.angle)
-        impulse = np.concatenate(
-            [np.zeros((1, values.shape[1])), np.cumsum(_trapezia(r.time, values), axis=0)]
-        )
-        left = np.clip(grid - spacing / 2, r.time[0], r.time[-1])
-        right = np.clip(grid + spacing / 2, r.time[0], r.time[-1])
-        columns = [
-            (np.interp(right, r.time, i) - np.interp(left, r.time, i)) / (right - left)
-            for i in impulse.T
-        ]
-        drives.append(Drive(r.time[0], spacing, np.stack(columns, axis=1)))
+        columns = []
+        for torque in values.T:
+            once, twice = _integrals(r.time, torque, ends)
+            inner = np.diff(twice, 2) / h**2
+            first = (twice[1] - twice[0] - h * once[0]) * 2 / h**2
+            last = (twice[-2] - twice[-1] + h * once[-1]) * 2 / h**2
+            columns.append(np.concatenate([[first], inner, [last]]))
+        drives.append(Drive(r.time[0], h, np.stack(columns, axis=1)))
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *drives)
 
 
-def _trapezia(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    return 0.5 * (values[1:] + values[:-1]) * np.diff(time)[:, None]
+def _integrals(time: np.ndarray, x: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First and second integral, from time[0], of straight lines through (time, x)."""
+    gap, slope = np.diff(time), np.diff(x) / np.diff(time)
+    once = np.concatenate([[0.0], np.cumsum(gap * (x[:-1] + slope * gap / 2))])
+    rise = gap * (once[:-1] + gap * (x[:-1] / 2 + slope * gap / 6))
+    twice = np.concatenate([[0.0], np.cumsum(rise)])
+    i = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(gap) - 1)
+    s = at - time[i]
+    return (
+        once[i] + s * (x[i] + slope[i] * s / 2),
+        twice[i] + s * (once[i] + s * (x[i] / 2 + slope[i] * s / 6)),
+    )
 
 
 def posed(model: Model, mechanism: AbstractMechanism) -> Model:

@@ -10,6 +10,7 @@ from .result import Fit, RecordingFit
 _STRUCTURE = 1.2  # reduced chi-square beyond which the residual is more than noise
 _SMALL = 0.85  # and below which the noise must have been overstated
 _NEGATIVE = 2.0  # standard errors below zero that make a sign more than chance
+_STILL = 2.0  # times the noise: a joint that moves less than this hardly moves
 _NAMED = 3  # wild readings whose times are given
 
 
@@ -18,11 +19,23 @@ def warnings_for(fit: Fit, open_groups: Sequence[tuple[int, ...]]) -> tuple[str,
     return (
         *fit.experiment.warnings,
         *in_words(fit.model, open_groups),
+        *_still(fit),
         *_wild(fit.recordings),
         *_signs(fit),
         *_misfit(fit),
         *_search(fit),
     )
+
+
+def _still(fit: Fit) -> list[str]:
+    fitted = [r for r in fit.recordings if r.recording.role != "check"]
+    moved = np.max([np.nanstd(r.recording.angle, axis=0) for r in fitted], axis=0)
+    return [
+        f"{joint} hardly moves (rms no more than {_STILL:g} times the noise): "
+        "these recordings say little about its numbers, whatever their errors"
+        for joint, size, noise in zip(fit.joints, moved, fit.noise, strict=True)
+        if size < _STILL * noise
+    ]
 
 
 def _wild(recordings: Sequence[RecordingFit]) -> list[str]:

@@ -24,6 +24,7 @@ from ._style import (
     WIDE,
     WILD,
     largest,
+    shortened,
     styled,
 )
 
@@ -38,7 +39,7 @@ class _Layout(NamedTuple):
     left: float
     between: float  # of the two columns
     columns: tuple[float, ...]  # their widths
-    legend: float
+    key: int  # columns of the legend
     title: float = 0.3
     main: float = 1.25
     gap: float = 0.07
@@ -47,14 +48,18 @@ class _Layout(NamedTuple):
     axis: float = 0.42  # time's numbers and label
     label: float = 0.6  # from an axis to its label
 
-    def height(self, joints: int, recordings: int) -> float:
-        """Of the whole figure."""
+    def legend(self, entries: int) -> float:
+        """Height of the legend."""
+        return 0.1 + 0.19 * -(-entries // self.key)
+
+    def height(self, joints: int) -> float:
+        """Height of one recording."""
         joint = self.main + self.gap + self.strip + self.below
-        return self.legend + recordings * (self.title + joints * joint + self.axis)
+        return self.title + joints * joint + self.axis
 
 
-_WIDE = _Layout(WIDE, 0.92, 0.62, (4.62, 2.32), 0.28)
-_NARROW = _Layout(NARROW, 0.9, 0.0, (2.68,), 0.46, main=1.1, strip=0.6, label=0.57)
+_WIDE = _Layout(WIDE, 0.98, 0.62, (4.6, 2.28), key=5)
+_NARROW = _Layout(NARROW, 0.95, 0.0, (2.63,), key=2, main=1.1, strip=0.6, label=0.57)
 
 
 @styled
@@ -72,8 +77,9 @@ def overlay(
     shown = tuple(fit.recordings if recordings is None else recordings)
     joints = len(fit.experiment.joints)
     lay = _NARROW if narrow else _WIDE
-    figure = Figure(figsize=(lay.width, lay.height(joints, len(shown))))
-    top = figure.get_figheight() - lay.legend
+    handles = _key(any(each.wild.any() for each in shown))
+    top = len(shown) * lay.height(joints)
+    figure = Figure(figsize=(lay.width, lay.legend(len(handles)) + top))
     for each in shown:
         time = each.recording.time
         zoom = slice(_zoom_start(time, fit.modes), None)
@@ -106,11 +112,11 @@ def overlay(
             top -= lay.main + lay.gap + lay.strip + lay.below
         top -= lay.axis
     figure.legend(
-        handles=_key(any(each.wild.any() for each in shown)),
+        handles=handles,
         loc="upper left",
         bbox_to_anchor=(0.1 / lay.width, 1 - 0.06 / figure.get_figheight()),
         borderaxespad=0.0,
-        ncols=2 if narrow else 5,
+        ncols=lay.key,
     )
     return figure
 
@@ -135,9 +141,8 @@ def _key(wild: bool) -> list[Any]:
 def _heading(each: RecordingFit, narrow: bool) -> str:
     """Which recording this is; of a long name, the end."""
     most = 24 if narrow else 50
-    name = each.recording.name
-    name = name if len(name) <= most else "..." + name[3 - most :]
-    return f"{name}: " + ("held out" if each.recording.role == "check" else "fitted")
+    role = "held out" if each.recording.role == "check" else "fitted"
+    return f"{shortened(each.recording.name, most)}: {role}"
 
 
 def _zoom_start(time: np.ndarray, modes: Sequence[Mode]) -> int:
@@ -151,7 +156,7 @@ def _zoom_start(time: np.ndarray, modes: Sequence[Mode]) -> int:
 
 def _draw(main: Axes, strip: Axes, fit: Fit, each: RecordingFit, joint: int, window: slice) -> None:
     """One joint of one recording over one window of samples."""
-    units, name = fit.experiment.units, fit.experiment.joints[joint]
+    units, name = fit.experiment.units, shortened(fit.experiment.joints[joint], 14)
     unit = units[joint] if units else None
     time = each.recording.time[window]
     good = np.where(each.wild, np.nan, each.recording.angle)

@@ -9,7 +9,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from .._units import plain, prefixed
 from ..fit.result import Fit, Mode, RecordingFit
-from ._style import DASHED, INK, MEASURED, MODEL, NARROW, RESIDUAL, WIDE, largest, styled
+from ._style import DASHED, INK, MEASURED, MODEL, NARROW, RESIDUAL, WIDE, largest, shortened, styled
 
 _BINS_PER_DECADE = 60
 _RISE = 0.1
@@ -42,7 +42,8 @@ def spectrum(fit: Fit, *, narrow: bool = False) -> Figure:
         top = max(largest(measured), largest(left), 3 * floor)
         ax.set_ylim(0.15 * floor / factor, 2.5 * top / factor)
         ax.set_xlim(frequency[0], frequency[-1])
-        ax.set_ylabel(f"{joints[joint]}\namplitude ({label})" if label else joints[joint])
+        name = shortened(joints[joint], 24)
+        ax.set_ylabel(f"{name}\namplitude ({label})" if label else name)
         for axis in (ax.xaxis, ax.yaxis):
             axis.set_major_locator(LogLocator(numticks=8))
             axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))

@@ -63,3 +63,8 @@ def largest(values: np.ndarray) -> float:
     """Largest size among the finite values; 0 if there are none."""
     values = np.abs(values[np.isfinite(values)])
     return float(values.max()) if len(values) else 0.0
+
+
+def shortened(name: str, most: int) -> str:
+    """A name in at most so many letters; of a long one, the end, where file names differ."""
+    return name if len(name) <= most else "..." + name[3 - most :]

@@ -1,0 +1,240 @@
+"""The fit, end to end, on MuJoCo arms whose truth is known."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+import residyn
+from residyn.recording import ArmTable, InertiaTable
+
+rig = pytest.importorskip("tests.rig")
+
+
+def experiment(case, *, noise=None, **changes) -> residyn.Experiment:
+    arm = case.arm
+    table = ArmTable((arm.l1, arm.l2), arm.shoulder, arm.elbow, arm.coupling)
+    settings = {"theta2": arm.theta2, "noise": noise} | changes
+    return residyn.Experiment(table, (residyn.Recording.from_arrays(case.t, case.q, **settings),))
+
+
+def clean_case(seed, **kwargs):
+    """An arm whose joint dampings are both of ordinary size."""
+    rng = np.random.default_rng(seed)
+    for _ in range(50):
+        case = next(rig.clean_cases(rng, 1, damping_ratio=(0.005, 0.05), **kwargs))
+        if min(case.arm.damping) > 0.1 * max(case.arm.damping):
+            return case
+    raise AssertionError("no such arm")
+
+
+@pytest.fixture(scope="module")
+def case():
+    return clean_case(3, noise=5e-4)
+
+
+@pytest.fixture(scope="module")
+def fit(case):
+    return residyn.fit(experiment(case))
+
+
+def relative_errors(fit, case):
+    truth = np.array([*case.arm.stiffness, *case.arm.damping])
+    return np.abs(np.array([n.value for n in fit.numbers[:4]]) / truth - 1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_clean_arms_are_fitted_from_default_settings(seed):
+    case = clean_case([5, seed], noise=5e-4)
+    fit = residyn.fit(experiment(case))
+    off = relative_errors(fit, case)
+    assert off[:2].max() < 0.005
+    assert off[2:].max() < 0.03
+    assert 0.9 < fit.reduced_chi2 < 1.1
+    assert fit.converged
+    assert fit.agreeing_starts >= 4
+
+
+def test_names_units_and_json_are_the_contract(fit):
+    found = fit.to_dict()
+    assert found["model"] == ["spring:shoulder", "spring:elbow", "damper:shoulder", "damper:elbow"]
+    assert found["parameters"]["spring:elbow.stiffness"]["unit"] == "N m/rad"
+    assert found["parameters"]["damper:elbow.damping"].keys() == {"value", "std", "unit"}
+    keys = "model parameters rmse noise reduced_chi2 check_rmse modes starts agreeing_starts"
+    assert set(found) == {*keys.split(), "converged", "seconds", "warnings"}
+    assert found["check_rmse"] is None
+    assert set(found["rmse"]) == {"shoulder", "elbow"}
+    assert found["modes"][0]["frequency_hz"] < found["modes"][1]["frequency_hz"]
+
+
+def test_modes_match_the_rig_within_their_errors(fit, case):
+    frequency, damping = case.arm.modes()
+    for mode, f, z in zip(fit.modes, frequency, damping, strict=True):
+        assert abs(mode.frequency_hz - f) < max(4 * mode.frequency_hz_std, 1e-3 * f)
+        assert abs(mode.damping_ratio - z) < max(4 * mode.damping_ratio_std, 2e-3 * z + 1e-5)
+        assert 0 < mode.frequency_hz_std < 0.01 * f
+
+
+def test_report_reads_like_lmfits(fit):
+    text = str(fit)
+    for word in ("+/-", "start", "agree", "N m/rad", "Hz", "x noise", "converged"):
+        assert word in text
+    assert max(map(len, text.splitlines())) < 130
+
+
+def test_wild_readings_are_found_set_aside_and_counted(case):
+    rng = np.random.default_rng(1)
+    q = case.q.copy()
+    rows = rng.choice(len(q), 12, replace=False)
+    q[rows, rng.integers(0, 2, 12)] += rng.choice([-1, 1], 12) * rng.uniform(0.02, 2.0, 12)
+    fit = residyn.fit(experiment(dataclasses.replace(case, q=q)))
+    assert relative_errors(fit, case)[:2].max() < 0.005
+    assert 0.9 < fit.reduced_chi2 < 1.1
+    assert fit.recordings[0].wild.sum() == pytest.approx(12, abs=2)
+    assert any("wild" in w for w in fit.warnings)
+
+
+def test_lost_and_uneven_samples(case):
+    rng = np.random.default_rng(2)
+    keep = np.sort(rng.choice(len(case.t), 1500, replace=False))
+    q = case.q[keep].copy()
+    q[rng.random(q.shape) < 0.1] = np.nan
+    q[300:380, 1] = np.nan
+    fit = residyn.fit(experiment(dataclasses.replace(case, t=case.t[keep], q=q)))
+    assert relative_errors(fit, case)[:2].max() < 0.005
+    assert 0.85 < fit.reduced_chi2 < 1.15
+
+
+def test_several_recordings_share_their_numbers_and_check_ones_are_held_out(case):
+    rng = np.random.default_rng(4)
+    recordings = []
+    for i, role in enumerate(("fit", "fit", "check", "check", "check")):
+        arm = dataclasses.replace(case.arm, theta2=case.arm.theta2 + 0.4 * i)
+        t = np.arange(800 + 150 * i) * 0.01
+        q, _ = rig.simulate(arm, t, rig.random_release(rng))
+        q = q + 5e-4 * rng.standard_normal(q.shape)
+        recordings.append(
+            residyn.Recording.from_arrays(
+                t, q, theta2=arm.theta2, noise=5e-4, role=role, name=f"{i}.csv"
+            )
+        )
+    base = experiment(case)
+    fit = residyn.fit(residyn.Experiment(base.inertia, tuple(recordings)))
+    assert relative_errors(fit, case)[:2].max() < 0.003
+    assert [r.recording.name for r in fit.recordings] == [f"{i}.csv" for i in range(5)]
+    # Held-out recordings come down to the noise, though their numbers were never fitted to them.
+    np.testing.assert_allclose(fit.check_rmse, 5e-4, rtol=0.1)
+    wrong = dataclasses.replace(recordings[2], angle=recordings[2].angle * 1.1)
+    spoilt = residyn.Experiment(base.inertia, (*recordings[:2], wrong))
+    other = residyn.fit(spoilt, starts=2)
+    values = [[n.value for n in f.numbers] for f in (fit, other)]
+    np.testing.assert_allclose(values[0], values[1], rtol=1e-5)
+
+
+def test_hidden_coulomb_friction_shows_and_then_fits():
+    case = next(rig.friction_cases(np.random.default_rng([8, 1]), 1, noise=2e-4, share=(0.03, 0.05)))
+    joint = int(np.argmax(case.frictionloss))
+    name = ("shoulder", "elbow")[joint]
+    base = residyn.fit(experiment(case, noise=2e-4))
+    assert base.reduced_chi2 > 4
+    assert any("misses something" in w for w in base.warnings)
+    mended = residyn.fit(experiment(case, noise=2e-4), effects=[f"coulomb_friction:{name}"])
+    assert 0.9 < mended.reduced_chi2 < 1.15
+    assert mended.numbers[-1].name == f"coulomb_friction:{name}.torque"
+    assert mended.numbers[-1].value == pytest.approx(max(case.frictionloss), rel=0.01)
+
+
+def test_driven_recording_of_a_cart_without_spring():
+    rng = np.random.default_rng(6)
+    t = np.arange(4000) * 0.002
+    force = 30 * np.sin(3 * t) + 10 * np.sign(np.sin(7 * t))
+    q, _ = rig.simulate(rig.Cart(4.0, 0.0, 6.0), t, [0.0], drive=force[:, None])
+    recording = residyn.Recording.from_arrays(
+        t, q + 1e-4 * rng.standard_normal(q.shape), drive=force[:, None], noise=1e-4
+    )
+    table = InertiaTable(("cart",), ((4.0,),), ("m",))
+    fit = residyn.fit(residyn.Experiment(table, (recording,)))
+    values = {n.name: n for n in fit.numbers}
+    assert values["damper:cart.damping"].value == pytest.approx(6.0, rel=0.01)
+    assert values["damper:cart.damping"].unit == "N s/m"
+    assert abs(values["spring:cart.stiffness"].value) < 0.2
+    assert fit.reduced_chi2 < 1.3
+
+
+def test_asking_for_inertia_and_stiffness_at_once_is_told_why_not(case):
+    effects = [f"inertia_error:{part}" for part in ("shoulder", "elbow", "coupling")]
+    fit = residyn.fit(experiment(case), effects=effects)
+    assert any("Eq. 9" in w for w in fit.warnings)
+    assert not any(n.determined for n in fit.numbers)
+    assert all(p["std"] is None for p in fit.to_dict()["parameters"].values())
+
+
+def test_two_inertia_errors_can_be_found(case):
+    wrong = ArmTable(
+        (case.arm.l1, case.arm.l2),
+        case.arm.shoulder,
+        case.arm.elbow * 1.04,
+        case.arm.coupling,
+    )
+    fit = residyn.fit(
+        dataclasses.replace(experiment(case), inertia=wrong), effects=["inertia_error:elbow"]
+    )
+    share = fit.numbers[-1]
+    assert share.determined
+    assert share.value == pytest.approx(1 / 1.04 - 1, abs=4 * share.std + 1e-4)
+
+
+def test_a_joint_that_does_not_move_is_named():
+    rng = np.random.default_rng(1)
+    t = np.arange(1000) * 0.01
+    q = np.stack([0.1 * np.exp(-0.1 * t) * np.cos(4 * t), 0 * t], axis=1)
+    table = InertiaTable(("a", "b"), ((1.0, 0.0), (0.0, 1.0)), ("rad", "rad"))
+    recording = residyn.Recording.from_arrays(t, q + 1e-3 * rng.standard_normal(q.shape))
+    fit = residyn.fit(residyn.Experiment(table, (recording,)))
+    moving = next(n for n in fit.numbers if n.name == "spring:a.stiffness")
+    assert moving.value == pytest.approx(16, rel=0.01)
+    assert any("b hardly moves" in w for w in fit.warnings)
+
+
+def test_unknown_effects_joints_and_doubles_are_one_clear_line(case):
+    made = experiment(case)
+    for effects, words in (
+        (["coulomb_fricton"], "did you mean"),
+        (["coulomb_friction:wrist"], "shoulder, elbow"),
+        (["spring"], "already"),
+        (["gravity:elbow"], "whole mechanism"),
+    ):
+        with pytest.raises(ValueError, match=words) as caught:
+            residyn.fit(made, effects=effects)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(ValueError, match="at least one"):
+        residyn.fit(made, starts=0)
+
+
+def test_fitting_needs_no_setting_and_changes_none(case):
+    assert not jax.config.jax_enable_x64
+    fit = residyn.fit(experiment(case), starts=1)
+    assert not jax.config.jax_enable_x64
+    assert relative_errors(fit, case)[:2].max() < 0.005
+
+
+def test_same_recording_same_fit(case, fit):
+    again = residyn.fit(experiment(case))
+    assert [n.value for n in again.numbers] == [n.value for n in fit.numbers]
+
+
+def test_a_fit_of_a_second_recording_compiles_nothing(case, monkeypatch):
+    residyn.fit(experiment(case), starts=3)
+    other = dataclasses.replace(case, t=case.t[:1990], q=case.q[:1990] + 1e-5)
+    compiled = []
+    original = jax._src.compiler.compile_or_get_cached
+
+    def counting(*args, **kwargs):
+        compiled.append(args[1])
+        return original(*args, **kwargs)
+
+    monkeypatch.setattr(jax._src.compiler, "compile_or_get_cached", counting)
+    residyn.fit(experiment(other), starts=3)
+    names = [str(module.operation.attributes["sym_name"]) for module in compiled]
+    assert not any("polish" in name or "solve" in name for name in names), names
