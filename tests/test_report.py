@@ -224,6 +224,7 @@ def test_the_users_own_style_is_left_alone(fit):
         (0.5, "rad", "0.500 rad"),
         (5.3e-6, "m", "5.30 µm"),
         (2.0, None, "2.00"),
+        (2e-4, None, "0.200 ×10⁻³"),
         (0.0, "m", "0 m"),
         (float("nan"), "m", "? m"),
     ],

@@ -17,7 +17,7 @@ import numpy as np
 
 from ._arrays import LEAST, check_enough, check_table
 from ._input import InputError, number, quote
-from ._noise import wild_samples
+from ._wild import wild_samples
 
 
 def window(time: np.ndarray, angle: np.ndarray, start: Any, stop: Any) -> slice:

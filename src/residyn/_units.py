@@ -5,13 +5,14 @@ import math
 _PREFIXES = {
     "rad": ((1.0, "rad"), (1e-3, "mrad"), (1e-6, "µrad")),
     "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm")),
+    "": ((1.0, ""), (1e-3, "×10⁻³"), (1e-6, "×10⁻⁶")),  # a joint whose unit is not known
 }
 
 
 def prefixed(unit: str | None, size: float) -> tuple[float, str]:
     """The unit in which a quantity of this size reads as 0.1 or more.
 
-    **Returns:** the size of that unit in `unit`, and its name; (1, "") where the unit is not known.
+    **Returns:** the size of that unit in `unit`, and its name; "" is a number of unknown unit.
     """
     choices = _PREFIXES.get(unit or "", ((1.0, unit or ""),))
     if not (math.isfinite(size) and size > 0):

@@ -24,10 +24,11 @@ from ._arrays import (
 )
 from ._csv import read_csv, write_csv
 from ._input import InputError, decode, flag, inside, number, read_text
-from ._noise import estimate_noise, noise_and_doubts, wild_samples
+from ._noise import estimate_noise, noise_and_doubts
 from ._release import release_time, window
 from ._tables import ArmTable, Bearing, InertiaTable, check_bearings
 from ._toml import check_role, parse
+from ._wild import wild_samples
 
 __all__ = [
     "ArmTable",

@@ -58,6 +58,28 @@ class Drive(eqx.Module):
         return split((1.0 - part) * self.values[index] + part * self.values[index + 1])
 
 
+    def during(self, index) -> "Drive":
+        """The torque during one integration step."""
+        return self
+
+
+class Piecewise(eqx.Module):
+    """External torque that is a straight line within each of M integration steps.
+
+    `left` and `right` (M, n) in N m (or N): its values at the ends of the steps, where it may jump.
+    """
+
+    start: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    spacing: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    left: Float[Array, "M n"] = eqx.field(converter=jnp.asarray)
+    right: Float[Array, "M n"] = eqx.field(converter=jnp.asarray)
+
+    def during(self, index) -> Drive:
+        """The torque during one integration step."""
+        values = jnp.stack([self.left[index], self.right[index]])
+        return Drive(self.start + index * self.spacing, self.spacing, values)
+
+
 class _Args(NamedTuple):
     model: Model
     drive: Drive | None
@@ -308,7 +330,7 @@ def march(
     v0: Float[Array, " n"],
     *,
     steps: int,
-    drive: Drive | None = None,
+    drive: Drive | Piecewise | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     only: Scalar | None = None,
 ) -> Nodes:
@@ -322,11 +344,15 @@ def march(
     start, stop = jnp.asarray(start, float), jnp.asarray(stop, float)
     h = (stop - start) / steps
     solver = StickSlip() if model.dry else UnrolledTsit5()
-    y0, args = (jnp.asarray(q0, float), jnp.asarray(v0, float)), _Args(model, drive)
+    y0 = jnp.asarray(q0, float), jnp.asarray(v0, float)
+
+    def during(index) -> _Args:
+        return _Args(model, None if drive is None else drive.during(index))
+
     if adjoint is None:
 
         def advance(index, y):
-            return solver.advance(args, start + index * h, h, *y)
+            return solver.advance(during(index), start + index * h, h, *y)
 
         y = tuple(map(split, y0))
         if only is None:
@@ -348,9 +374,10 @@ def march(
             empty = jax.tree.map(lambda _: jnp.zeros(steps + 1), (*y, y[0]))
             last, path = jax.lax.fori_loop(0, only, fill, (y, empty))
         end = steps if only is None else only
-        rest = _acceleration_at(args, start + end * h, *last)
+        rest = _acceleration_at(during(end - 1), start + end * h, *last)
         path = jax.tree.map(lambda row, x: row.at[end].set(x), path, (*last, rest))
         return Nodes(start, h, *(jnp.stack(columns, axis=1) for columns in path))
+    args = during(0)
     nodes = start + h * jnp.arange(steps + 1)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(_vector_field),  # pyright: ignore[reportArgumentType]

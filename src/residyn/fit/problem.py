@@ -22,7 +22,7 @@ from ..mechanism import AbstractMechanism
 from ..model import Model
 from ..motion import Scalar
 from ..recording import Recording
-from ..simulate import Drive, march, read_slots
+from ..simulate import Piecewise, march, read_slots
 
 # A residual beyond this many sigma comes from a simulation that has run away.
 _RUNAWAY = 1e6
@@ -44,7 +44,7 @@ class Recorded(eqx.Module):
     angles: Float[Array, "R M m n"]
     weights: Float[Array, "R M m n"]  # 1/sigma of each reading; 0 where there is none
     mechanism: AbstractMechanism
-    drive: Drive | None
+    drive: Piecewise | None
 
 
 class Layout(NamedTuple):
@@ -131,12 +131,12 @@ def lay_out(
     return stacked, [layout for layout, _ in layouts]
 
 
-def _drives(recordings: Sequence[Recording], steps: int) -> Drive | None:
-    """Drive torques at the ends of the steps, which straight lines join.
+def _drives(recordings: Sequence[Recording], steps: int) -> Piecewise | None:
+    """Drive torques as one straight line a step, with the readings' own impulse and moment.
 
-    The integrator follows straight lines exactly, but a kink inside a step would cost it its order.
-    So each reading is shared between the two ends of its step by the lever rule, which keeps
-    impulse and its moment, and with them rate and position afterwards.
+    The integrator follows a straight line exactly, but a kink inside a step would cost it its
+    order, and a torque merely smoothed shifts the position with every jump. Impulse and moment kept
+    step by step keep rate and position at the end of every step.
     """
     if all(r.drive is None for r in recordings):
         return None
@@ -144,15 +144,15 @@ def _drives(recordings: Sequence[Recording], steps: int) -> Drive | None:
     for r in recordings:
         ends = np.linspace(r.time[0], r.time[-1], steps + 1)
         h = ends[1] - ends[0]
-        values = r.drive if r.drive is not None else np.zeros_like(r.angle)
-        columns = []
-        for torque in values.T:
+        left, right = [], []
+        for torque in (r.drive if r.drive is not None else np.zeros_like(r.angle)).T:
             once, twice = _integrals(r.time, torque, ends)
-            inner = np.diff(twice, 2) / h**2
-            first = (twice[1] - twice[0] - h * once[0]) * 2 / h**2
-            last = (twice[-2] - twice[-1] + h * once[-1]) * 2 / h**2
-            columns.append(np.concatenate([[first], inner, [last]]))
-        drives.append(Drive(r.time[0], h, np.stack(columns, axis=1)))
+            mean = np.diff(once) / h
+            # Second integral over the step, beyond that of its mean: a slope s gives -s h^3 / 12.
+            slope = -12 * (np.diff(twice) - h * once[:-1] - mean * h**2 / 2) / h**3
+            left.append(mean - slope * h / 2)
+            right.append(mean + slope * h / 2)
+        drives.append(Piecewise(r.time[0], h, np.stack(left, axis=1), np.stack(right, axis=1)))
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *drives)
 
 

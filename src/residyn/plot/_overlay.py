@@ -168,13 +168,13 @@ def _draw(main: Axes, strip: Axes, fit: Fit, each: RecordingFit, joint: int, win
     main.plot(*_thinned(time, kept, main), color=MEASURED, lw=2.6 * broad, zorder=2)
     main.plot(*_thinned(time, model, main), color=MODEL, lw=1.0 * broad, zorder=3)
     main.set_xlim(time[0], time[-1])
-    low, high = _range(np.concatenate([kept, model]))
+    sigma = float(np.asarray(each.recording.noise)[joint])
+    low, high = _range(np.concatenate([kept, model]), 8 * sigma / factor)
     main.set_ylim(low, high)
     main.set_ylabel(f"{name}\n({label})" if label else name)
     main.yaxis.set_major_locator(MaxNLocator(4))
     main.xaxis.set_major_locator(MaxNLocator(5))
 
-    sigma = float(np.asarray(each.recording.noise)[joint])
     residual = good - each.predicted
     # A third: a residual reads best in the smaller unit.
     factor, label = prefixed(unit, max(largest(residual[:, alike]), 3 * sigma) / 3)
@@ -189,19 +189,24 @@ def _draw(main: Axes, strip: Axes, fit: Fit, each: RecordingFit, joint: int, win
     strip.set_ylabel(f"residual\n({label})" if label else "residual")
     strip.yaxis.set_major_locator(MaxNLocator(3, symmetric=True, min_n_ticks=3))
 
+    for ax in (main, strip):
+        ax.ticklabel_format(axis="y", style="plain", useOffset=False)
+
     wild = each.wild[window, joint]
     off = (each.recording.angle - each.predicted)[window, joint] / factor
     for ax, values, limits in ((main, measured, (low, high)), (strip, off, (-reach, reach))):
         inside = np.clip(values[wild], *limits)
-        ax.plot(time[wild], inside, "x", color=WILD, ms=5, mew=1.4, zorder=4, clip_on=False)
+        size = 5 if wild.sum() <= 20 else 3
+        ax.plot(time[wild], inside, "x", color=WILD, ms=size, mew=1.2, zorder=4, clip_on=False)
 
 
-def _range(values: np.ndarray) -> tuple[float, float]:
+def _range(values: np.ndarray, least: float) -> tuple[float, float]:
+    """Limits of a scale; at least so far apart, or a joint at rest would show its noise alone."""
     values = values[np.isfinite(values)]
     if not len(values):
         return -1.0, 1.0
     low, high = float(values.min()), float(values.max())
-    margin = 0.08 * (high - low) or abs(high) or 1.0
+    margin = max(0.08 * (high - low), (least - (high - low)) / 2)
     return low - margin, high + margin
 
 

@@ -1,0 +1,109 @@
+"""The polynomial spectrum of a recording: motion is in the low degrees, noise is in all of them.
+
+Cut the readings of a joint into short blocks and express each in polynomials, degree by degree,
+orthonormal on the block's own sample times (so uneven sampling and lost readings do not matter).
+Motion is smooth: its share falls faster than exponentially with the degree and is gone after a few.
+White noise has the same size in every degree. From the degree where the spectrum turns flat only
+noise is left, without any model of the motion.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+_BLOCK = 32
+"""Readings per block: long enough that noise fills most degrees, short against a slow motion."""
+
+_TINY = 1e-100
+"""Motion smaller than this is none."""
+
+
+def scaled(column: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Where a joint was read, its readings in units of their range, and that; 0 if none."""
+    seen = np.flatnonzero(np.isfinite(column))
+    values = column[seen]
+    unit = float(np.ptp(values)) if len(seen) else 0.0
+    if unit < _TINY:
+        return seen, np.zeros(len(seen)), 0.0
+    return seen, (values - np.median(values)) / unit, unit
+
+
+def step(values: np.ndarray) -> float:
+    """The grid that readings lie on (an encoder's step, a printout's last digit); 0 for none."""
+    gaps = np.diff(np.unique(values))
+    gaps = gaps[gaps > 1e-10 * np.ptp(values)]  # less is arithmetic's own rounding
+    if not len(gaps):
+        return 0.0
+    least = float(gaps.min())
+    # Steps between neighbours only: over the whole range a printout's rounding would add up.
+    near = gaps[gaps <= 1.5 * least]
+    step = float(near.mean())
+    counts = gaps / step
+    on_grid = np.mean(np.abs(counts - np.rint(counts)) < 0.1) >= 0.99
+    return step if on_grid else 0.0
+
+
+def parts(index: np.ndarray) -> list[np.ndarray]:
+    """`index` in pieces that fit in memory."""
+    return np.array_split(index, math.ceil(len(index) / 100_000))
+
+
+class Blocks(NamedTuple):
+    first: np.ndarray
+    """(B,) index of each block's first reading; neighbours overlap by half."""
+    basis: np.ndarray
+    """(B, m, m) orthonormal: column k is a polynomial of degree k, the last quarter is the rest."""
+    share: np.ndarray
+    """(B, m) what each column holds of the readings."""
+    degree: int
+    """The first degree that holds nothing but noise."""
+    spread: float
+    """Robust standard deviation of the shares from there on."""
+
+
+def blocks(time: np.ndarray, values: np.ndarray) -> Blocks:
+    """The polynomial spectrum of one joint's readings, scaled."""
+    m = int(np.clip(len(time) // 4, 8, _BLOCK))
+    first = np.unique(np.append(np.arange(0, len(time) - m, m // 2), len(time) - m))
+    span = time[first + m - 1] - time[first]
+    first = first[span <= 2 * np.median(span)]  # across a long gap nothing is smooth
+    index = first[:, None] + np.arange(m)
+    t, y = time[index], values[index]
+    x = 2 * (t - t[:, :1]) / (t[:, -1:] - t[:, :1]) - 1
+    top = 3 * m // 4  # the highest degrees need no names, and are ill-conditioned
+    if np.ptp(x, axis=0).max() < 1e-6 / m:
+        x = x[:1]  # evenly sampled: one basis serves all blocks
+    basis = np.linalg.qr(np.polynomial.legendre.legvander(x, top - 1), mode="complete")[0]
+    basis = np.broadcast_to(basis, (len(first), m, m))
+    share = np.einsum("bmk,bm->bk", basis, y - y.mean(axis=1, keepdims=True))
+    # An encoder at rest says nothing of the noise, and where the motion ends must be seen where it
+    # is at its largest.
+    moves = np.ptp(y, axis=1) > 1e-14
+    if not moves.any():
+        return Blocks(first, basis, share, 1, 0.0)
+    size = np.median(np.abs(y - np.median(y, axis=1, keepdims=True)), axis=1)
+    lively = moves & (size >= min(0.3 * size.max(), np.sort(size)[-min(8, len(size))]))
+    lively = np.flatnonzero(lively)
+    live = share[lively[:: max(1, len(lively) // 1000)]]
+    # Down from the top while the next degree is as small as all above it, within its statistics;
+    # then up again by two, past motion that was too small to be noticed.
+    limit = math.sqrt(1 + 3 * math.sqrt(4 / len(live)))
+    degree = top
+    while degree > 1 and spread(live[:, degree - 1]) <= limit * spread(live[:, degree:]):
+        degree -= 1
+    degree = min(degree + 2, top)
+    return Blocks(first, basis, share, degree, spread(share[moves, degree:]))
+
+
+def spread(values: np.ndarray) -> float:
+    """Standard deviation about zero, blind to a minority of outliers: clipped at three sigma."""
+    values = np.abs(values).ravel()
+    sigma = 1.4826 * float(np.median(values))
+    for _ in range(10):
+        # 0.97334: the variance of a normal variable that is kept within three sigma.
+        new = math.sqrt(float(np.mean(values[values <= 3 * sigma] ** 2)) / 0.97334)
+        if abs(new - sigma) <= 1e-4 * sigma:
+            break
+        sigma = new
+    return sigma
