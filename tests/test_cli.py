@@ -402,7 +402,10 @@ def test_a_reader_that_leaves_is_no_error():
 # -- demo ------------------------------------------------------------------------------------
 
 
-def test_demo_from_end_to_end(command, folder):
+def test_demo_from_end_to_end(command, folder, monkeypatch):
+    from residyn.cli import _options
+
+    monkeypatch.setattr(_options, "STARTS", 2)  # more find the same numbers, later
     end = command("demo", "--json", "demo.json")
     assert end.status == 0, end.err
     assert "residyn-demo.html" in end.out
@@ -414,3 +417,10 @@ def test_demo_from_end_to_end(command, folder):
     assert result["reduced_chi2"] < 1.2
     for said in ("10.9 mrad (11 x)", "(1.0 x)", "held out", "17.5-20.0 s"):
         assert said in end.out
+
+
+def test_the_default_number_of_starts_is_the_fits_own():
+    from residyn.cli import _options
+    from residyn.fit import DEFAULT_STARTS
+
+    assert _options.STARTS == DEFAULT_STARTS

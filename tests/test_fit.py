@@ -133,7 +133,8 @@ def test_several_recordings_share_their_numbers_and_check_ones_are_held_out(case
 
 
 def test_hidden_coulomb_friction_shows_and_then_fits():
-    case = next(rig.friction_cases(np.random.default_rng([8, 1]), 1, noise=2e-4, share=(0.03, 0.05)))
+    rng = np.random.default_rng([8, 1])
+    case = next(rig.friction_cases(rng, 1, noise=2e-4, share=(0.03, 0.05)))
     joint = int(np.argmax(case.frictionloss))
     name = ("shoulder", "elbow")[joint]
     base = residyn.fit(experiment(case, noise=2e-4))

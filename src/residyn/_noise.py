@@ -10,7 +10,7 @@ import numpy as np
 
 from ._arrays import check_table
 from ._input import InputError
-from ._spectrum import blocks, parts, scaled, step
+from ._spectrum import blocks, grid_step, parts, scaled
 from ._wild import outlying
 
 
@@ -43,7 +43,7 @@ def noise_and_doubts(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, l
         good = good if len(good) >= 8 else np.arange(len(y))
         spread = [blocks(time[seen[part]], y[part]).spread for part in parts(good)]
         floor = 1e-9 * math.sqrt(float(np.mean(y**2)))
-        own = max(float(np.median(spread)), step(y) / math.sqrt(12))
+        own = max(float(np.median(spread)), grid_step(y) / math.sqrt(12))
         sigma[j] = unit * max(own, floor)
         if own < floor:
             doubts.append(

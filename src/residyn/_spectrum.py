@@ -29,7 +29,7 @@ def scaled(column: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     return seen, (values - np.median(values)) / unit, unit
 
 
-def step(values: np.ndarray) -> float:
+def grid_step(values: np.ndarray) -> float:
     """The grid that readings lie on (an encoder's step, a printout's last digit); 0 for none."""
     gaps = np.diff(np.unique(values))
     gaps = gaps[gaps > 1e-10 * np.ptp(values)]  # less is arithmetic's own rounding
@@ -50,6 +50,8 @@ def parts(index: np.ndarray) -> list[np.ndarray]:
 
 
 class Blocks(NamedTuple):
+    """Short stretches of one joint's readings, each expressed in polynomials."""
+
     first: np.ndarray
     """(B,) index of each block's first reading; neighbours overlap by half."""
     basis: np.ndarray

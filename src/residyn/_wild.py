@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from ._arrays import check_noise, check_table
-from ._spectrum import Blocks, blocks, parts, scaled, step
+from ._spectrum import Blocks, blocks, grid_step, parts, scaled
 
 _SURE = 5.0
 """Standard deviations from which readings are wild."""
@@ -50,7 +50,7 @@ def wild_samples(
 def outlying(time: np.ndarray, y: np.ndarray, least: float) -> np.ndarray:
     """`wild_samples` of one joint's readings, scaled; `least` is the smallest sigma to believe."""
     flagged = np.zeros(len(y), dtype=bool)
-    least = max(least, step(y) / math.sqrt(12))
+    least = max(least, grid_step(y) / math.sqrt(12))
     for part in parts(np.arange(len(y))):
         # A second look without the first one's finds sees what those had hidden.
         for _ in range(2):
@@ -64,25 +64,25 @@ def outlying(time: np.ndarray, y: np.ndarray, least: float) -> np.ndarray:
     return flagged
 
 
-def _stand_out(blocks: Blocks, values: np.ndarray, least: float) -> np.ndarray:
+def _stand_out(cut: Blocks, values: np.ndarray, least: float) -> np.ndarray:
     """Which of `values` do not fit their block, of sigma `least` or more."""
     found = np.zeros(len(values), dtype=bool)
-    m = blocks.basis.shape[1]
-    noise = blocks.basis[:, :, blocks.degree :]
-    sigma = max(blocks.spread, least, 1e-9 * float(np.std(values)), 1e-14)
-    rest = np.einsum("bmk,bk->bm", noise, blocks.share[:, blocks.degree :]) / sigma
+    m = cut.basis.shape[1]
+    noise = cut.basis[:, :, cut.degree :]
+    sigma = max(cut.spread, least, 1e-9 * float(np.std(values)), 1e-14)
+    rest = np.einsum("bmk,bk->bm", noise, cut.share[:, cut.degree :]) / sigma
     room = np.einsum("bmk,bmk->bm", noise, noise)
     score = np.abs(rest) / np.sqrt(np.maximum(room, 1e-9))
     # Noise with tails heavier than the normal law's is noise still.
     tail = max(1.0, float(np.quantile(score, 0.95)) / 1.96)
     for b in np.flatnonzero(score.max(axis=1) > 3.5 * tail):
         pick = _explain(noise[b] @ noise[b].T, rest[b] / tail)
-        index = blocks.first[b] + np.arange(m)
+        index = cut.first[b] + np.arange(m)
         # A knock may be as sharp as a spike, but is no larger than a part of the acceleration.
         bend = 0.3 * float(np.quantile(np.abs(np.diff(values[index], 2)), 0.75)) / sigma
         # Each reading is judged in the block that has it well inside, if there is one.
         start = 0 if b == 0 else m // 4
-        stop = m if b == len(blocks.first) - 1 else m - m // 4
+        stop = m if b == len(cut.first) - 1 else m - m // 4
         for i, size in pick.items():
             if start <= i < stop and abs(size) > bend:
                 found[index[i]] = True
