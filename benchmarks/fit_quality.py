@@ -19,7 +19,6 @@ from tests import rig
 import residyn
 from residyn.recording import ArmTable
 
-
 SCIPY_EVERY = 10
 
 

@@ -12,7 +12,8 @@ from residyn.effects import CATALOGUE, effects_named
 from residyn.motion import Motion
 from residyn.parameter import Scales, parameters_of
 
-ARM = residyn.PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.3)
+with jax.enable_x64(True):
+    ARM = residyn.PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.3)
 SCALES = Scales(inertia=0.6, frequency=5.0, amplitude=0.2)
 
 

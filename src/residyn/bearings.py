@@ -8,10 +8,10 @@ from collections.abc import Iterable
 from typing import Literal
 
 import equinox as eqx
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .mechanism import PlanarArm
+from .parameter import floating
 
 
 class AirBearing(eqx.Module):
@@ -22,8 +22,8 @@ class AirBearing(eqx.Module):
     """
 
     joint: Literal["elbow", "wrist"] = eqx.field(static=True)
-    mass: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    inertia: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    mass: Float[Array, ""] = eqx.field(converter=floating)
+    inertia: Float[Array, ""] = eqx.field(converter=floating)
 
     def __check_init__(self):
         if self.joint not in ("elbow", "wrist"):

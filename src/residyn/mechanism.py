@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .motion import Joints, Scalar
+from .parameter import floating
 
 if TYPE_CHECKING:  # `mechanism + effect` is a Model, which comes later in the import order
     from .model import Model
@@ -84,11 +85,11 @@ class PlanarArm(AbstractMechanism):
     - `theta2`: elbow angle at rest, rad.
     """
 
-    link_lengths: Float[Array, " 2"] = eqx.field(converter=jnp.asarray)
-    shoulder: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    elbow: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    coupling: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    theta2: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=0.0)
+    link_lengths: Float[Array, " 2"] = eqx.field(converter=floating)
+    shoulder: Float[Array, ""] = eqx.field(converter=floating)
+    elbow: Float[Array, ""] = eqx.field(converter=floating)
+    coupling: Float[Array, ""] = eqx.field(converter=floating)
+    theta2: Float[Array, ""] = eqx.field(converter=floating, default=0.0)
     joints: tuple[str, ...] = eqx.field(static=True, default=("shoulder", "elbow"))
     units: tuple[str, ...] | None = eqx.field(static=True, default=("rad", "rad"))
 
@@ -122,12 +123,12 @@ class ConstantInertia(AbstractMechanism):
     - `units`: "rad" or "m" per joint, or None if not known.
     """
 
-    matrix: Float[Array, "n n"] = eqx.field(converter=jnp.asarray)
+    matrix: Float[Array, "n n"] = eqx.field(converter=floating)
     joints: tuple[str, ...] = eqx.field(static=True)
     units: tuple[str, ...] | None = eqx.field(static=True)
 
     def __init__(self, matrix, joints=None, units=None):
-        self.matrix = jnp.atleast_2d(jnp.asarray(matrix, dtype=float))
+        self.matrix = jnp.atleast_2d(floating(matrix))
         n = self.matrix.shape[-1]
         self.joints = tuple(joints) if joints is not None else tuple(f"q{i + 1}" for i in range(n))
         self.units = tuple(units) if units is not None else None

@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array
 
 Sign = Literal["any", "positive"]
 
@@ -68,6 +69,12 @@ class Parameter:
 _KEY = "residyn"
 
 
+def floating(x: Any) -> Array:
+    """As a float array of the precision in force. (`jnp.asarray(0.1)` would be weakly typed, and
+    take the precision of whatever it meets.)"""
+    return jnp.asarray(x, float)
+
+
 def param(
     words: str,
     dimension: Dimension,
@@ -105,7 +112,7 @@ def param(
     }
     return eqx.field(
         default=silent if default is None else default,
-        converter=jnp.asarray,
+        converter=floating,
         metadata={_KEY: meaning},
     )
 

@@ -25,6 +25,7 @@ from jaxtyping import Array, Float
 from .model import Model, solve_inertia
 from .modes import state_matrix
 from .motion import Joints, Motion, Scalar, split, stack
+from .parameter import floating
 
 # Largest step times fastest angular frequency. Measured on random arms (benchmarks/accuracy.py).
 SMOOTH_STEP = 0.3
@@ -45,9 +46,9 @@ class Drive(eqx.Module):
     `values` (M, n) in N m (or N) at `start + spacing * arange(M)`; constant beyond the ends.
     """
 
-    start: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    spacing: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    values: Float[Array, "M n"] = eqx.field(converter=jnp.asarray)
+    start: Float[Array, ""] = eqx.field(converter=floating)
+    spacing: Float[Array, ""] = eqx.field(converter=floating)
+    values: Float[Array, "M n"] = eqx.field(converter=floating)
 
     def __call__(self, t: Scalar) -> Joints:
         """Torque on each joint at an instant."""
@@ -69,10 +70,10 @@ class Piecewise(eqx.Module):
     `left` and `right` (M, n) in N m (or N): its values at the ends of the steps, where it may jump.
     """
 
-    start: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    spacing: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    left: Float[Array, "M n"] = eqx.field(converter=jnp.asarray)
-    right: Float[Array, "M n"] = eqx.field(converter=jnp.asarray)
+    start: Float[Array, ""] = eqx.field(converter=floating)
+    spacing: Float[Array, ""] = eqx.field(converter=floating)
+    left: Float[Array, "M n"] = eqx.field(converter=floating)
+    right: Float[Array, "M n"] = eqx.field(converter=floating)
 
     def during(self, index) -> Drive:
         """The torque during one integration step."""
