@@ -254,16 +254,16 @@ def test_json_has_no_infinities():
 
 
 def breaking_off(monkeypatch, error):
-    import residyn.fit.pipeline  # noqa: F401
+    import residyn.fitting.pipeline  # noqa: F401
 
     def fit(*_, **__):
         raise error
 
-    monkeypatch.setattr(sys.modules["residyn.fit"], "fit", fit)
+    monkeypatch.setattr(sys.modules["residyn.fitting"], "fit", fit)
 
 
 def test_no_numbers_is_exit_status_1(command, monkeypatch):
-    from residyn.fit.result import FitError
+    from residyn.fitting.result import FitError
 
     breaking_off(monkeypatch, FitError("no start led to finite numbers"))
     end = command("fit", "cart.toml")
@@ -296,9 +296,9 @@ def test_a_fit_that_did_not_settle_prints_and_is_exit_status_1(command, monkeypa
         def __str__(self):
             return "rough numbers"
 
-    import residyn.fit.pipeline  # noqa: F401
+    import residyn.fitting.pipeline  # noqa: F401
 
-    monkeypatch.setattr(sys.modules["residyn.fit"], "fit", lambda *_, **__: Rough())
+    monkeypatch.setattr(sys.modules["residyn.fitting"], "fit", lambda *_, **__: Rough())
     end = command("fit", "cart.toml")
     assert (end.status, end.out) == (1, "rough numbers\n")
     assert end.err == "residyn: step limit reached\n"
@@ -421,6 +421,6 @@ def test_demo_from_end_to_end(command, folder, monkeypatch):
 
 def test_the_default_number_of_starts_is_the_fits_own():
     from residyn.cli import _options
-    from residyn.fit import DEFAULT_STARTS
+    from residyn.fitting import DEFAULT_STARTS
 
     assert _options.STARTS == DEFAULT_STARTS

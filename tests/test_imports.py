@@ -15,10 +15,10 @@ LAYERS = [
     ["mechanism", "bearings"],
     ["effects"],
     ["model"],
-    ["modes"],
-    ["simulate"],
+    ["modal"],
+    ["simulation"],
     ["recording", "_arrays", "_csv", "_noise", "_release", "_spectrum", "_tables", "_toml", "_wild"],
-    ["fit"],
+    ["fitting"],
     ["plot"],
     ["_verdict", "report"],
     ["demo"],
@@ -69,8 +69,8 @@ def test_imports_run_one_way(path, parts):
         if me in PHYSICS and outside is not None:
             known = outside in PHYSICS_MAY or outside in sys.stdlib_module_names
             assert known, f"{me} is physics and imports {outside}"
-        if me != "simulate" and outside == "diffrax":
-            pytest.fail(f"{me} imports diffrax: only simulate does")
+        if me != "simulation" and outside == "diffrax":
+            pytest.fail(f"{me} imports diffrax: only simulation does")
 
 
 def test_every_module_has_a_place():

@@ -12,7 +12,7 @@ import residyn
 from residyn import ConstantInertia, CoulombFriction, Damper, Gravity, PlanarArm, Spring
 from residyn.effects import PrintedInertiaTorque
 from residyn.motion import Motion
-from residyn.simulate import fastest, march
+from residyn.simulation import fastest, march
 
 rig = pytest.importorskip("tests.rig")
 

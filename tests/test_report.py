@@ -16,7 +16,7 @@ from matplotlib.text import Text
 import residyn
 from residyn import _units, _verdict, plot, report
 from residyn.demo import by_window
-from residyn.fit import Fit, Mode, Number, RecordingFit, mechanism_of, model_for
+from residyn.fitting import Fit, Mode, Number, RecordingFit, mechanism_of, model_for
 from residyn.recording import ArmTable, Experiment, Recording
 
 NASTY = "<script>alert('x')</script> & \"q\" $a$ {{ 7*7 }}.csv"

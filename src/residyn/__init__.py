@@ -1,35 +1,86 @@
-"""residyn: fit a braked arm from its recordings, see where the model fails, and mend it."""
+"""residyn: fit a braked arm from its recordings, see where the model fails, and mend it.
 
-from .bearings import AirBearing as AirBearing
-from .bearings import with_bearings as with_bearings
-from .bearings import without_bearings as without_bearings
-from .effects import CATALOGUE as CATALOGUE
-from .effects import AbstractEffect as AbstractEffect
-from .effects import CoulombFriction as CoulombFriction
-from .effects import Damper as Damper
-from .effects import Gravity as Gravity
-from .effects import InertiaError as InertiaError
-from .effects import JointEffect as JointEffect
-from .effects import PrintedInertiaTorque as PrintedInertiaTorque
-from .effects import Spring as Spring
-from .fit import Fit as Fit
-from .fit import FitError as FitError
-from .fit import fit as fit
-from .mechanism import AbstractMechanism as AbstractMechanism
-from .mechanism import ConstantInertia as ConstantInertia
-from .mechanism import PlanarArm as PlanarArm
-from .model import Model as Model
-from .modes import Modes as Modes
-from .modes import modes as modes
-from .motion import Motion as Motion
-from .parameter import param as param
-from .recording import Experiment as Experiment
-from .recording import InputError as InputError
-from .recording import Recording as Recording
-from .recording import load as load
-from .simulate import Drive as Drive
-from .simulate import Trajectory as Trajectory
-from .simulate import simulate as simulate
-from .simulate import steps_for as steps_for
+Names are imported when they are first used, so that the command answers `--help` at once.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .bearings import AirBearing as AirBearing
+    from .bearings import with_bearings as with_bearings
+    from .bearings import without_bearings as without_bearings
+    from .effects import CATALOGUE as CATALOGUE
+    from .effects import AbstractEffect as AbstractEffect
+    from .effects import CoulombFriction as CoulombFriction
+    from .effects import Damper as Damper
+    from .effects import Gravity as Gravity
+    from .effects import InertiaError as InertiaError
+    from .effects import JointEffect as JointEffect
+    from .effects import PrintedInertiaTorque as PrintedInertiaTorque
+    from .effects import Spring as Spring
+    from .fitting import Fit as Fit
+    from .fitting import FitError as FitError
+    from .fitting import fit as fit
+    from .mechanism import AbstractMechanism as AbstractMechanism
+    from .mechanism import ConstantInertia as ConstantInertia
+    from .mechanism import PlanarArm as PlanarArm
+    from .model import Model as Model
+    from .modal import Modes as Modes
+    from .modal import modes as modes
+    from .motion import Motion as Motion
+    from .parameter import param as param
+    from .recording import Experiment as Experiment
+    from .recording import InputError as InputError
+    from .recording import Recording as Recording
+    from .recording import load as load
+    from .simulation import Drive as Drive
+    from .simulation import Trajectory as Trajectory
+    from .simulation import simulate as simulate
+    from .simulation import steps_for as steps_for
 
 __version__ = "0.1.0"
+
+_PUBLIC = {
+    "bearings": ("AirBearing", "with_bearings", "without_bearings"),
+    "effects": (
+        "CATALOGUE",
+        "AbstractEffect",
+        "CoulombFriction",
+        "Damper",
+        "Gravity",
+        "InertiaError",
+        "JointEffect",
+        "PrintedInertiaTorque",
+        "Spring",
+    ),
+    "fitting": ("Fit", "FitError", "fit"),
+    "mechanism": ("AbstractMechanism", "ConstantInertia", "PlanarArm"),
+    "model": ("Model",),
+    "modal": ("Modes", "modes"),
+    "motion": ("Motion",),
+    "parameter": ("param",),
+    "recording": ("Experiment", "InputError", "Recording", "load"),
+    "simulation": ("Drive", "Trajectory", "simulate", "steps_for"),
+}
+_HOME = {name: module for module, names in _PUBLIC.items() for name in names}
+
+__all__ = [*_HOME, "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        # A module of the package, such as `residyn.recording`, or nothing.
+        try:
+            return importlib.import_module(f".{name}", __name__)
+        except ModuleNotFoundError as error:
+            if error.name != f"{__name__}.{name}":
+                raise
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}") from None
+    value = getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ._units import plain, ratio
-from .fit.result import Fit, RecordingFit
+from .fitting.result import Fit, RecordingFit
 
 EXPLAINED = 1.2
 """Reduced chi-square up to which what is left counts as noise."""

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .fit.result import RecordingFit
+from .fitting.result import RecordingFit
 
 HIDDEN = "coulomb_friction:elbow"
 """The effect that the recording was made with, beside springs and dampers."""

@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from . import __version__, _verdict, plot
 from ._input import InputError
 from ._units import amount, plain, ratio, with_error
-from .fit.result import Fit
+from .fitting.result import Fit
 
 MOST_PIXELS_NARROW = 640
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from .._verdict import JointError
-    from ..fit.result import Fit
+    from ..fitting.result import Fit
 
 _REPORT = "residyn-demo.html"
 _TEXT = 88

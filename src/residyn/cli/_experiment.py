@@ -8,7 +8,7 @@ from .._input import InputError
 from ._shell import NoNumbers, progress
 
 if TYPE_CHECKING:
-    from ..fit.result import Fit
+    from ..fitting.result import Fit
     from ..recording import Experiment
 
 
@@ -44,7 +44,7 @@ def fitted(experiment: "Experiment", effects: Sequence[str], starts: int) -> "Fi
     """
     with progress() as say:
         say("loading")
-        from ..fit import FitError, fit
+        from ..fitting import FitError, fit
 
         try:
             return fit(experiment, effects=effects, starts=starts, progress=say)

@@ -20,7 +20,7 @@ def model_with(
 
     **Raises:** `InputError` for an effect or a number that there is not, or a number left out.
     """
-    from ..fit import mechanism_of, model_for
+    from ..fitting import mechanism_of, model_for
 
     try:
         model = model_for(mechanism_of(experiment, experiment.recordings[0]), effects)
@@ -46,7 +46,7 @@ def first_angles(
     model: "Model", experiment: "Experiment", recording: "Recording", rates: np.ndarray
 ) -> np.ndarray:
     """Angles at the first instant: a parabola of the known slope through the first readings."""
-    from ..simulate import fastest
+    from ..simulation import fastest
 
     time = recording.time - recording.time[0]
     # Up to here, a swing at the fastest mode is a parabola within 0.3 %.
@@ -74,7 +74,7 @@ def motion(
     """
     import jax.numpy as jnp
 
-    from ..simulate import Drive, simulate
+    from ..simulation import Drive, simulate
 
     time, drive = recording.time, None
     if recording.drive is not None:
@@ -90,7 +90,7 @@ def motion(
 
 
 def _posed(model: "Model", experiment: "Experiment", recording: "Recording") -> "Model":
-    from ..fit import mechanism_of
-    from ..fit.problem import posed
+    from ..fitting import mechanism_of
+    from ..fitting.problem import posed
 
     return posed(model, mechanism_of(experiment, recording))

@@ -16,7 +16,7 @@ from .._input import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ..fit.result import Fit
+    from ..fitting.result import Fit
 
 DONE, NO_NUMBERS, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 TRACEBACK = "RESIDYN_TRACEBACK"

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from .._units import plain, prefixed, ratio
-from ..fit.result import Fit
+from ..fitting.result import Fit
 from ._style import DASHED, HELD_OUT, INK, MODEL, NARROW, WIDE, largest, styled
 
 

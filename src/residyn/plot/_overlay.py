@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from .._units import prefixed
-from ..fit.result import Fit, Mode, RecordingFit
+from ..fitting.result import Fit, Mode, RecordingFit
 from ._style import (
     BAND,
     DASHED,

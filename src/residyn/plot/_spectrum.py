@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from .._units import plain, prefixed
-from ..fit.result import Fit, Mode, RecordingFit
+from ..fitting.result import Fit, Mode, RecordingFit
 from ._style import DASHED, INK, MEASURED, MODEL, NARROW, RESIDUAL, WIDE, largest, shortened, styled
 
 _BINS_PER_DECADE = 60

@@ -15,7 +15,7 @@ from ..mechanism import AbstractMechanism, ConstantInertia, PlanarArm
 from ..model import Model
 from ..parameter import Scales
 from ..recording import ArmTable, Experiment, Recording
-from ..simulate import DRY_STEP, fastest
+from ..simulation import DRY_STEP, fastest
 from .problem import Layout, Problem, Unknowns, bucket, lay_out, posed
 
 # Step of a fit times fastest angular frequency: good to 1e-6 of the amplitude, far below any noise.

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .model import Model, solve_inertia
-from .modes import state_matrix
+from .modal import state_matrix
 from .motion import Joints, Motion, Scalar, split, stack
 from .parameter import floating
 

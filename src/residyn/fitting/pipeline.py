@@ -15,9 +15,9 @@ import numpy as np
 
 from ..effects import AbstractEffect
 from ..model import Model
-from ..modes import modes_of
+from ..modal import modes_of
 from ..recording import Experiment, wild_samples
-from ..simulate import compiled_state_matrix
+from ..simulation import compiled_state_matrix
 from .identify import Spread, spread_of
 from .levenberg import Polished, polish
 from .problem import Compressed, Layout, Problem, Unknowns

@@ -22,7 +22,7 @@ from ..mechanism import AbstractMechanism
 from ..model import Model
 from ..motion import Scalar
 from ..recording import Recording
-from ..simulate import Piecewise, march, read_slots
+from ..simulation import Piecewise, march, read_slots
 
 # A residual beyond this many sigma comes from a simulation that has run away.
 _RUNAWAY = 1e6
