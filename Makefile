@@ -10,7 +10,7 @@ demo: .venv/.demo
 	$(BIN)/residyn demo
 
 test: lint
-	$(RUN) -m pytest -n 2 --dist worksteal
+	$(RUN) -m pytest -n 2 --dist loadfile
 
 lint: .venv/.test
 	$(BIN)/ruff check .

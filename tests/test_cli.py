@@ -254,12 +254,12 @@ def test_json_has_no_infinities():
 
 
 def breaking_off(monkeypatch, error):
-    import residyn.fitting.pipeline  # noqa: F401
+    import residyn.fitting
 
     def fit(*_, **__):
         raise error
 
-    monkeypatch.setattr(sys.modules["residyn.fitting"], "fit", fit)
+    monkeypatch.setattr(residyn.fitting, "fit", fit)
 
 
 def test_no_numbers_is_exit_status_1(command, monkeypatch):
@@ -296,9 +296,9 @@ def test_a_fit_that_did_not_settle_prints_and_is_exit_status_1(command, monkeypa
         def __str__(self):
             return "rough numbers"
 
-    import residyn.fitting.pipeline  # noqa: F401
+    import residyn.fitting
 
-    monkeypatch.setattr(sys.modules["residyn.fitting"], "fit", lambda *_, **__: Rough())
+    monkeypatch.setattr(residyn.fitting, "fit", lambda *_, **__: Rough())
     end = command("fit", "cart.toml")
     assert (end.status, end.out) == (1, "rough numbers\n")
     assert end.err == "residyn: step limit reached\n"
