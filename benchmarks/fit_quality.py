@@ -19,7 +19,7 @@ from tests import rig
 import residyn
 from residyn.recording import ArmTable
 
-SCIPY_EVERY = 20
+SCIPY_EVERY = 25
 
 
 def experiment_of(case: rig.Case, noise: float | None = None) -> residyn.Experiment:

@@ -80,7 +80,7 @@ def test_report_reads_like_lmfits(fit):
     text = str(fit)
     for word in ("+/-", "start", "agree", "N m/rad", "Hz", "x noise", "converged"):
         assert word in text
-    assert max(map(len, text.splitlines())) < 130
+    assert max(map(len, text.splitlines())) <= 80
 
 
 def test_wild_readings_are_found_set_aside_and_counted(case):

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from .mechanism import AbstractMechanism as AbstractMechanism
     from .mechanism import ConstantInertia as ConstantInertia
     from .mechanism import PlanarArm as PlanarArm
-    from .model import Model as Model
     from .modal import Modes as Modes
     from .modal import modes as modes
+    from .model import Model as Model
     from .motion import Motion as Motion
     from .parameter import param as param
     from .recording import Experiment as Experiment

@@ -5,12 +5,13 @@ masses asks for, and nothing of springs or friction. Adding an effect to it make
 """
 
 import abc
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from .motion import Joints, Scalar
 from .parameter import floating
@@ -85,13 +86,28 @@ class PlanarArm(AbstractMechanism):
     - `theta2`: elbow angle at rest, rad.
     """
 
-    link_lengths: Float[Array, " 2"] = eqx.field(converter=floating)
-    shoulder: Float[Array, ""] = eqx.field(converter=floating)
-    elbow: Float[Array, ""] = eqx.field(converter=floating)
-    coupling: Float[Array, ""] = eqx.field(converter=floating)
-    theta2: Float[Array, ""] = eqx.field(converter=floating, default=0.0)
-    joints: tuple[str, ...] = eqx.field(static=True, default=("shoulder", "elbow"))
-    units: tuple[str, ...] | None = eqx.field(static=True, default=("rad", "rad"))
+    link_lengths: Float[Array, " 2"]
+    shoulder: Float[Array, ""]
+    elbow: Float[Array, ""]
+    coupling: Float[Array, ""]
+    theta2: Float[Array, ""]
+    joints: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[str, ...] | None = eqx.field(static=True)
+
+    def __init__(
+        self,
+        link_lengths: ArrayLike | Sequence[float],
+        shoulder: ArrayLike,
+        elbow: ArrayLike,
+        coupling: ArrayLike,
+        theta2: ArrayLike = 0.0,
+    ):
+        self.link_lengths = floating(link_lengths)
+        self.shoulder = floating(shoulder)
+        self.elbow = floating(elbow)
+        self.coupling = floating(coupling)
+        self.theta2 = floating(theta2)
+        self.joints, self.units = ("shoulder", "elbow"), ("rad", "rad")
 
     def mass_matrix(self, q):
         """Eq. 2."""

@@ -3,7 +3,7 @@
 Time, angles and rates, and nothing else: an effect is a law of nature, so it knows neither the
 recording nor the integrator. One entry needs a word. Dry friction depends on the *sign* of a rate,
 which is undefined at rest and jumps in between; `direction` is that sign as the integrator holds it
-over one step, so that a law written with it stays smooth inside the step (see `residyn.simulation`).
+over one step, so that a law written with it is smooth inside the step (see `residyn.simulation`).
 
 The vectors of the physics are tuples with one scalar per joint. Laws then read as on paper
 (`motion.q[0]`), and XLA keeps the numbers in registers: measured on the inner loop of a fit, six

@@ -13,6 +13,7 @@ exact to the order that matters, costs nearly what a smooth step costs, and diff
 """
 
 import math
+from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
 import diffrax
@@ -20,16 +21,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
-from .model import Model, solve_inertia
 from .modal import state_matrix
+from .model import Model, solve_inertia
 from .motion import Joints, Motion, Scalar, split, stack
 from .parameter import floating
 
 # Largest step times fastest angular frequency. Measured on random arms (benchmarks/accuracy.py).
 SMOOTH_STEP = 0.3
-DRY_STEP = 0.25
+DRY_STEP = 0.15
 
 
 class Trajectory(NamedTuple):
@@ -58,7 +59,6 @@ class Drive(eqx.Module):
         part = place - index
         return split((1.0 - part) * self.values[index] + part * self.values[index + 1])
 
-
     def during(self, index) -> "Drive":
         """The torque during one integration step."""
         return self
@@ -86,6 +86,7 @@ class _Args(NamedTuple):
     drive: Drive | None
 
 
+@jax.jit  # traced once for all stages of all steps: tracing is most of a first fit's cost
 def _acceleration(args: _Args, t, q, v, direction, held=None):
     drive = None if args.drive is None else args.drive(t)
     return args.model.acceleration(Motion(t, q, v, direction), drive, held)
@@ -128,12 +129,14 @@ def _advance(q, v, h, weights, rates):
     )
 
 
+@jax.jit
 def _smooth_step(args: _Args, t, h, q, v):
     """One step: its end, and the acceleration at its beginning. All tuples of scalars."""
     end, first, _ = _tsit5(lambda t, q, v: _acceleration(args, t, q, v, _signs(v)), t, h, q, v)
     return end, first
 
 
+@jax.jit
 def _dry_step(args: _Args, t, h, q, v):
     """`_smooth_step` for joints that may reverse or stick inside the step."""
     direction, held = sliding(args, t, q, v)
@@ -195,8 +198,9 @@ def _friction(args: _Args, t, q: Joints, v: Joints) -> list[Scalar | None]:
                 for s in (1.0, -1.0)
             )
             if not isinstance(up[joint], float):  # a plain 0.0: the effect leaves this joint alone
+                known = level[joint]
                 more = 0.5 * (up[joint] - down[joint])
-                level[joint] = more if level[joint] is None else level[joint] + more
+                level[joint] = more if known is None else known + more
     return level
 
 
@@ -463,9 +467,9 @@ def steps_for(model: Model, duration: float, frequency: float | None = None) -> 
 
 def simulate(
     model: Model,
-    times: Float[Array, " N"],
-    q0: Float[Array, " n"],
-    v0: Float[Array, " n"] | None = None,
+    times: ArrayLike | Sequence[float],
+    q0: ArrayLike | Sequence[float],
+    v0: ArrayLike | Sequence[float] | None = None,
     *,
     drive: Drive | None = None,
     steps: int | None = None,

@@ -1,7 +1,6 @@
 """Joint flexibility: the spring of Eq. 4."""
 
-from jaxtyping import Array, Float
-
+from ..motion import Scalar
 from ..parameter import STIFFNESS, param
 from .base import JointEffect
 
@@ -14,7 +13,7 @@ class Spring(JointEffect):
     looks_like = "the ringing itself: sets the frequencies"
     source = "paper, Eq. 4 and 24"
 
-    stiffness: Float[Array, ""] = param("joint stiffness", STIFFNESS, sign="positive")
+    stiffness: Scalar = param("joint stiffness", STIFFNESS, sign="positive")
 
     def joint_torque(self, motion):
         return self.stiffness * motion.q

@@ -5,8 +5,7 @@ Its size does not fall with the rate, so it takes the same bite out of the ampli
 the laws here use `motion.direction`, and the integrator finds the instants where it changes.
 """
 
-from jaxtyping import Array, Float
-
+from ..motion import Scalar
 from ..parameter import TORQUE, param
 from .base import JointEffect
 
@@ -21,7 +20,7 @@ class CoulombFriction(JointEffect):
     dissipates = True
     dry = True
 
-    level: Float[Array, ""] = param("friction torque", TORQUE, sign="positive", name="torque")
+    level: Scalar = param("friction torque", TORQUE, sign="positive", name="torque")
 
     def joint_torque(self, motion):
         return self.level * motion.direction

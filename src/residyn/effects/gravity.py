@@ -1,8 +1,8 @@
 """Gravity in the plane of motion: a tilted table or, at 90 degrees, a pendulum."""
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
+from ..motion import Scalar
 from ..parameter import TORQUE, param
 from .base import AbstractEffect
 
@@ -11,10 +11,10 @@ class Gravity(AbstractEffect):
     """Gravity on each link, in the sine of the link's absolute angle, not linearised.
 
     With phi_1 = q1 and phi_2 = q1 + theta_2 + q2, link i pulls with
-    `M_i sin(phi_i) + L_i cos(phi_i)` on every joint that carries it. For a pendulum whose links hang
-    at phi = 0, M_1 = (m1 rho1 + m2 l1) g, M_2 = m2 rho2 g and L = 0; for a table tilted by an angle
-    in a direction d (that of the pull, from phi = 0), M = (...) g sin(tilt) cos(d) and
-    L = -(...) g sin(tilt) sin(d). Both enter linearly, so that no angle of tilt is special.
+    `M_i sin(phi_i) + L_i cos(phi_i)` on every joint that carries it. For a pendulum, whose links
+    hang at phi = 0, M_1 = (m1 rho1 + m2 l1) g, M_2 = m2 rho2 g and L = 0. For a table tilted in a
+    direction d (that of the pull, from phi = 0), M = (...) g sin(tilt) cos(d) and
+    L = -(...) g sin(tilt) sin(d). Both enter linearly, so that no direction is special.
     """
 
     name = "gravity"
@@ -22,10 +22,10 @@ class Gravity(AbstractEffect):
     looks_like = "frequency falls with amplitude; rest shifts on a tilted table"
     source = "Lagrange, with V = sum of -M_i cos(phi_i) + L_i sin(phi_i)"
 
-    moment1: Float[Array, ""] = param("pull of link 1 (and what it carries) towards 0", TORQUE)
-    moment2: Float[Array, ""] = param("pull of link 2 towards 0", TORQUE)
-    lateral1: Float[Array, ""] = param("pull of link 1 across", TORQUE)
-    lateral2: Float[Array, ""] = param("pull of link 2 across", TORQUE)
+    moment1: Scalar = param("pull of link 1 (and what it carries) towards 0", TORQUE)
+    moment2: Scalar = param("pull of link 2 towards 0", TORQUE)
+    lateral1: Scalar = param("pull of link 1 across", TORQUE)
+    lateral2: Scalar = param("pull of link 2 across", TORQUE)
 
     @classmethod
     def places(cls, mechanism):

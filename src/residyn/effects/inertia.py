@@ -2,9 +2,9 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from ..mechanism import AbstractMechanism, PlanarArm
+from ..motion import Scalar
 from ..parameter import RATIO, param
 from .base import AbstractEffect
 
@@ -26,9 +26,7 @@ class PrintedInertiaTorque(AbstractEffect):
     looks_like = "large swings that gain or lose energy for no reason; nothing at small ones"
     source = "paper, Eq. 3"
 
-    share: Float[Array, ""] = param(
-        "share of the printed form", RATIO, default=1.0, silent=0.0, fitted=False
-    )
+    share: Scalar = param("share of the printed form", RATIO, default=1.0, silent=0.0, fitted=False)
 
     @classmethod
     def places(cls, mechanism):
@@ -36,6 +34,7 @@ class PrintedInertiaTorque(AbstractEffect):
         return ()
 
     def torque(self, motion, mechanism):
+        assert isinstance(mechanism, PlanarArm)
         v = motion.v
         s = mechanism.link_lengths[0] * mechanism.coupling
         s = s * jnp.sin(mechanism.theta2 + motion.q[1])
@@ -53,7 +52,7 @@ class InertiaError(AbstractEffect):
     source = "paper, Eq. 9 and section 2.2"
 
     part: str = eqx.field(static=True)
-    share: Float[Array, ""] = param("error of the given inertia, as a share of it", RATIO)
+    share: Scalar = param("error of the given inertia, as a share of it", RATIO)
 
     @classmethod
     def places(cls, mechanism):

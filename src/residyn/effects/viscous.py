@@ -1,7 +1,6 @@
 """Loss in proportion to the rate: the damper of Eq. 4."""
 
-from jaxtyping import Array, Float
-
+from ..motion import Scalar
 from ..parameter import DAMPING, param
 from .base import JointEffect
 
@@ -15,7 +14,7 @@ class Damper(JointEffect):
     source = "paper, Eq. 4"
     dissipates = True
 
-    damping: Float[Array, ""] = param("joint damping", DAMPING, sign="positive")
+    damping: Scalar = param("joint damping", DAMPING, sign="positive")
 
     def joint_torque(self, motion):
         return self.damping * motion.v

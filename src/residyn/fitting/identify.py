@@ -41,7 +41,7 @@ def information(factors: np.ndarray, numbers: int) -> np.ndarray:
     for factor in factors:
         # QR with the states first leaves, below them, the numbers' information alone.
         states_first = np.roll(factor, -numbers, axis=1)
-        rest = np.linalg.qr(states_first, mode="r")[-numbers:, -numbers:]
+        rest = np.asarray(np.linalg.qr(states_first, mode="r"))[-numbers:, -numbers:]
         total += rest.T @ rest
     return total
 

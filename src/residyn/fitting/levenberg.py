@@ -111,8 +111,10 @@ def polish(problem: Problem, starts: Unknowns, shares: Float[Array, " H"]) -> Po
         y = jax.tree.map(lambda x: jnp.where(_like(lost, x), x[best][None], x), y)
         return (y, lost, taken + steps, squeezed), good
 
-    none = jnp.zeros(starts.numbers.shape[0], bool)
-    shape = jax.eval_shape(lambda y: jax.vmap(lambda each: compressed(problem, each, 1))(y), starts)
+    none, none_yet = jnp.zeros(starts.numbers.shape[0], bool), jnp.asarray(0)
+    shape = jax.eval_shape(
+        lambda y: jax.vmap(lambda x: compressed(problem, x, none_yet))(y), starts
+    )
     empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shape)
     (y, lost, taken, squeezed), good = jax.lax.scan(
         stretch, (starts, none, jnp.zeros_like(none, int), empty), shares

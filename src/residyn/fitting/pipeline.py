@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..effects import AbstractEffect
-from ..model import Model
 from ..modal import modes_of
+from ..model import Model
 from ..recording import Experiment, wild_samples
 from ..simulation import compiled_state_matrix
 from .identify import Spread, spread_of
@@ -31,6 +31,7 @@ _FIRST_CYCLES = 3  # of the fastest mode, in the first stretch
 _AGREE = 0.5  # starts that end within this many standard errors of the best one agree with it
 _MOST_WILD = 0.05  # a larger share of readings is not a few wild ones, it is another motion
 _ROUNDS = 3
+_USUAL = 0.5  # of the residual's own size: what a wild reading must exceed, too
 
 
 def fit(
@@ -89,7 +90,7 @@ def _fit(experiment, effects, starts, progress) -> Fit:
     # Errors assume that the residual is white noise of the size that was stated; where it is larger
     # they grow with it.
     sizes = np.asarray(descent.problem.scale.numbers)
-    spread = spread_of(descent.compressed.factor, sizes, max(1.0, chi2))
+    spread = spread_of(np.asarray(descent.compressed.factor), sizes, max(1.0, chi2))
     result = Fit(
         experiment=experiment,
         model=model,
@@ -156,13 +157,13 @@ def _descend(
     out = jax.device_get(polish(problem, y, jnp.asarray([first, math.sqrt(first), 1.0])))
     best, agreeing = int(np.argmin(out.cost)), _agreeing(out)
     steps = int(out.steps[best])
+    at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
     for round_ in range(_ROUNDS + 1):
         if not np.isfinite(out.cost[best]):
             raise FitError("no start led to finite numbers: is this the arm that was recorded?")
-        at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
         predicted = _predictions(squeezed, layouts)
         pairs = zip(here.recordings, predicted, strict=True)
-        found = _wild(here, [r.angle - p for r, p in pairs])
+        found = _wild(here, [r.angle - p for r, p in pairs], beside=True)
         found = [new | old for new, old in zip(found, wild, strict=True)]
         settled = all((f == w).all() for f, w in zip(found, wild, strict=True))
         if settled or round_ == _ROUNDS or any(f.mean() > _MOST_WILD for f in found):
@@ -174,13 +175,20 @@ def _descend(
         again = jax.tree.map(lambda x: jnp.broadcast_to(x, (starts, *x.shape)), at)
         out = jax.device_get(polish(problem, again, jnp.ones(3)))
         steps, best = steps + int(out.steps[0]), 0
+        at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
     total, done = float(out.cost[best]), bool(out.converged[best])
     return _Descent(problem, layouts, wild, at, squeezed, total, steps, done, starts, agreeing)
 
 
-def _wild(here: Ready, readings: Sequence[np.ndarray]) -> list[np.ndarray]:
-    pairs = zip(here.recordings, readings, strict=True)
-    return [wild_samples(r.time, angle, r.noise) for r, angle in pairs]
+def _wild(here: Ready, readings: Sequence[np.ndarray], beside: bool = False) -> list[np.ndarray]:
+    """Readings far off their neighbours; `beside` the model, also far off the usual residual."""
+    found = []
+    for recording, x in zip(here.recordings, readings, strict=True):
+        noise = recording.noise
+        if beside:  # where the model misses something, the residual has corners of its own
+            noise = np.maximum(noise, _USUAL * 1.4826 * np.nanmedian(np.abs(x), axis=0))
+        found.append(wild_samples(recording.time, x, noise))
+    return found
 
 
 def _row(tree, index: int):
@@ -250,7 +258,7 @@ def _modes(model: Model, covariance: np.ndarray) -> tuple[Mode, ...]:
 
     def at(numbers: np.ndarray) -> np.ndarray:
         matrix = compiled_state_matrix(model.with_vector(jnp.asarray(numbers)))
-        return np.stack(modes_of(np.linalg.eigvals(np.asarray(matrix))))
+        return np.stack(modes_of(jnp.asarray(np.linalg.eigvals(np.asarray(matrix)))))
 
     best, slopes = at(vector), []
     for i, value in enumerate(vector):

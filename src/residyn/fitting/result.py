@@ -5,6 +5,7 @@ person would want to be told: what the data cannot determine, what trades agains
 readings were set aside, how many starts agreed and why the search stopped.
 """
 
+import textwrap
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -174,32 +175,34 @@ def _number(x) -> float | None:
 
 
 def _lines(fit: Fit) -> list[str]:
-    lines = [f"[[Model]]  {' + '.join(fit.model.labels)}", "[[Fit]]"]
+    """The report, for a terminal of 80 columns."""
     fitted = [r for r in fit.recordings if r.recording.role != "check"]
     readings = sum(int(r.used.sum()) for r in fitted)
-    lines += [
-        f"    recordings     {', '.join(r.recording.name for r in fitted)}  ({readings} readings)",
-        f"    starts         {fit.agreeing_starts} of {fit.starts} agree",
-        f"    stopped        {fit.reason}",
-        f"    chi-square     {fit.reduced_chi2:.4g} per degree of freedom (1: noise alone)",
+    names = ", ".join(r.recording.name for r in fitted)
+    lines = [
+        *_wrapped("[[Model]]  ", " + ".join(fit.model.labels)),
+        "[[Fit]]",
+        *_wrapped("    recordings  ", f"{names} ({readings} readings)"),
+        f"    starts      {fit.agreeing_starts} of {fit.starts} agree",
+        *_wrapped("    stopped     ", fit.reason),
+        f"    chi-square  {fit.reduced_chi2:.4g} per degree of freedom (1: noise alone)",
     ]
-    check = fit.check_rmse
-    units = fit.experiment.units or ("rad or m",) * len(fit.joints)
+    check, units = fit.check_rmse, fit.experiment.units or ("",) * len(fit.joints)
     for i, joint in enumerate(fit.joints):
         ratio = fit.rmse[i] / fit.noise[i]
-        line = f"    rms residual   {fit.rmse[i]:.4g} {units[i]} at {joint}: {ratio:.3g} x noise"
+        line = f"{joint}: {fit.rmse[i]:.4g} {units[i]}, {ratio:.3g} x noise"
         if check is not None:
             line += f"; held out: {check[i]:.4g} {units[i]}"
-        lines.append(line)
-    lines.append("[[Parameters]]  value +/- standard error (error in %), start")
-    width = max((len(n.name) for n in fit.numbers), default=0)
+        lines += _wrapped("    rms         ", line)
+    lines.append("[[Parameters]]  value +/- standard error (error in %)")
+    starts: list[str] = []
     for n in fit.numbers:
-        if n.determined:
-            text = f"{n.value:11.6g} +/- {n.std:<9.3g} ({n.percent:.3g} %)"
-        else:
-            text = f"{n.value:11.6g} +/- not determined"
         unit = "" if n.unit == "1" else f" {n.unit}"
-        lines.append(f"    {n.name:<{width}}  {text:<38} start {n.start:<9.4g}{unit}")
+        error = f"{n.std:.3g} ({n.percent:.2g} %)" if n.determined else "not determined"
+        value = f"{n.value:11.6g} +/- {error}{unit}"
+        lines.append(f"  {n.name:<30}{value:<38}".rstrip())
+        starts.append(f"{n.name} {n.start:.4g}")
+    lines += _wrapped("  started from ", ", ".join(starts))
     if fit.modes:
         lines.append("[[Modes]]  natural frequency, damping ratio")
     for i, m in enumerate(fit.modes, 1):
@@ -213,5 +216,12 @@ def _lines(fit: Fit) -> list[str]:
         lines += [f"    {a} with {b}: {r:+.3f}" for a, b, r in strong]
     if fit.warnings:
         lines.append("[[Warnings]]")
-        lines += [f"    {w}" for w in fit.warnings]
+        for warning in fit.warnings:
+            lines += _wrapped("    - ", warning)
     return lines
+
+
+def _wrapped(head: str, words: str) -> list[str]:
+    return textwrap.wrap(
+        words, 80, initial_indent=head, subsequent_indent=" " * len(head), break_on_hyphens=False
+    )

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Literal, NamedTuple, cast
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -37,8 +37,7 @@ def mechanism_of(experiment: Experiment, recording: Recording) -> AbstractMechan
             table.link_lengths, table.shoulder, table.elbow, table.coupling, recording.theta2
         )
         if not recording.air_bearings:
-            where = Literal["elbow", "wrist"]
-            on = [AirBearing(cast(where, b.joint), b.mass, b.inertia) for b in experiment.bearings]
+            on = [AirBearing(b.joint, b.mass, b.inertia) for b in experiment.bearings]  # pyright: ignore
             arm = without_bearings(arm, on)
         return jax.tree.map(lambda x: jnp.asarray(x, float), arm)
     matrix = np.array(table.matrix, float)

@@ -30,6 +30,7 @@ _POWER = 5  # (1 - s^2)^5 is smooth enough at its ends for two derivatives
 _NARROWEST = 4  # samples in half a kernel
 _LADDER = 12  # kernels tried, each 1.5 times wider than the last
 _GAUSS_NEWTON = 8
+_LEAST_KEPT = 0.05
 
 
 class Uniform(NamedTuple):
@@ -137,6 +138,10 @@ def closed_form(
     numbers, spread = jax.device_get(
         _solve(stacked, jnp.asarray(beginnings), *map(jnp.asarray, arrays))
     )
+    # A kernel wider than the slowest swing leaves only rest and drift, which any tiny stiffness
+    # fits beautifully.
+    kept = _kept(grids, halves)
+    fits &= kept > min(_LEAST_KEPT, 0.5 * kept.max())
     # Overlapping kernels share their noise: a kernel of half-width h leaves about 1/h as many
     # independent equations.
     spread = spread + np.where(fits, 0.5 * np.log(halves), np.inf)[:, None]
@@ -145,6 +150,23 @@ def closed_form(
     order = np.argsort(spread, kind="stable")
     order = order[np.isfinite(spread[order])]
     return Candidates(numbers[order], spread[order])
+
+
+def _kept(grids: Sequence[Uniform], halves: np.ndarray) -> np.ndarray:
+    """Share of the motion (rms about its mean, best joint) that passes each kernel."""
+    shares = []
+    for half in halves:
+        best = 0.0
+        for grid in grids:
+            if len(grid.q) > 4 * half:
+                about = grid.q - grid.q.mean(axis=0)
+                value = kernel(int(half), grid.dt)[0]
+                passed = np.stack([np.convolve(c, value, "valid") for c in about.T], axis=1)
+                passed = passed - passed.mean(axis=0)
+                size = np.maximum(about.std(axis=0), 1e-300)
+                best = max(best, float((passed.std(axis=0) / size).max()))
+        shares.append(best)
+    return np.asarray(shares)
 
 
 def _grid(model: Model) -> np.ndarray:
