@@ -14,10 +14,10 @@ import time
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
-from tests import rig
 
 import residyn
 from residyn.recording import ArmTable
+from tests import rig
 
 SCIPY_EVERY = 25
 
