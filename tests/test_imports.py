@@ -16,6 +16,8 @@ LAYERS = [
     ["effects"],
     ["model"],
     ["modal"],
+    ["equation"],
+    ["stick_slip"],
     ["simulation"],
     [
         "recording",

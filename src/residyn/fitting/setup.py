@@ -19,7 +19,7 @@ from ..simulation import DRY_STEP, fastest
 from .problem import Layout, Problem, Unknowns, bucket, lay_out, posed
 
 # Step of a fit times fastest angular frequency: good to 1e-6 of the amplitude, far below any noise.
-_STEP = 0.5
+_STEP = 0.4
 # A driven motion is as quick as its drive, whatever the modes: samples per step at most.
 _SAMPLES_DRIVEN = 5
 

@@ -1,0 +1,67 @@
+"""The equation of motion as the integrator sees it: model, drive torque, direction of sliding."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .model import Model
+from .motion import Joints, Motion, Scalar, split
+from .parameter import floating
+
+
+class Drive(eqx.Module):
+    """External torque on a uniform grid, joined by straight lines.
+
+    `values` (M, n) in N m (or N) at `start + spacing * arange(M)`; constant beyond the ends.
+    """
+
+    start: Float[Array, ""] = eqx.field(converter=floating)
+    spacing: Float[Array, ""] = eqx.field(converter=floating)
+    values: Float[Array, "M n"] = eqx.field(converter=floating)
+
+    def __call__(self, t: Scalar) -> Joints:
+        """Torque on each joint at an instant."""
+        last = self.values.shape[0] - 1
+        place = jnp.clip((t - self.start) / self.spacing, 0.0, last)
+        index = jnp.clip(jnp.floor(place).astype(int), 0, last - 1)
+        part = place - index
+        return split((1.0 - part) * self.values[index] + part * self.values[index + 1])
+
+    def during(self, index) -> "Drive":
+        """The torque during one integration step."""
+        return self
+
+
+class Piecewise(eqx.Module):
+    """External torque that is a straight line within each of M integration steps.
+
+    `left` and `right` (M, n) in N m (or N): its values at the ends of the steps, where it may jump.
+    """
+
+    start: Float[Array, ""] = eqx.field(converter=floating)
+    spacing: Float[Array, ""] = eqx.field(converter=floating)
+    left: Float[Array, "M n"] = eqx.field(converter=floating)
+    right: Float[Array, "M n"] = eqx.field(converter=floating)
+
+    def during(self, index) -> Drive:
+        """The torque during one integration step."""
+        values = jnp.stack([self.left[index], self.right[index]])
+        return Drive(self.start + index * self.spacing, self.spacing, values)
+
+
+class Args(NamedTuple):
+    model: Model
+    drive: Drive | None
+
+
+@jax.jit  # traced once for all stages of all steps: tracing is most of a first fit's cost
+def acceleration(args: Args, t, q, v, direction, held=None):
+    drive = None if args.drive is None else args.drive(t)
+    return args.model.acceleration(Motion(t, q, v, direction), drive, held)
+
+
+def signs(v: Joints) -> Joints:
+    return tuple(jnp.sign(x) for x in v)

@@ -1,0 +1,145 @@
+"""Dry friction inside an integration step: where a joint reverses, stops, and breaks away.
+
+Inside a step the direction of sliding is held. These functions find what must be held, and correct
+the end of the step for what changed inside it; each correction is exact to the order that matters
+and is differentiable in the model's numbers.
+"""
+
+import jax.numpy as jnp
+
+from .equation import Args, acceleration, signs
+from .model import solve_inertia
+from .motion import Joints, Motion, Scalar
+
+
+def _friction(args: Args, t, q: Joints, v: Joints) -> list[Scalar | None]:
+    """Half the jump of each joint's torque where its direction flips; None without dry friction."""
+    bodies, n = args.model.bodies, len(q)
+    level: list[Scalar | None] = [None] * n
+    for effect in args.model.effects:
+        if not effect.dry:
+            continue
+        now = signs(v)
+        for joint in range(n):
+            up, down = (
+                effect.torque(Motion(t, q, v, (*now[:joint], s, *now[joint + 1 :])), bodies)
+                for s in (1.0, -1.0)
+            )
+            if not isinstance(up[joint], float):  # a plain 0.0: the effect leaves this joint alone
+                known = level[joint]
+                more = 0.5 * (up[joint] - down[joint])
+                level[joint] = more if known is None else known + more
+    return level
+
+
+def sliding(args: Args, t, q: Joints, v: Joints) -> tuple[Joints, Joints]:
+    """Direction of sliding of each joint, and 1 for those that friction holds at rest."""
+    level = _friction(args, t, q, v)
+    # Joints at rest: what would they do if nothing held them?
+    free = acceleration(args, t, q, v, signs(v))
+    direction, held = [], []
+    for joint, limit in enumerate(level):
+        if limit is None:
+            direction.append(jnp.sign(v[joint]))
+            held.append(0.0)
+            continue
+        rests = v[joint] == 0.0
+        # Torque that would keep it at rest.
+        push = jnp.abs(free[joint] / _mobility(args, q, joint)[joint])
+        direction.append(jnp.where(rests, jnp.sign(free[joint]), jnp.sign(v[joint])))
+        held.append(jnp.where(rests & (limit > 0) & (push <= limit), 1.0, 0.0))
+    return tuple(direction), tuple(held)
+
+
+def _mobility(args: Args, q: Joints, joint: int) -> Joints:
+    """A column of Z^-1: acceleration of every joint per unit torque on one."""
+    unit = tuple(1.0 if i == joint else 0.0 for i in range(len(q)))
+    return solve_inertia(args.model.bodies.mass_matrix(q), unit)
+
+
+def reversals(args: Args, t, h, begin, end, direction, held) -> tuple[Joints, Joints]:
+    """The end of the step, corrected for joints which came to rest inside it."""
+    (q0, v0, a0), (q1, v1, a1) = begin, end
+    level = _friction(args, t + h, q1, direction)
+    q, v = q1, v1
+    for j, limit in enumerate(level):
+        if limit is None:
+            continue
+        column = _mobility(args, q1, j)
+        crosses = (held[j] == 0) & (v0[j] != 0.0) & (v1[j] * direction[j] < 0.0)
+        share = _root(v0[j], v1[j], h * a0[j], h * a1[j])
+        rest = (1.0 - share) * h
+        slowing = a0[j] + share * (a1[j] - a0[j])
+        sticks = crosses & (jnp.abs(slowing) <= 2.0 * column[j] * limit)
+        # Torque change after the reversal: the friction flips, or takes what holds the joint, which
+        # runs from `slowing` to the end's a1; its mean counts for v, its first moment for q.
+        flip = 2.0 * limit * direction[j]
+        for_v = jnp.where(sticks, -0.5 * (slowing + a1[j]) / column[j], flip)
+        for_q = jnp.where(sticks, -(2.0 * slowing + a1[j]) / 3.0 / column[j], flip)
+        dq = tuple(jnp.where(crosses, 0.5 * rest**2 * for_q, 0.0) * c for c in column)
+        dv = tuple(jnp.where(crosses, rest * for_v, 0.0) * c for c in column)
+        # The springs answer to dq, which grows as the square of the time since the reversal:
+        # integrated once and twice, their answer at the end counts 1/3 and 1/12.
+        answer = acceleration(args, t + h, _plus(q1, dq), v1, direction, held)
+        answer = tuple(jnp.where(crosses, x - y, 0.0) for x, y in zip(answer, a1, strict=True))
+        q = _plus(q, dq, tuple(rest**2 / 12.0 * x for x in answer))
+        v = _plus(v, dv, tuple(rest / 3.0 * x for x in answer))
+        stop = _hermite3(share, q0[j], q1[j], h * v0[j], h * v1[j])
+        q = tuple(jnp.where(sticks, stop, x) if i == j else x for i, x in enumerate(q))
+        v = tuple(jnp.where(sticks, 0.0, x) if i == j else x for i, x in enumerate(v))
+    return q, v
+
+
+def break_away(args: Args, t, h, begin: Joints, q, v, held) -> tuple[Joints, Joints]:
+    """The end of the step, corrected for joints that friction could no longer hold inside it."""
+    free = {
+        "begin": acceleration(args, t, begin, v, signs(v)),
+        "end": acceleration(args, t + h, q, v, signs(v)),
+    }
+    for j, limit in enumerate(_friction(args, t + h, q, v)):
+        if limit is None:
+            continue
+        column = _mobility(args, q, j)
+        before, after = (jnp.abs(free[when][j] / column[j]) for when in ("begin", "end"))
+        excess = jnp.where(held[j] > 0, jnp.maximum(after - limit, 0.0), 0.0)
+        grown = jnp.where(excess > 0, after - before, 1.0)
+        rest = h * jnp.clip(excess / grown, 0.0, 1.0)
+        # From then on the torque that is not held grows in proportion to time.
+        kick = tuple(c * excess * jnp.sign(free["end"][j]) for c in column)
+        q = _plus(q, tuple(rest**2 / 6.0 * k for k in kick))
+        v = _plus(v, tuple(rest / 2.0 * k for k in kick))
+    return q, v
+
+
+def _plus(*terms: Joints) -> Joints:
+    return tuple(sum(parts[1:], parts[0]) for parts in zip(*terms, strict=True))
+
+
+def _root(v0, v1, d0, d1):
+    """Where in [0, 1] the cubic with ends v0, v1 and slopes d0, d1 is zero, if the ends differ."""
+    gap = v0 - v1
+    share = jnp.clip(v0 / jnp.where(gap == 0.0, 1.0, gap), 0.0, 1.0)
+    for _ in range(3):
+        value = _hermite3(share, v0, v1, d0, d1)
+        slope = _hermite3_slope(share, v0, v1, d0, d1)
+        # Only a slope of the crossing's own sign can be trusted.
+        good = slope * gap < 0.0
+        share = jnp.clip(
+            share - jnp.where(good, value / jnp.where(good, slope, 1.0), 0.0), 0.0, 1.0
+        )
+    return share
+
+
+def _hermite3(s, p0, p1, d0, d1):
+    s2, s3 = s * s, s * s * s
+    return (
+        p0 * (2 * s3 - 3 * s2 + 1)
+        + d0 * (s3 - 2 * s2 + s)
+        + p1 * (3 * s2 - 2 * s3)
+        + d1 * (s3 - s2)
+    )
+
+
+def _hermite3_slope(s, p0, p1, d0, d1):
+    s2 = s * s
+    return (p0 - p1) * (6 * s2 - 6 * s) + d0 * (3 * s2 - 4 * s + 1) + d1 * (3 * s2 - 2 * s)
