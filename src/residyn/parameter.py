@@ -45,10 +45,6 @@ class Dimension(NamedTuple):
 STIFFNESS = Dimension("N m/rad", "N/m", lambda s: s.inertia * s.frequency**2)
 DAMPING = Dimension("N m s/rad", "N s/m", lambda s: s.inertia * s.frequency)
 TORQUE = Dimension("N m", "N", lambda s: s.inertia * s.frequency**2 * s.amplitude)
-ANGLE = Dimension("rad", "m", lambda s: s.amplitude)
-DIRECTION = Dimension("rad", "rad", lambda s: 1.0)
-INERTIA = Dimension("kg m^2", "kg", lambda s: s.inertia)
-FIRST_MOMENT = Dimension("kg m", "kg m", lambda s: s.inertia)
 RATIO = Dimension("1", "1", lambda s: 1.0)
 
 
