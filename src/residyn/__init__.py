@@ -12,13 +12,34 @@ if TYPE_CHECKING:
     from .bearings import without_bearings as without_bearings
     from .effects import CATALOGUE as CATALOGUE
     from .effects import AbstractEffect as AbstractEffect
+    from .effects import AsymmetricStiffness as AsymmetricStiffness
+    from .effects import BearingDrag as BearingDrag
+    from .effects import BearingFriction as BearingFriction
+    from .effects import BearingQuadraticDrag as BearingQuadraticDrag
+    from .effects import BrakeSlip as BrakeSlip
+    from .effects import ConstantTorque as ConstantTorque
     from .effects import CoulombFriction as CoulombFriction
+    from .effects import CouplingDamping as CouplingDamping
+    from .effects import CouplingStiffness as CouplingStiffness
+    from .effects import CubicStiffness as CubicStiffness
     from .effects import Damper as Damper
+    from .effects import DeadZone as DeadZone
     from .effects import Gravity as Gravity
+    from .effects import Hysteresis as Hysteresis
     from .effects import InertiaError as InertiaError
     from .effects import JointEffect as JointEffect
+    from .effects import PeriodicDisturbance as PeriodicDisturbance
     from .effects import PrintedInertiaTorque as PrintedInertiaTorque
+    from .effects import QuadraticDrag as QuadraticDrag
+    from .effects import SensorDelay as SensorDelay
+    from .effects import SensorOffset as SensorOffset
+    from .effects import SensorScale as SensorScale
     from .effects import Spring as Spring
+    from .effects import StiffnessDrift as StiffnessDrift
+    from .effects import StribeckFriction as StribeckFriction
+    from .effects import WristFlexibility as WristFlexibility
+    from .effects import adopt as adopt
+    from .effects import load_effects as load_effects
     from .fitting import Fit as Fit
     from .fitting import FitError as FitError
     from .fitting import fit as fit
@@ -29,13 +50,14 @@ if TYPE_CHECKING:
     from .modal import modes as modes
     from .model import Model as Model
     from .motion import Motion as Motion
+    from .nodes import Trajectory as Trajectory
+    from .parameter import Memory as Memory
     from .parameter import param as param
     from .recording import Experiment as Experiment
     from .recording import InputError as InputError
     from .recording import Recording as Recording
     from .recording import load as load
     from .simulation import Drive as Drive
-    from .simulation import Trajectory as Trajectory
     from .simulation import simulate as simulate
     from .simulation import steps_for as steps_for
 
@@ -46,22 +68,44 @@ _PUBLIC = {
     "effects": (
         "CATALOGUE",
         "AbstractEffect",
+        "AsymmetricStiffness",
+        "BearingDrag",
+        "BearingFriction",
+        "BearingQuadraticDrag",
+        "BrakeSlip",
+        "ConstantTorque",
         "CoulombFriction",
+        "CouplingDamping",
+        "CouplingStiffness",
+        "CubicStiffness",
         "Damper",
+        "DeadZone",
         "Gravity",
+        "Hysteresis",
         "InertiaError",
         "JointEffect",
+        "PeriodicDisturbance",
         "PrintedInertiaTorque",
+        "QuadraticDrag",
+        "SensorDelay",
+        "SensorOffset",
+        "SensorScale",
         "Spring",
+        "StiffnessDrift",
+        "StribeckFriction",
+        "WristFlexibility",
+        "adopt",
+        "load_effects",
     ),
     "fitting": ("Fit", "FitError", "fit"),
     "mechanism": ("AbstractMechanism", "ConstantInertia", "PlanarArm"),
     "model": ("Model",),
     "modal": ("Modes", "modes"),
     "motion": ("Motion",),
-    "parameter": ("param",),
+    "nodes": ("Trajectory",),
+    "parameter": ("Memory", "param"),
     "recording": ("Experiment", "InputError", "Recording", "load"),
-    "simulation": ("Drive", "Trajectory", "simulate", "steps_for"),
+    "simulation": ("Drive", "simulate", "steps_for"),
 }
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}
 

@@ -43,12 +43,16 @@ def without_bearings(arm: PlanarArm, bearings: Iterable[AirBearing]) -> PlanarAr
 def _carry(arm: PlanarArm, bearings: Iterable[AirBearing], sign: float) -> PlanarArm:
     l1, l2 = arm.link_lengths[0], arm.link_lengths[1]
     shoulder, elbow, coupling = arm.shoulder, arm.elbow, arm.coupling
+    count = arm.bearings
     for bearing in bearings:
         # Distance of the bearing from the elbow, along link 2.
         reach = l2 if bearing.joint == "wrist" else 0.0 * l2
         shoulder = shoulder + sign * bearing.mass * l1**2
         elbow = elbow + sign * (bearing.inertia + bearing.mass * reach**2)
         coupling = coupling + sign * bearing.mass * reach
+        count = count.at[0 if bearing.joint == "elbow" else 1].add(sign)
     return eqx.tree_at(
-        lambda a: (a.shoulder, a.elbow, a.coupling), arm, (shoulder, elbow, coupling)
+        lambda a: (a.shoulder, a.elbow, a.coupling, a.bearings),
+        arm,
+        (shoulder, elbow, coupling, count),
     )

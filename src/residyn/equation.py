@@ -58,9 +58,15 @@ class Args(NamedTuple):
 
 
 @jax.jit  # traced once for all stages of all steps: tracing is most of a first fit's cost
-def acceleration(args: Args, t, q, v, direction, held=None):
-    drive = None if args.drive is None else args.drive(t)
-    return args.model.acceleration(Motion(t, q, v, direction), drive, held)
+def rates(args: Args, motion: Motion, held: Joints | None = None) -> tuple[Joints, Joints]:
+    """(q'', z'): accelerations, and the rates of the internal states."""
+    drive = None if args.drive is None else args.drive(motion.t)
+    return args.model.acceleration(motion, drive, held), args.model.memory_rate(motion)
+
+
+def acceleration(args: Args, motion: Motion, held: Joints | None = None) -> Joints:
+    """q'' alone."""
+    return rates(args, motion, held)[0]
 
 
 def signs(v: Joints) -> Joints:

@@ -84,6 +84,8 @@ class PlanarArm(AbstractMechanism):
     - `elbow`: I2 about the elbow joint, kg m^2.
     - `coupling`: m2 rho2, kg m.
     - `theta2`: elbow angle at rest, rad.
+    - `bearings`: how many air bearings ride on the elbow and how many on the wrist (the end of
+      link 2). Their mass is in the inertias already; this says where they slide.
     """
 
     link_lengths: Float[Array, " 2"]
@@ -91,6 +93,7 @@ class PlanarArm(AbstractMechanism):
     elbow: Float[Array, ""]
     coupling: Float[Array, ""]
     theta2: Float[Array, ""]
+    bearings: Float[Array, " 2"]
     joints: tuple[str, ...] = eqx.field(static=True)
     units: tuple[str, ...] | None = eqx.field(static=True)
 
@@ -101,12 +104,14 @@ class PlanarArm(AbstractMechanism):
         elbow: ArrayLike,
         coupling: ArrayLike,
         theta2: ArrayLike = 0.0,
+        bearings: ArrayLike | Sequence[float] = (0.0, 0.0),
     ):
         self.link_lengths = floating(link_lengths)
         self.shoulder = floating(shoulder)
         self.elbow = floating(elbow)
         self.coupling = floating(coupling)
         self.theta2 = floating(theta2)
+        self.bearings = floating(bearings)
         self.joints, self.units = ("shoulder", "elbow"), ("rad", "rad")
 
     def mass_matrix(self, q):

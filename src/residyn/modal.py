@@ -27,7 +27,7 @@ def equilibrium(model: Model) -> Float[Array, " n"]:
     """Where the model rests, rad or m: near 0, less where gravity or a constant torque pulls."""
 
     def push(q):
-        return stack(_still(model, q, jnp.zeros_like(q)))
+        return stack(model.acceleration(_at_rest(q, 0.0 * q, jnp.zeros(len(model.memory)))))
 
     def step(q, _):
         slope = jax.jacfwd(push)(q)
@@ -40,16 +40,19 @@ def equilibrium(model: Model) -> Float[Array, " n"]:
     return jax.lax.scan(step, start, None, length=12)[0]
 
 
-def state_matrix(model: Model, q: Float[Array, " n"] | None = None) -> Float[Array, "2n 2n"]:
-    """d(q', q'')/d(q, q') of the model at rest in `q`; dry friction, which has no slope, is off."""
+def state_matrix(model: Model, q: Float[Array, " n"] | None = None) -> Float[Array, "s s"]:
+    """d(q', q'', z')/d(q, q', z) of the model at rest in `q`, s = 2n and as many as it has internal
+    states; dry friction, which has no slope, is off."""
     q = equilibrium(model) if q is None else q
+    n, still = q.shape[0], jnp.zeros(len(model.memory))
 
-    def acceleration(q, v):
-        return stack(_still(model, q, v))
+    def slopes(y):
+        motion = _at_rest(y[:n], y[n : 2 * n], y[2 * n :])
+        return jnp.concatenate(
+            [y[n : 2 * n], stack(model.acceleration(motion)), _array(model.memory_rate(motion))]
+        )
 
-    by_q, by_v = jax.jacfwd(acceleration, (0, 1))(q, jnp.zeros_like(q))
-    n = q.shape[0]
-    return jnp.block([[jnp.zeros((n, n)), jnp.eye(n)], [by_q, by_v]])
+    return jax.jacfwd(slopes)(jnp.concatenate([q, jnp.zeros(n), still]))
 
 
 def modes(model: Model) -> Modes:
@@ -67,5 +70,9 @@ def modes_of(values: Complex[Array, " 2n"]) -> Modes:
     return Modes((size / (2 * jnp.pi))[keep], (-values.real / safe)[keep])
 
 
-def _still(model: Model, q, v):
-    return model.acceleration(Motion(0.0, split(q), split(v), (0.0,) * len(q)))
+def _at_rest(q, v, z) -> Motion:
+    return Motion(0.0, split(q), split(v), (0.0,) * len(q), split(z))
+
+
+def _array(x) -> Float[Array, " m"]:
+    return stack(x) if x else jnp.zeros(0)

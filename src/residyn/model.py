@@ -6,7 +6,7 @@ that JAX differentiates, vmaps and fits.
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple, Self
 
 import equinox as eqx
@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, PyTree
 from .effects import AbstractEffect
 from .mechanism import AbstractMechanism
 from .motion import Joints, Motion, split, stack
-from .parameter import Parameter, parameters_of
+from .parameter import Memory, Parameter, parameters_of
 
 
 class Number(NamedTuple):
@@ -24,6 +24,15 @@ class Number(NamedTuple):
 
     name: str
     meaning: Parameter
+    effect: int
+    joint: int | None
+
+
+class Remembered(NamedTuple):
+    """One internal state of a model: its public name, its meaning, its effect, its joint."""
+
+    name: str
+    meaning: Memory
     effect: int
     joint: int | None
 
@@ -65,6 +74,11 @@ class Model(eqx.Module):
         """Whether a joint can stick: whether any torque jumps with the direction of sliding."""
         return any(effect.dry for effect in self.effects)
 
+    @property
+    def rough(self) -> bool:
+        """Whether the motion has jumps or corners, which ask for short integration steps."""
+        return any(effect.dry or effect.rough for effect in self.effects)
+
     # -- physics -----------------------------------------------------------------------------
 
     @property
@@ -79,8 +93,8 @@ class Model(eqx.Module):
         """Sum of the effects' torques on each joint, N m (or N)."""
         bodies = self.bodies
         total: Joints = (0.0,) * len(bodies.joints)
-        for effect in self.effects:
-            total = _add(total, effect.torque(motion, bodies))
+        for effect, own in self.each(motion):
+            total = _add(total, effect.torque(own, bodies))
         return total
 
     def acceleration(
@@ -102,11 +116,95 @@ class Model(eqx.Module):
     def vector_field(self, t, y, args=None):
         """(q', q'') at `y = (q, v)`, arrays (n,), in diffrax's signature.
 
-        `args` is None or the drive torque, (n,) N m.
+        With internal states z (m,), `y = (q, v, z)` and z' comes last. `args` is None or the drive
+        torque, (n,) N m.
         """
-        q, v = y
+        motion = Motion.at(t, *y)
         drive = None if args is None else split(args)
-        return v, stack(self.acceleration(Motion.at(t, q, v), drive))
+        slopes = y[1], stack(self.acceleration(motion, drive))
+        return (*slopes, stack(self.memory_rate(motion))) if len(y) > 2 else slopes
+
+    # -- memory ------------------------------------------------------------------------------
+
+    @property
+    def memory(self) -> tuple[Remembered, ...]:
+        """The internal states of all effects, in order."""
+        return tuple(
+            Remembered(f"{effect.label}.{each.name}", each, index, self._joint(effect))
+            for index, effect in enumerate(self.effects)
+            for each in effect.memory
+        )
+
+    def memory_begin(self, motion: Motion) -> Joints:
+        """Internal states at a first instant of which nothing else is known."""
+        bodies = self.bodies
+        return tuple(z for effect in self.effects for z in effect.begin(motion, bodies))
+
+    def memory_rate(self, motion: Motion) -> Joints:
+        """d/dt of the internal states."""
+        bodies = self.bodies
+        return tuple(z for effect, own in self.each(motion) for z in effect.rate(own, bodies))
+
+    def memory_follow(self, motion: Motion) -> Joints:
+        """Internal states after a step that ended in `motion`."""
+        bodies = self.bodies
+        return tuple(z for effect, own in self.each(motion) for z in effect.follow(own, bodies))
+
+    @property
+    def follows(self) -> bool:
+        """Whether `memory_follow` changes anything."""
+        return any(effect.follows for effect in self.effects)
+
+    def upright(self, memory: Joints) -> tuple[Self, Joints]:
+        """The same model with every number of the sign that people write, and what `memory` is in
+        it (which stays what effects begin with, and beyond)."""
+        effects, states, first = [], (), 0
+        for effect in self.effects:
+            last = first + len(effect.memory)
+            kept, own = effect.upright(memory[first:last])
+            effects, states, first = [*effects, kept], (*states, *own), last
+        return dataclasses.replace(self, effects=tuple(effects)), states
+
+    def each(self, motion: Motion) -> Iterator[tuple[AbstractEffect, Motion]]:
+        """Every effect with the motion as it sees it: with its own internal states."""
+        first = 0
+        for effect in self.effects:
+            last = first + len(effect.memory)
+            yield effect, motion._replace(memory=motion.memory[first:last])
+            first = last
+
+    def _joint(self, effect: AbstractEffect) -> int | None:
+        joints = self.mechanism.joints
+        return joints.index(effect.place) if effect.place in joints else None
+
+    # -- readings ----------------------------------------------------------------------------
+
+    @property
+    def senses(self) -> bool:
+        """Whether the readings differ from the angles."""
+        return any(effect.senses for effect in self.effects)
+
+    def reading(self, angles: Float[Array, "*s n"]) -> Float[Array, "*s n"]:
+        """What the sensors say, delays apart, where the angles are these; rad or m."""
+        if not self.senses:
+            return angles
+        parts = tuple(angles[..., i] for i in range(angles.shape[-1]))
+        for effect in self.effects:
+            parts = effect.reading(parts, self.mechanism)
+        return jnp.stack(parts, axis=-1)
+
+    @property
+    def late(self) -> bool:
+        """Whether a reading is late."""
+        return any(not isinstance(delay, float) for delay in self.delays)
+
+    @property
+    def delays(self) -> Joints:
+        """How late each joint's reading is, s."""
+        total: Joints = (0.0,) * len(self.mechanism.joints)
+        for effect in self.effects:
+            total = _add(total, effect.delays(self.mechanism))
+        return total
 
     # -- numbers -----------------------------------------------------------------------------
 
@@ -115,9 +213,7 @@ class Model(eqx.Module):
         """Every declared number of every effect, in order."""
         found = []
         for index, effect in enumerate(self.effects):
-            place = effect.label.partition(":")[2]
-            joints = self.mechanism.joints
-            joint = joints.index(place) if place in joints else None
+            joint = self._joint(effect)
             for meaning in parameters_of(effect):
                 found.append(Number(f"{effect.label}.{meaning.name}", meaning, index, joint))
         return tuple(found)

@@ -1,9 +1,10 @@
 """What an effect may see of the motion.
 
 Time, angles and rates, and nothing else: an effect is a law of nature, so it knows neither the
-recording nor the integrator. One entry needs a word. Dry friction depends on the *sign* of a rate,
-which is undefined at rest and jumps in between; `direction` is that sign as the integrator holds it
-over one step, so that a law written with it is smooth inside the step (see `residyn.simulation`).
+recording nor the integrator. Some entries need a word. Dry friction depends on the *sign* of a
+rate, which is undefined at rest and jumps in between; `direction` is that sign as the integrator
+holds it over one step, so that a law written with it is smooth inside the step. A law with memory
+(hysteresis, a slipping brake) finds its internal states in `memory`.
 
 The vectors of the physics are tuples with one scalar per joint. Laws then read as on paper
 (`motion.q[0]`), and XLA keeps the numbers in registers: measured on the inner loop of a fit, six
@@ -25,23 +26,33 @@ Joints = tuple[Scalar, ...]
 class Motion(NamedTuple):
     """One instant of n joints: `t` in s, `q` in rad (or m), `v` in rad/s (or m/s).
 
-    `direction` is +1 or -1 where a joint slides, and the held fraction in between where it sticks.
+    - `direction` is +1 or -1 where a joint slides, the held fraction in between where it sticks.
+    - `memory` holds the internal states of whoever looks: a model sees all, an effect its own.
+    - `turn` is where a joint last turned round inside the present integration step; None if no
+      joint did.
+    - `grain` is the time, s, below which the integrator resolves nothing.
     """
 
     t: Scalar
     q: Joints
     v: Joints
     direction: Joints
+    memory: tuple[Scalar, ...] = ()
+    turn: Joints | None = None
+    grain: Scalar = 0.0
 
     @classmethod
-    def at(cls, t: Scalar, q, v) -> "Motion":
+    def at(cls, t: Scalar, q, v, memory=()) -> "Motion":
         """From any sequences of n scalars, arrays included; `direction` is the sign of `v`."""
         v = split(v)
-        return cls(t, split(q), v, tuple(jnp.sign(x) for x in v))
+        return cls(t, split(q), v, tuple(jnp.sign(x) for x in v), split(memory))
 
     def of(self, joint: int) -> "JointMotion":
         """The motion of one joint."""
-        return JointMotion(self.t, self.q[joint], self.v[joint], self.direction[joint])
+        turn = self.q if self.turn is None else self.turn
+        return JointMotion(
+            self.t, self.q[joint], self.v[joint], self.direction[joint], self.memory, turn[joint]
+        )
 
 
 class JointMotion(NamedTuple):
@@ -51,6 +62,8 @@ class JointMotion(NamedTuple):
     q: Scalar
     v: Scalar
     direction: Scalar
+    memory: tuple[Scalar, ...] = ()
+    turn: Scalar = 0.0
 
 
 def split(x) -> tuple:

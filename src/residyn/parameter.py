@@ -7,6 +7,7 @@ that needs the meaning (units in a table, the scale of a step, bounds) reads it 
 """
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
@@ -42,10 +43,22 @@ class Dimension(NamedTuple):
         return self.sliding if joint_unit == "m" else f"{self.rotary} or {self.sliding}"
 
 
-STIFFNESS = Dimension("N m/rad", "N/m", lambda s: s.inertia * s.frequency**2)
-DAMPING = Dimension("N m s/rad", "N s/m", lambda s: s.inertia * s.frequency)
-TORQUE = Dimension("N m", "N", lambda s: s.inertia * s.frequency**2 * s.amplitude)
 RATIO = Dimension("1", "1", lambda s: 1.0)
+ANGLE = Dimension("rad", "m", lambda s: s.amplitude)
+RATE = Dimension("rad/s", "m/s", lambda s: s.amplitude * s.frequency)
+DURATION = Dimension("s", "s", lambda s: 1.0 / s.frequency)
+FREQUENCY = Dimension("Hz", "Hz", lambda s: s.frequency / (2 * math.pi))
+INERTIA = Dimension("kg m^2", "kg", lambda s: s.inertia)
+TORQUE = Dimension("N m", "N", lambda s: s.inertia * s.frequency**2 * s.amplitude)
+STIFFNESS = Dimension("N m/rad", "N/m", lambda s: s.inertia * s.frequency**2)
+STIFFNESS_RATE = Dimension("N m/(rad s)", "N/(m s)", lambda s: s.inertia * s.frequency**3)
+CUBIC = Dimension("N m/rad^3", "N/m^3", lambda s: s.inertia * (s.frequency / s.amplitude) ** 2)
+DAMPING = Dimension("N m s/rad", "N s/m", lambda s: s.inertia * s.frequency)
+QUADRATIC = Dimension("N m s^2/rad^2", "N s^2/m^2", lambda s: s.inertia / s.amplitude)
+# Of a point in the plane, such as a bearing's; the arm is taken to be about a metre long.
+FORCE = Dimension("N", "N", lambda s: s.inertia * s.frequency**2 * s.amplitude)
+POINT_DAMPING = Dimension("N s/m", "N s/m", lambda s: s.inertia * s.frequency)
+POINT_QUADRATIC = Dimension("N s^2/m^2", "N s^2/m^2", lambda s: s.inertia / s.amplitude)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,9 +70,16 @@ class Parameter:
     words: str
     dimension: Dimension
     sign: Sign
-    silent: float
+    silent: float | None
     fitted: bool
     grid: tuple[float, ...]
+
+
+class Memory(NamedTuple):
+    """One internal state of an effect: its name and its dimension."""
+
+    name: str
+    dimension: Dimension
 
 
 _KEY = "residyn"
@@ -76,7 +96,7 @@ def param(
     dimension: Dimension,
     *,
     sign: Sign = "any",
-    silent: float = 0.0,
+    silent: float | None = 0.0,
     default: float | None = None,
     fitted: bool = True,
     grid: tuple[float, ...] = (),
@@ -90,13 +110,16 @@ def param(
     - `dimension`: the kind of quantity, which gives its unit and its typical size.
     - `sign`: "positive" if physics allows no negative value; "any" otherwise. A fit is not forced
       to obey (that would bias its errors); it says so when it does not.
-    - `silent`: the value at which the effect is exactly absent.
+    - `silent`: the value at which the effect is exactly absent. None for a *shape* number (a gap,
+      a frequency), which says how an effect acts and not how strongly; another number must then
+      silence it.
     - `default`: the value of an instance made without one; `silent` if not given.
     - `fitted`: whether a fit moves it.
-    - `grid`: values to start from, for a number that enters the torque non-linearly, in units of
-      the dimension's typical size.
+    - `grid`: values that a fit starts a shape number from, in the dimension's typical size.
     - `name`: what users call it, where that differs from the field's name.
     """
+    if silent is None and default is None:
+        raise ValueError(f"{words}: a shape number (silent = None) needs a default")
     meaning = {
         "name": name,
         "words": words,

@@ -5,6 +5,8 @@ the end of the step for what changed inside it; each correction is exact to the 
 and is differentiable in the model's numbers.
 """
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 
 from .equation import Args, acceleration, signs
@@ -12,31 +14,33 @@ from .model import solve_inertia
 from .motion import Joints, Motion, Scalar
 
 
-def _friction(args: Args, t, q: Joints, v: Joints) -> list[Scalar | None]:
+class Sticking(NamedTuple):
+    """Per joint: direction of sliding; 1 if friction holds it at rest; 1 if it all but rests and
+    friction that is not of one joint holds the whole mechanism."""
+
+    direction: Joints
+    held: Joints
+    gripped: Scalar
+
+
+def _friction(args: Args, motion: Motion) -> list[Scalar | None]:
     """Half the jump of each joint's torque where its direction flips; None without dry friction."""
-    bodies, n = args.model.bodies, len(q)
-    level: list[Scalar | None] = [None] * n
-    for effect in args.model.effects:
-        if not effect.dry:
-            continue
-        now = signs(v)
-        for joint in range(n):
-            up, down = (
-                effect.torque(Motion(t, q, v, (*now[:joint], s, *now[joint + 1 :])), bodies)
-                for s in (1.0, -1.0)
-            )
-            if not isinstance(up[joint], float):  # a plain 0.0: the effect leaves this joint alone
+    level: list[Scalar | None] = [None] * len(motion.q)
+    for effect, own in args.model.each(motion):
+        if effect.dry:
+            for joint, more in enumerate(effect.jumps(own, args.model.bodies)):
                 known = level[joint]
-                more = 0.5 * (up[joint] - down[joint])
-                level[joint] = more if known is None else known + more
+                level[joint] = known if more is None else more if known is None else known + more
     return level
 
 
-def sliding(args: Args, t, q: Joints, v: Joints) -> tuple[Joints, Joints]:
-    """Direction of sliding of each joint, and 1 for those that friction holds at rest."""
-    level = _friction(args, t, q, v)
+def sliding(args: Args, motion: Motion) -> Sticking:
+    """What holds at the beginning of a step."""
+    v = motion.v
+    motion = motion._replace(direction=signs(v))
+    level = _friction(args, motion)
     # Joints at rest: what would they do if nothing held them?
-    free = acceleration(args, t, q, v, signs(v))
+    free = acceleration(args, motion)
     direction, held = [], []
     for joint, limit in enumerate(level):
         if limit is None:
@@ -45,10 +49,34 @@ def sliding(args: Args, t, q: Joints, v: Joints) -> tuple[Joints, Joints]:
             continue
         rests = v[joint] == 0.0
         # Torque that would keep it at rest.
-        push = jnp.abs(free[joint] / _mobility(args, q, joint)[joint])
+        push = jnp.abs(free[joint] / _mobility(args, motion.q, joint)[joint])
         direction.append(jnp.where(rests, jnp.sign(free[joint]), jnp.sign(v[joint])))
         held.append(jnp.where(rests & (limit > 0) & (push <= limit), 1.0, 0.0))
-    return tuple(direction), tuple(held)
+    gripped = _gripped(args, motion, level)
+    if not isinstance(gripped, float):
+        held = [jnp.maximum(h, gripped) for h in held]
+    return Sticking(tuple(direction), tuple(held), gripped)
+
+
+def _gripped(args: Args, motion: Motion, level: list[Scalar | None]) -> Scalar:
+    """1 where friction that is not of one joint stops and holds the whole mechanism, else 0."""
+    bodies, none = args.model.bodies, (0.0,) * len(motion.q)
+    if not any(effect.grips for effect in args.model.effects):
+        return 0.0
+    resting = motion._replace(v=none, direction=none)
+    free = acceleration(args, resting)
+    load = [
+        -sum(z * a for z, a in zip(row, free, strict=True)) for row in bodies.mass_matrix(motion.q)
+    ]
+    # The joints' own friction takes what it can.
+    for joint, limit in enumerate(level):
+        if limit is not None:
+            load[joint] = load[joint] - jnp.clip(load[joint], -jnp.abs(limit), jnp.abs(limit))
+    grip: Scalar = 0.0
+    for effect, own in args.model.each(motion):
+        if effect.grips:
+            grip = jnp.maximum(grip, effect.holds(tuple(load), own, bodies))
+    return grip
 
 
 def _mobility(args: Args, q: Joints, joint: int) -> Joints:
@@ -57,17 +85,22 @@ def _mobility(args: Args, q: Joints, joint: int) -> Joints:
     return solve_inertia(args.model.bodies.mass_matrix(q), unit)
 
 
-def reversals(args: Args, t, h, begin, end, direction, held) -> tuple[Joints, Joints]:
-    """The end of the step, corrected for joints which came to rest inside it."""
+def reversals(args: Args, h, begin, end, motion: Motion, sticking: Sticking):
+    """The end of the step, corrected for joints which came to rest inside it.
+
+    `begin` and `end` are (q, v, q''), and `motion` stands at the end.
+    """
     (q0, v0, a0), (q1, v1, a1) = begin, end
-    level = _friction(args, t + h, q1, direction)
+    direction, held = sticking.direction, sticking.held
+    motion = motion._replace(q=q1, v=v1, direction=direction)
+    level = _friction(args, motion._replace(v=(0.0,) * len(v1)))
     q, v = q1, v1
     for j, limit in enumerate(level):
         if limit is None:
             continue
         column = _mobility(args, q1, j)
         crosses = (held[j] == 0) & (v0[j] != 0.0) & (v1[j] * direction[j] < 0.0)
-        share = _root(v0[j], v1[j], h * a0[j], h * a1[j])
+        share = turning_point(v0[j], v1[j], h * a0[j], h * a1[j])
         rest = (1.0 - share) * h
         slowing = a0[j] + share * (a1[j] - a0[j])
         sticks = crosses & (jnp.abs(slowing) <= 2.0 * column[j] * limit)
@@ -80,28 +113,31 @@ def reversals(args: Args, t, h, begin, end, direction, held) -> tuple[Joints, Jo
         dv = tuple(jnp.where(crosses, rest * for_v, 0.0) * c for c in column)
         # The springs answer to dq, which grows as the square of the time since the reversal:
         # integrated once and twice, their answer at the end counts 1/3 and 1/12.
-        answer = acceleration(args, t + h, _plus(q1, dq), v1, direction, held)
+        answer = acceleration(args, motion._replace(q=_plus(q1, dq)), held)
         answer = tuple(jnp.where(crosses, x - y, 0.0) for x, y in zip(answer, a1, strict=True))
         q = _plus(q, dq, tuple(rest**2 / 12.0 * x for x in answer))
         v = _plus(v, dv, tuple(rest / 3.0 * x for x in answer))
-        stop = _hermite3(share, q0[j], q1[j], h * v0[j], h * v1[j])
+        stop = position_within(share, q0[j], q1[j], h * v0[j], h * v1[j])
         q = tuple(jnp.where(sticks, stop, x) if i == j else x for i, x in enumerate(q))
         v = tuple(jnp.where(sticks, 0.0, x) if i == j else x for i, x in enumerate(v))
     return q, v
 
 
-def break_away(args: Args, t, h, begin: Joints, q, v, held) -> tuple[Joints, Joints]:
+def break_away(args: Args, h, begin: Motion, end: Motion, sticking: Sticking):
     """The end of the step, corrected for joints that friction could no longer hold inside it."""
+    q, v, held = end.q, end.v, sticking.held
+    loose = signs(v)
     free = {
-        "begin": acceleration(args, t, begin, v, signs(v)),
-        "end": acceleration(args, t + h, q, v, signs(v)),
+        "begin": acceleration(args, begin._replace(v=v, direction=loose)),
+        "end": acceleration(args, end._replace(direction=loose)),
     }
-    for j, limit in enumerate(_friction(args, t + h, q, v)):
+    for j, limit in enumerate(_friction(args, end._replace(direction=loose))):
         if limit is None:
             continue
         column = _mobility(args, q, j)
         before, after = (jnp.abs(free[when][j] / column[j]) for when in ("begin", "end"))
-        excess = jnp.where(held[j] > 0, jnp.maximum(after - limit, 0.0), 0.0)
+        stuck = (held[j] > 0) & (sticking.gripped == 0)
+        excess = jnp.where(stuck, jnp.maximum(after - limit, 0.0), 0.0)
         grown = jnp.where(excess > 0, after - before, 1.0)
         rest = h * jnp.clip(excess / grown, 0.0, 1.0)
         # From then on the torque that is not held grows in proportion to time.
@@ -115,12 +151,12 @@ def _plus(*terms: Joints) -> Joints:
     return tuple(sum(parts[1:], parts[0]) for parts in zip(*terms, strict=True))
 
 
-def _root(v0, v1, d0, d1):
+def turning_point(v0, v1, d0, d1):
     """Where in [0, 1] the cubic with ends v0, v1 and slopes d0, d1 is zero, if the ends differ."""
     gap = v0 - v1
     share = jnp.clip(v0 / jnp.where(gap == 0.0, 1.0, gap), 0.0, 1.0)
     for _ in range(3):
-        value = _hermite3(share, v0, v1, d0, d1)
+        value = position_within(share, v0, v1, d0, d1)
         slope = _hermite3_slope(share, v0, v1, d0, d1)
         # Only a slope of the crossing's own sign can be trusted.
         good = slope * gap < 0.0
@@ -130,7 +166,8 @@ def _root(v0, v1, d0, d1):
     return share
 
 
-def _hermite3(s, p0, p1, d0, d1):
+def position_within(s, p0, p1, d0, d1):
+    """The cubic with ends p0, p1 and slopes d0, d1, at s in [0, 1]."""
     s2, s3 = s * s, s * s * s
     return (
         p0 * (2 * s3 - 3 * s2 + 1)

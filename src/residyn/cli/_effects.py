@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .._input import InputError
+from . import _options
+from ._experiment import bring
 from ._shell import console, progress
 
 if TYPE_CHECKING:
@@ -26,21 +28,38 @@ def effects(
             metavar="NAME", help="One effect, in full; all, if not given.", show_default=False
         ),
     ] = None,
+    plot: Annotated[
+        str | None,
+        typer.Option(
+            "--plot",
+            metavar="FILE",
+            help="Draw what the effect NAME does, to a file (.png, .svg or .pdf).",
+            show_default=False,
+        ),
+    ] = None,
+    own: _options.Effects = None,
 ) -> None:
     """The catalogue of effects, or one of them in full."""
+    if plot is not None and name is None:
+        raise InputError("--plot draws one effect: residyn effects NAME --plot FILE")
+    bring(own)
     with progress() as say:
         say("loading")
-        from ..effects import CATALOGUE
+        from ..effects import catalogue
+    known = catalogue()
     out = console()
     if name is not None:
         name = name.partition(":")[0]
-        if name not in CATALOGUE:
-            close = difflib.get_close_matches(name, CATALOGUE, n=1)
+        if name not in known:
+            close = difflib.get_close_matches(name, known, n=1)
             hint = f'did you mean "{close[0]}"?' if close else "`residyn effects` lists them"
             raise InputError(f'there is no effect "{name}"; {hint}')
-        _one(out, CATALOGUE[name])
+        _one(out, known[name])
+        if plot is not None:
+            _draw(name, plot)
+            out.print(f"picture: {plot}", soft_wrap=True)
         return
-    kinds = list(CATALOGUE.values())
+    kinds = list(known.values())
     if not out.is_terminal:
         _plain(kinds)
     elif out.width >= _ROOMY:
@@ -49,6 +68,19 @@ def effects(
         _stacked(out, kinds)
     if out.is_terminal:
         out.print("spring and damper are in every model; --with NAME adds another")
+
+
+def _draw(name: str, file: str) -> None:
+    with progress() as say:
+        say("drawing")
+        from ..plot import signature
+
+        picture = signature(name)
+        try:
+            picture.savefig(file, dpi=150)
+        except (OSError, ValueError) as error:
+            why = getattr(error, "strerror", None) or str(error)
+            raise InputError(f"--plot {file}: cannot be written ({why})") from None
 
 
 def _numbers(kind: "type[AbstractEffect]") -> list[str]:
@@ -121,11 +153,18 @@ def _one(out: "Console", kind: "type[AbstractEffect]") -> None:
     for p in parameters_of(kind):
         limits = ", never negative" if p.sign == "positive" else ""
         fixed = "" if p.fitted else ", not fitted"
-        paragraph(f"{p.name}{_unit(p)}: {p.words}{limits}{fixed}; absent at {p.silent:g}")
+        absent = "a shape" if p.silent is None else f"absent at {p.silent:g}"
+        paragraph(f"{p.name}{_unit(p)}: {p.words}{limits}{fixed}; {absent}")
     out.print("what it looks like in the data", style="bold")
     paragraph(kind.looks_like)
     out.print("properties", style="bold")
     paragraph("never adds energy" if kind.dissipates else "may add energy as well as take it")
+    if kind.dry:
+        paragraph("dry: lets a joint stick")
+    if kind.memory:
+        paragraph(f"remembers: {', '.join(each.name for each in kind.memory)}")
+    if kind.senses:
+        paragraph("acts on the reading, not on the motion")
     if kind.of_bearings:
         paragraph("belongs to the air bearings: leaves when they are taken off")
     out.print("source", style="bold")

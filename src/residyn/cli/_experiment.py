@@ -24,6 +24,20 @@ def load(path: str) -> "Experiment":
         return recording.load(path)
 
 
+def bring(files: Sequence[str] | None) -> None:
+    """Add the effects of users' files to the catalogue.
+
+    **Raises:** `InputError`.
+    """
+    if files:
+        with progress() as say:
+            say("loading")
+            from ..effects import load_effects
+
+            for file in files:
+                load_effects(file)
+
+
 def input_files(path: str, experiment: "Experiment") -> list[Path]:
     """Every file that was read, so that none of them is written over."""
     base = Path() if path == "-" else Path(path).parent

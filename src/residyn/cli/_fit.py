@@ -4,13 +4,14 @@ import typer
 
 from .._input import InputError
 from . import _options
-from ._experiment import fitted, input_files, load, title
+from ._experiment import bring, fitted, input_files, load, title
 from ._shell import DONE, NO_NUMBERS, Outputs, complain, set_up_jax
 
 
 def fit(
     experiment: _options.Experiment,
     effects: _options.With = None,
+    own: _options.Effects = None,
     starts: _options.Starts = _options.STARTS,
     method: _options.Method = _options.METHODS[0],
     json: _options.Json = None,
@@ -23,6 +24,7 @@ def fit(
         raise InputError(f'--method "{method}": there is no such method; it must be {known}')
     out = Outputs(json, report)
     set_up_jax(not no_cache)
+    bring(own)
     loaded = load(experiment)
     out.spare(input_files(experiment, loaded))
     result = fitted(loaded, effects or [], starts)

@@ -23,6 +23,15 @@ With = Annotated[
         show_default=False,
     ),
 ]
+Effects = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--effects",
+        metavar="FILE.py",
+        help="A Python file that defines effects of your own, to use by name. May be repeated.",
+        show_default=False,
+    ),
+]
 Starts = Annotated[
     int, typer.Option("--starts", metavar="N", min=1, help="How many starts to fit from.")
 ]

@@ -67,8 +67,9 @@ def motion(
     recording: "Recording",
     angles: np.ndarray,
     rates: np.ndarray,
+    memory: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Angles (N, n) of the bodies and under the drive of one recording, at its times.
+    """Readings (N, n) of the bodies and under the drive of one recording, at its times.
 
     **Raises:** `NoNumbers` if the motion runs away.
     """
@@ -76,14 +77,15 @@ def motion(
 
     from ..simulation import Drive, simulate
 
-    time, drive = recording.time, None
+    time, drive = recording.time - recording.time[0], None
     if recording.drive is not None:
         grid = np.linspace(time[0], time[-1], len(time))
         values = np.stack([np.interp(grid, time, u) for u in recording.drive.T], axis=1)
         drive = Drive(grid[0], grid[1] - grid[0], jnp.asarray(values))
     here = _posed(model, experiment, recording)
     begin = jnp.asarray(angles), jnp.asarray(rates)
-    found = np.asarray(simulate(here, jnp.asarray(time), *begin, drive=drive).q)
+    path = simulate(here, jnp.asarray(time), *begin, z0=memory, drive=drive)
+    found = np.asarray(path.readings)
     if not np.isfinite(found).all():
         raise NoNumbers(f"{recording.name}: with these numbers the motion runs away")
     return found

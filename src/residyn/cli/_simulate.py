@@ -8,7 +8,7 @@ import typer
 
 from .._input import InputError, number
 from . import _options
-from ._experiment import fitted, input_files, load
+from ._experiment import bring, fitted, input_files, load
 from ._shell import DONE, NO_NUMBERS, complain, console, progress, set_up_jax
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ _V0 = Annotated[
 def simulate(
     experiment: _options.Experiment,
     effects: _options.With = None,
+    own: _options.Effects = None,
     values: _Set = None,
     out: _Out = "simulated",
     noise: _Noise = 0.0,
@@ -68,6 +69,7 @@ def simulate(
         raise InputError(f"--noise {noise:g}: must be a number from 0 up (rad or m)")
     numbers = _numbers(values or [])
     set_up_jax(not no_cache)
+    bring(own)
     loaded = load(experiment)
     angles, rates = _per_joint("--q0", q0, loaded), _per_joint("--v0", v0, loaded)
     # Driven recordings of step 1 have their brakes off: springs and dampers say nothing of them.
@@ -126,8 +128,8 @@ def _with_fit(fit, recordings, angles, rates) -> "list[np.ndarray]":
             say(f"simulating {recording.name}")
             state = beside[id(recording)].state
             q0 = state[:n] if angles is None else angles
-            v0 = state[n:] if rates is None else rates
-            found.append(motion(fit.model, fit.experiment, recording, q0, v0))
+            v0 = state[n : 2 * n] if rates is None else rates
+            found.append(motion(fit.model, fit.experiment, recording, q0, v0, state[2 * n :]))
     return found
 
 

@@ -5,28 +5,116 @@ then apply to it.
 """
 
 import difflib
+from pathlib import Path
 
+from .._input import InputError
 from ..mechanism import AbstractMechanism
+from .applied import ConstantTorque as ConstantTorque
+from .applied import PeriodicDisturbance as PeriodicDisturbance
 from .base import AbstractEffect as AbstractEffect
 from .base import JointEffect as JointEffect
+from .bearing import BearingDrag as BearingDrag
+from .bearing import BearingFriction as BearingFriction
+from .bearing import BearingQuadraticDrag as BearingQuadraticDrag
+from .elastic import AsymmetricStiffness as AsymmetricStiffness
+from .elastic import CouplingStiffness as CouplingStiffness
+from .elastic import CubicStiffness as CubicStiffness
+from .elastic import DeadZone as DeadZone
 from .elastic import Spring as Spring
+from .elastic import StiffnessDrift as StiffnessDrift
 from .friction import CoulombFriction as CoulombFriction
+from .friction import StribeckFriction as StribeckFriction
 from .gravity import Gravity as Gravity
 from .inertia import InertiaError as InertiaError
 from .inertia import PrintedInertiaTorque as PrintedInertiaTorque
+from .memory import BrakeSlip as BrakeSlip
+from .memory import Hysteresis as Hysteresis
+from .own import checked, installed, read_effects
+from .sensor import SensorDelay as SensorDelay
+from .sensor import SensorOffset as SensorOffset
+from .sensor import SensorScale as SensorScale
+from .viscous import CouplingDamping as CouplingDamping
 from .viscous import Damper as Damper
+from .viscous import QuadraticDrag as QuadraticDrag
+from .wrist import WristFlexibility as WristFlexibility
 
 CATALOGUE: dict[str, type[AbstractEffect]] = {
     effect.name: effect
     for effect in (
+        # at a joint
         Spring,
         Damper,
         CoulombFriction,
+        StribeckFriction,
+        QuadraticDrag,
+        CubicStiffness,
+        AsymmetricStiffness,
+        DeadZone,
+        Hysteresis,
+        BrakeSlip,
+        ConstantTorque,
+        StiffnessDrift,
+        PeriodicDisturbance,
+        # of the readings
+        SensorOffset,
+        SensorScale,
+        SensorDelay,
+        # of the whole mechanism
+        CouplingStiffness,
+        CouplingDamping,
         Gravity,
+        BearingDrag,
+        BearingQuadraticDrag,
+        BearingFriction,
+        WristFlexibility,
         PrintedInertiaTorque,
         InertiaError,
     )
 }
+
+
+_looked = False
+
+
+def catalogue() -> dict[str, type[AbstractEffect]]:
+    """Every effect by name: this package's, then those of installed packages and users' files.
+
+    **Raises:** `InputError` for an installed package whose effect cannot be used.
+    """
+    global _looked
+    if not _looked:
+        for kind in installed():
+            adopt(kind, "an installed package")
+        _looked = True
+    return CATALOGUE
+
+
+def adopt(kind: type[AbstractEffect], where: str = "a user's effect") -> None:
+    """Add a user's own effect to the catalogue; one of the same file or class is replaced.
+
+    **Raises:** `InputError` if it cannot be used, or its name is taken.
+    """
+    kind = checked(kind, where)
+    there = CATALOGUE.get(kind.name)
+    if there is not None and (there.__module__, there.__qualname__) != (
+        kind.__module__,
+        kind.__qualname__,
+    ):
+        raise InputError(f'{where}: the name "{kind.name}" is taken; give {kind.__name__} another')
+    CATALOGUE[kind.name] = kind
+
+
+def load_effects(path: str | Path) -> tuple[str, ...]:
+    """Add the effects that a Python file defines to the catalogue.
+
+    **Returns:** their names.
+
+    **Raises:** `InputError`, in one line, if the file cannot be run or defines none.
+    """
+    kinds = read_effects(path)
+    for kind in kinds:
+        adopt(kind, str(path))
+    return tuple(kind.name for kind in kinds)
 
 
 def effects_named(words: str, mechanism: AbstractMechanism) -> tuple[AbstractEffect, ...]:
@@ -37,9 +125,10 @@ def effects_named(words: str, mechanism: AbstractMechanism) -> tuple[AbstractEff
     **Raises:** `ValueError`, in one line, for a name or a place that does not exist here.
     """
     name, colon, place = words.partition(":")
-    if name not in CATALOGUE:
-        raise ValueError(f'there is no effect "{name}"{_nearest(name, CATALOGUE)}')
-    kind = CATALOGUE[name]
+    known = catalogue()
+    if name not in known:
+        raise ValueError(f'there is no effect "{name}"{_nearest(name, known)}')
+    kind = known[name]
     places = kind.places(mechanism)
     if not places:
         if colon:

@@ -8,12 +8,16 @@ catalogue; CONTRIBUTING shows one.
 """
 
 import abc
-from typing import ClassVar
+import dataclasses
+from typing import ClassVar, Self
 
 import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
 
 from ..mechanism import AbstractMechanism
 from ..motion import JointMotion, Joints, Motion, Scalar
+from ..parameter import Memory, parameters_of
 
 
 class AbstractEffect(eqx.Module):
@@ -25,15 +29,27 @@ class AbstractEffect(eqx.Module):
       that physics allows.
     - `dry`: True if its torque jumps where `motion.direction` does; the integrator then locates
       reversals and lets joints stick.
+    - `rough`: True if its torque has corners, which ask for the short step of dry friction.
+    - `memory`: its internal states, if it has any; it finds them in `motion.memory`.
+    - `follows`: True if `follow` does something.
+    - `grips`: True if `holds` does something.
+    - `senses`: True if it acts on the readings instead of the motion.
+    - `oscillates`: the field that holds a frequency of its own, which a fit starts from a spectrum.
     - `of_bearings`: True if it leaves with the air bearings (step 3 of the paper).
     """
 
     name: ClassVar[str]
-    equation: ClassVar[str]
-    looks_like: ClassVar[str]
-    source: ClassVar[str]
+    equation: ClassVar[str] = ""
+    looks_like: ClassVar[str] = ""
+    source: ClassVar[str] = ""
     dissipates: ClassVar[bool] = False
     dry: ClassVar[bool] = False
+    rough: ClassVar[bool] = False
+    memory: ClassVar[tuple[Memory, ...]] = ()
+    follows: ClassVar[bool] = False
+    grips: ClassVar[bool] = False
+    senses: ClassVar[bool] = False
+    oscillates: ClassVar[str | None] = None
     of_bearings: ClassVar[bool] = False
 
     @classmethod
@@ -49,6 +65,11 @@ class AbstractEffect(eqx.Module):
         """`name`, or `name:place`."""
         return self.name
 
+    @property
+    def place(self) -> str | None:
+        """Where it acts; None for the whole mechanism."""
+        return self.label.partition(":")[2] or None
+
     def bodies(self, mechanism: AbstractMechanism) -> AbstractMechanism:
         """The mechanism as this effect changes it; most do not."""
         return mechanism
@@ -56,6 +77,62 @@ class AbstractEffect(eqx.Module):
     @abc.abstractmethod
     def torque(self, motion: Motion, mechanism: AbstractMechanism) -> Joints:
         """Its torque on every joint, N m (or N), in the sense of Eq. 1's left side."""
+
+    def upright(self, memory: Joints) -> tuple[Self, Joints]:
+        """The same effect with its numbers of the sign that people write: a fit may find a positive
+        shape number's mirror image, which every law must take for the same."""
+        mirrored = {
+            p.field: jnp.abs(getattr(self, p.field))
+            for p in parameters_of(self)
+            if p.silent is None and p.sign == "positive"
+        }
+        return dataclasses.replace(self, **mirrored), memory
+
+    # -- memory ------------------------------------------------------------------------------
+
+    def begin(self, motion: Motion, mechanism: AbstractMechanism) -> tuple[Scalar, ...]:
+        """Its internal states at the first instant, where nothing better is known."""
+        return (0.0,) * len(self.memory)
+
+    def rate(self, motion: Motion, mechanism: AbstractMechanism) -> tuple[Scalar, ...]:
+        """d/dt of its internal states."""
+        return (0.0,) * len(self.memory)
+
+    def follow(self, motion: Motion, mechanism: AbstractMechanism) -> tuple[Scalar, ...]:
+        """Its internal states after a step that ended in `motion`, for a memory that jumps along
+        with the motion instead of having a rate."""
+        return motion.memory
+
+    # -- dry friction ------------------------------------------------------------------------
+
+    def jumps(self, motion: Motion, mechanism: AbstractMechanism) -> tuple[Scalar | None, ...]:
+        """Of a dry effect, for each joint, half the jump of its torque where the joint's direction
+        flips, N m; None where there is none."""
+        now, found = motion.direction, []
+        for joint in range(len(now)):
+            up, down = (
+                self.torque(
+                    motion._replace(direction=(*now[:joint], s, *now[joint + 1 :])), mechanism
+                )[joint]
+                for s in (1.0, -1.0)
+            )
+            found.append(0.5 * (up - down))
+        return tuple(found)
+
+    def holds(self, load: Joints, motion: Motion, mechanism: AbstractMechanism) -> Scalar:
+        """1 if, as slow as it is in `motion`, its friction brings everything to rest and holds it
+        under this load, N m; else 0."""
+        return 0.0
+
+    # -- readings ----------------------------------------------------------------------------
+
+    def reading(self, angles: tuple[Array, ...], mechanism: AbstractMechanism) -> tuple[Array, ...]:
+        """What the sensors say where the angles are these: one array per joint, rad or m."""
+        return angles
+
+    def delays(self, mechanism: AbstractMechanism) -> Joints:
+        """How late each joint's reading is, s."""
+        return (0.0,) * len(mechanism.joints)
 
 
 class JointEffect(AbstractEffect):
@@ -75,7 +152,39 @@ class JointEffect(AbstractEffect):
     def joint_torque(self, motion: JointMotion) -> Scalar:
         """Its torque, given the motion of its joint alone (every entry of `motion` a scalar)."""
 
+    def joint_rate(self, motion: JointMotion) -> tuple[Scalar, ...]:
+        """d/dt of its internal states, given the motion of its joint alone."""
+        return (0.0,) * len(self.memory)
+
+    def joint_follow(self, motion: JointMotion) -> tuple[Scalar, ...]:
+        """Its internal states after a step, given the motion of its joint alone."""
+        return motion.memory
+
     def torque(self, motion, mechanism):
         own = mechanism.joints.index(self.joint)
         torque = self.joint_torque(motion.of(own))
         return tuple(torque if i == own else 0.0 for i in range(len(mechanism.joints)))
+
+    def jumps(self, motion, mechanism):
+        own = mechanism.joints.index(self.joint)
+        here = motion.of(own)
+        up, down = (self.joint_torque(here._replace(direction=s)) for s in (1.0, -1.0))
+        return tuple(0.5 * (up - down) if i == own else None for i in range(len(motion.q)))
+
+    def rate(self, motion, mechanism):
+        return self.joint_rate(motion.of(mechanism.joints.index(self.joint)))
+
+    def follow(self, motion, mechanism):
+        return self.joint_follow(motion.of(mechanism.joints.index(self.joint)))
+
+
+def neighbours(name: str, mechanism: AbstractMechanism, x: Joints | None = None) -> Joints:
+    """For each joint the sum of `x` at the joints next to it.
+
+    **Raises:** `ValueError` if there is but one joint.
+    """
+    n = len(mechanism.joints)
+    if n < 2:
+        raise ValueError(f"{name} is about two joints; this experiment has one")
+    values = (0.0,) * n if x is None else x
+    return tuple(sum(values[j] for j in (i - 1, i + 1) if 0 <= j < n) for i in range(n))

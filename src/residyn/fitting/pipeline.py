@@ -16,6 +16,7 @@ import numpy as np
 from ..effects import AbstractEffect
 from ..modal import modes_of
 from ..model import Model
+from ..motion import split
 from ..recording import Experiment, wild_samples
 from ..simulation import compiled_state_matrix
 from .identify import Spread, spread_of
@@ -73,13 +74,15 @@ def _fit(experiment, effects, starts, progress) -> Fit:
     wild = _wild(here, [r.angle for r in here.recordings])
 
     progress("finding a start in closed form")
-    candidates = closed_form(here.posed(), here.recordings, wild).numbers
-    candidates = candidates[:starts] if len(candidates) else here.typical()
-    numbers = np.vstack([candidates, perturbed(candidates[0], starts - len(candidates))])
+    found = closed_form(here.posed(), here.recordings, wild, here.typical())
+    candidates = found.numbers[:starts] if len(found.numbers) else here.typical()[None]
+    more = starts - len(candidates)
+    numbers = np.vstack([candidates, perturbed(candidates[0], more)])
+    memory = found.memory[[*range(len(candidates)), *[0] * more]] if len(found.memory) else None
 
     progress(f"fitting from {starts} start{'s' * (starts > 1)}")
     begin = here.model.with_vector(jnp.asarray(candidates[0]))
-    descent = _descend(here, begin, numbers, wild, progress)
+    descent = _descend(here, begin, numbers, wild, progress, memory)
 
     progress("errors, modes and held-out recordings")
     model = here.model.with_vector(descent.problem.numbers(descent.unknowns))
@@ -138,9 +141,11 @@ def _descend(
     numbers: np.ndarray,
     wild: list[np.ndarray],
     progress: Callable[[str], None],
+    memory: np.ndarray | None = None,
     like: Problem | None = None,
 ) -> _Descent:
-    """Descend from every row of `numbers`; set wild readings aside; descend again if there were.
+    """Descend from every row of `numbers` (S, P), and of `memory` (S, R, m); set wild readings
+    aside; descend again if there were.
 
     With `like`, the numbers stay as in `begin`, and that problem's compiled program serves.
     """
@@ -148,16 +153,22 @@ def _descend(
     if like is not None:
         problem = eqx.tree_at(lambda p: p.active, problem, jnp.zeros_like(problem.active))
     starts = len(numbers)
-    y = Unknowns(
-        jnp.asarray(numbers) / problem.scale.numbers,
-        jnp.broadcast_to(jnp.asarray(states) / problem.scale.states, (starts, *states.shape)),
-    )
+    first = np.broadcast_to(states, (starts, *states.shape)).copy()
+    if memory is not None and memory.size:
+        first[..., -memory.shape[-1] :] = memory
+    y = Unknowns(jnp.asarray(numbers) / problem.scale.numbers, first / problem.scale.states)
     longest = max(r.duration for r in here.recordings)
     first = min(1.0, _FIRST_CYCLES * 2 * math.pi / here.frequency(begin) / longest)
     out = jax.device_get(polish(problem, y, jnp.asarray([first, math.sqrt(first), 1.0])))
     best, agreeing = int(np.argmin(out.cost)), _agreeing(out)
     steps = int(out.steps[best])
     at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
+    mirrored = _upright(problem, at)
+    if mirrored is not None:
+        again = jax.tree.map(lambda x: jnp.broadcast_to(x, (starts, *x.shape)), mirrored)
+        out = jax.device_get(polish(problem, again, jnp.ones(3)))
+        best = 0
+        at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
     for round_ in range(_ROUNDS + 1):
         if not np.isfinite(out.cost[best]):
             raise FitError("no start led to finite numbers: is this the arm that was recorded?")
@@ -178,6 +189,19 @@ def _descend(
         at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
     total, done = float(out.cost[best]), bool(out.converged[best])
     return _Descent(problem, layouts, wild, at, squeezed, total, steps, done, starts, agreeing)
+
+
+def _upright(problem: Problem, at: Unknowns) -> Unknowns | None:
+    """The same point with all numbers of the sign that people write; None if they have it."""
+    states = np.array(problem.states(at))
+    model, n = problem.model.with_vector(problem.numbers(at)), len(problem.model.mechanism.joints)
+    found = model
+    for state in states:
+        found, memory = model.upright(split(state[2 * n :]))
+        state[2 * n :] = [float(z) for z in memory]
+    if np.array_equal(found.vector(), model.vector()):
+        return None
+    return problem.scaled(found.vector(), jnp.asarray(states))
 
 
 def _wild(here: Ready, readings: Sequence[np.ndarray], beside: bool = False) -> list[np.ndarray]:

@@ -18,28 +18,33 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..equation import Piecewise
 from ..mechanism import AbstractMechanism
 from ..model import Model
 from ..motion import Scalar
+from ..nodes import read_slots
 from ..recording import Recording
-from ..simulation import Piecewise, march, read_slots
+from ..simulation import march
 
 # A residual beyond this many sigma comes from a simulation that has run away.
 _RUNAWAY = 1e6
 
 
 class Unknowns(NamedTuple):
-    """What a fit moves: (P,) numbers of the model and (R, 2n) initial states (q0, v0)."""
+    """What a fit moves: (P,) numbers of the model and (R, s) initial states (q0, v0, z0), where z0
+    are the internal states beyond what their effects begin with."""
 
     numbers: Float[Array, " P"]
-    states: Float[Array, "R 2n"]
+    states: Float[Array, "R s"]
 
 
 class Recorded(eqx.Module):
-    """R recordings as arrays, their readings sorted into M integration steps of at most m each."""
+    """R recordings as arrays, their readings sorted into M integration steps of at most m each.
 
-    start: Float[Array, " R"]
-    stop: Float[Array, " R"]
+    Time counts from each recording's first sample.
+    """
+
+    duration: Float[Array, " R"]
     place: Float[Array, "R M m"]  # of each reading within its step, 0 to 1
     angles: Float[Array, "R M m n"]
     weights: Float[Array, "R M m n"]  # 1/sigma of each reading; 0 where there is none
@@ -77,8 +82,8 @@ class Problem(eqx.Module):
         moved = self.scale.numbers * y.numbers
         return jnp.where(self.active > 0, moved, kept)
 
-    def states(self, y: Unknowns) -> Float[Array, "R 2n"]:
-        """The initial states, rad and rad/s, at scaled unknowns."""
+    def states(self, y: Unknowns) -> Float[Array, "R s"]:
+        """The initial states, in their own units, at scaled unknowns."""
         return self.scale.states * y.states
 
     def scaled(self, numbers, states) -> Unknowns:
@@ -120,8 +125,7 @@ def lay_out(
         angles[i, layout.row, layout.slot] = np.where(seen, r.angle, 0.0)
         weights[i, layout.row, layout.slot] = np.where(seen, 1.0 / r.noise, 0.0)
     stacked = Recorded(
-        start=jnp.asarray([r.time[0] for r in recordings]),
-        stop=jnp.asarray([r.time[-1] for r in recordings]),
+        duration=jnp.asarray([r.duration for r in recordings]),
         place=jnp.asarray(place),
         angles=jnp.asarray(angles),
         weights=jnp.asarray(weights),
@@ -152,7 +156,7 @@ def _drives(recordings: Sequence[Recording], steps: int) -> Piecewise | None:
             slope = -12 * (np.diff(twice) - h * once[:-1] - mean * h**2 / 2) / h**3
             left.append(mean - slope * h / 2)
             right.append(mean + slope * h / 2)
-        drives.append(Piecewise(r.time[0], h, np.stack(left, axis=1), np.stack(right, axis=1)))
+        drives.append(Piecewise(0.0, h, np.stack(left, axis=1), np.stack(right, axis=1)))
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *drives)
 
 
@@ -177,19 +181,20 @@ def posed(model: Model, mechanism: AbstractMechanism) -> Model:
 
 def predict(problem: Problem, one: Recorded, numbers, state, only=None) -> Float[Array, "M m n"]:
     """Predicted readings of one recording (`one` without its leading axis)."""
-    n = state.shape[0] // 2
+    n = one.angles.shape[-1]
     model = posed(problem.model.with_vector(numbers), one.mechanism)
     nodes = march(
         model,
-        one.start,
-        one.stop,
+        0.0,
+        one.duration,
         state[:n],
-        state[n:],
+        state[n : 2 * n],
         steps=problem.steps,
+        z0=state[2 * n :],
         drive=one.drive,
         only=only,
     )
-    return read_slots(nodes, one.place)
+    return read_slots(model, nodes, one.place)
 
 
 def whiten(one: Recorded, predicted) -> Float[Array, "M m n"]:
@@ -200,7 +205,7 @@ def whiten(one: Recorded, predicted) -> Float[Array, "M m n"]:
 
 
 class Compressed(NamedTuple):
-    """A least-squares problem at a point, one row per recording (L = P + 2n local unknowns)."""
+    """A least-squares problem at a point, one row per recording (L = P + s local unknowns)."""
 
     predicted: Float[Array, "R M m n"]  # readings, rad or m
 
@@ -212,7 +217,11 @@ class Compressed(NamedTuple):
 @eqx.filter_jit  # inside a larger program too: it is traced once where it is used many times
 def compressed(problem: Problem, y: Unknowns, only: Scalar | None = None) -> Compressed:
     """Residual and Jacobian at scaled unknowns, compressed; `only`: of the first so many steps."""
-    numbers = problem.scale.numbers.shape[0]
+    numbers, angles = problem.scale.numbers.shape[0], problem.recorded.angles
+    # What an effect remembered at the first sample is known to be of its typical size: a reading
+    # like any other, without which a silent effect's memory could be anything.
+    size = numbers + y.states.shape[1]
+    known = jnp.where(jnp.arange(size) >= numbers + 2 * angles.shape[-1], 1.0, 0.0)
 
     def one(recorded, scale, state):
         def local(z):
@@ -226,7 +235,9 @@ def compressed(problem: Problem, y: Unknowns, only: Scalar | None = None) -> Com
         )(jnp.eye(len(z)))
         slopes = jnp.where(jnp.isfinite(slopes), slopes, 0.0).reshape(len(z), -1)
         flat = misfit.reshape(-1)
-        return Compressed(predicted, *_compress(slopes @ slopes.T, slopes @ flat, flat @ flat))
+        square = slopes @ slopes.T + jnp.diag(known)
+        slope, total = slopes @ flat + known * z, flat @ flat + jnp.sum(known * z**2)
+        return Compressed(predicted, *_compress(square, slope, total))
 
     return jax.vmap(one)(problem.recorded, problem.scale.states, y.states)
 

@@ -15,7 +15,7 @@ from ..mechanism import AbstractMechanism, ConstantInertia, PlanarArm
 from ..model import Model
 from ..parameter import Scales
 from ..recording import ArmTable, Experiment, Recording
-from ..simulation import DRY_STEP, fastest
+from ..simulation import ROUGH_STEP, fastest
 from .problem import Layout, Problem, Unknowns, bucket, lay_out, posed
 
 # Step of a fit times fastest angular frequency: good to 1e-6 of the amplitude, far below any noise.
@@ -34,7 +34,12 @@ def mechanism_of(experiment: Experiment, recording: Recording) -> AbstractMechan
                 "them (Eq. 9), so measure them first and write them into [arm]"
             )
         arm = PlanarArm(
-            table.link_lengths, table.shoulder, table.elbow, table.coupling, recording.theta2
+            table.link_lengths,
+            table.shoulder,
+            table.elbow,
+            table.coupling,
+            recording.theta2,
+            [sum(b.joint == where for b in experiment.bearings) for where in ("elbow", "wrist")],
         )
         if not recording.air_bearings:
             on = [AirBearing(b.joint, b.mass, b.inertia) for b in experiment.bearings]  # pyright: ignore
@@ -74,7 +79,7 @@ class Ready(NamedTuple):
     def problem(
         self, begin: Model, wild: Sequence[np.ndarray], like: Problem | None = None
     ) -> tuple[Problem, list[Layout], np.ndarray]:
-        """The least-squares problem near the model `begin`, and guessed initial states (R, 2n).
+        """The least-squares problem near the model `begin`, and guessed initial states (R, s).
 
         `like` gives the problem the shapes of another one, so that its compiled program serves.
         """
@@ -83,16 +88,30 @@ class Ready(NamedTuple):
         if like is not None and like.steps >= steps:
             steps, slots = like.recorded.place.shape[-2:]
         recorded, layouts = lay_out(self.recordings, self.mechanisms, wild, steps, slots)
+        memory = np.zeros(len(begin.memory))
         states = np.stack(
-            [_first_state(r, bad, frequency) for r, bad in zip(self.recordings, wild, strict=True)]
+            [
+                np.concatenate([_first_state(r, bad, frequency), memory])
+                for r, bad in zip(self.recordings, wild, strict=True)
+            ]
         )
-        size = np.max([_amplitude(r) for r in self.recordings], axis=0)
+        size = self.amplitude
+        memory = [
+            m.meaning.dimension.size(_of(begin, m.joint, size, frequency)) for m in begin.memory
+        ]
         scale = Unknowns(
             jnp.asarray(_scales(begin, size, frequency)),
-            jnp.asarray(np.tile(np.concatenate([size, size * frequency]), (len(states), 1))),
+            jnp.asarray(
+                np.tile(np.concatenate([size, size * frequency, memory]), (len(states), 1))
+            ),
         )
         problem = Problem(begin, recorded, scale, jnp.ones(len(begin.fitted)))
         return problem, layouts, states
+
+    @property
+    def amplitude(self) -> np.ndarray:
+        """(n,) typical angle of each joint, rad or m."""
+        return np.max([_amplitude(r) for r in self.recordings], axis=0)
 
     def frequency(self, begin: Model) -> float:
         """Fastest angular frequency that the integration must follow, rad/s."""
@@ -110,17 +129,26 @@ class Ready(NamedTuple):
     def _steps(self, begin: Model, frequency: float) -> int:
         """How many integration steps the longest recording needs."""
         longest = max(r.duration for r in self.recordings)
-        steps = longest * frequency / (DRY_STEP if begin.dry else _STEP)
+        steps = longest * frequency / (ROUGH_STEP if begin.rough else _STEP)
         for r in self.recordings:
             if r.drive is not None:
                 steps = max(steps, len(r.time) * longest / r.duration / _SAMPLES_DRIVEN)
         return max(16, math.ceil(steps))
 
     def typical(self) -> np.ndarray:
-        """(1, P) numbers of typical size, for data that give no better start."""
-        size = np.max([_amplitude(r) for r in self.recordings], axis=0)
-        frequency = 10 * max(2 * math.pi / r.duration for r in self.recordings)
-        return _scales(self.model, size, frequency)[None]
+        """(P,) numbers of typical size, from the amplitudes and rates of the readings alone."""
+        size = self.amplitude
+        swing = np.max([np.nanquantile(_about(r), 0.99, axis=0) for r in self.recordings], axis=0)
+        rate = np.max([_rate(r) for r in self.recordings], axis=0)
+        least = max(2 * math.pi / r.duration for r in self.recordings)
+        pace = np.maximum(rate / np.maximum(swing, size), least)
+        return np.array(
+            [
+                n.meaning.dimension.size(_of(self.model, n.joint, size, _at(pace, n.joint)))
+                for n in self.model.fitted
+            ],
+            float,
+        )
 
 
 def ready(
@@ -128,7 +156,12 @@ def ready(
 ) -> Ready:
     """Make recordings of an experiment ready to fit."""
     mechanisms = tuple(mechanism_of(experiment, r) for r in recordings)
-    return Ready(model_for(mechanisms[0], effects), tuple(recordings), mechanisms)
+    # Effects of the bearings go with the experiment if any of its recordings had them on.
+    richest = max(
+        mechanisms, key=lambda m: float(m.bearings.sum()) if isinstance(m, PlanarArm) else 0.0
+    )
+    model = posed(model_for(richest, effects), mechanisms[0])
+    return Ready(model, tuple(recordings), mechanisms)
 
 
 def reweighted(problem: Problem, layouts: Sequence[Layout], wild: Sequence[np.ndarray]) -> Problem:
@@ -141,20 +174,33 @@ def reweighted(problem: Problem, layouts: Sequence[Layout], wild: Sequence[np.nd
 
 def _scales(model: Model, amplitude: np.ndarray, frequency: float) -> np.ndarray:
     """A size for every number, never zero: its value, or what its dimension is typically."""
-    matrix = model.bodies.mass_matrix((0.0,) * len(model.mechanism.joints))
     sizes = []
     for number, value in zip(model.fitted, np.asarray(model.vector()), strict=True):
-        joint = number.joint or 0
-        scales = Scales(float(matrix[joint][joint]), frequency, float(amplitude[joint]))
+        scales = _of(model, number.joint, amplitude, frequency)
         typical = float(number.meaning.dimension.size(scales))
         sizes.append(max(abs(value) if np.isfinite(value) else 0.0, 1e-2 * typical))
     return np.asarray(sizes, float)
 
 
+def _of(model: Model, joint: int | None, amplitude: np.ndarray, frequency: float) -> Scales:
+    """The scales of one joint, or of the last one for what belongs to none."""
+    matrix = model.mechanism.mass_matrix((0.0,) * len(amplitude))
+    inertia = np.array([float(row[i]) for i, row in enumerate(matrix)])
+    return Scales(_at(inertia, joint), float(frequency), _at(amplitude, joint))
+
+
+def _at(each: np.ndarray, joint: int | None) -> float:
+    return float(each[-1 if joint is None else joint])
+
+
 def _amplitude(recording: Recording) -> np.ndarray:
     """(n,) rms angle about the middle of its range of values, at least a few sigma."""
-    about = recording.angle - np.nanmedian(recording.angle, axis=0)
-    return np.maximum(np.sqrt(np.nanmean(about**2, axis=0)), 3 * recording.noise)
+    return np.maximum(np.sqrt(np.nanmean(_about(recording) ** 2, axis=0)), 3 * recording.noise)
+
+
+def _about(recording: Recording) -> np.ndarray:
+    """(N, n) distance of every angle from the middle of its range of values."""
+    return np.abs(recording.angle - np.nanmedian(recording.angle, axis=0))
 
 
 def _rate(recording: Recording) -> np.ndarray:

@@ -3,8 +3,8 @@
 Smoothed by a kernel K, the measured angles give K*q, K'*q and K''*q: position, rate and
 acceleration which all passed the *same* filter, so that a linear equation of motion still holds
 exactly between them, whatever the kernel's width. No noisy difference is ever taken. Stiffness
-and damping then follow from linear least squares on `q'' - acceleration(q, q'; numbers) = 0`;
-numbers that enter non-linearly take a few Gauss-Newton steps from each value of their grid.
+and damping then follow from linear least squares on `q'' - acceleration(q, q'; numbers) = 0`,
+for each of a few values of whatever shapes an effect without being proportional to it.
 
 Which width is best depends on modes and noise that are not known yet: narrow ones let noise in,
 which biases the stiffness, and wide ones leave nothing of a fast mode. So every width of a
@@ -12,7 +12,6 @@ geometric ladder gives one candidate, the least uncertain ones go on, and the si
 multi-start judge between them.
 """
 
-import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -24,12 +23,12 @@ import numpy as np
 from ..model import Model
 from ..motion import Motion, split, stack
 from ..recording import Recording
+from .beginnings import Beginnings, memory_along, oscillates, plain, tuned
 from .problem import bucket
 
 _POWER = 5  # (1 - s^2)^5 is smooth enough at its ends for two derivatives
 _NARROWEST = 4  # samples in half a kernel
 _LADDER = 12  # kernels tried, each 1.5 times wider than the last
-_GAUSS_NEWTON = 8
 _LEAST_KEPT = 0.05
 
 
@@ -108,16 +107,23 @@ def smooth(data: Uniform, half: int, noise: np.ndarray):
 
 
 class Candidates(NamedTuple):
-    """Closed-form estimates, best first: (C, P) numbers and (C,) typical log relative spread."""
+    """Closed-form estimates, best first: (C, P) numbers, (C, R, m) internal states at the first
+    sample, (C,) typical log relative spread."""
 
     numbers: np.ndarray
+    memory: np.ndarray
     spread: np.ndarray
 
 
 def closed_form(
-    models: Sequence[Model], recordings: Sequence[Recording], wild: Sequence[np.ndarray]
+    models: Sequence[Model],
+    recordings: Sequence[Recording],
+    wild: Sequence[np.ndarray],
+    sizes: np.ndarray,
 ) -> Candidates:
     """Candidate numbers for a model from its recordings (one model per recording's pose).
+
+    `sizes` (P,) are the numbers' typical ones, in which their grids are given.
 
     **Returns:** the candidates, the least uncertain first; empty if the model has no numbers.
     """
@@ -132,12 +138,19 @@ def closed_form(
             pad = longest - len(grid.q)
             rows.append([np.pad(p, [(0, pad)] + [(0, 0)] * (p.ndim - 1)) for p in parts])
     arrays = [np.stack(column) for column in zip(*rows, strict=True)]
-    arrays = [x.reshape(_LADDER, len(grids), *x.shape[1:]) for x in arrays]
+    data = tuple(jnp.asarray(x.reshape(_LADDER, len(grids), *x.shape[1:])) for x in arrays)
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *models)
-    beginnings = _grid(models[0])
-    numbers, spread = jax.device_get(
-        _solve(stacked, jnp.asarray(beginnings), *map(jnp.asarray, arrays))
-    )
+    spacing = jnp.asarray([g.dt for g in grids])
+
+    def solved(beginnings: Beginnings):
+        begin = jax.tree.map(jnp.asarray, beginnings)
+        return jax.device_get(_solve(stacked, begin, spacing, data))
+
+    beginnings = plain(models[0], sizes, len(grids))
+    if oscillates(models[0]):
+        missing = solved(beginnings)[2]
+        beginnings = tuned(models[0], beginnings, missing, np.asarray(spacing), fits)
+    numbers, spread, _ = solved(beginnings)
     # A kernel wider than the slowest swing leaves only rest and drift, which any tiny stiffness
     # fits beautifully.
     kept = _kept(grids, halves)
@@ -145,11 +158,22 @@ def closed_form(
     # Overlapping kernels share their noise: a kernel of half-width h leaves about 1/h as many
     # independent equations.
     spread = spread + np.where(fits, 0.5 * np.log(halves), np.inf)[:, None]
-    numbers, spread = numbers.reshape(-1, numbers.shape[-1]), spread.reshape(-1)
-    spread = np.where(np.isfinite(numbers).all(axis=1), spread, np.inf)
-    order = np.argsort(spread, kind="stable")
-    order = order[np.isfinite(spread[order])]
-    return Candidates(numbers[order], spread[order])
+    spread = np.where(np.isfinite(numbers).all(axis=-1), spread, np.inf)
+    memory = np.broadcast_to(beginnings.memory, (_LADDER, *beginnings.memory.shape))
+    order = _order(spread)
+    flat = [x.reshape(spread.size, *x.shape[2:])[order] for x in (numbers, memory, spread)]
+    return Candidates(*flat)
+
+
+def _order(spread: np.ndarray) -> np.ndarray:
+    """Indices into the flat (kernels, beginnings), best first, hopeless ones left out.
+
+    Every beginning's best kernel comes before any beginning's second: what tells shapes apart is
+    the simulation.
+    """
+    rank = np.argsort(np.argsort(spread, axis=0, kind="stable"), axis=0, kind="stable")
+    order = np.lexsort((spread.reshape(-1), rank.reshape(-1)))
+    return order[np.isfinite(spread.reshape(-1)[order])]
 
 
 def _kept(grids: Sequence[Uniform], halves: np.ndarray) -> np.ndarray:
@@ -169,52 +193,61 @@ def _kept(grids: Sequence[Uniform], halves: np.ndarray) -> np.ndarray:
     return np.asarray(shares)
 
 
-def _grid(model: Model) -> np.ndarray:
-    """Every combination of the grid values of the numbers that have a grid."""
-    values = np.asarray(model.vector())
-    choices = [n.meaning.grid or (v,) for n, v in zip(model.fitted, values, strict=True)]
-    return np.asarray(list(itertools.product(*choices)), float).reshape(-1, len(values))
-
-
 @eqx.filter_jit
-def _solve(models, beginnings, q, v, a, drive, weight):
-    """Gauss-Newton on the acceleration error, for every kernel (axis 0) and beginning."""
-    linear = beginnings.shape[0] == 1
+def _solve(models, beginnings: Beginnings, spacing, data):
+    """Linear least squares on the acceleration error, for every kernel and beginning.
 
-    def error(vector, model, q, v, a, drive, weight):
+    **Returns:** numbers (K, B, P), their spread (K, B), and the torque that is missing at the first
+    beginning (K, R, G, n).
+    """
+    shape = jnp.asarray([n.meaning.silent is None for n in models.fitted])
+
+    def error(vector, model, t, q, v, a, drive, weight, z):
         model = model.with_vector(vector)
-        wanted = stack(model.acceleration(Motion.at(0.0, q, v), split(drive)))
+        wanted = stack(model.acceleration(Motion.at(t, q, v, z), split(drive)))
         return jnp.sqrt(weight) * (a - wanted)
 
-    def equations(vector, *data):  # one kernel
-        def one(model, *arrays):
-            def row(*instant):
+    def one(vector, z0, data):  # one beginning and kernel; `data` over recordings
+        length = data[0].shape[1]
+        t = spacing[:, None] * jnp.arange(length)
+        z = jax.vmap(lambda m, *x: memory_along(m.with_vector(vector), *x))(
+            models, spacing, data[0], data[1], z0
+        )
+
+        def equations(vector):
+            def row(model, *instant):
                 e = error(vector, model, *instant)
                 return e, jax.jacfwd(error)(vector, model, *instant)
 
-            e, j = jax.vmap(row)(*arrays)
-            return jnp.einsum("gnp,gnr->pr", j, j), jnp.einsum("gnp,gn->p", j, e), jnp.sum(e**2)
+            rows = jax.vmap(jax.vmap(row, in_axes=(None,) + (0,) * 7))
+            e, j = rows(models, t, *data, z)
+            j = jnp.where(shape, 0.0, j)
+            return jnp.einsum("rgnp,rgnk->pk", j, j), jnp.einsum("rgnp,rgn->p", j, e), e
 
-        return jax.tree.map(lambda x: x.sum(0), jax.vmap(one)(models, *data))
-
-    def solve(vector, *data):
-        def step(vector, _):
-            square, slope, _ = equations(vector, *data)
-            size = jnp.sqrt(jnp.where(jnp.diag(square) > 0, jnp.diag(square), 1.0))
-            scaled = square / size / size[:, None] + 1e-12 * jnp.eye(len(size))
-            return vector - jnp.linalg.solve(scaled, slope / size) / size, None
-
-        vector = jax.lax.scan(step, vector, None, length=1 if linear else _GAUSS_NEWTON)[0]
-        square, _, total = equations(vector, *data)
-        count = jnp.sum(data[-1]) * q.shape[-1]
+        square, slope, _ = equations(vector)
+        seen = jnp.diag(square) > 0
+        size = jnp.sqrt(jnp.where(seen, jnp.diag(square), 1.0))
+        scaled = square / size / size[:, None] + 1e-12 * jnp.eye(len(size))
+        vector = vector - jnp.linalg.solve(scaled, slope / size) / size
+        square, _, e = equations(vector)
+        count = jnp.sum(data[-1]) * e.shape[-1]
         # Log of the typical relative standard deviation, for ranking only.
+        square = square + jnp.diag(jnp.where(seen, 0.0, 1.0))
         spread = 0.5 * (
-            jnp.log(total / count) - jnp.linalg.slogdet(square)[1] / max(1, len(vector))
+            jnp.log(jnp.sum(e**2) / count)
+            - jnp.linalg.slogdet(square)[1] / jnp.maximum(1, jnp.sum(seen))
         )
-        return vector, spread
+        return vector, spread, e
 
-    each_beginning = jax.vmap(solve, in_axes=(0,) + (None,) * 5)
-    return jax.vmap(each_beginning, in_axes=(None,) + (0,) * 5)(beginnings, q, v, a, drive, weight)
+    each = jax.vmap(one, in_axes=(0, 0, None))
+    numbers, spread, e = jax.vmap(each, in_axes=(None, None, 0))(*beginnings, data)
+
+    def torque(model, q, e):
+        rows = model.bodies.mass_matrix(split(q))
+        return stack(tuple(sum(z * x for z, x in zip(row, split(e), strict=True)) for row in rows))
+
+    over = jax.vmap(jax.vmap(jax.vmap(torque, in_axes=(None, 0, 0))), in_axes=(None, 0, 0))
+    return numbers, spread, over(models, data[0], -e[:, 0])
 
 
 def perturbed(best: np.ndarray, count: int, spread: float = 0.3) -> np.ndarray:

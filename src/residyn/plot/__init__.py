@@ -1,11 +1,13 @@
 """Pictures of a fit.
 
 Each shows one thing: `overlay` the motion beside the model and the residual under it, `spectrum`
-at which frequencies something is left, `errors` how far each of several models is from the noise.
+at which frequencies something is left, `errors` how far each of several models is from the noise,
+`signature` what an effect of the catalogue would leave if it were missing.
 All return a matplotlib `Figure` (no pyplot, no window, no global state): save it, show it in a
 notebook, or put it into a page. `narrow=True` lays a picture out for a phone's width.
 """
 
 from ._errors import errors as errors
 from ._overlay import overlay as overlay
+from ._signature import signature as signature
 from ._spectrum import spectrum as spectrum

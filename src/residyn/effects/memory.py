@@ -1,0 +1,94 @@
+"""Torques that remember: what they are depends on how the joint came to its angle.
+
+Against the angle such a torque draws a loop instead of a line, of the same shape however slowly one
+goes round it. Bouc and Wen's law has an internal state with a rate of its own; a brake that slips
+follows the angle instead, at a distance that its holding torque allows.
+"""
+
+import jax.numpy as jnp
+
+from ..motion import Scalar
+from ..parameter import ANGLE, RATIO, STIFFNESS, TORQUE, Memory, param
+from .base import JointEffect
+
+
+class Hysteresis(JointEffect):
+    """Bouc-Wen hysteresis: elastic for small reversals, yielding at a torque Q for large ones.
+
+    y z' = q' (1 - |z|^n) while z grows towards the direction of q', y z' = q' on the way back
+    (Bouc-Wen with beta = gamma = 1/2); z runs between -1 and 1.
+    """
+
+    name = "hysteresis"
+    equation = "Q z, y z' = q' (1 - |z|^n (1 + sign(q' z)) / 2)"
+    looks_like = "damping and stiffness both fall as the swing grows; a loop against the angle"
+    source = "Bouc 1967; Wen, J. Eng. Mech. 102, 1976"
+    rough = True
+    memory = (Memory("z", RATIO),)
+
+    level: Scalar = param("torque at which it yields", TORQUE, sign="positive", name="torque")
+    angle: Scalar = param(
+        "deflection at which it yields",
+        ANGLE,
+        sign="positive",
+        silent=None,
+        default=0.05,
+        grid=(0.1, 0.3, 1.0),
+    )
+    sharpness: Scalar = param(
+        "n, sharpness of the yielding",
+        RATIO,
+        sign="positive",
+        silent=None,
+        default=1.0,
+        fitted=False,
+    )
+
+    def joint_torque(self, motion):
+        return self.level * motion.memory[0]
+
+    def joint_rate(self, motion):
+        (z,) = motion.memory
+        # How far it is loaded in the direction of the motion; never 0, for the power's slope.
+        loaded = jnp.maximum(jnp.where(motion.v >= 0, z, -z), 1e-9)
+        return (motion.v / jnp.abs(self.angle) * (1.0 - loaded**self.sharpness),)
+
+
+class BrakeSlip(JointEffect):
+    """The joint's spring in series with a brake that slips at a holding torque T.
+
+    Beside the spring k q this is -s x, with x the angle by which the brake has slipped: x stays
+    while |q - x| < a and follows beyond (the play operator). With s = k the whole spring sits on
+    the brake, and T = k a.
+    """
+
+    name = "brake_slip"
+    equation = "-s x, x the slip: |q - x| <= a"
+    looks_like = "the first large swings lose much and shift the rest; later ones ring on, cleanly"
+    source = "elastoplastic (Jenkin) element: Iwan, J. Appl. Mech. 33, 1966"
+    rough = True
+    follows = True
+    memory = (Memory("slip", ANGLE),)
+
+    stiffness: Scalar = param("stiffness that sits on the brake", STIFFNESS, sign="positive")
+    angle: Scalar = param(
+        "deflection at which the brake slips",
+        ANGLE,
+        sign="positive",
+        silent=None,
+        default=0.1,
+        grid=(0.5, 1.0, 1.7, 2.8),
+    )
+
+    def _slip(self, motion):
+        # First as far as the joint went before it turned round, then to where it is now.
+        (slip,), angle = motion.memory, jnp.abs(self.angle)
+        for q in (motion.turn, motion.q):
+            slip = jnp.clip(slip, q - angle, q + angle)
+        return slip
+
+    def joint_torque(self, motion):
+        return -self.stiffness * self._slip(motion)
+
+    def joint_follow(self, motion):
+        return (self._slip(motion),)

@@ -1,0 +1,147 @@
+"""One integration step: Tsitouras' fifth-order stages, and what friction and memory add to them.
+
+A fit calls this hundreds of thousands of times, so the stages are written out in tuples of scalars,
+which XLA fuses and keeps in registers. A smooth step is just the stages. Where a joint may reverse
+against dry friction inside the step, the direction of sliding is held over the stages and the end
+is corrected. A memory that follows the motion needs to know how far a joint went before it turned
+round: the stages foresee that, and the end of the step knows.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from .equation import Args, rates, signs
+from .motion import Joints, Motion, Scalar
+from .stick_slip import break_away, position_within, reversals, sliding, turning_point
+
+# What counts as unresolved inside a step, as a share of it: below 0.4 the stages would chatter.
+_GRAIN = 0.5
+
+
+class State(NamedTuple):
+    """What is integrated, in tuples of scalars: XLA keeps those in registers, but copies arrays."""
+
+    q: Joints
+    v: Joints
+    z: Joints = ()
+
+    def motion(self, t: Scalar, direction: Joints | None = None) -> Motion:
+        """The motion in this state; `direction` None is the sign of the rates."""
+        return Motion(t, self.q, self.v, signs(self.v) if direction is None else direction, self.z)
+
+
+# Tsitouras' method of fifth order (Computers and Mathematics with Applications 62, 2011), less its
+# last stage, which only estimates the error.
+_NODES = (0.0, 0.161, 0.327, 0.9, 0.9800255409045097, 1.0, 1.0)
+_ROWS = (
+    (),
+    (0.161,),
+    (-0.008480655492356989, 0.335480655492357),
+    (2.8971530571054935, -6.359448489975075, 4.3622954328695815),
+    (5.325864828439257, -11.748883564062828, 7.4955393428898365, -0.09249506636175525),
+    (
+        5.86145544294642,
+        -12.92096931784711,
+        8.159367898576159,
+        -0.071584973281401,
+        -0.028269050394068383,
+    ),
+)
+_WEIGHTS = (
+    0.09646076681806523,
+    0.01,
+    0.4798896504144996,
+    1.379008574103742,
+    -3.290069515436081,
+    2.324710524099774,
+)
+
+
+def _tsit5(rates, h, y: State):
+    """Tsitouras' six stages of y' = rates(share of the step, y), written out.
+
+    **Returns:** the state at the end of the step, and q'' at its first and last stage.
+    """
+    slopes: list[State] = []
+    for row, node in zip(_ROWS, _NODES, strict=False):
+        stage = _advance(y, h, row, slopes)
+        a, z = rates(node, stage)
+        slopes.append(State(stage.v, a, z))
+    return _advance(y, h, _WEIGHTS, slopes), slopes[0].v, slopes[-1].v
+
+
+def _advance(y: State, h, weights, slopes) -> State:
+    used = [(h * w, s) for w, s in zip(weights, slopes, strict=False) if w != 0.0]
+    if not used:
+        return y
+    return State(
+        *(
+            tuple(x + sum(w * s[part][i] for w, s in used) for i, x in enumerate(column))
+            for part, column in enumerate(y)
+        )
+    )
+
+
+@jax.jit
+def smooth_step(args: Args, t, h, y: State) -> tuple[State, Joints]:
+    """One step: its end, and the acceleration at its beginning."""
+    turn = _turns_ahead(args, t, h, y)
+    end, first, last = _tsit5(lambda s, x: rates(args, turn(s, x.motion(t + s * h))), h, y)
+    return _settled(args, t, h, y, end, first, last), first
+
+
+@jax.jit
+def dry_step(args: Args, t, h, y: State) -> tuple[State, Joints]:
+    """`smooth_step` for joints that may reverse or stick inside the step."""
+    begin = y.motion(t)._replace(grain=_GRAIN * h)
+    sticking = sliding(args, begin)
+    direction, held = sticking.direction, sticking.held
+    still = [jnp.where(stuck > 0, 0.0, x) for x, stuck in zip(y.v, held, strict=True)]
+    y = y._replace(v=tuple(still))
+    turn = _turns_ahead(args, t, h, y)
+
+    def at(share, x: State) -> Motion:
+        return turn(share, x.motion(t + share * h, direction)._replace(grain=_GRAIN * h))
+
+    end, first, last = _tsit5(lambda share, x: rates(args, at(share, x), held), h, y)
+    v1 = tuple(jnp.where(stuck > 0, 0.0, x) for x, stuck in zip(end.v, held, strict=True))
+    # The last stage stands at the end of the step.
+    ends = (y.q, y.v, first), (end.q, v1, last)
+    q, v = reversals(args, h, *ends, at(1.0, end), sticking)
+    done = at(1.0, State(q, v, end.z))
+    q, v = break_away(args, h, at(0.0, y), done, sticking)
+    return _settled(args, t, h, y, State(q, v, end.z), first, last), first
+
+
+def _turns_ahead(args: Args, t, h, y: State):
+    """A function that tells a stage's motion where each joint turned round before it, foreseen from
+    the step's beginning; only memories that follow the motion ask for it."""
+    if not args.model.follows:
+        return lambda share, motion: motion
+    a = rates(args, y.motion(t))[0]
+    safe = tuple(jnp.where(x == 0.0, 1.0, x) for x in a)
+    when = tuple(jnp.where(x == 0.0, -1.0, -v / s) for v, x, s in zip(y.v, a, safe, strict=True))
+    where = tuple(q + 0.5 * v * s for q, v, s in zip(y.q, y.v, when, strict=True))
+
+    def tell(share, motion: Motion) -> Motion:
+        turned = tuple(
+            jnp.where((s > 0.0) & (s < share * h), p, q)
+            for s, p, q in zip(when, where, motion.q, strict=True)
+        )
+        return motion._replace(turn=turned)
+
+    return tell
+
+
+def _settled(args: Args, t, h, y: State, end: State, first: Joints, last: Joints) -> State:
+    """The end of a step, with the memories that follow the motion brought along."""
+    if not args.model.follows:
+        return end
+    turned = []
+    for q0, q1, v0, v1, a0, a1 in zip(y.q, end.q, y.v, end.v, first, last, strict=True):
+        share = turning_point(v0, v1, h * a0, h * a1)
+        turned.append(jnp.where(v0 * v1 < 0, position_within(share, q0, q1, h * v0, h * v1), q1))
+    motion = end.motion(t + h)._replace(turn=tuple(turned))
+    return end._replace(z=args.model.memory_follow(motion))

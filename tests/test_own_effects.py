@@ -1,0 +1,143 @@
+"""Effects that users bring: as in the README, from a file, from an installed package."""
+
+import importlib.metadata
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import residyn
+from residyn import effects
+from residyn.cli import main
+
+README = Path(__file__).parents[1] / "README.md"
+
+
+@pytest.fixture(autouse=True)
+def as_before(monkeypatch):
+    """The catalogue is left as it was."""
+    monkeypatch.setattr(effects, "CATALOGUE", dict(effects.CATALOGUE))
+    monkeypatch.setattr(effects, "_looked", effects._looked)
+
+
+@pytest.fixture
+def own(tmp_path):
+    """The README's file of effects."""
+    (text,) = [
+        block
+        for block in re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+        if "class " in block
+    ]
+    path = tmp_path / "my_effects.py"
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture
+def experiment(tmp_path, own):
+    """A cart on a spring that has the README's effect."""
+    effects.load_effects(own)
+    mechanism = residyn.ConstantInertia([[1.0]], ["cart"], ["m"])
+    (quintic,) = effects.effects_named("quintic_stiffness:cart", mechanism)
+    model = mechanism + residyn.Spring("cart", 40.0) + residyn.Damper("cart", 0.1) + quintic
+    model = model.with_values({"quintic_stiffness:cart.coefficient": 60.0})
+    t = np.arange(1000) * 0.01
+    q = np.asarray(residyn.simulate(model, t, [0.5], steps=2000).q)
+    q = q + 5e-4 * np.random.default_rng(0).standard_normal(q.shape)
+    residyn.recording.write_csv(tmp_path / "cart.csv", t, q)
+    path = tmp_path / "cart.toml"
+    path.write_text(
+        '[inertia]\njoints = ["cart"]\nunits = ["m"]\nmatrix = [[1.0]]\n'
+        '[[recordings]]\nfile = "cart.csv"\nnoise = 5e-4\n'
+    )
+    effects.CATALOGUE.pop("quintic_stiffness")
+    return path
+
+
+def test_the_readmes_effect_is_fitted_from_its_file(own, experiment, capsys):
+    words = [str(experiment), "--effects", str(own), "--with", "quintic_stiffness", "--json", "-"]
+    assert main(["fit", *words]) == 0
+    found = json.loads(capsys.readouterr().out)
+    number = found["parameters"]["quintic_stiffness:cart.coefficient"]
+    assert number["unit"] == "N/m^5"
+    assert abs(number["value"] - 60.0) < 4 * number["std"] < 6.0
+    assert found["reduced_chi2"] < 1.2
+
+
+def test_it_is_listed_and_shown(own, capsys):
+    assert main(["effects", "--effects", str(own)]) == 0
+    assert "quintic_stiffness" in capsys.readouterr().out
+    assert main(["effects", "quintic_stiffness", "--effects", str(own)]) == 0
+    assert "end of the swing" in capsys.readouterr().out
+
+
+def test_python_takes_an_instance():
+    class Stop(residyn.JointEffect):
+        name = "stop"
+        strength: float = residyn.param("how hard", residyn.parameter.TORQUE)
+
+        def joint_torque(self, motion):
+            return self.strength * motion.q**7
+
+    residyn.adopt(Stop)
+    mechanism = residyn.ConstantInertia([[1.0]], ["cart"], ["m"])
+    assert (mechanism + Stop("cart")).labels == ("stop:cart",)
+    assert effects.effects_named("stop:cart", mechanism)[0] == Stop("cart")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (None, "no such file"),
+        ("x = 1\n", "defines no effect"),
+        ("class (:\n", "line 1"),
+        ("import residyn\n\n1 / 0\n", "line 3: ZeroDivisionError"),
+        ("from residyn import JointEffect\nclass Mine(JointEffect):\n    pass\n", 'name = "mine"'),
+        (
+            'from residyn import JointEffect\nclass Mine(JointEffect):\n    name = "mine"\n',
+            "lacks the method joint_torque",
+        ),
+        (
+            'from residyn import JointEffect\nclass Mine(JointEffect):\n    name = "spring"\n'
+            "    def joint_torque(self, motion):\n        return 0.0\n",
+            '"spring" is taken',
+        ),
+    ],
+)
+def test_a_bad_file_is_told_in_one_line(tmp_path, capsys, text, says):
+    path = tmp_path / "mine.py"
+    if text is not None:
+        path.write_text(text)
+    assert main(["effects", "--effects", str(path)]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "mine.py" in line
+    assert says in line
+
+
+def test_installed_packages_offer_effects(own, monkeypatch):
+    (kind,) = effects.read_effects(own)
+
+    class Point:
+        name, value = "quintic", "somewhere:QuinticStiffness"
+
+        def load(self):
+            return kind
+
+    monkeypatch.setattr(effects, "_looked", False)
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [Point()])
+    assert effects.catalogue()["quintic_stiffness"] is kind
+
+
+def test_an_installed_package_that_offers_no_effect_is_named(monkeypatch):
+    class Point:
+        name, value = "broken", "somewhere:nothing"
+
+        def load(self):
+            return 3
+
+    monkeypatch.setattr(effects, "_looked", False)
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [Point()])
+    with pytest.raises(residyn.InputError, match="entry point broken"):
+        effects.catalogue()
