@@ -33,7 +33,7 @@ from .stick_slip import sliding
 
 # Largest step times fastest angular frequency: within 1e-5 rad of MuJoCo over 20 s (tests).
 SMOOTH_STEP = 0.3
-ROUGH_STEP = 0.15
+ROUGH_STEP = 0.2
 
 
 class UnrolledTsit5(diffrax.AbstractSolver):

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from .equation import Args, rates, signs
+from .model import solve_inertia
 from .motion import Joints, Motion, Scalar
 from .stick_slip import break_away, position_within, reversals, sliding, turning_point
 
@@ -59,6 +60,15 @@ _WEIGHTS = (
 )
 
 
+# What a stage's acceleration counts for in the position at the end: the weights, summed once more.
+_TWICE = tuple(
+    sum(_WEIGHTS[j] * _ROWS[j][i] for j in range(i + 1, len(_WEIGHTS)))
+    for i in range(len(_WEIGHTS))
+)
+# Gauss' two points in each eighth of a step.
+_FINE = tuple((k + 0.5 + side / 12**0.5) / 8 for k in range(8) for side in (-1.0, 1.0))
+
+
 def _tsit5(rates, h, y: State):
     """Tsitouras' six stages of y' = rates(share of the step, y), written out.
 
@@ -89,12 +99,17 @@ def smooth_step(args: Args, t, h, y: State) -> tuple[State, Joints]:
     """One step: its end, and the acceleration at its beginning."""
     turn = _turns_ahead(args, t, h, y)
     end, first, last = _tsit5(lambda s, x: rates(args, turn(s, x.motion(t + s * h))), h, y)
+    end = _past_corners(args, t, h, y, end, first, last, signs)
     return _settled(args, t, h, y, end, first, last), first
 
 
 @jax.jit
 def dry_step(args: Args, t, h, y: State) -> tuple[State, Joints]:
-    """`smooth_step` for joints that may reverse or stick inside the step."""
+    """`smooth_step` for joints that may reverse or stick inside the step.
+
+    Hardly any step sees a joint rest, reverse or break away: what these ask for is computed only
+    where they happen (under `vmap`, where any lane may see one, always).
+    """
     begin = y.motion(t)._replace(grain=_GRAIN * h)
     sticking = sliding(args, begin)
     direction, held = sticking.direction, sticking.held
@@ -106,6 +121,7 @@ def dry_step(args: Args, t, h, y: State) -> tuple[State, Joints]:
         return turn(share, x.motion(t + share * h, direction)._replace(grain=_GRAIN * h))
 
     end, first, last = _tsit5(lambda share, x: rates(args, at(share, x), held), h, y)
+    end = _past_corners(args, t, h, y, end, first, last, lambda v: direction)
     v1 = tuple(jnp.where(stuck > 0, 0.0, x) for x, stuck in zip(end.v, held, strict=True))
     # The last stage stands at the end of the step.
     ends = (y.q, y.v, first), (end.q, v1, last)
@@ -135,13 +151,63 @@ def _turns_ahead(args: Args, t, h, y: State):
     return tell
 
 
+def _turned(h, y: State, end: State, first: Joints, last: Joints) -> tuple[Joints, Joints]:
+    """Where in the step (0 to 1; 2: nowhere) each joint turned round, and at which angle."""
+    when, where = [], []
+    for q0, q1, v0, v1, a0, a1 in zip(y.q, end.q, y.v, end.v, first, last, strict=True):
+        share = turning_point(v0, v1, h * a0, h * a1)
+        turns = v0 * v1 < 0
+        when.append(jnp.where(turns, share, 2.0))
+        where.append(jnp.where(turns, position_within(share, q0, q1, h * v0, h * v1), q1))
+    return tuple(when), tuple(where)
+
+
 def _settled(args: Args, t, h, y: State, end: State, first: Joints, last: Joints) -> State:
     """The end of a step, with the memories that follow the motion brought along."""
     if not args.model.follows:
         return end
-    turned = []
-    for q0, q1, v0, v1, a0, a1 in zip(y.q, end.q, y.v, end.v, first, last, strict=True):
-        share = turning_point(v0, v1, h * a0, h * a1)
-        turned.append(jnp.where(v0 * v1 < 0, position_within(share, q0, q1, h * v0, h * v1), q1))
-    motion = end.motion(t + h)._replace(turn=tuple(turned))
+    motion = end.motion(t + h)._replace(turn=_turned(h, y, end, first, last)[1])
     return end._replace(z=args.model.memory_follow(motion))
+
+
+def _past_corners(args: Args, t, h, y: State, end: State, first, last, direction) -> State:
+    """The end of a step, corrected for corners of the torque inside it.
+
+    A corner costs the stages their order, as quadrature of that torque, which is all that they are
+    to it: along the step's own path, the difference to a finer quadrature is the error made.
+    """
+    rough = [(i, e) for i, e in enumerate(args.model.effects) if e.rough]
+    if not rough:
+        return end
+    bodies, n = args.model.bodies, len(y.q)
+    when, where = _turned(h, y, end, first, last)
+
+    def torque(share: float) -> Joints:
+        ends = zip(y.q, end.q, y.v, end.v, first, last, strict=True)
+        q, v = [], []
+        for q0, q1, v0, v1, a0, a1 in ends:
+            q.append(position_within(share, q0, q1, h * v0, h * v1))
+            v.append(position_within(share, v0, v1, h * a0, h * a1))
+        turn = tuple(
+            jnp.where(share > w, there, x) for w, there, x in zip(when, where, q, strict=True)
+        )
+        motion = State(tuple(q), tuple(v), y.z).motion(t + share * h, direction(tuple(v)))
+        owns = {i: own for i, (_, own) in enumerate(args.model.each(motion._replace(turn=turn)))}
+        each = [effect.torque(owns[i], bodies) for i, effect in rough]
+        return tuple(sum(parts[1:], parts[0]) for parts in zip(*each, strict=True))
+
+    coarse = [(b, w, torque(c)) for b, w, c in zip(_WEIGHTS, _TWICE, _NODES, strict=False)]
+    fine = [(1 / len(_FINE), (1 - s) / len(_FINE), torque(s)) for s in _FINE]
+    error = [
+        tuple(
+            sum(row[part] * row[2][j] for row in coarse)
+            - sum(row[part] * row[2][j] for row in fine)
+            for j in range(n)
+        )
+        for part in (0, 1)
+    ]
+    dv, dq = (solve_inertia(bodies.mass_matrix(end.q), e) for e in error)
+    return end._replace(
+        q=tuple(x + h**2 * d for x, d in zip(end.q, dq, strict=True)),
+        v=tuple(x + h * d for x, d in zip(end.v, dv, strict=True)),
+    )

@@ -5,8 +5,11 @@ the end of the step for what changed inside it; each correction is exact to the 
 and is differentiable in the model's numbers.
 """
 
+import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from .equation import Args, acceleration, signs
@@ -34,10 +37,43 @@ def _friction(args: Args, motion: Motion) -> list[Scalar | None]:
     return level
 
 
+def _level(args: Args, motion: Motion, joint: int, speed: Scalar) -> Scalar:
+    """`_friction` of one joint at some speed."""
+    v = tuple(speed if i == joint else x for i, x in enumerate(motion.v))
+    level = _friction(args, motion._replace(v=v))[joint]
+    assert level is not None
+    return level
+
+
 def sliding(args: Args, motion: Motion) -> Sticking:
     """What holds at the beginning of a step."""
+    motion = motion._replace(direction=signs(motion.v))
+    dry = [limit is not None for limit in _friction(args, motion)]
+    none = tuple(0.0 for _ in motion.v)
+    rests = [x == 0.0 for x, rough in zip(motion.v, dry, strict=True) if rough]
+    rests += [e.crawls(own, args.model.bodies) for e, own in args.model.each(motion) if e.grips]
+    return _where(
+        rests,
+        lambda: _resting(args, motion),
+        lambda: Sticking(motion.direction, none, 0.0),
+    )
+
+
+def _where(happens: list, then: Callable, otherwise: Callable):
+    """`then()` if any of the conditions holds, else `otherwise()`; only that one is computed."""
+    if not happens:
+        return otherwise()
+    happening = functools.reduce(jnp.logical_or, happens)
+
+    def arrays(branch: Callable):
+        return lambda: jax.tree.map(lambda x: jnp.asarray(x, float), branch())
+
+    return jax.lax.cond(happening, arrays(then), arrays(otherwise))
+
+
+def _resting(args: Args, motion: Motion) -> Sticking:
+    """`sliding` where a joint is at rest, or nearly."""
     v = motion.v
-    motion = motion._replace(direction=signs(v))
     level = _friction(args, motion)
     # Joints at rest: what would they do if nothing held them?
     free = acceleration(args, motion)
@@ -90,25 +126,42 @@ def reversals(args: Args, h, begin, end, motion: Motion, sticking: Sticking):
 
     `begin` and `end` are (q, v, q''), and `motion` stands at the end.
     """
-    (q0, v0, a0), (q1, v1, a1) = begin, end
+    (_, v0, _), (q1, v1, _) = begin, end
     direction, held = sticking.direction, sticking.held
     motion = motion._replace(q=q1, v=v1, direction=direction)
     level = _friction(args, motion._replace(v=(0.0,) * len(v1)))
+    crosses = {
+        j: (held[j] == 0) & (v0[j] != 0.0) & (v1[j] * direction[j] < 0.0)
+        for j, limit in enumerate(level)
+        if limit is not None
+    }
+    return _where(
+        list(crosses.values()),
+        lambda: _reversed(args, h, begin, end, motion, held, level, crosses),
+        lambda: (q1, v1),
+    )
+
+
+def _reversed(args: Args, h, begin, end, motion: Motion, held: Joints, level, crossing):
+    """`reversals` where a joint does reverse."""
+    (q0, v0, a0), (q1, v1, a1) = begin, end
+    direction = motion.direction
     q, v = q1, v1
-    for j, limit in enumerate(level):
-        if limit is None:
-            continue
-        column = _mobility(args, q1, j)
-        crosses = (held[j] == 0) & (v0[j] != 0.0) & (v1[j] * direction[j] < 0.0)
+    for j, crosses in crossing.items():
+        limit, column = level[j], _mobility(args, q1, j)
         share = turning_point(v0[j], v1[j], h * a0[j], h * a1[j])
         rest = (1.0 - share) * h
         slowing = a0[j] + share * (a1[j] - a0[j])
         sticks = crosses & (jnp.abs(slowing) <= 2.0 * column[j] * limit)
         # Torque change after the reversal: the friction flips, or takes what holds the joint, which
         # runs from `slowing` to the end's a1; its mean counts for v, its first moment for q.
-        flip = 2.0 * limit * direction[j]
-        for_v = jnp.where(sticks, -0.5 * (slowing + a1[j]) / column[j], flip)
-        for_q = jnp.where(sticks, -(2.0 * slowing + a1[j]) / 3.0 / column[j], flip)
+        # Friction may fade as the joint speeds up again: Simpson's rule over its level on the way.
+        gained = v1[j] + rest * column[j] * 2.0 * limit * direction[j]
+        middle, later = (_level(args, motion, j, share * gained) for share in (0.5, 1.0))
+        flip_v = direction[j] * (limit + 4.0 * middle + later) / 3.0
+        flip_q = direction[j] * (limit + 2.0 * middle) / 1.5
+        for_v = jnp.where(sticks, -0.5 * (slowing + a1[j]) / column[j], flip_v)
+        for_q = jnp.where(sticks, -(2.0 * slowing + a1[j]) / 3.0 / column[j], flip_q)
         dq = tuple(jnp.where(crosses, 0.5 * rest**2 * for_q, 0.0) * c for c in column)
         dv = tuple(jnp.where(crosses, rest * for_v, 0.0) * c for c in column)
         # The springs answer to dq, which grows as the square of the time since the reversal:
@@ -125,6 +178,15 @@ def reversals(args: Args, h, begin, end, motion: Motion, sticking: Sticking):
 
 def break_away(args: Args, h, begin: Motion, end: Motion, sticking: Sticking):
     """The end of the step, corrected for joints that friction could no longer hold inside it."""
+    return _where(
+        [(x > 0) & (sticking.gripped == 0) for x in sticking.held if not isinstance(x, float)],
+        lambda: _broken(args, h, begin, end, sticking),
+        lambda: (end.q, end.v),
+    )
+
+
+def _broken(args: Args, h, begin: Motion, end: Motion, sticking: Sticking):
+    """`break_away` where a joint is held."""
     q, v, held = end.q, end.v, sticking.held
     loose = signs(v)
     free = {

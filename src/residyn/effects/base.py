@@ -32,7 +32,7 @@ class AbstractEffect(eqx.Module):
     - `rough`: True if its torque has corners, which ask for the short step of dry friction.
     - `memory`: its internal states, if it has any; it finds them in `motion.memory`.
     - `follows`: True if `follow` does something.
-    - `grips`: True if `holds` does something.
+    - `grips`: True if `crawls` and `holds` do something.
     - `senses`: True if it acts on the readings instead of the motion.
     - `oscillates`: the field that holds a frequency of its own, which a fit starts from a spectrum.
     - `of_bearings`: True if it leaves with the air bearings (step 3 of the paper).
@@ -118,6 +118,10 @@ class AbstractEffect(eqx.Module):
             )
             found.append(0.5 * (up - down))
         return tuple(found)
+
+    def crawls(self, motion: Motion, mechanism: AbstractMechanism) -> Scalar:
+        """True where `holds` may return 1: where everything is all but at rest."""
+        return False
 
     def holds(self, load: Joints, motion: Motion, mechanism: AbstractMechanism) -> Scalar:
         """1 if, as slow as it is in `motion`, its friction brings everything to rest and holds it

@@ -126,6 +126,11 @@ class BearingFriction(_BearingEffect):
         light = (both * c - 2 * mixed * b + tip * a) / (a * c - b * b)
         return motion.grain * arm.bearings[1] * jnp.abs(self.force) * light
 
+    def crawls(self, motion, mechanism):
+        assert isinstance(mechanism, PlanarArm)
+        _, wrist = _slips(motion, mechanism)
+        return wrist.square <= self._slow(motion, mechanism) ** 2
+
     def holds(self, load, motion, mechanism):
         assert isinstance(mechanism, PlanarArm)
         _, wrist = _slips(motion, mechanism)
@@ -136,7 +141,7 @@ class BearingFriction(_BearingEffect):
         cos = jnp.cos(mechanism.theta2 + motion.q[1])
         x, y = (load[0] - load[1]) / l1, load[1] / l2
         needed = x**2 + y**2 - 2 * x * y * cos
-        slow = wrist.square <= self._slow(motion, mechanism) ** 2
+        slow = self.crawls(motion, mechanism)
         return jnp.where(slow & (limit > 0) & (needed <= (limit * sin) ** 2), 1.0, 0.0)
 
 

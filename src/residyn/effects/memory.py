@@ -80,12 +80,17 @@ class BrakeSlip(JointEffect):
         grid=(0.5, 1.0, 1.7, 2.8),
     )
 
+    def begin(self, motion, mechanism):
+        q = motion.q[mechanism.joints.index(self.joint)]
+        return (self._led(0.0, q),)
+
+    def _led(self, slip, q):
+        """The slip after the joint has gone to an angle."""
+        return jnp.clip(slip, q - jnp.abs(self.angle), q + jnp.abs(self.angle))
+
     def _slip(self, motion):
         # First as far as the joint went before it turned round, then to where it is now.
-        (slip,), angle = motion.memory, jnp.abs(self.angle)
-        for q in (motion.turn, motion.q):
-            slip = jnp.clip(slip, q - angle, q + angle)
-        return slip
+        return self._led(self._led(motion.memory[0], motion.turn), motion.q)
 
     def joint_torque(self, motion):
         return -self.stiffness * self._slip(motion)

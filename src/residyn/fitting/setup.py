@@ -15,11 +15,12 @@ from ..mechanism import AbstractMechanism, ConstantInertia, PlanarArm
 from ..model import Model
 from ..parameter import Scales
 from ..recording import ArmTable, Experiment, Recording
-from ..simulation import ROUGH_STEP, fastest
+from ..simulation import fastest
 from .problem import Layout, Problem, Unknowns, bucket, lay_out, posed
 
 # Step of a fit times fastest angular frequency: good to 1e-6 of the amplitude, far below any noise.
 _STEP = 0.4
+_ROUGH_STEP = 0.15
 # A driven motion is as quick as its drive, whatever the modes: samples per step at most.
 _SAMPLES_DRIVEN = 5
 
@@ -129,7 +130,7 @@ class Ready(NamedTuple):
     def _steps(self, begin: Model, frequency: float) -> int:
         """How many integration steps the longest recording needs."""
         longest = max(r.duration for r in self.recordings)
-        steps = longest * frequency / (ROUGH_STEP if begin.rough else _STEP)
+        steps = longest * frequency / (_ROUGH_STEP if begin.rough else _STEP)
         for r in self.recordings:
             if r.drive is not None:
                 steps = max(steps, len(r.time) * longest / r.duration / _SAMPLES_DRIVEN)
