@@ -144,8 +144,10 @@ def reversals(args: Args, h, begin, end, motion: Motion, sticking: Sticking):
 
 def _reversed(args: Args, h, begin, end, motion: Motion, held: Joints, level, crossing):
     """`reversals` where a joint does reverse."""
-    (q0, v0, a0), (q1, v1, a1) = begin, end
+    (q0, v0, a0), (q1, v1, _) = begin, end
     direction = motion.direction
+    # A stage's acceleration is good enough for its method, but not to be subtracted from.
+    a1 = acceleration(args, motion, held)
     q, v = q1, v1
     for j, crosses in crossing.items():
         limit, column = level[j], _mobility(args, q1, j)
@@ -166,10 +168,11 @@ def _reversed(args: Args, h, begin, end, motion: Motion, held: Joints, level, cr
         dv = tuple(jnp.where(crosses, rest * for_v, 0.0) * c for c in column)
         # The springs answer to dq, which grows as the square of the time since the reversal:
         # integrated once and twice, their answer at the end counts 1/3 and 1/12.
-        answer = acceleration(args, motion._replace(q=_plus(q1, dq)), held)
-        answer = tuple(jnp.where(crosses, x - y, 0.0) for x, y in zip(answer, a1, strict=True))
-        q = _plus(q, dq, tuple(rest**2 / 12.0 * x for x in answer))
-        v = _plus(v, dv, tuple(rest / 3.0 * x for x in answer))
+        answer = _less(acceleration(args, motion._replace(q=_plus(q1, dq)), held), a1, crosses)
+        # The dampers answer to dv, which grows as that time: 1/2 and 1/6.
+        loss = _less(acceleration(args, motion._replace(v=_plus(v1, dv)), held), a1, crosses)
+        q = _plus(q, dq, _times(rest**2 / 12.0, answer), _times(rest**2 / 6.0, loss))
+        v = _plus(v, dv, _times(rest / 3.0, answer), _times(rest / 2.0, loss))
         stop = position_within(share, q0[j], q1[j], h * v0[j], h * v1[j])
         q = tuple(jnp.where(sticks, stop, x) if i == j else x for i, x in enumerate(q))
         v = tuple(jnp.where(sticks, 0.0, x) if i == j else x for i, x in enumerate(v))
@@ -211,6 +214,14 @@ def _broken(args: Args, h, begin: Motion, end: Motion, sticking: Sticking):
 
 def _plus(*terms: Joints) -> Joints:
     return tuple(sum(parts[1:], parts[0]) for parts in zip(*terms, strict=True))
+
+
+def _less(x: Joints, y: Joints, where) -> Joints:
+    return tuple(jnp.where(where, a - b, 0.0) for a, b in zip(x, y, strict=True))
+
+
+def _times(factor: Scalar, x: Joints) -> Joints:
+    return tuple(factor * each for each in x)
 
 
 def turning_point(v0, v1, d0, d1):

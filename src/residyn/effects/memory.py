@@ -33,7 +33,7 @@ class Hysteresis(JointEffect):
         sign="positive",
         silent=None,
         default=0.05,
-        grid=(0.1, 0.3, 1.0),
+        grid=(0.25, 0.6, 1.5),
     )
     sharpness: Scalar = param(
         "n, sharpness of the yielding",
@@ -43,6 +43,11 @@ class Hysteresis(JointEffect):
         default=1.0,
         fitted=False,
     )
+
+    def begin(self, motion, mechanism):
+        # Where a slow pull from rest to the first angle leaves it (exactly so for n = 1).
+        q = motion.q[mechanism.joints.index(self.joint)]
+        return (-jnp.sign(q) * jnp.expm1(-jnp.abs(q / self.angle)),)
 
     def joint_torque(self, motion):
         return self.level * motion.memory[0]
