@@ -220,7 +220,7 @@ def test_friction_is_sharp(friction: float) -> None:
     omega, offset = math.sqrt(10.0), friction / 20.0
     q, v = simulate(cart, T20, 0.3, frictionloss=friction)
     truth = sliding(T20, 0.3, omega, offset)
-    assert np.max(np.abs(q[:, 0] - truth)) < 1e-5
+    assert np.max(np.abs(q[:, 0] - truth)) < 1e-6
     # Each cycle costs 4 F / k of amplitude: read at the exact times of the peaks.
     cycles = int((0.3 - offset) / (4.0 * offset))
     peaks = np.arange(min(cycles, 8) + 1) * 2.0 * math.pi / omega

@@ -8,19 +8,30 @@ motion. It never imports the package under test, so the two can only agree if bo
 from .arm import HANGING, Arm, paper_twin, tilt
 from .cart import Cart
 from .cases import Case, clean_cases, friction_cases, random_arm, random_release
-from .engine import Memory, simulate
+from .engine import Memory, Trace, simulate, trace
+from .hidden import Hidden, HiddenCase, hidden_cases, random_hidden, record
+from .laws import NAMES, OUTSIDE
 
 __all__ = [
     "HANGING",
+    "NAMES",
+    "OUTSIDE",
     "Arm",
     "Cart",
     "Case",
+    "Hidden",
+    "HiddenCase",
     "Memory",
+    "Trace",
     "clean_cases",
     "friction_cases",
+    "hidden_cases",
     "paper_twin",
     "random_arm",
+    "random_hidden",
     "random_release",
+    "record",
     "simulate",
     "tilt",
+    "trace",
 ]

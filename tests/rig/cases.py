@@ -37,7 +37,7 @@ class Case:
     """The motion without noise, rad, N x 2."""
 
 
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(math.log(low), math.log(high))))
 
 
@@ -53,7 +53,7 @@ def random_arm(
     `shoulder` (kg m^2) and `theta2` (rad) are the ranges of those two.
     """
     while True:
-        whole = _log_uniform(rng, *shoulder)
+        whole = log_uniform(rng, *shoulder)
         l1, l2 = rng.uniform(0.25, 0.6, size=2)
         m2 = rng.uniform(0.3, 0.8) * whole / l1**2
         rho2 = rng.uniform(0.3, 1.0) * l2
@@ -66,11 +66,11 @@ def random_arm(
             theta2=float(rng.uniform(*theta2)),
         )
         mass = arm.mass_matrix()
-        stiffness = np.array([_log_uniform(rng, 0.25, 2.5) for _ in range(2)])
+        stiffness = np.array([log_uniform(rng, 0.25, 2.5) for _ in range(2)])
         stiffness = (2.0 * math.pi * stiffness) ** 2 * np.diag(mass)
         if not ALIKE[0] <= stiffness[0] / stiffness[1] <= ALIKE[1]:
             continue
-        wanted = np.array([_log_uniform(rng, *damping_ratio) for _ in range(2)])
+        wanted = np.array([log_uniform(rng, *damping_ratio) for _ in range(2)])
         damping = _joint_damping(mass, stiffness, wanted)
         made = replace(
             arm,
@@ -129,7 +129,7 @@ def friction_cases(
         arm = random_arm(rng, damping_ratio=damping_ratio)
         q0 = random_release(rng, amplitude)
         joint = int(rng.integers(2))
-        torque = _log_uniform(rng, *share) * arm.stiffness[joint] * abs(float(q0[joint]))
+        torque = log_uniform(rng, *share) * arm.stiffness[joint] * abs(float(q0[joint]))
         hidden = (torque, 0.0) if joint == 0 else (0.0, torque)
         yield _record(rng, arm, q0, hidden, noise, seconds, rate)
 

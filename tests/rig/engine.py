@@ -10,11 +10,7 @@ interpolation), and a hidden torque enters through the passive callback, called 
 *Times.* The step is chosen anew for each sampling interval so that a whole number of steps fills
 it. Uneven times thus cost no interpolation.
 
-*Friction.* MuJoCo treats dry friction as a soft constraint: the joint is braked towards zero
-velocity at the rate b = 1/step (larger would be unstable) with at most the friction torque, so a
-reversal comes about one step early. Where one is near, the step is therefore cut a hundredfold;
-elsewhere the torque is saturated or the joint sticks, and the long step keeps its order. The
-constraint's softness, which lets a stuck joint creep, is also cut below what MJCF can ask for.
+*Jumps.* Where a torque jumps or bends, dry friction first of all, the step is cut: see `stepping`.
 """
 
 from __future__ import annotations
@@ -25,22 +21,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import mujoco as _mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-mujoco: Any = _mujoco  # compiled, so a type checker cannot see into it
+from .stepping import Advance, Array, Limit, Settle, mujoco
 
-Array = NDArray[np.float64]
 Pair = tuple[float, float]
 Torque = Callable[[float, Array, Array], ArrayLike]
-
-FINE = 100
-"""How many short steps replace a long one near a reversal of a joint with friction."""
-STUCK = 1e-6
-"""Speed (rad/s or m/s) under which a joint with friction counts as stuck."""
-SOFTNESS = 1e-2
-"""The constraint's regularisation, as a share of the least that MJCF's solimp allows."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +43,28 @@ class Memory:
     """A hidden torque with inner states z, as in hysteresis, on the joints (N m).
 
     `start` is z at the first time, `rate(t, q, v, z)` its derivative, `torque(t, q, v, z)` the
-    torque; both are evaluated inside the RK4 stages.
+    torque; both are evaluated inside the RK4 stages. `settle(t, q, v, z)`, if any, is what z
+    becomes at the end of a step, for a memory that follows the angle and has no rate of its own.
     """
 
     start: Sequence[float]
     rate: Callable[[float, Array, Array, Array], ArrayLike]
     torque: Callable[[float, Array, Array, Array], ArrayLike]
+    settle: Settle | None = None
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A simulated motion."""
+
+    q: Array
+    """Angles, rad, N x joints."""
+    v: Array
+    """Velocities, rad/s, N x joints."""
+    a: Array
+    """Accelerations, rad/s^2, N x joints; where one jumps, that of the side just reached."""
+    z: Array
+    """Memories, N x memories."""
 
 
 class System(Protocol):
@@ -78,7 +81,11 @@ class System(Protocol):
 
 
 def document(
-    world: str, joints: Sequence[str], gravity: Pair, setting: Setting | None = None
+    world: str,
+    joints: Sequence[str],
+    gravity: Pair,
+    setting: Setting | None = None,
+    tendons: str = "",
 ) -> str:
     """A complete MJCF text around the bodies in `world`, with a torque integrator on each joint."""
     setting = setting or Setting()
@@ -102,6 +109,7 @@ def document(
            solimpfriction="0.9999 0.9999 0.001 0.5 2" solreffriction="-1 {-1.0 / setting.step!r}"/>
   </default>
   <worldbody>{world}</worldbody>
+  <tendon>{tendons}</tendon>
   <actuator>{drives}{memories}</actuator>
 </mujoco>"""
 
@@ -128,8 +136,41 @@ def simulate(
     while it is smooth; at a jump the order falls to one, so give a smaller `step` (s), which is
     otherwise a fiftieth of the fastest mode's time per radian.
 
-    Errors over 20 s, arms of 0.2 to 5 Hz: some 1e-8 rad without friction, 1e-5 with. A release
-    large enough to be chaotic multiplies both.
+    Errors over 20 s, arms of 0.2 to 5 Hz: some 1e-8 rad, with friction some 3e-8. A release large
+    enough to be chaotic multiplies both.
+    """
+    run = trace(
+        system,
+        t,
+        q0,
+        v0,
+        frictionloss=frictionloss,
+        gravity=gravity,
+        drive=drive,
+        torque=torque,
+        memory=memory,
+        step=step,
+    )
+    return run.q, run.v
+
+
+def trace(
+    system: System,
+    t: ArrayLike,
+    q0: ArrayLike,
+    v0: ArrayLike = 0.0,
+    *,
+    frictionloss: ArrayLike = 0.0,
+    gravity: Pair = (0.0, 0.0),
+    drive: ArrayLike | None = None,
+    torque: Torque | None = None,
+    memory: Memory | None = None,
+    limit: Limit | None = None,
+    step: float | None = None,
+) -> Trace:
+    """As `simulate`, with accelerations and memories; `limit` is the longest step a torque bears.
+
+    A torque with jumps or corners keeps its accuracy if its `limit` shortens the step there.
     """
     n = system.joints
     times = np.asarray(t, dtype=float)
@@ -151,9 +192,8 @@ def simulate(
     if memory:
         data.act[n:] = memory.start
     loads = None if drive is None else np.asarray(drive, dtype=float).reshape(len(times), n)
-    advance = _Advance(model, data, friction)
-    q = np.empty((len(times), n))
-    v = np.empty_like(q)
+    advance = Advance(model, data, friction, limit, memory.settle if memory else None)
+    out = Trace(*(np.empty((len(times), k)) for k in (n, n, n, setting.memories)))
     with _callbacks(n, torque, memory):
         mujoco.mj_forward(model, data)
         for i, now in enumerate(times):
@@ -164,52 +204,9 @@ def simulate(
                     data.ctrl[:n] = (loads[i] - loads[i - 1]) / span
                 advance(span, max(1, math.ceil(span / step - 1e-9)))
                 data.time = now
-            q[i] = data.qpos
-            v[i] = data.qvel
-    return q, v
-
-
-class _Advance:
-    """Takes the state over a sampling interval: long steps, short ones where friction reverses."""
-
-    def __init__(self, model: Any, data: Any, friction: Array) -> None:
-        self.model, self.data = model, data
-        self.rough = np.flatnonzero(friction > 0.0).tolist()
-        self.speed, self.gain = data.qvel, data.qacc
-        self.step = 0.0
-        # MuJoCo makes this inverse inertia the scale of the regularisation, and nothing else of it.
-        model.dof_invweight0[:] *= SOFTNESS
-
-    def __call__(self, span: float, steps: int) -> None:
-        long = span / steps
-        if not self.rough:
-            self.set_step(long)
-            mujoco.mj_step(self.model, self.data, steps)
-            return
-        for _ in range(steps):
-            if self.reversal_near(long):
-                self.set_step(long / FINE)
-                mujoco.mj_step(self.model, self.data, FINE)
-            else:
-                self.set_step(long)
-                mujoco.mj_step(self.model, self.data)
-
-    def reversal_near(self, long: float) -> bool:
-        """Would a joint with friction stop within the next two long steps, or so?
-
-        Only its own deceleration matters: the other joint's friction can jump only where that one
-        stops, and breaking away is continuous.
-        """
-        for joint in self.rough:
-            v, a = float(self.speed[joint]), float(self.gain[joint])
-            if v * a < 0.0 and STUCK < abs(v) < 2.5 * long * abs(a):
-                return True
-        return False
-
-    def set_step(self, step: float) -> None:
-        if step != self.step:
-            self.step = self.model.opt.timestep = step
-            self.model.dof_solref[:, 1] = -1.0 / step
+            out.a[i] = advance.accelerations()
+            out.q[i], out.v[i], out.z[i] = data.qpos, data.qvel, data.act[n:]
+    return out
 
 
 @contextmanager
