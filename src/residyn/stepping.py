@@ -60,13 +60,18 @@ _WEIGHTS = (
 )
 
 
-# What a stage's acceleration counts for in the position at the end: the weights, summed once more.
-_TWICE = tuple(
-    sum(_WEIGHTS[j] * _ROWS[j][i] for j in range(i + 1, len(_WEIGHTS)))
-    for i in range(len(_WEIGHTS))
-)
-# Gauss' two points in each eighth of a step.
+# How often each stage's torque counts in the rate at the end, and in the position; and minus the
+# same by a finer rule, Gauss' two points in each eighth of a step: its error at corners.
 _FINE = tuple((k + 0.5 + side / 12**0.5) / 8 for k in range(8) for side in (-1.0, 1.0))
+_PLACES = (*_NODES[: len(_WEIGHTS)], *_FINE)
+_IN_RATE = (*_WEIGHTS, *(-1 / len(_FINE) for _ in _FINE))
+_IN_POSITION = (
+    *(
+        sum(_WEIGHTS[j] * _ROWS[j][i] for j in range(i + 1, len(_WEIGHTS)))
+        for i in range(len(_WEIGHTS))
+    ),
+    *((s - 1) / len(_FINE) for s in _FINE),
+)
 
 
 def _tsit5(rates, h, y: State):
@@ -173,40 +178,29 @@ def _settled(args: Args, t, h, y: State, end: State, first: Joints, last: Joints
 def _past_corners(args: Args, t, h, y: State, end: State, first, last, direction) -> State:
     """The end of a step, corrected for corners of the torque inside it.
 
-    A corner costs the stages their order, as quadrature of that torque, which is all that they are
-    to it: along the step's own path, the difference to a finer quadrature is the error made.
+    A corner costs the stages their order, as a quadrature of that torque, which is all that they
+    are to it: along the step's own path, the difference to a finer quadrature is the error made.
     """
-    rough = [(i, e) for i, e in enumerate(args.model.effects) if e.rough]
-    if not rough:
+    model = args.model
+    if not any(effect.rough for effect in model.effects):
         return end
-    bodies, n = args.model.bodies, len(y.q)
+    bodies = model.bodies
     when, where = _turned(h, y, end, first, last)
 
-    def torque(share: float) -> Joints:
-        ends = zip(y.q, end.q, y.v, end.v, first, last, strict=True)
-        q, v = [], []
-        for q0, q1, v0, v1, a0, a1 in ends:
-            q.append(position_within(share, q0, q1, h * v0, h * v1))
-            v.append(position_within(share, v0, v1, h * a0, h * a1))
+    def torque(share) -> Joints:
+        ends = list(zip(y.q, end.q, y.v, end.v, first, last, strict=True))
+        q = tuple(position_within(share, q0, q1, h * v0, h * v1) for q0, q1, v0, v1, _, _ in ends)
+        v = tuple(position_within(share, v0, v1, h * a0, h * a1) for _, _, v0, v1, a0, a1 in ends)
         turn = tuple(
             jnp.where(share > w, there, x) for w, there, x in zip(when, where, q, strict=True)
         )
-        motion = State(tuple(q), tuple(v), y.z).motion(t + share * h, direction(tuple(v)))
-        owns = {i: own for i, (_, own) in enumerate(args.model.each(motion._replace(turn=turn)))}
-        each = [effect.torque(owns[i], bodies) for i, effect in rough]
-        return tuple(sum(parts[1:], parts[0]) for parts in zip(*each, strict=True))
+        motion = State(q, v, y.z).motion(t + share * h, direction(v))._replace(turn=turn)
+        each = [e.torque(own, bodies) for e, own in model.each(motion) if e.rough]
+        return tuple(jnp.asarray(sum(parts), float) for parts in zip(*each, strict=True))
 
-    coarse = [(b, w, torque(c)) for b, w, c in zip(_WEIGHTS, _TWICE, _NODES, strict=False)]
-    fine = [(1 / len(_FINE), (1 - s) / len(_FINE), torque(s)) for s in _FINE]
-    error = [
-        tuple(
-            sum(row[part] * row[2][j] for row in coarse)
-            - sum(row[part] * row[2][j] for row in fine)
-            for j in range(n)
-        )
-        for part in (0, 1)
-    ]
-    dv, dq = (solve_inertia(bodies.mass_matrix(end.q), e) for e in error)
+    along = jax.vmap(torque)(jnp.asarray(_PLACES))
+    errors = (tuple(jnp.dot(jnp.asarray(w), x) for x in along) for w in (_IN_RATE, _IN_POSITION))
+    dv, dq = (solve_inertia(bodies.mass_matrix(end.q), error) for error in errors)
     return end._replace(
         q=tuple(x + h**2 * d for x, d in zip(end.q, dq, strict=True)),
         v=tuple(x + h * d for x, d in zip(end.v, dv, strict=True)),

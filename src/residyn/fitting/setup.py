@@ -20,7 +20,7 @@ from .problem import Layout, Problem, Unknowns, bucket, lay_out, posed
 
 # Step of a fit times fastest angular frequency: good to 1e-6 of the amplitude, far below any noise.
 _STEP = 0.4
-_ROUGH_STEP = 0.25
+_ROUGH_STEP = 0.2
 # A driven motion is as quick as its drive, whatever the modes: samples per step at most.
 _SAMPLES_DRIVEN = 5
 
