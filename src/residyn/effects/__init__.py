@@ -1,7 +1,7 @@
 """The catalogue of physical effects, and how a user's words become one.
 
-To add an effect: write its class in a file here and its name in `CATALOGUE`. The catalogue's tests
-then apply to it.
+To add an effect: write its class in a file here, and import it below. It is then in `CATALOGUE`, and
+the catalogue's tests apply to it.
 """
 
 import difflib
@@ -38,38 +38,22 @@ from .viscous import Damper as Damper
 from .viscous import QuadraticDrag as QuadraticDrag
 from .wrist import WristFlexibility as WristFlexibility
 
+
+def _order(kind: type[AbstractEffect]) -> int:
+    """The base model, then what else is at a joint, what the sensors do, the whole mechanism."""
+    if kind in (Spring, Damper):
+        return 0
+    return 3 if not issubclass(kind, JointEffect) else 2 if kind.senses else 1
+
+
+# Every effect that is imported above: to import one is to list it.
 CATALOGUE: dict[str, type[AbstractEffect]] = {
-    effect.name: effect
-    for effect in (
-        # at a joint
-        Spring,
-        Damper,
-        CoulombFriction,
-        StribeckFriction,
-        QuadraticDrag,
-        CubicStiffness,
-        AsymmetricStiffness,
-        DeadZone,
-        Hysteresis,
-        BrakeSlip,
-        ConstantTorque,
-        StiffnessDrift,
-        PeriodicDisturbance,
-        # of the readings
-        SensorOffset,
-        SensorScale,
-        SensorDelay,
-        # of the whole mechanism
-        CouplingStiffness,
-        CouplingDamping,
-        Gravity,
-        BearingDrag,
-        BearingQuadraticDrag,
-        BearingFriction,
-        WristFlexibility,
-        PrintedInertiaTorque,
-        InertiaError,
+    kind.name: kind
+    for kind in sorted(
+        (k for k in list(vars().values()) if isinstance(k, type) and hasattr(k, "equation")),
+        key=_order,
     )
+    if hasattr(kind, "name")
 }
 
 
