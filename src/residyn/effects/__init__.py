@@ -1,7 +1,7 @@
 """The catalogue of physical effects, and how a user's words become one.
 
-To add an effect: write its class in a file here, and import it below. It is then in `CATALOGUE`, and
-the catalogue's tests apply to it.
+To add an effect: write its class in a file here, and import it below. It is then in `CATALOGUE`,
+and the tests of the catalogue apply to it.
 """
 
 import difflib
