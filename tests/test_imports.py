@@ -18,6 +18,7 @@ LAYERS = [
     ["modal"],
     ["equation"],
     ["stick_slip"],
+    ["stepping", "nodes"],
     ["simulation"],
     [
         "recording",
@@ -31,6 +32,7 @@ LAYERS = [
         "_wild",
     ],
     ["fitting"],
+    ["diagnosis"],
     ["plot"],
     ["_verdict", "report"],
     ["demo"],

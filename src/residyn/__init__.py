@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from .bearings import AirBearing as AirBearing
     from .bearings import with_bearings as with_bearings
     from .bearings import without_bearings as without_bearings
+    from .diagnosis import Comparison as Comparison
+    from .diagnosis import compare as compare
     from .effects import CATALOGUE as CATALOGUE
     from .effects import AbstractEffect as AbstractEffect
     from .effects import AsymmetricStiffness as AsymmetricStiffness
@@ -65,6 +67,7 @@ __version__ = "0.1.0"
 
 _PUBLIC = {
     "bearings": ("AirBearing", "with_bearings", "without_bearings"),
+    "diagnosis": ("Comparison", "compare"),
     "effects": (
         "CATALOGUE",
         "AbstractEffect",

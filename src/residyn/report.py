@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 from . import __version__, _verdict, plot
 from ._input import InputError
 from ._units import amount, plain, ratio, with_error
+from .diagnosis import Comparison
 from .fitting.result import Fit
 
 MOST_PIXELS_NARROW = 640
@@ -37,14 +38,19 @@ class Picture:
     narrow: str
 
 
-def write_report(path: str | os.PathLike[str], fits: Sequence[tuple[str, Fit]]) -> None:
+def write_report(
+    path: str | os.PathLike[str],
+    fits: Sequence[tuple[str, Fit]],
+    compared: Comparison | None = None,
+) -> None:
     """Write one or several fits of the same recordings as one self-contained page.
 
-    **Arguments:** `fits`: (title, fit) each, the simplest model first.
+    **Arguments:** `fits`: (title, fit) each, the simplest model first; `compared`: where the last
+    of them fails, if that is to be told.
 
     **Raises:** `InputError` if the file cannot be written.
     """
-    text = render(fits)
+    text = render(fits, compared)
     try:
         Path(path).write_text(text, encoding="utf-8")
     except (OSError, ValueError) as error:
@@ -52,7 +58,7 @@ def write_report(path: str | os.PathLike[str], fits: Sequence[tuple[str, Fit]]) 
         raise InputError(f"{os.fspath(path)}: cannot be written ({why})") from None
 
 
-def render(fits: Sequence[tuple[str, Fit]]) -> str:
+def render(fits: Sequence[tuple[str, Fit]], compared: Comparison | None = None) -> str:
     """The page as text."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("residyn", "templates"),
@@ -65,6 +71,7 @@ def render(fits: Sequence[tuple[str, Fit]]) -> str:
     environment.filters["plain"] = plain
     environment.globals["amount"] = amount
     chapters = [_chapter(title, fit) for title, fit in fits]
+    chapters[-1]["failing"] = None if compared is None else _failing(compared)
     comparison = None
     if len(fits) > 1:
         names, models = [t for t, _ in fits], [f for _, f in fits]
@@ -91,6 +98,7 @@ def _chapter(title: str, fit: Fit) -> dict[str, Any]:
     return {
         "title": title,
         "fit": fit,
+        "failing": None,
         "explained": _verdict.explained(fit),
         "verdict": _verdict.verdict(fit),
         "chi2": plain(fit.reduced_chi2, 3),
@@ -117,6 +125,48 @@ def _chapter(title: str, fit: Fit) -> dict[str, Any]:
         "readings": sum(int(r.used.sum()) for r in fitted),
         "fitted": [r.recording.name for r in fitted],
         "held_out": [r.recording.name for r in fit.recordings if r.recording.role == "check"],
+    }
+
+
+def _failing(compared: Comparison) -> dict[str, Any]:
+    """All that the template says of where a fit fails."""
+    torques = []
+    for found in compared.missing_torque:
+        for joint, name in enumerate(compared.fit.joints):
+            unit = compared.fit.experiment.units
+            words = {
+                "name": name,
+                "unit": unit[joint] if unit else None,
+                "curves": found.curves_at(joint),
+                "link_angle": None if found.link_angle is None else found.link_angle[:, joint],
+            }
+            torques.append(
+                {
+                    "words": found.words(joint),
+                    "picture": _picture(
+                        f"Missing torque at the {name} in {found.recording}",
+                        plot.missing_torque(found.torque, joint, **words),
+                        plot.missing_torque(found.torque, joint, **words, narrow=True),
+                    ),
+                }
+            )
+    ahead = compared.horizon
+    return {
+        "explained": compared.explained,
+        "words": compared.words,
+        "where": _picture(
+            "Bars: the residual in times the noise, by time, by amplitude and by frequency",
+            plot.where(compared),
+            plot.where(compared, narrow=True),
+        ),
+        "horizon": None
+        if ahead is None
+        else _picture(
+            "The prediction's error in times the noise against time ahead",
+            plot.horizon(compared),
+            plot.horizon(compared, narrow=True),
+        ),
+        "torques": torques,
     }
 
 

@@ -16,6 +16,7 @@ from .._input import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from ..diagnosis import Comparison
     from ..fitting.result import Fit
 
 DONE, NO_NUMBERS, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
@@ -163,7 +164,9 @@ class Outputs:
         except OSError as error:
             raise _unwritable("--json", self.json_file, error) from None
 
-    def write_report(self, fits: "Sequence[tuple[str, Fit]]") -> None:
+    def write_report(
+        self, fits: "Sequence[tuple[str, Fit]]", compared: "Comparison | None" = None
+    ) -> None:
         """Write the report, if it was asked for."""
         if self.report is None:
             return
@@ -171,7 +174,7 @@ class Outputs:
 
         with progress() as say:
             say("writing the report")
-            write_report(self.report, fits)
+            write_report(self.report, fits, compared)
 
 
 def finite(value: Any) -> Any:

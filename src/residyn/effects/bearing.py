@@ -119,8 +119,9 @@ class BearingFriction(_BearingEffect):
 
     def _slow(self, motion: Motion, arm: PlanarArm) -> Scalar:
         """Speed, m/s, that friction takes from the wrist in one grain of the integrator's time."""
-        (l1, l2), cos = arm.link_lengths, jnp.cos(arm.theta2 + motion.q[1])
-        (a, b), (_, c) = arm.mass_matrix(motion.q)
+        # In the pose of rest, which is near enough and the same for all steps.
+        (l1, l2), cos = arm.link_lengths, jnp.cos(arm.theta2)
+        (a, b), (_, c) = arm.mass_matrix((0.0, 0.0))
         # Trace of J Z^-1 J', the wrist's inverse mass; J = (l1 n1 + l2 n2, l2 n2).
         both, tip, mixed = l1**2 + l2**2 + 2 * l1 * l2 * cos, l2**2, l2**2 + l1 * l2 * cos
         light = (both * c - 2 * mixed * b + tip * a) / (a * c - b * b)

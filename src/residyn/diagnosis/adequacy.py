@@ -1,0 +1,136 @@
+"""Is what is left just noise? A test that knows what the fit has swallowed.
+
+White noise has the same energy at every frequency. The test takes the residual's energy in narrow
+bands, at the modes, at their multiples and in between, as a share of the energy in all frequencies,
+so that it asks for no sigma: noise that was stated or estimated wrongly does not fail it. If only
+noise is left, each share has a known distribution (a beta), lost samples, uneven times and the
+unknowns of the fit accounted for. The smallest of the bands' probabilities, corrected for their
+number, is the test's: p is below 0.01 in one of a hundred joints of which the model is right.
+"""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import betainc
+
+from .bands import Band
+from .linear import Near, Tangent
+from .rounding import Grid, hangs
+from .spectrum import Spectrum, Strip, spectrum, strips, whitened
+
+_SLOWEST = 6  # half lines at the bottom that are a band of their own: offset, drift, creep
+_WIDEST = 16  # lines: a wider band is cut, lest a narrow line drown in it
+_ROUNDS = 6
+_LEAST = 20  # readings, of each joint: fewer say nothing
+
+
+class White(NamedTuple):
+    """How likely noise alone leaves a residual with so much of its energy in one narrow band."""
+
+    p: float
+    """Probability, corrected for the number of bands; NaN if there were too few readings."""
+    start: float
+    stop: float
+    """The least likely band, Hz."""
+
+
+def white(
+    near: Near,
+    slopes: Sequence[np.ndarray],
+    cells: Sequence[Band],
+    spectra: Sequence[Sequence[Spectrum | None]],
+) -> Mapping[str, White]:
+    """The test for each joint, over all fitted recordings.
+
+    **Arguments:** `slopes` (N, n, L) per recording from `near.look`; `cells` from `bands.bands`;
+    `spectra` of the residual as it is, per joint and recording.
+    """
+    narrow = _narrow(cells, max(r.recording.duration for r in near.fitted))
+    grids = _grids(near)
+    if grids:
+        rounded = _without_rounding(near, slopes, grids)
+        spectra = [[spectrum_of(s, narrow[-1].stop) for s in row] for row in rounded]
+    return {
+        joint: _test([s for s in row if s is not None], narrow)
+        for joint, row in zip(near.fit.joints, spectra, strict=True)
+    }
+
+
+def spectrum_of(strip: Strip, top: float) -> Spectrum | None:
+    """The spectrum; None if there are too few readings for one."""
+    return spectrum(strip, top) if strip.used.sum() >= _LEAST else None
+
+
+def _test(parts: Sequence[Spectrum], narrow: Sequence[Band]) -> White:
+    total, freedom = sum(p.energy for p in parts), sum(p.freedom for p in parts)
+    found = []
+    for band in narrow:
+        z = [whitened(p, p.columns(band.start, band.stop)) for p in parts]
+        energy, count = sum(float(x @ x) for x in z), sum(len(x) for x in z)
+        if 0 < count < freedom - 1 and total > 0:
+            p = betainc((freedom - count) / 2, count / 2, max(0.0, 1 - energy / total))
+            found.append((float(p), band))
+    if not found:
+        return White(float("nan"), float("nan"), float("nan"))
+    p, band = min(found)
+    # That the smallest of so many is as small as this.
+    p = -np.expm1(len(found) * np.log1p(-p)) if p < 1 else 1.0
+    return White(float(p), band.start, band.stop)
+
+
+def _narrow(cells: Sequence[Band], duration: float) -> list[Band]:
+    """The bands below the last one, cut to narrow ones."""
+    found = []
+    for name, start, stop in cells[:-1]:
+        slow = _SLOWEST / (2 * duration)
+        if start == 0 and stop > 2 * slow:
+            found.append(Band("slow", start, slow))
+            start = slow
+        pieces = max(1, int(np.ceil((stop - start) * duration / _WIDEST)))
+        edges = np.linspace(start, stop, pieces + 1)
+        found += [Band(name, a, b) for a, b in itertools.pairwise(edges)]
+    return found
+
+
+def _grids(near: Near) -> dict[tuple[int, int], Grid]:
+    """The encoder's grid by recording and joint, where the residual must have its pattern."""
+    found = {}
+    for i, (r, left) in enumerate(zip(near.fitted, near.left(), strict=True)):
+        for j in range(len(near.fit.joints)):
+            use = r.used[:, j]
+            if use.sum() >= _LEAST:
+                grid = Grid.of(r.recording.angle[use, j])
+                if grid.matters(left[use, j]):
+                    found[i, j] = grid
+    return found
+
+
+def _without_rounding(
+    near: Near, slopes: Sequence[np.ndarray], grids: Mapping[tuple[int, int], Grid]
+) -> list[list[Strip]]:
+    """The residual with the pattern of the encoder's steps taken out, per joint and recording."""
+    weights, left = near.weights(), near.left()
+    period = 1 / near.fit.modes[0].frequency_hz if near.fit.modes else 0.0
+    for (i, j), grid in grids.items():
+        r = near.fitted[i]
+        weights[i][hangs(r.recording.time, r.predicted[:, j], grid, period), j] = 0.0
+    tangent = Tangent.of(slopes, weights, near.numbers)
+    moved = [np.zeros_like(x) for x in left]
+    units = [x * w for x, w in zip(left, weights, strict=True)]
+    for _ in range(_ROUNDS):
+        units = [(x - m) * w for x, m, w in zip(left, moved, weights, strict=True)]
+        for (i, j), grid in grids.items():
+            use = weights[i][:, j] > 0
+            if use.any():
+                at = (near.fitted[i].predicted + moved[i])[use, j]
+                error = grid.error(at, (left[i] - moved[i])[use, j])
+                units[i][use, j] -= error * weights[i][use, j]
+        # The fit took rounding for noise. To first order, this is the fit with the rounding known.
+        part = tangent.part(units)
+        units = [u - p for u, p in zip(units, part, strict=True)]
+        moved = [
+            m + p * r.recording.noise for m, p, r in zip(moved, part, near.fitted, strict=True)
+        ]
+    return strips(near.fitted, units, tangent, weights)

@@ -1,0 +1,164 @@
+"""How far a model can be trusted beyond what it was fitted to.
+
+A residual only says how well the model bends to the readings. So two more fits, of the first two
+thirds and of the first third of every recording, are let run on, and their predictions are compared
+with the readings that they never saw. A right model errs there too, by the noise and by what the
+noise did to its numbers; that is known, and stands beside the error as `expected`.
+"""
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..fitting.result import RecordingFit
+from .linear import Near, spread
+from .where import number
+
+_HORIZONS = 8
+_LEAST = 20  # readings of each joint to fit to
+
+
+class Error(NamedTuple):
+    """Errors of predictions, (n,) per joint; NaN for a joint without readings there."""
+
+    rmse: np.ndarray
+    """rad or m."""
+    ratio: np.ndarray
+    """In times the noise."""
+    expected: np.ndarray | None
+    """The ratio that a right model would leave; None where it is not known."""
+
+    def to_dict(self, joints: Sequence[str]) -> dict[str, Any]:
+        """Per joint `rmse`, `ratio` and `expected`."""
+        expected = np.full(len(joints), np.nan) if self.expected is None else self.expected
+        rows = zip(joints, self.rmse, self.ratio, expected, strict=True)
+        return {
+            j: {"rmse": number(a), "ratio": number(b), "expected": number(c)} for j, a, b, c in rows
+        }
+
+
+class HeldOut(NamedTuple):
+    """Errors where nothing was fitted, beside those where it was."""
+
+    what: str
+    """"check recordings" (only their initial states were fitted), or "last third" (of each
+    recording, predicted from a fit of the first two thirds)."""
+    held_out: Error
+    fitted: Error
+
+    def to_dict(self, joints: Sequence[str]) -> dict[str, Any]:
+        """The JSON under `held_out`."""
+        each = {"joints": self.held_out.to_dict(joints), "fitted": self.fitted.to_dict(joints)}
+        return {"what": self.what, **each}
+
+
+class Ahead(NamedTuple):
+    """Errors from `start` to `stop` s after the last reading that was fitted."""
+
+    start: float
+    stop: float
+    error: Error
+
+
+class Horizon(NamedTuple):
+    """How the error grows when the first third of each recording predicts the rest."""
+
+    seconds: float
+    """Length of the fitted third (of the longest recording), s."""
+    fitted: Error
+    """Within that third."""
+    ahead: tuple[Ahead, ...]
+
+    def to_dict(self, joints: Sequence[str]) -> dict[str, Any]:
+        """The JSON under `horizon`."""
+        rows = [
+            {"start": a.start, "stop": a.stop, "joints": a.error.to_dict(joints)}
+            for a in self.ahead
+        ]
+        return {"seconds": self.seconds, "fitted": self.fitted.to_dict(joints), "ahead": rows}
+
+
+class _Run(NamedTuple):
+    """A fit of the first part of each recording, run on to its end: one entry per recording."""
+
+    since: list[np.ndarray]  # (N,) s since the last fitted instant; not positive where fitted
+    left: list[np.ndarray]  # (N, n) measured less predicted; NaN where nothing counts
+    spread: list[np.ndarray]  # (N, n) standard errors of the predictions
+    noise: list[np.ndarray]
+
+    def error(self, low: float, high: float) -> Error:
+        """Over the instants after `low` and up to `high`."""
+        chosen = [(s > low) & (s <= high) for s in self.since]
+
+        def mean(columns: Sequence[np.ndarray]) -> np.ndarray:
+            x = np.concatenate([c[s] for c, s in zip(columns, chosen, strict=True)])
+            seen = np.concatenate([e[s] for e, s in zip(self.left, chosen, strict=True)])
+            seen = np.isfinite(seen)
+            count = seen.sum(axis=0)
+            total = np.where(seen, x, 0.0).sum(axis=0)
+            return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+        noise = list(zip(self.left, self.spread, self.noise, strict=True))
+        return Error(
+            np.sqrt(mean([e**2 for e in self.left])),
+            np.sqrt(mean([(e / n) ** 2 for e, _, n in noise])),
+            # Within the fitted part the noise and its effect are not independent.
+            np.sqrt(1 + mean([(s / n) ** 2 for _, s, n in noise])) if low >= 0 else None,
+        )
+
+
+def _run(near: Near, share: float) -> _Run | None:
+    """Fit the first `share` of each recording and run on; None if that is not possible."""
+    ends = [r.recording.time[0] + share * r.recording.duration for r in near.fitted]
+    since = [r.recording.time - end for r, end in zip(near.fitted, ends, strict=True)]
+    for r, s in zip(near.fitted, since, strict=True):
+        if r.used[s <= 0].sum(axis=0).min() < _LEAST:
+            return None
+    at, settled = near.refitted([s <= 0 for s in since])
+    predicted, slopes = near.look(at)
+    if not settled or not all(np.isfinite(p).all() for p in predicted):
+        return None
+    weights = [
+        np.where((s <= 0)[:, None], w, 0.0) for s, w in zip(since, near.weights(), strict=True)
+    ]
+    left = [
+        np.where(r.used, r.recording.angle - p, np.nan)
+        for r, p in zip(near.fitted, predicted, strict=True)
+    ]
+    noise = [r.recording.noise for r in near.fitted]
+    return _Run(since, left, spread(slopes, weights, near.numbers, near.memories()), noise)
+
+
+def held_out(near: Near) -> HeldOut | None:
+    """Errors on the check recordings, or on the last third; None if that fit did not settle."""
+    check = [r for r in near.fit.recordings if r.recording.role == "check"]
+    if check:
+        return HeldOut("check recordings", _beside(check), _beside(near.fitted))
+    run = _run(near, 2 / 3)
+    if run is None:
+        return None
+    return HeldOut("last third", run.error(0.0, np.inf), run.error(-np.inf, 0.0))
+
+
+def _beside(fits: Sequence[RecordingFit]) -> Error:
+    left = [np.where(r.used, r.residual, np.nan) for r in fits]
+    none = [np.zeros_like(x) for x in left]
+    since = [np.zeros(len(x)) for x in left]
+    return _Run(since, left, none, [r.recording.noise for r in fits]).error(-1.0, 0.0)
+
+
+def horizon(near: Near) -> Horizon | None:
+    """Growth of the error after the first third; None if its fit did not settle."""
+    run = _run(near, 1 / 3)
+    if run is None:
+        return None
+    longest = max(float(s[-1]) for s in run.since)
+    edges = np.linspace(0.0, longest, _HORIZONS + 1)
+    rows = [
+        Ahead(float(a), float(b), run.error(float(a), float(b)))
+        for a, b in itertools.pairwise(edges)
+    ]
+    seconds = max(r.recording.duration for r in near.fitted) / 3
+    return Horizon(seconds, run.error(-np.inf, 0.0), tuple(rows))

@@ -1,0 +1,187 @@
+"""A fit seen from close by: a linear problem.
+
+Near its minimum a fit is linear least squares. What the unknowns (numbers and initial states) can
+do to the readings is the span of the Jacobian's columns, the *tangent*. Two things follow. The
+residual of a right model is noise less its part along the tangent, which the fit has swallowed: any
+test of the residual must know that. And a prediction beyond the fitted readings errs by the noise
+in them, carried over by the same columns: a prediction is bad only if it is off by more than that.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..fitting.levenberg import polish
+from ..fitting.problem import Layout, Problem, Unknowns, predict
+from ..fitting.result import Fit, RecordingFit
+from ..fitting.setup import Ready, mechanism_of, reweighted
+
+# A direction of the tangent this much shorter than the longest is rounding, or undetermined.
+_BLIND = 1e-5
+
+
+class Near(NamedTuple):
+    """A fit's problem again, with the shapes that the fit had: its compiled programs serve."""
+
+    fit: Fit
+    fitted: tuple[RecordingFit, ...]
+    problem: Problem
+    layouts: list[Layout]
+    at: Unknowns
+
+    @classmethod
+    def of(cls, fit: Fit) -> "Near":
+        """Around the end of a fit. Call it, and its methods, in float64."""
+        fitted = tuple(r for r in fit.recordings if r.recording.role != "check")
+        recordings = tuple(r.recording for r in fitted)
+        mechanisms = tuple(mechanism_of(fit.experiment, r) for r in recordings)
+        # The step, and with it every shape, was chosen where the fit began.
+        begin = fit.model.with_vector(jnp.asarray([n.start for n in fit.numbers]))
+        problem, layouts, _ = Ready(begin, recordings, mechanisms).problem(
+            begin, [r.wild for r in fitted]
+        )
+        states = jnp.asarray(np.stack([r.state for r in fitted]))
+        return cls(fit, fitted, problem, layouts, problem.scaled(fit.model.vector(), states))
+
+    @property
+    def numbers(self) -> int:
+        """How many of the unknowns are numbers of the model."""
+        return len(self.fit.numbers)
+
+    def refitted(self, kept: Sequence[np.ndarray]) -> tuple[Unknowns, bool]:
+        """The unknowns that fit only the `kept` (N,) instants of each recording.
+
+        **Returns:** they, and whether the search for them, from the whole fit's, settled.
+        """
+        dropped = [~(np.isfinite(r.recording.angle) & k[:, None]) for k, r in self._pairs(kept)]
+        problem = reweighted(self.problem, self.layouts, dropped)
+        lanes = self.fit.starts  # as many as the fit had, so that its compiled program serves
+        start = jax.tree.map(lambda x: jnp.broadcast_to(x, (lanes, *x.shape)), self.at)
+        out = jax.device_get(polish(problem, start, jnp.ones(3)))
+        good = bool(out.converged[0]) and bool(np.isfinite(out.cost[0]))
+        return jax.tree.map(lambda x: jnp.asarray(x[0]), out.unknowns), good
+
+    def look(self, at: Unknowns) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Predictions (N, n), rad or m, and their slopes (N, n, L) in each recording's L unknowns:
+        the shared numbers, then its own initial state, in the problem's scales."""
+        predicted, slopes = (
+            [layout.take(x) for layout, x in zip(self.layouts, grids, strict=True)]
+            for grids in jax.device_get(_look(self.problem, at))
+        )
+        return predicted, slopes
+
+    def weights(self) -> list[np.ndarray]:
+        """1/sigma of each reading (N, n) of each recording, 0 where it does not count."""
+        return [np.where(r.used, 1.0 / r.recording.noise, 0.0) for r in self.fitted]
+
+    def left(self) -> list[np.ndarray]:
+        """Measured minus predicted (N, n), rad or m, of each recording; 0 where nothing counts."""
+        return [np.where(r.used, r.residual, 0.0) for r in self.fitted]
+
+    def memories(self) -> int:
+        """How many unknowns of a recording are internal states of effects."""
+        return len(self.fitted[0].state) - 2 * len(self.fit.joints)
+
+    def _pairs(self, kept: Sequence[np.ndarray]):
+        return zip(kept, self.fitted, strict=True)
+
+
+@eqx.filter_jit
+def _look(problem: Problem, y: Unknowns):
+    numbers = problem.scale.numbers.shape[0]
+
+    def one(recorded, scale, state):
+        def local(z):
+            moved = problem.numbers(Unknowns(z[:numbers], y.states))
+            predicted = predict(problem, recorded, moved, scale * z[numbers:])
+            return predicted, predicted
+
+        z = jnp.concatenate([y.numbers, state])
+        slopes, predicted = jax.vmap(
+            lambda e: jax.jvp(local, (z,), (e,), has_aux=True)[1:], out_axes=(-1, None)
+        )(jnp.eye(len(z)))
+        return predicted, jnp.where(jnp.isfinite(slopes), slopes, 0.0)
+
+    return jax.vmap(one)(problem.recorded, problem.scale.states, y.states)
+
+
+class Tangent(NamedTuple):
+    """Orthonormal columns that span what the unknowns can do to the whitened readings."""
+
+    columns: list[np.ndarray]
+    """(N, n, K) per recording; orthonormal over all recordings together."""
+    shared: int
+    """How many of them, the last ones, are of the numbers and shared by all recordings."""
+
+    @classmethod
+    def of(
+        cls, slopes: Sequence[np.ndarray], weights: Sequence[np.ndarray], numbers: int
+    ) -> "Tangent":
+        """From slopes (N, n, L), of which the first `numbers` are shared, and weights (N, n) =
+        1/sigma, 0 where there is no reading, of each recording."""
+        own, shared = [], []
+        for slope, weight in zip(slopes, weights, strict=True):
+            whitened = (slope * weight[:, :, None]).reshape(-1, slope.shape[-1])
+            states = _orthonormal(whitened[:, numbers:])
+            rest = whitened[:, :numbers]
+            own.append(states)
+            shared.append(rest - states @ (states.T @ rest))
+        together = _orthonormal(np.concatenate(shared))
+        parts = np.split(together, np.cumsum([len(s) for s in shared])[:-1])
+        columns = [
+            np.hstack([a, b]).reshape(*weight.shape, -1)
+            for a, b, weight in zip(own, parts, weights, strict=True)
+        ]
+        return cls(columns, together.shape[1])
+
+    def part(self, residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """The part of whitened residuals (N, n) that the unknowns can take up."""
+        along = [np.einsum("tjk,tj->k", c, r) for c, r in zip(self.columns, residuals, strict=True)]
+        total = sum(a[len(a) - self.shared :] for a in along)
+        for a in along:
+            a[len(a) - self.shared :] = total
+        return [c @ a for c, a in zip(self.columns, along, strict=True)]
+
+
+def _orthonormal(columns: np.ndarray) -> np.ndarray:
+    size = np.sqrt((columns**2).sum(axis=0))
+    columns = columns[:, size > 0] / size[size > 0]
+    u, s, _ = np.linalg.svd(columns, full_matrices=False)
+    return u[:, s > _BLIND * s.max(initial=0.0)]
+
+
+def spread(
+    slopes: Sequence[np.ndarray], weights: Sequence[np.ndarray], numbers: int, memories: int
+) -> list[np.ndarray]:
+    """Standard errors of predictions, (N, n) rad or m per recording.
+
+    Of a fit to the readings that have a weight, see `Tangent.of`. Internal states, the last
+    `memories` unknowns of each recording, are known beforehand to their scale.
+    """
+    informations = []
+    for slope, weight in zip(slopes, weights, strict=True):
+        whitened = (slope * weight[:, :, None]).reshape(-1, slope.shape[-1])
+        known = np.zeros(slope.shape[-1])
+        known[len(known) - memories :] = 1.0
+        informations.append(whitened.T @ whitened + np.diag(known))
+    total, gains, inner = np.zeros((numbers, numbers)), [], []
+    for square in informations:  # the states taken out, recording by recording
+        inverse = np.linalg.pinv(square[numbers:, numbers:], hermitian=True)
+        gains.append(inverse @ square[numbers:, :numbers])
+        inner.append(inverse)
+        total += square[:numbers, :numbers] - square[:numbers, numbers:] @ gains[-1]
+    size = np.sqrt(np.where(np.diag(total) > 0, np.diag(total), 1.0))
+    numbers_too = np.linalg.pinv(total / size / size[:, None], rcond=_BLIND**2, hermitian=True)
+    numbers_too = numbers_too / size / size[:, None]
+    found = []
+    for slope, gain, inverse in zip(slopes, gains, inner, strict=True):
+        own, rest = slope[..., numbers:], slope[..., :numbers]
+        beyond = rest - own @ gain
+        variance = np.einsum("tja,ab,tjb->tj", own, inverse, own)
+        variance += np.einsum("tja,ab,tjb->tj", beyond, numbers_too, beyond)
+        found.append(np.sqrt(np.maximum(variance, 0.0)))
+    return found

@@ -1,0 +1,209 @@
+"""Where a model fails: the squared residual, divided up.
+
+By joint, by time, by amplitude of the swing and by frequency. All energies are in units of the
+noise of a reading, so that joints and recordings add up. A share alone says little, since noise has
+its shares too; so each part also says how many times the noise it is, 1 being what noise alone
+leaves after a fit (which swallows a little of it, most of all at the modes).
+"""
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..fitting.result import Fit, RecordingFit
+from .adequacy import White, spectrum_of, white
+from .bands import Band, bands
+from .linear import Near, Tangent
+from .spectrum import Spectrum, energies, strips
+
+WINDOWS = 8
+_HALVINGS = 3  # amplitudes: above 1/2, 1/4, 1/8 of the largest, and the rest
+_TINY = 0.5  # degrees of freedom: with less, noise would leave nothing to compare with
+
+
+class Cell(NamedTuple):
+    """A part of the squared residual, in units of the noise."""
+
+    energy: float
+    freedom: float
+    """What noise alone would leave of it."""
+
+    @property
+    def ratio(self) -> float:
+        """Rms residual over what noise alone would leave; NaN if that is nothing."""
+        return math.sqrt(self.energy / self.freedom) if self.freedom > _TINY else math.nan
+
+
+class Part(NamedTuple):
+    """A window, a range or a band: what it is and, per joint, what is in it."""
+
+    name: str
+    start: float
+    stop: float
+    cells: tuple[Cell, ...]
+
+    @property
+    def whole(self) -> Cell:
+        """All joints together."""
+        return together(self.cells)
+
+
+def together(cells: Sequence[Cell]) -> Cell:
+    """The sum of some cells."""
+    return Cell(sum(c.energy for c in cells), sum(c.freedom for c in cells))
+
+
+@dataclass(frozen=True, eq=False)
+class Where:
+    """The squared residual of the fitted recordings, divided up in four ways.
+
+    Each division's energies add up to the same sum.
+    """
+
+    joints: tuple[str, ...]
+    units: tuple[str, ...]
+    white: Mapping[str, White]
+    joint: tuple[Cell, ...]
+    """One cell per joint."""
+    time: tuple[Part, ...]
+    """Equal windows of the time since each recording's first sample, s."""
+    amplitude: tuple[tuple[Part, ...], ...]
+    """Per joint, ranges of the local amplitude of its own swing, rad or m, largest first. Local:
+    sqrt(2) times the standard deviation over one period of the slowest mode."""
+    frequency: tuple[Part, ...]
+    """Bands, Hz, tied to the modes: see `bands.Band`."""
+
+    @property
+    def total(self) -> float:
+        """All squared residuals, in units of the noise."""
+        return sum(c.energy for c in self.joint)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON under `where`. All `share` are of the whole squared residual (in units of the
+        noise), so that in each list they add up to 1; `ratio` is the rms in times the noise."""
+
+        def cell(c: Cell) -> dict[str, Any]:
+            share = c.energy / self.total if self.total > 0 else math.nan
+            return {"share": number(share), "ratio": number(c.ratio)}
+
+        def part(p: Part) -> dict[str, Any]:
+            named = {"name": p.name} if p.name else {}
+            each = {j: cell(c) for j, c in zip(self.joints, p.cells, strict=True)}
+            edges = {"start": number(p.start), "stop": number(p.stop)}
+            return {**named, **edges, **cell(p.whole), "joints": each}
+
+        return {
+            "white": {joint: number(w.p) for joint, w in self.white.items()},
+            "joint": {j: cell(c) for j, c in zip(self.joints, self.joint, strict=True)},
+            "time": [part(p) for p in self.time],
+            "amplitude": [
+                {"joint": j, "unit": u, "start": p.start, "stop": p.stop, **cell(p.whole)}
+                for j, u, parts in zip(self.joints, self.units, self.amplitude, strict=True)
+                for p in parts
+            ],
+            "frequency": [part(p) for p in self.frequency],
+        }
+
+
+def number(x: float) -> float | None:
+    """For JSON, which knows no NaN."""
+    return float(x) if np.isfinite(x) else None
+
+
+def where(near: Near, slopes: Sequence[np.ndarray]) -> Where:
+    """Divide up the residual of a fit; `slopes` (N, n, L) per recording from `near.look`."""
+    weights = near.weights()
+    tangent = Tangent.of(slopes, weights, near.numbers)
+    units = [x * w for x, w in zip(near.left(), weights, strict=True)]
+    energy = [u**2 for u in units]
+    # What noise alone leaves of each squared reading: 1 less what the fit has swallowed.
+    freedom = [(w > 0) - (c**2).sum(axis=-1) for w, c in zip(weights, tangent.columns, strict=True)]
+
+    def cells(chosen: Sequence[np.ndarray]) -> tuple[Cell, ...]:
+        sums = [
+            [sum(float(x[s, j].sum()) for x, s in zip(xs, chosen, strict=True)) for xs in pair]
+            for j in range(len(near.fit.joints))
+        ]
+        return tuple(Cell(*s) for s in sums)
+
+    pair = (energy, freedom)
+    cut = bands(near.fit.modes, near.fitted)
+    spectra = [
+        [spectrum_of(strip, cut[-1].start) for strip in row]
+        for row in strips(near.fitted, units, tangent, weights)
+    ]
+    return Where(
+        joints=near.fit.joints,
+        units=tuple(near.fit.experiment.units or ("",) * len(near.fit.joints)),
+        white=white(near, slopes, cut, spectra),
+        joint=cells([np.ones(len(u), bool) for u in units]),
+        time=tuple(_by_time(near.fitted, cells)),
+        amplitude=tuple(_by_amplitude(near.fit, near.fitted, cells)),
+        frequency=_by_frequency(spectra, cut),
+    )
+
+
+def _by_time(fitted: Sequence[RecordingFit], cells):
+    since = [r.recording.time - r.recording.time[0] for r in fitted]
+    edges = np.linspace(0.0, max(t[-1] for t in since), WINDOWS + 1)
+    for i, (a, b) in enumerate(itertools.pairwise(edges)):
+        last = i == WINDOWS - 1
+        chosen = [(t >= a) & ((t < b) | last) for t in since]
+        yield Part("", float(a), float(b), cells(chosen))
+
+
+def _by_amplitude(fit: Fit, fitted: Sequence[RecordingFit], cells):
+    period = 1 / fit.modes[0].frequency_hz if fit.modes else math.inf
+    sizes = [swing(r, period) for r in fitted]
+    for j in range(len(fit.joints)):
+        most = max(float(s[:, j].max()) for s in sizes)
+        edges = [most * 0.5**i for i in range(_HALVINGS + 1)] + [0.0]
+        parts = []
+        for i, (high, low) in enumerate(itertools.pairwise(edges)):
+            chosen = [(s[:, j] > low) & (s[:, j] <= high) for s in sizes]
+            if i == _HALVINGS:
+                chosen = [s[:, j] <= high for s in sizes]
+            if any(c.any() for c in chosen):
+                parts.append(Part("", low, high, (cells(chosen)[j],)))
+        yield tuple(parts)
+
+
+def swing(beside: RecordingFit, period: float) -> np.ndarray:
+    """(N, n) amplitude of the measured motion over one period (s) around each sample."""
+    time, used = beside.recording.time, beside.used
+    period = min(period, beside.recording.duration / 4)
+    begin = np.clip(time - period / 2, time[0], time[-1] - period)
+    low = np.searchsorted(time, begin - 1e-9 * period)
+    high = np.searchsorted(time, begin + period * (1 + 1e-9), side="right")
+    angle = np.where(used, beside.recording.angle, 0.0)
+    middle = angle.sum(axis=0) / np.maximum(used.sum(axis=0), 1)
+    angle = np.where(used, angle - middle, 0.0)  # so that small swings about a large rest survive
+    total = [
+        np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(x, axis=0)])
+        for x in (used.astype(float), angle, angle**2)
+    ]
+    count, once, twice = (t[high] - t[low] for t in total)
+    count = np.maximum(count, 1.0)
+    return np.sqrt(2 * np.maximum(twice / count - (once / count) ** 2, 0.0))
+
+
+def _by_frequency(
+    spectra: Sequence[Sequence[Spectrum | None]], cut: Sequence[Band]
+) -> tuple[Part, ...]:
+    columns = []
+    for row in spectra:
+        sums = np.zeros((2, len(cut)))
+        for one in row:
+            if one is not None:
+                found = energies(one, [one.columns(b.start, b.stop) for b in cut[:-1]])
+                whole = np.array([one.energy, one.freedom])
+                sums[:, :-1] += found
+                sums[:, -1] += np.maximum(whole - np.sum(found, axis=1), 0.0)
+        columns.append([Cell(float(e), float(f)) for e, f in sums.T])
+    return tuple(
+        Part(*band, cells) for band, cells in zip(cut, zip(*columns, strict=True), strict=True)
+    )

@@ -1,0 +1,401 @@
+"""Where a model fails: on MuJoCo arms whose truth is known, and part by part."""
+
+import dataclasses
+import json
+
+import jax
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+import residyn
+from residyn.cli import main
+from residyn.diagnosis import compare_fit
+from residyn.diagnosis.adequacy import _narrow, _test
+from residyn.diagnosis.bands import bands
+from residyn.diagnosis.linear import Tangent, spread
+from residyn.diagnosis.rounding import Grid, hangs
+from residyn.diagnosis.spectrum import energies, spectrum, strips
+from residyn.fitting import Mode, RecordingFit
+from residyn.recording import ArmTable, InertiaTable
+
+rig = pytest.importorskip("tests.rig")
+
+ARM = rig.paper_twin(0.3)
+TABLE = ArmTable((ARM.l1, ARM.l2), ARM.shoulder, ARM.elbow, ARM.coupling)
+NOISE = 1e-3
+TIME = np.arange(1201) / 100
+CART = InertiaTable(("cart",), ((1.0,),), ("m",))
+FILE = '[inertia]\njoints = ["cart"]\nunits = ["m"]\nmatrix = [[1.0]]\n\n[[recordings]]\n'
+
+
+def recording(seed=0, q0=(0.25, -0.3), friction=(0.0, 0.0), t=TIME, lost=0.0, **options):
+    """One release of the arm, read with noise."""
+    rng = np.random.default_rng(seed)
+    q, _ = rig.simulate(ARM, t, q0, frictionloss=friction)
+    q = q + NOISE * rng.standard_normal(q.shape)
+    q[rng.random(q.shape) < lost] = np.nan
+    if lost:
+        q[400:460, 1] = np.nan
+    settings = {"theta2": ARM.theta2, "noise": NOISE} | options
+    return residyn.Recording.from_arrays(t, q, **settings)
+
+
+def compared(*recordings, **options):
+    return residyn.compare(residyn.Experiment(TABLE, recordings), starts=2, **options)
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return compared(recording())
+
+
+@pytest.fixture(scope="module")
+def wrong():
+    return compared(recording(friction=(0.0, 0.1)))
+
+
+def cart_motion(friction):
+    q, _ = rig.simulate(rig.Cart(1.0, 100.0, 0.3), TIME[:1001], [0.05], frictionloss=[friction])
+    return q + 1e-4 * np.random.default_rng(1).standard_normal(q.shape)
+
+
+# -- what it says ----------------------------------------------------------------------------
+
+
+def test_a_right_model_leaves_nothing(clean):
+    assert clean.explained
+    assert min(w.p for w in clean.where.white.values()) > 0.01
+    assert clean.words[0].startswith("Nothing is left that the noise does not explain")
+    assert "as it should be" in clean.words[-1]
+    assert len(clean.words) == 2
+    for part in (*clean.where.time, *(p for parts in clean.where.amplitude for p in parts)):
+        for cell in part.cells:
+            assert abs(cell.ratio - 1) < 4 / np.sqrt(2 * cell.freedom)
+    assert clean.held_out.what == "last third"
+    np.testing.assert_allclose(clean.held_out.held_out.ratio, 1, atol=0.15)
+    assert (clean.held_out.held_out.expected >= 1).all()
+
+
+def test_a_wrong_model_is_told_and_where(wrong):
+    assert not wrong.explained
+    assert wrong.where.white["elbow"].p < 1e-12
+    words = " ".join(wrong.words)
+    assert wrong.words[0].startswith("The model misses something")
+    for said in ("mrad at the elbow", "times the noise", "most at the elbow", "around mode 1"):
+        assert said in words
+    assert "worse than where it was fitted" in wrong.words[-1]
+    assert 2 <= len(wrong.words) <= 5
+    assert "friction" not in words  # no search: no name
+
+
+def test_friction_on_a_cart_shows_late_and_at_small_swings():
+    made = residyn.Recording.from_arrays(TIME[:1001], cart_motion(0.03), noise=1e-4)
+    found = residyn.compare(residyn.Experiment(CART, (made,)), starts=2)
+    words = " ".join(found.words)
+    assert "It fails most late" in words
+    assert "worst at small swings" in words
+    last = found.where.time[-1]
+    assert last.whole.ratio > 1.5 * found.where.joint[0].ratio
+    assert (last.start, last.stop) == (8.75, 10.0)
+
+
+def test_it_begins_with_the_verdict_and_fits_80_columns(clean, wrong):
+    for found in (clean, wrong):
+        text = str(found)
+        assert " ".join(text.split()).startswith(found.words[0])
+        assert str(found.fit) in text
+        assert max(map(len, text.splitlines())) <= 80
+        for heading in (
+            "[[Where]]",
+            "by time",
+            "swing at the elbow",
+            "[[Held out]]",
+            "[[Horizon]]",
+        ):
+            assert heading in text
+
+
+def test_noise_that_is_stated_wrongly_is_no_failure_of_the_model():
+    for factor, said in ((0.5, "more noise than was stated"), (2.0, "more than these readings")):
+        found = compared(recording(noise=factor * NOISE))
+        assert found.explained
+        assert said in " ".join(found.words)
+
+
+# -- the numbers -----------------------------------------------------------------------------
+
+
+def check_shares(found):
+    where = found.where.to_dict()
+    assert sum(c["share"] for c in where["joint"].values()) == pytest.approx(1)
+    for name in ("time", "amplitude", "frequency"):
+        assert sum(c["share"] for c in where[name]) == pytest.approx(1)
+    for name in ("time", "frequency"):
+        for joint, cell in where["joint"].items():
+            shares = [part["joints"][joint]["share"] for part in where[name]]
+            assert sum(shares) == pytest.approx(cell["share"])
+    for joint, cell in where["joint"].items():
+        shares = [c["share"] for c in where["amplitude"] if c["joint"] == joint]
+        assert sum(shares) == pytest.approx(cell["share"])
+
+
+def test_shares_add_up_to_one(clean, wrong):
+    check_shares(clean)
+    check_shares(wrong)
+
+
+def test_the_error_grows_with_the_horizon(wrong):
+    ahead = wrong.horizon.ahead
+    assert len(ahead) == 8
+    assert ahead[0].start == 0
+    assert ahead[-1].stop == pytest.approx(8.0)
+    assert wrong.horizon.seconds == pytest.approx(4.0)
+    assert ahead[-1].error.ratio[0] > 2 * wrong.horizon.fitted.ratio[0]
+    assert (ahead[-1].error.expected < 2).all()
+
+
+def test_json_is_the_fits_and_more(clean):
+    found = clean.to_dict()
+    assert found.items() >= clean.fit.to_dict().items()
+    assert set(found) - set(clean.fit.to_dict()) == {"words", "where", "held_out", "horizon"}
+    where = found["where"]
+    assert set(where) == {"white", "joint", "time", "amplitude", "frequency"}
+    assert set(where["white"]) == set(where["joint"]) == {"shoulder", "elbow"}
+    assert where["time"][0].keys() == {"start", "stop", "share", "ratio", "joints"}
+    assert where["frequency"][0].keys() == {"name", "start", "stop", "share", "ratio", "joints"}
+    assert where["amplitude"][0].keys() == {"joint", "unit", "start", "stop", "share", "ratio"}
+    assert found["held_out"].keys() == {"what", "joints", "fitted"}
+    assert found["held_out"]["joints"]["elbow"].keys() == {"rmse", "ratio", "expected"}
+    assert found["horizon"].keys() == {"seconds", "fitted", "ahead"}
+    assert found["horizon"]["ahead"][0].keys() == {"start", "stop", "joints"}
+    json.dumps(found, allow_nan=False)
+
+
+def test_lost_and_uneven_samples():
+    rng = np.random.default_rng(3)
+    found = compared(recording(seed=1, lost=0.1))
+    assert found.explained
+    check_shares(found)
+    spoilt = compared(recording(seed=1, lost=0.1, friction=(0.0, 0.1)))
+    assert not spoilt.explained
+    check_shares(spoilt)
+    # What the lost samples hide must not turn up at frequencies where nothing is.
+    assert spoilt.where.frequency[-1].whole.ratio < 1.1
+    uneven = TIME + np.append(0.0, rng.uniform(-0.004, 0.004, len(TIME) - 1))
+    found = compared(recording(seed=2, t=uneven))
+    assert found.explained
+    check_shares(found)
+
+
+def test_several_recordings_and_checks(clean):
+    two = recording(seed=5, q0=(0.2, 0.3), t=TIME[:901], name="two")
+    check = recording(seed=6, q0=(0.1, 0.35), role="check", name="check")
+    found = compared(recording(), two, check)
+    assert found.explained
+    check_shares(found)
+    assert found.held_out.what == "check recordings"
+    assert "check recordings" in found.words[-1]
+    np.testing.assert_allclose(found.held_out.held_out.ratio, 1, atol=0.15)
+    np.testing.assert_allclose(found.held_out.held_out.rmse, found.fit.check_rmse)
+    assert [p.stop for p in found.where.time] == [p.stop for p in clean.where.time]
+
+
+def test_it_costs_two_short_fits_and_compiles_one_program(clean, monkeypatch):
+    compiled = []
+    original = jax._src.compiler.compile_or_get_cached
+
+    def counting(*args, **kwargs):
+        compiled.append(str(args[1].operation.attributes["sym_name"]))
+        return original(*args, **kwargs)
+
+    monkeypatch.setattr(jax._src.compiler, "compile_or_get_cached", counting)
+    again = compare_fit(clean.fit)
+    assert again.p == clean.p
+    assert not any("polish" in name or "look" in name for name in compiled), compiled
+
+
+def test_a_recording_too_short_to_cut_still_compares(clean, monkeypatch):
+    monkeypatch.setattr("residyn.diagnosis.horizon._LEAST", 10_000)
+    found = compare_fit(clean.fit)
+    assert found.horizon is None
+    assert found.held_out is None
+    assert found.to_dict()["horizon"] is None
+    assert "[[Horizon]]" not in str(found)
+    assert len(found.words) == 1
+
+
+def test_changes_no_setting(clean):
+    assert not jax.config.jax_enable_x64
+
+
+# -- the parts -------------------------------------------------------------------------------
+
+
+def noise_less_fit(rng, time, unknowns, lost):
+    """White noise less its part along random smooth columns, as spectra of two joints."""
+    size = (len(time), 2)
+    weights = [np.where(rng.random(size) < lost, 0.0, 1.0)]
+    phase = np.cos(2 * np.pi * rng.uniform(0.3, 2.5, unknowns) * time[:, None, None])
+    slopes = [phase * rng.standard_normal((1, 2, unknowns))]
+    tangent = Tangent.of(slopes, weights, unknowns // 2)
+    units = [rng.standard_normal(size) * weights[0]]
+    units = [u - p for u, p in zip(units, tangent.part(units), strict=True)]
+    made = residyn.Recording.from_arrays(time, np.zeros(size) + time[:, None], noise=1.0)
+    beside = RecordingFit(made, made.angle, weights[0] == 0, np.zeros(4))
+    return [row[0] for row in strips([beside], units, tangent, weights)], beside
+
+
+MODES = [Mode(0.7, 0.0, 0.01, 0.0), Mode(2.0, 0.0, 0.03, 0.0)]
+
+
+def test_the_test_is_calibrated():
+    rng = np.random.default_rng(8)
+    time = np.sort(rng.uniform(0, 12, 600))
+    chances = []
+    for _ in range(60):
+        rows, beside = noise_less_fit(rng, time, 10, 0.1)
+        narrow = _narrow(bands(MODES, [beside]), 12.0)
+        chances += [_test([spectrum(row, narrow[-1].stop)], narrow).p for row in rows]
+    assert kstest(chances, "uniform").pvalue > 0.01
+    assert np.mean(np.array(chances) < 0.05) < 0.12
+
+
+def test_energies_add_up_and_have_their_expectation():
+    rng = np.random.default_rng(9)
+    time = np.arange(800) * 0.02
+    ratios = []
+    for _ in range(20):
+        rows, beside = noise_less_fit(rng, time, 8, 0.2)
+        cut = bands(MODES, [beside])
+        one = spectrum(rows[0], cut[-1].start)
+        energy, freedom = energies(one, [one.columns(b.start, b.stop) for b in cut[:-1]])
+        assert (energy >= 0).all()
+        assert energy.sum() <= one.energy
+        assert freedom.sum() < one.freedom
+        ratios.append((energy.sum() / freedom.sum(), one.energy / one.freedom))
+    np.testing.assert_allclose(np.mean(ratios, axis=0), 1, atol=0.06)
+
+
+def test_long_recordings_are_averaged_in_blocks_and_keep_their_lines():
+    rng = np.random.default_rng(10)
+    time = np.arange(20_000) * 0.001
+    row = noise_less_fit(rng, time, 4, 0.0)[0][0]
+    row = row._replace(residual=row.residual + 0.3 * np.sin(2 * np.pi * 0.7 * time))
+    one = spectrum(row, 5.0)
+    inside = one.columns(0.6, 0.8)
+    assert one.products[inside] @ one.products[inside] > 0.8 * 0.3**2 * len(time) / 2
+    np.testing.assert_allclose(np.diag(one.overlap), 1)
+
+
+def test_bands_cover_every_frequency_once():
+    made = recording(t=TIME)
+    beside = RecordingFit(made, made.angle, np.zeros(made.angle.shape, bool), np.zeros(4))
+    close = [Mode(1.0, 0.0, 0.01, 0.0), Mode(1.05, 0.0, 0.01, 0.0)]
+    high = [Mode(0.02, 0.0, 0.01, 0.0), Mode(44.0, 0.0, 0.01, 0.0)]
+    for modes in (MODES, close, high, MODES[:1], []):
+        cut = bands(modes, [beside])
+        assert cut[0].start == 0
+        assert cut[-1].name == "above"
+        assert cut[-1].stop == pytest.approx(50)
+        assert [b.stop for b in cut[:-1]] == [b.start for b in cut[1:]]
+        assert all(b.stop > b.start for b in cut)
+    names = [b.name for b in bands(MODES, [beside])]
+    for name in ("below mode 1", "mode 1", "2 x mode 1", "mode 2", "3 x mode 2"):
+        assert name in names
+
+
+def test_rounding_of_a_smooth_curve_is_known():
+    rng = np.random.default_rng(11)
+    angle, step = np.linspace(-0.02, 0.03, 40), 1.5e-3
+    grid = Grid.of(np.round(rng.uniform(-0.1, 0.1, 4000) / step) * step)
+    assert grid.step == pytest.approx(step, rel=1e-9)
+    for shake in (0.1, 0.3):
+        read = angle + shake * step * rng.standard_normal((20_000, 1))
+        mean = (np.round(read / step) * step).mean(axis=0) - angle
+        left = np.full(10, np.hypot(shake * step, step / np.sqrt(12)))
+        assert grid.matters(left)
+        np.testing.assert_allclose(grid.error(angle, left), mean, atol=0.02 * step)
+    assert not grid.matters(np.full(10, step))
+    assert Grid.of(rng.standard_normal(500)).step == 0
+    time = np.arange(1000) * 0.01
+    swing = 0.05 * np.exp(-time) * np.sin(6 * time)
+    still = hangs(time, swing, grid, 2 * np.pi / 6)
+    assert not still[:300].any()
+    assert still[-100:].all()
+
+
+def test_a_pure_encoder_is_no_failure_of_the_model():
+    made = recording(q0=(0.12, -0.1))
+    truth, _ = rig.simulate(ARM, TIME, (0.12, -0.1))
+    q = np.round(truth / 2e-3) * 2e-3
+    pure = dataclasses.replace(made, angle=q, noise=np.full(2, 2e-3 / np.sqrt(12)))
+    assert compared(pure).p > 0.01
+
+
+def test_spread_is_least_squares_own():
+    rng = np.random.default_rng(12)
+    slopes = [rng.standard_normal((30, 2, 5)), rng.standard_normal((20, 2, 5))]
+    weights = [rng.uniform(0.5, 2.0, (30, 2)), rng.uniform(0.5, 2.0, (20, 2))]
+    weights[0][20:] = 0.0
+    columns = np.zeros((100, 8))  # 2 numbers, 3 of each recording
+    columns[:60, :5] = slopes[0].reshape(60, 5)
+    columns[60:, :2] = slopes[1].reshape(40, 5)[:, :2]
+    columns[60:, 5:] = slopes[1].reshape(40, 5)[:, 2:]
+    whitened = columns * np.concatenate([w.ravel() for w in weights])[:, None]
+    square = whitened.T @ whitened + np.diag([0, 0, 0, 0, 1, 0, 0, 1])
+    known = np.sqrt(np.einsum("ij,jk,ik->i", columns, np.linalg.inv(square), columns))
+    found = np.concatenate([s.ravel() for s in spread(slopes, weights, 2, 1)])
+    np.testing.assert_allclose(found, known, rtol=1e-6)
+
+
+# -- the command -----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    names = ("jax_enable_x64", "jax_compilation_cache_dir")
+    more = (
+        "jax_persistent_cache_min_compile_time_secs",
+        "jax_persistent_cache_min_entry_size_bytes",
+    )
+    before = {name: jax.config.values[name] for name in (*names, *more)}
+    rows = zip(TIME[:1001], cart_motion(0.03)[:, 0], strict=True)
+    text = "\n".join(["t,q1", *(f"{t:.2f},{float(q)!r}" for t, q in rows), ""])
+    (tmp_path / "cart.csv").write_text(text)
+    (tmp_path / "cart.toml").write_text(FILE + 'file = "cart.csv"\nnoise = 1e-4\n')
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+    for name, value in before.items():
+        jax.config.update(name, value)
+
+
+def test_the_command(folder, capsys):
+    words = ["compare", "cart.toml", "--starts", "2", "--no-cache"]
+    assert main([*words, "--json", "-", "--report", "cart.html"]) == 0
+    out, err = capsys.readouterr()
+    found = json.loads(out)
+    assert found["where"]["white"]["cart"] < 1e-6
+    assert found["model"] == ["spring:cart", "damper:cart"]
+    assert err.startswith("The model misses something")
+    assert (folder / "cart.html").stat().st_size > 10_000
+    assert main([*words, "--with", "coulomb_friction:cart"]) == 0
+    assert capsys.readouterr().out.startswith("Nothing is left that the noise does not explain")
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["none.toml"], "none.toml"),
+        (["cart.toml", "--with", "coulomb"], "coulomb_friction"),
+        (["cart.toml", "--json", "cart.csv"], "input"),
+        (["cart.toml", "--method", "levenberg"], "--method"),
+    ],
+)
+def test_bad_input_is_one_line(folder, capsys, words, named):
+    assert main(["compare", *words, "--no-cache"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("residyn: ")
+    assert err.count("\n") == 1
+    assert named in err
