@@ -166,8 +166,8 @@ class _Along(NamedTuple):
                 numbers[i] = n.meaning.silent + (size if i == which else 0.0)
         model = alone.with_vector(jnp.asarray(numbers))
         dt = jnp.asarray(self.time[1] - self.time[0])
-        z0 = jnp.zeros(len(model.memory))
-        return np.asarray(torque_along(model, dt, self.angle, self.rate, z0), float)
+        z0, q, v = jnp.zeros(len(model.memory)), jnp.asarray(self.angle), jnp.asarray(self.rate)
+        return np.asarray(torque_along(model, dt, q, v, z0), float)
 
 
 def _allowed(columns: np.ndarray, target: np.ndarray, free: Sequence[bool]) -> np.ndarray:
@@ -186,12 +186,12 @@ def _allowed(columns: np.ndarray, target: np.ndarray, free: Sequence[bool]) -> n
 
 def _robust(columns: np.ndarray, target: np.ndarray, free: Sequence[bool]) -> np.ndarray:
     """`_allowed` by Huber's weights: a few instants that nothing draws shall not bend the rest."""
-    weight = np.ones(len(target))
+    factors = _allowed(columns, target, free)
     for _ in range(_ROUNDS):
-        factors = _allowed(columns * weight[:, None], target * weight, free)
         off = np.abs(target - columns @ factors)
         size = _HUBER * 1.4826 * np.median(off)
         weight = np.sqrt(np.minimum(1.0, size / np.maximum(off, 1e-300)))
+        factors = _allowed(columns * weight[:, None], target * weight, free)
     return factors
 
 

@@ -52,12 +52,12 @@ class Missing(NamedTuple):
         if not drawn:
             return words + "No effect of the catalogue draws it."
         words += (
-            f"Blue: what {drawn[0].effect} would draw, {plain(100 * drawn[0].share, 2)} % of it. "
+            f"Blue: what {drawn[0].effect} would draw, {plain(100 * drawn[0].share, 3)} % of it. "
             "Against angle, rate and amplitude it is shown less the change of springs and dampers "
             "that goes with the blue line. "
         )
         if len(drawn) > 1:
-            share = plain(100 * drawn[1].share, 2)
+            share = plain(100 * drawn[1].share, 3)
             words += f"Next best: {drawn[1].effect}, {share} %. "
         return words + "A curve that fits is a hint, not a verdict."
 

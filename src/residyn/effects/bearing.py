@@ -19,7 +19,7 @@ from .base import AbstractEffect
 class _Slip(NamedTuple):
     """How the bearings at one point slide: how many, |u| squared, and J'u."""
 
-    count: Scalar
+    bearings: Scalar
     square: Scalar
     generalised: Joints
 
@@ -64,7 +64,7 @@ class BearingDrag(_BearingEffect):
 
     def torque(self, motion, mechanism):
         return _sum(
-            tuple(s.count * self.coefficient * g for g in s.generalised)
+            tuple(s.bearings * self.coefficient * g for g in s.generalised)
             for s in _slips(motion, mechanism)
         )
 
@@ -82,7 +82,7 @@ class BearingQuadraticDrag(_BearingEffect):
 
     def torque(self, motion, mechanism):
         return _sum(
-            tuple(s.count * self.coefficient * _root(s.square) * g for g in s.generalised)
+            tuple(s.bearings * self.coefficient * _root(s.square) * g for g in s.generalised)
             for s in _slips(motion, mechanism)
         )
 
@@ -107,14 +107,16 @@ class BearingFriction(_BearingEffect):
     force: Scalar = param("friction force of one bearing", FORCE, sign="positive")
 
     def jumps(self, motion, mechanism):
+        assert isinstance(mechanism, PlanarArm)
         return mechanism.bearings[0] * self.force * mechanism.link_lengths[0], None
 
     def torque(self, motion, mechanism):
+        assert isinstance(mechanism, PlanarArm)
         _, wrist = _slips(motion, mechanism)
         at_elbow = self.jumps(motion, mechanism)[0] * motion.direction[0]
         speed = _root(wrist.square + self._slow(motion, mechanism) ** 2)
         safe = jnp.where(speed > 0, speed, 1.0)
-        at_wrist = wrist.count * self.force / safe
+        at_wrist = wrist.bearings * self.force / safe
         return at_elbow + at_wrist * wrist.generalised[0], at_wrist * wrist.generalised[1]
 
     def _slow(self, motion: Motion, arm: PlanarArm) -> Scalar:
@@ -136,7 +138,7 @@ class BearingFriction(_BearingEffect):
         assert isinstance(mechanism, PlanarArm)
         _, wrist = _slips(motion, mechanism)
         (l1, l2), sin = mechanism.link_lengths, jnp.sin(mechanism.theta2 + motion.q[1])
-        limit = wrist.count * self.force
+        limit = wrist.bearings * self.force
         # The force F at the wrist with J'F = load; along the two links' normals n1, n2 it is
         # F.n2 = load2 / l2 and F.n1 = (load1 - load2) / l1.
         cos = jnp.cos(mechanism.theta2 + motion.q[1])

@@ -53,6 +53,7 @@ class WristFlexibility(AbstractEffect):
         return ()
 
     def bodies(self, mechanism):
+        assert isinstance(mechanism, PlanarArm)
         return eqx.tree_at(lambda arm: arm.elbow, mechanism, mechanism.elbow - self.inertia)
 
     def _push(self, motion) -> Scalar:

@@ -94,7 +94,7 @@ def _lines(torque: np.ndarray, spacing: np.ndarray) -> list[tuple[float, np.ndar
         for r in range(recordings):
             turn = np.exp(-2j * np.pi * np.outer(frequencies, np.arange(length) * spacing[r]))
             waves.append(turn @ (window * kernel[r]))
-        power = sum(np.abs(w) ** 2 for w in waves)
+        power = np.sum([np.abs(w) ** 2 for w in waves], axis=0)
         contrast = power.max() / max(np.median(power), 1e-300)
         if best is None or contrast > best[0]:
             best = (contrast, power, waves)

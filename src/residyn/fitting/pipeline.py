@@ -156,7 +156,9 @@ def _descend(
     first = np.broadcast_to(states, (starts, *states.shape)).copy()
     if memory is not None and memory.size:
         first[..., -memory.shape[-1] :] = memory
-    y = Unknowns(jnp.asarray(numbers) / problem.scale.numbers, first / problem.scale.states)
+    y = Unknowns(
+        jnp.asarray(numbers) / problem.scale.numbers, jnp.asarray(first) / problem.scale.states
+    )
     longest = max(r.duration for r in here.recordings)
     first = min(1.0, _FIRST_CYCLES * 2 * math.pi / here.frequency(begin) / longest)
     out = jax.device_get(polish(problem, y, jnp.asarray([first, math.sqrt(first), 1.0])))

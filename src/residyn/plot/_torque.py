@@ -13,6 +13,7 @@ from ._style import BAND, FAINT, INK, MODEL, NARROW, RESIDUAL, WIDE, styled
 _WORTH = 0.1  # share from which a curve is drawn
 _SCATTER = 0.5  # of the torque's own, beyond which a middle line would mislead
 _DOTS = 4000
+_NAMED = 2  # numbers of an effect in the legend
 _BINS = 14
 
 
@@ -31,15 +32,14 @@ def missing_torque(
 
     Against angle and rate it is shown less the change of springs and dampers that goes with the
     first of `curves`: a fit without an effect has bent these to make up for it. `link_angle` (N,)
-    is the absolute angle of the joint's link, rad, which takes the place of the joint's angle if the
+    is the absolute angle of the joint's link, rad: it takes the place of the joint's angle if the
     torque follows it more closely, as gravity does.
     """
     torque_unit, rate_unit = ("N", "m/s") if unit == "m" else ("N m", "rad/s")
     angle_unit = unit or "rad or m"
     shown = next((c for c in curves if c.share > _WORTH and np.any(c.torque[:, joint])), None)
     figure = Figure(figsize=(NARROW, 10.0) if narrow else (WIDE, 5.4), layout="constrained")
-    mosaic = [["t"], ["q"], ["v"], ["a"]] if narrow else [["t", "t", "t"], ["q", "v", "a"]]
-    axes = figure.subplot_mosaic(mosaic)
+    axes = figure.subplot_mosaic("t;q;v;a" if narrow else "ttt;qva")
     t, tau = missing.time - missing.time[0], missing.torque[:, joint]
     own = None if shown is None else shown.torque[:, joint]
     _against_time(axes["t"], t, tau, missing.std[:, joint], shown, joint)
@@ -90,7 +90,8 @@ def _words(curve: Curve) -> str:
         f"{name.rpartition('.')[2]} {plain(value)}{'' if unit == '1' else f' {unit}'}"
         for name, (value, unit) in curve.values.items()
     ]
-    return f"{curve.effect}: {', '.join(numbers)}"
+    more = ", ..." if len(numbers) > _NAMED else ""
+    return f"{curve.effect}: {', '.join(numbers[:_NAMED])}{more}"
 
 
 def _against(ax: Axes, x, tau, own) -> None:
@@ -105,7 +106,8 @@ def _against(ax: Axes, x, tau, own) -> None:
 
 def _bins(x) -> list[np.ndarray]:
     """Which instants lie above each stretch of the axis."""
-    edges = np.linspace(*np.quantile(x, (0.005, 0.995)), 2 * _BINS + 1)
+    low, high = np.quantile(x, (0.005, 0.995))
+    edges = np.linspace(low, high, 2 * _BINS + 1)
     which = np.digitize(x, edges)
     return [which == b for b in range(1, len(edges)) if np.sum(which == b) > 5]
 
