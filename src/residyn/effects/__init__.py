@@ -11,6 +11,7 @@ from .._input import InputError
 from ..mechanism import AbstractMechanism
 from .applied import ConstantTorque as ConstantTorque
 from .applied import PeriodicDisturbance as PeriodicDisturbance
+from .asymmetric_damping import AsymmetricDamping as AsymmetricDamping
 from .base import AbstractEffect as AbstractEffect
 from .base import JointEffect as JointEffect
 from .bearing import BearingDrag as BearingDrag
