@@ -55,6 +55,12 @@ def wrong():
     return compared(recording(friction=(0.0, 0.1)))
 
 
+@pytest.fixture
+def quick(monkeypatch):
+    """Without following the missing torque, which has tests of its own."""
+    monkeypatch.setattr("residyn.diagnosis.pipeline.missing_of", lambda fit: ())
+
+
 def cart_motion(friction):
     q, _ = rig.simulate(rig.Cart(1.0, 100.0, 0.3), TIME[:1001], [0.05], frictionloss=[friction])
     return q + 1e-4 * np.random.default_rng(1).standard_normal(q.shape)
@@ -89,7 +95,7 @@ def test_a_wrong_model_is_told_and_where(wrong):
     assert "friction" not in words  # no search: no name
 
 
-def test_friction_on_a_cart_shows_late_and_at_small_swings():
+def test_friction_on_a_cart_shows_late_and_at_small_swings(quick):
     made = residyn.Recording.from_arrays(TIME[:1001], cart_motion(0.03), noise=1e-4)
     found = residyn.compare(residyn.Experiment(CART, (made,)), starts=2)
     words = " ".join(found.words)
@@ -116,7 +122,7 @@ def test_it_begins_with_the_verdict_and_fits_80_columns(clean, wrong):
             assert heading in text
 
 
-def test_noise_that_is_stated_wrongly_is_no_failure_of_the_model():
+def test_noise_that_is_stated_wrongly_is_no_failure_of_the_model(quick):
     for factor, said in ((0.5, "more noise than was stated"), (2.0, "more than these readings")):
         found = compared(recording(noise=factor * NOISE))
         assert found.explained
@@ -173,7 +179,7 @@ def test_json_is_the_fits_and_more(clean):
     json.dumps(found, allow_nan=False)
 
 
-def test_lost_and_uneven_samples():
+def test_lost_and_uneven_samples(quick):
     rng = np.random.default_rng(3)
     found = compared(recording(seed=1, lost=0.1))
     assert found.explained
@@ -189,7 +195,7 @@ def test_lost_and_uneven_samples():
     check_shares(found)
 
 
-def test_several_recordings_and_checks(clean):
+def test_several_recordings_and_checks(clean, quick):
     two = recording(seed=5, q0=(0.2, 0.3), t=TIME[:901], name="two")
     check = recording(seed=6, q0=(0.1, 0.35), role="check", name="check")
     found = compared(recording(), two, check)
@@ -326,7 +332,7 @@ def test_rounding_of_a_smooth_curve_is_known():
     assert still[-100:].all()
 
 
-def test_a_pure_encoder_is_no_failure_of_the_model():
+def test_a_pure_encoder_is_no_failure_of_the_model(quick):
     made = recording(q0=(0.12, -0.1))
     truth, _ = rig.simulate(ARM, TIME, (0.12, -0.1))
     q = np.round(truth / 2e-3) * 2e-3

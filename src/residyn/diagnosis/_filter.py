@@ -12,7 +12,7 @@ Frazier: it runs adjoints (l, L) backwards, inverts no covariance and so does no
 without any freedom, and its adjoints are what the likelihood's slope is made of.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -138,7 +138,11 @@ def extended(model: Model, grid: Grid, start: Start, walk: Walk) -> tuple[Filter
         walk.regressor,
         shifted(walk.regressor),
     )
-    return _run(grid, start, walk, given, local_at, sight=lambda x: _sight(model, x), gate=_WILD)
+    found, local = _run(
+        grid, start, walk, given, local_at, sight=lambda x: _sight(model, x), gate=_WILD
+    )
+    assert local is not None
+    return found, local
 
 
 def linear(grid: Grid, start: Start, walk: Walk, locals_: Local) -> Filtered:
@@ -151,7 +155,7 @@ def _sight(model: Model, x):
     return sees, reading(model, x) - sees @ x
 
 
-def _run(grid, start, walk, given, local_at, sight=None, gate=jnp.inf):
+def _run(grid, start, walk, given, local_at, sight=None, gate=jnp.inf) -> tuple[Filtered, Any]:
     n, o = walk.begin.shape
     d, m = start.state.shape[0], n * o
     state = jnp.concatenate([start.state, jnp.zeros(m)])

@@ -6,11 +6,12 @@ Each joint's torque is a walk of its own plus slowly changing shares of all angl
 
 The shares are what a wrong spring, damper or coupling leaves, and follow the motion without any
 delay or smoothing; the walk is everything else. How much of each there is, is for the likelihood to
-say, joint by joint, through five *intensities*: of a walk that goes on steadily, of one that goes
-as the square of the local amplitude (a torque that dies away with the motion), of one that goes
-where the joint turns round (friction jumps there), of shares that stay and of shares that wander.
-Whatever follows the motion may have harmonics too small to be seen in the noise: so the shares
-bring a little walk along, lest the band be too sure of itself.
+say, joint by joint, through *intensities*: of a walk that goes on steadily, of one that goes as the
+square of the local amplitude (a torque that dies away with the motion), of one that goes where the
+joint turns round (friction jumps there); of lasting shares in the joint's own motion, of lasting
+shares in the others', and of shares that wander. Whatever follows the motion may have harmonics too
+small to be seen in the noise: so the shares bring a little walk along, lest the band be too sure of
+itself.
 """
 
 from typing import NamedTuple
@@ -21,12 +22,13 @@ from jaxtyping import Array, Float
 from ._filter import Walk
 from ._grid import Grid
 
-STEADY, SWINGING, TURNING, OWN, OTHERS, WANDERING = range(6)
-KINDS = 6
+KINDS = 6  # steady, swinging, turning; own, others', wandering
 
 _TURN = 0.1  # of the rate's amplitude: below it a joint is turning round
 _FLOOR = 1e-6  # of the mean square amplitude
-_HARMONICS = 1.0
+_HARMONICS = 1.0  # growth of the walk over one radian of the motion, as a share of the shares
+# Variance at the first instant of the walk, of own shares and of others', by intensity.
+_BEGIN = ((1, 1, 1, 0, 0, 0), (0, 0, 0, 1, 0, 1), (0, 0, 0, 0, 1, 1))
 
 
 class Prior(NamedTuple):
@@ -61,19 +63,13 @@ def prior_along(
     turn = turn / mean(turn)
     h = grid.step[:, None] * unit**2
     even, none = h / span, jnp.zeros_like(h)
-    harmonics = _HARMONICS * pace * swing * h
-    walk = [
-        even,
-        even * swing,
-        even * turn,
-        2 * harmonics,
-        2 * (n - 1) * harmonics,
-        2 * n * harmonics,
-    ]
+    harmonics = 2 * _HARMONICS * pace * swing * h  # of the shares in one joint's angle and rate
+    walk = [even, even * swing, even * turn]
+    walk += [harmonics, (n - 1) * harmonics, n * harmonics]
     share = [none, none, none, none, none, even]
     growth = jnp.stack([jnp.stack(x, axis=-1) for x in (walk, share, share)], axis=2)
-    at = jnp.asarray([[1.0, 1.0, 1.0, 0, 0, 0], [0, 0, 0, 1.0, 0, 1.0], [0, 0, 0, 0, 1.0, 1.0]])
+    begin = unit[:, None, None] ** 2 * jnp.asarray(_BEGIN, float)
     own = jnp.tile(jnp.eye(n), (1, 2))
     part = jnp.stack([jnp.zeros_like(own), own, 1.0 - own], axis=-1)
-    part = jnp.concatenate([jnp.broadcast_to(jnp.asarray([1.0, 0, 0]), (n, 1, 3)), part], axis=1)
-    return Prior(regressor, growth, at * unit[:, None, None] ** 2, part)
+    walks = jnp.zeros((n, 1, 3)).at[:, :, 0].set(1.0)
+    return Prior(regressor, growth, begin, jnp.concatenate([walks, part], axis=1))

@@ -160,12 +160,10 @@ def _ratio(here: Along, intensity):
     noise = noise + jnp.diagonal(rows[:, :, d:], axis1=1, axis2=2)
 
     def total(steps, first):
-        grown = jnp.einsum(
-            "kno,nop,knpc->nc", steps.reshape(len(steps), n, -1), here.prior.part, here.prior.growth
-        )
-        return grown + jnp.einsum(
-            "no,nop,npc->nc", first.reshape(n, -1), here.prior.part, here.prior.begin
-        )
+        parts = jnp.einsum("kno,nop->knp", steps.reshape(len(steps), n, -1), here.prior.part)
+        begin = jnp.einsum("no,nop->np", first.reshape(n, -1), here.prior.part)
+        grown = jnp.einsum("knp,knpc->nc", parts, here.prior.growth)
+        return grown + jnp.einsum("np,npc->nc", begin, here.prior.begin)
 
     shown = total(own**2, slope[0, d:] ** 2)
     expected = total(noise, jnp.diagonal(square[0])[d:])

@@ -163,12 +163,6 @@ def _estimate(model: Model, data: Data):
     compare the torque with."""
     here = along(model, data)
     intensity = likeliest(here)
-    import os
-
-    FL = float(os.environ.get("FL", "0"))
-    w = here.prior.walk(intensity)
-    size2 = jnp.sum(w.begin + 0.5 * jnp.sum(w.growth, axis=0), axis=1) / data.unit**2
-    intensity = intensity.at[:, 3].set(jnp.maximum(intensity[:, 3], FL * jnp.max(size2)))
     found = estimate(here, intensity)
     without = likelihood(here, jnp.zeros_like(intensity))
     walk = here.prior.walk(intensity)

@@ -1,0 +1,126 @@
+"""The missing torque beside a known one, on MuJoCo data; and the curves that belong over it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import residyn
+from residyn.diagnosis import curves, missing_torque
+from tests import rig
+
+ARM = rig.paper_twin(0.3)
+NOISE = 3e-4
+
+
+def base(**change):
+    """The arm's true springs and dampers, some of them changed."""
+    arm = residyn.PlanarArm(
+        [ARM.l1, ARM.l2], ARM.shoulder, ARM.elbow, ARM.coupling, ARM.theta2, [1, 1]
+    )
+    model = residyn.Model(arm)
+    for joint, k, c in zip(arm.joints, ARM.stiffness, ARM.damping, strict=True):
+        k = k * change.get(joint, 1.0)
+        model = model + residyn.Spring(joint, k) + residyn.Damper(joint, c)
+    return model
+
+
+def recorded(label=None, values=None, seconds=10.0, seed=0):
+    """A release with one hidden effect, or none."""
+    rng = np.random.default_rng(seed)
+    hidden = [] if label is None else [rig.Hidden(label, values)]
+    return rig.record(rng, ARM, [0.25, -0.2], hidden, seconds=seconds, noise=NOISE)
+
+
+def as_recording(case, keep=slice(None), angle=None):
+    angle = case.q if angle is None else angle
+    return residyn.Recording.from_arrays(case.t[keep], angle[keep], noise=NOISE, theta2=ARM.theta2)
+
+
+@pytest.fixture(scope="module")
+def friction():
+    return recorded("coulomb_friction:elbow", {"torque": 0.15})
+
+
+def agreement(found, truth, joint, keep=slice(None)):
+    """Correlation with the truth, and the share of instants that the band holds."""
+    tau, std, true = found.torque[3:-3, joint], found.std[3:-3, joint], truth[keep][3:-3, joint]
+    return np.corrcoef(tau, true)[0, 1], np.mean(np.abs(tau - true) <= 1.96 * std)
+
+
+def test_it_finds_a_step_of_friction_at_its_joint(friction):
+    found = missing_torque(base(), as_recording(friction))
+    correlation, held = agreement(found, friction.torque, 1)
+    assert correlation > 0.95
+    assert held > 0.85
+    assert found.rms[0] < 0.1 * found.rms[1]
+    assert found.log_likelihood > found.log_likelihood_without + 100
+
+
+def test_a_clean_arm_lacks_next_to_nothing():
+    case = recorded()
+    found = missing_torque(base(), as_recording(case))
+    assert np.all(found.share_of_spring < 1e-3)
+
+
+def test_lost_uneven_and_wild_samples_do_not_spoil_it(friction):
+    rng = np.random.default_rng(1)
+    keep = np.sort(rng.choice(len(friction.t), 850, replace=False))
+    angle = friction.q.copy()
+    angle[rng.choice(len(angle), 40, replace=False), 0] = np.nan
+    angle[400:404] = np.nan
+    wild = rng.choice(np.arange(20, 980), 5, replace=False)
+    angle[wild, 1] += 40 * NOISE * rng.choice([-1.0, 1.0], 5)
+    found = missing_torque(base(), as_recording(friction, keep, angle))
+    correlation, _ = agreement(found, friction.torque, 1, keep)
+    assert correlation > 0.9
+
+
+def test_a_wrong_spring_shows_as_a_torque_against_the_angle_and_no_phase_drifts():
+    case = recorded()
+    found = missing_torque(base(elbow=0.97), as_recording(case))
+    expected = 0.03 * ARM.stiffness[1] * case.motion[0][:, 1]
+    assert np.sqrt(np.mean((found.torque[:, 1] - expected) ** 2)) < 0.1 * expected.std()
+
+
+def test_the_model_that_has_the_effect_lacks_nothing(friction):
+    model = base() + residyn.CoulombFriction("elbow", 0.15)
+    found = missing_torque(model, as_recording(friction))
+    without = missing_torque(base(), as_recording(friction))
+    assert found.rms[1] < 0.3 * without.rms[1]
+
+
+def test_the_right_effect_draws_the_best_curve(friction):
+    found = missing_torque(base(), as_recording(friction))
+    best = curves(base(), found)[0]
+    assert best.effect == "coulomb_friction:elbow"
+    ((value, unit),) = best.values.values()
+    assert unit == "N m"
+    assert value == pytest.approx(0.15, rel=0.1)
+    assert best.share > 0.8
+    assert not np.any(best.torque[:, 0])
+
+
+def test_it_can_be_differentiated_and_vmapped(friction):
+    """In the model's numbers, and over models."""
+    from residyn.diagnosis import missing_torque as module_function  # the numpy-facing one
+    from residyn.diagnosis.missing_torque import _data, _follow_all
+
+    del module_function
+    with jax.enable_x64(True):
+        model = base()
+        recording = as_recording(friction, slice(0, 200))
+        bad = np.zeros(recording.angle.shape, bool)
+        data, _ = _data(model, recording, bad, None)
+        levels = jnp.asarray([1e-6, 1e-4])
+
+        def total(stiffness):
+            moved = model.with_values({"spring:elbow.stiffness": stiffness})
+            return jnp.sum(_follow_all(moved, data, levels))
+
+        k = jnp.asarray(ARM.stiffness[1])
+        slope = jax.grad(total)(k)
+        difference = (total(k + 1e-4) - total(k - 1e-4)) / 2e-4
+        np.testing.assert_allclose(slope, difference, rtol=1e-4)
+        each = jax.vmap(total)(jnp.stack([k, 1.01 * k]))
+        np.testing.assert_allclose(each, [total(k), total(1.01 * k)], rtol=1e-9)
