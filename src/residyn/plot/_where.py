@@ -95,5 +95,6 @@ def horizon(compared: Comparison, *, narrow: bool = False) -> Figure:
     )
     ax.yaxis.set_major_formatter(lambda x, _: plain(x, 1))
     ax.set_xlim(left=0)
-    ax.legend(loc="upper left", ncols=2)
+    handles, labels = ax.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
     return figure
