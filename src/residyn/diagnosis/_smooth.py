@@ -117,17 +117,17 @@ def likelihood(here: Along, intensity: Float[Array, "n kinds"]) -> Float[Array, 
     return jnp.sum(linear(here.grid, here.start, walk, here.local).likelihood)
 
 
-def likeliest(here: Along) -> Float[Array, "n kinds"]:
-    """Intensities of the highest likelihood.
+def likeliest(here: Along) -> tuple[Float[Array, "n kinds"], Float[Array, ""]]:
+    """Intensities of the highest likelihood, and the log likelihood without any torque.
 
     From the best power of ten, the same for all. Then every intensity grows or shrinks by the ratio
     of what the smoothed torque shows of it to what noise alone would show, which is 1 at the
     maximum; what the data have no use for shrinks without end.
     """
     n = here.prior.begin.shape[0]
-    starts = jnp.asarray(_BEGIN)[:, None, None] * jnp.ones((n, KINDS))
+    starts = jnp.asarray((0.0, *_BEGIN))[:, None, None] * jnp.ones((n, KINDS))
     first = jax.vmap(lambda s: likelihood(here, s))(starts)
-    begin = starts[jnp.argmax(jnp.where(jnp.isnan(first), -jnp.inf, first))]
+    begin = starts[1 + jnp.argmax(jnp.where(jnp.isnan(first), -jnp.inf, first)[1:])]
 
     def climb(carry, _):
         intensity, best, highest = carry
@@ -139,7 +139,7 @@ def likeliest(here: Along) -> Float[Array, "n kinds"]:
         return (intensity * ratio, best, jnp.where(better, likely, highest)), None
 
     carry = begin, begin, jnp.asarray(-jnp.inf)
-    return jax.lax.scan(climb, carry, None, length=_CLIMBS)[0][1]
+    return jax.lax.scan(climb, carry, None, length=_CLIMBS)[0][1], first[0]
 
 
 def _both_ways(here: Along, intensity) -> tuple[Filtered, Adjoint]:

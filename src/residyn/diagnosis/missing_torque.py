@@ -28,7 +28,7 @@ from ..recording import Recording
 from ..simulation import compiled_state_matrix
 from ._filter import Start
 from ._grid import amplitude, lay_out
-from ._smooth import Data, Smoothed, along, estimate, followed, likeliest, likelihood
+from ._smooth import Data, Smoothed, along, estimate, followed, likeliest
 from ._step import size
 
 _LEVELS = 10.0 ** np.arange(-8, 0)
@@ -162,9 +162,8 @@ def _estimate(model: Model, data: Data):
     """Smoothed at the likeliest intensities, those as torques, the likelihood without, and what to
     compare the torque with."""
     here = along(model, data)
-    intensity = likeliest(here)
+    intensity, without = likeliest(here)
     found = estimate(here, intensity)
-    without = likelihood(here, jnp.zeros_like(intensity))
     walk = here.prior.walk(intensity)
     # Each regressor's mean square is 1: the mean over the recording of all coefficients' variance.
     allowed = jnp.sqrt(jnp.sum(walk.begin + 0.5 * jnp.sum(walk.growth, axis=0), axis=1))
