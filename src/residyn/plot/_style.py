@@ -15,7 +15,9 @@ WIDE, NARROW = 8.6, 3.7
 # broad pale line and the model a thin dark one on top: where they part, both can be seen.
 MEASURED, MODEL, RESIDUAL, WILD = "#a8a8a8", "#0072b2", "#d55e00", "#cc79a7"
 HELD_OUT = "#9fcbe8"
-BAND, SHADE, INK, FAINT = "#d4d4d4", "#f4f4f4", "#222222", "#777777"
+JOINTS = (MODEL, RESIDUAL, "#009e73", "#cc79a7")
+"""One colour a joint, where joints share a picture."""
+BAND, SHADE, INK, SOFT, FAINT = "#d4d4d4", "#f4f4f4", "#222222", "#555555", "#777777"
 DASHED = (0, (4, 3))
 
 _STYLE: dict[str, Any] = {

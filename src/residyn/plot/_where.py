@@ -9,9 +9,7 @@ from matplotlib.figure import Figure
 from .._units import plain, prefixed
 from ..diagnosis import Comparison
 from ..diagnosis.where import Part
-from ._style import DASHED, INK, MODEL, NARROW, RESIDUAL, WIDE, styled
-
-_JOINTS = (MODEL, RESIDUAL, "#009e73", "#cc79a7")
+from ._style import DASHED, INK, JOINTS, NARROW, WIDE, styled
 
 
 @styled
@@ -48,7 +46,7 @@ def _bars(ax: Axes, names: Sequence[str], parts: Sequence[Part], joints: Sequenc
     for j, joint in enumerate(joints):
         place = np.arange(len(parts)) + (j - (len(joints) - 1) / 2) * width
         heights = [p.cells[j].ratio for p in parts]
-        ax.bar(place, heights, 0.92 * width, color=_JOINTS[j % len(_JOINTS)], label=joint)
+        ax.bar(place, heights, 0.92 * width, color=JOINTS[j % len(JOINTS)], label=joint)
     ax.set_xticks(range(len(parts)), names)
 
 
@@ -61,7 +59,7 @@ def _by_swing(ax: Axes, compared: Comparison) -> None:
     for j, (joint, parts) in enumerate(zip(at.joints, at.amplitude, strict=True)):
         middle = [0.5 * (p.start + p.stop) / size for p in parts]
         height = [p.whole.ratio for p in parts]
-        ax.plot(middle, height, "o-", color=_JOINTS[j % len(_JOINTS)], label=joint)
+        ax.plot(middle, height, "o-", color=JOINTS[j % len(JOINTS)], label=joint)
     ax.set_xlim(left=0)
     ax.set_ylim(bottom=0)
     ax.set_xlabel(f"amplitude of the swing ({unit})" if unit else "amplitude of the swing")
@@ -80,7 +78,7 @@ def horizon(compared: Comparison, *, narrow: bool = False) -> Figure:
     ax = figure.subplots()
     ahead = np.array([0.5 * (a.start + a.stop) for a in found.ahead])
     for j, joint in enumerate(compared.fit.joints):
-        colour = _JOINTS[j % len(_JOINTS)]
+        colour = JOINTS[j % len(JOINTS)]
         ratio = [a.error.ratio[j] for a in found.ahead]
         ax.plot(ahead, ratio, "o-", color=colour, ms=4, label=joint)
         ax.plot([0.0], [found.fitted.ratio[j]], "s", color=colour, ms=5, clip_on=False)
