@@ -1,0 +1,61 @@
+"""Methods that only name an effect, beside residyn on the same cases."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from benchmarks._hidden_score import Row, counts, share, table
+from benchmarks._hidden_sindy import LIBRARY
+
+
+def by_name(row: Row) -> bool:
+    """For methods that only name: the first name of one, the first two of a pair, none of none."""
+    hidden = row["hidden"]
+    named = row["named"] if "named" in row else row.get("added", [])
+    return set(named[: len(hidden) or None]) == set(hidden)
+
+
+def beside(rows: Sequence[Row], others: Sequence[Row]) -> str:
+    """First names right, each method beside residyn on the counted cases that both did."""
+    own = {row["key"]: row for row in rows if counts(row)}
+    lines = []
+    for method in dict.fromkeys(r["method"] for r in others if "method" in r):
+        for what in dict.fromkeys(r["what"] for r in others):
+            for noise in sorted({r["noise"] for r in others}):
+                some = [
+                    r
+                    for r in others
+                    if (r.get("method"), r["what"], r["noise"]) == (method, what, noise)
+                    and r["key"] in own
+                ]
+                if some and what != "outside":
+                    known = [r for r in some if all(in_library(x) for x in r["hidden"])]
+                    cells = [share([by_name(r) for r in each]) for each in (some, known)]
+                    cells.append(share([by_name(own[r["key"]]) for r in some]))
+                    lines.append([method, what, f"{100 * noise:g} %", *cells])
+    head = ["method", "hidden", "noise", "right", "right, of what its library has", "residyn there"]
+    return table(head, lines)
+
+
+def in_library(label: str) -> bool:
+    """Whether PySINDy's library has a term for it (BIC tries all)."""
+    return label.partition(":")[0] in LIBRARY
+
+
+def settings(rows: Sequence[Row], best: int = 5) -> str:
+    """PySINDy's best settings: mean of the share of effects (of its library) named, and the share
+    of recordings of nothing left alone."""
+    scores: dict[str, dict[str, list[bool]]] = {}
+    for row in rows:
+        if "method" in row and all(in_library(x) for x in row["hidden"]):
+            scores.setdefault(row["method"], {}).setdefault(row["what"], []).append(by_name(row))
+    lines = []
+    for form in dict.fromkeys(m.split()[0] for m in scores):
+        mine = {m: s for m, s in scores.items() if m.split()[0] == form}
+        order = sorted(mine, key=lambda m: -np.mean([np.mean(x) for x in mine[m].values()]))
+        for m in order[:best]:
+            words = ", ".join(f"{what} {share(x)}" for what, x in mine[m].items())
+            lines.append(f"{m}: {words}")
+    return "\n".join(lines)

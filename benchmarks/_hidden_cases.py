@@ -1,0 +1,125 @@
+"""Which recordings the hidden-effect benchmark is made of, each remade from its name alone.
+
+A case is one release of one random arm with something hidden in it, and everything random about it
+follows from its *seed*, its labels and its noise: so a case needs no file, and the same name means
+the same recording to every method. There are two lists of seeds. Whatever was tuned, a threshold or
+a line of code, was tuned on `TUNING`; only `REPORT` makes the published table. Both lists were
+written down, and committed, before `residyn.diagnose` existed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tests import rig
+
+TUNING = tuple(range(7001, 7201))
+REPORT = tuple(range(20261121, 20261321))
+SEEDS = {"tuning": TUNING, "report": REPORT}
+"""A case of index i takes the i-th seed of a list. Frozen."""
+
+NOISE = (0.0025, 0.01, 0.05)
+"""Shares of the motion's rms about its mean."""
+FAIR = (0.02, 0.1)
+"""Strength of each of two effects at once: the share of their torque in the spring's."""
+
+_KINDS = (
+    ("coulomb_friction", "stribeck_friction", "bearing_friction"),
+    ("quadratic_drag", "bearing_quadratic_drag", "bearing_drag", "coupling_damping"),
+    ("asymmetric_damping",),
+    ("cubic_stiffness", "asymmetric_stiffness", "dead_zone", "coupling_stiffness"),
+    ("hysteresis", "brake_slip"),
+    ("constant_torque", "gravity"),
+    ("periodic_disturbance",),
+    ("stiffness_drift",),
+    ("sensor_offset", "sensor_scale", "sensor_delay"),
+    ("inertia_error", "wrist_flexibility"),
+)
+KIND = {name: kind for kind, names in enumerate(_KINDS) for name in names}
+"""Physical kind by name: two effects at once are never of one kind."""
+
+
+@dataclass(frozen=True)
+class Spec:
+    """A case before it is made."""
+
+    what: str
+    """"single", "none", "outside" or "pairs"."""
+    labels: tuple[str, ...]
+    """What is hidden: nothing, one effect, or two."""
+    noise: float
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """Its name: the same everywhere."""
+        return f"{self.what}/{'+'.join(self.labels) or '-'}/{self.noise:g}/{self.seed}"
+
+    def make(self) -> rig.HiddenCase:
+        """The recording, and its truth."""
+        about = [*"/".join(self.labels).encode(), round(1e6 * self.noise)]
+        rng = np.random.default_rng([self.seed, *about])
+        strength = None
+        if self.what == "pairs":
+            strength = float(np.exp(rng.uniform(*np.log(FAIR))))
+        (case,) = rig.hidden_cases(rng, self.labels, 1, noise_share=self.noise, strength=strength)
+        return case
+
+
+def specs(
+    what: Sequence[str],
+    noise: Sequence[float] = NOISE,
+    count: int = 1,
+    seeds: str = "tuning",
+    only: Sequence[str] = (),
+) -> Iterator[Spec]:
+    """Cases of every label: `count` of each at each noise ("none" and "pairs" are one label).
+
+    With `only`, the labels (or bare names, for both joints) to keep: a pair needs one of them.
+    """
+    for seed in SEEDS[seeds][:count]:
+        for share in noise:
+            for kind in what:
+                for labels in _labels(kind, seed, share):
+                    names = {x for label in labels for x in (label, label.partition(":")[0])}
+                    if not only or names & set(only):
+                        yield Spec(kind, labels, share, seed)
+
+
+def _labels(what: str, seed: int, noise: float) -> list[tuple[str, ...]]:
+    if what == "none":
+        return [()]
+    if what == "pairs":
+        return [_pair(np.random.default_rng([seed, round(1e6 * noise), 2]))]
+    return [(label,) for label in (rig.OUTSIDE if what == "outside" else rig.NAMES)]
+
+
+def _pair(rng: np.random.Generator) -> tuple[str, str]:
+    """Two labels of different kinds: the kinds alike, then the effects of each."""
+    first, second = (
+        _KINDS[i][rng.integers(len(_KINDS[i]))] for i in rng.permutation(len(_KINDS))[:2]
+    )
+    return _place(rng, first), _place(rng, second)
+
+
+def _place(rng: np.random.Generator, name: str) -> str:
+    places = [x for x in rig.NAMES if x.partition(":")[0] == name]
+    return places[rng.integers(len(places))]
+
+
+def named_row(spec: Spec, method: str, named: Sequence[str], seconds: float) -> dict[str, Any]:
+    """One line: the effects named, the largest first."""
+    return {
+        "key": spec.key,
+        "method": method,
+        "what": spec.what,
+        "hidden": list(spec.labels),
+        "noise": spec.noise,
+        "seed": spec.seed,
+        "named": list(named),
+        "seconds": seconds,
+    }
