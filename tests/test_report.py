@@ -171,7 +171,7 @@ def test_a_picture_is_the_same_each_time(fit):
 
 
 def test_an_unwritable_path_is_said(fit, tmp_path, monkeypatch):
-    monkeypatch.setattr(report, "render", lambda fits, compared: "")
+    monkeypatch.setattr(report, "render", lambda *_: "")
     with pytest.raises(residyn.InputError, match="cannot be written"):
         report.write_report(tmp_path / "no" / "such.html", [("a", fit)])
 

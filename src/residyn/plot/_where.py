@@ -11,6 +11,8 @@ from ..diagnosis import Comparison
 from ..diagnosis.where import Part
 from ._style import DASHED, INK, JOINTS, NARROW, WIDE, styled
 
+_LOG = 4.0  # from this range on the errors ahead are on a logarithmic scale
+
 
 @styled
 def where(compared: Comparison, *, narrow: bool = False) -> Figure:
@@ -61,7 +63,7 @@ def _by_swing(ax: Axes, compared: Comparison) -> None:
         height = [p.whole.ratio for p in parts]
         ax.plot(middle, height, "o-", color=JOINTS[j % len(JOINTS)], label=joint)
     ax.set_xlim(left=0)
-    ax.set_ylim(bottom=0)
+    ax.set_ylim(0, 1.08 * ax.get_ylim()[1])
     ax.set_xlabel(f"amplitude of the swing ({unit})" if unit else "amplitude of the swing")
 
 
@@ -89,9 +91,14 @@ def horizon(compared: Comparison, *, narrow: bool = False) -> Figure:
     ax.set(
         xlabel=f"time after the fitted third of {plain(found.seconds, 2)} s (s)",
         ylabel="prediction error / noise",
-        yscale="log",
     )
-    ax.yaxis.set_major_formatter(lambda x, _: plain(x, 1))
+    each = [a.error.ratio for a in found.ahead]
+    if np.nanmax(each) > _LOG * np.nanmin(each):
+        ax.set_yscale("log")
+        ax.yaxis.set_major_formatter(lambda x, _: plain(x, 1))
+        ax.yaxis.set_minor_formatter(lambda x, _: "")
+    else:
+        ax.set_ylim(0, 1.08 * ax.get_ylim()[1])
     ax.set_xlim(left=0)
     handles, labels = ax.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
