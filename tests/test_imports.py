@@ -33,6 +33,7 @@ LAYERS = [
     ],
     ["fitting"],
     ["diagnosis"],
+    ["procedure"],
     ["plot"],
     ["_verdict", "report"],
     ["demo"],

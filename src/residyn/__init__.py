@@ -11,7 +11,9 @@ if TYPE_CHECKING:
     from .bearings import with_bearings as with_bearings
     from .bearings import without_bearings as without_bearings
     from .diagnosis import Comparison as Comparison
+    from .diagnosis import Diagnosis as Diagnosis
     from .diagnosis import compare as compare
+    from .diagnosis import diagnose as diagnose
     from .effects import CATALOGUE as CATALOGUE
     from .effects import AbstractEffect as AbstractEffect
     from .effects import AsymmetricStiffness as AsymmetricStiffness
@@ -55,6 +57,8 @@ if TYPE_CHECKING:
     from .nodes import Trajectory as Trajectory
     from .parameter import Memory as Memory
     from .parameter import param as param
+    from .procedure import InertiaResult as InertiaResult
+    from .procedure import inertia as inertia
     from .recording import Experiment as Experiment
     from .recording import InputError as InputError
     from .recording import Recording as Recording
@@ -67,7 +71,7 @@ __version__ = "0.1.0"
 
 _PUBLIC = {
     "bearings": ("AirBearing", "with_bearings", "without_bearings"),
-    "diagnosis": ("Comparison", "compare"),
+    "diagnosis": ("Comparison", "Diagnosis", "compare", "diagnose"),
     "effects": (
         "CATALOGUE",
         "AbstractEffect",
@@ -107,6 +111,7 @@ _PUBLIC = {
     "motion": ("Motion",),
     "nodes": ("Trajectory",),
     "parameter": ("Memory", "param"),
+    "procedure": ("InertiaResult", "inertia"),
     "recording": ("Experiment", "InputError", "Recording", "load"),
     "simulation": ("Drive", "simulate", "steps_for"),
 }

@@ -1,0 +1,183 @@
+"""A driven test of step 1: one joint is led to and fro, the other is braked (Eq. 10, 11).
+
+What the least-squares equations need of a recording beyond its readings: which joint was driven,
+how large the noise of its torque is, and which way the joint slid when. Where it is too slow to
+say, near a reversal, dry friction may be anything within its bounds, so nothing is asked there.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from .._input import InputError, inside
+from ..fitting import FitError
+from ..fitting.start import Uniform, uniform
+from ..recording import Recording, estimate_noise, wild_samples
+
+_BRAKED = 0.2
+"""The most that a braked joint may move, as a share of the driven one's range."""
+_FINEST = 1e-4
+"""No torque sensor is better than this share of the torque that it reads."""
+_SLOW = 0.05
+"""Share of the highest rate below which the direction of sliding counts as not known."""
+_SURE = 4.0
+"""Standard errors of the rate which that must be."""
+_ASTRAY = 0.1
+"""rad from its pose beyond which a braked joint makes one doubt what its angle is measured from."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrivenTest:
+    """A recording made ready for step 1, on a uniform grid of G instants."""
+
+    recording: Recording
+    joint: int
+    """0: the shoulder is driven; 1: the elbow."""
+    grid: Uniform
+    torque_noise: float
+    """Sigma of one reading of the drive, N m."""
+    rate: np.ndarray
+    """(G,) of the driven joint, smoothed, rad/s."""
+    clear: np.ndarray
+    """(G,) whether it is known which way the joint slides."""
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The recording's."""
+        return self.recording.name
+
+    @property
+    def angle(self) -> np.ndarray:
+        """(G,) of the driven joint, rad."""
+        return self.grid.q[:, self.joint]
+
+    @property
+    def braked(self) -> np.ndarray:
+        """(G,) angle of the other joint, rad."""
+        return self.grid.q[:, 1 - self.joint]
+
+    @property
+    def theta2(self) -> float:
+        """The elbow's angle in the test (its mean, where it is braked), rad."""
+        turned = float(np.mean(self.braked)) if self.joint == 0 else 0.0
+        return self.recording.theta2 + turned
+
+    @property
+    def reversals(self) -> int:
+        """How often the joint turned round."""
+        return int(np.count_nonzero(np.diff(np.sign(self.rate[self.clear]))))
+
+
+def driven_test(recording: Recording) -> DrivenTest:
+    """Make a recording with `role = "inertia"` ready.
+
+    **Raises:** `InputError` if it is no driven test of one joint with the other braked; `FitError`
+    if the joint moves too little to be seen beside the noise.
+    """
+    with inside(recording.name):
+        joint = _driven_joint(recording)
+        drive = _drive(recording)[:, joint]
+        # Torque and angles share their wild instants: a row needs all of them.
+        wild = wild_samples(recording.time, recording.angle, recording.noise)
+        grid = uniform(recording, wild)
+        size = math.sqrt(float(np.mean(drive**2)))
+        torque_noise = float(estimate_noise(recording.time, drive[:, None])[0])
+        knot, threshold = _pace(grid, joint, recording)
+    rate = smoothed(grid.q[:, joint], knot, grid.dt)[1]
+    clear = np.abs(rate) > threshold
+    clear[: 3 * knot] = clear[len(clear) - 3 * knot :] = False
+    return DrivenTest(
+        recording,
+        joint,
+        grid,
+        max(torque_noise, _FINEST * size),
+        rate,
+        clear & grid.good,
+        tuple(_doubts(recording, joint)),
+    )
+
+
+def kernel(knot: int, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A B-spline of fifth degree, knots `knot` samples apart, and two derivatives, (6 knot + 1,).
+
+    Of all kernels, since its sums over samples are exact where those over other smooth bumps are
+    nearly so (step 1 is slow: an angle of 1 rad may accelerate by 0.01 rad/s^2, and an inexact
+    second derivative would add some of the angle to it), and since shifted ones add up to smooth
+    functions as wide as the recording, so that no width has to be chosen with care.
+    """
+    spline = BSpline.basis_element(np.arange(-3.0, 4.0))
+    at, width = np.arange(-3 * knot, 3 * knot + 1) / knot, knot * dt
+    value, first, second = (spline.derivative(n)(at) if n else spline(at) for n in range(3))
+    return value / knot, first / knot / width, second / knot / width**2
+
+
+def smoothed(column: np.ndarray, knot: int, dt: float) -> tuple[np.ndarray, ...]:
+    """Angle, rate and acceleration (G,) through one kernel; the ends are held."""
+    padded = np.pad(column, 3 * knot, mode="edge")
+    value, rate, acceleration = (np.convolve(padded, k, "valid") for k in kernel(knot, dt))
+    return value, rate, acceleration
+
+
+def _drive(recording: Recording) -> np.ndarray:
+    if recording.drive is None:
+        raise InputError("has no drive: step 1 needs the torque that moved it, as u1, u2 (N m)")
+    return recording.drive
+
+
+def _driven_joint(recording: Recording) -> int:
+    """The joint that a torque acts on and that moves.
+
+    A brake may show a holding torque; the joint's own equation has no place for it.
+    """
+    drive = _drive(recording)
+    acted = np.ptp(drive, axis=0) > 0
+    low, high = np.nanquantile(recording.angle, [0.001, 0.999], axis=0)
+    moved = high - low
+    if not acted.any():
+        raise InputError("the drive never changes: nothing was driven")
+    joint = int(np.argmax(moved))
+    if not acted[joint]:
+        raise InputError(
+            f"u{2 - joint} drives but q{joint + 1} is what moves: are the columns in order?"
+        )
+    if moved[1 - joint] > _BRAKED * moved[joint]:
+        raise InputError(
+            f"both joints move (by {moved[0]:.2g} and {moved[1]:.2g} rad): in a test of step 1 one "
+            "is driven and the other braked"
+        )
+    return joint
+
+
+def _pace(grid: Uniform, joint: int, recording: Recording) -> tuple[int, float]:
+    """Knots (samples) of the narrowest kernel that shows the direction of sliding through the
+    noise, and the rate (rad/s) beyond which it does."""
+    noise, widest = float(recording.noise[joint]), max(2, len(grid.q) // 30)
+    knot, rate, unsure = 2, 0.0, math.inf
+    while True:
+        first = kernel(knot, grid.dt)[1]
+        rate = float(np.quantile(np.abs(np.convolve(grid.q[:, joint], first, "valid")), 0.98))
+        unsure = _SURE * noise * float(np.linalg.norm(first))
+        if unsure < _SLOW * rate or knot == widest:
+            break
+        knot = min(math.ceil(1.5 * knot), widest)
+    if unsure > 0.5 * rate:
+        raise FitError(
+            f"{recording.name}: q{joint + 1} moves too little beside its noise ({noise:.2g} rad) "
+            "to say which way it slides"
+        )
+    return knot, max(_SLOW * rate, unsure)
+
+
+def _doubts(recording: Recording, joint: int) -> list[str]:
+    rest = float(np.nanmedian(recording.angle[:, 1 - joint]))
+    if abs(rest) < _ASTRAY:
+        return []
+    if joint == 0:
+        return [
+            f"{recording.name}: the braked elbow stands at q2 = {rest:.3g} rad; as q2 counts from "
+            f"theta2 = {recording.theta2:.4g}, its angle is taken as {recording.theta2 + rest:.4g}"
+        ]
+    return []

@@ -1,0 +1,195 @@
+"""What step 1 returns: inertias with errors, each test's numbers, and an `[arm]` table."""
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..fitting import FitError
+from ..recording import ArmTable, Experiment
+from .driven import DrivenTest
+from .printed import arm_lines, report_lines
+from .weak import Solved
+
+NAMES = ("shoulder", "elbow", "coupling")
+UNITS = ("kg m^2", "kg m^2", "kg m")
+FRICTION = ("coulomb_friction", "viscous_friction", "offset")
+FRICTION_UNITS = ("N m", "N m s/rad", "N m")
+
+
+class Number(NamedTuple):
+    """A value and its standard error."""
+
+    value: float
+    std: float
+
+    def to_dict(self, unit: str) -> dict[str, Any]:
+        """As in the JSON."""
+        return {"value": _finite(self.value), "std": _finite(self.std), "unit": unit}
+
+
+class Separation(NamedTuple):
+    """Eq. 16: whether the elbow angles of the shoulder's tests are far enough apart."""
+
+    cosines: tuple[float, ...]
+    """Of the elbow's angle in each test with the shoulder driven."""
+    amplification: float
+    """Relative error of coupling for one relative error in all composite inertias."""
+    least: float
+    """The same for two tests at 0 and pi, the best that there are."""
+
+    @property
+    def span(self) -> float:
+        """Between the cosines; 2 is all there is."""
+        return max(self.cosines) - min(self.cosines)
+
+    @property
+    def excess(self) -> float:
+        """Times the least amplification."""
+        return self.amplification / self.least
+
+
+@dataclass(frozen=True, eq=False)
+class TestResult:
+    """One driven test: Eq. 10 or 11 solved.
+
+    `least_squares` are the inertia (kg m^2), Coulomb (N m) and viscous friction (N m s/rad) of Eq.
+    12 and 13 as they stand.
+    """
+
+    __test__ = False  # no test of pytest's
+
+    test: DrivenTest
+    solved: Solved
+    least_squares: tuple[Number, ...]
+
+    @property
+    def name(self) -> str:
+        """The recording's."""
+        return self.test.name
+
+    @property
+    def inertia(self) -> Number:
+        """Composite inertia of what turns, kg m^2, as it was recorded."""
+        return Number(float(self.solved.values[0]), float(self.solved.std[0]))
+
+    @property
+    def friction(self) -> dict[str, Number | None]:
+        """Coulomb (N m), viscous (N m s/rad) and offset (N m); None if it could not be told apart
+        from Coulomb friction, as the joint slid one way only."""
+        found = zip(self.solved.values[1:].tolist(), self.solved.std[1:].tolist(), strict=True)
+        numbers = [Number(*pair) for pair in found]
+        return dict(zip(FRICTION, [*numbers, None][:3], strict=True))
+
+    def to_dict(self, joints: tuple[str, ...]) -> dict[str, Any]:
+        """As in the JSON."""
+        friction = zip(self.friction.items(), FRICTION_UNITS, strict=True)
+        units = ("kg m^2", *FRICTION_UNITS)
+        names = ("composite_inertia", *FRICTION)
+        ordinary = zip(names, self.least_squares, units, strict=False)
+        return {
+            "recording": self.name,
+            "joint": joints[self.test.joint],
+            "theta2": self.test.theta2,
+            "composite_inertia": self.inertia.to_dict("kg m^2"),
+            **{name: n.to_dict(unit) if n else None for (name, n), unit in friction},
+            "torque_noise": self.test.torque_noise,
+            "reduced_chi2": _finite(self.solved.chi2),
+            "least_squares": {name: n.to_dict(unit) for name, n, unit in ordinary},
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class InertiaResult:
+    """The arm's inertias, bearings on. Print it; or `to_dict()` for the JSON."""
+
+    experiment: Experiment
+    values: np.ndarray  # (3,) shoulder and elbow in kg m^2, coupling in kg m
+    covariance: np.ndarray  # (3, 3) of these
+    least_squares: np.ndarray  # (3,) by Eq. 12 to 15 as they stand
+    tests: tuple[TestResult, ...]
+    separation: Separation
+    reduced_chi2: float | None  # of more tests than unknowns; None for three
+    seconds: float
+    warnings: tuple[str, ...] = ()
+    problem: str | None = None  # why no arm has these inertias
+
+    @property
+    def std(self) -> np.ndarray:
+        """(3,) standard errors."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def shoulder(self) -> Number:
+        """I1 + m2 l1^2, kg m^2."""
+        return self._number(0)
+
+    @property
+    def elbow(self) -> Number:
+        """I2 about the elbow, kg m^2."""
+        return self._number(1)
+
+    @property
+    def coupling(self) -> Number:
+        """m2 rho2, kg m."""
+        return self._number(2)
+
+    def _number(self, i: int) -> Number:
+        return Number(float(self.values[i]), float(self.std[i]))
+
+    @property
+    def link_lengths(self) -> tuple[float, float]:
+        """l1, l2 in m, as given."""
+        assert isinstance(self.experiment.inertia, ArmTable)
+        return self.experiment.inertia.link_lengths
+
+    def composite(self, theta2: float = 0.0) -> Number:
+        """I1 + I2 + m2 l1^2 + 2 m2 l1 rho2 cos(theta2): what the shoulder turns, kg m^2."""
+        row = np.array([1.0, 1.0, 2 * self.link_lengths[0] * np.cos(theta2)])
+        return Number(float(row @ self.values), float(np.sqrt(row @ self.covariance @ row)))
+
+    @property
+    def arm(self) -> ArmTable:
+        """The `[arm]` that was found, for an `Experiment` of step 2.
+
+        **Raises:** `FitError` if no real arm has these inertias.
+        """
+        if self.problem:
+            raise FitError(self.problem)
+        return ArmTable(self.link_lengths, *(float(x) for x in self.values))
+
+    def to_toml(self) -> str:
+        """The `[arm]` table, as the other commands read it."""
+        return "\n".join(arm_lines(self)) + "\n"
+
+    def saying(self, warnings: tuple[str, ...], problem: str | None) -> "InertiaResult":
+        """The same result with other words."""
+        return replace(self, warnings=warnings, problem=problem)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON of `residyn inertia`."""
+        rows = zip(NAMES, UNITS, (self.shoulder, self.elbow, self.coupling), strict=True)
+        ordinary = zip(NAMES, UNITS, self.least_squares.tolist(), strict=True)
+        apart = self.separation
+        return {
+            **{name: number.to_dict(unit) for name, unit, number in rows},
+            "tests": [t.to_dict(self.experiment.joints) for t in self.tests],
+            "covariance": self.covariance.tolist(),
+            "least_squares": {n: {"value": _finite(x), "unit": unit} for n, unit, x in ordinary},
+            "separation": {
+                "cosines": list(apart.cosines),
+                "span": apart.span,
+                "amplification": _finite(apart.amplification),
+                "least_amplification": _finite(apart.least),
+            },
+            "reduced_chi2": None if self.reduced_chi2 is None else _finite(self.reduced_chi2),
+            "seconds": self.seconds,
+            "warnings": list(self.warnings),
+        }
+
+    def __str__(self) -> str:
+        return "\n".join(report_lines(self))
+
+
+def _finite(x: float) -> float | None:
+    return float(x) if np.isfinite(x) else None
