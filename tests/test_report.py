@@ -6,82 +6,20 @@ from html.parser import HTMLParser
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 
 import residyn
 from residyn import _units, _verdict, plot, report
 from residyn.demo import by_window
-from residyn.fitting import Fit, Mode, Number, RecordingFit, mechanism_of, model_for
-from residyn.recording import ArmTable, Experiment, Recording
-
-NASTY = "<script>alert('x')</script> & \"q\" $a$ {{ 7*7 }}.csv"
-WILD, LOST = 120, slice(200, 240)
-
-
-def two_modes(time, sizes, slip):
-    """Two joints that ring in two modes; `slip` is a small third harmonic of the first."""
-    slow, fast = (
-        np.exp(-0.02 * 2 * np.pi * f * time) * np.cos(2 * np.pi * f * time) for f in (0.36, 1.9)
-    )
-    shoulder = sizes[0] * slow + sizes[1] * fast
-    return np.stack(
-        [shoulder + slip * slow**3, 0.4 * sizes[0] * slow - 3 * sizes[1] * fast], axis=1
-    )
-
-
-def recording(name, role, sizes, seed):
-    time = np.arange(800) / 80
-    noise = np.array([1e-3, 2e-3])
-    angle = two_modes(time, sizes, 0.01)
-    angle += noise * np.random.default_rng(seed).standard_normal(angle.shape)
-    angle[WILD, 1] += 0.5
-    angle[LOST] = np.nan
-    return Recording.from_arrays(time, angle, noise=noise, theta2=0.3, name=name, role=role)
-
-
-def beside(run, sizes):
-    """A recording beside a model that lacks the third harmonic, and finds the wild reading."""
-    wild = np.zeros(run.angle.shape, bool)
-    wild[WILD, 1] = True
-    return RecordingFit(run, two_modes(run.time, sizes, 0.0), wild, np.zeros(4))
+from tests.by_hand import NASTY, WILD, a_fit
+from tests.legible import legible
 
 
 @pytest.fixture(scope="module")
 def fit():
-    """A fit put together by hand: what a page shows does not depend on how it was found."""
-    table = ArmTable((0.4, 0.4), 1.1662, 0.579, 1.4384)
-    sizes = (0.2, 0.05), (0.1, 0.1)
-    runs = recording(NASTY, "fit", sizes[0], 1), recording("check.csv", "check", sizes[1], 2)
-    experiment = Experiment(table, runs)
-    values, std = np.array([17.0, 16.0, 0.5, 0.1]), np.array([0.02, 0.03, 0.004, 0.003])
-    model = model_for(mechanism_of(experiment, runs[0])).with_vector(jnp.asarray(values))
-    correlation = np.eye(4)
-    correlation[0, 2] = correlation[2, 0] = -0.97
-    numbers = tuple(
-        Number(n.name, n.meaning.words, v, s, 0.9 * v, n.meaning.dimension.unit("rad"), "any", True)
-        for n, v, s in zip(model.fitted, values.tolist(), std.tolist(), strict=True)
-    )
-    return Fit(
-        experiment=experiment,
-        model=model,
-        numbers=numbers,
-        covariance=correlation * std * std[:, None],
-        recordings=tuple(beside(run, size) for run, size in zip(runs, sizes, strict=True)),
-        reduced_chi2=12.3,
-        modes=(Mode(0.36, 2e-4, 0.02, 1e-4), Mode(1.9, 1e-3, 0.02, 3e-4)),
-        starts=6,
-        agreeing_starts=5,
-        converged=True,
-        reason="converged: the last step was small",
-        steps=9,
-        seconds=1.5,
-        warnings=(f"{NASTY}: something <b>doubtful</b>",),
-    )
+    return a_fit()
 
 
 @pytest.fixture(scope="module")
@@ -188,24 +126,7 @@ def test_no_word_of_a_picture_is_cut_or_covered(fit, kind, narrow, monkeypatch):
         "spectrum": lambda: plot.spectrum(fit, narrow=narrow),
         "errors": lambda: plot.errors([fit, fit], names, narrow=narrow),
     }[kind]()
-    drawn, draw = {}, Text.draw
-
-    def note(text, renderer, *args, **named):
-        if text.get_visible() and text.get_text().strip():
-            drawn[id(text)] = text.get_text(), text.get_window_extent(renderer)
-        return draw(text, renderer, *args, **named)
-
-    monkeypatch.setattr(Text, "draw", note)
-    FigureCanvasAgg(figure).draw()
-    page, shown = figure.bbox, list(drawn.values())
-    assert len(shown) > 15
-    for i, (words, box) in enumerate(shown):
-        inside = page.x0 <= box.x0 and box.x1 <= page.x1 and page.y0 <= box.y0 and box.y1 <= page.y1
-        assert inside, f"{words!r} is cut"
-        for others, other in shown[:i]:
-            across = min(box.x1, other.x1) - max(box.x0, other.x0)
-            up = min(box.y1, other.y1) - max(box.y0, other.y0)
-            assert across < 1 or up < 1, f"{words!r} and {others!r} overlap"
+    assert len(legible(figure, monkeypatch)) > 15
 
 
 def test_every_axis_has_a_unit(fit):

@@ -1,6 +1,7 @@
 """From an EXPERIMENT on the command line to a fit."""
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,6 +9,7 @@ from .._input import InputError
 from ._shell import NoNumbers, progress
 
 if TYPE_CHECKING:
+    from ..diagnosis.result import Diagnosis
     from ..fitting.result import Fit
     from ..recording import Experiment
 
@@ -58,11 +60,45 @@ def fitted(experiment: "Experiment", effects: Sequence[str], starts: int) -> "Fi
     """
     with progress() as say:
         say("loading")
-        from ..fitting import FitError, fit
+        from ..fitting import fit
 
-        try:
+        with _in_one_line():
             return fit(experiment, effects=effects, starts=starts, progress=say)
-        except FitError as error:
-            raise NoNumbers(str(error)) from None
-        except ValueError as error:
-            raise InputError(str(error)) from None
+
+
+def diagnosed(
+    experiment: "Experiment", effects: Sequence[str], most: int, starts: int
+) -> "Diagnosis":
+    """Diagnose, and show on the way what is being done.
+
+    **Raises:** as `fitted`.
+    """
+    with progress() as say:
+        say("loading")
+        from ..diagnosis import diagnose
+
+        with _in_one_line():
+            return diagnose(
+                experiment, effects=effects, max_effects=most, starts=starts, progress=say
+            )
+
+
+def models(found: "Diagnosis", title: str = "") -> "list[tuple[str, Fit]]":
+    """The first and the last model of a ladder, each with a heading for the report."""
+    from ..diagnosis.printed import base_name
+
+    fits = [found.base, found.fit] if found.added else [found.fit]
+    return [(": ".join(filter(None, [title, base_name(fit)])), fit) for fit in fits]
+
+
+@contextlib.contextmanager
+def _in_one_line() -> Iterator[None]:
+    """What a fit cannot do, as the complaint that the user reads."""
+    from ..fitting import FitError
+
+    try:
+        yield
+    except FitError as error:
+        raise NoNumbers(str(error)) from None
+    except ValueError as error:
+        raise InputError(str(error)) from None

@@ -35,6 +35,12 @@ Effects = Annotated[
 Starts = Annotated[
     int, typer.Option("--starts", metavar="N", min=1, help="How many starts to fit from.")
 ]
+MaxEffects = Annotated[
+    int,
+    typer.Option(
+        "--max-effects", metavar="N", min=0, help="How many effects to add at most; 0 only names."
+    ),
+]
 Method = Annotated[
     str, typer.Option("--method", metavar="METHOD", help="How to search: levenberg.")
 ]
@@ -67,3 +73,4 @@ NoCache = Annotated[
 
 METHODS = ("levenberg",)
 STARTS = 6
+MAX_EFFECTS = 3

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ..diagnosis import Comparison
+    from ..diagnosis.result import Diagnosis
     from ..fitting.result import Fit
 
 DONE, NO_NUMBERS, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
@@ -165,7 +166,10 @@ class Outputs:
             raise _unwritable("--json", self.json_file, error) from None
 
     def write_report(
-        self, fits: "Sequence[tuple[str, Fit]]", compared: "Comparison | None" = None
+        self,
+        fits: "Sequence[tuple[str, Fit]]",
+        compared: "Comparison | None" = None,
+        diagnosis: "Diagnosis | None" = None,
     ) -> None:
         """Write the report, if it was asked for."""
         if self.report is None:
@@ -174,7 +178,7 @@ class Outputs:
 
         with progress() as say:
             say("writing the report")
-            write_report(self.report, fits, compared)
+            write_report(self.report, fits, compared, diagnosis)
 
 
 def finite(value: Any) -> Any:

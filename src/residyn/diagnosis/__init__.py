@@ -8,3 +8,4 @@ from .missing_torque import MissingTorque as MissingTorque
 from .missing_torque import missing_torque as missing_torque
 from .pipeline import compare as compare
 from .pipeline import compare_fit as compare_fit
+from .result import Diagnosis as Diagnosis

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .result import Candidate, Diagnosis, Rung, Value
 
 _WIDTH = 80
-_LABEL, _PAIR, _CHI2 = 32, 18, 12
+_LABEL, _PAIR, _CHI2 = 36, 16, 12
 _PAIRS = (_WIDTH - _LABEL - _CHI2) // _PAIR
 _LIKELY = 0.001  # probability from which a suspect is worth a line
 _MOST = 8
@@ -44,7 +44,8 @@ def lines(found: "Diagnosis") -> list[str]:
 def rung_name(rung: "Rung") -> str:
     """What joined the model at a rung: "+ gravity"; of the base model, all that it has."""
     if rung.added is not None:
-        return " ".join([f"+ {rung.added}", *(f"- {name}" for name in rung.dropped)])
+        without = f" without {listed(rung.dropped)}" if rung.dropped else ""
+        return f"+ {rung.added}{without}"
     return base_name(rung.fit)
 
 
@@ -119,24 +120,29 @@ def ladder(found: "Diagnosis") -> list[str]:
     out = [f"[[Ladder]]  {head}"]
     if len(joints) > _PAIRS:
         return out + [line for rung in found.ladder for line in _stacked(rung, joints)]
-    width = _PAIR if held is not None else _PAIR // 2
+    width, short, long = (_PAIR, 7, 9) if held is not None else (_PAIR // 2, _PAIR // 2, 0)
     names = "".join(f"{_cut(joint, width - 2):>{width}}" for joint in joints)
     out.append(f"{'':{_LABEL}}{names}{'chi-square':>{_CHI2}}")
-    kinds = f"{'fitted':>8}{'held out':>10}" if held is not None else f"{'fitted':>{width}}"
+    kinds = (
+        f"{'fitted':>{short}}{'held out':>{long}}" if held is not None else f"{'fitted':>{width}}"
+    )
     out.append(f"{'':{_LABEL}}{kinds * len(joints)}{'per reading':>{_CHI2}}")
     for rung in found.ladder:
         *above, name = textwrap.wrap(
             rung_name(rung),
-            _LABEL - 1,
+            _LABEL,
             initial_indent="    ",
             subsequent_indent="      ",
             break_on_hyphens=False,
+            break_long_words=False,
         )
+        if len(name) > _LABEL:
+            above, name = [*above, name], ""
         cells = ""
         for fitted, checked in times_noise(rung):
-            cells += f"{f'{ratio(fitted)} x':>{8 if held is not None else width}}"
+            cells += f"{f'{ratio(fitted)} x':>{short}}"
             if held is not None:
-                cells += f"{'-' if checked is None else f'{ratio(checked)} x':>10}"
+                cells += f"{'-' if checked is None else f'{ratio(checked)} x':>{long}}"
         out += [*above, f"{name:<{_LABEL}}{cells}{plain(rung.fit.reduced_chi2):>{_CHI2}}"]
     return out
 
@@ -165,7 +171,7 @@ def suspects(found: "Diagnosis") -> list[str]:
     for c in shown:
         cells = percent(c.probability), fall(c.chi2_drop_screened), fall(c.chi2_drop_refit)
         name = f"    {c.effect}"
-        if len(name) >= _LABEL:
+        if len(name) > _LABEL:
             out.append(name)
             name = ""
         out.append(f"{name:<{_LABEL}}{''.join(f'{cell:>14}' for cell in cells)}")
@@ -175,7 +181,7 @@ def suspects(found: "Diagnosis") -> list[str]:
             out += _wrapped("        ", ", ".join(numbers)) if numbers else []
     rest = len(found.candidates) - len(shown)
     if rest:
-        out.append(f"    and {rest} more that were screened")
+        out.append(f"    and {rest} more that {'was' if rest == 1 else 'were'} screened")
     return out
 
 

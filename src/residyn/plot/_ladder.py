@@ -46,7 +46,7 @@ def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
     figure = Figure(figsize=(width, high))
     across = width - _AXIS - 0.1
     ax = figure.add_axes((_AXIS / width, foot / high, across / width, _PANEL / high))
-    before, after = (0.72, 0.62) if narrow else (1.95, 0.85)
+    before, after = (0.72, 0.86) if narrow else (1.95, 0.9)
     each = (count - 1) / (across - before - after) or 1.0  # rungs an inch
     end = count - 1 + after * each if count > 1 else across - before
     ax.set_xlim(-before * each, end)

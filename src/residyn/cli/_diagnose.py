@@ -1,0 +1,32 @@
+"""`residyn diagnose`."""
+
+import typer
+
+from . import _options
+from ._experiment import bring, diagnosed, input_files, load, models, title
+from ._shell import DONE, NO_NUMBERS, Outputs, complain, set_up_jax
+
+
+def diagnose(
+    experiment: _options.Experiment,
+    effects: _options.With = None,
+    most: _options.MaxEffects = _options.MAX_EFFECTS,
+    own: _options.Effects = None,
+    starts: _options.Starts = _options.STARTS,
+    json: _options.Json = None,
+    report: _options.Report = None,
+    no_cache: _options.NoCache = False,
+) -> None:
+    """Name the effect that is missing, add it, and see the error fall."""
+    out = Outputs(json, report)
+    set_up_jax(not no_cache)
+    bring(own)
+    loaded = load(experiment)
+    out.spare(input_files(experiment, loaded))
+    found = diagnosed(loaded, effects or [], most, starts)
+    out.words.print(str(found), soft_wrap=True)
+    out.write_json(found.to_dict())
+    if report is not None:
+        out.write_report(models(found, title(experiment)), diagnosis=found)
+        out.words.print(f"report: {report}", soft_wrap=True)
+    raise typer.Exit(DONE if found.fit.converged else complain(found.fit.reason, NO_NUMBERS))
