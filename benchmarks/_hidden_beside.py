@@ -31,7 +31,8 @@ def beside(rows: Sequence[Row], others: Sequence[Row]) -> str:
                     and r["key"] in own
                 ]
                 if some and what != "outside":
-                    known = [r for r in some if all(in_library(x) for x in r["hidden"])]
+                    every = method == "bic"
+                    known = [r for r in some if every or all(map(in_library, r["hidden"]))]
                     cells = [share([by_name(r) for r in each]) for each in (some, known)]
                     cells.append(share([by_name(own[r["key"]]) for r in some]))
                     lines.append([method, what, f"{100 * noise:g} %", *cells])
@@ -45,17 +46,18 @@ def in_library(label: str) -> bool:
 
 
 def settings(rows: Sequence[Row], best: int = 5) -> str:
-    """PySINDy's best settings: mean of the share of effects (of its library) named, and the share
-    of recordings of nothing left alone."""
-    scores: dict[str, dict[str, list[bool]]] = {}
+    """PySINDy's best settings by form and noise: mean of the share of effects (of its library)
+    named, and the share of recordings of nothing left alone."""
+    scores: dict[tuple[str, float], dict[str, dict[str, list[bool]]]] = {}
     for row in rows:
         if "method" in row and all(in_library(x) for x in row["hidden"]):
-            scores.setdefault(row["method"], {}).setdefault(row["what"], []).append(by_name(row))
+            form, _, setting = row["method"].partition(" ")
+            own = scores.setdefault((form, row["noise"]), {}).setdefault(setting, {})
+            own.setdefault(row["what"], []).append(by_name(row))
     lines = []
-    for form in dict.fromkeys(m.split()[0] for m in scores):
-        mine = {m: s for m, s in scores.items() if m.split()[0] == form}
-        order = sorted(mine, key=lambda m: -np.mean([np.mean(x) for x in mine[m].values()]))
+    for (form, noise), own in sorted(scores.items()):
+        order = sorted(own, key=lambda m: -np.mean([np.mean(x) for x in own[m].values()]))
         for m in order[:best]:
-            words = ", ".join(f"{what} {share(x)}" for what, x in mine[m].items())
-            lines.append(f"{m}: {words}")
+            words = ", ".join(f"{what} {share(x)}" for what, x in own[m].items())
+            lines.append(f"{form}, noise {100 * noise:g} %, {m}: {words}")
     return "\n".join(lines)

@@ -10,7 +10,7 @@ written down, and committed, before `residyn.diagnose` existed.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ SEEDS = {"tuning": TUNING, "report": REPORT}
 """A case of index i takes the i-th seed of a list. Frozen."""
 
 NOISE = (0.0025, 0.01, 0.05)
-"""Shares of the motion's rms about its mean."""
+"""Shares of the amplitude: of the largest swings of both joints, in the mean (root of squares)."""
 FAIR = (0.02, 0.1)
 """Strength of each of two effects at once: the share of their torque in the spring's."""
 
@@ -53,11 +53,14 @@ class Spec:
     """What is hidden: nothing, one effect, or two."""
     noise: float
     seed: int
+    of: str = "amplitude"
+    """What the noise is a share of: "rms" (of the motion about its mean, 20 s) is the easier."""
 
     @property
     def key(self) -> str:
         """Its name: the same everywhere."""
-        return f"{self.what}/{'+'.join(self.labels) or '-'}/{self.noise:g}/{self.seed}"
+        of = "" if self.of == "amplitude" else f"/{self.of}"
+        return f"{self.what}/{'+'.join(self.labels) or '-'}/{self.noise:g}/{self.seed}{of}"
 
     def make(self) -> rig.HiddenCase:
         """The recording, and its truth."""
@@ -67,7 +70,12 @@ class Spec:
         if self.what == "pairs":
             strength = float(np.exp(rng.uniform(*np.log(FAIR))))
         (case,) = rig.hidden_cases(rng, self.labels, 1, noise_share=self.noise, strength=strength)
-        return case
+        if self.of == "rms":
+            return case
+        swings = np.abs(case.motion[0]).max(axis=0)
+        noise = self.noise * float(np.sqrt(np.mean(swings**2)))
+        readings = case.truth + noise / case.noise * (case.q - case.truth)
+        return replace(case, q=readings, noise=noise)
 
 
 def specs(
@@ -76,10 +84,12 @@ def specs(
     count: int = 1,
     seeds: str = "tuning",
     only: Sequence[str] = (),
+    of: str = "amplitude",
 ) -> Iterator[Spec]:
     """Cases of every label: `count` of each at each noise ("none" and "pairs" are one label).
 
-    With `only`, the labels (or bare names, for both joints) to keep: a pair needs one of them.
+    With `only`, the labels (or bare names, for both joints) to keep: a pair needs one of them, and
+    "none" has none.
     """
     for seed in SEEDS[seeds][:count]:
         for share in noise:
@@ -87,7 +97,7 @@ def specs(
                 for labels in _labels(kind, seed, share):
                     names = {x for label in labels for x in (label, label.partition(":")[0])}
                     if not only or names & set(only):
-                        yield Spec(kind, labels, share, seed)
+                        yield Spec(kind, labels, share, seed, of)
 
 
 def _labels(what: str, seed: int, noise: float) -> list[tuple[str, ...]]:

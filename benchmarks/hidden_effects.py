@@ -9,7 +9,8 @@ Random arms, releases and strengths; one recording each, 20 s at 100 Hz. Hidden 
 the catalogue at one place (`single`), nothing (`none`), something that no catalogue has (`outside`:
 a ripple in the angle, a burst in time, drag with the fifth power of the rate, a magnet), and two
 effects of different physical kinds at once, 2 to 10 % of the spring's torque each (`pairs`).
-Nothing of the rig shares code with the package. Noise is a share of the motion's rms.
+Nothing of the rig shares code with the package. Noise is a share of the amplitude (of both joints'
+largest swings; `--of rms`: of the motion's rms about its mean, less than half of that).
 
 *Seeds.* `--seeds tuning` is for work on the package, `--seeds report` for the published table. The
 report seeds were written down and committed before `residyn.diagnose` existed, so before anything
@@ -145,6 +146,7 @@ def main() -> None:
         one = commands.add_parser(name)
         one.add_argument("--what", nargs="+", choices=WHAT, default=list(WHAT[:2]))
         one.add_argument("--noise", nargs="+", type=float, default=list(NOISE))
+        one.add_argument("--of", choices=("amplitude", "rms"), default="amplitude")
         one.add_argument("--count", type=int, default=1)
         one.add_argument("--seeds", choices=list(SEEDS), default="tuning")
         one.add_argument("--only", nargs="+", default=[], metavar="LABEL")
@@ -172,7 +174,8 @@ def main() -> None:
         if options.seeds != "tuning":
             parser.error("nothing is tuned on the report seeds")
         work = by_sindy_tuning
-    todo = specs(options.what, options.noise, options.count, options.seeds, options.only)
+    o = options
+    todo = specs(o.what, o.noise, o.count, o.seeds, o.only, o.of)
     work_through(work, list(todo), options.out, options.jobs, options.again)
     if tune:
         from benchmarks._hidden_beside import settings
