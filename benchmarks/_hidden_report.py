@@ -23,7 +23,7 @@ def summary(rows: Sequence[Row]) -> str:
         if not any(here):
             continue
         if what != "none":
-            good = [[r for r in some if r.get("error") != "rig"] for some in here]
+            good = [[r for r in some if r.get("error") in (None, "diagnose")] for some in here]
             cells = [share([not counts(r) for r in some]) for some in good]
             lines.append([f"{what}: the oracle could not tell", *cells])
         for words, ask in questions:

@@ -18,7 +18,10 @@ from typing import Any
 
 import numpy as np
 
+import residyn
 from benchmarks._hidden_cases import Spec, named_row
+from benchmarks.effects import experiment_of
+from residyn.effects import effects_named
 from tests import rig
 
 SURE = 25.0
@@ -29,15 +32,11 @@ ROOM = 60.0
 
 def refit(experiment, effects, start=None):
     """A fit of springs, dampers and `effects`. `start` (a fit nearby) is for quicker ones."""
-    import residyn
-
     return residyn.fit(experiment, effects=list(effects), starts=2)
 
 
 def diagnose(experiment):
     """What the benchmark is about."""
-    import residyn
-
     return residyn.diagnose(experiment)
 
 
@@ -62,8 +61,6 @@ def limit(extra: int) -> float:
 
 def oracle(case: rig.HiddenCase, experiment, labels, base, chi2_truth: float) -> dict[str, Any]:
     """Could anyone tell `labels` (all of them) from `base`? The numbers behind the answer."""
-    from residyn.effects import effects_named
-
     extra = 1
     if labels and labels[0] in rig.NAMES:
         model = base.model
@@ -89,28 +86,28 @@ def run_case(spec: Spec) -> dict[str, Any]:
         "noise": spec.noise,
         "seed": spec.seed,
     }
+    step = "rig"
     try:
         case = spec.make()
+        step = "diagnose"
+        experiment = experiment_of(case)
+        began = time.perf_counter()
+        found = diagnose(experiment)
+        row |= _told(case, found) | {"seconds": time.perf_counter() - began}
+        step = "oracle"
+        began = time.perf_counter()
+        row |= _judged(spec, case, experiment, found.ladder[0].fit, row)
+        return row | {"seconds_oracle": time.perf_counter() - began}
     except Exception:
-        return row | {"error": "rig", "trace": traceback.format_exc()}
-    try:
-        return row | _diagnosed(spec, case)
-    except Exception:
-        return row | {"error": "diagnose", "trace": traceback.format_exc()}
+        return row | {"error": step, "trace": traceback.format_exc()}
 
 
-def _diagnosed(spec: Spec, case: rig.HiddenCase) -> dict[str, Any]:
-    from benchmarks.effects import experiment_of
-
-    experiment = experiment_of(case)
-    began = time.perf_counter()
-    found = diagnose(experiment)
-    seconds = time.perf_counter() - began
+def _told(case: rig.HiddenCase, found) -> dict[str, Any]:
+    """What the diagnosis said, and what it leaves beside what the truth leaves."""
     base, last = found.ladder[0].fit, found.ladder[-1].fit
     off = (case.q - case.truth) / case.noise
-    chi2 = {"truth": float(np.sum(off**2)), "base": chi2_of(base), "last": chi2_of(last)}
     told = found.to_dict()
-    row = {
+    return {
         "values": {k: float(v) for k, v in case.numbers.items()},
         "readings": int(off.size),
         "verdict": told["verdict"],
@@ -121,21 +118,27 @@ def _diagnosed(spec: Spec, case: rig.HiddenCase) -> dict[str, Any]:
             for c in told["candidates"]
         ],
         "ladder": told["ladder"],
-        "chi2": chi2,
+        "chi2": {"truth": float(np.sum(off**2)), "base": chi2_of(base), "last": chi2_of(last)},
         "held_out": _held_out(case, found.ladder),
-        "seconds": seconds,
     }
-    began = time.perf_counter()
-    row["oracle"] = oracle(case, experiment, spec.labels, base, chi2["truth"])
-    if spec.what == "pairs":
-        row["oracle"]["tellable"] &= _both(experiment, spec.labels, base, row)
-    if spec.what == "single" and row["added"][:1] != list(spec.labels) and row["added"]:
-        # Was the wrong name at least as good an account of the readings as the right one?
-        right = row["oracle"]["fitted"] or chi2_of(refit(experiment, spec.labels, base))
-        wrong = chi2_of(refit(experiment, row["added"][:1], base))
-        row["wrong_over_right"] = wrong - min(right, chi2["truth"])
-    row["seconds_oracle"] = time.perf_counter() - began
-    return row
+
+
+def _judged(spec: Spec, case: rig.HiddenCase, experiment, base, row) -> dict[str, Any]:
+    """What the oracle says; of a wrong name, whether it explains the readings as well."""
+    truth, added = row["chi2"]["truth"], row["added"]
+    seen = oracle(case, experiment, spec.labels, base, truth)
+    best = min(truth, seen["fitted"] or np.inf)
+    out: dict[str, Any] = {"oracle": seen}
+    if spec.what == "pairs" and seen["tellable"]:
+        # Each can be told given the other, if neither alone does as well as both.
+        alone = {x: chi2_of(refit(experiment, [x], base)) for x in spec.labels}
+        seen["alone"] = alone
+        seen["tellable"] = all(chi2 - best > seen["limit"] for chi2 in alone.values())
+    if spec.what == "single" and added and added[0] != spec.labels[0]:
+        right = seen["fitted"] or chi2_of(refit(experiment, spec.labels, base))
+        wrong = chi2_of(refit(experiment, added[:1], base))
+        out["wrong_over_right"] = wrong - min(right, truth)
+    return out
 
 
 def _held_out(case: rig.HiddenCase, ladder) -> dict[str, Any] | None:
@@ -158,19 +161,9 @@ def _held_out(case: rig.HiddenCase, ladder) -> dict[str, Any] | None:
     }
 
 
-def _both(experiment, labels, base, row) -> bool:
-    """Whether each of two can be told given the other: neither alone does as well as both."""
-    best = min(row["chi2"]["truth"], row["oracle"]["fitted"] or np.inf)
-    alone = {label: chi2_of(refit(experiment, [label], base)) for label in labels}
-    row["alone"] = alone
-    return all(chi2 - best > row["oracle"]["limit"] for chi2 in alone.values())
-
-
 def bic(spec: Spec) -> dict[str, Any]:
     """The plain rival: fit every effect of the catalogue beside springs and dampers, and take the
     least `chi-square + (numbers) ln (readings)`, the base model included."""
-    from benchmarks.effects import experiment_of
-
     case = spec.make()
     experiment = experiment_of(case)
     began, scores = time.perf_counter(), {}

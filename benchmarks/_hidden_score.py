@@ -28,9 +28,9 @@ def read(paths: Iterable[str | Path]) -> list[Row]:
 
 
 def counts(row: Row) -> bool:
-    """Whether success is asked for: the oracle could tell the case, or the run broke down."""
+    """Whether success is asked for: the oracle could tell it, or the diagnosis broke down."""
     if row.get("error"):
-        return row["error"] != "rig"
+        return row["error"] == "diagnose"
     return row["what"] == "none" or row["oracle"]["tellable"]
 
 
