@@ -10,7 +10,7 @@ from ._style import INK, JOINTS
 
 LINE = 0.155
 """Inches from one line of words to the next."""
-_ALIKE = 0.11  # inches within which two errors are one dot to the eye
+_ALIKE = 1.1  # times: errors that differ by less are one number to the reader
 _BESIDE = 0.12  # inches from a dot to its words
 
 
@@ -23,11 +23,11 @@ def _height(ax: Axes, value: float) -> float:
     return inches * (value - low) / (high - low)
 
 
-def gathered(ax: Axes, values: Sequence[tuple[float, int]]) -> list[tuple[float, str, str]]:
+def gathered(values: Sequence[tuple[float, int]]) -> list[tuple[float, str, str]]:
     """Labels for errors, one for all that lie on each other."""
     groups: list[list[tuple[float, int]]] = []
     for value, joint in sorted((v, j) for v, j in values if math.isfinite(v)):
-        if groups and _height(ax, value) - _height(ax, groups[-1][-1][0]) < _ALIKE:
+        if groups and value < _ALIKE * groups[-1][0][0]:
             groups[-1].append((value, joint))
         else:
             groups.append([(value, joint)])

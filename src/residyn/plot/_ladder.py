@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
-from .._units import plain, ratio
+from .._units import amount, plain, ratio
 from ..diagnosis.printed import at_place, rung_name, times_noise
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.words import listed
@@ -19,12 +19,8 @@ from ._style import BAND, DASHED, FAINT, INK, JOINTS, NARROW, SOFT, WIDE, shorte
 
 _LOG = 4.0  # from this fall on the scale is logarithmic
 _PANEL, _AXIS = 2.2, 0.42  # inches: height of the panel, room for the numbers of its axis
+_STRIP = 0.13  # of the scale lies below the least error: room for the name of the noise
 _ABREAST = 4  # rungs whose names have room under the axis
-_ENDS = {
-    "adequate": "nothing is missing",
-    "missing": "",
-    "unexplained": "no effect of the catalogue\nbrings it down to the noise",
-}
 _Line = tuple[int, bool, list[float]]
 
 
@@ -51,7 +47,7 @@ def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
     end = count - 1 + after * each if count > 1 else across - before
     ax.set_xlim(-before * each, end)
     _scale(ax, [value for _, _, values in lines for value in values])
-    _floor(ax, 0.5 * (count - 1) if count > 1 else 0.5 * end, narrow)
+    _floor(ax, 0.5 * (count - 1) if count > 1 else 0.5 * end, _noise(found), narrow)
     for line in lines:
         _draw(ax, *line)
     ax.set_xticks(range(count), [str(i) for i in range(count)] if beneath else names)
@@ -64,9 +60,9 @@ def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
     )
     beside(ax, 0, -1, _first(ax, lines, joints, narrow))
     if count > 1:
-        beside(ax, count - 1, 1, gathered(ax, [(v[-1], joint) for joint, _, v in lines]))
-    else:
-        end = _ENDS[found.verdict]
+        beside(ax, count - 1, 1, gathered([(v[-1], joint) for joint, _, v in lines]))
+    elif found.verdict == "unexplained":
+        end = "no effect of the catalogue\nbrings it down to the noise"
         ax.text(0.65, 0.6, end, transform=ax.transAxes, ha="center", va="center", color=SOFT)
     if narrow:
         _key(figure, lines, joints)
@@ -133,7 +129,8 @@ def _scale(ax: Axes, values: Sequence[float]) -> None:
     least, most = min(*seen, 1.0), max(*seen, 1.0)
     if most > _LOG * least:
         ax.set_yscale("log")
-        ax.set_ylim(0.62 * least, 1.25 * most)
+        top = 1.25 * most
+        ax.set_ylim(least * (top / least) ** -_STRIP, top)
         ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if most < 300 else (1.0,)))
         ax.yaxis.set_major_formatter(lambda y, _: plain(y, 1))
         ax.yaxis.set_minor_formatter(lambda y, _: "")
@@ -141,13 +138,20 @@ def _scale(ax: Axes, values: Sequence[float]) -> None:
         ax.set_ylim(0, 1.25 * most)
 
 
-def _floor(ax: Axes, x: float, narrow: bool) -> None:
+def _noise(found: Diagnosis) -> str:
+    """The noise of a reading in its own unit: "1.0 mrad", of each joint if they differ."""
+    units = found.fit.experiment.units or (None,) * len(found.fit.joints)
+    each = [amount(float(n), unit, 2) for n, unit in zip(found.fit.noise, units, strict=True)]
+    return listed(list(dict.fromkeys(each)))
+
+
+def _floor(ax: Axes, x: float, size: str, narrow: bool) -> None:
     """The noise: nothing that is right comes to lie far from it."""
     foot = 0.0 if ax.get_yscale() == "linear" else 1e-9
     ax.axhspan(foot, 1.0, color=BAND, alpha=0.55, lw=0, zorder=0)
     ax.axhline(1.0, color=INK, lw=1.0, zorder=1)
     ax.annotate(
-        "the noise" if narrow else "the noise: nothing is left to explain",
+        f"the noise, {size}" + ("" if narrow else ": nothing is left to explain"),
         (x, 1.0),
         xytext=(0, -5),
         textcoords="offset points",
@@ -161,7 +165,7 @@ def _first(
     ax: Axes, lines: Sequence[_Line], joints: Sequence[str], narrow: bool
 ) -> list[tuple[float, str, str]]:
     """What stands beside the first dots."""
-    dots = gathered(ax, [(values[0], joint) for joint, _, values in lines])
+    dots = gathered([(values[0], joint) for joint, _, values in lines])
     if len(dots) == 1 < len(lines):
         value, words, colour = dots[0]
         return [(value, words if narrow else f"all: {words}", colour)]

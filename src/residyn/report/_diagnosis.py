@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from .. import plot
-from .._units import plain, ratio
+from .._units import amount, plain, ratio
 from ..diagnosis import Missing
 from ..diagnosis.missing import summary
 from ..diagnosis.printed import (
@@ -119,14 +119,21 @@ def _remainder(found: Diagnosis) -> str:
 
 
 def _rung(rung: Rung) -> dict[str, Any]:
+    fit, held = rung.fit, rung.held_out
+    units = fit.experiment.units or (None,) * len(fit.joints)
+
+    def cell(j: int, rmse: np.ndarray, times: float | None) -> str:
+        return "" if times is None else f"{amount(float(rmse[j]), units[j])} ({ratio(times)} ×)"
+
+    outside = fit.rmse if held is None else held.held_out.rmse
     errors = [
-        (f"{ratio(fitted)} ×", "" if held is None else f"{ratio(held)} ×")
-        for fitted, held in times_noise(rung)
+        (cell(j, fit.rmse, fitted), cell(j, outside, checked))
+        for j, (fitted, checked) in enumerate(times_noise(rung))
     ]
     return {
         "name": rung_name(rung),
-        "errors": dict(zip(rung.fit.joints, errors, strict=True)),
-        "chi2": plain(rung.fit.reduced_chi2),
+        "errors": dict(zip(fit.joints, errors, strict=True)),
+        "chi2": plain(fit.reduced_chi2),
     }
 
 
