@@ -1,9 +1,12 @@
 """The suspects: how likely each is, and what it takes away."""
 
 import math
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from ..diagnosis.printed import at_place, percent, worth_showing
@@ -48,7 +51,11 @@ def suspects(found: Diagnosis, *, narrow: bool = False) -> Figure:
         [y - 0.16 for y in place], refit, 0.34, color=colours, zorder=2, label="fitted again"
     )
     falls.barh(
-        [y + 0.16 for y in place], screened, 0.11, color=HELD_OUT, zorder=2, label="as screened"
+        [y + 0.16 for y in place],
+        screened,
+        0.11,
+        color=HELD_OUT,
+        zorder=2,
     )
     for y, one, other in zip(place, refit, screened, strict=True):
         if not math.isfinite(one):
@@ -60,7 +67,7 @@ def suspects(found: Diagnosis, *, narrow: bool = False) -> Figure:
     falls.xaxis.set_major_locator(MaxNLocator(3 if narrow else 4))
     falls.xaxis.set_major_formatter(lambda x, _: f"{x:,.0f}".replace(",", "\u202f"))
     if total > 0:
-        falls.axvline(total, color=INK, lw=1.0, ls=DASHED, zorder=3, label="down to the noise")
+        falls.axvline(total, color=INK, lw=1.0, ls=DASHED, zorder=3)
     for ax in (likely, falls):
         rows = [n.replace(" at the", "\nat the") for n in names] if narrow else names
         ax.set_yticks(place, rows)
@@ -68,8 +75,13 @@ def suspects(found: Diagnosis, *, narrow: bool = False) -> Figure:
         ax.set_ylim(len(shown) - 0.4, -0.6)
     if not narrow:
         falls.tick_params(axis="y", labelleft=False)
-    handles, labels = falls.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower right", ncols=1 if narrow else 3)
+    keys: list[Any] = [
+        Patch(color=MODEL, label="fitted again"),
+        Patch(color=HELD_OUT, label="as screened"),
+    ]
+    if total > 0:
+        keys.append(Line2D([], [], color=INK, lw=1.0, ls=DASHED, label="down to the noise"))
+    figure.legend(handles=keys, loc="outside lower right", ncols=1 if narrow else 3)
     return figure
 
 
