@@ -28,12 +28,8 @@ from benchmarks._hidden_cases import Spec, named_row
 from tests import rig
 
 JOINTS = ("shoulder", "elbow")
-LIBRARY = frozenset(
-    "coulomb_friction stribeck_friction quadratic_drag cubic_stiffness asymmetric_stiffness "
-    "asymmetric_damping dead_zone constant_torque stiffness_drift coupling_stiffness "
-    "coupling_damping gravity bearing_drag bearing_quadratic_drag bearing_friction".split()
-)
-"""Effects that the regressions have terms for."""
+ABSENT = ("hysteresis", "brake_slip", "wrist_flexibility", "periodic_disturbance", "inertia_error")
+"""Effects that the regressions have no terms for; nor have they any for what sensors do."""
 
 
 class Setting(NamedTuple):
