@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import BSpline
+from scipy.ndimage import binary_dilation
+from scipy.signal import oaconvolve
 
 from .._input import InputError, inside
 from ..fitting import FitError
@@ -18,12 +20,16 @@ from ..recording import Recording, estimate_noise, wild_samples
 
 _BRAKED = 0.2
 """The most that a braked joint may move, as a share of the driven one's range."""
+_NOISY = 8.0
+"""Sigmas of a reading which its noise alone may span."""
 _FINEST = 1e-4
 """No torque sensor is better than this share of the torque that it reads."""
 _SLOW = 0.05
 """Share of the highest rate below which the direction of sliding counts as not known."""
 _SURE = 4.0
 """Standard errors of the rate which that must be."""
+_SHORTEST = 60
+"""Samples of a test, at least."""
 _ASTRAY = 0.1
 """rad from its pose beyond which a braked joint makes one doubt what its angle is measured from."""
 
@@ -83,11 +89,18 @@ def driven_test(recording: Recording) -> DrivenTest:
         # Torque and angles share their wild instants: a row needs all of them.
         wild = wild_samples(recording.time, recording.angle, recording.noise)
         grid = uniform(recording, wild)
+        if len(grid.q) < _SHORTEST:
+            raise FitError(
+                f"{recording.name}: has {len(grid.q)} samples, at least {_SHORTEST} are needed"
+            )
         size = math.sqrt(float(np.mean(drive**2)))
         torque_noise = float(estimate_noise(recording.time, drive[:, None])[0])
         knot, threshold = _pace(grid, joint, recording)
     rate = smoothed(grid.q[:, joint], knot, grid.dt)[1]
-    clear = np.abs(rate) > threshold
+    # A fast reversal falls between two samples; smoothing blurs how long it lasts.
+    unclear = np.abs(rate) <= threshold
+    unclear[1:] |= rate[1:] * rate[:-1] < 0
+    clear = ~np.asarray(binary_dilation(unclear, iterations=knot), bool)
     clear[: 3 * knot] = clear[len(clear) - 3 * knot :] = False
     return DrivenTest(
         recording,
@@ -117,7 +130,7 @@ def kernel(knot: int, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def smoothed(column: np.ndarray, knot: int, dt: float) -> tuple[np.ndarray, ...]:
     """Angle, rate and acceleration (G,) through one kernel; the ends are held."""
     padded = np.pad(column, 3 * knot, mode="edge")
-    value, rate, acceleration = (np.convolve(padded, k, "valid") for k in kernel(knot, dt))
+    value, rate, acceleration = (oaconvolve(padded, k, "valid") for k in kernel(knot, dt))
     return value, rate, acceleration
 
 
@@ -135,18 +148,20 @@ def _driven_joint(recording: Recording) -> int:
     drive = _drive(recording)
     acted = np.ptp(drive, axis=0) > 0
     low, high = np.nanquantile(recording.angle, [0.001, 0.999], axis=0)
-    moved = high - low
+    moved = np.maximum(high - low - _NOISY * recording.noise, 0.0)
     if not acted.any():
         raise InputError("the drive never changes: nothing was driven")
+    if not moved.any():
+        raise FitError(f"{recording.name}: no joint moves more than its noise, too little to see")
     joint = int(np.argmax(moved))
-    if not acted[joint]:
-        raise InputError(
-            f"u{2 - joint} drives but q{joint + 1} is what moves: are the columns in order?"
-        )
     if moved[1 - joint] > _BRAKED * moved[joint]:
         raise InputError(
             f"both joints move (by {moved[0]:.2g} and {moved[1]:.2g} rad): in a test of step 1 one "
             "is driven and the other braked"
+        )
+    if not acted[joint]:
+        raise InputError(
+            f"u{2 - joint} drives but q{joint + 1} is what moves: are the columns in order?"
         )
     return joint
 
@@ -158,7 +173,7 @@ def _pace(grid: Uniform, joint: int, recording: Recording) -> tuple[int, float]:
     knot, rate, unsure = 2, 0.0, math.inf
     while True:
         first = kernel(knot, grid.dt)[1]
-        rate = float(np.quantile(np.abs(np.convolve(grid.q[:, joint], first, "valid")), 0.98))
+        rate = float(np.quantile(np.abs(oaconvolve(grid.q[:, joint], first, "valid")), 0.98))
         unsure = _SURE * noise * float(np.linalg.norm(first))
         if unsure < _SLOW * rate or knot == widest:
             break

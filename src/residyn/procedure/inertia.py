@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import jax
 import numpy as np
+from scipy.special import chdtrc
 
 from .._input import InputError
 from ..bearings import AirBearing, with_bearings
@@ -19,8 +20,9 @@ from ..fitting import FitError
 from ..mechanism import PlanarArm
 from ..recording import ArmTable, Experiment
 from .driven import DrivenTest, driven_test
+from .ordinary import ordinary
 from .result import InertiaResult, Number, Separation, TestResult
-from .weak import Rows, Solved, ordinary, rows_of, solve
+from .weak import CALIBRATED, Rows, Solved, rows_of, solve
 from .words import problem_with, warnings_for
 
 _ROUNDS = 20
@@ -31,8 +33,10 @@ _LEAST_APART = 1e-3
 def inertia(experiment: Experiment) -> InertiaResult:
     """Find shoulder, elbow and coupling from the recordings with `role = "inertia"`.
 
-    Runs in float64 whatever JAX's setting. The errors hold the noise of angles and torques; those
-    of theta2, of link_lengths and of the torque sensor's scale are not known to it.
+    Runs in float64 whatever JAX's setting. The errors hold the noise of angles and torques. They
+    know nothing of errors in theta2, in link_lengths or in the torque sensor's scale, nor of angles
+    read on the motor's side of a joint of stiffness k, which make inertia I driven at w rad/s look
+    larger by the share I w^2 / k.
 
     **Arguments:**
 
@@ -160,7 +164,9 @@ def _combined(
     values = covariance @ (design.T / std**2) @ composite
     free = len(solved) - 3
     chi2 = float(np.sum(((composite - design @ values) / std) ** 2) / free) if free else None
-    return values, covariance * max(1.0, chi2 or 0.0), chi2
+    if chi2 and chdtrc(free, free * chi2) < CALIBRATED:  # they differ by more than their errors
+        covariance = covariance * chi2
+    return values, covariance, chi2
 
 
 def _separation(

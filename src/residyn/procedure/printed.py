@@ -16,11 +16,11 @@ CLOSE = 20.0
 
 def report_lines(result: "InertiaResult") -> list[str]:
     """Everything but the `[arm]` table."""
-    lines = ["[[Tests]]  Eq. 10, 11; value +/- standard error; in brackets Eq. 12, 13 as they are"]
+    lines = ["[[Tests]]  value +/- standard error [the paper's least squares, Eq. 12, 13]"]
     for test in result.tests:
         lines += _test(test, result.experiment.joints)
     lines += ["[[Eq. 16]]  are the elbow angles far enough apart?", *_apart(result)]
-    lines.append("[[Inertia]]  value +/- standard error (error in %); Eq. 12 to 15 as they are")
+    lines.append("[[Inertia]]  value +/- standard error (error in %) [the paper's, Eq. 12 to 15]")
     names, units = ("shoulder", "elbow", "coupling"), ("kg m^2", "kg m^2", "kg m")
     rows = zip(names, units, result.values, result.std, result.least_squares, strict=True)
     for name, unit, value, std, ordinary in rows:
@@ -55,7 +55,7 @@ def arm_lines(result: "InertiaResult") -> list[str]:
 
 
 def _test(test: "TestResult", joints: tuple[str, ...]) -> list[str]:
-    pose = "" if test.test.joint else f", elbow at {test.test.theta2 + 0.0:.4f} rad"
+    pose = "" if test.test.joint else f", elbow at {round(test.test.theta2, 4) + 0.0:.4f} rad"
     lines = _wrapped("  ", f"{test.name}: {joints[test.test.joint]} driven{pose}")
     names = ("composite inertia", "Coulomb friction", "viscous friction", "offset")
     units = ("kg m^2", "N m", "N m s/rad", "N m")

@@ -9,8 +9,6 @@ Both readings have noise. The residual of a row is then a known linear map of wh
 torque through K, of the angle through I K'' + fv K'. Its covariance S depends on the unknowns, and
 least squares on S^(-1/2) times the residual is the maximum likelihood of the readings with the true
 motion left free: the noise of the acceleration does not pull the inertia down, whatever the kernel.
-Ordinary least squares on the same rows (the paper's way, with derivatives that make sense) is the
-start, and is reported beside it.
 """
 
 import math
@@ -33,7 +31,9 @@ _ONE_WAY = 0.03
 """A smaller share of rows with the other sign cannot tell dry friction from an offset."""
 _BAND = 5
 """Rows ahead with which one shares readings."""
-_CALIBRATED = 1e-3
+_STANDS_OUT = 3.0
+"""Standard errors from zero which an inertia must be."""
+CALIBRATED = 1e-3
 """Probability below which the residual is more than noise, and errors are enlarged."""
 
 
@@ -128,22 +128,18 @@ def _given(test: DrivenTest, l1: float, knot: int, through) -> tuple[np.ndarray,
     return np.stack([0 * coupling, through(2, other), l1 * coupling], axis=1), c
 
 
-def solve(test: DrivenTest, rows: Rows, begin: np.ndarray, arm: np.ndarray | None) -> Solved:
+def solve(test: DrivenTest, rows: Rows, begin: np.ndarray, arm: np.ndarray) -> Solved:
     """Composite inertia and friction of one test, from a start (3,) for its first numbers.
 
-    `arm` is (shoulder, elbow, coupling) for the braked joint's small part, None where it is not
-    known yet.
+    `arm` is (shoulder, elbow, coupling), good enough for the braked joint's small part.
 
     **Raises:** `FitError` if the test does not determine its inertia.
     """
-    torque, columns = rows.torque, rows.columns
-    noise = test.recording.noise
-    still = test.torque_noise**2 * rows.covariance[0]
-    if arm is not None:
-        torque = torque - rows.given @ arm
-        gain = noise[1 - test.joint] * (rows.between @ arm)
-        ahead = np.stack([np.append(gain[d:], gain[:d]) for d in range(_BAND + 1)])
-        still = still + gain * ahead * rows.covariance[2]
+    noise, columns = test.recording.noise, rows.columns
+    torque = rows.torque - rows.given @ arm
+    gain = noise[1 - test.joint] * (rows.between @ arm)
+    ahead = np.stack([np.append(gain[d:], gain[:d]) for d in range(_BAND + 1)])
+    still = test.torque_noise**2 * rows.covariance[0] + gain * ahead * rows.covariance[2]
     moving = noise[test.joint] ** 2 * rows.covariance
 
     def whitened(values: np.ndarray) -> np.ndarray:
@@ -165,7 +161,12 @@ def solve(test: DrivenTest, rows: Rows, begin: np.ndarray, arm: np.ndarray | Non
     factor = np.asarray(np.linalg.qr(found.jac, mode="r"))
     spread = spread_of(factor[np.newaxis], sizes, inflation)
     values = found.x * sizes
-    if not np.isfinite(spread.std[0]) or values[0] < 2 * spread.std[0]:
+    if values[0] < -_STANDS_OUT * spread.std[0]:
+        raise FitError(
+            f"{test.name}: its inertia comes out negative, {values[0]:.3g} kg m^2: "
+            f"u{test.joint + 1} must be positive where it turns q{test.joint + 1} up"
+        )
+    if not np.isfinite(spread.std[0]) or values[0] < _STANDS_OUT * spread.std[0]:
         raise FitError(
             f"{test.name}: the torque of accelerating does not stand out from friction and noise: "
             "drive it faster, or for longer"
@@ -184,7 +185,7 @@ def _inflation(
     lags = max(1, round(1.5 * len(residual) ** (1 / 3)))
     whole = float(residual @ residual)
     together = np.array([residual[d:] @ residual[:-d] for d in range(1, lags + 1)]) / whole
-    if chdtrc(free, whole) > _CALIBRATED and chdtrc(lags, free * together @ together) > _CALIBRATED:
+    if chdtrc(free, whole) > CALIBRATED and chdtrc(lags, free * together @ together) > CALIBRATED:
         return max(1.0, chi2), False
     # The score of the inertia alone, friction taken out.
     rest, inertia = slopes[:, 1:], slopes[:, 0]
@@ -194,33 +195,3 @@ def _inflation(
     for d in range(1, lags + 1):
         total += 2 * (1 - d / (lags + 1)) * float(score[d:] @ score[:-d])
     return max(1.0, chi2, total / max(float(alone @ alone), 1e-300)), True
-
-
-def ordinary(test: DrivenTest) -> tuple[np.ndarray, np.ndarray]:
-    """Eq. 12 and 13 as they stand: acceleration, sign and rate against torque, by least squares.
-
-    All through one kernel, the narrowest that keeps the noise of the acceleration to a hundredth of
-    the acceleration, unless that would smooth away the motion.
-
-    **Returns:** (3,) inertia, Coulomb, viscous; (3,) standard errors.
-    """
-    dt, noise = test.grid.dt, float(test.recording.noise[test.joint])
-    widest = max(2, len(test.rate) // (12 * (test.reversals + 1)))
-    knot = 2
-    while True:
-        pass_ = kernel(knot, dt)
-        a = np.convolve(test.angle, pass_[2], "valid")
-        if noise * np.linalg.norm(pass_[2]) < 0.01 * np.std(a) or knot == widest:
-            break
-        knot = min(math.ceil(1.25 * knot), widest)
-    sign = np.sign(smoothed(test.angle, knot, dt)[1])
-    columns = [a, np.convolve(sign, pass_[0], "valid"), np.convolve(test.angle, pass_[1], "valid")]
-    columns = np.stack(columns, axis=1)
-    torque = np.convolve(test.grid.drive[:, test.joint], pass_[0], "valid")
-    values, *_ = np.linalg.lstsq(columns, torque, rcond=None)
-    # Smoothed rows go together: as many are free as there are kernels beside each other.
-    per_free = 1 / float(pass_[0] @ pass_[0])
-    left = torque - columns @ values
-    variance = float(left @ left) / max(1.0, len(left) / per_free - 3)
-    spread = np.linalg.pinv(columns.T @ columns) * variance
-    return values, np.sqrt(np.diag(spread))

@@ -4,12 +4,14 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import chdtrc
 
 from .._input import InputError
 from .._tables import check_bearings
 from .._units import plain, ratio
 from ..recording import ArmTable
 from .printed import CLOSE
+from .weak import CALIBRATED
 
 if TYPE_CHECKING:
     from .result import InertiaResult, TestResult
@@ -18,8 +20,6 @@ _COARSE = 0.1
 """Relative error beyond which a number is said to be poor."""
 _STRUCTURE = 1.2
 """Reduced chi-square of a test beyond which the equation lacks something."""
-_DISAGREE = 3.0
-"""Reduced chi-square beyond which tests contradict each other."""
 _SURE = 3.0
 """Standard errors that make a difference more than chance."""
 _NAMES = ("shoulder", "elbow", "coupling")
@@ -80,7 +80,8 @@ def _close(result: "InertiaResult") -> Iterable[str]:
 
 def _contradiction(result: "InertiaResult") -> Iterable[str]:
     chi2 = result.reduced_chi2
-    if chi2 is not None and chi2 > _DISAGREE:
+    free = len(result.tests) - 3
+    if chi2 is not None and chdtrc(free, free * chi2) < CALIBRATED:
         yield (
             f"the tests disagree, by {ratio(float(np.sqrt(chi2)))} times their errors: is every "
             "theta2 right, and did nothing change between them? the errors were enlarged for it"
