@@ -97,8 +97,11 @@ def show(name: str, count: int) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("tables", nargs="*", choices=list(TABLES), help="all, if none is named")
+    parser.add_argument("tables", nargs="*", help="all, if none is named")
     parser.add_argument("--count", type=int, default=20, help="seeds of the noise")
     given = parser.parse_args()
+    unknown = [name for name in given.tables if name not in TABLES]
+    if unknown:
+        parser.error(f"there is no table {unknown[0]}; there are {', '.join(TABLES)}")
     for each in given.tables or TABLES:
         show(each, given.count)

@@ -137,7 +137,8 @@ def _inertia(tables: Mapping[str, Any], only_inertia: bool) -> ArmTable | Inerti
             raise InputError(
                 f"{', '.join(arm.missing)} missing: free motion fixes only the ratios of stiffness "
                 "and damping to inertia (Eq. 9), so inertia must be measured first: "
-                '`residyn inertia` finds it from driven recordings with role = "inertia"'
+                '`residyn inertia` finds it from driven recordings with role = "inertia", in a '
+                "file of their own"
             )
         return arm
 

@@ -169,8 +169,8 @@ def _driven_joint(recording: Recording) -> int:
 def _pace(grid: Uniform, joint: int, recording: Recording) -> tuple[int, float]:
     """Knots (samples) of the narrowest kernel that shows the direction of sliding through the
     noise, and the rate (rad/s) beyond which it does."""
-    noise, widest = float(recording.noise[joint]), max(2, len(grid.q) // 30)
-    knot, rate, unsure = 2, 0.0, math.inf
+    noise, widest = float(recording.noise[joint]), max(1, len(grid.q) // 30)
+    knot, rate, unsure = 1, 0.0, math.inf
     while True:
         first = kernel(knot, grid.dt)[1]
         rate = float(np.quantile(np.abs(oaconvolve(grid.q[:, joint], first, "valid")), 0.98))

@@ -66,19 +66,19 @@ class Solved(NamedTuple):
 def rows_of(test: DrivenTest, l1: float) -> Rows:
     """Put kernels on a test; `l1` in m.
 
-    **Raises:** `FitError` if too little of the motion is left between its reversals.
+    **Raises:** `FitError` if too little of the motion is left between its reversals and gaps.
     """
     count, dt = len(test.grid.q), test.grid.dt
-    knot = max(2, round(count / max(_MOST_ROWS, _PER_REVERSAL * (test.reversals + 1))))
+    knot = max(1, round(count / max(_MOST_ROWS, _PER_REVERSAL * (test.reversals + 1))))
     half = 3 * knot
     centre = np.arange(half, count - half, knot)
     unclear = np.concatenate([[0], np.cumsum(~test.clear)])
     centre = centre[unclear[centre + half + 1] == unclear[centre - half]]
     if len(centre) < _LEAST_ROWS:
         raise FitError(
-            f"{test.name}: too little steady sliding between reversals ({len(centre)} usable "
-            f"stretches of {2 * half * dt:.2g} s, at least {_LEAST_ROWS} are needed): record for "
-            "longer, or sample faster"
+            f"{test.name}: too little steady sliding between reversals and lost samples "
+            f"({len(centre)} usable stretches of {2 * half * dt:.2g} s, at least {_LEAST_ROWS} are "
+            "needed): drive more slowly, sample faster, or record for longer"
         )
     kernels = kernel(knot, dt)
     window = centre[:, None] + np.arange(-half, half + 1)
@@ -137,7 +137,9 @@ def solve(test: DrivenTest, rows: Rows, begin: np.ndarray, arm: np.ndarray) -> S
     """
     noise, columns = test.recording.noise, rows.columns
     torque = rows.torque - rows.given @ arm
-    gain = noise[1 - test.joint] * (rows.between @ arm)
+    # An encoder that shows no motion of the braked joint shows no noise either.
+    seen = noise[1 - test.joint] if np.ptp(test.braked) else 0.0
+    gain = seen * (rows.between @ arm)
     ahead = np.stack([np.append(gain[d:], gain[:d]) for d in range(_BAND + 1)])
     still = test.torque_noise**2 * rows.covariance[0] + gain * ahead * rows.covariance[2]
     moving = noise[test.joint] ** 2 * rows.covariance

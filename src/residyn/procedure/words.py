@@ -36,7 +36,7 @@ def problem_with(result: "InertiaResult") -> str | None:
 
 def warnings_for(result: "InertiaResult") -> tuple[str, ...]:
     """All warnings of step 1: the recordings' own, then the result's."""
-    own = [w for t in result.tests for w in (*t.test.recording.warnings, *t.test.warnings)]
+    own = [w for t in result.tests for w in (*_recording(t), *t.test.warnings)]
     return (
         *own,
         *(line for t in result.tests for line in _test(t)),
@@ -47,13 +47,19 @@ def warnings_for(result: "InertiaResult") -> tuple[str, ...]:
     )
 
 
+def _recording(test: "TestResult") -> Iterable[str]:
+    """A braked joint may well stand still: that is no doubt here."""
+    still = f"q{2 - test.test.joint} never moves"
+    return (w for w in test.test.recording.warnings if still not in w)
+
+
 def _test(test: "TestResult") -> Iterable[str]:
     left = float(np.sqrt(test.solved.chi2))
     if test.solved.chi2 > _STRUCTURE and test.solved.enlarged:
         yield (
             f"{test.name}: {ratio(left)} times the noise is left: friction is more than Coulomb "
-            "and viscous, or something else turned the joint; the errors allow for it as if it "
-            "were chance"
+            "and viscous, something else turned the joint, or the noise is not white (the steps of "
+            "an encoder are not); the errors allow for it as if it were chance"
         )
     elif test.solved.enlarged:
         yield f"{test.name}: what is left is not white noise; the errors were enlarged for it"
