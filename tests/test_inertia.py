@@ -284,6 +284,7 @@ def test_eq_16_amplifies_the_error_as_it_says():
         composites = np.array([t.inertia.value for t in result.tests[:2]])
         expected = np.linalg.norm(composites) / (0.8 * apart) / result.coupling.value
         assert result.separation.amplification == pytest.approx(expected, rel=1e-2)
+        assert result.separation.excess == pytest.approx(2 / apart, rel=1e-2)
         assert "Eq. 16" in str(result)
         close = any("elbow angles are close" in w for w in result.warnings)
         assert close == (angle == 0.3)

@@ -177,13 +177,8 @@ def _separation(
     slope, composite = design[shoulder, 2], np.array([s.values[0] for s in solved])[shoulder]
     about = slope - np.mean(slope)
     weights = about / (about @ about)
-
-    def factor(weights: np.ndarray, composite: np.ndarray) -> float:
-        return float(np.linalg.norm(weights * composite) / max(abs(values[2]), 1e-300))
-
-    ends = values[0] + values[1] + 2 * l1 * values[2] * np.array([1.0, -1.0])
     return Separation(
         cosines=tuple(float(x) for x in slope / (2 * l1)),
-        amplification=factor(weights, composite),
-        least=factor(np.full(2, 1 / (4 * l1)), ends),
+        amplification=float(np.linalg.norm(weights * composite) / max(abs(values[2]), 1e-300)),
+        excess=float(np.linalg.norm(weights) * 2 * math.sqrt(2) * l1),
     )

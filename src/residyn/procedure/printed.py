@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from .result import InertiaResult, Number, TestResult
 
 CLOSE = 20.0
-"""Times the least amplification of Eq. 16 from which elbow angles are too close."""
+"""Times the least error of coupling (Eq. 16) from which elbow angles are too close."""
 
 
 def report_lines(result: "InertiaResult") -> list[str]:
@@ -83,8 +83,8 @@ def _apart(result: "InertiaResult") -> list[str]:
     return _wrapped(
         "    ",
         f"{verdict}: cosines {cosines} differ by {apart.span:.3g} (2 at most): 1 % of error "
-        f"in the composite inertias is {plain(apart.amplification, 2)} % in coupling, "
-        f"{ratio(apart.excess)} times what elbow angles of 0 and pi would give.",
+        f"in the composite inertias is {plain(apart.amplification, 2)} % in coupling. Elbow angles "
+        f"of 0 and pi would make it {ratio(apart.excess)} times smaller.",
     )
 
 

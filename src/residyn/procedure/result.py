@@ -35,18 +35,14 @@ class Separation(NamedTuple):
     """Of the elbow's angle in each test with the shoulder driven."""
     amplification: float
     """Relative error of coupling for one relative error in all composite inertias."""
-    least: float
-    """The same for two tests at 0 and pi, the best that there are."""
+    excess: float
+    """Error of coupling for one error in all composite inertias, in units of what two tests at 0
+    and pi, the best that there are, would make of it; 2 / span for two tests."""
 
     @property
     def span(self) -> float:
         """Between the cosines; 2 is all there is."""
         return max(self.cosines) - min(self.cosines)
-
-    @property
-    def excess(self) -> float:
-        """Times the least amplification."""
-        return self.amplification / self.least
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +176,7 @@ class InertiaResult:
                 "cosines": list(apart.cosines),
                 "span": apart.span,
                 "amplification": _finite(apart.amplification),
-                "least_amplification": _finite(apart.least),
+                "excess": apart.excess,
             },
             "reduced_chi2": None if self.reduced_chi2 is None else _finite(self.reduced_chi2),
             "seconds": self.seconds,

@@ -28,9 +28,9 @@ _NAMES = ("shoulder", "elbow", "coupling")
 def problem_with(result: "InertiaResult") -> str | None:
     """Why no real arm has these inertias; None if one has."""
     try:
-        ArmTable(result.link_lengths, *(float(x) for x in result.values))
+        ArmTable(result.link_lengths, *(float(f"{x:.5g}") for x in result.values))
     except InputError as error:
-        return f"what was found is no arm's inertia: {error}"
+        return f"what was found is no arm's inertia (is every theta2 right?): {error}"
     return None
 
 
@@ -75,9 +75,9 @@ def _close(result: "InertiaResult") -> Iterable[str]:
     apart = result.separation
     if apart.excess > CLOSE:
         yield (
-            f"the elbow angles are close (Eq. 16): errors of the composite inertias come out "
-            f"{plain(apart.amplification, 2)} times larger in coupling; record one more test with "
-            "the shoulder driven, the elbow turned further"
+            f"the elbow angles are close (Eq. 16): the error of coupling is {ratio(apart.excess)} "
+            "times what 0 and pi would give; record one more test with the shoulder driven, the "
+            "elbow turned further"
         )
     for name, value, std in zip(_NAMES, result.values, result.std, strict=True):
         if std > _COARSE * abs(value):
