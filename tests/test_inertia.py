@@ -307,6 +307,15 @@ def test_friction_that_is_more_is_said_and_enlarges_the_errors():
     assert result.elbow.std > 3 * plain.elbow.std
 
 
+def test_noise_that_is_overstated_is_said():
+    whole = rigid_experiment(TRUTH, [0.0, 1.5], noise=1e-4)
+    loud = [dataclasses.replace(r, noise=10 * r.noise) for r in whole.recordings]
+    result = residyn.inertia(dataclasses.replace(whole, recordings=tuple(loud)))
+    assert result.values == pytest.approx(TRUTH, rel=1e-2)
+    assert all("noise is overstated" in w for w in result.warnings)
+    assert len(result.warnings) == 3
+
+
 def test_tests_that_contradict_each_other_are_named():
     whole = rigid_experiment(TRUTH, [0.0, 1.0, 2.0])
     wrong = dataclasses.replace(whole.recordings[1], theta2=1.3)

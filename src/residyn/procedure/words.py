@@ -20,6 +20,8 @@ _COARSE = 0.1
 """Relative error beyond which a number is said to be poor."""
 _STRUCTURE = 1.2
 """Reduced chi-square of a test beyond which the equation lacks something."""
+_OVERSTATED = 0.5
+"""And below which its noise must have been."""
 _SURE = 3.0
 """Standard errors that make a difference more than chance."""
 _NAMES = ("shoulder", "elbow", "coupling")
@@ -60,6 +62,11 @@ def _test(test: "TestResult") -> Iterable[str]:
             f"{test.name}: {ratio(left)} times the noise is left: friction is more than Coulomb "
             "and viscous, something else turned the joint, or the noise is not white (the steps of "
             "an encoder are not); the errors allow for it as if it were chance"
+        )
+    elif test.solved.chi2 < _OVERSTATED:
+        yield (
+            f"{test.name}: only {ratio(left)} times the noise is left: noise is overstated, and "
+            "the errors are too large"
         )
     elif test.solved.enlarged:
         yield f"{test.name}: what is left is not white noise; the errors were enlarged for it"
