@@ -4,15 +4,15 @@ from importlib.resources import files
 from pathlib import Path
 
 import residyn
-from residyn.plot import errors
+from residyn.plot import ladder
 
 
 def main() -> None:
-    """Fit the demo's recording twice and draw both errors."""
+    """Diagnose the demo's recording and draw the ladder."""
     experiment = residyn.load(str(files("residyn") / "data/demo/experiment.toml"))
-    fits = [residyn.fit(experiment, effects=e) for e in ([], ["coulomb_friction:elbow"])]
-    figure = errors(fits, ["springs and dampers", "with coulomb_friction:elbow"])
-    figure.savefig(
+    found = residyn.diagnose(experiment)
+    print(found)
+    ladder(found).savefig(
         Path(__file__).parents[1] / "docs/images/errors.svg",
         facecolor="white",
         bbox_inches="tight",

@@ -19,6 +19,7 @@ SETTINGS = (
     "jax_persistent_cache_min_compile_time_secs",
     "jax_persistent_cache_min_entry_size_bytes",
 )
+COMPILING = ("fit", "diagnose", "simulate", "demo")
 CONTRACT = {
     "model",
     "parameters",
@@ -94,7 +95,7 @@ def command(folder, monkeypatch, capsys):
     def run(*words, stdin=None):
         if stdin is not None:
             monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(stdin.encode())))
-        cache = [] if words[:1] not in (("fit",), ("simulate",), ("demo",)) else ["--no-cache"]
+        cache = ["--no-cache"] if words and words[0] in COMPILING else []
         status = main([*words, *cache])
         out, err = capsys.readouterr()
         return SimpleNamespace(status=status, out=out, err=err)
@@ -122,7 +123,10 @@ def test_help_loads_neither_jax_nor_matplotlib():
     assert end.returncode == 0, end.stderr
 
 
-@pytest.mark.parametrize("words", [(), ("--help",), ("-h",), ("fit", "--help"), ("demo", "-h")])
+@pytest.mark.parametrize(
+    "words",
+    [(), ("--help",), ("-h",), ("fit", "--help"), ("diagnose", "--help"), ("demo", "-h")],
+)
 def test_help(command, words):
     end = command(*words)
     assert (end.status, end.err) == (0, "")
@@ -165,6 +169,9 @@ BAD = {
     "both into one": (["fit", "cart.toml", "--report", "x", "--json", "./x"], "same file"),
     "json over input": (["fit", "cart.toml", "--json", "one.csv"], "input"),
     "report over input": (["fit", "cart.toml", "--report", "./cart.toml"], "input"),
+    "less than none": (["diagnose", "cart.toml", "--max-effects", "-1"], "--max-effects"),
+    "no such suspect": (["diagnose", "cart.toml", "--with", "coulomb"], "coulomb_friction"),
+    "diagnose nothing": (["diagnose", "none.toml"], "none.toml"),
     "demo nowhere": (["demo", "--report", "no/such.html"], "no/such.html"),
     "no catalogue entry": (["effects", "coulomb"], "coulomb_friction"),
     "set without value": (
@@ -404,6 +411,7 @@ def test_a_reader_that_leaves_is_no_error():
 
 def test_demo_from_end_to_end(command, folder, monkeypatch):
     from residyn.cli import _options
+    from residyn.demo import HIDDEN
 
     monkeypatch.setattr(_options, "STARTS", 2)  # more find the same numbers, later
     end = command("demo", "--json", "demo.json")
@@ -411,16 +419,21 @@ def test_demo_from_end_to_end(command, folder, monkeypatch):
     assert "residyn-demo.html" in end.out
     assert (folder / "residyn-demo.html").stat().st_size > 100_000
     result = json.loads((folder / "demo.json").read_text())
-    assert result["parameters"]["coulomb_friction:elbow.torque"]["value"] == pytest.approx(
-        0.2, rel=0.02
-    )
-    assert result["reduced_chi2"] < 1.2
-    for said in ("10.9 mrad (11 x)", "(1.0 x)", "held out", "17.5-20.0 s"):
+    assert (result["verdict"], result["added"]) == ("missing", [HIDDEN])
+    found = result["fit"]["parameters"][f"{HIDDEN}.torque"]["value"]
+    assert found == pytest.approx(0.2, rel=0.02)
+    assert result["ladder"][-1]["reduced_chi2"] < 1.2
+    for said in ("11 x", "1.0 x", "held out", "17.5-20.0 s", f"Hidden was: {HIDDEN}. Right."):
         assert said in end.out
 
 
-def test_the_default_number_of_starts_is_the_fits_own():
+def test_the_defaults_are_pythons_own():
+    import inspect
+
     from residyn.cli import _options
+    from residyn.diagnosis import diagnose
     from residyn.fitting import DEFAULT_STARTS
 
     assert _options.STARTS == DEFAULT_STARTS
+    most = inspect.signature(diagnose).parameters["max_effects"].default
+    assert most == _options.MAX_EFFECTS

@@ -1,22 +1,23 @@
 """`residyn demo`."""
 
 import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .._units import amount, ratio
+from .._units import ratio
 from . import _options
-from ._experiment import fitted
+from ._experiment import diagnosed, fitted, models
 from ._shell import NoNumbers, Outputs, progress, set_up_jax
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from .._verdict import JointError
+    from ..diagnosis.result import Diagnosis
     from ..fitting.result import Fit
 
 _REPORT = "residyn-demo.html"
-_TEXT = 88
+_TEXT = 80
 _BAR = 16
 """Letters of the longest bar of the table by time window."""
 
@@ -26,48 +27,59 @@ def demo(
     report: _options.Report = _REPORT,
     no_cache: _options.NoCache = False,
 ) -> None:
-    """A shipped recording with a hidden effect; needs no files."""
+    """A shipped recording with a hidden effect, through the whole loop; needs no files."""
     out = Outputs(json, report or _REPORT)
     set_up_jax(not no_cache)
     with progress() as say:
         say("loading")
-        from .. import _verdict, recording
         from .. import demo as shipped
+        from .. import recording
+        from ..diagnosis import printed
 
         with shipped.experiment_file() as path:
             experiment = recording.load(path)
     words = out.words
-    _opening(words)
+    _say(
+        words,
+        "Two releases of a braked two-joint arm on an air-bearing table, 20 s each at 100 Hz with "
+        "1 mrad of noise: one to fit, one held out. A simulator that is no part of this package "
+        "made them, with something hidden in the arm that is neither a spring nor a damper.\n",
+    )
 
     words.print("1. Springs and dampers alone, the model of the paper\n", style="bold")
     base = fitted(experiment, (), _options.STARTS)
     words.print(str(base), soft_wrap=True)
-    errors = _verdict.joint_errors(base)
     words.print("\nThe curves lie on each other, nearly. But what is left is not noise:\n")
     _windows(words, base)
 
-    words.print(f"2. The same with {shipped.HIDDEN}\n", style="bold")
-    full = fitted(experiment, (shipped.HIDDEN,), _options.STARTS)
-    words.print(str(full), soft_wrap=True)
-    words.print()
+    words.print("2. What is missing?\n", style="bold")
+    found = diagnosed(experiment, (), _options.MAX_EFFECTS, _options.STARTS)
+    _say(words, " ".join(found.words) + "\n")
+    parts = printed.suspects(found), printed.lookalikes(found), printed.next_experiment(found)
+    _lines(words, [line for part in parts for line in part])
 
-    words.print("3. Side by side\n", style="bold")
-    names = ("springs and dampers", f"with {shipped.HIDDEN}")
-    _comparison(words, names, (errors, _verdict.joint_errors(full)))
-    out.write_json(full.to_dict())
-    out.write_report(list(zip(names, (base, full), strict=True)))
+    if found.added:
+        words.print(f"\n3. With {' and '.join(found.added)}\n", style="bold")
+        words.print(str(found.fit), soft_wrap=True)
+
+    words.print("\n4. The error falling\n", style="bold")
+    _lines(words, printed.ladder(found))
+    _answer(words, found, shipped.HIDDEN)
+    out.write_json(found.to_dict())
+    out.write_report(models(found), diagnosis=found)
     words.print(f"\nReport with pictures: {Path(out.report or _REPORT).resolve()}", soft_wrap=True)
-    if not (base.converged and full.converged):
+    if not found.fit.converged:
         raise NoNumbers("the demo's fit did not settle")
 
 
-def _opening(words: "Console") -> None:
-    what = (
-        "Two releases of a braked two-joint arm on an air-bearing table, 20 s each at 100 Hz with "
-        "1 mrad of noise: one to fit, one held out. A simulator that is no part of this package "
-        "made them, with one effect hidden in the elbow that is neither a spring nor a damper."
-    )
-    words.print(textwrap.fill(what, min(words.width, _TEXT)), end="\n\n")
+def _say(words: "Console", text: str) -> None:
+    for paragraph in text.split("\n"):
+        words.print(textwrap.fill(paragraph, min(words.width, _TEXT), break_on_hyphens=False))
+
+
+def _lines(words: "Console", lines: Sequence[str]) -> None:
+    for line in lines:
+        words.print(line, soft_wrap=True)
 
 
 def _windows(words: "Console", fit: "Fit") -> None:
@@ -89,26 +101,8 @@ def _windows(words: "Console", fit: "Fit") -> None:
     words.print("\nNoise alone would leave 1.0 in every window.\n")
 
 
-def _comparison(
-    words: "Console", names: tuple[str, ...], models: "tuple[list[JointError], ...]"
-) -> None:
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("rms residual (x noise)", no_wrap=True)
-    table.add_column("recording", no_wrap=True)
-    for error in models[0]:
-        table.add_column(error.joint, no_wrap=True)
-    for name, errors in zip(names, models, strict=True):
-        fitted = [_cell(e.rmse, e.ratio, e) for e in errors]
-        table.add_row(name, "fitted", *fitted)
-        table.add_row("", "held out", *[_cell(e.check, e.check_ratio, e) for e in errors])
-    noise = [f"{amount(e.noise, e.unit)} (1.0 x)" for e in models[0]]
-    table.add_row("noise of a reading", "", *noise)
-    words.print(table)
-
-
-def _cell(error: float | None, times: float | None, joint: "JointError") -> str:
-    if error is None or times is None:
-        return ""
-    return f"{amount(error, joint.unit)} ({ratio(times)} x)"
+def _answer(words: "Console", found: "Diagnosis", hidden: str) -> None:
+    """What was hidden, beside what was named: nothing above has looked at it."""
+    named = " and ".join(found.added) or "nothing"
+    right = found.added == (hidden,)
+    words.print(f"\nNamed: {named}. Hidden was: {hidden}.{' Right.' if right else ''}")

@@ -3,6 +3,7 @@
 from .comparison import Comparison as Comparison
 from .curves import Curve as Curve
 from .curves import curves as curves
+from .diagnosing import diagnose as diagnose
 from .missing import Missing as Missing
 from .missing_torque import MissingTorque as MissingTorque
 from .missing_torque import missing_torque as missing_torque

@@ -32,6 +32,7 @@ class Near(NamedTuple):
     problem: Problem
     layouts: list[Layout]
     at: Unknowns
+    ready: Ready
 
     @classmethod
     def of(cls, fit: Fit) -> "Near":
@@ -41,11 +42,11 @@ class Near(NamedTuple):
         mechanisms = tuple(mechanism_of(fit.experiment, r) for r in recordings)
         # The step, and with it every shape, was chosen where the fit began.
         begin = fit.model.with_vector(jnp.asarray([n.start for n in fit.numbers]))
-        problem, layouts, _ = Ready(begin, recordings, mechanisms).problem(
-            begin, [r.wild for r in fitted]
-        )
+        ready = Ready(begin, recordings, mechanisms)
+        problem, layouts, _ = ready.problem(begin, [r.wild for r in fitted])
         states = jnp.asarray(np.stack([r.state for r in fitted]))
-        return cls(fit, fitted, problem, layouts, problem.scaled(fit.model.vector(), states))
+        at = problem.scaled(fit.model.vector(), states)
+        return cls(fit, fitted, problem, layouts, at, ready)
 
     @property
     def numbers(self) -> int:
@@ -61,7 +62,7 @@ class Near(NamedTuple):
         problem = reweighted(self.problem, self.layouts, dropped)
         lanes = self.fit.starts  # as many as the fit had, so that its compiled program serves
         start = jax.tree.map(lambda x: jnp.broadcast_to(x, (lanes, *x.shape)), self.at)
-        out = jax.device_get(polish(problem, start, jnp.ones(3)))
+        out = jax.device_get(polish(problem, start, (1.0,)))
         good = bool(out.converged[0]) and bool(np.isfinite(out.cost[0]))
         return jax.tree.map(lambda x: jnp.asarray(x[0]), out.unknowns), good
 

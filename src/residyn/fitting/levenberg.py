@@ -7,17 +7,20 @@ All starts run abreast under `vmap`, in one compiled program; a start that has f
 after the first stretch follows the best one from there, and is not counted as agreeing.
 """
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from .problem import Compressed, Problem, Unknowns, compressed
 
-MAX_STEPS = 40
+_STEPS = 20  # of one call: between calls, the hopeless can be left
+_CALLS = 4
 # Steps end when the whitened residual moves by less than this many sigma, in total ...
 _RESIDUAL_TOLERANCE = 3e-3
 # ... and no unknown by more than this share of its scale.
@@ -87,39 +90,54 @@ def descend(stretch: _Stretch, y: Unknowns):
         args=stretch,
         has_aux=True,
         options={"jac": "fwd"},
-        max_steps=MAX_STEPS,
+        max_steps=_STEPS,
         throw=False,
     )
     done = solution.result == optx.RESULTS.successful
     return solution.value, solution.stats["num_steps"], done, solution.aux
 
 
+def polish(
+    problem: Problem,
+    starts: Unknowns,
+    shares: Sequence[float],
+    hopeless: Callable[[float], bool] = lambda cost: False,
+) -> Polished:
+    """Descend from every start over growing shares (0 to 1) of the recordings.
+
+    `hopeless` is asked, now and then, whether a start that has not yet settled should be left where
+    it is, at this cost.
+    """
+    lost = jnp.zeros(starts.numbers.shape[0], bool)
+    out, taken = None, 0
+    for share in shares:
+        for _ in range(_CALLS):
+            out = _stretch(problem, starts, lost, jnp.asarray(float(share)))
+            starts, lost, taken = out.unknowns, out.lost, taken + out.steps
+            settled = np.asarray(out.converged | lost)
+            if settled.all() or (share == 1.0 and hopeless(float(np.min(out.cost)))):
+                break
+    assert out is not None
+    return out._replace(steps=taken)
+
+
 @eqx.filter_jit
-def polish(problem: Problem, starts: Unknowns, shares: Float[Array, " H"]) -> Polished:
-    """Descend from every start over growing shares (0 to 1) of the recordings."""
+def _stretch(problem: Problem, y: Unknowns, lost, share) -> Polished:
     row = jnp.arange(problem.steps)[:, None, None]
+    only = jnp.ceil(share * problem.steps).astype(int)
+    weights = jnp.where(row < only, problem.recorded.weights, 0.0)
+    stage = _Stretch(eqx.tree_at(lambda p: p.recorded.weights, problem, weights), only)
 
-    def stretch(carry, share):
-        y, lost, taken, _ = carry
-        only = jnp.ceil(share * problem.steps).astype(int)
-        weights = jnp.where(row < only, problem.recorded.weights, 0.0)
-        stage = _Stretch(eqx.tree_at(lambda p: p.recorded.weights, problem, weights), only)
-        y, steps, good, squeezed = jax.vmap(lambda start: descend(stage, start))(y)
-        total = _cost(squeezed)
-        best = jnp.argmin(total)
-        lost = lost | ~(total <= _LOST * total[best])
-        y = jax.tree.map(lambda x: jnp.where(_like(lost, x), x[best][None], x), y)
-        return (y, lost, taken + steps, squeezed), good
+    def one(start):
+        return descend(stage, start)
 
-    none, none_yet = jnp.zeros(starts.numbers.shape[0], bool), jnp.asarray(0)
-    shape = jax.eval_shape(
-        lambda y: jax.vmap(lambda x: compressed(problem, x, none_yet))(y), starts
-    )
-    empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shape)
-    (y, lost, taken, squeezed), good = jax.lax.scan(
-        stretch, (starts, none, jnp.zeros_like(none, int), empty), shares
-    )
-    return Polished(y, _cost(squeezed), taken, good[-1], lost, squeezed)
+    # See `over_recordings`: what dry friction seldom asks for must stay seldom.
+    y, steps, good, squeezed = jax.lax.map(one, y) if problem.model.dry else jax.vmap(one)(y)
+    total = _cost(squeezed)
+    best = jnp.argmin(total)
+    lost = lost | ~(total <= _LOST * total[best])
+    y = jax.tree.map(lambda x: jnp.where(_like(lost, x), x[best][None], x), y)
+    return Polished(y, total, steps, good, lost, squeezed)
 
 
 def _cost(squeezed: Compressed) -> Float[Array, " S"]:

@@ -3,12 +3,9 @@
 Everything numerical lives in the neighbours of this file; here is their order.
 """
 
-import math
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,23 +13,16 @@ import numpy as np
 from ..effects import AbstractEffect
 from ..modal import modes_of
 from ..model import Model
-from ..motion import split
-from ..recording import Experiment, wild_samples
+from ..recording import Experiment
 from ..simulation import compiled_state_matrix
+from .descent import Descent, descend, wild_beside
 from .identify import Spread, spread_of
-from .levenberg import Polished, polish
-from .problem import Compressed, Layout, Problem, Unknowns
-from .result import Fit, FitError, Mode, Number, RecordingFit
-from .setup import Ready, ready, reweighted
+from .result import Fit, Mode, Number, RecordingFit
+from .setup import ready
 from .start import closed_form, perturbed
 from .words import warnings_for
 
 DEFAULT_STARTS = 6
-_FIRST_CYCLES = 3  # of the fastest mode, in the first stretch
-_AGREE = 0.5  # starts that end within this many standard errors of the best one agree with it
-_MOST_WILD = 0.05  # a larger share of readings is not a few wild ones, it is another motion
-_ROUNDS = 3
-_USUAL = 0.5  # of the residual's own size: what a wild reading must exceed, too
 
 
 def fit(
@@ -71,7 +61,7 @@ def _fit(experiment, effects, starts, progress) -> Fit:
     if not experiment.fit_recordings:
         raise ValueError('no recording has role = "fit": there is nothing to fit to')
     here = ready(experiment, experiment.fit_recordings, effects)
-    wild = _wild(here, [r.angle for r in here.recordings])
+    wild = wild_beside(here, [r.angle for r in here.recordings])
 
     progress("finding a start in closed form")
     found = closed_form(here.posed(), here.recordings, wild, here.typical())
@@ -82,12 +72,45 @@ def _fit(experiment, effects, starts, progress) -> Fit:
 
     progress(f"fitting from {starts} start{'s' * (starts > 1)}")
     begin = here.model.with_vector(jnp.asarray(candidates[0]))
-    descent = _descend(here, begin, numbers, wild, progress, memory)
+    descent = descend(here, begin, numbers, wild, progress, memory)
 
     progress("errors, modes and held-out recordings")
     model = here.model.with_vector(descent.problem.numbers(descent.unknowns))
-    fitted = descent.beside(here)
-    unknown = numbers.shape[1] + sum(f.state.size for f in fitted)
+    return finish(experiment, effects, model, np.asarray(candidates[0]), descent, began)
+
+
+def refit(
+    experiment: Experiment,
+    effects: Sequence[str | AbstractEffect],
+    numbers: np.ndarray,
+    states: np.ndarray,
+    wild: Sequence[np.ndarray],
+    hopeless: Callable[[float], bool],
+) -> tuple[Model, Descent]:
+    """Descend from numbers (S, P) and initial states (S, R, s) that are near already, unless that
+    is `hopeless` at some cost.
+
+    Call it in float64. **Raises:** `FitError` if nothing finite comes of them.
+    """
+    here = ready(experiment, experiment.fit_recordings, effects)
+    begin = here.model.with_vector(jnp.asarray(numbers[0]))
+    descent = descend(
+        here, begin, numbers, list(wild), lambda words: None, near=states, hopeless=hopeless
+    )
+    return here.model.with_vector(descent.problem.numbers(descent.unknowns)), descent
+
+
+def finish(
+    experiment: Experiment,
+    effects: Sequence[str | AbstractEffect],
+    model: Model,
+    start: np.ndarray,
+    descent: Descent,
+    began: float,
+) -> Fit:
+    """What a fit returns, from where a descent ended; `start` (P,) is where it began."""
+    fitted = descent.beside(experiment.fit_recordings)
+    unknown = len(start) + sum(f.state.size for f in fitted)
     readings = sum(int(f.used.sum()) for f in fitted)
     chi2 = descent.cost / max(1, readings - unknown)
     # Errors assume that the residual is white noise of the size that was stated; where it is larger
@@ -97,12 +120,12 @@ def _fit(experiment, effects, starts, progress) -> Fit:
     result = Fit(
         experiment=experiment,
         model=model,
-        numbers=_numbers(model, np.asarray(candidates[0]), spread),
+        numbers=_numbers(model, start, spread),
         covariance=spread.covariance,
         recordings=(*fitted, *_held_out(experiment, effects, model, descent)),
         reduced_chi2=chi2,
         modes=_modes(model, spread.covariance),
-        starts=starts,
+        starts=descent.starts,
         agreeing_starts=descent.agreeing,
         converged=descent.converged,
         reason=_reason(descent.converged),
@@ -113,134 +136,8 @@ def _fit(experiment, effects, starts, progress) -> Fit:
     return result.saying(warnings_for(result, spread.open_groups))
 
 
-class _Descent(NamedTuple):
-    """Where the best start ended."""
-
-    problem: Problem
-    layouts: list[Layout]
-    wild: list[np.ndarray]
-    unknowns: Unknowns
-    compressed: Compressed
-    cost: float
-    steps: int
-    converged: bool
-    starts: int
-    agreeing: int
-
-    def beside(self, here: Ready) -> list[RecordingFit]:
-        """Each recording beside the model."""
-        states = np.asarray(self.problem.states(self.unknowns))
-        predicted = _predictions(self.compressed, self.layouts)
-        parts = zip(here.recordings, predicted, self.wild, states, strict=True)
-        return [RecordingFit(*part) for part in parts]
-
-
-def _descend(
-    here: Ready,
-    begin: Model,
-    numbers: np.ndarray,
-    wild: list[np.ndarray],
-    progress: Callable[[str], None],
-    memory: np.ndarray | None = None,
-    like: Problem | None = None,
-) -> _Descent:
-    """Descend from every row of `numbers` (S, P), and of `memory` (S, R, m); set wild readings
-    aside; descend again if there were.
-
-    With `like`, the numbers stay as in `begin`, and that problem's compiled program serves.
-    """
-    problem, layouts, states = here.problem(begin, wild, like)
-    if like is not None:
-        problem = eqx.tree_at(lambda p: p.active, problem, jnp.zeros_like(problem.active))
-    starts = len(numbers)
-    first = np.broadcast_to(states, (starts, *states.shape)).copy()
-    if memory is not None and memory.size:
-        first[..., -memory.shape[-1] :] = memory
-    y = Unknowns(
-        jnp.asarray(numbers) / problem.scale.numbers, jnp.asarray(first) / problem.scale.states
-    )
-    longest = max(r.duration for r in here.recordings)
-    first = min(1.0, _FIRST_CYCLES * 2 * math.pi / here.frequency(begin) / longest)
-    out = jax.device_get(polish(problem, y, jnp.asarray([first, math.sqrt(first), 1.0])))
-    best, agreeing = int(np.argmin(out.cost)), _agreeing(out)
-    steps = int(out.steps[best])
-    at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
-    mirrored = _upright(problem, at)
-    if mirrored is not None:
-        again = jax.tree.map(lambda x: jnp.broadcast_to(x, (starts, *x.shape)), mirrored)
-        out = jax.device_get(polish(problem, again, jnp.ones(3)))
-        best = 0
-        at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
-    for round_ in range(_ROUNDS + 1):
-        if not np.isfinite(out.cost[best]):
-            raise FitError("no start led to finite numbers: is this the arm that was recorded?")
-        predicted = _predictions(squeezed, layouts)
-        pairs = zip(here.recordings, predicted, strict=True)
-        found = _wild(here, [r.angle - p for r, p in pairs], beside=True)
-        found = [new | old for new, old in zip(found, wild, strict=True)]
-        settled = all((f == w).all() for f, w in zip(found, wild, strict=True))
-        if settled or round_ == _ROUNDS or any(f.mean() > _MOST_WILD for f in found):
-            break
-        progress("fitting again without wild readings")
-        wild = found
-        problem = reweighted(problem, layouts, wild)
-        # From the best point, in every lane, so that the compiled program serves again.
-        again = jax.tree.map(lambda x: jnp.broadcast_to(x, (starts, *x.shape)), at)
-        out = jax.device_get(polish(problem, again, jnp.ones(3)))
-        steps, best = steps + int(out.steps[0]), 0
-        at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
-    total, done = float(out.cost[best]), bool(out.converged[best])
-    return _Descent(problem, layouts, wild, at, squeezed, total, steps, done, starts, agreeing)
-
-
-def _upright(problem: Problem, at: Unknowns) -> Unknowns | None:
-    """The same point with all numbers of the sign that people write; None if they have it."""
-    states = np.array(problem.states(at))
-    model, n = problem.model.with_vector(problem.numbers(at)), len(problem.model.mechanism.joints)
-    found = model
-    for state in states:
-        found, memory = model.upright(split(state[2 * n :]))
-        state[2 * n :] = [float(z) for z in memory]
-    if np.array_equal(found.vector(), model.vector()):
-        return None
-    return problem.scaled(found.vector(), jnp.asarray(states))
-
-
-def _wild(here: Ready, readings: Sequence[np.ndarray], beside: bool = False) -> list[np.ndarray]:
-    """Readings far off their neighbours; `beside` the model, also far off the usual residual."""
-    found = []
-    for recording, x in zip(here.recordings, readings, strict=True):
-        noise = recording.noise
-        if beside:  # where the model misses something, the residual has corners of its own
-            noise = np.maximum(noise, _USUAL * 1.4826 * np.nanmedian(np.abs(x), axis=0))
-        found.append(wild_samples(recording.time, x, noise))
-    return found
-
-
-def _row(tree, index: int):
-    return jax.tree.map(lambda x: x[index], tree)
-
-
-def _predictions(squeezed: Compressed, layouts: Sequence[Layout]) -> list[np.ndarray]:
-    pairs = zip(layouts, squeezed.predicted, strict=True)
-    return [layout.take(grid) for layout, grid in pairs]
-
-
-def _agreeing(out: Polished) -> int:
-    """How many starts ended where the best one did, counting it."""
-    best = int(np.argmin(out.cost))
-    off = jax.tree.map(lambda x: x - x[best], out.unknowns)
-    everywhere = np.broadcast_to(
-        off.numbers[:, None], (*off.states.shape[:2], off.numbers.shape[-1])
-    )
-    local = np.concatenate([everywhere, off.states], axis=-1)
-    moved = np.einsum("rij,srj->sri", out.compressed.factor[best], local)
-    distance = np.sqrt(np.sum(moved**2, axis=(1, 2)))
-    return int(np.sum((distance < _AGREE) & ~out.lost))
-
-
 def _held_out(
-    experiment: Experiment, effects, model: Model, descent: _Descent
+    experiment: Experiment, effects, model: Model, descent: Descent
 ) -> list[RecordingFit]:
     """Check recordings beside the fitted model: only their initial states are fitted."""
     group, found = len(descent.layouts), []
@@ -251,9 +148,9 @@ def _held_out(
         filled = [*some, *[some[-1]] * (group - len(some))]
         here = ready(experiment, filled, effects)
         begin = here.model.with_vector(model.vector())
-        wild = _wild(here, [r.angle for r in here.recordings])
-        end = _descend(here, begin, numbers, wild, lambda words: None, like=descent.problem)
-        found += end.beside(here)[: len(some)]
+        wild = wild_beside(here, [r.angle for r in here.recordings])
+        end = descend(here, begin, numbers, wild, lambda words: None, like=descent.problem)
+        found += end.beside(filled)[: len(some)]
     return found
 
 

@@ -9,7 +9,7 @@ same cost, same gradient, same Gauss-Newton matrix. So the optimiser's own algeb
 and its cost does not grow with the number of samples.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -239,7 +239,22 @@ def compressed(problem: Problem, y: Unknowns, only: Scalar | None = None) -> Com
         slope, total = slopes @ flat + known * z, flat @ flat + jnp.sum(known * z**2)
         return Compressed(predicted, *_compress(square, slope, total))
 
-    return jax.vmap(one)(problem.recorded, problem.scale.states, y.states)
+    return over_recordings(one, problem.model)(problem.recorded, problem.scale.states, y.states)
+
+
+def over_recordings(one: Callable, model: Model) -> Callable:
+    """`one`, of one recording, for all of them: abreast, or, where dry friction asks what seldom
+    happens, one after the other, for abreast it would have to be computed every time."""
+
+    def each(*trees):
+        if jax.tree.leaves(trees)[0].shape[0] == 1:
+            found = one(*jax.tree.map(lambda x: x[0], trees))
+            return jax.tree.map(lambda x: x[None], found)
+        if model.dry:
+            return jax.lax.map(lambda x: one(*x), trees)
+        return jax.vmap(one)(*trees)
+
+    return each
 
 
 def _compress(square, slope, total):

@@ -1,0 +1,104 @@
+"""How sure a name is: what speaks for it beside what else it might have been.
+
+Three things can be wrong with a name. Another effect of the catalogue may explain the recording as
+well: their chi-squares say how likely that is, in units of what even the best one leaves, and of
+how many readings that is correlated over. Its numbers may be bought: each costs what it would gain
+from noise. Or what is missing may be in no catalogue at all: then something is left, and no
+certainty among the known names is certainty.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..fitting.result import RecordingFit
+from .ladder import Refit, Step, cost_of, ranked, score
+from .words import SURE
+
+_ALIKE = 12.0  # of chi-square, in its units: closer names are not told apart
+_MOST = 0.88  # probability of any name while something that is not noise is left
+
+
+def correlated(fits: Sequence[RecordingFit]) -> float:
+    """Over how many readings a residual is correlated: 1 for white noise."""
+    longest = 1.0
+    for fit in fits:
+        for j in range(fit.residual.shape[1]):
+            x = np.where(fit.used[:, j], fit.residual[:, j], 0.0)
+            size = len(x)
+            power = np.abs(np.fft.rfft(x, 2 * size)) ** 2
+            r = np.fft.irfft(power)[: size // 4]
+            if r[0] > 0:
+                # Up to where it first crosses zero; ringing beyond is the same cycle again.
+                crosses = np.flatnonzero(r <= 0)
+                stop = crosses[0] if len(crosses) else len(r)
+                longest = max(longest, 1.0 + 2.0 * float(np.sum(r[1:stop])) / float(r[0]))
+    return longest
+
+
+def temper(step: Step) -> float:
+    """By how much chi-squares of a rung are to be divided before they are believed."""
+    best = ranked(step)
+    if not best:
+        return 1.0
+    fits = best[0].descent.beside([r.recording for r in step.near.fitted])
+    return correlated(fits)
+
+
+def chances(steps: Sequence[Step]) -> dict[str, float]:
+    """Probability of every candidate; `steps` from the base model up, the last one being the model
+    that stands."""
+    last = steps[-1]
+    found: dict[str, float] = {}
+    clean = last.white >= SURE
+    for rung, step in enumerate(steps):
+        each = _among(step)
+        follows = steps[rung + 1] if rung + 1 < len(steps) else None
+        for label, share in each.items():
+            sure = _known(step, follows or step, clean, label)
+            if rung == 0 or (follows and follows.effects and follows.effects[-1].label == label):
+                found[label] = share * sure
+    return found
+
+
+def _among(step: Step) -> dict[str, float]:
+    """How a rung's candidates share what there is to share, nobody among them."""
+    unit = temper(step)
+    scores = {r.label: score(step, r) for r in step.refits if r.possible}
+    least = min([*(r.cost for r in step.refits), step.cost])
+    scale = max(1.0, least / step.readings)
+    for s in step.screened:
+        numbers = len(s.states[0]) - step.near.fitted[0].state.size + 1
+        if not any(r.label == s.effect.label for r in step.refits):
+            scores[s.effect.label] = max(s.chi2, least) / scale + numbers * math.log(step.readings)
+    nobody = step.cost / scale
+    best = min([*scores.values(), nobody])
+    weights = {k: math.exp(-0.5 * min(1e3, (x - best) / unit)) for k, x in scores.items()}
+    total = sum(weights.values()) + math.exp(-0.5 * min(1e3, (nobody - best) / unit))
+    impossible = {r.label: 0.0 for r in step.refits if not r.possible}
+    return {**{k: w / total for k, w in weights.items()}, **impossible}
+
+
+def _known(before: Step, after: Step, clean: bool, label: str) -> float:
+    """Probability that it is in the catalogue at all."""
+    if clean:
+        return 1.0
+    refit = next((r.cost for r in before.refits if r.label == label), before.cost)
+    cost = min(refit, cost_of(after.fit)) if after is not before else refit
+    excess = before.cost - before.readings
+    explained = (before.cost - cost) / excess if excess > 0 else 0.0
+    return _MOST * float(np.clip(explained, 0.0, 1.0)) ** 2
+
+
+def alike(step: Step, accepted: str) -> tuple[str, ...]:
+    """The names that a rung's fits cannot tell from the accepted one, which comes first."""
+    unit = temper(step) * max(1.0, min(r.cost for r in step.refits) / step.readings)
+    own = next(r for r in step.refits if r.label == accepted)
+    others = [r for r in _ordered(step) if r.label != accepted]
+    close = [r.label for r in others if r.cost - own.cost < _ALIKE * unit]
+    return (accepted, *close)
+
+
+def _ordered(step: Step) -> list[Refit]:
+    return ranked(step)

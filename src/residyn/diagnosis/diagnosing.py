@@ -1,0 +1,282 @@
+"""From an experiment to the name of what is missing: look, screen, fit, climb, and say how sure."""
+
+import time
+from collections.abc import Callable, Sequence
+
+import jax
+import numpy as np
+
+from .._units import ratio
+from ..effects import AbstractEffect, catalogue
+from ..fitting import DEFAULT_STARTS, Fit, fit
+from ..model import Model
+from ..parameter import parameters_of
+from ..recording import Experiment
+from .chances import alike, chances
+from .comparison import Comparison
+from .horizon import horizon
+from .ladder import Step, accepted, cost_of, needless, ranked, search, stand
+from .missing import Missing, missing_of
+from .next_experiment import advise
+from .result import Candidate, Diagnosis, NextExperiment, Rung, Value, Verdict
+from .words import SURE, chance, listed
+
+MOST_EFFECTS = 3
+"""How many effects the ladder adds unless it is told otherwise."""
+
+_TRIED = 2  # of a rung's candidates that may be the next one
+_SLIGHT = 0.05  # of the residual's size: structure smaller than this does not matter
+
+
+def diagnose(
+    experiment: Experiment,
+    *,
+    effects: Sequence[str | AbstractEffect] = (),
+    max_effects: int = MOST_EFFECTS,
+    starts: int = DEFAULT_STARTS,
+    progress: Callable[[str], None] | None = None,
+) -> Diagnosis:
+    """Which physical effect is missing from springs and dampers, how sure that is, what else it
+    might be, and how far the error falls with it.
+
+    Effects join the model one by one, as long as each is sure and matters, in the readings that
+    were fitted and in those that were not. Runs in float64 whatever JAX's setting.
+
+    **Arguments:**
+
+    - `experiment`: from `residyn.load`, or made of arrays.
+    - `effects`: what is in the model from the start, beside springs and dampers: `name`,
+      `name:joint`, or an effect.
+    - `max_effects`: how many the ladder may add, at least 0.
+    - `starts`: how many starts the first fit tries, at least 1.
+    - `progress`: called with a few words as each phase begins.
+
+    **Returns:** a `Diagnosis`: print it, or `to_dict()`.
+
+    **Raises:** `FitError` if no start led to finite numbers; `ValueError` for an effect that does
+    not exist or does not go with this experiment, or a negative `max_effects`.
+    """
+    if max_effects < 0:
+        raise ValueError(f"max_effects = {max_effects}: it cannot be negative")
+    began, say = time.perf_counter(), progress or (lambda words: None)
+    base = fit(experiment, effects=effects, starts=starts, progress=say)
+    with jax.enable_x64(True):
+        say("looking where the residual is")
+        own = tuple(e for e in base.model.effects if e.name not in ("spring", "damper"))
+        first = stand(base, own)
+        say("following the missing torque")
+        missing = missing_of(base)
+        steps = _climb(experiment, first, missing, max_effects, say)
+        say("weighing the names")
+        return _concluded(experiment, steps, missing, began, say)
+
+
+def candidates_for(model: Model) -> list[AbstractEffect]:
+    """Effects of the catalogue that could be missing from a model, at every place where they can
+    act; those without a number to fit cannot."""
+    found: list[AbstractEffect] = []
+    for kind in catalogue().values():
+        try:
+            places = kind.places(model.mechanism)
+        except ValueError:  # it makes no sense here
+            continue
+        each = [kind(p) for p in places] if places else [kind()]  # pyright: ignore
+        found += [e for e in each if e.label not in model.labels]
+    return [e for e in found if Model(model.mechanism, (e,)).fitted]
+
+
+def _climb(
+    experiment: Experiment,
+    step: Step,
+    missing: Sequence[Missing],
+    max_effects: int,
+    say: Callable[[str], None],
+) -> list[Step]:
+    """The rungs, from the base model up."""
+    candidates, torques = candidates_for(step.fit.model), [m.torque for m in missing]
+    first, steps = len(step.effects), []
+    while True:
+        step = search(step, experiment, torques, candidates, say)
+        steps.append(step)
+        if len(step.effects) - first >= max_effects:
+            return steps
+        for chosen in ranked(step)[:_TRIED]:
+            new = accepted(step, chosen, experiment)
+            if new is not None:
+                break
+        else:
+            return steps
+        say(f"{chosen.label} joins the model")
+        step = needless(new, experiment, first)
+
+
+def _concluded(
+    experiment: Experiment,
+    steps: list[Step],
+    missing: tuple[Missing, ...],
+    began: float,
+    say: Callable[[str], None],
+) -> Diagnosis:
+    first, last = steps[0], steps[-1]
+    rungs = _rungs(steps)
+    kept = [r.added for r in rungs[1:] if r.added in last.fit.model.labels]
+    verdict = _verdict(last, bool(kept))
+    sure = chances(steps)
+    candidates = _candidates(steps, sure)
+    groups, advice = [], None
+    for step, rung in zip(steps, rungs[1:], strict=False):
+        if rung.added not in kept or rung.added is None:
+            continue
+        group = alike(step, rung.added)
+        if len(group) < 2:
+            continue
+        groups.append(group)
+        if advice is None:
+            say("looking for the experiment that would tell them apart")
+            advice = _advice(step, experiment, group)
+    left = missing if last is first else missing_of(last.fit) if verdict == "unexplained" else ()
+    compared = Comparison(last.fit, last.where, last.held_out, horizon(last.near), left)
+    words = _words(verdict, first.fit, last, [(k, sure.get(k, 0.0)) for k in kept], groups)
+    return Diagnosis(
+        verdict=verdict,
+        ladder=rungs,
+        candidates=candidates,
+        lookalikes=tuple(groups),
+        next_experiment=advice,
+        missing=missing,
+        comparison=compared,
+        words=words,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _rungs(steps: Sequence[Step]) -> tuple[Rung, ...]:
+    found, before = [], None
+    for step in steps:
+        labels = [e.label for e in step.effects]
+        added = None if before is None else labels[-1]
+        dropped = tuple(x for x in before or () if x not in labels)
+        found.append(Rung(added, dropped, step.fit, step.held_out, step.white))
+        before = labels
+    return tuple(found)
+
+
+def _verdict(last: Step, added: bool) -> Verdict:
+    """About what is left: noise, or not."""
+    if last.white >= SURE or slight(last):
+        return "missing" if added else "adequate"
+    return "unexplained"
+
+
+def slight(step: Step) -> bool:
+    """Whether what is not noise is so small a part of the residual that it does not matter: all
+    structure taken out, the residual would hardly be smaller."""
+    bands = step.where.frequency
+    freedom = sum(p.whole.freedom for p in bands)
+    energy = sum(p.whole.energy for p in bands)
+    if freedom <= 0 or energy <= 0:
+        return False
+    # Noise is what the quieter half of the bands say it is.
+    levels = sorted((p.whole.energy / p.whole.freedom, p.whole.freedom) for p in bands
+                    if p.whole.freedom > 0)  # fmt: skip
+    count = np.cumsum([f for _, f in levels])
+    floor = levels[int(np.searchsorted(count, 0.5 * count[-1]))][0]
+    beyond = sum(max(0.0, p.whole.energy - floor * p.whole.freedom) for p in bands)
+    return bool(1.0 - np.sqrt(max(0.0, 1.0 - beyond / energy)) < _SLIGHT)
+
+
+def _candidates(steps: Sequence[Step], sure: dict[str, float]) -> tuple[Candidate, ...]:
+    """Everything that was screened beside the base model; numbers as refitted where they were."""
+    first, found = steps[0], []
+    later = {r.label: (s, r) for s in steps[1:] for r in s.refits}
+    before = cost_of(first.fit)
+    refits = {r.label: r for r in first.refits}
+    for s in first.screened:
+        label = s.effect.label
+        refit = refits.get(label)
+        shown = refit or (later[label][1] if label in later and label in sure else None)
+        alone = Model(first.fit.model.mechanism, (s.effect,))
+        values = np.asarray(alone.vector())
+        spread = np.full(len(values), np.nan)
+        if refit is not None:
+            values = np.asarray(refit.model.vector())[-len(values) :]
+            spread = refit.std[-len(values) :]
+        del shown
+        units = first.fit.model.mechanism.units
+        numbers = {
+            n.name: Value(
+                float(x), float(e), n.meaning.dimension.unit(units[n.joint or 0] if units else None)
+            )
+            for n, x, e in zip(alone.fitted, values, spread, strict=True)
+        }
+        found.append(
+            Candidate(
+                label,
+                sure.get(label, 0.0),
+                max(0.0, s.drop),
+                None if refit is None else before - refit.cost,
+                numbers,
+            )
+        )
+
+    def order(c: Candidate):
+        drop = c.chi2_drop_screened if c.chi2_drop_refit is None else c.chi2_drop_refit
+        return (-round(c.probability, 6), c.chi2_drop_refit is None, -drop)
+
+    return tuple(sorted(found, key=order))
+
+
+def _advice(step: Step, experiment: Experiment, group: tuple[str, ...]) -> NextExperiment | None:
+    by_name = {r.label: r for r in step.refits}
+    rivals = [by_name[name] for name in group]
+    kinds = {r.label: {p.name for p in parameters_of(r.effect)} for r in rivals}
+    # A law that contains the other one can always mimic it: no experiment tells, but by its value.
+    others = [r for r in rivals[1:] if not kinds[group[0]] < kinds[r.label]] or rivals[1:]
+    return advise(step, experiment, rivals[0], others[0])
+
+
+def _words(
+    verdict: Verdict,
+    base: Fit,
+    last: Step,
+    kept: Sequence[tuple[str, float]],
+    groups: Sequence[tuple[str, ...]],
+) -> tuple[str, ...]:
+    fit = last.fit
+    worst = int(np.nanargmax(base.rmse / base.noise))
+    joint = fit.joints[worst]
+    before, after = (f.rmse[worst] / f.noise[worst] for f in (base, fit))
+    if verdict == "adequate":
+        if last.white >= SURE:
+            return (
+                "Nothing is missing that these recordings could show: what springs and dampers "
+                f"leave is {ratio(after)} times the noise and white ({chance(last.white)}).",
+            )
+        return (
+            "Nothing is missing that matters: what is left is "
+            f"{ratio(after)} times the noise; it is not quite white ({chance(last.white)}), but "
+            "no effect of the catalogue makes it smaller by as much as a model should.",
+        )
+    names = listed([f"{name} ({100 * p:.0f} %)" for name, p in kept]) if kept else ""
+    fall = f"the error at the {joint} falls from {ratio(before)} to {ratio(after)} times the noise"
+    if verdict == "missing":
+        be = "is" if len(kept) == 1 else "are"
+        words = [
+            f"{names} {be} missing: with {'it' if len(kept) == 1 else 'them'} {fall}, and what "
+            f"is left is no more than noise ({chance(last.white)})."
+        ]
+    elif kept:
+        words = [
+            f"{names} explains part of it: {fall}.",
+            "Something real is left that no effect of the catalogue explains "
+            f"({chance(last.white)}): see the torque that is still missing.",
+        ]
+    else:
+        words = [
+            "Something real is missing that no effect of the catalogue explains: springs and "
+            f"dampers leave {ratio(after)} times the noise at the {joint}, and it is not noise "
+            f"({chance(last.white)}). See the torque that is missing."
+        ]
+    for group in groups:
+        words.append(f"These recordings cannot tell {group[0]} from {listed(list(group[1:]))}.")
+    return tuple(words)

@@ -1,0 +1,161 @@
+"""From starts to where the best one ended, wild readings set aside on the way."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..model import Model
+from ..motion import split
+from ..recording import Recording, wild_samples
+from .levenberg import Polished, polish
+from .problem import Compressed, Layout, Problem, Unknowns
+from .result import FitError, RecordingFit
+from .setup import Ready, reweighted
+
+_FIRST_CYCLES = 3  # of the fastest mode, in the first stretch
+_AGREE = 0.5  # starts that end within this many standard errors of the best one agree with it
+_MOST_WILD = 0.05  # a larger share of readings is not a few wild ones, it is another motion
+_ROUNDS = 3
+_ABSURD = 1e9  # rad or m
+_USUAL = 0.5  # of the residual's own size: what a wild reading must exceed, too
+
+
+class Descent(NamedTuple):
+    """Where the best start ended."""
+
+    problem: Problem
+    layouts: list[Layout]
+    wild: list[np.ndarray]
+    unknowns: Unknowns
+    compressed: Compressed
+    cost: float
+    steps: int
+    converged: bool
+    starts: int
+    agreeing: int
+
+    def beside(self, recordings: Sequence[Recording]) -> list[RecordingFit]:
+        """Each recording beside the model."""
+        states = np.asarray(self.problem.states(self.unknowns))
+        predicted = _predictions(self.compressed, self.layouts)
+        parts = zip(recordings, predicted, self.wild, states, strict=True)
+        return [RecordingFit(*part) for part in parts]
+
+
+def descend(
+    here: Ready,
+    begin: Model,
+    numbers: np.ndarray,
+    wild: list[np.ndarray],
+    progress: Callable[[str], None],
+    memory: np.ndarray | None = None,
+    like: Problem | None = None,
+    near: np.ndarray | None = None,
+    hopeless: Callable[[float], bool] = lambda cost: False,
+) -> Descent:
+    """Descend from every row of `numbers` (S, P), and of `memory` (S, R, m); set wild readings
+    aside; descend again if there were.
+
+    With `like`, the numbers stay as in `begin`, and that problem's compiled program serves. With
+    `near` (S, R, s), initial states which are near enough that no phase can slip, all readings
+    count from the first step on.
+    """
+    problem, layouts, states = here.problem(begin, wild, like)
+    if like is not None:
+        problem = eqx.tree_at(lambda p: p.active, problem, jnp.zeros_like(problem.active))
+    starts = len(numbers)
+    first = np.broadcast_to(states, (starts, *states.shape)).copy()
+    if memory is not None and memory.size:
+        first[..., -memory.shape[-1] :] = memory
+    y = Unknowns(
+        jnp.asarray(numbers) / problem.scale.numbers, jnp.asarray(first) / problem.scale.states
+    )
+    longest = max(r.duration for r in here.recordings)
+    first = min(1.0, _FIRST_CYCLES * 2 * math.pi / here.frequency(begin) / longest)
+    if near is not None:
+        y, first = y._replace(states=jnp.asarray(near) / problem.scale.states), 1.0
+    out = jax.device_get(polish(problem, y, sorted({first, math.sqrt(first), 1.0}), hopeless))
+    best, agreeing = int(np.argmin(out.cost)), _agreeing(out)
+    steps = int(out.steps[best])
+    at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
+    mirrored = _upright(problem, at)
+    if mirrored is not None:
+        again = jax.tree.map(lambda x: jnp.broadcast_to(x, (starts, *x.shape)), mirrored)
+        out = jax.device_get(polish(problem, again, (1.0,)))
+        best = 0
+        at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
+    for round_ in range(_ROUNDS + 1):
+        if not np.isfinite(out.cost[best]):
+            raise FitError("no start led to finite numbers: is this the arm that was recorded?")
+        predicted = _predictions(squeezed, layouts)
+        if not all(np.all(np.abs(p) < _ABSURD) for p in predicted):
+            raise FitError("no start led to a motion that could be: is this the arm recorded?")
+        pairs = zip(here.recordings, predicted, strict=True)
+        found = wild_beside(here, [r.angle - p for r, p in pairs], beside=True)
+        found = [new | old for new, old in zip(found, wild, strict=True)]
+        settled = all((f == w).all() for f, w in zip(found, wild, strict=True))
+        if settled or round_ == _ROUNDS or any(f.mean() > _MOST_WILD for f in found):
+            break
+        progress("fitting again without wild readings")
+        wild = found
+        problem = reweighted(problem, layouts, wild)
+        # From the best point, in every lane, so that the compiled program serves again.
+        again = jax.tree.map(lambda x: jnp.broadcast_to(x, (starts, *x.shape)), at)
+        out = jax.device_get(polish(problem, again, (1.0,)))
+        steps, best = steps + int(out.steps[0]), 0
+        at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
+    total, done = float(out.cost[best]), bool(out.converged[best])
+    return Descent(problem, layouts, wild, at, squeezed, total, steps, done, starts, agreeing)
+
+
+def _upright(problem: Problem, at: Unknowns) -> Unknowns | None:
+    """The same point with all numbers of the sign that people write; None if they have it."""
+    states = np.array(problem.states(at))
+    model, n = problem.model.with_vector(problem.numbers(at)), len(problem.model.mechanism.joints)
+    found = model
+    for state in states:
+        found, memory = model.upright(split(state[2 * n :]))
+        state[2 * n :] = [float(z) for z in memory]
+    if np.array_equal(found.vector(), model.vector()):
+        return None
+    return problem.scaled(found.vector(), jnp.asarray(states))
+
+
+def wild_beside(
+    here: Ready, readings: Sequence[np.ndarray], beside: bool = False
+) -> list[np.ndarray]:
+    """Readings far off their neighbours; `beside` the model, also far off the usual residual."""
+    found = []
+    for recording, x in zip(here.recordings, readings, strict=True):
+        noise = recording.noise
+        if beside:  # where the model misses something, the residual has corners of its own
+            noise = np.maximum(noise, _USUAL * 1.4826 * np.nanmedian(np.abs(x), axis=0))
+        found.append(wild_samples(recording.time, x, noise))
+    return found
+
+
+def _row(tree, index: int):
+    return jax.tree.map(lambda x: x[index], tree)
+
+
+def _predictions(squeezed: Compressed, layouts: Sequence[Layout]) -> list[np.ndarray]:
+    pairs = zip(layouts, squeezed.predicted, strict=True)
+    return [layout.take(grid) for layout, grid in pairs]
+
+
+def _agreeing(out: Polished) -> int:
+    """How many starts ended where the best one did, counting it."""
+    best = int(np.argmin(out.cost))
+    off = jax.tree.map(lambda x: x - x[best], out.unknowns)
+    everywhere = np.broadcast_to(
+        off.numbers[:, None], (*off.states.shape[:2], off.numbers.shape[-1])
+    )
+    local = np.concatenate([everywhere, off.states], axis=-1)
+    moved = np.einsum("rij,srj->sri", out.compressed.factor[best], local)
+    distance = np.sqrt(np.sum(moved**2, axis=(1, 2)))
+    return int(np.sum((distance < _AGREE) & ~out.lost))
