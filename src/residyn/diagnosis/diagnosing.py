@@ -16,7 +16,7 @@ from .chances import alike, chances
 from .comparison import Comparison
 from .horizon import horizon
 from .ladder import Step, accepted, cost_of, needless, ranked, search, stand
-from .missing import Missing, missing_of
+from .missing import Missing, missing_of, with_curves
 from .next_experiment import advise
 from .result import Candidate, Diagnosis, NextExperiment, Rung, Value, Verdict
 from .words import SURE, chance, listed
@@ -25,6 +25,7 @@ MOST_EFFECTS = 3
 """How many effects the ladder adds unless it is told otherwise."""
 
 _TRIED = 2  # of a rung's candidates that may be the next one
+_DRAWN = 2  # suspects that did not join, whose curves are drawn
 _SLIGHT = 0.05  # of the residual's size: structure smaller than this does not matter
 
 
@@ -65,7 +66,7 @@ def diagnose(
         own = tuple(e for e in base.model.effects if e.name not in ("spring", "damper"))
         first = stand(base, own)
         say("following the missing torque")
-        missing = missing_of(base)
+        missing = missing_of(base, ())
         steps = _climb(experiment, first, missing, max_effects, say)
         say("weighing the names")
         return _concluded(experiment, steps, missing, began, say)
@@ -134,6 +135,9 @@ def _concluded(
         if advice is None:
             say("looking for the experiment that would tell them apart")
             advice = _advice(step, experiment, group)
+    shown = [r.effect for step in steps for r in step.refits if r.label in kept]
+    shown += [r.effect for r in ranked(first) if r.label not in kept][:_DRAWN]
+    missing = with_curves(first.fit, missing, shown)
     left = missing if last is first else missing_of(last.fit) if verdict == "unexplained" else ()
     compared = Comparison(last.fit, last.where, last.held_out, horizon(last.near), left)
     words = _words(verdict, first.fit, last, [(k, sure.get(k, 0.0)) for k in kept], groups)
@@ -229,10 +233,10 @@ def _candidates(steps: Sequence[Step], sure: dict[str, float]) -> tuple[Candidat
 def _advice(step: Step, experiment: Experiment, group: tuple[str, ...]) -> NextExperiment | None:
     by_name = {r.label: r for r in step.refits}
     rivals = [by_name[name] for name in group]
-    kinds = {r.label: {p.name for p in parameters_of(r.effect)} for r in rivals}
+    own = {p.name for p in parameters_of(rivals[0].effect)}
     # A law that contains the other one can always mimic it: no experiment tells, but by its value.
-    others = [r for r in rivals[1:] if not kinds[group[0]] < kinds[r.label]] or rivals[1:]
-    return advise(step, experiment, rivals[0], others[0])
+    others = [r for r in rivals[1:] if not own < {p.name for p in parameters_of(r.effect)}]
+    return advise(step, experiment, rivals[0], others[0]) if others else None
 
 
 def _words(

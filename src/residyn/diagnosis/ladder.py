@@ -27,7 +27,7 @@ from .horizon import HeldOut, held_out
 from .linear import Near
 from .missing_torque import MissingTorque
 from .path import Path
-from .screen import Screened, screen
+from .screen import Screened, Tried, glance, screen
 from .where import Where, where
 from .words import SURE
 
@@ -48,6 +48,7 @@ _NEAR = 2.0  # times the noise: a fit as good as this knows the motion
 _HOPELESS = 1.5  # times the best, when it should have settled: not worth the time
 _WEAK = 0.3  # of the screened strength, for the second start
 _PROMISED = 1.5  # times the screened chi-square: a fit that ends worse starts again
+_GLANCE = 0.6  # of what a newcomer must bring: less, and it is not even screened
 _AGAIN = 3  # fits that start again
 THREADS = 2
 
@@ -94,7 +95,9 @@ class Step(NamedTuple):
     white: float
     held_out: HeldOut | None
     effects: tuple[AbstractEffect, ...]
+    slopes: list[np.ndarray]
     alone: float = float("nan")
+    tried: Tried | None = None
     screened: tuple[Screened, ...] = ()
     refits: tuple[Refit, ...] = ()
 
@@ -125,7 +128,7 @@ def stand(fit: Fit, effects: Sequence[AbstractEffect]) -> Step:
     found = where(near, slopes)
     p = [w.p for w in found.white.values() if np.isfinite(w.p)]
     white = float(-np.expm1(len(p) * np.log1p(-min(p)))) if p and min(p) < 1 else 1.0
-    return Step(fit, near, found, white, held_out(near), tuple(effects))
+    return Step(fit, near, found, white, held_out(near), tuple(effects), slopes)
 
 
 def search(
@@ -136,6 +139,14 @@ def search(
     say: Callable[[str], None],
 ) -> Step:
     """Screen all candidates beside a model, and fit those that deserve it."""
+    if step.tried is not None:
+        drops = glance(step.near, step.slopes, step.tried)
+        if not any(
+            drops.get(c.label, 0.0) > _GLANCE * worth(c, step) * max(1.0, step.cost / step.readings)
+            for c in candidates
+            if c.label not in step.fit.model.labels
+        ):
+            return step
     there = set(step.fit.model.labels)
     some = [c for c in candidates if c.label not in there]
     say(f"screening {len(some)} effects")
@@ -146,7 +157,7 @@ def search(
         Path.of(m, step.near.problem.steps, period, None if led else r.predicted)
         for m, r in zip(missing, step.near.fitted, strict=True)
     ]
-    alone, found = screen(step.near, paths, some, led)
+    alone, found, kept = screen(step.near, paths, some, led)
     tried = [s for s in found if s.drop > (0.5 if led else 0.8) * worth(s.effect, step)]
     if tried:
         best, noise = tried[0].chi2, float(step.readings)
@@ -159,7 +170,9 @@ def search(
         each = [pool.submit(_refit, step, experiment, s, best) for s in tried]
         refits = [r for r in (e.result() for e in each) if r is not None]
     refits = _again(step, experiment, refits)
-    return step._replace(alone=alone, screened=tuple(found), refits=tuple(refits))
+    return step._replace(
+        alone=alone, screened=tuple(found), refits=tuple(refits), tried=step.tried or kept
+    )
 
 
 def _again(step: Step, experiment: Experiment, refits: list[Refit]) -> list[Refit]:
@@ -287,7 +300,7 @@ def accepted(step: Step, chosen: Refit, experiment: Experiment) -> Step | None:
         began,
     )
     new = stand(fit, (*step.effects, _silent(chosen.effect)))
-    return new if matters(step, new) else None
+    return new._replace(tried=step.tried) if matters(step, new) else None
 
 
 def needless(step: Step, experiment: Experiment, first: int) -> Step:
@@ -323,7 +336,7 @@ def needless(step: Step, experiment: Experiment, first: int) -> Step:
         if (descent.cost - step.cost) / max(1.0, step.cost / step.readings) < worth(effect, step):
             began = time.perf_counter()
             without = stand(finish(experiment, left, model, numbers, descent, began), left)
-            return needless(without, experiment, first)
+            return needless(without._replace(tried=step.tried), experiment, first)
     return step
 
 

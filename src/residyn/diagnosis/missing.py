@@ -1,10 +1,12 @@
 """The missing torque of a fitted model: of each recording, with the curves that belong over it."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._units import plain
+from ..effects import AbstractEffect
 from ..fitting.problem import posed
 from ..fitting.result import Fit
 from ..fitting.setup import mechanism_of
@@ -62,8 +64,9 @@ class Missing(NamedTuple):
         return words + "A curve that fits is a hint, not a verdict."
 
 
-def missing_of(fit: Fit) -> tuple[Missing, ...]:
-    """The missing torque of every fitted recording of a fit."""
+def missing_of(fit: Fit, effects: Sequence[AbstractEffect] | None = None) -> tuple[Missing, ...]:
+    """The missing torque of every fitted recording of a fit, with the curves of some effects; None:
+    of the whole catalogue."""
     found = []
     for beside in fit.recordings:
         if beside.recording.role == "check":
@@ -78,9 +81,25 @@ def missing_of(fit: Fit) -> tuple[Missing, ...]:
         units = tuple("N" if kind == "m" else "N m" for kind in kinds)
         bare = Missing(beside.recording.name, units, fit.joints, torque, links, ())
         if any(bare.stands_out(joint) for joint in range(len(fit.joints))):
-            bare = bare._replace(curves=tuple(curves(model, torque)))
+            bare = bare._replace(curves=tuple(curves(model, torque, effects)))
         found.append(bare)
     return tuple(found)
+
+
+def with_curves(
+    fit: Fit, found: Sequence[Missing], effects: Sequence[AbstractEffect]
+) -> tuple[Missing, ...]:
+    """The same, with the curves of these effects instead."""
+    fitted = [r.recording for r in fit.recordings if r.recording.role != "check"]
+    drawn = [e for e in effects if not e.senses]
+    return tuple(
+        m._replace(
+            curves=tuple(
+                curves(posed(fit.model, mechanism_of(fit.experiment, recording)), m.torque, drawn)
+            )
+        )
+        for m, recording in zip(found, fitted, strict=True)
+    )
 
 
 def summary(found: tuple[Missing, ...]) -> dict[str, Any] | None:

@@ -22,6 +22,7 @@ import numpy as np
 from ..effects import AbstractEffect
 from ..equation import Piecewise
 from ..fitting.problem import Problem, Unknowns, over_recordings, posed, predict
+from ..fitting.result import RecordingFit
 from ..fitting.setup import Ready
 from ..model import Model
 from ..parameter import parameters_of
@@ -68,14 +69,23 @@ class Answers(NamedTuple):
             yield left, wide[0], states, wide[1]
 
 
+class Tried(NamedTuple):
+    """A screen's answers, kept: they serve a better model as directions to look into."""
+
+    variants: list[Variant]
+    bounds: np.ndarray
+    answers: Answers
+
+
 def screen(
     near: Near, paths: Sequence[Path], candidates: Sequence[AbstractEffect], led: bool = True
-) -> tuple[float, list[Screened]]:
+) -> tuple[float, list[Screened], Tried]:
     """Each candidate beside the model of `near`.
 
     With `led`, the model is led along the paths; without, the paths must be its own.
 
-    **Returns:** chi-square to first order without any, and the candidates, the best first.
+    **Returns:** chi-square to first order without any, the candidates, the best first, and what
+    `glance` needs.
     """
     tried = [v for effect in candidates for v in _variants(near, paths, effect)]
     n = len(near.fit.joints)
@@ -88,13 +98,44 @@ def screen(
     flat = list(itertools.chain(*columns))
     answers = _answers(near, paths, needed if led else None, flat)
     solver = _Solver.of(near, answers)
-    best: dict[str, Screened] = {}
+    best: dict[str, tuple[float, Variant, range, np.ndarray]] = {}
     for variant, first, last in zip(tried, bounds, bounds[1:], strict=False):
-        found = _weigh(near, solver, answers, variant, range(first, last))
+        which = range(first, last)
+        factors, drop = _factors(solver, variant, which)
         label = variant.effect.label
-        if found is not None and (label not in best or found.chi2 < best[label].chi2):
-            best[label] = found
-    return solver.alone, sorted(best.values(), key=lambda s: s.chi2)
+        if np.isfinite(drop) and (label not in best or drop > best[label][0]):
+            best[label] = drop, variant, which, factors
+    found = [_weigh(near, solver, answers, *each) for each in best.values()]
+    kept = Tried(tried, bounds, answers)
+    return solver.alone, sorted(found, key=lambda s: s.chi2), kept
+
+
+def glance(near: Near, slopes: Sequence[np.ndarray], kept: Tried) -> dict[str, float]:
+    """By how much chi-square might fall with each effect, seen from a later model with the answers
+    of an earlier one: cheap, and good enough to see that nothing is left.
+
+    `slopes` are the later model's own, as from `near.look`.
+    """
+    numbers, memories = near.numbers, near.memories()
+    now = Answers([], [], [], kept.answers.columns, kept.answers.begin)
+    rows = zip(near.fitted, near.left(), near.weights(), slopes, strict=True)
+    for r, left, weight, slope in rows:
+        w = weight.reshape(-1, 1)
+        local = np.nan_to_num(slope.reshape(len(w), -1)) * w
+        prior = np.zeros((memories, local.shape[1] - numbers))
+        known = np.zeros(memories)
+        if memories:
+            prior[:, -memories:] = np.eye(memories)
+            known = -(r.state / np.asarray(near.problem.scale.states)[0])[-memories:]
+        now.left.append(np.append((left * weight).reshape(-1), known))
+        now.numbers.append(local[:, :numbers])
+        now.states.append(np.vstack([local[:, numbers:], prior]))
+    solver = _Solver.of(near, now)
+    found: dict[str, float] = {}
+    for variant, first, last in zip(kept.variants, kept.bounds, kept.bounds[1:], strict=False):
+        drop, label = _factors(solver, variant, range(first, last))[1], variant.effect.label
+        found[label] = max(drop, found.get(label, 0.0))
+    return found
 
 
 def _variants(near: Near, paths: Sequence[Path], effect: AbstractEffect) -> list[Variant]:
@@ -123,7 +164,7 @@ def _columns(near: Near, paths: Sequence[Path], variant: Variant) -> list[_Colum
             mechanism = near.ready.mechanisms[r]
             bare, full = Model(mechanism), Model(mechanism, (variant.at(i),))
             if full.senses:
-                readings[r] = _read(full, near.fitted[r].recording.time, path)
+                readings[r] = _read(full, near.fitted[r])
                 continue
             size = len(full.memory)
             begins = [np.full(size, p) for p in variant.phases] or [np.zeros(size)]
@@ -159,11 +200,11 @@ def _holds(paths: Sequence[Path], needed: Sequence[np.ndarray], variant: Variant
     return found
 
 
-def _read(model: Model, time: np.ndarray, path: Path) -> np.ndarray:
-    """(N, n) by how much the readings differ from the angles."""
-    since = time - time[0]
-    q, v = (np.stack([np.interp(since, path.time, c) for c in x.T], axis=1)
-            for x in (path.q, path.v))  # fmt: skip
+def _read(model: Model, fit: RecordingFit) -> np.ndarray:
+    """(N, n) by how much the readings differ from the angles, in the motion as fitted: what sensors
+    do, they do to what the model predicts."""
+    q = fit.predicted
+    v = np.gradient(q, fit.recording.time, axis=0)
     late = np.array([float(d) for d in model.delays])
     return np.asarray(model.reading(jnp.asarray(q))) - q - late * v
 
@@ -319,17 +360,26 @@ def _inverse(square: np.ndarray) -> np.ndarray:
     return inverse / size / size[:, None]
 
 
-def _weigh(
-    near: Near, solver: _Solver, answers: Answers, variant: Variant, which: range
-) -> Screened | None:
-    """A variant's strengths, and what goes with them."""
+def _factors(solver: _Solver, variant: Variant, which: range) -> tuple[np.ndarray, float]:
+    """What a variant's columns count, with the signs that physics allows, and what they bring."""
     signs = {p.field: p.sign for p in parameters_of(variant.effect)}
     free = [signs[f] == "any" for f in variant.strengths]
     held = len(which) - len(free)
-    free = [True] * len(which) if variant.phases else [*free, *[True] * held]
-    factors, drop = solver.solve(list(which), free)
-    if not np.isfinite(drop):
-        return None
+    return solver.solve(
+        list(which), [True] * len(which) if variant.phases else [*free, *[True] * held]
+    )
+
+
+def _weigh(
+    near: Near,
+    solver: _Solver,
+    answers: Answers,
+    drop: float,
+    variant: Variant,
+    which: range,
+    factors: np.ndarray,
+) -> Screened:
+    """A variant's strengths, and what goes with them."""
     own = len(variant.effect.memory)
     memory = np.zeros((len(answers.left), own))
     if variant.phases:
