@@ -58,7 +58,9 @@ if TYPE_CHECKING:
     from .parameter import Memory as Memory
     from .parameter import param as param
     from .procedure import InertiaResult as InertiaResult
+    from .procedure import Unloading as Unloading
     from .procedure import inertia as inertia
+    from .procedure import unload as unload
     from .recording import Experiment as Experiment
     from .recording import InputError as InputError
     from .recording import Recording as Recording
@@ -111,7 +113,7 @@ _PUBLIC = {
     "motion": ("Motion",),
     "nodes": ("Trajectory",),
     "parameter": ("Memory", "param"),
-    "procedure": ("InertiaResult", "inertia"),
+    "procedure": ("InertiaResult", "Unloading", "inertia", "unload"),
     "recording": ("Experiment", "InputError", "Recording", "load"),
     "simulation": ("Drive", "simulate", "steps_for"),
 }

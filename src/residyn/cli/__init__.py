@@ -1,4 +1,4 @@
-"""The command: `residyn fit`, `compare`, `diagnose`, `inertia`, `simulate`, `effects`, `demo`.
+"""The commands of `residyn`, one file each.
 
 Nothing here computes. Each command reads what the user gave, calls the same functions that a
 notebook would, and prints. Two promises shape these files: asking for help is instant, so JAX and
@@ -8,7 +8,7 @@ line that says what would be right, never a traceback (`_shell`).
 
 import typer
 
-from . import _compare, _demo, _diagnose, _effects, _fit, _inertia, _simulate
+from . import _compare, _demo, _diagnose, _effects, _fit, _inertia, _simulate, _unload
 from ._shell import run
 
 app = typer.Typer(
@@ -41,6 +41,7 @@ app.command("fit")(_fit.fit)
 app.command("compare")(_compare.compare)
 app.command("diagnose")(_diagnose.diagnose)
 app.command("inertia")(_inertia.inertia)
+app.command("unload")(_unload.unload)
 app.command("simulate")(_simulate.simulate)
 app.command("effects")(_effects.effects)
 app.command("demo")(_demo.demo)

@@ -11,6 +11,7 @@ from ._shell import NoNumbers, progress
 if TYPE_CHECKING:
     from ..diagnosis.result import Diagnosis
     from ..fitting.result import Fit
+    from ..procedure import Unloading
     from ..recording import Experiment
 
 
@@ -80,6 +81,26 @@ def diagnosed(
         with _in_one_line():
             return diagnose(
                 experiment, effects=effects, max_effects=most, starts=starts, progress=say
+            )
+
+
+def unloaded(
+    experiment: "Experiment",
+    effects: Sequence[str],
+    starts: int,
+    inertia_std: Sequence[float] | None,
+) -> "Unloading":
+    """Take the bearings off, and show on the way what is being done.
+
+    **Raises:** as `fitted`.
+    """
+    with progress() as say:
+        say("loading")
+        from ..procedure import unload
+
+        with _in_one_line():
+            return unload(
+                experiment, effects=effects, starts=starts, inertia_std=inertia_std, progress=say
             )
 
 

@@ -1,4 +1,6 @@
-"""The paper's procedure around the fit: inertia from driven tests (step 1)."""
+"""The paper's procedure around the fit: inertias first (step 1), orbit last (step 3)."""
 
 from .inertia import inertia as inertia
 from .result import InertiaResult as InertiaResult
+from .unloaded import Unloading as Unloading
+from .unloading import unload as unload

@@ -1,0 +1,66 @@
+"""`residyn unload`."""
+
+from typing import Annotated
+
+import typer
+
+from .._input import InputError
+from . import _options
+from ._experiment import bring, input_files, load, unloaded
+from ._shell import DONE, NO_NUMBERS, Outputs, complain, set_up_jax
+
+_InertiaStd = Annotated[
+    str | None,
+    typer.Option(
+        "--inertia-std",
+        metavar="A,B,C",
+        help="Standard errors of shoulder, elbow (kg m^2) and coupling (kg m) from step 1, to "
+        'carry over. Recordings with role = "inertia" give them too.',
+        show_default=False,
+    ),
+]
+
+
+def unload(
+    experiment: _options.Experiment,
+    effects: _options.With = None,
+    own: _options.Effects = None,
+    starts: _options.Starts = _options.STARTS,
+    inertia_std: _InertiaStd = None,
+    json: _options.Json = None,
+    no_cache: _options.NoCache = False,
+) -> None:
+    """Take the air bearings off, drag and friction too: how the arm rings in orbit."""
+    out = Outputs(json, None)
+    std = _three(inertia_std)
+    set_up_jax(not no_cache)
+    bring(own)
+    loaded = load(experiment)
+    out.spare(input_files(experiment, loaded))
+    try:
+        found = unloaded(loaded, effects or [], starts, std)
+    except InputError as error:
+        raise InputError(f"{experiment}: {error}") from None
+    out.words.print(f"{found.fit}\n{found}", soft_wrap=True)
+    out.write_json(found.to_dict())
+    fit = found.fit
+    raise typer.Exit(DONE if fit.converged else complain(fit.reason, NO_NUMBERS))
+
+
+def _three(words: str | None) -> list[float] | None:
+    """Three numbers separated by commas.
+
+    **Raises:** `InputError`.
+    """
+    if words is None:
+        return None
+    try:
+        found = [float(part) for part in words.split(",")]
+    except ValueError:
+        found = []
+    if len(found) != 3 or not all(0 <= x < float("inf") for x in found):
+        raise InputError(
+            f"--inertia-std {words}: must be three numbers from 0 up, separated by commas, for "
+            "shoulder, elbow (kg m^2) and coupling (kg m)"
+        )
+    return found

@@ -1,0 +1,159 @@
+"""Errors of steps 1 and 2, carried to the modes.
+
+The modes are a function of the fitted numbers and of the three inertias. The numbers themselves
+were fitted with those inertias taken for true, so an error there moves them as well (Eq. 9: all of
+them in proportion, if the inertias are wrong in proportion). The implicit function theorem says by
+how much: at the best fit J'r = 0, so with A = J'J, d(numbers)/d(inertias) = -A_nn^-1 A_nI.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..effects import AbstractEffect
+from ..fitting import Fit, Mode
+from ..fitting.identify import information
+from ..fitting.problem import Problem, Recorded, predict, whiten
+from ..fitting.setup import ready
+from ..mechanism import AbstractMechanism, PlanarArm
+from ..modal import modes
+from ..model import Model
+
+NAMES = ("shoulder", "elbow", "coupling")
+_BLIND = 1e-10
+"""Eigenvalue of A with unit columns below which the recordings do not see a combination."""
+_MATTERS = 1e-3
+"""Share of a quantity by which a combination that is not seen may move it."""
+
+
+class Carried(NamedTuple):
+    """What the numbers (P,) and the inertias (3,) do not know."""
+
+    numbers: np.ndarray
+    """(P, P) covariance of the numbers where the recordings see them."""
+    unseen: np.ndarray
+    """(B, P) combinations that the recordings do not see, as large as the numbers themselves."""
+    inertia: np.ndarray
+    """(3, 3) covariance of shoulder, elbow (kg m^2) and coupling (kg m) from step 1."""
+    moved: np.ndarray
+    """(P, 3) d(numbers)/d(inertias)."""
+
+    def std(self, value: float, by_number: np.ndarray, by_inertia: np.ndarray) -> float:
+        """Standard error of a quantity with these slopes; inf where the recordings leave it open.
+
+        `by_inertia` is its slope with the numbers held.
+        """
+        open_to = float(np.linalg.norm(self.unseen @ by_number))
+        if open_to > _MATTERS * abs(value):
+            return math.inf
+        whole = by_inertia + by_number @ self.moved
+        seen = by_number @ self.numbers @ by_number + whole @ self.inertia @ whole
+        return float(np.sqrt(seen + open_to**2))
+
+
+def carried(
+    fit: Fit, effects: Sequence[str | AbstractEffect], inertia: np.ndarray | None
+) -> Carried:
+    """The errors of a fit and of the inertias (3, 3) behind it; None: they are exact."""
+    count = len(fit.numbers)
+    if inertia is None and np.isfinite(fit.covariance).all():
+        # Nothing to be known beyond what the fit says already.
+        nothing = np.zeros((0, count)), np.zeros((3, 3)), np.zeros((count, 3))
+        return Carried(fit.covariance, *nothing)
+    square, values = _information(fit, effects), np.array([n.value for n in fit.numbers])
+    own, cross = square[:count, :count], square[:count, count:]
+    diagonal = np.diag(own)
+    size = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    found, vectors = np.linalg.eigh(own * size * size[:, None])
+    seen, part = found > _BLIND, vectors * size[:, None]
+    inverse = (part[:, seen] / found[seen]) @ part[:, seen].T
+    # A combination that moves no number by more than its own size.
+    blind = (part / np.max(np.abs(part / np.maximum(np.abs(values), 1e-12)[:, None]), axis=0)).T
+    return Carried(
+        numbers=max(1.0, fit.reduced_chi2) * inverse,
+        unseen=blind[~seen],
+        inertia=np.zeros((3, 3)) if inertia is None else inertia,
+        moved=-inverse @ cross,
+    )
+
+
+def _information(fit: Fit, effects: Sequence[str | AbstractEffect]) -> np.ndarray:
+    """(P + 3, P + 3) J'J at the best fit, of the numbers and the inertias, with the recordings'
+    initial states taken out."""
+    fitted = [f for f in fit.recordings if f.recording.role == "fit"]
+    here = ready(fit.experiment, [f.recording for f in fitted], effects)
+    problem, _, _ = here.problem(fit.model, [f.wild for f in fitted])
+    numbers, factors = fit.model.vector(), []
+    for i, beside in enumerate(fitted):
+        one = jax.tree.map(lambda x, i=i: x[i], problem.recorded)
+        slopes = np.asarray(_slopes(problem, one, numbers, jnp.asarray(beside.state)))
+        # Memory at the first sample is known to its typical size: a reading like any other.
+        memory = len(beside.state) - 2 * len(fit.joints)
+        known = np.zeros((memory, slopes.shape[1]))
+        if memory:
+            known[:, -memory:] = np.diag(1 / np.asarray(problem.scale.states[i, -memory:]))
+        factors.append(np.linalg.qr(np.vstack([slopes, known]), mode="r"))
+    return information(np.array(factors), len(numbers) + len(NAMES))
+
+
+@eqx.filter_jit
+def _slopes(problem: Problem, one: Recorded, numbers, state):
+    """(N, P + 3 + s) derivatives of one recording's whitened residual."""
+
+    def residual(z):
+        count = len(numbers)
+        mechanism = with_inertias(one.mechanism, lambda was: was + z[count : count + 3])
+        moved = eqx.tree_at(lambda r: r.mechanism, one, mechanism)
+        predicted = predict(problem, moved, z[:count], z[count + 3 :])
+        return whiten(one, predicted).reshape(-1)
+
+    z = jnp.concatenate([numbers, jnp.zeros(3), state])
+    return jax.vmap(lambda e: jax.jvp(residual, (z,), (e,))[1], out_axes=1)(jnp.eye(len(z)))
+
+
+def inertias(mechanism: AbstractMechanism) -> jax.Array:
+    """(3,) shoulder, elbow, coupling of an arm."""
+    assert isinstance(mechanism, PlanarArm)
+    return jnp.stack([mechanism.shoulder, mechanism.elbow, mechanism.coupling])
+
+
+def with_inertias(mechanism: AbstractMechanism, change: Callable) -> AbstractMechanism:
+    """The arm with its three inertias (3,) changed."""
+    now = change(inertias(mechanism))
+    return eqx.tree_at(lambda a: (a.shoulder, a.elbow, a.coupling), mechanism, tuple(now))
+
+
+def modes_with_errors(model: Model, fitted: Model, errors: Carried) -> tuple[Mode, ...]:
+    """The modes that ring, lowest first; `errors` are those of the model `fitted`, of which `model`
+    may lack some effects."""
+    names = [n.name for n in fitted.fitted]
+    kept = [names.index(n.name) for n in model.fitted]
+    values, by_number, by_inertia = map(np.asarray, _modes_and_slopes(model))
+    slopes = np.zeros((*values.shape, len(names)))
+    slopes[..., kept] = by_number
+    found = []
+    for i, (frequency, damping) in enumerate(values.T):
+        if frequency > 0 and abs(damping) < 1 - 1e-9:
+            spread = [
+                errors.std(float(values[j, i]), slopes[j, i], by_inertia[j, i]) for j in (0, 1)
+            ]
+            found.append(Mode(float(frequency), spread[0], float(damping), spread[1]))
+    return tuple(found)
+
+
+@eqx.filter_jit
+def _modes_and_slopes(model: Model):
+    """(2, n) frequencies and damping ratios, and their slopes (2, n, P) and (2, n, 3)."""
+
+    def rings(numbers, added):
+        mechanism = with_inertias(model.mechanism, lambda was: was + added)
+        moved = eqx.tree_at(lambda m: m.mechanism, model.with_vector(numbers), mechanism)
+        return jnp.stack(modes(moved))
+
+    numbers, added = model.vector(), jnp.zeros(3)
+    return rings(numbers, added), *jax.jacfwd(rings, argnums=(0, 1))(numbers, added)

@@ -1,0 +1,109 @@
+"""What step 3 cannot know: drag of the bearings that looks like damping of the joints.
+
+Viscous drag of a bearing on the elbow is exactly a damper at the shoulder. That of one on the wrist
+is a damping matrix with off-diagonal terms, which turns with the elbow angle and leaves with the
+bearing: recordings at other elbow angles, or without the bearings, tell it from the joints'.
+"""
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .._units import plain
+from ..fitting.result import STRONG
+
+if TYPE_CHECKING:
+    from .unloaded import Unloading
+
+_POOR = 0.05
+"""Relative error of a predicted damping ratio beyond which it is said to be poor."""
+_SAME = 0.02
+"""Elbow angles whose cosines are closer than this are one."""
+
+
+def doubts_about(found: "Unloading") -> tuple[str, ...]:
+    """What a careful person would want to be told about step 3, one line each."""
+    return (*_unnamed(found), *_not_told_apart(found), *_checks(found))
+
+
+def what_would_tell(found: "Unloading") -> str:
+    """Which recordings would tell the bearings' drag from the joints' damping."""
+    fitted, bearings = found.fit.experiment.fit_recordings, found.fit.experiment.bearings
+    wanted, why = [], ""
+    if all(r.air_bearings for r in fitted):
+        wanted.append("a recording without bearings (air_bearings = false), fitted with the others")
+    cosines = [np.cos(r.theta2) for r in fitted if r.air_bearings]
+    if not any(b.joint == "wrist" for b in bearings):
+        why = (
+            " (another elbow angle would not: drag of a bearing on the elbow is exactly a damper "
+            "at the shoulder)"
+        )
+    elif np.ptp(cosines) < _SAME:
+        wanted.append("recordings at another elbow angle (theta2) too")
+    if not wanted:
+        wanted.append(
+            "more recordings, with less noise or at elbow angles further apart"
+            if not why
+            else "longer or less noisy recordings without bearings"
+        )
+    return f"{' or '.join(wanted)} would{why}"
+
+
+def _unnamed(found: "Unloading") -> Iterable[str]:
+    """No effect of the bearings in the model."""
+    fitted = found.fit.experiment.fit_recordings
+    if found.left_out:
+        return
+    if all(r.air_bearings for r in fitted):
+        yield (
+            "only the bearings' inertia was taken off: drag and friction of theirs, if they have "
+            "any, were fitted as damping of the joints and stay, so that the decay without "
+            "bearings is predicted too fast; name them (--with bearing_drag, --with "
+            "bearing_friction), or let residyn diagnose look for them"
+        )
+    else:
+        yield (
+            "the model has no drag or friction of the bearings, so joints are damped alike with "
+            "and without them; name them (--with bearing_drag) if that leaves too much"
+        )
+
+
+def _not_told_apart(found: "Unloading") -> Iterable[str]:
+    fit, remedy = found.fit, what_would_tell(found)
+    own = [i for i, n in enumerate(fit.numbers) if n.name.partition(".")[0] in found.left_out]
+    for i in own:
+        number = fit.numbers[i]
+        if not number.determined:
+            yield (
+                f"these recordings cannot tell {number.name} from damping of the joints, so the "
+                f"decay without bearings is not known; {remedy}"
+            )
+            continue
+        strong = [
+            (fit.numbers[j].name, float(r))
+            for j, r in enumerate(fit.correlation[i])
+            if j not in own and abs(r) > STRONG
+        ]
+        if strong and number.std > _POOR * abs(number.value):
+            names = ", ".join(f"{name} ({r:+.2f})" for name, r in strong)
+            yield (
+                f"{number.name} is known to {plain(number.percent, 2)} % only, as it is hardly told"
+                f" from {names}; {remedy}"
+            )
+    for pose in found.poses:
+        for order, mode in enumerate(pose.without_bearings, 1):
+            poor = mode.damping_ratio_std > _POOR * abs(mode.damping_ratio)
+            if found.left_out and np.isfinite(mode.damping_ratio_std) and poor:
+                size = 100 * mode.damping_ratio_std / abs(mode.damping_ratio)
+                yield (
+                    f"damping of mode {order} without bearings (theta2 = {pose.theta2:.4g} rad) is "
+                    f"known to {plain(size, 2)} % only; {remedy}"
+                )
+                return
+
+
+def _checks(found: "Unloading") -> Iterable[str]:
+    for check in found.check:
+        if check.free is None:
+            yield f"{check.name}: no fit of it alone was found, so there is nothing to compare with"

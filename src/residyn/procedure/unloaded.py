@@ -1,0 +1,184 @@
+"""What step 3 returns: modes with and without the bearings, and how the prediction did."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..fitting import Fit, Mode, RecordingFit
+from ..model import Model
+from ..nodes import Trajectory
+from ..simulation import simulate
+from .carried import NAMES, inertias
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """One elbow angle of the fitted recordings: the arm there, on its bearings and in orbit."""
+
+    theta2: float
+    """Elbow angle at rest, rad."""
+    model: Model
+    """As fitted, bearings on."""
+    unloaded: Model
+    """Eq. 18: the bearings off, and every effect of theirs."""
+    with_bearings: tuple[Mode, ...]
+    """The modes that ring, lowest first."""
+    without_bearings: tuple[Mode, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class BareCheck:
+    """A recording without bearings, which was not fitted, beside what step 3 predicts of it.
+
+    Errors are of the lowest mode, predicted / measured - 1, where measured is a fit of that
+    recording alone, with the joints' own effects of the same model; None if that fit failed.
+    """
+
+    beside: RecordingFit
+    predicted: tuple[Mode, ...]
+    free: Fit | None
+
+    @property
+    def name(self) -> str:
+        """The recording's."""
+        return self.beside.recording.name
+
+    @property
+    def rmse(self) -> np.ndarray:
+        """(n,) rms of measured minus predicted; of the recording only its initial state was
+        fitted."""
+        used = self.beside.used
+        total = (np.where(used, self.beside.residual, 0.0) ** 2).sum(axis=0)
+        return np.sqrt(total / used.sum(axis=0))
+
+    @property
+    def measured(self) -> tuple[Mode, ...]:
+        """Modes of the fit of this recording alone."""
+        return self.free.modes if self.free else ()
+
+    @property
+    def frequency_error(self) -> float | None:
+        """Of the lowest natural frequency, as a share of the measured one."""
+        return self._error("frequency_hz")
+
+    @property
+    def damping_error(self) -> float | None:
+        """Of the lowest mode's damping ratio, as a share of the measured one."""
+        return self._error("damping_ratio")
+
+    def _error(self, what: str) -> float | None:
+        if not (self.predicted and self.measured):
+            return None
+        measured = getattr(self.measured[0], what)
+        return getattr(self.predicted[0], what) / measured - 1 if measured else None
+
+
+@dataclass(frozen=True, eq=False)
+class Unloading:
+    """Step 3. Print it; or `to_dict()` for the JSON.
+
+    `poses` has the elbow angles of the fitted recordings, in their order; `with_bearings`,
+    `without_bearings` and `ring_down` are about the first.
+    """
+
+    fit: Fit
+    poses: tuple[Pose, ...]
+    left_out: tuple[str, ...]  # effects that left with the bearings
+    check: tuple[BareCheck, ...]
+    inertia_covariance: np.ndarray | None  # (3, 3) from step 1; None: taken for exact
+    seconds: float
+    warnings: tuple[str, ...] = ()  # beside the fit's own
+
+    @property
+    def with_bearings(self) -> tuple[Mode, ...]:
+        """Modes as recorded, lowest first."""
+        return self.poses[0].with_bearings
+
+    @property
+    def without_bearings(self) -> tuple[Mode, ...]:
+        """Modes in orbit (Eq. 18), lowest first."""
+        return self.poses[0].without_bearings
+
+    @property
+    def model(self) -> Model:
+        """The fitted model, bearings on."""
+        return self.poses[0].model
+
+    @property
+    def unloaded(self) -> Model:
+        """The model in orbit."""
+        return self.poses[0].unloaded
+
+    def ring_down(self, times: np.ndarray) -> tuple[Trajectory, Trajectory]:
+        """How the arm rings at `times` (N,) s with and without bearings, let go at rest from the
+        angles in which the first fitted recording begins."""
+        with jax.enable_x64(True):
+            q0 = jnp.asarray(self.fit.recordings[0].state[: len(self.fit.joints)])
+            times = np.asarray(times, float)
+            return simulate(self.model, times, q0), simulate(self.unloaded, times, q0)
+
+    def saying(self, warnings: tuple[str, ...]) -> "Unloading":
+        """The same result with other warnings."""
+        return replace(self, warnings=warnings)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON of `residyn unload`."""
+        fit = self.fit.to_dict()
+        return {
+            "model": fit["model"],
+            "left_out": list(self.left_out),
+            "parameters": fit["parameters"],
+            "reduced_chi2": fit["reduced_chi2"],
+            "with_bearings": _side(self.poses[0], self.model, self.with_bearings),
+            "without_bearings": _side(self.poses[0], self.unloaded, self.without_bearings),
+            "poses": [
+                {
+                    "theta2": p.theta2,
+                    "with_bearings": {"modes": _modes(p.with_bearings)},
+                    "without_bearings": {"modes": _modes(p.without_bearings)},
+                }
+                for p in self.poses
+            ],
+            "check": [self._check(c) for c in self.check],
+            "inertia_std": None
+            if self.inertia_covariance is None
+            else dict(zip(NAMES, np.sqrt(np.diag(self.inertia_covariance)).tolist(), strict=True)),
+            "seconds": self.seconds,
+            "warnings": [*self.fit.warnings, *self.warnings],
+        }
+
+    def _check(self, check: BareCheck) -> dict[str, Any]:
+        return {
+            "recording": check.name,
+            "theta2": check.beside.recording.theta2,
+            "rmse": dict(zip(self.fit.joints, map(float, check.rmse), strict=True)),
+            "frequency_error": check.frequency_error,
+            "damping_error": check.damping_error,
+            "predicted": {"modes": _modes(check.predicted)},
+            "measured": {"modes": _modes(check.measured)},
+        }
+
+    def __str__(self) -> str:
+        from .unloaded_words import report_lines
+
+        return "\n".join(report_lines(self))
+
+
+def _side(pose: Pose, model: Model, modes: tuple[Mode, ...]) -> dict[str, Any]:
+    values = np.asarray(inertias(model.mechanism)).tolist()
+    return {
+        "theta2": pose.theta2,
+        "modes": _modes(modes),
+        "arm": dict(zip(NAMES, values, strict=True)),
+    }
+
+
+def _modes(modes: tuple[Mode, ...]) -> list[dict[str, float | None]]:
+    """As in the JSON of `fit`."""
+    return [
+        {name: value if np.isfinite(value) else None for name, value in vars(mode).items()}
+        for mode in modes
+    ]

@@ -1,0 +1,122 @@
+"""How step 3 reads in a terminal of 80 columns."""
+
+import math
+import textwrap
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .._units import amount, plain, ratio, with_error
+from ..fitting import Mode
+from .carried import NAMES, inertias
+
+if TYPE_CHECKING:
+    from .unloaded import BareCheck, Pose, Unloading
+
+
+def report_lines(found: "Unloading") -> list[str]:
+    """Everything beside the fit's own report."""
+    lines = ["[[Taken off]]", *_taken_off(found)]
+    for pose in found.poses:
+        lines.append(
+            f"[[Modes]]  elbow at {plain(pose.theta2, 4)} rad: on its bearings -> in orbit"
+        )
+        lines += _modes(pose)
+    lines += _wrapped("    ", _exact(found))
+    if found.check:
+        lines.append("[[Check]]  recordings without bearings, predicted; the lowest mode's errors")
+        for check in found.check:
+            lines += _check(check, found)
+    if found.warnings:
+        lines.append("[[Warnings of step 3]]")
+        for warning in found.warnings:
+            lines += _wrapped("    - ", warning)
+    return lines
+
+
+def _taken_off(found: "Unloading") -> list[str]:
+    bearings = found.fit.experiment.bearings
+    mass, many = sum(b.mass for b in bearings), "s" * (len(bearings) > 1)
+    lines = _wrapped("    ", f"{len(bearings)} air bearing{many}, {mass:.4g} kg (Eq. 5)")
+    rows = zip(
+        NAMES,
+        ("kg m^2", "kg m^2", "kg m"),
+        np.asarray(inertias(found.model.mechanism)).tolist(),
+        np.asarray(inertias(found.unloaded.mechanism)).tolist(),
+        strict=True,
+    )
+    lines += [f"    {name:<9} {was:.5g} -> {now:.5g} {unit}" for name, unit, was, now in rows]
+    what = ", ".join(found.left_out) or "none: the model names no drag or friction of theirs"
+    return [*lines, *_wrapped("    effects   ", what)]
+
+
+def _modes(pose: "Pose") -> list[str]:
+    lines, sides = [], (pose.with_bearings, pose.without_bearings)
+    for i in range(max(map(len, sides))):
+        pair = [side[i] if i < len(side) else None for side in sides]
+        for words, what, unit in (
+            ("frequency", "frequency_hz", " Hz"),
+            ("damping ratio", "damping_ratio", ""),
+        ):
+            head = f"{i + 1}" if what == "frequency_hz" else " "
+            on, off = (_value(mode, what, unit) for mode in pair)
+            lines.append(f"    {head}  {words:<14} {on:<26} -> {off}".rstrip())
+        on, off = (_decay(mode) for mode in pair)
+        lines.append(f"       {'falls to 1/e':<14} {f'in {on}':<26} -> in {off}")
+    return lines
+
+
+def _value(mode: Mode | None, what: str, unit: str) -> str:
+    if mode is None:
+        return "does not ring"
+    value, std = getattr(mode, what), getattr(mode, f"{what}_std")
+    if not math.isfinite(std):
+        return f"{plain(value, 3)} +/- ?{unit}"
+    number, error = with_error(value, std)
+    return f"{number} +/- {error}{unit}"
+
+
+def _decay(mode: Mode | None) -> str:
+    rate = 0.0 if mode is None else 2 * math.pi * mode.frequency_hz * mode.damping_ratio
+    return f"{plain(1 / rate, 3)} s" if rate > 0 else "no time"
+
+
+def _exact(found: "Unloading") -> str:
+    covariance = found.inertia_covariance
+    if covariance is None:
+        return "Errors are those of the fit: the inertias are taken for exact."
+    stds = ", ".join(
+        f"{name} {plain(float(s), 2)}"
+        for name, s in zip(NAMES, np.sqrt(np.diag(covariance)), strict=True)
+    )
+    return f"Errors hold those of the inertias from step 1 ({stds})."
+
+
+def _check(check: "BareCheck", found: "Unloading") -> list[str]:
+    units = found.fit.experiment.units or ("",) * len(found.fit.joints)
+    sizes = zip(found.fit.joints, check.rmse, units, check.beside.recording.noise, strict=True)
+    left = "; ".join(
+        f"{joint} {amount(float(x), unit)}, {ratio(float(x / noise))} x noise"
+        for joint, x, unit, noise in sizes
+    )
+    lines = _wrapped("    ", f"{check.name}: rms {left}")
+    if check.frequency_error is not None and check.damping_error is not None:
+        measured = check.measured[0]
+        lines += _wrapped(
+            "        ",
+            f"frequency {_percent(check.frequency_error)} (measured "
+            f"{measured.frequency_hz:.5g} Hz), damping ratio {_percent(check.damping_error)} "
+            f"(measured {measured.damping_ratio:.3g})",
+        )
+    return lines
+
+
+def _percent(share: float) -> str:
+    size = plain(100 * abs(share), 2)
+    return f"{size} % too {'high' if share > 0 else 'low'}"
+
+
+def _wrapped(head: str, words: str) -> list[str]:
+    return textwrap.wrap(
+        words, 80, initial_indent=head, subsequent_indent=" " * len(head), break_on_hyphens=False
+    )
