@@ -13,7 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..fitting.result import RecordingFit
-from .ladder import Refit, Step, cost_of, ranked, score
+from .ladder import ranked, score
+from .rung import Refit, Step, cost_of
 from .words import SURE
 
 _ALIKE = 12.0  # of chi-square, in its units: closer names are not told apart

@@ -6,27 +6,26 @@ from collections.abc import Callable, Sequence
 import jax
 import numpy as np
 
-from .._units import ratio
 from ..effects import AbstractEffect, catalogue
-from ..fitting import DEFAULT_STARTS, Fit, fit
+from ..fitting import DEFAULT_STARTS, fit
 from ..model import Model
 from ..parameter import parameters_of
 from ..recording import Experiment
 from .chances import alike, chances
 from .comparison import Comparison
 from .horizon import horizon
-from .ladder import Step, accepted, cost_of, needless, ranked, search, stand
+from .ladder import accepted, needless, ranked, search
 from .missing import Missing, missing_of, with_curves
 from .next_experiment import advise
-from .result import Candidate, Diagnosis, NextExperiment, Rung, Value, Verdict
-from .words import SURE, chance, listed
+from .result import Candidate, Diagnosis, NextExperiment, Rung, Value
+from .rung import Step, cost_of, stand
+from .verdict import verdict_on, words_for
 
 MOST_EFFECTS = 3
 """How many effects the ladder adds unless it is told otherwise."""
 
 _TRIED = 2  # of a rung's candidates that may be the next one
 _DRAWN = 2  # suspects that did not join, whose curves are drawn
-_SLIGHT = 0.05  # of the residual's size: structure smaller than this does not matter
 
 
 def diagnose(
@@ -121,7 +120,7 @@ def _concluded(
     first, last = steps[0], steps[-1]
     rungs = _rungs(steps)
     kept = [r.added for r in rungs[1:] if r.added in last.fit.model.labels]
-    verdict = _verdict(last, bool(kept))
+    verdict = verdict_on(last, bool(kept))
     sure = chances(steps)
     candidates = _candidates(steps, sure)
     groups, advice = [], None
@@ -140,7 +139,7 @@ def _concluded(
     missing = with_curves(first.fit, missing, shown)
     left = missing if last is first else missing_of(last.fit) if verdict == "unexplained" else ()
     compared = Comparison(last.fit, last.where, last.held_out, horizon(last.near), left)
-    words = _words(verdict, first.fit, last, [(k, sure.get(k, 0.0)) for k in kept], groups)
+    words = words_for(verdict, first.fit, last, [(k, sure.get(k, 0.0)) for k in kept], groups)
     return Diagnosis(
         verdict=verdict,
         ladder=rungs,
@@ -163,30 +162,6 @@ def _rungs(steps: Sequence[Step]) -> tuple[Rung, ...]:
         found.append(Rung(added, dropped, step.fit, step.held_out, step.white))
         before = labels
     return tuple(found)
-
-
-def _verdict(last: Step, added: bool) -> Verdict:
-    """About what is left: noise, or not."""
-    if last.white >= SURE or slight(last):
-        return "missing" if added else "adequate"
-    return "unexplained"
-
-
-def slight(step: Step) -> bool:
-    """Whether what is not noise is so small a part of the residual that it does not matter: all
-    structure taken out, the residual would hardly be smaller."""
-    bands = step.where.frequency
-    freedom = sum(p.whole.freedom for p in bands)
-    energy = sum(p.whole.energy for p in bands)
-    if freedom <= 0 or energy <= 0:
-        return False
-    # Noise is what the quieter half of the bands say it is.
-    levels = sorted((p.whole.energy / p.whole.freedom, p.whole.freedom) for p in bands
-                    if p.whole.freedom > 0)  # fmt: skip
-    count = np.cumsum([f for _, f in levels])
-    floor = levels[int(np.searchsorted(count, 0.5 * count[-1]))][0]
-    beyond = sum(max(0.0, p.whole.energy - floor * p.whole.freedom) for p in bands)
-    return bool(1.0 - np.sqrt(max(0.0, 1.0 - beyond / energy)) < _SLIGHT)
 
 
 def _candidates(steps: Sequence[Step], sure: dict[str, float]) -> tuple[Candidate, ...]:
@@ -237,50 +212,3 @@ def _advice(step: Step, experiment: Experiment, group: tuple[str, ...]) -> NextE
     # A law that contains the other one can always mimic it: no experiment tells, but by its value.
     others = [r for r in rivals[1:] if not own < {p.name for p in parameters_of(r.effect)}]
     return advise(step, experiment, rivals[0], others[0]) if others else None
-
-
-def _words(
-    verdict: Verdict,
-    base: Fit,
-    last: Step,
-    kept: Sequence[tuple[str, float]],
-    groups: Sequence[tuple[str, ...]],
-) -> tuple[str, ...]:
-    fit = last.fit
-    worst = int(np.nanargmax(base.rmse / base.noise))
-    joint = fit.joints[worst]
-    before, after = (f.rmse[worst] / f.noise[worst] for f in (base, fit))
-    if verdict == "adequate":
-        if last.white >= SURE:
-            return (
-                "Nothing is missing that these recordings could show: what springs and dampers "
-                f"leave is {ratio(after)} times the noise and white ({chance(last.white)}).",
-            )
-        return (
-            "Nothing is missing that matters: what is left is "
-            f"{ratio(after)} times the noise; it is not quite white ({chance(last.white)}), but "
-            "no effect of the catalogue makes it smaller by as much as a model should.",
-        )
-    names = listed([f"{name} ({100 * p:.0f} %)" for name, p in kept]) if kept else ""
-    fall = f"the error at the {joint} falls from {ratio(before)} to {ratio(after)} times the noise"
-    if verdict == "missing":
-        be = "is" if len(kept) == 1 else "are"
-        words = [
-            f"{names} {be} missing: with {'it' if len(kept) == 1 else 'them'} {fall}, and what "
-            f"is left is no more than noise ({chance(last.white)})."
-        ]
-    elif kept:
-        words = [
-            f"{names} explains part of it: {fall}.",
-            "Something real is left that no effect of the catalogue explains "
-            f"({chance(last.white)}): see the torque that is still missing.",
-        ]
-    else:
-        words = [
-            "Something real is missing that no effect of the catalogue explains: springs and "
-            f"dampers leave {ratio(after)} times the noise at the {joint}, and it is not noise "
-            f"({chance(last.white)}). See the torque that is missing."
-        ]
-    for group in groups:
-        words.append(f"These recordings cannot tell {group[0]} from {listed(list(group[1:]))}.")
-    return tuple(words)

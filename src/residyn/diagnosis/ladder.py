@@ -10,125 +10,32 @@ stretch of the recording.
 import math
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from ..effects import AbstractEffect
-from ..fitting.descent import Descent
-from ..fitting.identify import spread_of
 from ..fitting.pipeline import finish, refit
-from ..fitting.result import Fit, FitError
-from ..model import Model
+from ..fitting.result import FitError
 from ..recording import Experiment
-from .horizon import HeldOut, held_out
-from .linear import Near
+from .horizon import HeldOut
 from .missing_torque import MissingTorque
 from .path import Path
-from .screen import Screened, Tried, glance, screen
-from .where import Where, where
+from .refits import refits, silent
+from .rung import Refit, Step, cost_of, stand, worth
+from .screen import glance, screen
 from .words import SURE
 
 _REFITS = 6  # candidates that are fitted
 _CLOSE = 1.25  # a candidate this many times worse than the best, screened, is not fitted
 _ROUGHLY = 3.0  # the same where not even the best one comes near the noise
 _FEWEST = 3
-_DROP = 20.0  # least fall of chi-square, in units of what is left, of one number
-_MORE = 3.0  # and of every further one
-_SEARCHED = 10.0  # and where a frequency was looked for
 _STEADY = 2.5  # standard errors of the gain, as stretches of the recording show it
-_MATTERS = 0.05  # share of the error that must go, where what is left is not white
-_HELD = 0.02  # and where nothing was fitted
+_MATTERS = 0.1  # share of the error that must go, where what is left is not white
+_HELD = 0.05  # and where nothing was fitted
 _WORSE = 0.02  # share by which the held-out error may grow where what is left is white
 _STRETCHES = 24  # least number of stretches of all recordings
-_IMPOSSIBLE = 3.0  # standard errors on the wrong side of zero
 _NEAR = 2.0  # times the noise: a fit as good as this knows the motion
-_HOPELESS = 1.5  # times the best, when it should have settled: not worth the time
-_WEAK = 0.3  # of the screened strength, for the second start
-_PROMISED = 1.5  # times the screened chi-square: a fit that ends worse starts again
 _GLANCE = 0.6  # of what a newcomer must bring: less, and it is not even screened
-_AGAIN = 3  # fits that start again
-THREADS = 2
-
-
-class Refit(NamedTuple):
-    """A candidate joined to the model and fitted."""
-
-    effect: AbstractEffect
-    screened: Screened
-    model: Model
-    descent: Descent
-    start: np.ndarray
-    possible: bool
-    """Whether its numbers have the sign that physics allows."""
-
-    @property
-    def label(self) -> str:
-        """`name` or `name:place`."""
-        return self.effect.label
-
-    @property
-    def cost(self) -> float:
-        """Chi-square with it."""
-        return self.descent.cost
-
-    @property
-    def numbers(self) -> int:
-        """How many numbers it brought."""
-        return len(Model(self.model.mechanism, (self.effect,)).fitted)
-
-    @property
-    def std(self) -> np.ndarray:
-        """(P,) standard errors of all numbers."""
-        readings = float(np.sum(np.asarray(self.descent.problem.recorded.weights) > 0))
-        return _std(self.descent, max(1.0, self.cost / readings))
-
-
-class Step(NamedTuple):
-    """A model on the ladder, and what was found from it."""
-
-    fit: Fit
-    near: Near
-    where: Where
-    white: float
-    held_out: HeldOut | None
-    effects: tuple[AbstractEffect, ...]
-    slopes: list[np.ndarray]
-    alone: float = float("nan")
-    tried: Tried | None = None
-    screened: tuple[Screened, ...] = ()
-    refits: tuple[Refit, ...] = ()
-
-    @property
-    def cost(self) -> float:
-        """Chi-square of the fit."""
-        return cost_of(self.fit)
-
-    @property
-    def readings(self) -> int:
-        """How many readings were fitted."""
-        return sum(int(r.used.sum()) for r in self.near.fitted)
-
-
-def cost_of(fit: Fit) -> float:
-    """Sum of squared whitened residuals of the fitted recordings."""
-    return sum(
-        float(np.sum((np.where(r.used, r.residual, 0.0) / r.recording.noise) ** 2))
-        for r in fit.recordings
-        if r.recording.role != "check"
-    )
-
-
-def stand(fit: Fit, effects: Sequence[AbstractEffect]) -> Step:
-    """A fitted model as a step of the ladder."""
-    near = Near.of(fit)
-    _, slopes = near.look(near.at)
-    found = where(near, slopes)
-    p = [w.p for w in found.white.values() if np.isfinite(w.p)]
-    white = float(-np.expm1(len(p) * np.log1p(-min(p)))) if p and min(p) < 1 else 1.0
-    return Step(fit, near, found, white, held_out(near), tuple(effects), slopes)
 
 
 def search(
@@ -165,107 +72,10 @@ def search(
         tried = [s for i, s in enumerate(tried) if i < _FEWEST or s.chi2 < enough][:_REFITS]
     names = ", ".join(s.effect.label for s in tried)
     say(f"fitting {names}" if names else "nothing worth fitting")
-    best = [step.cost]
-    with ThreadPoolExecutor(THREADS) as pool:  # compiling is most of it, and leaves Python free
-        each = [pool.submit(_refit, step, experiment, s, best) for s in tried]
-        refits = [r for r in (e.result() for e in each) if r is not None]
-    refits = _again(step, experiment, refits)
+    found_by_fit = refits(step, experiment, tried)
     return step._replace(
-        alone=alone, screened=tuple(found), refits=tuple(refits), tried=step.tried or kept
+        alone=alone, screened=tuple(found), refits=tuple(found_by_fit), tried=step.tried or kept
     )
-
-
-def _again(step: Step, experiment: Experiment, refits: list[Refit]) -> list[Refit]:
-    """Fits that ended far above the best start again where that one has left springs, dampers and
-    initial states: a wrong valley of those is the usual reason."""
-    best = min((r for r in refits if r.possible), key=lambda r: r.cost, default=None)
-    if best is None:
-        return refits
-    count, size = len(step.fit.numbers), step.near.fitted[0].state.size
-    numbers = np.asarray(best.model.vector())[:count]
-    states = np.asarray(best.descent.problem.states(best.descent.unknowns))[:, :size]
-    found, left = [], _AGAIN
-    for r in sorted(refits, key=lambda r: r.screened.chi2):
-        if left and r.cost > _PROMISED * best.cost:
-            left -= 1
-            moved = r.screened._replace(
-                numbers=numbers,
-                states=np.concatenate([states, r.screened.states[:, size:]], axis=1),
-            )
-            new = _refit(step, experiment, moved, [best.cost], weak=False)
-            if new is not None and new.cost < r.cost:
-                r = new._replace(screened=r.screened)
-        found.append(r)
-    return found
-
-
-def worth(effect: AbstractEffect, step: Step) -> float:
-    """How far chi-square must fall for an effect, in its own units."""
-    count = len(Model(step.fit.model.mechanism, (effect,)).fitted)
-    least = _DROP + _MORE * (count - 1) + _SEARCHED * (effect.oscillates is not None)
-    return least
-
-
-def _refit(
-    step: Step, experiment: Experiment, screened: Screened, least: list[float], weak: bool = True
-) -> Refit | None:
-    """Fit a candidate; `least` has the costs of those that were fitted before."""
-    effects = (*step.effects, _silent(screened.effect))
-    alone = Model(step.fit.model.mechanism, (screened.effect,))
-    first = np.concatenate([screened.numbers, np.asarray(alone.vector())])
-    now = np.asarray(step.fit.model.vector())
-    second = np.concatenate([now, np.asarray(alone.vector())])
-    for i, n in enumerate(alone.fitted, start=len(now)):
-        if n.meaning.silent is not None:
-            second[i] = n.meaning.silent + _WEAK * (second[i] - n.meaning.silent)
-    states = np.stack([r.state for r in step.near.fitted])
-    more = screened.states[:, states.shape[1] :]
-    wild = [r.wild for r in step.near.fitted]
-    best = None
-
-    def hopeless(cost: float) -> bool:
-        return cost > _HOPELESS * max(min(least), float(step.readings))
-
-    with jax.enable_x64(True):
-        # From where the screen says; if that leads nowhere, from where the model stands.
-        begins = [(first, screened.states), (second, np.concatenate([states, more], axis=1))]
-        for numbers, begin in begins if weak else begins[:1]:
-            try:
-                model, descent = refit(
-                    experiment, effects, numbers[None], begin[None], wild, hopeless
-                )
-            except FitError:
-                continue
-            if best is None or descent.cost < best.cost:
-                possible = _possible(model, descent, alone)
-                best = Refit(screened.effect, screened, model, descent, numbers, possible)
-            if best.cost < _PROMISED * max(screened.chi2, float(step.readings)):
-                break
-    if best is not None and best.possible:
-        least.append(best.cost)
-    return best
-
-
-def _silent(effect: AbstractEffect) -> AbstractEffect:
-    """The same effect as a fit takes it: at its default values."""
-    return type(effect)(effect.place) if effect.place else type(effect)()  # pyright: ignore
-
-
-def _std(descent: Descent, inflation: float) -> np.ndarray:
-    sizes = np.asarray(descent.problem.scale.numbers)
-    return spread_of(np.asarray(descent.compressed.factor), sizes, inflation).std
-
-
-def _possible(model: Model, descent: Descent, alone: Model) -> bool:
-    """Whether no number of the effect is on the wrong side of zero, for sure."""
-    values, spread = np.asarray(model.vector()), _std(descent, 1.0)
-    first = len(values) - len(alone.fitted)
-    for i, n in enumerate(alone.fitted):
-        if n.meaning.sign == "positive" and n.meaning.silent is not None:
-            value, std = values[first + i], spread[first + i]
-            if value < 0 and (not np.isfinite(std) or value < -_IMPOSSIBLE * std):
-                return False
-    return True
 
 
 def score(step: Step, refit: Refit) -> float:
@@ -288,18 +98,21 @@ def accepted(step: Step, chosen: Refit, experiment: Experiment) -> Step | None:
     """The next rung, with the chosen effect; None if that is not sure, or does not matter."""
     before = cost_of(step.fit)
     drop = (before - chosen.cost) / max(1.0, chosen.cost / step.readings)
-    if drop < worth(chosen.effect, step) or not steady(step, chosen):
+    if drop < worth(chosen.effect, step):
         return None
     began = time.perf_counter()
     fit = finish(
         experiment,
-        (*step.effects, _silent(chosen.effect)),
+        (*step.effects, silent(chosen.effect)),
         chosen.model,
         chosen.start,
         chosen.descent,
         began,
     )
-    new = stand(fit, (*step.effects, _silent(chosen.effect)))
+    new = stand(fit, (*step.effects, silent(chosen.effect)))
+    # Where only noise is left, chi-square can be believed; else the gain must be steady.
+    if new.white < SURE and not steady(step, chosen):
+        return None
     return new._replace(tried=step.tried) if matters(step, new) else None
 
 

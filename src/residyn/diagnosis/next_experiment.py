@@ -5,6 +5,7 @@ with a load. Where the predictions part by more than the noise, after the rival 
 as far as the present recordings let it, there is the experiment to make.
 """
 
+import dataclasses
 import itertools
 import math
 from typing import NamedTuple
@@ -22,8 +23,8 @@ from ..model import Model
 from ..nodes import read
 from ..recording import ArmTable, Experiment, Recording
 from ..simulation import march
-from .ladder import Refit, Step
 from .result import NextExperiment
+from .rung import Refit, Step
 
 _SAMPLES = 256
 _STEP = 0.3  # of an integration step, times the fastest angular frequency
@@ -73,31 +74,25 @@ def advise(step: Step, experiment: Experiment, accepted: Refit, rival: Refit) ->
 def _scenes(experiment: Experiment, like: Recording, state: np.ndarray) -> list[Scene]:
     """Releases from rest around the one that was made."""
     size = np.maximum(np.abs(state), 0.3 * np.max(np.abs(state)))
-    arm = isinstance(experiment.inertia, ArmTable)
+    table = experiment.inertia
     patterns = [np.ones(1)] if len(size) == 1 else [
         np.array(p) for p in ((1.0, 1.0), (1.0, -1.0), (1.0, 0.0), (0.0, 1.0))
     ]  # fmt: skip
     patterns = patterns if len(size) <= 2 else [np.ones(len(size))]
     releases = [s * p * size for s, p in itertools.product(_SIZES, patterns)]
     changes: list[dict] = [{}]
-    if arm:
+    if isinstance(table, ArmTable):
         sign = math.copysign(1.0, like.theta2 or 1.0)
         changes += [{"theta2": sign * e * math.pi} for e in _ELBOWS]
         if experiment.bearings:
             changes.append({"air_bearings": not like.air_bearings})
     else:
-        own = float(np.asarray(experiment.inertia.matrix)[0][0])
+        own = float(np.asarray(table.matrix)[0][0])
         changes += [{"extra_mass": like.extra_mass + x * own} for x in _LOADS]
     return [
-        Scene(_changed(like, change), release)
+        Scene(dataclasses.replace(like, **change), release)
         for change, release in itertools.product(changes, releases)
     ]
-
-
-def _changed(recording: Recording, change: dict) -> Recording:
-    import dataclasses
-
-    return dataclasses.replace(recording, **change) if change else recording
 
 
 @eqx.filter_jit

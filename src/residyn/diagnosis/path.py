@@ -29,6 +29,7 @@ _PARTS = 8  # of an integration step at which torques are taken
 _REST = 0.02  # of the rms rate: slower than this a joint may be at rest
 _STILL = 3.0  # times that, for a whole period: it does
 _MOST_SHAPES = 48
+_BESIDE = 0.05  # of a mode's frequency
 _LINES = 8  # frequencies tried of an effect with a frequency of its own
 _FINER = 2  # values in place of one of a shape's grid
 
@@ -154,11 +155,22 @@ def with_fields(effect: AbstractEffect, values: dict[str, float]) -> AbstractEff
     return dataclasses.replace(effect, **values)  # pyright: ignore
 
 
+def resonant(frequency, modes: Sequence[float], seconds: float):
+    """Whether an oscillation of some Hz is so near a mode that, over so many seconds, it could be
+    nothing but a correction of the ringing itself: such a torque mimics any effect at all."""
+    near = [np.abs(np.asarray(frequency) - f) < _BESIDE * f + 2.0 / seconds for f in modes]
+    return np.any(near, axis=0) if near else np.zeros(np.shape(frequency), bool)
+
+
 def variants(
-    effect: AbstractEffect, sizes: dict[str, float], paths: Sequence[Path], joint: int | None
+    effect: AbstractEffect,
+    sizes: dict[str, float],
+    paths: Sequence[Path],
+    joint: int | None,
+    modes: Sequence[float] = (),
 ) -> list[Variant]:
     """An effect at every combination of its shapes' grid; `sizes` by field, in its own units;
-    `joint` is where it acts, if that is one."""
+    `joint` is where it acts, if that is one; `modes` in Hz."""
     declared = [p for p in parameters_of(effect) if p.fitted]
     strengths = tuple(p.field for p in declared if p.silent is not None)
     shapes = [p for p in declared if p.silent is None]
@@ -166,7 +178,7 @@ def variants(
     choices = []
     for p in shapes:
         if p.field == effect.oscillates:
-            choices.append(_frequencies(joint or 0, paths))
+            choices.append(_frequencies(joint or 0, paths, modes))
         else:
             grid = [g * sizes[p.field] for g in _finer(p.grid)]
             choices.append(grid or [float(getattr(effect, p.field))])
@@ -195,7 +207,7 @@ def _finer(grid: Sequence[float]) -> list[float]:
     return sorted([*grid, *inner, grid[0] * grid[0] / inner[0]])
 
 
-def _frequencies(j: int, paths: Sequence[Path]) -> list[float]:
+def _frequencies(j: int, paths: Sequence[Path], modes: Sequence[float]) -> list[float]:
     """The strongest frequencies of what springs and dampers leave of the missing torque, Hz."""
     power: np.ndarray | None = None
     longest = max(p.time[-1] for p in paths)
@@ -213,6 +225,7 @@ def _frequencies(j: int, paths: Sequence[Path]) -> list[float]:
         own = np.abs(wave) ** 2
         power = own if power is None else power + own
     assert power is not None
+    power = np.where(resonant(frequency, modes, longest), 0.0, power)
     found = []
     for _ in range(_LINES):
         top = int(np.argmax(power))

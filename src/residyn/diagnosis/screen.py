@@ -14,22 +14,18 @@ import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..effects import AbstractEffect
-from ..equation import Piecewise
-from ..fitting.problem import Problem, Unknowns, over_recordings, posed, predict
-from ..fitting.result import RecordingFit
+from ..fitting.problem import posed
 from ..fitting.setup import Ready
 from ..model import Model
 from ..parameter import parameters_of
+from .answers import Answers, answers_to, columns_of, holds
 from .linear import Near
 from .path import Path, Variant, variants, with_fields
 
-_LANES = 32  # columns answered in one go
+_SHAPES = 4  # of an effect that are kept
 _BLIND = 1e-9  # of a direction's square: what the model's own numbers do, too
 _LEAST = 1e-5  # of a column's square that must be left when the model has adjusted
 
@@ -47,26 +43,8 @@ class Screened(NamedTuple):
     """(P,) the model's own numbers beside it."""
     states: np.ndarray
     """(R, s) initial states, the effect's own last."""
-
-
-class Answers(NamedTuple):
-    """What a model does along the motion as it was, whitened: per recording."""
-
-    left: list[np.ndarray]  # (N n + m,) measured less predicted, then known less assumed
-    numbers: list[np.ndarray]  # (N n, P) slopes in the model's numbers
-    states: list[np.ndarray]  # (N n + m, s) and in the states, with what is known of memories
-    columns: list[np.ndarray]  # (N n, C) answers to torques, or what sensors do
-    begin: np.ndarray  # (R, s) initial states that it was led from
-
-    def recordings(self):
-        """(left, numbers, states, columns) of each, with as many rows: the readings, then what is
-        known of memories."""
-        for left, numbers, states, columns in zip(
-            self.left, self.numbers, self.states, self.columns, strict=True
-        ):
-            more = len(states) - len(numbers)
-            wide = [np.vstack([x, np.zeros((more, x.shape[1]))]) for x in (numbers, columns)]
-            yield left, wide[0], states, wide[1]
+    others: tuple["Screened", ...] = ()
+    """The same effect with other shapes, the next best first."""
 
 
 class Tried(NamedTuple):
@@ -93,19 +71,23 @@ def screen(
         path.inverse(posed(near.fit.model, mechanism), r.state[2 * n :])
         for path, mechanism, r in zip(paths, near.ready.mechanisms, near.fitted, strict=True)
     ]
-    columns = [_columns(near, paths, v) + _holds(paths, needed, v) for v in tried]
+    columns = [columns_of(near, paths, v) + holds(paths, needed, v) for v in tried]
     bounds = np.cumsum([0, *(len(c) for c in columns)])
     flat = list(itertools.chain(*columns))
-    answers = _answers(near, paths, needed if led else None, flat)
+    answers = answers_to(near, paths, needed if led else None, flat)
     solver = _Solver.of(near, answers)
-    best: dict[str, tuple[float, Variant, range, np.ndarray]] = {}
+    by_label: dict[str, list] = {}
     for variant, first, last in zip(tried, bounds, bounds[1:], strict=False):
         which = range(first, last)
         factors, drop = _factors(solver, variant, which)
-        label = variant.effect.label
-        if np.isfinite(drop) and (label not in best or drop > best[label][0]):
-            best[label] = drop, variant, which, factors
-    found = [_weigh(near, solver, answers, *each) for each in best.values()]
+        if np.isfinite(drop):
+            each = by_label.setdefault(variant.effect.label, [])
+            each.append((drop, variant, which, factors))
+    found = []
+    for each in by_label.values():
+        each.sort(key=lambda x: -x[0])
+        best, *others = [_weigh(near, solver, answers, *x) for x in each[:_SHAPES]]
+        found.append(best._replace(others=tuple(others)))
     kept = Tried(tried, bounds, answers)
     return solver.alone, sorted(found, key=lambda s: s.chi2), kept
 
@@ -143,169 +125,8 @@ def _variants(near: Near, paths: Sequence[Path], effect: AbstractEffect) -> list
     typical = Ready(alone, near.ready.recordings, near.ready.mechanisms).typical()
     sizes = {n.meaning.field: float(x) for n, x in zip(alone.fitted, typical, strict=True)}
     joint = alone.numbers[0].joint if alone.numbers else None
-    return variants(effect, sizes, paths, joint)
-
-
-class _Column(NamedTuple):
-    """One unknown strength: its torque in each recording as lines (2, M, n), or, of a sensor, its
-    effect on the readings (N, n)."""
-
-    lines: list[np.ndarray | None]
-    readings: list[np.ndarray | None]
-
-
-def _columns(near: Near, paths: Sequence[Path], variant: Variant) -> list[_Column]:
-    """One column per strength; of an oscillation, two per recording, for its phase."""
-    none: list[np.ndarray | None] = [None] * len(paths)
-    found = []
-    for i in range(len(variant.strengths)):
-        lines, readings = none.copy(), none.copy()
-        for r, path in enumerate(paths):
-            mechanism = near.ready.mechanisms[r]
-            bare, full = Model(mechanism), Model(mechanism, (variant.at(i),))
-            if full.senses:
-                readings[r] = _read(full, near.fitted[r])
-                continue
-            size = len(full.memory)
-            begins = [np.full(size, p) for p in variant.phases] or [np.zeros(size)]
-            each = [path.torque(full, z) for z in begins]
-            if full.bodies is not full.mechanism:
-                without = path.inverse(bare, np.zeros(0))
-                each = [path.inverse(full, z) - without for z in begins]
-            each = [path.lines(x) for x in each]
-            if variant.phases:
-                found += [_Column([x if k == r else None for k in range(len(paths))], none)
-                          for x in each]  # fmt: skip
-            else:
-                lines[r] = each[0]
-        if not variant.phases:
-            found.append(_Column(lines, readings))
-    return found
-
-
-def _holds(paths: Sequence[Path], needed: Sequence[np.ndarray], variant: Variant) -> list[_Column]:
-    """Where friction holds a joint at rest, it is whatever that takes (`needed` by a model that is
-    not yet right, and a constant): not to be judged, and not to be taken for the law's."""
-    found, none = [], [None] * len(paths)
-    if not variant.effect.dry:
-        return []
-    for r, path in enumerate(paths):
-        for j in range(path.q.shape[1]) if variant.joint is None else [variant.joint]:
-            for torque in (np.ones_like(path.q), -needed[r]):
-                if path.rests[:, j].any():
-                    only = np.zeros_like(path.q)
-                    only[:, j] = path.rests[:, j] * torque[:, j]
-                    lines = [path.lines(only) if k == r else None for k in range(len(paths))]
-                    found.append(_Column(lines, none))
-    return found
-
-
-def _read(model: Model, fit: RecordingFit) -> np.ndarray:
-    """(N, n) by how much the readings differ from the angles, in the motion as fitted: what sensors
-    do, they do to what the model predicts."""
-    q = fit.predicted
-    v = np.gradient(q, fit.recording.time, axis=0)
-    late = np.array([float(d) for d in model.delays])
-    return np.asarray(model.reading(jnp.asarray(q))) - q - late * v
-
-
-def _answers(
-    near: Near,
-    paths: Sequence[Path],
-    needed: Sequence[np.ndarray] | None,
-    columns: Sequence[_Column],
-) -> Answers:
-    """The answers to all columns, and, first among them, to the drive that is `needed` to lead the
-    model along the paths and is not there."""
-    n, fit = len(near.fit.joints), near.fit
-    steps, driven = near.problem.steps, near.problem.recorded.drive
-    lines, gaps = [], []
-    for r, path in enumerate(paths):
-        real = np.zeros((2, steps, n))
-        if driven is not None:
-            real = np.stack([driven.left[r], driven.right[r]])
-        lines.append(real if needed is None else path.lines(needed[r]))
-        gaps.append(real - lines[-1])
-    drive = Piecewise(
-        jnp.zeros(len(paths)),
-        jnp.asarray([p.h for p in paths]),
-        jnp.asarray(np.stack([x[0] for x in lines])),
-        jnp.asarray(np.stack([x[1] for x in lines])),
-    )
-    begin = np.stack([f.state for f in near.fitted])
-    for r, path in enumerate(paths if needed is not None else ()):
-        h = path.time[0]
-        begin[r, :n], begin[r, n : 2 * n] = path.q[0] - h * path.v[0], path.v[0] - h * path.a[0]
-    y = near.problem.scaled(fit.model.vector(), jnp.asarray(begin))
-    torques = [gaps] + [
-        [np.zeros((2, steps, n)) if x is None else -x for x in c.lines] for c in columns
-    ]
-    blocks = []
-    for first in range(0, len(torques), _LANES):
-        some = torques[first : first + _LANES]
-        filled = some + [some[-1]] * (_LANES - len(some))
-        stacked = np.stack([np.stack(c) for c in filled], axis=1)  # (R, C, 2, M, n)
-        out = jax.device_get(_respond(near.problem, y, drive, jnp.asarray(stacked)))
-        blocks.append((out, len(some)))
-    return _whitened(near, blocks, columns, np.asarray(y.states))
-
-
-def _whitened(near: Near, blocks, columns: Sequence[_Column], states: np.ndarray) -> Answers:
-    found = Answers([], [], [], [], states * np.asarray(near.problem.scale.states))
-    memories, numbers = near.memories(), near.numbers
-    for r, (layout, weight) in enumerate(zip(near.layouts, near.weights(), strict=True)):
-        predicted, slopes, _ = (x[r] for x in blocks[0][0])
-        w = weight.reshape(-1, 1)
-        answers = np.concatenate(
-            [layout.take(out[2][r])[..., :count] for out, count in blocks], axis=-1
-        )
-        answers = answers.reshape(-1, answers.shape[-1])
-        readings = np.nan_to_num(near.fitted[r].recording.angle) - layout.take(predicted)
-        left = readings.reshape(-1) - answers[:, 0]
-        answers = answers[:, 1:]
-        for k, column in enumerate(columns):
-            seen = column.readings[r]
-            if seen is not None:
-                answers[:, k] = seen.reshape(-1)
-        local = layout.take(slopes).reshape(len(w), -1)
-        prior = np.zeros((memories, local.shape[1] - numbers))
-        if memories:
-            prior[:, -memories:] = np.eye(memories)
-        known = -states[r, states.shape[1] - memories :]
-        found.left.append(np.append(np.nan_to_num(left * w[:, 0]), known))
-        found.numbers.append(np.nan_to_num(local[:, :numbers] * w))
-        found.states.append(np.vstack([np.nan_to_num(local[:, numbers:] * w), prior]))
-        found.columns.append(np.nan_to_num(answers * w))
-    return found
-
-
-@eqx.filter_jit
-def _respond(problem: Problem, y: Unknowns, drive: Piecewise, torques):
-    """Predictions (R, M, m, n) under a drive, and their slopes in the unknowns and in torques."""
-    numbers = problem.scale.numbers.shape[0]
-
-    def one(recorded, scale, state, drive, torques):
-        def local(z, more):
-            moved = problem.numbers(Unknowns(z[:numbers], y.states))
-            led = Piecewise(drive.start, drive.spacing, drive.left + more[0], drive.right + more[1])
-            forced = eqx.tree_at(lambda x: x.drive, recorded, led, is_leaf=lambda x: x is None)
-            predicted = predict(problem, forced, moved, scale * z[numbers:])
-            return predicted, predicted
-
-        z, none = jnp.concatenate([y.numbers, state]), jnp.zeros_like(torques[0])
-
-        def along(dz, du):
-            return jax.jvp(local, (z, none), (dz, du), has_aux=True)[1:]
-
-        own, predicted = jax.vmap(along, in_axes=(0, None), out_axes=(-1, None))(
-            jnp.eye(len(z)), none
-        )
-        answers, _ = jax.vmap(along, in_axes=(None, 0), out_axes=(-1, None))(0 * z, torques)
-        clean = lambda x: jnp.where(jnp.isfinite(x), x, 0.0)  # noqa: E731
-        return clean(predicted), clean(own), clean(answers)
-
-    each = over_recordings(one, problem.model)
-    return each(problem.recorded, problem.scale.states, y.states, drive, torques)
+    modes = [m.frequency_hz for m in near.fit.modes]
+    return variants(effect, sizes, paths, joint, modes)
 
 
 class _Solver(NamedTuple):
@@ -319,7 +140,8 @@ class _Solver(NamedTuple):
     @classmethod
     def of(cls, near: Near, answers: Answers) -> "_Solver":
         """Eliminate initial states recording by recording, then the numbers."""
-        total, whole = 0.0, 0.0
+        wide = near.numbers + answers.columns[0].shape[1] + 1
+        total, whole = np.zeros((wide, wide)), np.zeros(wide - near.numbers - 1)
         for left, numbers, states, columns in answers.recordings():
             rows = np.hstack([numbers, columns, left[:, None]])
             basis = _basis(states)
@@ -328,11 +150,11 @@ class _Solver(NamedTuple):
         p = near.numbers
         inner = _inverse(total[:p, :p])
         rest = total[p:, p:] - total[p:, :p] @ inner @ total[:p, p:]
-        return cls(rest[:-1, :-1], rest[:-1, -1], np.asarray(whole), float(rest[-1, -1]))
+        return cls(rest[:-1, :-1], rest[:-1, -1], whole, float(rest[-1, -1]))
 
-    def solve(self, which: Sequence[int], free: Sequence[bool]) -> tuple[np.ndarray, float]:
+    def solve(self, chosen: Sequence[int], free: Sequence[bool]) -> tuple[np.ndarray, float]:
         """Factors of some columns, none negative that is not `free`, and the drop they bring."""
-        which = np.asarray(which)
+        which = np.asarray(chosen)
         good = self.square[which, which] > _LEAST * self.whole[which]
         while True:
             factors, use = np.zeros(len(which)), which[good]

@@ -57,13 +57,14 @@ def descend(
     like: Problem | None = None,
     near: np.ndarray | None = None,
     hopeless: Callable[[float], bool] = lambda cost: False,
+    staged: bool = False,
 ) -> Descent:
     """Descend from every row of `numbers` (S, P), and of `memory` (S, R, m); set wild readings
     aside; descend again if there were.
 
     With `like`, the numbers stay as in `begin`, and that problem's compiled program serves. With
     `near` (S, R, s), initial states which are near enough that no phase can slip, all readings
-    count from the first step on.
+    count from the first step on, unless that is to be `staged`, too.
     """
     problem, layouts, states = here.problem(begin, wild, like)
     if like is not None:
@@ -78,7 +79,8 @@ def descend(
     longest = max(r.duration for r in here.recordings)
     first = min(1.0, _FIRST_CYCLES * 2 * math.pi / here.frequency(begin) / longest)
     if near is not None:
-        y, first = y._replace(states=jnp.asarray(near) / problem.scale.states), 1.0
+        y = y._replace(states=jnp.asarray(near) / problem.scale.states)
+        first = first if staged else 1.0
     out = jax.device_get(polish(problem, y, sorted({first, math.sqrt(first), 1.0}), hopeless))
     best, agreeing = int(np.argmin(out.cost)), _agreeing(out)
     steps = int(out.steps[best])
@@ -111,6 +113,13 @@ def descend(
         at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
     total, done = float(out.cost[best]), bool(out.converged[best])
     return Descent(problem, layouts, wild, at, squeezed, total, steps, done, starts, agreeing)
+
+
+def shares_of(here: Ready, begin: Model) -> list[float]:
+    """The growing shares (0 to 1) of the recordings that a start is fitted to."""
+    longest = max(r.duration for r in here.recordings)
+    first = min(1.0, _FIRST_CYCLES * 2 * math.pi / here.frequency(begin) / longest)
+    return sorted({first, math.sqrt(first), 1.0})
 
 
 def _upright(problem: Problem, at: Unknowns) -> Unknowns | None:

@@ -19,14 +19,14 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .problem import Compressed, Problem, Unknowns, compressed
 
-_STEPS = 20  # of one call: between calls, the hopeless can be left
+STEPS = 20  # of one call: between calls, the hopeless can be left
 _CALLS = 4
 # Steps end when the whitened residual moves by less than this many sigma, in total ...
 _RESIDUAL_TOLERANCE = 3e-3
 # ... and no unknown by more than this share of its scale.
 _UNKNOWN_TOLERANCE = 1e-5
 # A start this many times worse than the best after the first stretch has lost its way.
-_LOST = 25.0
+LOST = 25.0
 
 
 class Polished(NamedTuple):
@@ -54,7 +54,7 @@ def _norm(tree) -> Float[Array, ""]:
     return optx.max_norm(tree) * (_RESIDUAL_TOLERANCE / _UNKNOWN_TOLERANCE)
 
 
-class _Stretch(NamedTuple):
+class Stretch(NamedTuple):
     """A problem over the first `only` integration steps of every recording."""
 
     problem: Problem
@@ -62,13 +62,13 @@ class _Stretch(NamedTuple):
 
 
 @eqx.filter_custom_jvp
-def _rows(y: Unknowns, stretch: _Stretch) -> tuple[_Rows, Compressed]:
+def rows(y: Unknowns, stretch: Stretch) -> tuple[_Rows, Compressed]:
     """Compressed residual. Its Jacobian is known already, so it is attached, not derived."""
     squeezed = compressed(stretch.problem, y, stretch.only)
     return _Rows(squeezed.along, squeezed.beside), squeezed
 
 
-@_rows.def_jvp
+@rows.def_jvp
 def _rows_jvp(primals, tangents):
     (y, stretch), (dy, _) = primals, tangents
     squeezed = compressed(stretch.problem, y, stretch.only)
@@ -80,17 +80,21 @@ def _rows_jvp(primals, tangents):
     return (rows, squeezed), (_Rows(along, jnp.zeros_like(squeezed.beside)), still)
 
 
-def descend(stretch: _Stretch, y: Unknowns):
+def solver() -> optx.LevenbergMarquardt:
+    """Levenberg-Marquardt with this module's stopping rule."""
+    return optx.LevenbergMarquardt(rtol=0.0, atol=_RESIDUAL_TOLERANCE, norm=_norm)
+
+
+def descend(stretch: Stretch, y: Unknowns):
     """One Levenberg-Marquardt descent: where it ended, steps, whether it converged, and J there."""
-    solver = optx.LevenbergMarquardt(rtol=0.0, atol=_RESIDUAL_TOLERANCE, norm=_norm)
     solution = optx.least_squares(
-        _rows,
-        solver,
+        rows,
+        solver(),
         y,
         args=stretch,
         has_aux=True,
         options={"jac": "fwd"},
-        max_steps=_STEPS,
+        max_steps=STEPS,
         throw=False,
     )
     done = solution.result == optx.RESULTS.successful
@@ -126,7 +130,7 @@ def _stretch(problem: Problem, y: Unknowns, lost, share) -> Polished:
     row = jnp.arange(problem.steps)[:, None, None]
     only = jnp.ceil(share * problem.steps).astype(int)
     weights = jnp.where(row < only, problem.recorded.weights, 0.0)
-    stage = _Stretch(eqx.tree_at(lambda p: p.recorded.weights, problem, weights), only)
+    stage = Stretch(eqx.tree_at(lambda p: p.recorded.weights, problem, weights), only)
 
     def one(start):
         return descend(stage, start)
@@ -135,7 +139,7 @@ def _stretch(problem: Problem, y: Unknowns, lost, share) -> Polished:
     y, steps, good, squeezed = jax.lax.map(one, y) if problem.model.dry else jax.vmap(one)(y)
     total = _cost(squeezed)
     best = jnp.argmin(total)
-    lost = lost | ~(total <= _LOST * total[best])
+    lost = lost | ~(total <= LOST * total[best])
     y = jax.tree.map(lambda x: jnp.where(_like(lost, x), x[best][None], x), y)
     return Polished(y, total, steps, good, lost, squeezed)
 

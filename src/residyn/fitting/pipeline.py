@@ -5,6 +5,7 @@ Everything numerical lives in the neighbours of this file; here is their order.
 
 import time
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +19,7 @@ from ..simulation import compiled_state_matrix
 from .descent import Descent, descend, wild_beside
 from .identify import Spread, spread_of
 from .result import Fit, Mode, Number, RecordingFit
-from .setup import ready
+from .setup import Ready, ready
 from .start import closed_form, perturbed
 from .words import warnings_for
 
@@ -31,6 +32,8 @@ def fit(
     effects: Sequence[str | AbstractEffect] = (),
     starts: int = DEFAULT_STARTS,
     progress: Callable[[str], None] | None = None,
+    method: str = "levenberg",
+    **search: Any,
 ) -> Fit:
     """Fit springs, dampers and any `effects` to the recordings of an experiment.
 
@@ -44,14 +47,25 @@ def fit(
     - `effects`: what to add to the springs and dampers: `name`, `name:joint`, or an effect.
     - `starts`: how many starts to try, at least 1.
     - `progress`: called with a few words as each phase begins.
+    - `method`: "levenberg", or "genetic" for the paper's genetic algorithm on Eq. 17, which knows
+      no `starts` and takes further arguments: those of `residyn.fitting.Genetic`.
 
     **Returns:** a `Fit`.
 
     **Raises:** `FitError` if no start led to finite numbers; `ValueError` for an effect that does
-    not exist or does not go with this experiment.
+    not exist or does not go with this experiment; with "genetic", `MissingExtra` without evosax.
     """
+    say = progress or (lambda words: None)
     with jax.enable_x64(True):
-        return _fit(experiment, effects, starts, progress or (lambda words: None))
+        if method == "genetic":
+            from .genetic import Genetic, fit_genetic
+
+            return fit_genetic(experiment, effects, Genetic(**search), say)
+        if method != "levenberg":
+            raise ValueError(f'method = "{method}": must be "levenberg" or "genetic"')
+        if search:
+            raise TypeError(f'{next(iter(search))} is an argument of method="genetic" only')
+        return _fit(experiment, effects, starts, say)
 
 
 def _fit(experiment, effects, starts, progress) -> Fit:
@@ -64,19 +78,27 @@ def _fit(experiment, effects, starts, progress) -> Fit:
     wild = wild_beside(here, [r.angle for r in here.recordings])
 
     progress("finding a start in closed form")
+    numbers, memory = beginning(here, wild, starts)
+
+    progress(f"fitting from {starts} start{'s' * (starts > 1)}")
+    begin = here.model.with_vector(jnp.asarray(numbers[0]))
+    descent = descend(here, begin, numbers, wild, progress, memory)
+
+    progress("errors, modes and held-out recordings")
+    model = here.model.with_vector(descent.problem.numbers(descent.unknowns))
+    return finish(experiment, effects, model, np.asarray(numbers[0]), descent, began)
+
+
+def beginning(
+    here: Ready, wild: Sequence[np.ndarray], starts: int
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Where the starts begin, the best one first: numbers (S, P), internal states (S, R, m)."""
     found = closed_form(here.posed(), here.recordings, wild, here.typical())
     candidates = found.numbers[:starts] if len(found.numbers) else here.typical()[None]
     more = starts - len(candidates)
     numbers = np.vstack([candidates, perturbed(candidates[0], more)])
     memory = found.memory[[*range(len(candidates)), *[0] * more]] if len(found.memory) else None
-
-    progress(f"fitting from {starts} start{'s' * (starts > 1)}")
-    begin = here.model.with_vector(jnp.asarray(candidates[0]))
-    descent = descend(here, begin, numbers, wild, progress, memory)
-
-    progress("errors, modes and held-out recordings")
-    model = here.model.with_vector(descent.problem.numbers(descent.unknowns))
-    return finish(experiment, effects, model, np.asarray(candidates[0]), descent, began)
+    return numbers, memory
 
 
 def refit(
@@ -85,17 +107,25 @@ def refit(
     numbers: np.ndarray,
     states: np.ndarray,
     wild: Sequence[np.ndarray],
-    hopeless: Callable[[float], bool],
+    hopeless: Callable[[float], bool] = lambda cost: False,
+    staged: bool = False,
 ) -> tuple[Model, Descent]:
     """Descend from numbers (S, P) and initial states (S, R, s) that are near already, unless that
-    is `hopeless` at some cost.
+    is `hopeless` at some cost; `staged` fits the first cycles first.
 
     Call it in float64. **Raises:** `FitError` if nothing finite comes of them.
     """
     here = ready(experiment, experiment.fit_recordings, effects)
     begin = here.model.with_vector(jnp.asarray(numbers[0]))
     descent = descend(
-        here, begin, numbers, list(wild), lambda words: None, near=states, hopeless=hopeless
+        here,
+        begin,
+        numbers,
+        list(wild),
+        lambda words: None,
+        near=states,
+        hopeless=hopeless,
+        staged=staged,
     )
     return here.model.with_vector(descent.problem.numbers(descent.unknowns)), descent
 

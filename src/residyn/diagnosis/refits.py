@@ -1,0 +1,168 @@
+"""Candidates joined to a model and fitted, each from where the screen says."""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import jax
+import numpy as np
+
+from ..effects import AbstractEffect
+from ..fitting.descent import Descent
+from ..fitting.pipeline import refit
+from ..fitting.result import FitError
+from ..model import Model
+from ..recording import Experiment
+from .path import resonant
+from .rung import Refit, Step, errors_of
+from .screen import Screened
+
+_HOPELESS = 1.5  # times the best, when it should have settled: not worth the time
+_WEAK = 0.3  # of the screened strength, for the second start
+_PROMISED = 1.5  # times the screened chi-square: a fit that ends worse starts again
+_AGAIN = 3  # fits that start again
+_IMPOSSIBLE = 3.0  # standard errors on the wrong side of zero
+_VALLEYS = 2  # candidates that are fitted stage by stage
+_NOISE = 1.1  # times the noise: as good as it gets
+_THREADS = 2
+
+
+def refits(step: Step, experiment: Experiment, tried: Sequence[Screened]) -> list[Refit]:
+    """Fits of some candidates beside a model; those that led nowhere are left out."""
+    best = [step.cost]
+    with ThreadPoolExecutor(_THREADS) as pool:  # compiling is most of it, and leaves Python free
+        each = [pool.submit(_refit, step, experiment, s, best) for s in tried]
+        found = [r for r in (e.result() for e in each) if r is not None]
+    return _staged(step, experiment, _again(step, experiment, found))
+
+
+def _again(step: Step, experiment: Experiment, refits: list[Refit]) -> list[Refit]:
+    """Fits that ended far above the best start again where that one has left springs, dampers and
+    initial states: a wrong valley of those is the usual reason."""
+    best = min((r for r in refits if r.possible), key=lambda r: r.cost, default=None)
+    if best is None:
+        return refits
+    count, size = len(step.fit.numbers), step.near.fitted[0].state.size
+    numbers = np.asarray(best.model.vector())[:count]
+    states = np.asarray(best.descent.problem.states(best.descent.unknowns))[:, :size]
+    found, left = [], _AGAIN
+    for r in sorted(refits, key=lambda r: r.screened.chi2):
+        if left and r.cost > _PROMISED * best.cost:
+            left -= 1
+            moved = r.screened._replace(
+                numbers=numbers,
+                states=np.concatenate([states, r.screened.states[:, size:]], axis=1),
+            )
+            new = _refit(step, experiment, moved, [best.cost], weak=False)
+            if new is not None and new.cost < r.cost:
+                r = new._replace(screened=r.screened)
+        found.append(r)
+    return found
+
+
+def _staged(step: Step, experiment: Experiment, found: list[Refit]) -> list[Refit]:
+    """Joints that stick make many valleys. Where the best fits of such effects end above the noise,
+    the first cycles are fitted first, from where the screen began and from where the fit ended."""
+    best = sorted((r for r in found if r.possible), key=lambda r: r.cost)[:_VALLEYS]
+    wild = [r.wild for r in step.near.fitted]
+    for r in best:
+        if not (r.effect.dry or r.effect.rough) or r.cost < _NOISE * step.readings:
+            continue
+        alone = Model(step.fit.model.mechanism, (r.effect,))
+        ended = np.asarray(r.model.vector()), r.descent.problem.states(r.descent.unknowns)
+        for numbers, states in ((r.start, r.screened.states), ended):
+            try:
+                model, descent = refit(
+                    experiment,
+                    (*step.effects, silent(r.effect)),
+                    np.asarray(numbers)[None],
+                    np.asarray(states)[None],
+                    wild,
+                    staged=True,
+                )
+            except FitError:
+                continue
+            if descent.cost < r.cost:
+                possible = _possible(step, model, descent, alone)
+                new = r._replace(model=model, descent=descent, possible=possible)
+                found = [new if x.label == r.label else x for x in found]
+                r = new
+            if r.cost < _NOISE * step.readings:
+                break
+    return found
+
+
+def _refit(
+    step: Step, experiment: Experiment, screened: Screened, least: list[float], weak: bool = True
+) -> Refit | None:
+    """Fit a candidate; `least` has the costs of those that were fitted before."""
+    effects = (*step.effects, silent(screened.effect))
+    alone = Model(step.fit.model.mechanism, (screened.effect,))
+    now = np.asarray(step.fit.model.vector())
+    second = np.concatenate([now, np.asarray(alone.vector())])
+    for i, n in enumerate(alone.fitted, start=len(now)):
+        if n.meaning.silent is not None:
+            second[i] = n.meaning.silent + _WEAK * (second[i] - n.meaning.silent)
+    states = np.stack([r.state for r in step.near.fitted])
+    more = screened.states[:, states.shape[1] :]
+    wild = [r.wild for r in step.near.fitted]
+    best = None
+
+    def hopeless(cost: float) -> bool:
+        return cost > _HOPELESS * max(min(least), float(step.readings))
+
+    with jax.enable_x64(True):
+        # From where the screen says, with the shapes that it likes best; at last from where the
+        # model stands. A fit down to the noise needs no other.
+        begins = [(_joined(step, x), x.states) for x in (screened, *screened.others)]
+        begins += [(second, np.concatenate([states, more], axis=1))]
+        for numbers, begin in begins if weak else begins[:1]:
+            try:
+                model, descent = refit(
+                    experiment, effects, numbers[None], begin[None], wild, hopeless
+                )
+            except FitError:
+                continue
+            if best is None or descent.cost < best.cost:
+                possible = _possible(step, model, descent, alone)
+                best = Refit(screened.effect, screened, model, descent, numbers, possible)
+            enough = _NOISE * step.readings
+            if not screened.others:
+                enough = _PROMISED * max(screened.chi2, float(step.readings))
+            if best.cost < enough:
+                break
+    if best is not None and best.possible:
+        least.append(best.cost)
+    return best
+
+
+def _joined(step: Step, screened: Screened) -> np.ndarray:
+    """All numbers of a model with a screened effect; what physics keeps positive stays so."""
+    own = np.asarray(Model(step.fit.model.mechanism, (screened.effect,)).vector())
+    numbers, now = screened.numbers.copy(), np.asarray(step.fit.model.vector())
+    for i, n in enumerate(step.fit.model.fitted):
+        if n.meaning.sign == "positive" and numbers[i] <= 0.0 < now[i]:
+            numbers[i] = _WEAK * now[i]
+    return np.concatenate([numbers, own])
+
+
+def silent(effect: AbstractEffect) -> AbstractEffect:
+    """The same effect as a fit takes it: at its default values."""
+    return type(effect)(effect.place) if effect.place else type(effect)()  # pyright: ignore
+
+
+def _possible(step: Step, model: Model, descent: Descent, alone: Model) -> bool:
+    """Whether no number of the effect is on the wrong side of zero, for sure, and no oscillation is
+    but a correction of a mode."""
+    values, spread = np.asarray(model.vector()), errors_of(descent, 1.0)
+    first = len(values) - len(alone.fitted)
+    modes = [m.frequency_hz for m in step.fit.modes]
+    longest = max(r.recording.duration for r in step.near.fitted)
+    for i, n in enumerate(alone.fitted):
+        oscillates = n.meaning.field == alone.effects[n.effect].oscillates
+        if oscillates and resonant(abs(values[first + i]), modes, longest):
+            return False
+        if n.meaning.sign == "positive" and n.meaning.silent is not None:
+            value, std = values[first + i], spread[first + i]
+            if value < 0 and (not np.isfinite(std) or value < -_IMPOSSIBLE * std):
+                return False
+    return True

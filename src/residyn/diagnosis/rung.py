@@ -1,0 +1,111 @@
+"""A model on the ladder: its fit, what was seen of it, and the candidates that were tried."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..effects import AbstractEffect
+from ..fitting.descent import Descent
+from ..fitting.identify import spread_of
+from ..fitting.result import Fit
+from ..model import Model
+from .horizon import HeldOut, held_out
+from .linear import Near
+from .screen import Screened, Tried
+from .where import Where, where
+
+_DROP = 20.0  # least fall of chi-square, in units of what is left, of one number
+_MORE = 3.0  # and of every further one
+_SEARCHED = 10.0  # and where a frequency was looked for
+
+
+class Refit(NamedTuple):
+    """A candidate joined to the model and fitted."""
+
+    effect: AbstractEffect
+    screened: Screened
+    model: Model
+    descent: Descent
+    start: np.ndarray
+    possible: bool
+    """Whether its numbers have the sign that physics allows."""
+
+    @property
+    def label(self) -> str:
+        """`name` or `name:place`."""
+        return self.effect.label
+
+    @property
+    def cost(self) -> float:
+        """Chi-square with it."""
+        return self.descent.cost
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers it brought."""
+        return len(Model(self.model.mechanism, (self.effect,)).fitted)
+
+    @property
+    def std(self) -> np.ndarray:
+        """(P,) standard errors of all numbers."""
+        readings = float(np.sum(np.asarray(self.descent.problem.recorded.weights) > 0))
+        return errors_of(self.descent, max(1.0, self.cost / readings))
+
+
+class Step(NamedTuple):
+    """A model on the ladder, and what was found from it."""
+
+    fit: Fit
+    near: Near
+    where: Where
+    white: float
+    held_out: HeldOut | None
+    effects: tuple[AbstractEffect, ...]
+    slopes: list[np.ndarray]
+    alone: float = float("nan")
+    tried: Tried | None = None
+    screened: tuple[Screened, ...] = ()
+    refits: tuple[Refit, ...] = ()
+
+    @property
+    def cost(self) -> float:
+        """Chi-square of the fit."""
+        return cost_of(self.fit)
+
+    @property
+    def readings(self) -> int:
+        """How many readings were fitted."""
+        return sum(int(r.used.sum()) for r in self.near.fitted)
+
+
+def cost_of(fit: Fit) -> float:
+    """Sum of squared whitened residuals of the fitted recordings."""
+    return sum(
+        float(np.sum((np.where(r.used, r.residual, 0.0) / r.recording.noise) ** 2))
+        for r in fit.recordings
+        if r.recording.role != "check"
+    )
+
+
+def stand(fit: Fit, effects: Sequence[AbstractEffect]) -> Step:
+    """A fitted model as a step of the ladder."""
+    near = Near.of(fit)
+    _, slopes = near.look(near.at)
+    found = where(near, slopes)
+    p = [w.p for w in found.white.values() if np.isfinite(w.p)]
+    white = float(-np.expm1(len(p) * np.log1p(-min(p)))) if p and min(p) < 1 else 1.0
+    return Step(fit, near, found, white, held_out(near), tuple(effects), slopes)
+
+
+def worth(effect: AbstractEffect, step: Step) -> float:
+    """How far chi-square must fall for an effect, in its own units."""
+    count = len(Model(step.fit.model.mechanism, (effect,)).fitted)
+    least = _DROP + _MORE * (count - 1) + _SEARCHED * (effect.oscillates is not None)
+    return least
+
+
+def errors_of(descent: Descent, inflation: float) -> np.ndarray:
+    """(P,) standard errors of the numbers where a descent ended, squared times `inflation`."""
+    sizes = np.asarray(descent.problem.scale.numbers)
+    return spread_of(np.asarray(descent.compressed.factor), sizes, inflation).std

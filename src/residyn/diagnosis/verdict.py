@@ -1,0 +1,88 @@
+"""What is left after the ladder, judged and put into words."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .._units import ratio
+from ..fitting.result import Fit
+from .result import Verdict
+from .rung import Step
+from .words import SURE, chance, listed
+
+_SLIGHT = 0.1  # of the residual's size: structure smaller than this does not matter
+
+
+def verdict_on(last: Step, added: bool) -> Verdict:
+    """About what is left: noise, or not."""
+    if last.white >= SURE or slight(last):
+        return "missing" if added else "adequate"
+    return "unexplained"
+
+
+def slight(step: Step) -> bool:
+    """Whether what is not noise is so small a part of the residual that it does not matter: all
+    structure taken out, the residual would hardly be smaller. Real noise is never quite white; a
+    noise that was stated is taken to be."""
+    if any(r.recording.noise_given for r in step.near.fitted):
+        return False
+    bands = step.where.frequency
+    freedom = sum(p.whole.freedom for p in bands)
+    energy = sum(p.whole.energy for p in bands)
+    if freedom <= 0 or energy <= 0:
+        return False
+    # Noise is what the quieter half of the bands say it is.
+    levels = sorted((p.whole.energy / p.whole.freedom, p.whole.freedom) for p in bands
+                    if p.whole.freedom > 0)  # fmt: skip
+    count = np.cumsum([f for _, f in levels])
+    floor = levels[int(np.searchsorted(count, 0.5 * count[-1]))][0]
+    beyond = sum(max(0.0, p.whole.energy - floor * p.whole.freedom) for p in bands)
+    return bool(1.0 - np.sqrt(max(0.0, 1.0 - beyond / energy)) < _SLIGHT)
+
+
+def words_for(
+    verdict: Verdict,
+    base: Fit,
+    last: Step,
+    kept: Sequence[tuple[str, float]],
+    groups: Sequence[tuple[str, ...]],
+) -> tuple[str, ...]:
+    """The verdict in a few sentences; `kept` are names and how sure each is."""
+    fit = last.fit
+    worst = int(np.nanargmax(base.rmse / base.noise))
+    joint = fit.joints[worst]
+    before, after = (f.rmse[worst] / f.noise[worst] for f in (base, fit))
+    if verdict == "adequate":
+        if last.white >= SURE:
+            return (
+                "Nothing is missing that these recordings could show: what springs and dampers "
+                f"leave is {ratio(after)} times the noise and white ({chance(last.white)}).",
+            )
+        return (
+            "Nothing is missing that matters: what is left is "
+            f"{ratio(after)} times the noise; it is not quite white ({chance(last.white)}), but "
+            "no effect of the catalogue makes it smaller by as much as a model should.",
+        )
+    names = listed([f"{name} ({100 * p:.0f} %)" for name, p in kept]) if kept else ""
+    fall = f"the error at the {joint} falls from {ratio(before)} to {ratio(after)} times the noise"
+    if verdict == "missing":
+        be = "is" if len(kept) == 1 else "are"
+        words = [
+            f"{names} {be} missing: with {'it' if len(kept) == 1 else 'them'} {fall}, and what "
+            f"is left is no more than noise ({chance(last.white)})."
+        ]
+    elif kept:
+        words = [
+            f"{names} explains part of it: {fall}.",
+            "Something real is left that no effect of the catalogue explains "
+            f"({chance(last.white)}): see the torque that is still missing.",
+        ]
+    else:
+        words = [
+            "Something real is missing that no effect of the catalogue explains: springs and "
+            f"dampers leave {ratio(after)} times the noise at the {joint}, and it is not noise "
+            f"({chance(last.white)}). See the torque that is missing."
+        ]
+    for group in groups:
+        words.append(f"These recordings cannot tell {group[0]} from {listed(list(group[1:]))}.")
+    return tuple(words)

@@ -1,0 +1,234 @@
+"""`diagnose`: the right name, no name, and no name for what is in no catalogue. The truth is made
+by MuJoCo (tests/rig), which shares no code with the package."""
+
+import json
+import math
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import residyn
+from residyn.diagnosis.diagnosing import candidates_for
+from residyn.diagnosis.linear import Near
+from residyn.diagnosis.missing_torque import missing_torque
+from residyn.diagnosis.next_experiment import advise
+from residyn.diagnosis.path import Path as Way
+from residyn.diagnosis.path import variants
+from residyn.diagnosis.screen import screen
+from residyn.recording import ArmTable, Bearing, InertiaTable
+from tests import rig
+
+ARM = rig.paper_twin(0.3)
+DATA = Path(__file__).parents[2] / "shared" / "data"
+Q0 = np.array([0.2, -0.15])
+
+
+def experiment(label=None, values=None, seed=0, noise=5e-4, seconds=12.0, arm=ARM):
+    """A release of the paper's arm with one effect hidden."""
+    hidden = [rig.Hidden(label, values)] if label else []
+    case = rig.record(
+        np.random.default_rng(seed), arm, Q0, hidden, seconds=seconds, rate=100.0, noise=noise
+    )
+    recording = residyn.Recording.from_arrays(case.t, case.q, theta2=arm.theta2, noise=noise)
+    table = ArmTable((arm.l1, arm.l2), arm.shoulder, arm.elbow, arm.coupling)
+    bearings = [Bearing(where, 1e-9, 1e-9) for where in case.bearings]
+    return residyn.Experiment(table, (recording,), bearings)
+
+
+@pytest.fixture(scope="module")
+def friction():
+    return residyn.diagnose(experiment("coulomb_friction:elbow", {"torque": 0.05}))
+
+
+def test_friction_is_named_and_the_error_falls(friction):
+    assert friction.verdict == "missing"
+    assert friction.added == ("coulomb_friction:elbow",)
+    value = friction.fit.to_dict()["parameters"]["coulomb_friction:elbow.torque"]
+    assert abs(value["value"] - 0.05) < 4 * value["std"]
+    base, last = friction.ladder[0], friction.ladder[-1]
+    assert (last.times_noise < 1.1).all()
+    assert base.times_noise.max() > 3
+    assert last.held_out.held_out.ratio.max() < 1.2 < base.held_out.held_out.ratio.max()
+
+
+def test_the_name_carries_its_evidence(friction):
+    first = friction.candidates[0]
+    assert first.effect == "coulomb_friction:elbow"
+    assert first.probability > 0.9
+    # To first order about the motion as it was, the drop is what the refit finds.
+    assert first.chi2_drop_screened == pytest.approx(first.chi2_drop_refit, rel=0.2)
+    assert sum(c.probability for c in friction.candidates) < 1 + 1e-9
+    tried = [c for c in friction.candidates if c.chi2_drop_refit is not None]
+    assert len(tried) >= 2
+    assert {c.effect for c in friction.candidates} == {
+        e.label for e in candidates_for(friction.base.model)
+    }
+
+
+def test_a_law_that_contains_the_named_one_stands_beside_it(friction):
+    assert friction.lookalikes == (("coulomb_friction:elbow", "stribeck_friction:elbow"),)
+
+
+def test_json_is_the_contract(friction):
+    found = json.loads(json.dumps(friction.to_dict()))
+    assert {"verdict", "added", "ladder", "candidates", "lookalikes", "next_experiment"} <= set(
+        found
+    )
+    for row in found["ladder"]:
+        assert {"model", "rmse", "check_rmse", "reduced_chi2"} == set(row)
+    for row in found["candidates"]:
+        assert set(row) == {
+            "effect",
+            "probability",
+            "chi2_drop_screened",
+            "chi2_drop_refit",
+            "parameters",
+        }
+    assert set(found["missing_torque"]) == {"shoulder", "elbow"}
+    assert found["ladder"][0]["model"] == list(friction.base.model.labels)
+
+
+def test_nothing_hidden_nothing_found():
+    found = residyn.diagnose(experiment(seed=3))
+    assert found.verdict == "adequate"
+    assert not found.added
+    assert len(found.ladder) == 1
+    assert max(c.probability for c in found.candidates) < 0.5
+
+
+def test_what_is_in_no_catalogue_is_not_forced_into_a_name():
+    values = {"torque": 0.2, "waves": 60.0, "phase": 1.0}
+    found = residyn.diagnose(experiment("angle_ripple:elbow", values, noise=2e-4), max_effects=1)
+    assert found.verdict == "unexplained"
+    assert max(c.probability for c in found.candidates) < 0.9
+
+
+def test_no_effect_may_be_added_if_none_is_allowed():
+    found = residyn.diagnose(
+        experiment("cubic_stiffness:shoulder", {"coefficient": 40.0}), max_effects=0
+    )
+    assert found.verdict == "unexplained"
+    assert not found.added
+    assert found.candidates[0].effect == "cubic_stiffness:shoulder"
+    with pytest.raises(ValueError, match="max_effects = -1"):
+        residyn.diagnose(experiment(), max_effects=-1)
+
+
+# -- the screen -------------------------------------------------------------------------------
+
+
+def screened(label, values, **how):
+    fit = residyn.fit(experiment(label, values, **how), starts=2)
+    with jax.enable_x64(True):
+        near = Near.of(fit)
+        beside = near.fitted[0]
+        found = missing_torque(fit.model, beside.recording, wild=beside.wild, state=beside.state)
+        way = Way.of(found, near.problem.steps, 1.0 / fit.modes[0].frequency_hz)
+        return near, screen(near, [way], candidates_for(fit.model))[1]
+
+
+@pytest.mark.parametrize(
+    ("label", "values", "field"),
+    [
+        ("cubic_stiffness:shoulder", {"coefficient": 40.0}, "coefficient"),
+        ("quadratic_drag:elbow", {"coefficient": 0.15}, "coefficient"),
+        ("stiffness_drift:elbow", {"rate": 0.05}, "rate_of_change"),
+        ("hysteresis:shoulder", {"torque": 0.2, "angle": 0.05}, "level"),
+    ],
+)
+def test_the_screen_finds_the_effect_and_its_strength(label, values, field):
+    near, found = screened(label, values)
+    assert found[0].effect.label == label
+    true = next(iter(values.values()))
+    assert float(getattr(found[0].effect, field)) == pytest.approx(true, rel=0.15)
+    readings = near.fitted[0].used.sum()
+    assert found[0].chi2 < 1.5 * readings < 0.9 * found[-1].chi2
+
+
+def test_physics_forbids_what_the_data_ask_for():
+    """A spring that gains stiffness must not be explained by friction that drives."""
+    _, found = screened("cubic_stiffness:shoulder", {"coefficient": 40.0})
+    for s in found:
+        if s.effect.name == "coulomb_friction":
+            assert float(s.effect.level) >= 0.0
+
+
+def test_shapes_are_tried_on_a_grid():
+    effect = residyn.Hysteresis("elbow")
+    way = Way(0.1, np.zeros(8), *[np.zeros((8, 2))] * 6)
+    tried = variants(effect, {"level": 2.0, "angle": 0.3}, [way], 1)
+    angles = sorted(float(v.effect.angle) for v in tried)
+    assert len(angles) > 3
+    assert angles[0] < 0.3 * 0.25 < angles[-1]
+    for v in tried:
+        assert float(v.effect.level) == 0.0
+        assert float(v.at(0).level) == 2.0
+
+
+def test_a_torque_keeps_its_impulse_and_moment_in_every_step():
+    h, parts = 0.1, 8
+    time = (np.arange(40) + 0.5) * h / parts
+    way = Way(h, time, *[np.zeros((40, 1))] * 6)
+    torque = np.where(time < 0.17, 1.0, -1.0)[:, None]
+    left, right = way.lines(torque)
+    assert left.shape == (5, 1)
+    np.testing.assert_allclose((left + right)[:, 0] / 2, torque.reshape(5, 8).mean(1))
+    s = (np.arange(parts) + 0.5) / parts
+    line = left[1, 0] + (right[1, 0] - left[1, 0]) * s
+    assert np.mean(s * line) == pytest.approx(np.mean(s * torque.reshape(5, 8)[1]))
+
+
+# -- what to measure next -----------------------------------------------------------------------
+
+
+def test_another_elbow_angle_tells_gravity_from_a_constant_torque():
+    from residyn.diagnosis.ladder import search
+    from residyn.diagnosis.rung import stand
+
+    made = experiment("constant_torque:elbow", {"torque": 0.4}, noise=1e-3)
+    base = residyn.fit(made, starts=2)
+    with jax.enable_x64(True):
+        step = stand(base, ())
+        r = step.near.fitted[0]
+        torque = missing_torque(base.model, r.recording, wild=r.wild, state=r.state)
+        rivals = [residyn.ConstantTorque("elbow"), residyn.Gravity()]
+        step = search(step, made, [torque], rivals, lambda words: None)
+        by_name = {x.label: x for x in step.refits}
+        found = advise(step, made, by_name["constant_torque:elbow"], by_name["gravity"])
+    assert found.helps
+    assert found.difference > 3 * found.now
+    assert "gravity" in found.words
+    assert "rad" in found.words
+    assert set(found.release) == {"shoulder", "elbow"}
+
+
+# -- measured -----------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not (DATA / "carts").is_dir(), reason="measured data are not here")
+def test_a_cart_has_dry_friction():
+    path = DATA / "carts" / "low_spring_loaded_1.csv"
+    time, angle, _, _ = residyn.recording.read_csv(path, 1)
+    recording = residyn.Recording.from_arrays(time, angle, start="release", name=path.name)
+    table = InertiaTable(("cart",), ((0.5685 + 0.986,),), ("m",))
+    found = residyn.diagnose(residyn.Experiment(table, (recording,)), max_effects=1)
+    assert found.added[0].partition(":")[0] in ("coulomb_friction", "stribeck_friction")
+    assert math.hypot(*found.ladder[0].fit.rmse) > 4 * math.hypot(*found.ladder[1].fit.rmse)
+
+
+def test_jax_sees_plain_arrays(friction):
+    """The named model is a model like any other: it simulates, and differentiates."""
+    model = friction.fit.model
+
+    def end(torque):
+        moved = model.with_values({"coulomb_friction:elbow.torque": torque})
+        steps = 200
+        return residyn.simulate(moved, jnp.linspace(0.0, 2.0, 5), Q0, steps=steps).q[-1, 1]
+
+    with jax.enable_x64(True):
+        slope = jax.grad(end)(0.05)
+        step = (end(0.0501) - end(0.0499)) / 2e-4
+    assert float(slope) == pytest.approx(float(step), rel=1e-3)
