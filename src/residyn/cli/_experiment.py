@@ -53,18 +53,20 @@ def title(path: str) -> str:
     return "Experiment from standard input" if path == "-" else Path(path).name
 
 
-def fitted(experiment: "Experiment", effects: Sequence[str], starts: int) -> "Fit":
+def fitted(
+    experiment: "Experiment", effects: Sequence[str], starts: int, method: str = "levenberg"
+) -> "Fit":
     """Fit, and show on the way what is being done.
 
-    **Raises:** `InputError` for effects that do not exist or do not go with the experiment;
-    `NoNumbers` if no start led anywhere.
+    **Raises:** `InputError` for effects that do not exist or do not go with the experiment, and for
+    a method whose extra is not installed; `NoNumbers` if no start led anywhere.
     """
     with progress() as say:
         say("loading")
         from ..fitting import fit
 
         with _in_one_line():
-            return fit(experiment, effects=effects, starts=starts, progress=say)
+            return fit(experiment, effects=effects, starts=starts, progress=say, method=method)
 
 
 def diagnosed(
@@ -115,11 +117,11 @@ def models(found: "Diagnosis", title: str = "") -> "list[tuple[str, Fit]]":
 @contextlib.contextmanager
 def _in_one_line() -> Iterator[None]:
     """What a fit cannot do, as the complaint that the user reads."""
-    from ..fitting import FitError
+    from ..fitting import FitError, MissingExtra
 
     try:
         yield
     except FitError as error:
         raise NoNumbers(str(error)) from None
-    except ValueError as error:
+    except (ValueError, MissingExtra) as error:
         raise InputError(str(error)) from None

@@ -27,7 +27,7 @@ def fit(
     bring(own)
     loaded = load(experiment)
     out.spare(input_files(experiment, loaded))
-    result = fitted(loaded, effects or [], starts)
+    result = fitted(loaded, effects or [], starts, method)
     out.words.print(str(result), soft_wrap=True)
     out.write_json(result.to_dict())
     if report is not None:

@@ -42,7 +42,7 @@ MaxEffects = Annotated[
     ),
 ]
 Method = Annotated[
-    str, typer.Option("--method", metavar="METHOD", help="How to search: levenberg.")
+    str, typer.Option("--method", metavar="METHOD", help="How to search: levenberg or genetic.")
 ]
 Json = Annotated[
     str | None,
@@ -71,6 +71,6 @@ NoCache = Annotated[
     ),
 ]
 
-METHODS = ("levenberg",)
+METHODS = ("levenberg", "genetic")
 STARTS = 6
 MAX_EFFECTS = 3

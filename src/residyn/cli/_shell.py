@@ -111,14 +111,30 @@ def console(*, stderr: bool = False) -> "Console":
 
 @contextlib.contextmanager
 def progress() -> Iterator[Callable[[str], None]]:
-    """A line on standard error that says what is being done and for how long; gone afterwards."""
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    """A line on standard error that says what is being done and for how long; gone afterwards.
+
+    Words that know what `share` (0 to 1) is done move a bar.
+    """
+    from rich import progress as rich
+    from rich.text import Text
+
+    class Bar(rich.ProgressColumn):
+        def render(self, task):
+            return Text("") if task.total is None else rich.BarColumn(24).render(task)
 
     out = console(stderr=True)
-    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
-    with Progress(*columns, console=out, transient=True, disable=not out.is_terminal) as bar:
+    words = rich.TextColumn("{task.description}", markup=False)
+    columns = (rich.SpinnerColumn(), words, Bar(), rich.TimeElapsedColumn())
+    with rich.Progress(*columns, console=out, transient=True, disable=not out.is_terminal) as bar:
         task = bar.add_task("starting", total=None)
-        yield lambda words: bar.update(task, description=words)
+
+        def say(words: str) -> None:
+            share = getattr(words, "share", None)
+            total = None if share is None else 1.0
+            bar.tasks[0].total = total
+            bar.update(task, description=words, completed=share or 0.0)
+
+        yield say
 
 
 # -- files -----------------------------------------------------------------------------------

@@ -1,5 +1,8 @@
 """Fitting a model to recordings."""
 
+from .evolution import MissingExtra as MissingExtra
+from .genetic import Genetic as Genetic
+from .history import History as History
 from .pipeline import DEFAULT_STARTS as DEFAULT_STARTS
 from .pipeline import fit as fit
 from .result import Fit as Fit
@@ -9,3 +12,4 @@ from .result import Number as Number
 from .result import RecordingFit as RecordingFit
 from .setup import mechanism_of as mechanism_of
 from .setup import model_for as model_for
+from .trace import levenberg_history as levenberg_history

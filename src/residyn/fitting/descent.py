@@ -76,12 +76,10 @@ def descend(
     y = Unknowns(
         jnp.asarray(numbers) / problem.scale.numbers, jnp.asarray(first) / problem.scale.states
     )
-    longest = max(r.duration for r in here.recordings)
-    first = min(1.0, _FIRST_CYCLES * 2 * math.pi / here.frequency(begin) / longest)
+    shares = shares_of(here, begin) if near is None or staged else [1.0]
     if near is not None:
         y = y._replace(states=jnp.asarray(near) / problem.scale.states)
-        first = first if staged else 1.0
-    out = jax.device_get(polish(problem, y, sorted({first, math.sqrt(first), 1.0}), hopeless))
+    out = jax.device_get(polish(problem, y, shares, hopeless))
     best, agreeing = int(np.argmin(out.cost)), _agreeing(out)
     steps = int(out.steps[best])
     at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)

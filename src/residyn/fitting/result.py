@@ -13,6 +13,7 @@ import numpy as np
 
 from ..model import Model
 from ..recording import Experiment, Recording
+from .history import History
 
 STRONG = 0.9
 """Correlations beyond this are named."""
@@ -89,6 +90,7 @@ class Fit:
     steps: int
     seconds: float
     warnings: tuple[str, ...]
+    history: History | None = None  # of a genetic algorithm: how Eq. 17 fell
 
     @property
     def joints(self) -> tuple[str, ...]:

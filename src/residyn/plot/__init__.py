@@ -2,13 +2,15 @@
 
 Each shows one thing: `overlay` the motion beside the model and the residual under it, `spectrum`
 at which frequencies something is left, `errors` how far each of several models is from the noise,
-`where` and `horizon` where a model fails and how its predictions do, `missing_torque` the torque
-that it lacks, `signature` what an effect of the catalogue would leave if it were missing;
-of a diagnosis, `ladder` the error falling and `suspects` what might have been missing.
+`convergence` how searches bring the objective down, `where` and `horizon` where a model fails and
+how its predictions do, `missing_torque` the torque that it lacks, `signature` what an effect of the
+catalogue would leave if it were missing; of a diagnosis, `ladder` the error falling and `suspects`
+what might have been missing.
 All return a matplotlib `Figure` (no pyplot, no window, no global state): save it, show it in a
 notebook, or put it into a page. `narrow=True` lays a picture out for a phone's width.
 """
 
+from ._convergence import convergence as convergence
 from ._errors import errors as errors
 from ._ladder import ladder as ladder
 from ._overlay import overlay as overlay

@@ -1,0 +1,191 @@
+"""Evolutionary strategies of evosax, run on genes from 0 to 1 in one compiled program.
+
+evosax knows no bounds: what steps over one is reflected back from it. The objective is thus one
+periodic function, even about every bound. Strategies that keep a population are told the reflected
+individuals; those that keep a distribution, what they drew.
+"""
+
+import functools
+import importlib
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+_CHUNK = 25  # generations between two looks at how it goes, at most
+_HOPELESS = 1e6  # objective of an individual whose simulation ran away
+
+# evosax's own defaults are made for networks without bounds; these are for genes from 0 to 1. `std`
+# falls to `std_end` over the generations, geometrically. Tuned by `benchmarks.genetic tune`.
+USUAL: dict[str, dict[str, float]] = {
+    "SimpleGA": {"std": 0.2, "std_end": 1e-4, "crossover_rate": 0.5, "elite_ratio": 0.2},
+    "SAMR_GA": {"std_init": 0.1, "std_best_limit": 1e-8},
+    "CMA_ES": {"std_init": 0.3},
+    "DifferentialEvolution": {"elitism": False, "differential_weight": 0.5},
+    "PSO": {"inertia_coeff": 0.7, "cognitive_coeff": 1.5, "social_coeff": 1.5},
+}
+"""Settings of the strategies that were tuned; others of evosax run with its own."""
+
+
+class MissingExtra(ImportError):
+    """A package that only an extra of this one brings is not installed: one line that says so."""
+
+
+class Evolved(NamedTuple):
+    """Where a search ended: the best genes (G,), and the objective of the best individual so far
+    after every generation (one value each)."""
+
+    genes: np.ndarray
+    first: np.ndarray  # (G,) the best of the first generation
+    objective: np.ndarray
+
+
+class _Algorithm(NamedTuple):
+    """One of evosax's, with its parameters."""
+
+    strategy: Any
+    params: Any
+    keeps_population: bool
+
+
+def evolve(
+    objective: Callable[[Any, Float[Array, " G"]], Float[Array, ""]],
+    given: Any,
+    size: int,
+    *,
+    strategy: str,
+    settings: Mapping[str, float],
+    population: int,
+    generations: int,
+    seed: int,
+    one_by_one: bool = False,
+    told: Callable[[int, float], None] = lambda done, best: None,
+) -> Evolved:
+    """Minimise `objective(given, genes)` over `size` genes from 0 to 1.
+
+    **Arguments:**
+
+    - `given`: a pytree that the objective needs; its arrays are traced, so that others of the same
+      shapes run in the same compiled program. `objective` should be a function of a module.
+    - `strategy`, `settings`: a name of `evosax.algorithms`, and what it takes beside `USUAL`.
+    - `one_by_one`: one individual after the other instead of abreast.
+    - `told`: called now and then with the generations done and the best objective.
+
+    **Raises:** `MissingExtra` without evosax; `ValueError` for a strategy or a setting that it does
+    not have.
+    """
+    algorithm = _algorithm(strategy, population, generations, size, tuple(sorted(settings.items())))
+    static = (algorithm.strategy, algorithm.keeps_population, objective, one_by_one, population)
+    begun, first, least = _begin(static, algorithm.params, given, size, jax.random.key(seed))
+    history = [np.asarray(least)[None]]
+    done, rest = 1, generations - 1
+    for length in _chunks(rest):
+        told(done, float(history[-1][-1]))
+        begun, fell = _go_on(static, algorithm.params, given, begun, length)
+        history.append(np.asarray(fell))
+        done += length
+    told(done, float(history[-1][-1]))
+    best = fold(begun[1].best_solution)
+    return Evolved(np.asarray(best), np.asarray(first), np.concatenate(history))
+
+
+def _chunks(generations: int) -> list[int]:
+    """Chunks of at most two lengths, so that at most two programs are compiled."""
+    if generations <= 0:
+        return []
+    count = math.ceil(generations / _CHUNK)
+    short, longer = divmod(generations, count)
+    return [short + 1] * longer + [short] * (count - longer)
+
+
+def fold(x: Array) -> Array:
+    """Genes reflected into 0 to 1."""
+    return 1 - jnp.abs(1 - jnp.mod(x, 2))
+
+
+def _values(static, given, genes):
+    """Objective of every individual (N, G)."""
+    _, _, objective, one_by_one, _ = static
+
+    def one(individual):
+        value = objective(given, individual)
+        return jnp.where(jnp.isfinite(value), jnp.minimum(value, _HOPELESS), _HOPELESS)
+
+    return jax.lax.map(one, genes) if one_by_one else jax.vmap(one)(genes)
+
+
+@eqx.filter_jit
+def _begin(static, params, given, size, key):
+    """The first generation: where the strategy stands, its best genes and their objective."""
+    strategy, keeps_population, _, _, population = static
+    key, draw, begin = jax.random.split(key, 3)
+    if keeps_population:
+        genes = jax.random.uniform(draw, (population, size))
+        values = _values(static, given, genes)
+        state = strategy.init(begin, genes, values, params)
+        best = jnp.argmin(values)
+        return (key, state), genes[best], values[best]
+    state = strategy.init(begin, jnp.full(size, 0.5), params)
+    (key, state), least = _generation(static, params, given, (key, state))
+    return (key, state), fold(state.best_solution), least
+
+
+@eqx.filter_jit
+def _go_on(static, params, given, begun, length):
+    return jax.lax.scan(
+        lambda carry, _: _generation(static, params, given, carry), begun, length=length
+    )
+
+
+def _generation(static, params, given, carry):
+    strategy, keeps_population, *_ = static
+    key, state = carry
+    key, ask, tell = jax.random.split(key, 3)
+    drawn, state = strategy.ask(ask, state, params)
+    genes = fold(drawn)
+    values = _values(static, given, genes)
+    state, _ = strategy.tell(tell, genes if keeps_population else drawn, values, state, params)
+    return (key, state), state.best_fitness
+
+
+@functools.lru_cache(maxsize=64)  # evosax compiles anew for every object
+def _algorithm(
+    name: str, population: int, generations: int, size: int, settings: tuple[tuple[str, float], ...]
+) -> _Algorithm:
+    try:
+        known: dict[str, Any] = importlib.import_module("evosax.algorithms").algorithms
+        kept: dict[str, Any] = importlib.import_module(
+            "evosax.algorithms.population_based"
+        ).population_based_algorithms
+    except ImportError as error:
+        if (error.name or "").partition(".")[0] != "evosax":
+            raise
+        raise MissingExtra(
+            "the genetic algorithm needs evosax: pip install 'residyn[ga]'"
+        ) from None
+    if name not in known:
+        raise ValueError(f'strategy = "{name}": evosax has {", ".join(sorted(known))}')
+    chosen = {**USUAL.get(name, {}), **dict(settings)}
+    more = {}
+    if "std" in chosen:
+        optax = importlib.import_module("optax")
+        first, last = chosen.pop("std"), chosen.get("std_end")
+        last = first if last is None else last
+        more["std_schedule"] = optax.exponential_decay(first, max(1, generations - 1), last / first)
+    chosen.pop("std_end", None)
+    strategy = known[name](population_size=population, solution=jnp.zeros(size), **more)
+    strategy.elite_ratio = chosen.pop("elite_ratio", strategy.elite_ratio)
+    params = strategy.default_params
+    unknown = [key for key in chosen if not hasattr(params, key)]
+    if unknown:
+        raise ValueError(f"{unknown[0]} is no setting of {name}")
+    if "differential_weight" in chosen:  # drawn between two bounds, unless they are the same
+        weight = chosen["differential_weight"]
+        bounds = {"differential_weight_min": weight, "differential_weight_max": weight}
+        chosen = {**{k: v for k, v in bounds.items() if hasattr(params, k)}, **chosen}
+    return _Algorithm(strategy, params.replace(**chosen), name in kept)

@@ -1,0 +1,202 @@
+"""The paper's step 2: a genetic algorithm on the objective of Eq. 17.
+
+Kept beside Levenberg-Marquardt as the paper's own method and as a second opinion: it follows no
+gradient and needs no start, only bounds. It ends near the minimum and not in it, so the errors of
+its numbers, which come from the Jacobian at its best point as those of any fit do, describe what
+the recordings say and not how far the search fell short; that is told apart, by the step that least
+squares would still take.
+"""
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..effects import AbstractEffect
+from ..recording import Experiment
+from .descent import Descent, wild_beside
+from .evolution import evolve
+from .genes import GENES, Genome, box, genome
+from .history import History, relative_error
+from .pipeline import beginning, finish
+from .problem import Compressed, Problem, compressed
+from .result import Fit, FitError
+from .setup import Ready, ready
+
+_LAST, _FALL = 0.1, 0.01  # settled: the last tenth of the generations gained less than 1 %
+_FAR = 1.0  # standard errors that least squares would still go
+
+
+class Part(str):
+    """Words on how it goes, with the `share` (0 to 1) that is done."""
+
+    share: float
+
+    def __new__(cls, words: str, share: float) -> "Part":
+        part = super().__new__(cls, words)
+        part.share = share
+        return part
+
+
+@dataclasses.dataclass(frozen=True)
+class Genetic:
+    """How to search; the defaults are the paper's 100 individuals and 500 generations.
+
+    - `strategy`: a name of `evosax.algorithms`: SimpleGA (selection of the best, uniform crossover,
+      normal mutation that shrinks), CMA_ES, DifferentialEvolution, PSO, SAMR_GA, ...
+    - `settings`: what that strategy takes, beside the defaults in `fitting.evolution.USUAL`.
+    - `bounds`: (low, high) of a number by its name, in its own unit; without, from the typical
+      sizes that the recordings show. Of one sign and a factor of ten apart, they are searched
+      logarithmically.
+    - `initial`: "genes" lets each recording's initial state be genes, too, about its first
+      readings; "readings" keeps what the first readings say, as the paper keeps its known release,
+      which leaves their noise in the numbers.
+    """
+
+    population: int = 100
+    generations: int = 500
+    strategy: str = "SimpleGA"
+    settings: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    seed: int = 0
+    bounds: Mapping[str, tuple[float, float]] | None = None
+    initial: str = GENES
+
+    def __post_init__(self):
+        if self.population < 4:
+            raise ValueError(f"population = {self.population}: at least 4 individuals are needed")
+        if self.generations < 1:
+            raise ValueError(f"generations = {self.generations}: at least one is needed")
+
+
+class Search(NamedTuple):
+    """What a genetic algorithm looks at: a problem, and what its genes mean there."""
+
+    problem: Problem
+    genome: Genome
+
+
+class Found(NamedTuple):
+    """Numbers (P,), initial states (R, s), the numbers of the best of the first generation (P,),
+    and the objective on the way."""
+
+    numbers: np.ndarray
+    states: np.ndarray
+    first: np.ndarray
+    history: History
+
+
+def fit_genetic(
+    experiment: Experiment,
+    effects: Sequence[str | AbstractEffect] = (),
+    how: Genetic | None = None,
+    progress: Callable[[str], None] = lambda words: None,
+) -> Fit:
+    """`residyn.fit(..., method="genetic")`: the same `Fit`, with its `history`.
+
+    Readings far off their neighbours are set aside beforehand, none afterwards. Call it in float64.
+
+    **Raises:** `MissingExtra` without evosax; `FitError` if no individual moves like an arm;
+    `ValueError` as `fit`, and for bounds or settings that do not go.
+    """
+    began, how = time.perf_counter(), how or Genetic()
+    if not experiment.fit_recordings:
+        raise ValueError('no recording has role = "fit": there is nothing to fit to')
+    here = ready(experiment, experiment.fit_recordings, effects)
+    wild = wild_beside(here, [r.angle for r in here.recordings])
+    look = search_of(here, wild, how)
+    found = run(look, how, progress)
+
+    progress("errors, modes and held-out recordings")
+    model = here.model.with_vector(jnp.asarray(found.numbers))
+    # Once more with the step that these numbers ask for.
+    problem, layouts, _ = here.problem(model, wild)
+    at = jax.device_get(problem.scaled(jnp.asarray(found.numbers), jnp.asarray(found.states)))
+    squeezed = jax.device_get(compressed(problem, at))
+    cost = float(np.sum(squeezed.along**2) + np.sum(squeezed.beside**2))
+    if not np.isfinite(cost):
+        raise FitError("no individual led to finite numbers: is this the arm that was recorded?")
+    settled = _settled(found.history)
+    descent = Descent(
+        problem, layouts, wild, at, squeezed, cost, how.generations, settled, starts=1, agreeing=1
+    )
+    fit = finish(experiment, effects, model, found.first, descent, began)
+    reason = (
+        f"{how.generations} generations of {how.population} individuals ({how.strategy}); "
+        f"objective of Eq. 17: {found.history.objective[-1]:.4g}, "
+        + ("settled" if settled else "still falling")
+    )
+    fit = dataclasses.replace(fit, reason=reason, history=found.history)
+    return fit.saying((*fit.warnings, *_far(fit, squeezed, np.asarray(problem.scale.numbers))))
+
+
+def search_of(here: Ready, wild: Sequence[np.ndarray], how: Genetic) -> Search:
+    """The search of an experiment: the model, the step and the readings that
+    Levenberg-Marquardt would have, so that both simulate alike; but not its start."""
+    begin = beginning(here, wild, 1)[0][0]
+    bounds = box(here.model.fitted, here.typical(), how.bounds)
+    problem, _, states = here.problem(here.model.with_vector(jnp.asarray(begin)), wild)
+    noise = np.max([r.noise for r in here.recordings], axis=0)
+    return Search(problem, genome(problem, bounds, states, noise, how.initial))
+
+
+def run(look: Search, how: Genetic, progress: Callable[[str], None] = lambda words: None) -> Found:
+    """Search."""
+
+    def told(done: int, best: float) -> None:
+        words = f"generation {done} of {how.generations}, objective {best:.4g}"
+        progress(Part(words, done / how.generations))
+
+    progress(Part("the first generation", 0.0))
+    out = evolve(
+        _objective,
+        look,
+        look.genome.size,
+        strategy=how.strategy,
+        settings=how.settings,
+        population=how.population,
+        generations=how.generations,
+        seed=how.seed,
+        one_by_one=look.problem.model.dry,
+        told=told,
+    )
+    y = look.genome.unknowns(jnp.asarray(out.genes), look.problem)
+    numbers, states = look.problem.numbers(y), look.problem.states(y)
+    first = look.genome.box.at(jnp.asarray(out.first)[: len(look.genome.box.low)])
+    simulations = how.population * np.arange(1, how.generations + 1)
+    history = History(simulations, out.objective)
+    return Found(np.asarray(numbers), np.asarray(states), np.asarray(first), history)
+
+
+def _objective(look: Search, genes: Any):
+    return relative_error(look.problem, look.genome.unknowns(genes, look.problem))
+
+
+def _settled(history: History) -> bool:
+    last = history.objective[-max(2, round(_LAST * len(history.objective))) :]
+    return len(history.objective) > 1 and float(last[0] - last[-1]) < _FALL * float(last[0])
+
+
+def _far(fit: Fit, squeezed: Compressed, sizes: np.ndarray) -> list[str]:
+    """How far the least-squares minimum still is, in standard errors, by one Gauss-Newton step."""
+    factor, count = np.asarray(squeezed.factor), len(sizes)
+    recordings, local = factor.shape[:2]
+    rows = np.zeros((recordings * local, count + recordings * (local - count)))
+    for r, part in enumerate(factor):
+        states = slice(count + r * (local - count), count + (r + 1) * (local - count))
+        rows[r * local : (r + 1) * local, :count] = part[:, :count]
+        rows[r * local : (r + 1) * local, states] = part[:, count:]
+    step = np.linalg.lstsq(rows, np.asarray(squeezed.along).ravel(), rcond=None)[0][:count] * sizes
+    std = np.array([n.std for n in fit.numbers])
+    far = np.abs(step) / std
+    if not far.size or not far.max() > _FAR:
+        return []
+    worst = int(np.argmax(far))
+    return [
+        f"the genetic algorithm ended short of the least-squares minimum: from here it is about "
+        f"{far[worst]:.2g} standard errors away in {fit.numbers[worst].name}, which the errors "
+        "above do not hold; --method levenberg goes there"
+    ]
