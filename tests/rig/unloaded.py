@@ -42,6 +42,7 @@ class Release:
 def releases(
     wanted: Sequence[Release],
     *,
+    rig: Arm | None = None,
     drag: float = 0.0,
     friction: float = 0.0,
     places: Sequence[str] = ("elbow", "wrist"),
@@ -49,8 +50,8 @@ def releases(
     noise: float = 1e-3,
     seconds: float = 20.0,
 ) -> list[HiddenCase]:
-    """Recordings of the paper's rig at 100 Hz, whose every bearing has a `drag` (N s/m) and a
-    `friction` (N)."""
+    """Recordings at 100 Hz of the paper's rig (or another `rig`, its bearings on), whose every
+    bearing has a `drag` (N s/m) and a `friction` (N)."""
     hidden = []
     if drag:
         hidden.append(Hidden("bearing_drag", {"coefficient": drag}))
@@ -58,7 +59,7 @@ def releases(
         hidden.append(Hidden("bearing_friction", {"force": friction}))
     found = []
     for i, each in enumerate(wanted):
-        arm = paper_twin(each.theta2)
+        arm = replace(rig or paper_twin(), theta2=each.theta2)
         found.append(
             record(
                 np.random.default_rng([seed, i]),
