@@ -33,6 +33,7 @@ _STEADY = 2.5  # standard errors of the gain, as stretches of the recording show
 _MATTERS = 0.1  # share of the error that must go, where what is left is not white
 _HELD = 0.05  # and where nothing was fitted
 _WORSE = 0.02  # share by which the held-out error may grow where what is left is white
+_PAUSES = 50  # of a motion without a mode: a rest that long is one
 _STRETCHES = 24  # least number of stretches of all recordings
 _NEAR = 2.0  # times the noise: a fit as good as this knows the motion
 _GLANCE = 0.6  # of what a newcomer must bring: less, and it is not even screened
@@ -57,7 +58,8 @@ def search(
     there = set(step.fit.model.labels)
     some = [c for c in candidates if c.label not in there]
     say(f"screening {len(some)} effects")
-    period = 1.0 / step.fit.modes[0].frequency_hz if step.fit.modes else 0.0
+    longest = max(r.recording.duration for r in step.near.fitted)
+    period = 1.0 / step.fit.modes[0].frequency_hz if step.fit.modes else longest / _PAUSES
     # Near the noise the fit's own motion is the better one to look from: it has no noise in it.
     led = step.cost > _NEAR * step.readings
     paths = [

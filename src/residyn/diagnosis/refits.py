@@ -21,6 +21,7 @@ _WEAK = 0.3  # of the screened strength, for the second start
 _PROMISED = 1.5  # times the screened chi-square: a fit that ends worse starts again
 _AGAIN = 3  # fits that start again
 _IMPOSSIBLE = 3.0  # standard errors on the wrong side of zero
+_FAR = 10.0  # times the noise: no such fit will come down to it
 _VALLEYS = 2  # candidates that are fitted stage by stage
 _NOISE = 1.1  # times the noise: as good as it gets
 _THREADS = 2
@@ -65,7 +66,9 @@ def _staged(step: Step, experiment: Experiment, found: list[Refit]) -> list[Refi
     best = sorted((r for r in found if r.possible), key=lambda r: r.cost)[:_VALLEYS]
     wild = [r.wild for r in step.near.fitted]
     for r in best:
-        if not (r.effect.dry or r.effect.rough) or r.cost < _NOISE * step.readings:
+        if not (r.effect.dry or r.effect.rough):
+            continue
+        if not _NOISE < r.cost / step.readings < _FAR:
             continue
         alone = Model(step.fit.model.mechanism, (r.effect,))
         ended = np.asarray(r.model.vector()), r.descent.problem.states(r.descent.unknowns)
@@ -125,9 +128,10 @@ def _refit(
             if best is None or descent.cost < best.cost:
                 possible = _possible(step, model, descent, alone)
                 best = Refit(screened.effect, screened, model, descent, numbers, possible)
-            enough = _NOISE * step.readings
-            if not screened.others:
-                enough = _PROMISED * max(screened.chi2, float(step.readings))
+            noise = float(step.readings)
+            enough = _NOISE * noise
+            if not screened.others or screened.chi2 > _FAR * noise:
+                enough = _PROMISED * max(screened.chi2, noise)
             if best.cost < enough:
                 break
     if best is not None and best.possible:
