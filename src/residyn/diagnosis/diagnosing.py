@@ -96,9 +96,11 @@ def _climb(
     candidates, torques = candidates_for(step.fit.model), [m.torque for m in missing]
     first, steps = len(step.effects), []
     while True:
-        step = search(step, experiment, torques, candidates, say)
+        full = len(step.effects) - first >= max_effects
+        if not full or not steps:  # what might come next matters only if it may
+            step = search(step, experiment, torques, candidates, say)
         steps.append(step)
-        if len(step.effects) - first >= max_effects:
+        if full:
             return steps
         for chosen in ranked(step)[:_TRIED]:
             new = accepted(step, chosen, experiment)

@@ -181,7 +181,7 @@ def matters(old: Step, new: Step) -> bool:
     held = ratio[1] / ratio[0] if known else 1.0  # pyright: ignore
     if new.white >= SURE:
         return held < 1.0 + _WORSE
-    return fitted < 1.0 - _MATTERS and (not known or held < 1.0 - _HELD)
+    return fitted < 1.0 - _MATTERS and known and held < 1.0 - _HELD
 
 
 def _size(held: HeldOut | None) -> float | None:

@@ -73,7 +73,7 @@ def words_for(
         ]
     elif kept:
         words = [
-            f"{names} explains part of it: {fall}.",
+            f"{names} explain{'s' * (len(kept) == 1)} part of it: {fall}.",
             "Something real is left that no effect of the catalogue explains "
             f"({chance(last.white)}): see the torque that is still missing.",
         ]

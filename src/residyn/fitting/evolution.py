@@ -7,7 +7,6 @@ individuals; those that keep a distribution, what they drew.
 
 import functools
 import importlib
-import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -23,8 +22,7 @@ _HOPELESS = 1e6  # objective of an individual whose simulation ran away
 # evosax's own defaults are made for networks without bounds; these are for genes from 0 to 1. `std`
 # falls to `std_end` over the generations, geometrically. Tuned by `benchmarks.genetic tune`.
 USUAL: dict[str, dict[str, float]] = {
-    "SimpleGA": {"std": 0.2, "std_end": 1e-4, "crossover_rate": 0.5, "elite_ratio": 0.2},
-    "SAMR_GA": {"std_init": 0.1, "std_best_limit": 1e-8},
+    "SimpleGA": {"std": 0.1, "std_end": 1e-4, "crossover_rate": 0.5, "elite_ratio": 0.1},
     "CMA_ES": {"std_init": 0.3},
     "DifferentialEvolution": {"elitism": False, "differential_weight": 0.5},
     "PSO": {"inertia_coeff": 0.7, "cognitive_coeff": 1.5, "social_coeff": 1.5},
@@ -82,25 +80,15 @@ def evolve(
     algorithm = _algorithm(strategy, population, generations, size, tuple(sorted(settings.items())))
     static = (algorithm.strategy, algorithm.keeps_population, objective, one_by_one, population)
     begun, first, least = _begin(static, algorithm.params, given, size, jax.random.key(seed))
-    history = [np.asarray(least)[None]]
-    done, rest = 1, generations - 1
-    for length in _chunks(rest):
-        told(done, float(history[-1][-1]))
-        begun, fell = _go_on(static, algorithm.params, given, begun, length)
-        history.append(np.asarray(fell))
-        done += length
-    told(done, float(history[-1][-1]))
+    history = [float(least)]
+    told(1, history[-1])
+    while len(history) < generations:
+        more = min(_CHUNK, generations - len(history))
+        begun, fell = _go_on(static, algorithm.params, given, begun, jnp.asarray(more))
+        history += np.asarray(fell)[:more].tolist()
+        told(len(history), history[-1])
     best = fold(begun[1].best_solution)
-    return Evolved(np.asarray(best), np.asarray(first), np.concatenate(history))
-
-
-def _chunks(generations: int) -> list[int]:
-    """Chunks of at most two lengths, so that at most two programs are compiled."""
-    if generations <= 0:
-        return []
-    count = math.ceil(generations / _CHUNK)
-    short, longer = divmod(generations, count)
-    return [short + 1] * longer + [short] * (count - longer)
+    return Evolved(np.asarray(best), np.asarray(first), np.asarray(history))
 
 
 def fold(x: Array) -> Array:
@@ -136,10 +124,18 @@ def _begin(static, params, given, size, key):
 
 
 @eqx.filter_jit
-def _go_on(static, params, given, begun, length):
-    return jax.lax.scan(
-        lambda carry, _: _generation(static, params, given, carry), begun, length=length
-    )
+def _go_on(static, params, given, begun, count):
+    """The next `count` generations, at most a chunk: one program, however many they are."""
+
+    def advance(carry, index):
+        return jax.lax.cond(
+            index < count,
+            lambda carry: _generation(static, params, given, carry),
+            lambda carry: (carry, carry[1].best_fitness),
+            carry,
+        )
+
+    return jax.lax.scan(advance, begun, jnp.arange(_CHUNK))
 
 
 def _generation(static, params, given, carry):

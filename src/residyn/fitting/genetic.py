@@ -47,7 +47,8 @@ class Genetic:
     """How to search; the defaults are the paper's 100 individuals and 500 generations.
 
     - `strategy`: a name of `evosax.algorithms`: SimpleGA (selection of the best, uniform crossover,
-      normal mutation that shrinks), CMA_ES, DifferentialEvolution, PSO, SAMR_GA, ...
+      normal mutation that shrinks), CMA_ES, DifferentialEvolution, PSO, ...; the paper's kind is
+      the default, CMA_ES with 20 individuals the one that gets there.
     - `settings`: what that strategy takes, beside the defaults in `fitting.evolution.USUAL`.
     - `bounds`: (low, high) of a number by its name, in its own unit; without, from the typical
       sizes that the recordings show. Of one sign and a factor of ten apart, they are searched

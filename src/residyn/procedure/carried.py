@@ -27,6 +27,8 @@ from ..model import Model
 NAMES = ("shoulder", "elbow", "coupling")
 _BLIND = 1e-10
 """Eigenvalue of A with unit columns below which the recordings do not see a combination."""
+_PART = 1e-3
+"""Share of such a combination beyond which a number belongs to it."""
 _MATTERS = 1e-3
 """Share of a quantity by which a combination that is not seen may move it."""
 
@@ -37,7 +39,7 @@ class Carried(NamedTuple):
     numbers: np.ndarray
     """(P, P) covariance of the numbers where the recordings see them."""
     unseen: np.ndarray
-    """(B, P) combinations that the recordings do not see, as large as the numbers themselves."""
+    """(B, P) combinations that the recordings do not see, as large as the largest of their numbers."""
     inertia: np.ndarray
     """(3, 3) covariance of shoulder, elbow (kg m^2) and coupling (kg m) from step 1."""
     moved: np.ndarray
@@ -72,11 +74,14 @@ def carried(
     found, vectors = np.linalg.eigh(own * size * size[:, None])
     seen, part = found > _BLIND, vectors * size[:, None]
     inverse = (part[:, seen] / found[seen]) @ part[:, seen].T
-    # A combination that moves no number by more than its own size.
-    blind = (part / np.max(np.abs(part / np.maximum(np.abs(values), 1e-12)[:, None]), axis=0)).T
+    # A combination is as large as the largest of its numbers: it may turn all of one into another.
+    unseen = part[:, ~seen].T
+    members = np.abs(vectors[:, ~seen].T) > _PART
+    ratios = np.divide(np.abs(values), np.abs(unseen), where=members, out=np.zeros(unseen.shape))
+    blind = unseen * np.max(ratios, axis=1, initial=0.0)[:, None]
     return Carried(
         numbers=max(1.0, fit.reduced_chi2) * inverse,
-        unseen=blind[~seen],
+        unseen=blind,
         inertia=np.zeros((3, 3)) if inertia is None else inertia,
         moved=-inverse @ cross,
     )
