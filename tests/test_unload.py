@@ -277,8 +277,7 @@ def test_one_elbow_angle_says_what_would_tell():
     experiment = experiment_of([Release(0.3)], ["fit"], drag=0.05, noise=5e-3, seconds=10.0)
     found = residyn.unload(experiment, effects=["bearing_drag"])
     said = " ".join(found.warnings)
-    assert "another elbow angle" in said
-    assert "air_bearings = false" in said
+    assert "air_bearings = false) or at another elbow angle" in said
 
 
 def test_what_would_tell_asks_for_nothing_that_is_there(named):

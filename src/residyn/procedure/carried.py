@@ -39,7 +39,7 @@ class Carried(NamedTuple):
     numbers: np.ndarray
     """(P, P) covariance of the numbers where the recordings see them."""
     unseen: np.ndarray
-    """(B, P) combinations that the recordings do not see, as large as the largest of their numbers."""
+    """(B, P) combinations that the recordings do not see, each as large as its largest number."""
     inertia: np.ndarray
     """(3, 3) covariance of shoulder, elbow (kg m^2) and coupling (kg m) from step 1."""
     moved: np.ndarray

@@ -30,24 +30,19 @@ def doubts_about(found: "Unloading") -> tuple[str, ...]:
 def what_would_tell(found: "Unloading") -> str:
     """Which recordings would tell the bearings' drag from the joints' damping."""
     fitted, bearings = found.fit.experiment.fit_recordings, found.fit.experiment.bearings
-    wanted, why = [], ""
-    if all(r.air_bearings for r in fitted):
-        wanted.append("a recording without bearings (air_bearings = false), fitted with the others")
-    cosines = [np.cos(r.theta2) for r in fitted if r.air_bearings]
-    if not any(b.joint == "wrist" for b in bearings):
-        why = (
-            " (another elbow angle would not: drag of a bearing on the elbow is exactly a damper "
-            "at the shoulder)"
-        )
-    elif np.ptp(cosines) < _SAME:
-        wanted.append("recordings at another elbow angle (theta2) too")
-    if not wanted:
-        wanted.append(
-            "more recordings, with less noise or at elbow angles further apart"
-            if not why
-            else "longer or less noisy recordings without bearings"
-        )
-    return f"{' or '.join(wanted)} would{why}"
+    bare = not all(r.air_bearings for r in fitted)
+    wrist = any(b.joint == "wrist" for b in bearings)
+    one_angle = np.ptp([np.cos(r.theta2) for r in fitted if r.air_bearings]) < _SAME
+    ways = [] if bare else ["without bearings (air_bearings = false)"]
+    if wrist and one_angle:
+        ways.append("at another elbow angle (theta2)")
+    if not ways:
+        return "record for longer, or with less noise"
+    only = (
+        " (another elbow angle would not do: drag of a bearing on the elbow is exactly a damper at "
+        "the shoulder)"
+    )
+    return f"to tell them apart, record the arm {' or '.join(ways)} too, and fit both{only * (not wrist)}"
 
 
 def _unnamed(found: "Unloading") -> Iterable[str]:
