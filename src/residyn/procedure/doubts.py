@@ -38,11 +38,13 @@ def what_would_tell(found: "Unloading") -> str:
         ways.append("at another elbow angle (theta2)")
     if not ways:
         return "record for longer, or with less noise"
-    only = (
-        " (another elbow angle would not do: drag of a bearing on the elbow is exactly a damper at "
-        "the shoulder)"
+    advice = f"to tell them apart, record the arm {' or '.join(ways)} too, and fit both"
+    if wrist:
+        return advice
+    return (
+        f"{advice} (another elbow angle would not do: drag of a bearing on the elbow is exactly a "
+        "damper at the shoulder)"
     )
-    return f"to tell them apart, record the arm {' or '.join(ways)} too, and fit both{only * (not wrist)}"
 
 
 def _unnamed(found: "Unloading") -> Iterable[str]:
