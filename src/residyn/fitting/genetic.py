@@ -48,7 +48,7 @@ class Genetic:
 
     - `strategy`: a name of `evosax.algorithms`: SimpleGA (selection of the best, uniform crossover,
       normal mutation that shrinks), CMA_ES, DifferentialEvolution, PSO, ...; the paper's kind is
-      the default, CMA_ES with 20 individuals the one that gets there.
+      the default, CMA_ES with 20 individuals gets furthest.
     - `settings`: what that strategy takes, beside the defaults in `fitting.evolution.USUAL`.
     - `bounds`: (low, high) of a number by its name, in its own unit; without, from the typical
       sizes that the recordings show. Of one sign and a factor of ten apart, they are searched
