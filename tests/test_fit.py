@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import residyn
-from residyn.recording import ArmTable, InertiaTable
+from residyn.recording import ArmTable, Bearing, InertiaTable
 
 rig = pytest.importorskip("tests.rig")
 
@@ -130,6 +130,26 @@ def test_several_recordings_share_their_numbers_and_check_ones_are_held_out(case
     other = residyn.fit(spoilt, starts=2)
     values = [[n.value for n in f.numbers] for f in (fit, other)]
     np.testing.assert_allclose(values[0], values[1], rtol=1e-5)
+
+
+def test_bearing_drag_is_fitted_though_all_check_recordings_are_bare():
+    """What is not on a held-out recording's bearings need not be there to be named."""
+    unloaded = pytest.importorskip("tests.rig.unloaded")
+    wanted = [unloaded.Release(0.3), unloaded.Release(0.9, bearings=False)]
+    cases = unloaded.releases(wanted, drag=0.3, seconds=8.0)
+    table = rig.paper_twin(0.3)
+    arm = ArmTable((table.l1, table.l2), table.shoulder, table.elbow, table.coupling)
+    bearings = [Bearing(at, 1.9635, 0.00245437) for at in ("elbow", "wrist")]
+    recordings = [
+        residyn.Recording.from_arrays(c.t, c.q, theta2=c.arm.theta2, noise=1e-3, role=role,
+                                      air_bearings=role == "fit")
+        for c, role in zip(cases, ("fit", "check"), strict=True)
+    ]  # fmt: skip
+    fit = residyn.fit(
+        residyn.Experiment(arm, tuple(recordings), bearings), effects=["bearing_drag"], starts=2
+    )
+    assert fit.check_rmse is not None
+    assert np.isfinite(fit.check_rmse).all()
 
 
 def test_hidden_coulomb_friction_shows_and_then_fits():

@@ -241,3 +241,14 @@ def test_bearings_on_and_off_and_the_papers_frequencies():
         model = model + Damper("shoulder", 0.0754) + Damper("elbow", 0.1522)
         found.append(float(residyn.modes(model).frequency_hz[0]))
     assert found == pytest.approx([0.3494, 0.5182], abs=5e-5)
+
+
+def test_dry_friction_of_a_bearing_damps_no_mode():
+    """A linearisation at rest has no slope of a force that jumps there."""
+    arm = PlanarArm([0.4, 0.4], 1.1662, 0.5790, 1.4384, 0.4, bearings=[1, 1])
+    model = arm + Spring("shoulder", 16.0) + Spring("elbow", 16.0)
+    rubbed = model + residyn.BearingFriction(0.05)
+    with jax.enable_x64(True):
+        pairs = zip(residyn.modes(model), residyn.modes(rubbed), strict=True)
+        for clean, found in pairs:
+            np.testing.assert_allclose(found, clean, atol=1e-9)

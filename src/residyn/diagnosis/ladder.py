@@ -105,7 +105,6 @@ def accepted(step: Step, chosen: Refit, experiment: Experiment) -> Step | None:
     began = time.perf_counter()
     fit = finish(
         experiment,
-        (*step.effects, silent(chosen.effect)),
         chosen.model,
         chosen.start,
         chosen.descent,
@@ -150,7 +149,7 @@ def needless(step: Step, experiment: Experiment, first: int) -> Step:
             continue
         if (descent.cost - step.cost) / max(1.0, step.cost / step.readings) < worth(effect, step):
             began = time.perf_counter()
-            without = stand(finish(experiment, left, model, numbers, descent, began), left)
+            without = stand(finish(experiment, model, numbers, descent, began), left)
             return needless(without._replace(tried=step.tried), experiment, first)
     return step
 

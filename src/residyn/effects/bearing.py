@@ -116,7 +116,8 @@ class BearingFriction(_BearingEffect):
         at_elbow = self.jumps(motion, mechanism)[0] * motion.direction[0]
         speed = _root(wrist.square + self._slow(motion, mechanism) ** 2)
         safe = jnp.where(speed > 0, speed, 1.0)
-        at_wrist = wrist.bearings * self.force / safe
+        # Where it neither slides nor has a grain (a linearisation at rest), it has no slope.
+        at_wrist = jnp.where(speed > 0, wrist.bearings * self.force / safe, 0.0)
         return at_elbow + at_wrist * wrist.generalised[0], at_wrist * wrist.generalised[1]
 
     def _slow(self, motion: Motion, arm: PlanarArm) -> Scalar:

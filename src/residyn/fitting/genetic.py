@@ -124,7 +124,7 @@ def fit_genetic(
     descent = Descent(
         problem, layouts, wild, at, squeezed, cost, how.generations, settled, starts=1, agreeing=1
     )
-    fit = finish(experiment, effects, model, found.first, descent, began)
+    fit = finish(experiment, model, found.first, descent, began)
     reason = (
         f"{how.generations} generations of {how.population} individuals ({how.strategy}); "
         f"objective of Eq. 17: {found.history.objective[-1]:.4g}, "

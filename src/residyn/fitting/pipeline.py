@@ -86,7 +86,7 @@ def _fit(experiment, effects, starts, progress) -> Fit:
 
     progress("errors, modes and held-out recordings")
     model = here.model.with_vector(descent.problem.numbers(descent.unknowns))
-    return finish(experiment, effects, model, np.asarray(numbers[0]), descent, began)
+    return finish(experiment, model, np.asarray(numbers[0]), descent, began)
 
 
 def beginning(
@@ -132,7 +132,6 @@ def refit(
 
 def finish(
     experiment: Experiment,
-    effects: Sequence[str | AbstractEffect],
     model: Model,
     start: np.ndarray,
     descent: Descent,
@@ -152,7 +151,7 @@ def finish(
         model=model,
         numbers=_numbers(model, start, spread),
         covariance=spread.covariance,
-        recordings=(*fitted, *_held_out(experiment, effects, model, descent)),
+        recordings=(*fitted, *_held_out(experiment, model, descent)),
         reduced_chi2=chi2,
         modes=_modes(model, spread.covariance),
         starts=descent.starts,
@@ -166,10 +165,10 @@ def finish(
     return result.saying(warnings_for(result, spread.open_groups))
 
 
-def _held_out(
-    experiment: Experiment, effects, model: Model, descent: Descent
-) -> list[RecordingFit]:
+def _held_out(experiment: Experiment, model: Model, descent: Descent) -> list[RecordingFit]:
     """Check recordings beside the fitted model: only their initial states are fitted."""
+    # The effects themselves, not their names: bare recordings know no effect of bearings by name.
+    effects = [e for e in model.effects if e.name not in ("spring", "damper")]
     group, found = len(descent.layouts), []
     numbers = np.tile(np.asarray(model.vector()), (descent.starts, 1))
     for first in range(0, len(experiment.check_recordings), group):
