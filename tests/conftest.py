@@ -14,7 +14,11 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 @pytest.fixture(scope="module", autouse=True)
 def forget():
-    """Programs stay on the disk, not in memory: a thousand tests would need 6 GB a worker."""
+    """Programs stay on the disk, not in memory: a thousand tests would need 6 GB a worker. And what
+    a command sets in JAX, as commands may, is not left to the next module."""
+    wide = jax.config.values["jax_enable_x64"]
     yield
+    jax.config.update("jax_enable_x64", wide)
+    jax.config.update("jax_compilation_cache_dir", str(CACHE))
     jax.clear_caches()
     gc.collect()
