@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 import residyn
-from residyn.diagnosis.diagnosing import candidates_for
+from residyn.diagnosis.curves import candidates as candidates_for
+from residyn.diagnosis.ladder import needless, search
 from residyn.diagnosis.linear import Near
 from residyn.diagnosis.missing_torque import missing_torque
 from residyn.diagnosis.next_experiment import advise
 from residyn.diagnosis.path import Path as Way
 from residyn.diagnosis.path import variants
+from residyn.diagnosis.rung import stand
 from residyn.diagnosis.screen import screen
 from residyn.recording import ArmTable, Bearing, InertiaTable
 from tests import rig
@@ -176,9 +178,6 @@ def test_a_torque_keeps_its_impulse_and_moment_in_every_step():
 
 
 def test_another_elbow_angle_tells_gravity_from_a_constant_torque():
-    from residyn.diagnosis.ladder import search
-    from residyn.diagnosis.rung import stand
-
     made = experiment("constant_torque:elbow", {"torque": 0.4}, noise=1e-3)
     base = residyn.fit(made, starts=2)
     with jax.enable_x64(True):
@@ -223,3 +222,14 @@ def test_jax_sees_plain_arrays(friction):
         slope = jax.grad(end)(0.05)
         step = (end(0.0501) - end(0.0499)) / 2e-4
     assert float(slope) == pytest.approx(float(step), rel=1e-3)
+
+
+def test_an_effect_that_has_become_needless_is_dropped():
+    """Friction was hidden; a cubic spring that had joined before it goes, friction stays."""
+    made = experiment("coulomb_friction:elbow", {"torque": 0.05})
+    both = residyn.fit(made, effects=["cubic_stiffness:elbow", "coulomb_friction:elbow"], starts=2)
+    with jax.enable_x64(True):
+        step = stand(both, [e for e in both.model.effects if e.name not in ("spring", "damper")])
+        left = needless(step, made, 0)
+    assert [e.label for e in left.effects] == ["coulomb_friction:elbow"]
+    assert left.cost < 1.01 * step.cost

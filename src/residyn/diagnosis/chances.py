@@ -13,8 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..fitting.result import RecordingFit
+from ..model import Model
 from .ladder import ranked, score
-from .rung import Refit, Step, cost_of
+from .rung import Step, cost_of
 from .words import SURE
 
 _ALIKE = 12.0  # of chi-square, in its units: closer names are not told apart
@@ -70,7 +71,7 @@ def _among(step: Step) -> dict[str, float]:
     least = min([*(r.cost for r in step.refits), step.cost])
     scale = max(1.0, least / step.readings)
     for s in step.screened:
-        numbers = len(s.states[0]) - step.near.fitted[0].state.size + 1
+        numbers = len(Model(step.fit.model.mechanism, (s.effect,)).fitted)
         if not any(r.label == s.effect.label for r in step.refits):
             scores[s.effect.label] = max(s.chi2, least) / scale + numbers * math.log(step.readings)
     nobody = step.cost / scale
@@ -96,10 +97,6 @@ def alike(step: Step, accepted: str) -> tuple[str, ...]:
     """The names that a rung's fits cannot tell from the accepted one, which comes first."""
     unit = temper(step) * max(1.0, min(r.cost for r in step.refits) / step.readings)
     own = next(r for r in step.refits if r.label == accepted)
-    others = [r for r in _ordered(step) if r.label != accepted]
+    others = [r for r in ranked(step) if r.label != accepted]
     close = [r.label for r in others if r.cost - own.cost < _ALIKE * unit]
     return (accepted, *close)
-
-
-def _ordered(step: Step) -> list[Refit]:
-    return ranked(step)

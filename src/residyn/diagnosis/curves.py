@@ -52,6 +52,7 @@ def curves(
     """
     with jax.enable_x64(True):
         chosen = candidates(model) if effects is None else effects
+        chosen = [e for e in chosen if not e.senses]
         along = _Along.of(model, missing)
         found = [curve for e in chosen if (curve := along.curve(e)) is not None]
     # Of two that leave as much, the one with fewer numbers.
@@ -59,7 +60,8 @@ def curves(
 
 
 def candidates(model: Model) -> list[AbstractEffect]:
-    """Effects of the catalogue that the model could be given, at every place."""
+    """Effects of the catalogue that could be missing from a model, at every place where they can
+    act; those without a number to fit cannot."""
     found: list[AbstractEffect] = []
     for kind in catalogue().values():
         try:
@@ -67,8 +69,8 @@ def candidates(model: Model) -> list[AbstractEffect]:
         except ValueError:  # it makes no sense here
             continue
         each = [kind(p) for p in places] if places else [kind()]  # pyright: ignore
-        found += [e for e in each if e.label not in model.labels and not e.senses]
-    return found
+        found += [e for e in each if e.label not in model.labels]
+    return [e for e in found if Model(model.mechanism, (e,)).fitted]
 
 
 class _Along(NamedTuple):

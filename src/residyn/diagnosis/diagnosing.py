@@ -6,13 +6,14 @@ from collections.abc import Callable, Sequence
 import jax
 import numpy as np
 
-from ..effects import AbstractEffect, catalogue
+from ..effects import AbstractEffect
 from ..fitting import DEFAULT_STARTS, fit
 from ..model import Model
 from ..parameter import parameters_of
 from ..recording import Experiment
 from .chances import alike, chances
 from .comparison import Comparison
+from .curves import candidates as candidates_for
 from .horizon import horizon
 from .ladder import accepted, needless, ranked, search
 from .missing import Missing, missing_of, with_curves
@@ -71,20 +72,6 @@ def diagnose(
         return _concluded(experiment, steps, missing, began, say)
 
 
-def candidates_for(model: Model) -> list[AbstractEffect]:
-    """Effects of the catalogue that could be missing from a model, at every place where they can
-    act; those without a number to fit cannot."""
-    found: list[AbstractEffect] = []
-    for kind in catalogue().values():
-        try:
-            places = kind.places(model.mechanism)
-        except ValueError:  # it makes no sense here
-            continue
-        each = [kind(p) for p in places] if places else [kind()]  # pyright: ignore
-        found += [e for e in each if e.label not in model.labels]
-    return [e for e in found if Model(model.mechanism, (e,)).fitted]
-
-
 def _climb(
     experiment: Experiment,
     step: Step,
@@ -110,6 +97,9 @@ def _climb(
             return steps
         say(f"{chosen.label} joins the model")
         step = needless(new, experiment, first)
+        # What has become needless does not come back, or the ladder might go round and round.
+        gone = set(new.fit.model.labels) - set(step.fit.model.labels)
+        candidates = [c for c in candidates if c.label not in gone]
 
 
 def _concluded(
@@ -124,7 +114,7 @@ def _concluded(
     kept = [r.added for r in rungs[1:] if r.added in last.fit.model.labels]
     verdict = verdict_on(last, bool(kept))
     sure = chances(steps)
-    candidates = _candidates(steps, sure)
+    candidates = _candidates(first, sure)
     groups, advice = [], None
     for step, rung in zip(steps, rungs[1:], strict=False):
         if rung.added not in kept or rung.added is None:
@@ -166,23 +156,20 @@ def _rungs(steps: Sequence[Step]) -> tuple[Rung, ...]:
     return tuple(found)
 
 
-def _candidates(steps: Sequence[Step], sure: dict[str, float]) -> tuple[Candidate, ...]:
+def _candidates(first: Step, sure: dict[str, float]) -> tuple[Candidate, ...]:
     """Everything that was screened beside the base model; numbers as refitted where they were."""
-    first, found = steps[0], []
-    later = {r.label: (s, r) for s in steps[1:] for r in s.refits}
+    found = []
     before = cost_of(first.fit)
     refits = {r.label: r for r in first.refits}
     for s in first.screened:
         label = s.effect.label
         refit = refits.get(label)
-        shown = refit or (later[label][1] if label in later and label in sure else None)
         alone = Model(first.fit.model.mechanism, (s.effect,))
         values = np.asarray(alone.vector())
         spread = np.full(len(values), np.nan)
         if refit is not None:
             values = np.asarray(refit.model.vector())[-len(values) :]
             spread = refit.std[-len(values) :]
-        del shown
         units = first.fit.model.mechanism.units
         numbers = {
             n.name: Value(

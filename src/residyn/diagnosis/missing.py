@@ -91,11 +91,10 @@ def with_curves(
 ) -> tuple[Missing, ...]:
     """The same, with the curves of these effects instead."""
     fitted = [r.recording for r in fit.recordings if r.recording.role != "check"]
-    drawn = [e for e in effects if not e.senses]
     return tuple(
         m._replace(
             curves=tuple(
-                curves(posed(fit.model, mechanism_of(fit.experiment, recording)), m.torque, drawn)
+                curves(posed(fit.model, mechanism_of(fit.experiment, recording)), m.torque, effects)
             )
         )
         for m, recording in zip(found, fitted, strict=True)
