@@ -1,10 +1,10 @@
-# `make demo` and `make test` each set up what they need in .venv, from Python 3.11+ alone.
+# `make demo`, `make test` and `make docs` each set up what they need in .venv, from Python 3.11+ alone.
 PYTHON ?= $(firstword $(foreach p,python3.13 python3.12 python3.11 python3 python,\
   $(if $(shell $(p) -c 'import sys; print(1 if sys.version_info >= (3, 11) else "")' 2>/dev/null),$(p))))
 BIN := .venv/bin
 RUN := $(BIN)/python
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint docs clean
 
 demo: .venv/.demo
 	$(BIN)/residyn demo
@@ -16,6 +16,11 @@ lint: .venv/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+
+# The site in site/. A first build draws every effect and diagnoses the demo; later ones draw anew
+# what has changed.
+docs: .venv/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 .venv/.venv:
 	@test -n "$(PYTHON)" || { echo "residyn needs Python 3.11 or newer (set PYTHON=...)"; exit 1; }
@@ -30,6 +35,10 @@ lint: .venv/.test
 .venv/.test: .venv/.venv pyproject.toml
 	$(RUN) -m pip install --quiet --disable-pip-version-check --editable ".[test]"
 	@touch $@ .venv/.demo
+
+.venv/.docs: .venv/.venv pyproject.toml
+	$(RUN) -m pip install --quiet --disable-pip-version-check --editable ".[docs]"
+	@touch $@
 
 clean:
 	rm -rf .venv
