@@ -31,6 +31,8 @@ _KEYS = {
         "role",
         "air_bearings",
         "extra_mass",
+        "markers",
+        "normal",
     ),
 }
 
@@ -156,7 +158,7 @@ def _check_recording(entry: Mapping[str, Any], arm: bool) -> None:
     """What can be said before the recording is read."""
     if not isinstance(entry.get("file"), str) or not entry["file"]:
         have = f"file = {quote(entry['file'])}" if "file" in entry else "file is missing"
-        raise InputError(f"{have}: must be the name of a CSV file")
+        raise InputError(f"{have}: must be the name of a recording's file")
     check_role(entry.get("role", "fit"))
     flag("air_bearings", entry.get("air_bearings", True))
     if not arm and "theta2" in entry:

@@ -2,19 +2,22 @@
 
 A `Recording` is one run of readings, cut to the part that counts, with the sigma of one reading. An
 `Experiment` is the inertia of the thing that moved, and its recordings; `load` reads one from a
-TOML file and the CSV files it names. Nothing here knows a model. Everything wrong with a file or an
-argument raises `InputError` with one clear line; whatever is merely doubtful is a warning.
+TOML file and the files it names, whatever their format. Nothing here knows a model. Everything
+wrong with a file or an argument raises `InputError` with one clear line; whatever is merely
+doubtful is a warning.
 """
 
 import dataclasses
 import os
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from . import motion_capture
 from ._arrays import (
     check_drive,
     check_enough,
@@ -24,6 +27,7 @@ from ._arrays import (
 )
 from ._csv import read_csv, write_csv
 from ._input import InputError, decode, flag, inside, number, read_text
+from ._lab_files import has_markers, read_table
 from ._noise import estimate_noise, noise_and_doubts
 from ._release import release_time, window
 from ._tables import ArmTable, Bearing, InertiaTable, check_bearings
@@ -136,6 +140,11 @@ class Recording:
                 warnings=tuple(f"{name}: {warning}" for warning in [*warnings, *doubts]),
             )
 
+    def saying(self, doubts: Iterable[str]) -> "Recording":
+        """The same recording with further warnings, each given its name."""
+        said = tuple(f"{self.name}: {doubt}" for doubt in doubts)
+        return dataclasses.replace(self, warnings=(*self.warnings, *said))
+
     @property
     def duration(self) -> float:
         """From the first sample to the last, s."""
@@ -200,10 +209,11 @@ class Experiment:
 
 
 def load(path: str | os.PathLike[str]) -> Experiment:
-    """Read an experiment from a TOML file and the CSV files it names.
+    """Read an experiment from a TOML file and the files of recordings it names.
 
-    The CSV files are looked for in the TOML file's folder; if `path` is "-", the TOML is read from
-    standard input and they are looked for in the current folder.
+    These are CSV, MATLAB or Parquet files of angles, or files of markers. They are looked for in
+    the TOML file's folder; if `path` is "-", the TOML is read from standard input and they are
+    looked for in the current folder.
 
     **Raises:** `InputError`, a single line, for whatever is wrong with the files.
     """
@@ -227,15 +237,42 @@ def _read(
     folder: Path, inertia: ArmTable | InertiaTable, *, file: str, **options: Any
 ) -> Recording:
     """One `[[recordings]]` table's recording."""
-    time, angle, drive, _ = read_csv(folder / file, len(inertia.joints))
-    recording = Recording.from_arrays(time, angle, drive=drive, name=file, **options)
+    path, drive = folder / file, None
+    marked = has_markers(path)
+    if marked:
+        recording = _from_markers(path, inertia, name=file, **options)
+    else:
+        for key in ("markers", "normal"):
+            if key in options:
+                raise InputError(
+                    f"{file}: {key} is for files of markers, C3D or what Vicon exports as CSV; "
+                    "this is neither"
+                )
+        time, angle, drive = read_table(path, len(inertia.joints))
+        recording = Recording.from_arrays(time, angle, drive=drive, name=file, **options)
     if recording.role == "inertia" and drive is None:
         columns = ", ".join(f"u{j + 1}" for j in range(recording.joints))
         raise InputError(f'{file}: role = "inertia" needs the drive that moved it, as {columns}')
-    if isinstance(inertia, ArmTable) and "theta2" not in options:
-        doubt = f"{file}: theta2, the elbow's angle at rest, is not given; 0 rad is taken"
-        recording = dataclasses.replace(recording, warnings=(*recording.warnings, doubt))
+    if isinstance(inertia, ArmTable) and "theta2" not in options and not marked:
+        doubt = "theta2, the elbow's angle at rest, is not given; 0 rad is taken"
+        recording = recording.saying([doubt])
     return recording
+
+
+def _from_markers(
+    path: Path,
+    inertia: ArmTable | InertiaTable,
+    *,
+    markers: Any = None,
+    normal: Any = None,
+    **options: Any,
+) -> Recording:
+    """The recording in a file of markers; what was mended in it is among its warnings."""
+    if "m" in (inertia.units or ()):
+        raise InputError(f"{options['name']}: markers give angles, but a joint is in m")
+    lengths = inertia.link_lengths if isinstance(inertia, ArmTable) else None
+    seen = motion_capture.read(path, markers, normal=normal, link_lengths=lengths)
+    return seen.recording(**options)
 
 
 def _degrees(experiment: Experiment) -> list[str]:

@@ -1,0 +1,249 @@
+"""From markers at the joints to the joints' angles, and what had to be mended on the way.
+
+Markers are lost, jump, and exchange their labels. An arm's base stands still and its links are
+rigid, so geometry says which marker is which, and which is none of the arm's. Whatever is mended is
+said, one sentence each; what cannot be known stays lost (NaN), which a fit does not mind.
+"""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from . import _labels, _mended, _plane, _rigid
+from ._input import InputError, inside, number, quote
+from ._release import window
+from ._rest import rest_angles
+from ._trajectories import Trajectories, read_trajectories
+
+if TYPE_CHECKING:
+    from .recording import Recording
+
+__all__ = ["MotionCapture", "read"]
+
+_SURE = 1e-3
+"""Error, rad, beyond which an angle is not put back but left lost."""
+
+_LOOSE = 0.01
+"""Relative scatter or error of a link's length that is worth a word."""
+
+_OTHER = 0.2
+"""Relative error of a link's length with which it must be another link."""
+
+_WANDERS = 3e-3
+"""Scatter of the base, of the first link's length, that is no noise: it moves."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionCapture:
+    """A chain's joint angles from its markers. Make it with `read`."""
+
+    name: str
+    """The file's name."""
+    markers: tuple[str, ...]
+    """From base to tip."""
+    time: np.ndarray
+    """(N,) s from the file's first frame."""
+    angle: np.ndarray
+    """(N, n) rad: of link 1 to the table's axis, of each further link to the one before it. NaN
+    where it cannot be known."""
+    link_lengths: np.ndarray
+    """(n,) m, as the markers have them."""
+    normal: np.ndarray
+    """(3,) unit vector off the table, in the lab's axes; angles grow anticlockwise about it."""
+    mended: tuple[str, ...]
+    """What was lost, put back, exchanged or rejected, a sentence each; empty for a clean file."""
+    doubts: tuple[str, ...]
+    """What does not look like an arm with markers at its joints, a sentence each."""
+
+    def rest(self, start: float | str | None = None, stop: float | None = None) -> np.ndarray:
+        """(n,) rad: the angles about which the arm rings, from `start` to `stop`."""
+        with inside(self.name):
+            part = window(self.time, self.angle, start, stop)
+            return rest_angles(self.time[part], self.angle[part])
+
+    def recording(self, **options: Any) -> "Recording":
+        """The recording, in a model's own coordinates: angles from rest.
+
+        `theta2` is the elbow's angle at rest. If given, the elbow's angle is counted from it; if
+        not, from the rest that the ringing itself shows.
+
+        **Arguments:** those of `Recording.from_arrays`, without `time` and `angle`.
+        """
+        from .recording import Recording
+
+        options = {"name": self.name, **options}
+        rest = self.rest(options.get("start"), options.get("stop"))
+        said = [*self.mended, *self.doubts]
+        if self.angle.shape[1] == 2:
+            if "theta2" in options:
+                theta2 = number("theta2", options["theta2"], "rad")
+                if abs(theta2 - rest[1]) > 0.01:
+                    said.append(
+                        f"theta2 = {theta2:g} rad is given, but by its markers the elbow rests at "
+                        f"{rest[1]:.4f} rad; leave theta2 out to take that"
+                    )
+                rest = np.array([rest[0], theta2])
+            else:
+                options["theta2"] = float(rest[1])
+        turned = ", ".join(f"q{j + 1} from {angle:.4f} rad" for j, angle in enumerate(rest))
+        said.append(f"angles are counted from rest, {turned} of its markers")
+        return Recording.from_arrays(self.time, self.angle - rest, **options).saying(said)
+
+
+def read(
+    path: str | os.PathLike[str],
+    markers: Sequence[str] | None = None,
+    *,
+    normal: Sequence[float] | None = None,
+    link_lengths: Sequence[float] | None = None,
+) -> MotionCapture:
+    """Joint angles from a Vicon CSV file or a C3D file of markers at the joints' centres.
+
+    **Arguments:**
+
+    - `markers`: names from base to tip: n + 1 for n joints. They may leave the subject out.
+    - `normal`: direction off the table in the lab's axes; if not given, it is fitted.
+    - `link_lengths`: m, if known: checked, and used where motion alone cannot tell links apart.
+
+    **Raises:** `InputError`.
+    """
+    trajectories = read_trajectories(path)
+    where = os.fspath(path)
+    with inside(where):
+        names = _names(markers, trajectories, link_lengths)
+        return _solve(where, names, trajectories, normal, link_lengths)
+
+
+def _names(markers: Any, file: Trajectories, lengths: Sequence[float] | None) -> tuple[str, ...]:
+    has = ", ".join(quote(name) for name in file.names[:12])
+    has += ", ..." if len(file.names) > 12 else ""
+    right = f'from base to tip, as ["Shoulder", "Elbow", "Wrist"]; the file has {has}'
+    if markers is None:
+        raise InputError(f"markers is missing: name them {right}")
+    if isinstance(markers, str) or not isinstance(markers, (list, tuple)):
+        raise InputError(f"markers = {quote(markers)}: must be a list of names, {right}")
+    if not all(isinstance(name, str) for name in markers):
+        raise InputError(f"markers = {quote(list(markers))}: must be names, {right}")
+    if len(set(markers)) < len(markers):
+        raise InputError(f"markers = {quote(list(markers))}: names must differ, {right}")
+    joints = len(markers) - 1
+    if joints < 1 or (lengths is not None and joints != len(lengths)):
+        need = "at least 2" if lengths is None else f"{len(lengths) + 1}, one more than links"
+        raise InputError(f"markers has {len(markers)} names: must have {need}, {right}")
+    if joints > 7:
+        raise InputError(f"markers has {len(markers)} names: chains of up to 7 links are read")
+    return tuple(markers)
+
+
+def _solve(
+    where: str,
+    names: tuple[str, ...],
+    file: Trajectories,
+    normal: Sequence[float] | None,
+    lengths: Sequence[float] | None,
+) -> MotionCapture:
+    markers = file.of(names)
+    if len(markers) < 20:
+        raise InputError(f"has {len(markers)} frames; at least 20 are needed")
+    for name, column in zip(names, markers.swapaxes(0, 1), strict=True):
+        if np.isnan(column).all():
+            raise InputError(f"marker {quote(name)} is lost in every frame")
+    rigid = _rigid.find(markers, lengths)
+    labels = _labels.assign(markers, rigid)
+    for _ in range(2):
+        _check_believable(names, markers, labels)
+        rigid = _rigid.refine(labels.apply(markers), rigid)
+        labels = _labels.assign(markers, rigid)
+    joints = labels.apply(markers)
+    noise = float(min(rigid.sigmas)) / 2**0.5
+    plane = _plane.fit(joints, noise) if normal is None else _plane.frame_of(_direction(normal))
+    high = plane.height(joints)
+    off = np.abs(high - np.nanmedian(high, axis=0))
+    odd = off > np.maximum(8 * 1.4826 * np.nanmedian(off, axis=0), 0.01 * rigid.lengths.mean())
+    joints[odd] = np.nan
+    rejected = labels.rejected | odd
+
+    flat = plane.flat(joints)
+    lost = np.isnan(flat[:, :, 0])
+    doubts = _lengths_doubted(names, rigid, lengths)
+    still = rigid.base_sigma <= max(_WANDERS * rigid.lengths[0], 4 * noise)
+    if still:
+        flat[:, 0] = np.nanmedian(flat[:, 0], axis=0)
+    else:
+        doubts.append(
+            f"{quote(names[0])} moves by {1e3 * rigid.base_sigma:.2g} mm (standard deviation): the "
+            "base of the arm should stand still"
+        )
+    back = _mended.put_back(flat, noise, _SURE)
+    angle = _plane.angles(flat)
+    mended = _mended.sentences(
+        names, file.time, file.frame, labels.order, lost, rejected, back, still
+    )
+    for array in (angle, rigid.lengths, plane.normal):
+        array.flags.writeable = False
+    return MotionCapture(
+        name=where,
+        markers=names,
+        time=file.time,
+        angle=angle,
+        link_lengths=rigid.lengths,
+        normal=plane.normal,
+        mended=tuple(mended),
+        doubts=tuple(doubts),
+    )
+
+
+def _check_believable(names: tuple[str, ...], markers: np.ndarray, labels: _labels.Labels) -> None:
+    """Markers of which most fit no rigid arm are not an arm's."""
+    seen = int((~np.isnan(markers[:, :, 0])).sum())
+    if labels.rejected.sum() > 0.25 * seen:
+        listed = ", ".join(quote(name) for name in names)
+        raise InputError(
+            f"markers {listed} are no chain of rigid links from a joint that stands still: "
+            f"{int(labels.rejected.sum())} of {seen} readings fit none; must be one marker at each "
+            "joint's centre, from base to tip"
+        )
+
+
+def _direction(normal: Any) -> np.ndarray:
+    values = normal.tolist() if isinstance(normal, np.ndarray) else normal
+    if not isinstance(values, (list, tuple)) or len(values) != 3:
+        raise InputError(f"normal = {quote(normal)}: must be three numbers, as [0, 0, 1]")
+    direction = np.array([number("normal", value, "of any unit") for value in values])
+    if not np.linalg.norm(direction) > 0:
+        raise InputError(f"normal = {quote(normal)}: must point somewhere, as [0, 0, 1]")
+    return direction
+
+
+def _lengths_doubted(
+    names: tuple[str, ...], rigid: _rigid.Rigid, known: Sequence[float] | None
+) -> list[str]:
+    """Links that are not rigid, or not as long as they should be.
+
+    **Raises:** `InputError` where the difference is so large that it must be another link.
+    """
+    doubts = []
+    for i, (length, sigma) in enumerate(zip(rigid.lengths, rigid.sigmas, strict=True)):
+        link = f"link {i + 1}, {quote(names[i])} to {quote(names[i + 1])},"
+        if sigma > _LOOSE * length:
+            doubts.append(
+                f"{link} changes its length of {length:.4g} m by {1e3 * sigma:.2g} mm (standard "
+                "deviation): are the markers at the joints' centres?"
+            )
+        if known is None:
+            continue
+        off = length / known[i] - 1
+        if abs(off) > _OTHER:
+            raise InputError(
+                f"{link} is {length:.4g} m long by its markers, but link_lengths has "
+                f"{known[i]:g} m: is that another marker, or another unit?"
+            )
+        if abs(off) > _LOOSE:
+            doubts.append(
+                f"{link} is {length:.4g} m long by its markers, {100 * off:+.2g} % from the "
+                f"{known[i]:g} m of link_lengths"
+            )
+    return doubts
