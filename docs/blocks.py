@@ -6,8 +6,10 @@ The site's build (`hooks.py`) runs a page to show what its code prints and draws
 - `python` blocks, which share their names over a page;
 - `sh` blocks (and blocks without a language whose lines all begin with `residyn`): each line that
   begins with `residyn` goes through the command's own entry point, which must return 0;
-- `toml` blocks, and `python` blocks with a `title`: files, written before what follows. Where there
-  is no title, the line above the block may name the file: "... a file, say `my_effects.py`:".
+- `toml` and `python` blocks with a `title`: files, written before what follows. Where there is no
+  title, the line above the block may name the file: "... a file, say `my_effects.py`:";
+- `toml` blocks without: read, as an experiment if they are a whole one, and left alone. What
+  follows finds the demo's own `experiment.toml`.
 
 A comment just above a block says how to treat it:
 
@@ -25,6 +27,7 @@ import re
 import shlex
 import shutil
 import sys
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,8 +39,8 @@ _FENCE = re.compile(
     re.MULTILINE | re.DOTALL,
 )
 _NAMED = re.compile(r"`([\w./-]+\.(?:py|toml))`[^`]*:\s*\Z")
-_UNTITLED_TOML = "experiment.toml"
-_KNOWN: dict[str, Any] = {}  # results of one process, by what was asked
+_LOADED: dict[bytes, Any] = {}  # experiments of this process, by what they hold
+_KNOWN: dict[tuple, Any] = {}  # and results, by what was asked
 
 
 @dataclass(frozen=True)
@@ -134,16 +137,29 @@ def _on_path(folder: Path) -> Iterator[None]:
 
 
 def _run(block: Block, where: str, names: dict[str, Any]) -> None:
-    if block.language == "toml" or block.title:
-        path = Path(block.title or _UNTITLED_TOML)
+    if block.title:
+        path = Path(block.title)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(block.text, encoding="utf-8")
+    elif block.language == "toml":
+        _read(block.text)
     elif block.language == "python":
         # As lines of a file further down, so that a traceback points into the page.
         exec(compile("\n" * (block.line - 1) + block.text, where, "exec"), names)
     else:
         for line in block.text.replace("\\\n", " ").splitlines():
             _command(shlex.split(line, comments=True), line)
+
+
+def _read(text: str) -> None:
+    """Check an experiment that nothing is done with; of a part of one, that it is TOML."""
+    import residyn
+
+    if {"recordings"} < set(tomllib.loads(text)):
+        path = Path("shown.toml")
+        path.write_text(text, encoding="utf-8")
+        residyn.load(path)
+        path.unlink()
 
 
 def _command(words: list[str], line: str) -> None:
@@ -169,37 +185,54 @@ def _command(words: list[str], line: str) -> None:
 
 @contextlib.contextmanager
 def _shared_results() -> Iterator[None]:
-    """A page that shows a command and then the same in Python waits for the answer once: a fit or a
-    diagnosis of the same recordings with the same arguments is the one that was had before."""
-    import residyn
-    from residyn import diagnosis, fitting
+    """A page that shows a command and then the same in Python waits for the answer once: a fit, a
+    comparison or a diagnosis of the same recordings with the same arguments is the one that was had
+    before, on this page or on another."""
+    from residyn import diagnosis, fitting, recording
 
-    def once(call):
+    homes = {"load": recording, "fit": fitting, "compare_fit": diagnosis, "diagnose": diagnosis}
+    real = {name: getattr(home, name) for name, home in homes.items()}
+
+    def load(path):
+        # One object for the same readings: results refer to the recordings that they are of.
+        found = real["load"](path)
+        return _LOADED.setdefault(hashlib.sha256(pickle.dumps(found)).digest(), found)
+
+    def once(name, subject, said, call):
+        key = (name, id(subject), *sorted(said.items()))
+        if key not in _KNOWN:
+            _KNOWN[key] = subject, call()  # the subject too, lest its id be used again
+        return _KNOWN[key][1]
+
+    def shared(name):
         def same(experiment, **named):
-            said = {k: v for k, v in named.items() if k != "progress"}
-            # The defaults that the command spells out.
-            said = {"effects": (), "starts": 6, "max_effects": 3, "method": "levenberg"} | said
-            if not all(isinstance(e, str) for e in said["effects"]):
-                return call(experiment, **named)
+            # The defaults that a command spells out, and Python need not.
+            said = {"effects": (), "starts": 6, "max_effects": 3, "method": "levenberg", **named}
+            said.pop("progress", None)
             said["effects"] = tuple(said["effects"])
-            text = f"{call.__name__} {sorted(said.items())}".encode()
-            key = hashlib.sha256(text + pickle.dumps(experiment)).hexdigest()
-            if key not in _KNOWN:
-                _KNOWN[key] = call(experiment, **named)
-            return _KNOWN[key]
+            if not all(isinstance(e, str) for e in said["effects"]):
+                return real[name](experiment, **named)
+            return once(name, experiment, said, lambda: real[name](experiment, **named))
 
         return same
 
-    real = fitting.fit, diagnosis.diagnose
-    fitting.fit, diagnosis.diagnose = map(once, real)
-    for name in ("fit", "diagnose"):  # names that were imported lazily before
-        vars(residyn).pop(name, None)
+    def compare_fit(fit, *progress):
+        return once("compare", fit, {}, lambda: real["compare_fit"](fit, *progress))
+
+    new = {"load": load, "fit": shared("fit"), "diagnose": shared("diagnose")}
+    _put(homes, {**new, "compare_fit": compare_fit})
     try:
         yield
     finally:
-        fitting.fit, diagnosis.diagnose = real
-        for name in ("fit", "diagnose"):
-            vars(residyn).pop(name, None)
+        _put(homes, real)
+
+
+def _put(homes, calls) -> None:
+    import residyn
+
+    for name, home in homes.items():
+        setattr(home, name, calls[name])
+        vars(residyn).pop(name, None)  # what the package has imported lazily before
 
 
 def pages(root: Path) -> list[Path]:

@@ -291,7 +291,7 @@ def _effect(kind, stem: str) -> str:
     ]
     lines += [f"`{kind.equation}`{{ .equation }}", ""]
     lines += [f"In the data: {_plain(kind.looks_like)}.", ""]
-    lines += ["| number | | unit | sign | absent at |", "|---|---|---|---|---|"]
+    lines += ["| number | what it is | unit | sign | absent at |", "|---|---|---|---|---|"]
     for p in parameters_of(kind):
         words = p.words if p.fitted else f"{p.words} (not fitted)"
         absent = "(a shape)" if p.silent is None else f"{p.silent:g}"
@@ -299,7 +299,7 @@ def _effect(kind, stem: str) -> str:
         unit = " or ".join(dict.fromkeys((p.dimension.rotary, p.dimension.sliding)))
         unit = "-" if unit == "1" else _units(unit)
         lines.append(f"| `{p.name}` | {_plain(words)} | {unit} | {sign} | {absent} |")
-    lines += ["", " ".join(_properties(kind)), "", f"Source: {_plain(kind.source)}.", ""]
+    lines += ["", " ".join([*_properties(kind), f"Source: {_plain(kind.source)}."]), ""]
     lines += [
         f"![{kind.name}: reading with and without it, and the missing torque against time, angle "
         f"and rate](made/{stem}/{kind.name}.svg){{ loading=lazy }}",
@@ -344,24 +344,34 @@ def _public_names() -> str:
         told |= set(names)
         words = _first(importlib.import_module(f"residyn.{module}"))
         parts.append(f"## residyn: {module}\n\n{words}\n")
-        parts += [f"::: residyn.{name}\n" for name in names]
+        parts += [f"::: {_home(residyn, name)}\n" for name in names]
     for info in pkgutil.iter_modules(residyn.__path__):
         if not info.ispkg or info.name.startswith("_") or info.name == "cli":
             continue
         whole = f"residyn.{info.name}"
         module = importlib.import_module(whole)
+        # `import x as x` is how the package says that a name is meant for others.
+        meant = set(re.findall(r"import (\w+) as \1\b", inspect.getsource(module)))
         own = [
             name
             for name, value in vars(module).items()
-            if not name.startswith("_")
-            and name not in told
+            if name not in told
             and (inspect.isclass(value) or inspect.isfunction(value))
-            and value.__module__.startswith(whole)
+            and (name in meant or (value.__module__ == whole and not name.startswith("_")))
         ]
         if own:
             parts.append(f"## {whole}\n\n{_first(module)}\n")
-            parts += [f"::: {whole}.{name}\n" for name in own]
+            parts += [f"::: {_home(module, name)}\n" for name in own]
     return "\n".join(parts)
+
+
+def _home(module, name: str) -> str:
+    """Where a name is defined: some functions share their names with the module that they are in,
+    and mkdocstrings would take the module."""
+    value = getattr(module, name)
+    if inspect.isclass(value) or inspect.isfunction(value):
+        return f"{value.__module__}.{value.__qualname__}"
+    return f"{module.__name__}.{name}"
 
 
 def _first(module) -> str:

@@ -1,0 +1,130 @@
+"""Every block of code in the documentation runs, and the site builds without a warning."""
+
+import functools
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import pytest
+
+from residyn.cli import _shell
+from residyn.fitting import genetic
+
+ROOT = Path(__file__).parents[1]
+
+_spec = importlib.util.spec_from_file_location("docs_blocks", ROOT / "docs" / "blocks.py")
+blocks = importlib.util.module_from_spec(_spec)
+sys.modules["docs_blocks"] = blocks
+_spec.loader.exec_module(blocks)
+
+# The tour first: the README repeats its commands, and finds the answers.
+PAGES = sorted(blocks.pages(ROOT), key=lambda p: p.name != "index.md")
+
+
+def name_of(path):
+    return path.relative_to(ROOT).as_posix()
+
+
+@pytest.fixture
+def one_cache(monkeypatch):
+    """The commands keep their compiled programs where the other tests do."""
+    folder = Path(jax.config.values["jax_compilation_cache_dir"])
+    monkeypatch.setattr(_shell, "_cache_folder", lambda: folder)
+    monkeypatch.setenv(_shell.TRACEBACK, "1")
+
+
+@pytest.fixture
+def short_search(monkeypatch):
+    """The paper's 500 generations are not what is tested here."""
+    short = functools.partial(genetic.Genetic, generations=20)
+    monkeypatch.setattr(genetic, "Genetic", short)
+
+
+@pytest.fixture
+def files(request, tmp_path):
+    """What a page takes for granted: for the README a driven test, which the page on the paper's
+    steps makes up."""
+    if request.param.name == "README.md":
+        page = (ROOT / "docs" / "steps.md").read_text()
+        until = next(b for b in blocks.blocks(page) if b.title == "driven.toml").span[1]
+        blocks.run(page[:until], "docs/steps.md", tmp_path)
+    return request.param, tmp_path
+
+
+@pytest.mark.parametrize("files", PAGES, ids=name_of, indirect=True)
+def test_every_block_of_a_page_runs(files, one_cache, short_search):
+    path, folder = files
+    blocks.run(path.read_text(), name_of(path), folder)
+    if path.name == "index.md":
+        shown = re.findall(r"\(made/index/([\w.]+)\)", path.read_text())
+        assert shown
+        assert set(shown) <= {p.name for p in blocks.made_in(folder)}
+
+
+@pytest.mark.parametrize("path", PAGES, ids=name_of)
+def test_what_is_not_run_says_why(path):
+    text = path.read_text()
+    told = text.count("<!-- not run:")
+    assert told == sum(b.not_run is not None for b in blocks.blocks(text))
+    assert text.count("<!-- output") == sum(b.output is not None for b in blocks.blocks(text))
+
+
+def test_blocks_are_found_with_what_is_said_of_them():
+    page = """
+<!-- output from "b" to "c" -->
+```python
+print("a\\nb\\nc")
+```
+In a file, say `mine.py`:
+
+```python
+x = 1
+```
+<!-- not run: no recording -->
+```sh
+residyn fit other.toml
+```
+```
+residyn effects
+```
+```text
+not code
+```
+"""
+    first, mine, left_out, plain = blocks.blocks(page)
+    assert (first.language, first.output, first.line) == ("python", ("b", "c"), 4)
+    assert (mine.title, left_out.not_run) == ("mine.py", "no recording")
+    assert (plain.language, plain.not_run) == ("sh", None)
+
+
+@pytest.mark.parametrize(
+    ("page", "says"),
+    [
+        ("```python\n1 / 0\n```\n", "page.md:2: ZeroDivisionError"),
+        ("```sh\nresidyn effects spirng\n```\n", 'did you mean "spring"'),
+        ("```sh\nrm -r /\n```\n", "only the command residyn is run"),
+    ],
+)
+def test_a_block_that_fails_is_named(page, says, tmp_path, one_cache):
+    with pytest.raises(AssertionError, match=re.escape(says)):
+        blocks.run(page, "page.md", tmp_path)
+
+
+def test_the_site_builds_strict(tmp_path):
+    """Links, headings and the API; the pictures are left out, which take minutes."""
+    pytest.importorskip("mkdocs", reason="needs the extra docs")
+    pytest.importorskip("mkdocstrings", reason="needs the extra docs")
+    words = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-d", str(tmp_path)]
+    done = subprocess.run(
+        words, cwd=ROOT, env={**os.environ, "RESIDYN_DOCS": "words"}, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    from residyn.effects import CATALOGUE
+
+    page = (tmp_path / "effects" / "index.html").read_text()
+    for name in CATALOGUE:
+        assert f'id="{name}"' in page
