@@ -118,7 +118,7 @@ def test_the_site_builds_strict(tmp_path):
     """Links, headings and the API; the pictures are left out, which take minutes."""
     pytest.importorskip("mkdocs", reason="needs the extra docs")
     pytest.importorskip("mkdocstrings", reason="needs the extra docs")
-    words = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-d", str(tmp_path)]
+    words = [sys.executable, "-m", "mkdocs", "build", "--strict", "-d", str(tmp_path)]
     done = subprocess.run(
         words, cwd=ROOT, env={**os.environ, "RESIDYN_DOCS": "words"}, capture_output=True, text=True
     )
