@@ -44,8 +44,11 @@ if TYPE_CHECKING:
     from .effects import WristFlexibility as WristFlexibility
     from .effects import adopt as adopt
     from .effects import load_effects as load_effects
+    from .fitting import Embedded as Embedded
     from .fitting import Fit as Fit
     from .fitting import FitError as FitError
+    from .fitting import Solution as Solution
+    from .fitting import embed as embed
     from .fitting import fit as fit
     from .mechanism import AbstractMechanism as AbstractMechanism
     from .mechanism import ConstantInertia as ConstantInertia
@@ -106,7 +109,7 @@ _PUBLIC = {
         "adopt",
         "load_effects",
     ),
-    "fitting": ("Fit", "FitError", "fit"),
+    "fitting": ("Embedded", "Fit", "FitError", "Solution", "embed", "fit"),
     "mechanism": ("AbstractMechanism", "ConstantInertia", "PlanarArm"),
     "model": ("Model",),
     "modal": ("Modes", "modes"),

@@ -147,6 +147,26 @@ def answers_to(
     return _whitened(near, blocks, columns, np.asarray(y.states))
 
 
+def seen_from(near: Near, slopes: Sequence[np.ndarray], kept: Answers) -> Answers:
+    """The answers of an earlier model as directions in which to look from a later one; `slopes` are
+    the later model's own, as from `near.look`."""
+    numbers, memories = near.numbers, near.memories()
+    now = Answers([], [], [], kept.columns, kept.begin)
+    rows = zip(near.fitted, near.left(), near.weights(), slopes, strict=True)
+    for r, left, weight, slope in rows:
+        w = weight.reshape(-1, 1)
+        local = np.nan_to_num(slope.reshape(len(w), -1)) * w
+        prior = np.zeros((memories, local.shape[1] - numbers))
+        known = np.zeros(memories)
+        if memories:
+            prior[:, -memories:] = np.eye(memories)
+            known = -(r.state / np.asarray(near.problem.scale.states)[0])[-memories:]
+        now.left.append(np.append((left * weight).reshape(-1), known))
+        now.numbers.append(local[:, :numbers])
+        now.states.append(np.vstack([local[:, numbers:], prior]))
+    return now
+
+
 def _whitened(near: Near, blocks, columns: Sequence[Column], states: np.ndarray) -> Answers:
     found = Answers([], [], [], [], states * np.asarray(near.problem.scale.states))
     memories, numbers = near.memories(), near.numbers

@@ -16,10 +16,11 @@ from ..fitting.result import RecordingFit
 from ..model import Model
 from .ladder import ranked, score
 from .rung import Step, cost_of
-from .words import SURE
+from .verdict import LEFT
 
 _ALIKE = 12.0  # of chi-square, in its units: closer names are not told apart
 _MOST = 0.88  # probability of any name while something that is not noise is left
+_STRANGE = 0.1  # odds, before any look, that what is missing is in no catalogue
 
 
 def correlated(fits: Sequence[RecordingFit]) -> float:
@@ -53,12 +54,11 @@ def chances(steps: Sequence[Step]) -> dict[str, float]:
     that stands."""
     last = steps[-1]
     found: dict[str, float] = {}
-    clean = last.white >= SURE
     for rung, step in enumerate(steps):
         each = _among(step)
         follows = steps[rung + 1] if rung + 1 < len(steps) else None
         for label, share in each.items():
-            sure = _known(step, follows or step, clean, label)
+            sure = _known(step, follows or step, last.white, label)
             if rung == 0 or (follows and follows.effects and follows.effects[-1].label == label):
                 found[label] = share * sure
     return found
@@ -82,10 +82,14 @@ def _among(step: Step) -> dict[str, float]:
     return {**{k: w / total for k, w in weights.items()}, **impossible}
 
 
-def _known(before: Step, after: Step, clean: bool, label: str) -> float:
+def _known(before: Step, after: Step, white: float, label: str) -> float:
     """Probability that it is in the catalogue at all."""
-    if clean:
-        return 1.0
+    if white >= LEFT:
+        # What is left may still be what no name explains, too small to be sure of: the most that a
+        # probability p can say for that (Sellke, Bayarri and Berger 2001).
+        p = max(white, 1e-300)
+        against = 1.0 / (-math.e * p * math.log(p)) if p < 1 / math.e else 1.0
+        return 1.0 / (1.0 + _STRANGE * (against - 1.0))
     refit = next((r.cost for r in before.refits if r.label == label), before.cost)
     cost = min(refit, cost_of(after.fit)) if after is not before else refit
     excess = before.cost - before.readings

@@ -81,24 +81,32 @@ def _climb(
 ) -> list[Step]:
     """The rungs, from the base model up."""
     candidates, torques = candidates_for(step.fit.model), [m.torque for m in missing]
-    first, steps = len(step.effects), []
+    first, firm = len(step.effects), 0
+    steps: list[Step] = []
+    waits = False
     while True:
         full = len(step.effects) - first >= max_effects
         if not full or not steps:  # what might come next matters only if it may
             step = search(step, experiment, torques, candidates, say)
         steps.append(step)
+        firm = firm if waits else len(steps) - 1
         if full:
-            return steps
+            return steps[: firm + 1]
+        new = None
         for chosen in ranked(step)[:_TRIED]:
-            new = accepted(step, chosen, experiment)
-            if new is not None:
+            found = accepted(step, chosen, experiment, steps[firm])
+            if found is not None and (new is None or found.firm):
+                new = found
+            if new is not None and new.firm:
                 break
-        else:
-            return steps
-        say(f"{chosen.label} joins the model")
-        step = needless(new, experiment, first)
+        if new is None:
+            return steps[: firm + 1]
+        label = new.step.effects[-1].label
+        say(f"{label} joins the model" if new.firm else f"looking on with {label}")
+        waits = not new.firm
+        step = needless(new.step, experiment, first)
         # What has become needless does not come back, or the ladder might go round and round.
-        gone = set(new.fit.model.labels) - set(step.fit.model.labels)
+        gone = set(new.step.fit.model.labels) - set(step.fit.model.labels)
         candidates = [c for c in candidates if c.label not in gone]
 
 

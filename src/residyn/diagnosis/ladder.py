@@ -10,6 +10,7 @@ stretch of the recording.
 import math
 import time
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,6 +33,7 @@ _FEWEST = 3
 _STEADY = 2.5  # standard errors of the gain, as stretches of the recording show it
 _MATTERS = 0.1  # share of the error that must go, where what is left is not white
 _HELD = 0.05  # and where nothing was fitted
+_PROMISES = 0.2  # share of the fitted error that must go for an effect to wait for another one
 _WORSE = 0.02  # share by which the held-out error may grow where what is left is white
 _PAUSES = 50  # of a motion without a mode: a rest that long is one
 _STRETCHES = 24  # least number of stretches of all recordings
@@ -66,7 +68,9 @@ def search(
         Path.of(m, step.near.problem.steps, period, None if led else r.predicted)
         for m, r in zip(missing, step.near.fitted, strict=True)
     ]
-    alone, found, kept = screen(step.near, paths, some, led)
+    first = step.tried is None
+    alone, found, kept = screen(step.near, paths, some, led, any_shape=first)
+    step = step.seen_with(kept) if first else step
     tried = [s for s in found if s.drop > (0.5 if led else 0.8) * worth(s.effect, step)]
     if tried:
         best, noise = tried[0].chi2, float(step.readings)
@@ -75,9 +79,7 @@ def search(
     names = ", ".join(s.effect.label for s in tried)
     say(f"fitting {names}" if names else "nothing worth fitting")
     found_by_fit = refits(step, experiment, tried)
-    return step._replace(
-        alone=alone, screened=tuple(found), refits=tuple(found_by_fit), tried=step.tried or kept
-    )
+    return step._replace(alone=alone, screened=tuple(found), refits=tuple(found_by_fit))
 
 
 def score(step: Step, refit: Refit) -> float:
@@ -96,8 +98,24 @@ def ranked(step: Step) -> list[Refit]:
     return sorted((r for r in step.refits if r.possible), key=lambda r: score(step, r))
 
 
-def accepted(step: Step, chosen: Refit, experiment: Experiment) -> Step | None:
-    """The next rung, with the chosen effect; None if that is not sure, or does not matter."""
+class Accepted(NamedTuple):
+    """A next rung."""
+
+    step: Step
+    firm: bool
+    """Whether it stands by itself; else it is to be judged by what the next rung makes of it."""
+
+
+def accepted(
+    step: Step, chosen: Refit, experiment: Experiment, stands: Step | None = None
+) -> Accepted | None:
+    """The next rung, with the chosen effect; None if that is not sure, or does not matter.
+
+    `stands` is the rung that it must be better than, if that is not `step` itself. Where two
+    effects are missing, the one that joins first may predict no better until the other one has
+    joined: if the fitted readings say that it explains much, it may wait for that.
+    """
+    stands = step if stands is None else stands
     before = cost_of(step.fit)
     drop = (before - chosen.cost) / max(1.0, chosen.cost / step.readings)
     if drop < worth(chosen.effect, step):
@@ -110,11 +128,14 @@ def accepted(step: Step, chosen: Refit, experiment: Experiment) -> Step | None:
         chosen.descent,
         began,
     )
-    new = stand(fit, (*step.effects, silent(chosen.effect)))
+    new = stand(fit, (*step.effects, silent(chosen.effect)), step.tried)
     # Where only noise is left, chi-square can be believed; else the gain must be steady.
     if new.white < SURE and not steady(step, chosen):
         return None
-    return new._replace(tried=step.tried) if matters(step, new) else None
+    if matters(stands, new):
+        return Accepted(new, True)
+    promises = cost_of(new.fit) < (1.0 - _PROMISES) ** 2 * before
+    return Accepted(new, False) if stands is step and promises else None
 
 
 def needless(step: Step, experiment: Experiment, first: int) -> Step:
@@ -149,8 +170,8 @@ def needless(step: Step, experiment: Experiment, first: int) -> Step:
             continue
         if (descent.cost - step.cost) / max(1.0, step.cost / step.readings) < worth(effect, step):
             began = time.perf_counter()
-            without = stand(finish(experiment, model, numbers, descent, began), left)
-            return needless(without._replace(tried=step.tried), experiment, first)
+            without = stand(finish(experiment, model, numbers, descent, began), left, step.tried)
+            return needless(without, experiment, first)
     return step
 
 

@@ -12,7 +12,8 @@ from ..fitting.result import Fit
 from ..model import Model
 from .horizon import HeldOut, held_out
 from .linear import Near
-from .screen import Screened, Tried
+from .screen import Screened, Tried, left_over
+from .unnamed import Unnamed
 from .where import Where, where
 
 _DROP = 20.0  # least fall of chi-square, in units of what is left, of one number
@@ -60,6 +61,8 @@ class Step(NamedTuple):
     near: Near
     where: Where
     white: float
+    """Probability that what is left is noise: the least of all tests, corrected for their
+    number."""
     held_out: HeldOut | None
     effects: tuple[AbstractEffect, ...]
     slopes: list[np.ndarray]
@@ -67,6 +70,19 @@ class Step(NamedTuple):
     tried: Tried | None = None
     screened: tuple[Screened, ...] = ()
     refits: tuple[Refit, ...] = ()
+    unnamed: Unnamed | None = None
+
+    def seen_with(self, tried: Tried) -> "Step":
+        """The same, looked at with torques of any shape, too."""
+        unnamed = left_over(self.near, self.slopes, tried)
+        white = min(self.where_p, unnamed.p)
+        return self._replace(tried=tried, unnamed=unnamed, white=1.0 - (1.0 - white) ** 2)
+
+    @property
+    def where_p(self) -> float:
+        """Probability of so much structure in the residual's spectra, if it is noise."""
+        p = [w.p for w in self.where.white.values() if np.isfinite(w.p)]
+        return float(-np.expm1(len(p) * np.log1p(-min(p)))) if p and min(p) < 1 else 1.0
 
     @property
     def cost(self) -> float:
@@ -88,14 +104,14 @@ def cost_of(fit: Fit) -> float:
     )
 
 
-def stand(fit: Fit, effects: Sequence[AbstractEffect]) -> Step:
-    """A fitted model as a step of the ladder."""
+def stand(fit: Fit, effects: Sequence[AbstractEffect], tried: Tried | None = None) -> Step:
+    """A fitted model as a step of the ladder; `tried` is from the first one's screen."""
     near = Near.of(fit)
     _, slopes = near.look(near.at)
     found = where(near, slopes)
-    p = [w.p for w in found.white.values() if np.isfinite(w.p)]
-    white = float(-np.expm1(len(p) * np.log1p(-min(p)))) if p and min(p) < 1 else 1.0
-    return Step(fit, near, found, white, held_out(near), tuple(effects), slopes)
+    step = Step(fit, near, found, 1.0, held_out(near), tuple(effects), slopes)
+    step = step._replace(white=step.where_p)
+    return step if tried is None else step.seen_with(tried)
 
 
 def worth(effect: AbstractEffect, step: Step) -> float:

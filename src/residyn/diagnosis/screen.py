@@ -21,13 +21,13 @@ from ..fitting.problem import posed
 from ..fitting.setup import Ready
 from ..model import Model
 from ..parameter import parameters_of
-from .answers import Answers, answers_to, columns_of, holds
+from .answers import Answers, answers_to, columns_of, holds, seen_from
+from .elimination import Solver, basis_of, inverse_of
 from .linear import Near
 from .path import Path, Variant, variants, with_fields
+from .unnamed import Shape, Unnamed, shapes, unnamed
 
 _SHAPES = 4  # of an effect that are kept
-_BLIND = 1e-9  # of a direction's square: what the model's own numbers do, too
-_LEAST = 1e-5  # of a column's square that must be left when the model has adjusted
 
 
 class Screened(NamedTuple):
@@ -52,15 +52,23 @@ class Tried(NamedTuple):
 
     variants: list[Variant]
     bounds: np.ndarray
+    """Where each variant's columns begin, and where those of any shape do."""
     answers: Answers
+    shapes: Sequence[Shape] = ()
+    """What the columns beyond the candidates' are."""
 
 
 def screen(
-    near: Near, paths: Sequence[Path], candidates: Sequence[AbstractEffect], led: bool = True
+    near: Near,
+    paths: Sequence[Path],
+    candidates: Sequence[AbstractEffect],
+    led: bool = True,
+    any_shape: bool = False,
 ) -> tuple[float, list[Screened], Tried]:
     """Each candidate beside the model of `near`.
 
-    With `led`, the model is led along the paths; without, the paths must be its own.
+    With `led`, the model is led along the paths; without, the paths must be its own. With
+    `any_shape`, torques of any shape are answered, too, and kept for `left_over`.
 
     **Returns:** chi-square to first order without any, the candidates, the best first, and what
     `glance` needs.
@@ -73,9 +81,10 @@ def screen(
     ]
     columns = [columns_of(near, paths, v) + holds(paths, needed, v) for v in tried]
     bounds = np.cumsum([0, *(len(c) for c in columns)])
-    flat = list(itertools.chain(*columns))
+    more, found_shapes = shapes(near, paths) if any_shape else ([], [])
+    flat = [*itertools.chain(*columns), *more]
     answers = answers_to(near, paths, needed if led else None, flat)
-    solver = _Solver.of(near, answers)
+    solver = Solver.of(near, answers)
     by_label: dict[str, list] = {}
     for variant, first, last in zip(tried, bounds, bounds[1:], strict=False):
         which = range(first, last)
@@ -88,7 +97,7 @@ def screen(
         each.sort(key=lambda x: -x[0])
         best, *others = [_weigh(near, solver, answers, *x) for x in each[:_SHAPES]]
         found.append(best._replace(others=tuple(others)))
-    kept = Tried(tried, bounds, answers)
+    kept = Tried(tried, bounds, answers, found_shapes)
     return solver.alone, sorted(found, key=lambda s: s.chi2), kept
 
 
@@ -98,26 +107,17 @@ def glance(near: Near, slopes: Sequence[np.ndarray], kept: Tried) -> dict[str, f
 
     `slopes` are the later model's own, as from `near.look`.
     """
-    numbers, memories = near.numbers, near.memories()
-    now = Answers([], [], [], kept.answers.columns, kept.answers.begin)
-    rows = zip(near.fitted, near.left(), near.weights(), slopes, strict=True)
-    for r, left, weight, slope in rows:
-        w = weight.reshape(-1, 1)
-        local = np.nan_to_num(slope.reshape(len(w), -1)) * w
-        prior = np.zeros((memories, local.shape[1] - numbers))
-        known = np.zeros(memories)
-        if memories:
-            prior[:, -memories:] = np.eye(memories)
-            known = -(r.state / np.asarray(near.problem.scale.states)[0])[-memories:]
-        now.left.append(np.append((left * weight).reshape(-1), known))
-        now.numbers.append(local[:, :numbers])
-        now.states.append(np.vstack([local[:, numbers:], prior]))
-    solver = _Solver.of(near, now)
+    solver = Solver.of(near, seen_from(near, slopes, kept.answers))
     found: dict[str, float] = {}
     for variant, first, last in zip(kept.variants, kept.bounds, kept.bounds[1:], strict=False):
         drop, label = _factors(solver, variant, range(first, last))[1], variant.effect.label
         found[label] = max(drop, found.get(label, 0.0))
     return found
+
+
+def left_over(near: Near, slopes: Sequence[np.ndarray], kept: Tried) -> Unnamed:
+    """What torques of any shape would explain, seen from a later model like `glance`."""
+    return unnamed(near, slopes, kept.answers, int(kept.bounds[-1]), kept.shapes)
 
 
 def _variants(near: Near, paths: Sequence[Path], effect: AbstractEffect) -> list[Variant]:
@@ -129,60 +129,7 @@ def _variants(near: Near, paths: Sequence[Path], effect: AbstractEffect) -> list
     return variants(effect, sizes, paths, joint, modes)
 
 
-class _Solver(NamedTuple):
-    """Least squares with the model's own unknowns taken out."""
-
-    square: np.ndarray  # (C, C) of the columns, less what the model's unknowns do
-    slope: np.ndarray  # (C,) of the columns with what is left
-    whole: np.ndarray  # (C,) squares of the columns as they are
-    alone: float  # chi-square without any column
-
-    @classmethod
-    def of(cls, near: Near, answers: Answers) -> "_Solver":
-        """Eliminate initial states recording by recording, then the numbers."""
-        wide = near.numbers + answers.columns[0].shape[1] + 1
-        total, whole = np.zeros((wide, wide)), np.zeros(wide - near.numbers - 1)
-        for left, numbers, states, columns in answers.recordings():
-            rows = np.hstack([numbers, columns, left[:, None]])
-            basis = _basis(states)
-            total = total + rows.T @ rows - (rows.T @ basis) @ (basis.T @ rows)
-            whole = whole + np.sum(columns**2, axis=0)
-        p = near.numbers
-        inner = _inverse(total[:p, :p])
-        rest = total[p:, p:] - total[p:, :p] @ inner @ total[:p, p:]
-        return cls(rest[:-1, :-1], rest[:-1, -1], whole, float(rest[-1, -1]))
-
-    def solve(self, chosen: Sequence[int], free: Sequence[bool]) -> tuple[np.ndarray, float]:
-        """Factors of some columns, none negative that is not `free`, and the drop they bring."""
-        which = np.asarray(chosen)
-        good = self.square[which, which] > _LEAST * self.whole[which]
-        while True:
-            factors, use = np.zeros(len(which)), which[good]
-            if len(use):
-                factors[good] = _inverse(self.square[np.ix_(use, use)]) @ self.slope[use]
-            wrong = [i for i, any_sign in enumerate(free) if not any_sign and factors[i] < 0]
-            if not wrong:
-                drop = 2 * factors @ self.slope[which]
-                drop -= factors @ self.square[np.ix_(which, which)] @ factors
-                return factors, float(drop)
-            good[min(wrong, key=lambda i: factors[i])] = False
-
-
-def _basis(columns: np.ndarray) -> np.ndarray:
-    size = np.sqrt((columns**2).sum(axis=0))
-    u, s, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-    return u[:, s > 1e-7 * s.max(initial=0.0)]
-
-
-def _inverse(square: np.ndarray) -> np.ndarray:
-    """Of a symmetric matrix, blind where its unit columns are."""
-    diagonal = np.diag(square)
-    size = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    inverse = np.linalg.pinv(square / size / size[:, None], rcond=_BLIND, hermitian=True)
-    return inverse / size / size[:, None]
-
-
-def _factors(solver: _Solver, variant: Variant, which: range) -> tuple[np.ndarray, float]:
+def _factors(solver: Solver, variant: Variant, which: range) -> tuple[np.ndarray, float]:
     """What a variant's columns count, with the signs that physics allows, and what they bring."""
     signs = {p.field: p.sign for p in parameters_of(variant.effect)}
     free = [signs[f] == "any" for f in variant.strengths]
@@ -194,7 +141,7 @@ def _factors(solver: _Solver, variant: Variant, which: range) -> tuple[np.ndarra
 
 def _weigh(
     near: Near,
-    solver: _Solver,
+    solver: Solver,
     answers: Answers,
     drop: float,
     variant: Variant,
@@ -224,11 +171,11 @@ def _beside(near: Near, answers: Answers, which: list[int], factors: np.ndarray)
     square, slope = np.zeros((p, p)), np.zeros(p)
     parts = []
     for left, numbers, states, columns in answers.recordings():
-        rest, basis = left - columns[:, which] @ factors, _basis(states)
+        rest, basis = left - columns[:, which] @ factors, basis_of(states)
         parts.append((rest, numbers, states))
         rows, rest = numbers - basis @ (basis.T @ numbers), rest - basis @ (basis.T @ rest)
         square, slope = square + rows.T @ rows, slope + rows.T @ rest
-    moved = _inverse(square) @ slope
+    moved = inverse_of(square) @ slope
     steps = [
         np.linalg.lstsq(states, rest - rows @ moved, rcond=1e-9)[0] for rest, rows, states in parts
     ]

@@ -4,18 +4,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .._units import ratio
+from .._units import plain, ratio
 from ..fitting.result import Fit
 from .result import Verdict
 from .rung import Step
-from .words import SURE, chance, listed
+from .words import chance, listed
 
+LEFT = 4e-3
+"""Probability, if it is noise, below which something is taken to be left."""
+_LIKELY = 0.7  # probability below which a name is a guess
+_MOSTLY = 0.5  # of what is left
 _SLIGHT = 0.1  # of the residual's size: structure smaller than this does not matter
 
 
 def verdict_on(last: Step, added: bool) -> Verdict:
     """About what is left: noise, or not."""
-    if last.white >= SURE or slight(last):
+    if last.white >= LEFT or slight(last):
         return "missing" if added else "adequate"
     return "unexplained"
 
@@ -40,6 +44,14 @@ def slight(step: Step) -> bool:
     return bool(1.0 - np.sqrt(max(0.0, 1.0 - beyond / energy)) < _SLIGHT)
 
 
+def _looks_like(last: Step) -> list[str]:
+    """Which torque, of whatever law, would explain most of what is left."""
+    seen = last.unnamed
+    if seen is None or seen.p >= LEFT or seen.drop < _MOSTLY * (last.cost - last.readings):
+        return []
+    return [f"Most of it is what a torque would do that {seen.words}."]
+
+
 def words_for(
     verdict: Verdict,
     base: Fit,
@@ -53,7 +65,7 @@ def words_for(
     joint = fit.joints[worst]
     before, after = (f.rmse[worst] / f.noise[worst] for f in (base, fit))
     if verdict == "adequate":
-        if last.white >= SURE:
+        if last.white >= LEFT:
             return (
                 "Nothing is missing that these recordings could show: what springs and dampers "
                 f"leave is {ratio(after)} times the noise and white ({chance(last.white)}).",
@@ -64,9 +76,16 @@ def words_for(
             "no effect of the catalogue makes it smaller by as much as a model should.",
         )
     names = listed([f"{name} ({100 * p:.0f} %)" for name, p in kept]) if kept else ""
-    fall = f"the error at the {joint} falls from {ratio(before)} to {ratio(after)} times the noise"
+    # As many digits as it takes to see the difference.
+    digits = next((d for d in (2, 3) if plain(before, d) != plain(after, d)), 4)
+    fall = (
+        f"the error at the {joint} falls from {plain(before, digits)} to {plain(after, digits)} "
+        "times the noise"
+    )
     if verdict == "missing":
         be = "is" if len(kept) == 1 else "are"
+        if min(p for _, p in kept) < _LIKELY:
+            be = "may be"
         words = [
             f"{names} {be} missing: with {'it' if len(kept) == 1 else 'them'} {fall}, and what "
             f"is left is no more than noise ({chance(last.white)})."
@@ -83,6 +102,8 @@ def words_for(
             f"dampers leave {ratio(after)} times the noise at the {joint}, and it is not noise "
             f"({chance(last.white)}). See the torque that is missing."
         ]
+    if verdict == "unexplained":
+        words += _looks_like(last)
     for group in groups:
         words.append(f"These recordings cannot tell {group[0]} from {listed(list(group[1:]))}.")
     return tuple(words)

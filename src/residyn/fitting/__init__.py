@@ -1,5 +1,8 @@
 """Fitting a model to recordings."""
 
+from .embedded import Embedded as Embedded
+from .embedded import Solution as Solution
+from .embedded import embed as embed
 from .evolution import MissingExtra as MissingExtra
 from .genetic import Genetic as Genetic
 from .history import History as History
