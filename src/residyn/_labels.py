@@ -15,16 +15,19 @@ import numpy as np
 
 from ._rigid import Rigid
 
-_REJECT = 20.0
-"""What it costs to reject a marker; with `_AGREE`, it takes six sigma."""
+_REJECT = 36.0
+"""What it costs to reject a marker: with what the others lose, it takes eight sigma."""
 
 _AGREE = 16.0
-"""What it is worth that a link has its length, or the base its place."""
+"""What it is worth, when a marker must be rejected, that another has its place or its distance."""
 
-_SWITCH = 12.0
+_NOISE = 16.0
+"""A misfit below this counts as none: to miss a marker must not be better than to see it."""
+
+_SWITCH = 20.0
 """What it costs to change the state."""
 
-_LEAP = 10.0
+_LEAP = 40.0
 """What a leap of one marker costs at most."""
 
 _ODD = 0.01
@@ -55,12 +58,34 @@ def assign(markers: np.ndarray, rigid: Rigid) -> Labels:
     cost, without = _frames(markers, rigid, orders)
     cost = cost + _ODD * (orders != np.arange(markers.shape[1])).any(axis=1)
     path = _path(cost, orders, _leaps(markers, rigid))
-    rejected = without[np.arange(len(path)), path]
-    return Labels(orders[path], rejected & ~np.isnan(markers[:, :, 0])[_rows(orders[path])])
+    found = Labels(orders[path], without[np.arange(len(path)), path])
+    joints = found.apply(markers)
+    seen = ~np.isnan(markers[np.arange(len(path))[:, None], found.order, 0])
+    return Labels(found.order, seen & (found.rejected | _alone(joints, rigid)))
 
 
-def _rows(order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return np.arange(len(order))[:, None], order
+def _alone(joints: np.ndarray, rigid: Rigid) -> np.ndarray:
+    """(N, n + 1) bool: markers that no link vouches for and that leap from where others did."""
+    seen = ~np.isnan(joints[:, :, 0])
+    vouched = np.zeros_like(seen)
+    vouched[:, 0] = seen[:, 0]  # the base has its place
+    both = seen[:, 1:] & seen[:, :-1]
+    vouched[:, 1:] |= both
+    vouched[:, :-1] |= both
+    alone = np.zeros_like(seen)
+    for j, (place, sure) in enumerate(zip(joints.swapaxes(0, 1), vouched.T, strict=True)):
+        at = np.flatnonzero(sure)
+        if len(at) < 2:
+            alone[:, j] = seen[:, j] & ~sure
+            continue
+        usual = np.quantile(np.linalg.norm(np.diff(place[at], axis=0), axis=1) / np.diff(at), 0.99)
+        for t in np.flatnonzero(seen[:, j] & ~sure):
+            after = int(np.searchsorted(at, t))
+            near = [at[k] for k in (after - 1, after) if 0 <= k < len(at)]
+            least = min(near, key=lambda s: abs(s - t))
+            room = 2 * usual * abs(least - t) + 6 * rigid.base_sigma
+            alone[t, j] = np.linalg.norm(place[t] - place[least]) > room
+    return alone
 
 
 def _orders(markers: int) -> np.ndarray:
@@ -85,6 +110,7 @@ def _frames(markers: np.ndarray, rigid: Rigid, orders: np.ndarray) -> tuple[np.n
     base = ((markers - rigid.base) ** 2).sum(axis=2) / rigid.base_sigma**2
     apart = np.linalg.norm(markers[:, :, None] - markers[:, None], axis=3)
     cost = np.full((frames, len(orders)), np.inf)
+    best = np.full((frames, len(orders)), np.inf)
     chosen = np.zeros((frames, len(orders)), dtype=int)
     sets = sorted(itertools.product([False, True], repeat=joints), key=sum)
     # Rejecting more than three of a long chain leaves nothing to believe.
@@ -95,17 +121,19 @@ def _frames(markers: np.ndarray, rigid: Rigid, orders: np.ndarray) -> tuple[np.n
             off = (apart[:, order[i], order[i + 1]] - rigid.lengths[i]) / rigid.sigmas[i]
             terms.append(off**2)
         # A misfit that cannot be had (NaN) says nothing, neither for nor against.
-        worth = [np.nan_to_num(np.minimum(t, _FAR_OFF) - _AGREE, nan=0.0) for t in terms]
+        agree = [~np.isnan(term) for term in terms]
+        wrong = [np.nan_to_num(np.clip(t - _NOISE, 0, _FAR_OFF), nan=0.0) for t in terms]
         here = ~np.isnan(markers[:, order, 0])
         for r, out in enumerate(sets):
+            kept = [not out[0], *(not out[i] and not out[i + 1] for i in range(joints - 1))]
             total = _REJECT * (here & np.array(out)).sum(axis=1)
-            if not out[0]:
-                total = total + worth[0]
-            for i in range(joints - 1):
-                if not out[i] and not out[i + 1]:
-                    total = total + worth[i + 1]
-            better = total < cost[:, s] - 1e-9
-            cost[better, s], chosen[better, s] = total[better], r
+            total = total + sum(w for w, k in zip(wrong, kept, strict=True) if k)
+            # Which marker to reject is a matter of how many others then agree; which state is
+            # right is not, or a marker that is lost would be replaced by any other.
+            score = total - _AGREE * sum(a for a, k in zip(agree, kept, strict=True) if k)
+            better = score < best[:, s] - 1e-9
+            best[better, s], cost[better, s] = score[better], total[better]
+            chosen[better, s] = r
     return cost, np.array(sets)[chosen]
 
 
@@ -119,7 +147,7 @@ def _leaps(markers: np.ndarray, rigid: Rigid) -> np.ndarray:
         last[t] = np.where(seen[:, None], markers[t - 1], last[t - 1])
         gap[t] = np.where(seen, 1, gap[t - 1] + 1)
     moved = np.linalg.norm(markers - last, axis=2) / gap
-    usual = np.nanquantile(moved, 0.9) if np.isfinite(moved).any() else 0.0
+    usual = np.nanquantile(moved, 0.99) if np.isfinite(moved).any() else 0.0
     scale = (2 * usual + 6 * rigid.base_sigma) * gap
     far = np.linalg.norm(markers[:, :, None] - last[:, None], axis=3) / scale[:, None]
     return np.nan_to_num(np.minimum(far**2, _LEAP), nan=0.0)

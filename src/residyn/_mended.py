@@ -18,7 +18,7 @@ _STRAIGHT = 0.1
 _WORSE = 4.0
 """How many times less sure than a reading an angle may be put back."""
 
-_SIGMAS = 3.5
+_SIGMAS = 5.0
 """Standard deviations that an error stays within, over a recording's few lost frames."""
 
 _TOLD = 4
@@ -98,8 +98,8 @@ def sentences(
         if gone.any():
             longest = max(stop - start for start, stop in _runs(gone))
             said.append(
-                f"{quote(name)}: lost in {int(gone.sum())} of {len(time)} frames, at most {longest} "
-                f"in a row{_fate(j, lost, back, still)}"
+                f"{quote(name)}: lost in {int(gone.sum())} of {len(time)} frames, at most "
+                f"{longest} in a row{_fate(j, lost, back, still)}"
             )
     return said
 
@@ -153,7 +153,7 @@ def _exchanged(
 def _ways(order: np.ndarray) -> list[np.ndarray]:
     """The different rows of `order` in which a label is not at its own joint."""
     wrong = (order != np.arange(order.shape[1])).any(axis=1)
-    return list(np.unique(order[wrong], axis=0))
+    return [np.array(row) for row in sorted(set(map(tuple, order[wrong].tolist())))]
 
 
 def _runs(flags: np.ndarray) -> list[tuple[int, int]]:

@@ -15,6 +15,9 @@ from ._input import InputError
 _LEVEL = 0.02
 """How far markers' heights may differ, of the arm's size, before the motion is looked at."""
 
+_FAR_OFF = 8.0
+"""Standard deviations off the plane at which a reading is not one of the arm's."""
+
 _SEAM = 0.15
 """Where a joint's typical angle is cut, rad beyond a half turn: not at a value that is usual."""
 
@@ -25,6 +28,8 @@ class Plane(NamedTuple):
     x: np.ndarray
     y: np.ndarray
     normal: np.ndarray
+    tilt: float = 0.0
+    """Standard deviation of the normal's direction, rad."""
 
     def flat(self, joints: np.ndarray) -> np.ndarray:
         """(..., 2) m, of positions (..., 3) m."""
@@ -35,7 +40,7 @@ class Plane(NamedTuple):
         return joints @ self.normal
 
 
-def frame_of(normal: np.ndarray) -> Plane:
+def frame_of(normal: np.ndarray, tilt: float = 0.0) -> Plane:
     """The plane of this normal, whose length does not matter."""
     normal = normal / np.linalg.norm(normal)
     along = np.eye(3)[0]
@@ -43,15 +48,25 @@ def frame_of(normal: np.ndarray) -> Plane:
         along = np.eye(3)[1]
     x = along - (along @ normal) * normal
     x = x / np.linalg.norm(x)
-    return Plane(x, np.cross(normal, x), normal)
+    return Plane(x, np.cross(normal, x), normal, tilt)
 
 
 def fit(joints: np.ndarray, noise: float) -> Plane:
     """The plane that joints (N, n + 1, 3) m move in, NaN where lost; `noise` of a coordinate, m."""
     size = float(np.nanmedian(np.linalg.norm(np.diff(joints, axis=1), axis=2)))
-    level = _LEVEL * size
+    # A few readings off the table, before they are known as such, may lead one start astray.
+    found = [_settle(joints, noise, size, level * size) for level in (_LEVEL, 0.01 * _LEVEL)]
+    normal, _, tilt = min(found, key=lambda each: each[1])
+    return frame_of(normal * np.sign(normal[np.abs(normal).argmax()]), tilt)
+
+
+def _settle(
+    joints: np.ndarray, noise: float, size: float, level: float
+) -> tuple[np.ndarray, float, float]:
+    """A normal, how badly it fits and its error, from a first guess of how far heights differ."""
+    first, tilt = noise, 0.0
     keep = ~np.isnan(joints[:, :, 0])
-    middle, normal = np.nanmedian(joints, axis=0), np.zeros(3)
+    middle, normal, cost = np.nanmedian(joints, axis=0), np.zeros(3), 0.0
     for _ in range(10):
         moved = (joints - middle)[keep]
         centre = middle - middle.mean(axis=0)
@@ -64,16 +79,22 @@ def fit(joints: np.ndarray, noise: float) -> Plane:
                 "the direction off the table"
             )
         normal = axes[:, 0]
+        # By the motion alone, apart from what heights may be.
+        loose = np.linalg.eigvalsh(within + centre.T @ centre / (_LEVEL * size) ** 2)
+        tilt = float(max(loose[1] - loose[0], 1e-300) ** -0.5)
         high = joints @ normal
         off = np.abs(high - np.nanmedian(high, axis=0))
         noise = max(1.4826 * float(np.nanmedian(off, axis=0).max()), 1e-7 * size)
-        keep = off <= 8 * noise  # NaN is not
+        keep = off <= _FAR_OFF * noise  # NaN is not
         # About the means, or noise of the middle would tilt the plane.
         middle = np.nanmean(np.where(keep[:, :, None], joints, np.nan), axis=0)
         # Heights that the motion does not ask for shrink to none; others stay.
-        uneven = float(np.sqrt(np.mean((centre @ normal) ** 2)))
-        level = min(max(uneven, 3 * noise / len(joints) ** 0.5), level)
-    return frame_of(normal * np.sign(normal[np.abs(normal).argmax()]))
+        heights = centre @ normal
+        uneven = float(np.sqrt(np.mean(heights**2)))
+        level = min(max(uneven, 3 * noise / len(joints) ** 0.5), _LEVEL * size)
+        cost = float(np.nansum(np.minimum(off / first, _FAR_OFF) ** 2))
+        cost += float(np.sum((heights / (_LEVEL * size)) ** 2))
+    return normal, cost, tilt
 
 
 def angles(flat: np.ndarray) -> np.ndarray:

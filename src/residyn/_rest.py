@@ -1,71 +1,90 @@
 """Where an arm that rings would come to rest.
 
 The mean of a ring-down is not its rest: the last swing is cut off anywhere, and an elbow that
-swings wide pulls the mean aside. So the law of the motion is learnt, accelerations from angles and
-rates to second order, and rest is where it asks for none.
+swings wide pulls the arm aside, by the square of the swing. So means are taken under a window that
+falls to zero at its ends, wide enough to let no swing through, and led back to where the squares
+under the same window are none.
 """
 
+import math
+
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-from ._release import _even, _smooth
+from ._release import _even
 
-_LIVE = 0.05
-"""Of the largest pace: slower samples may stick, anywhere."""
+SWINGS = 4
+"""Swings of the slowest mode that the best window spans; with fewer, rest is known roughly."""
+
+_WINDOWS = {
+    4: (0.35875, -0.48829, 0.14128, -0.01168),
+    3: (0.42, -0.5, 0.08),
+    2: (0.5, -0.5),
+}
+"""Cosines of the window that spans so many swings: Blackman's and Harris', Blackman's, Hann's."""
+
+_LEAK = 5e-3
+"""What a mean may be off, of the swing under its window."""
+
+_STILL = 0.05
+"""Of the largest swing: less may be an arm that sticks, anywhere."""
+
+_ASIDE = 0.5
+"""How far a swing of one radian typically pulls an arm aside, rad."""
 
 
 def rest_angles(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """(n,) rad: angles at rest, from a ring-down (N, n) rad at times (N,) s, NaN where lost."""
     _clock, motion = _even(time, angle)
-    middle = np.median(motion, axis=0)
-    size = np.abs(motion - middle).max(axis=0)
-    moving = size > 1e-9
-    if not moving.any():
-        return middle
-    x = (motion - middle)[:, moving] / size[moving]
-    # A quarter of the fastest joint's period is all that is smoothed.
-    turns = max(int((np.diff(np.sign(column)) != 0).sum()) for column in _calm(x).T)
-    q, v, a = _smooth(x, max(1, len(x) // (4 * max(turns, 1))))
-    pace = np.sqrt(np.mean(v**2, axis=1))
-    live = np.flatnonzero(pace >= _LIVE * pace.max())
-    at = _balance(q[live], v[live], a[live])
-    rest = middle.copy()
-    # A law that is led astray does not put rest where the arm has never been.
-    believed = (np.abs(at) < 0.5) & np.isfinite(at)
-    rest[moving] += np.where(believed, at, q.mean(axis=0)) * size[moving]
+    rest = motion.mean(axis=0)
+    if not (np.ptp(motion, axis=0) > 1e-9).any():
+        return rest
+    window = _window(len(motion), slowest_period(motion - rest))
+    step = max(1, len(window) // 8)
+    n = motion.shape[1]
+    for _ in range(3):
+        swing = motion - rest
+        squares = [swing[:, i] * swing[:, j] for i in range(n) for j in range(i, n)]
+        means = _under(window, np.column_stack([swing, *squares]), step)
+        size = np.sqrt(_under(window, (swing**2).sum(axis=1, keepdims=True), step)[:, 0])
+        moving = size >= _STILL * size.max()
+        means, size = means[moving], size[moving]
+        off = _LEAK * (size + 0.1 * size.max())
+        causes = np.column_stack([np.ones(len(means)), means[:, n:]]) / off[:, None]
+        # How far squares pull aside is known beforehand to its typical size.
+        ridge = np.diag([0.0] + [_ASIDE**-2] * (causes.shape[1] - 1))
+        right = causes.T @ (means[:, :n] / off[:, None])
+        rest = rest + np.linalg.solve(causes.T @ causes + ridge, right)[0]
     return rest
 
 
-def _calm(x: np.ndarray) -> np.ndarray:
-    """Sign changes of noise alone do not count: small values take the sign before them."""
-    kept = np.where(np.abs(x) > 0.05, x, np.nan)
-    for column in kept.T:
-        seen = ~np.isnan(column)
-        last = np.maximum.accumulate(np.where(seen, np.arange(len(column)), 0))
-        column[:] = column[last]
-    return np.nan_to_num(kept, nan=1.0)
+def swings(time: np.ndarray, angle: np.ndarray) -> float:
+    """How many swings of its slowest mode a ring-down has."""
+    _clock, motion = _even(time, angle)
+    return len(motion) / slowest_period(motion - motion.mean(axis=0))
 
 
-def _balance(q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """The angles at which the law learnt from these samples, (N, n) each, has no acceleration."""
-    n = q.shape[1]
-    pairs = [(i, j) for i in range(n) for j in range(i, n)]
-    sign = np.tanh(v / np.maximum(0.05 * np.abs(v).max(axis=0), 1e-300))
-    bent = np.stack([q[:, i] * q[:, j] for i, j in pairs], axis=1)
-    swung = np.stack([v[:, i] * v[:, j] for i, j in pairs], axis=1)
-    causes = np.column_stack([np.ones(len(q)), q, bent, v, swung, sign])
-    scale = np.maximum(np.abs(causes).max(axis=0), 1e-300)
-    weight, law = np.ones(len(q)), np.zeros((causes.shape[1], n))
-    for _ in range(10):  # least absolute deviations: a quick pull is outvoted
-        root = np.sqrt(weight)[:, None]
-        law = np.linalg.lstsq(causes / scale * root, a * root, rcond=1e-8)[0] / scale[:, None]
-        left = np.linalg.norm(a - causes @ law, axis=1)
-        weight = 1 / np.maximum(left, np.median(left) + 1e-12)
-    at = np.zeros(n)
-    for _ in range(20):  # Newton, from the middle
-        value = np.concatenate([[1.0], at, [at[i] * at[j] for i, j in pairs]])
-        slope = law[1 : n + 1].copy()
-        for k, (i, j) in enumerate(pairs):
-            slope[i] += law[n + 1 + k] * at[j]
-            slope[j] += law[n + 1 + k] * at[i]
-        at = at - np.linalg.pinv(slope.T, rcond=1e-3) @ (law[: len(value)].T @ value)
-    return at
+def slowest_period(motion: np.ndarray) -> float:
+    """The period of the slowest mode, in samples, of motion (N, n) about zero."""
+    count = len(motion)
+    # Padded, so that a few swings in all are counted finely enough.
+    shaped = motion * np.hanning(count)[:, None]
+    power = np.abs(np.fft.rfft(shaped, 8 * count, axis=0)[8:]) ** 2
+    large = power >= 0.02 * np.maximum(power.max(axis=0), 1e-300)
+    peaks = large[1:-1] & (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])
+    first = min((int(np.flatnonzero(p)[0]) for p in peaks.T if p.any()), default=0)
+    return 8 * count / (first + 9)
+
+
+def _window(count: int, period: float) -> np.ndarray:
+    """A window of sum one that lets no swing of this period, in samples, or shorter through."""
+    spans = next((k for k in _WINDOWS if k * period <= count), 2)
+    width = min(count, math.ceil(spans * period))
+    turn = 2 * np.pi * (np.arange(width) + 0.5) / width
+    window = np.sum([a * np.cos(k * turn) for k, a in enumerate(_WINDOWS[spans])], axis=0)
+    return window / window.sum()
+
+
+def _under(window: np.ndarray, columns: np.ndarray, step: int) -> np.ndarray:
+    """Weighted means of columns (N, k) under the window at every `step`-th place, (places, k)."""
+    return sliding_window_view(columns, len(window), axis=0)[::step] @ window

@@ -23,9 +23,9 @@ _PLACES = 400
 _AS_GOOD = 0.02
 """A value that so few frames fewer have is as good: labels then decide."""
 
-_UNANIMOUS, _MIXED = 4.0, 1.2
+_UNANIMOUS, _SPLIT = 4.0, 1.3
 """Scatter, of the firmest value's, with which a value is still believed for its label's sake: where
-all frames agree on the label, and where they do not."""
+all frames agree on the label, and where they are split evenly."""
 
 _FAR = 0.2
 """A link this much (relative) longer or shorter than known is another one."""
@@ -151,7 +151,7 @@ class _Value(NamedTuple):
 
 
 def _size(x: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(x**2))) if len(x) else np.inf
+    return 1.4826 * float(np.median(np.abs(x))) if len(x) else np.inf
 
 
 def _most(values: list[_Value], label: int) -> _Value:
@@ -161,6 +161,7 @@ def _most(values: list[_Value], label: int) -> _Value:
     own = [float(each.here[:, label].mean()) for each in good]
     named = good[int(np.argmax(own))]
     firm = min(good, key=lambda each: each.scatter)
-    # Labels that never change are believed for long; ones that do, no more than chance asks.
-    believed = _UNANIMOUS if max(own) > 0.97 * named.here.any(axis=1).mean() else _MIXED
+    # Labels that never change are believed for long; ones that do, hardly more than chance asks.
+    share = min(max(own) / max(float(named.here.any(axis=1).mean()), 1e-9), 1.0)
+    believed = _SPLIT + (_UNANIMOUS - _SPLIT) * max(2 * share - 1, 0) ** 2
     return firm if named.scatter > believed * firm.scatter else named

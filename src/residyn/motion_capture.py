@@ -32,6 +32,9 @@ _LOOSE = 0.01
 _OTHER = 0.2
 """Relative error of a link's length with which it must be another link."""
 
+_TILT = 2e-3
+"""Error of the plane's direction, rad, that is worth a word."""
+
 _WANDERS = 3e-3
 """Scatter of the base, of the first link's length, that is no noise: it moves."""
 
@@ -160,6 +163,12 @@ def _solve(
     joints = labels.apply(markers)
     noise = float(min(rigid.sigmas)) / 2**0.5
     plane = _plane.fit(joints, noise) if normal is None else _plane.frame_of(_direction(normal))
+    doubts = _lengths_doubted(names, rigid, lengths)
+    if plane.tilt > _TILT:
+        doubts.append(
+            f"the markers hardly leave one line, so the table's plane is known to "
+            f"{np.degrees(plane.tilt):.2g} degrees only: give normal, the direction off the table"
+        )
     high = plane.height(joints)
     off = np.abs(high - np.nanmedian(high, axis=0))
     odd = off > np.maximum(8 * 1.4826 * np.nanmedian(off, axis=0), 0.01 * rigid.lengths.mean())
@@ -168,7 +177,6 @@ def _solve(
 
     flat = plane.flat(joints)
     lost = np.isnan(flat[:, :, 0])
-    doubts = _lengths_doubted(names, rigid, lengths)
     still = rigid.base_sigma <= max(_WANDERS * rigid.lengths[0], 4 * noise)
     if still:
         flat[:, 0] = np.nanmedian(flat[:, 0], axis=0)

@@ -15,7 +15,7 @@ from .chances import alike, chances
 from .comparison import Comparison
 from .curves import candidates as candidates_for
 from .horizon import horizon
-from .ladder import accepted, needless, ranked, search
+from .ladder import accepted, needless, ranked, search, with_another
 from .missing import Missing, missing_of, with_curves
 from .next_experiment import advise
 from .result import Candidate, Diagnosis, NextExperiment, Rung, Value
@@ -99,6 +99,8 @@ def _climb(
                 new = found
             if new is not None and new.firm:
                 break
+        if new is None and not waits:
+            new = with_another(step, experiment)
         if new is None:
             return steps[: firm + 1]
         label = new.step.effects[-1].label

@@ -23,7 +23,7 @@ from .missing_torque import MissingTorque
 from .path import Path
 from .refits import refits, silent
 from .rung import Refit, Step, cost_of, stand, worth
-from .screen import glance, screen
+from .screen import glance, pair, screen
 from .words import SURE
 
 _REFITS = 6  # candidates that are fitted
@@ -33,6 +33,7 @@ _FEWEST = 3
 _STEADY = 2.5  # standard errors of the gain, as stretches of the recording show it
 _MATTERS = 0.1  # share of the error that must go, where what is left is not white
 _HELD = 0.05  # and where nothing was fitted
+_TOGETHER = 0.5  # chi-square of two effects, screened, over the best one's: they belong together
 _PROMISES = 0.2  # share of the fitted error that must go for an effect to wait for another one
 _WORSE = 0.02  # share by which the held-out error may grow where what is left is white
 _PAUSES = 50  # of a motion without a mode: a rest that long is one
@@ -79,7 +80,7 @@ def search(
     names = ", ".join(s.effect.label for s in tried)
     say(f"fitting {names}" if names else "nothing worth fitting")
     found_by_fit = refits(step, experiment, tried)
-    return step._replace(alone=alone, screened=tuple(found), refits=tuple(found_by_fit))
+    return step._replace(alone=alone, seen=kept, screened=tuple(found), refits=tuple(found_by_fit))
 
 
 def score(step: Step, refit: Refit) -> float:
@@ -136,6 +137,25 @@ def accepted(
         return Accepted(new, True)
     promises = cost_of(new.fit) < (1.0 - _PROMISES) ** 2 * before
     return Accepted(new, False) if stands is step and promises else None
+
+
+def with_another(step: Step, experiment: Experiment) -> Accepted | None:
+    """The next rung, to wait for the one after it, where no effect alone explains anything, and two
+    together do: a driven joint without a spring drifts away as long as any constant is missing."""
+    if step.seen is None or step.white >= SURE or not step.screened:
+        return None
+    found = pair(step.near, step.seen)
+    if found is None or found[2] > _TOGETHER * max(step.screened[0].chi2, float(step.readings)):
+        return None
+    chosen = next((r for r in step.refits if r.label == found[0]), None)
+    if chosen is None:
+        screened = next(s for s in step.screened if s.effect.label == found[0])
+        chosen = next(iter(refits(step, experiment, [screened])), None)
+    if chosen is None:
+        return None
+    began = time.perf_counter()
+    fit = finish(experiment, chosen.model, chosen.start, chosen.descent, began)
+    return Accepted(stand(fit, (*step.effects, silent(chosen.effect)), step.tried), False)
 
 
 def needless(step: Step, experiment: Experiment, first: int) -> Step:

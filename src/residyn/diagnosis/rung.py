@@ -68,6 +68,9 @@ class Step(NamedTuple):
     slopes: list[np.ndarray]
     alone: float = float("nan")
     tried: Tried | None = None
+    """What the first rung's screen keeps."""
+    seen: Tried | None = None
+    """And what this one's does."""
     screened: tuple[Screened, ...] = ()
     refits: tuple[Refit, ...] = ()
     unnamed: Unnamed | None = None

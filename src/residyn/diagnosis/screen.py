@@ -21,13 +21,14 @@ from ..fitting.problem import posed
 from ..fitting.setup import Ready
 from ..model import Model
 from ..parameter import parameters_of
-from .answers import Answers, answers_to, columns_of, holds, seen_from
+from .answers import Answers, Column, answers_to, columns_of, holds, seen_from
 from .elimination import Solver, basis_of, inverse_of
 from .linear import Near
 from .path import Path, Variant, variants, with_fields
 from .unnamed import Shape, Unnamed, shapes, unnamed
 
 _SHAPES = 4  # of an effect that are kept
+_SHAPES_OF_TWO = 2  # the same, of each of two at once
 
 
 class Screened(NamedTuple):
@@ -54,6 +55,8 @@ class Tried(NamedTuple):
     bounds: np.ndarray
     """Where each variant's columns begin, and where those of any shape do."""
     answers: Answers
+    sizes: np.ndarray
+    """(C,) rms torque of each column; 0 of a sensor's."""
     shapes: Sequence[Shape] = ()
     """What the columns beyond the candidates' are."""
 
@@ -97,7 +100,7 @@ def screen(
         each.sort(key=lambda x: -x[0])
         best, *others = [_weigh(near, solver, answers, *x) for x in each[:_SHAPES]]
         found.append(best._replace(others=tuple(others)))
-    kept = Tried(tried, bounds, answers, found_shapes)
+    kept = Tried(tried, bounds, answers, np.array([_rms(c) for c in flat]), found_shapes)
     return solver.alone, sorted(found, key=lambda s: s.chi2), kept
 
 
@@ -113,6 +116,29 @@ def glance(near: Near, slopes: Sequence[np.ndarray], kept: Tried) -> dict[str, f
         drop, label = _factors(solver, variant, range(first, last))[1], variant.effect.label
         found[label] = max(drop, found.get(label, 0.0))
     return found
+
+
+def pair(near: Near, kept: Tried) -> tuple[str, str, float] | None:
+    """Two effects that explain most together, the one of the larger torque first, and chi-square
+    with both; None if there are no two."""
+    solver = Solver.of(near, kept.answers)
+    best: dict[str, list[tuple[float, Variant, range]]] = {}
+    for variant, first, last in zip(kept.variants, kept.bounds, kept.bounds[1:], strict=False):
+        which = range(first, last)
+        drop = _factors(solver, variant, which)[1]
+        if np.isfinite(drop):
+            best.setdefault(variant.effect.label, []).append((drop, variant, which))
+    some = {k: sorted(v, key=lambda x: -x[0])[:_SHAPES_OF_TWO] for k, v in best.items()}
+    found = None
+    for (one, ones), (two, others) in itertools.combinations(some.items(), 2):
+        for (_, a, of_a), (_, b, of_b) in itertools.product(ones, others):
+            which = [*of_a, *of_b]
+            factors, drop = solver.solve(which, [*_free(a, of_a), *_free(b, of_b)])
+            if np.isfinite(drop) and (found is None or drop > found[0]):
+                pull = np.abs(factors) * kept.sizes[which]
+                first = pull[: len(of_a)].max() >= pull[len(of_a) :].max()
+                found = drop, *((one, two) if first else (two, one))
+    return None if found is None else (found[1], found[2], solver.alone - found[0])
 
 
 def left_over(near: Near, slopes: Sequence[np.ndarray], kept: Tried) -> Unnamed:
@@ -131,12 +157,21 @@ def _variants(near: Near, paths: Sequence[Path], effect: AbstractEffect) -> list
 
 def _factors(solver: Solver, variant: Variant, which: range) -> tuple[np.ndarray, float]:
     """What a variant's columns count, with the signs that physics allows, and what they bring."""
+    return solver.solve(list(which), _free(variant, which))
+
+
+def _free(variant: Variant, which: range) -> list[bool]:
+    """Which of a variant's columns may have either sign."""
+    if variant.phases:
+        return [True] * len(which)
     signs = {p.field: p.sign for p in parameters_of(variant.effect)}
     free = [signs[f] == "any" for f in variant.strengths]
-    held = len(which) - len(free)
-    return solver.solve(
-        list(which), [True] * len(which) if variant.phases else [*free, *[True] * held]
-    )
+    return [*free, *[True] * (len(which) - len(free))]
+
+
+def _rms(column: Column) -> float:
+    squares = [np.mean(np.square(x)) for x in column.lines if x is not None]
+    return float(np.sqrt(np.mean(squares))) if squares else 0.0
 
 
 def _weigh(
