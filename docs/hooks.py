@@ -181,7 +181,6 @@ def _pictures() -> dict[str, bytes]:
         from residyn.plot import _signature
 
         # At the strength that it would have, the arm gains energy and flies apart.
-        _signature._STRONG.setdefault("coupling_damping", 0.01)
         motions = functools.cache(_signature._motions)
         _signature._motions = motions  # an overview and a picture share one simulation
         for i, (_, _, kinds) in enumerate(_grouped()):

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from .diagnosis import diagnose as diagnose
     from .effects import CATALOGUE as CATALOGUE
     from .effects import AbstractEffect as AbstractEffect
+    from .effects import AsymmetricDamping as AsymmetricDamping
     from .effects import AsymmetricStiffness as AsymmetricStiffness
     from .effects import BearingDrag as BearingDrag
     from .effects import BearingFriction as BearingFriction
@@ -44,12 +45,15 @@ if TYPE_CHECKING:
     from .effects import WristFlexibility as WristFlexibility
     from .effects import adopt as adopt
     from .effects import load_effects as load_effects
+    from .fitting import Bootstrap as Bootstrap
     from .fitting import Embedded as Embedded
     from .fitting import Fit as Fit
     from .fitting import FitError as FitError
     from .fitting import Solution as Solution
+    from .fitting import bootstrap as bootstrap
     from .fitting import embed as embed
     from .fitting import fit as fit
+    from .fitting import fit_many as fit_many
     from .mechanism import AbstractMechanism as AbstractMechanism
     from .mechanism import ConstantInertia as ConstantInertia
     from .mechanism import PlanarArm as PlanarArm
@@ -80,6 +84,7 @@ _PUBLIC = {
     "effects": (
         "CATALOGUE",
         "AbstractEffect",
+        "AsymmetricDamping",
         "AsymmetricStiffness",
         "BearingDrag",
         "BearingFriction",
@@ -109,7 +114,17 @@ _PUBLIC = {
         "adopt",
         "load_effects",
     ),
-    "fitting": ("Embedded", "Fit", "FitError", "Solution", "embed", "fit"),
+    "fitting": (
+        "Bootstrap",
+        "Embedded",
+        "Fit",
+        "FitError",
+        "Solution",
+        "bootstrap",
+        "embed",
+        "fit",
+        "fit_many",
+    ),
     "mechanism": ("AbstractMechanism", "ConstantInertia", "PlanarArm"),
     "model": ("Model",),
     "modal": ("Modes", "modes"),

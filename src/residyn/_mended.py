@@ -122,16 +122,13 @@ def _exchanged(
     said = []
     own = np.arange(order.shape[1])
     for wrong in _ways(order):
-        here = (order == wrong).all(axis=1)
+        here = np.all(order == wrong, axis=1)
         moved = [quote(names[j]) for j in own if wrong[j] != j]
         listed = f"{', '.join(moved[:-1])} and {moved[-1]}"
         # From where it was seen to where it was seen last.
-        seen = (~lost[:, wrong != own]).any(axis=1)
-        runs = [
-            (a + int(at[0]), a + int(at[-1]) + 1)
-            for a, b in _runs(here)
-            if len(at := np.flatnonzero(seen[a:b]))
-        ]
+        seen = np.any(~lost[:, np.flatnonzero(wrong != own)], axis=1)
+        parts = [a + np.flatnonzero(seen[a:b]) for a, b in _runs(here)]
+        runs = [(int(at[0]), int(at[-1]) + 1) for at in parts if len(at)]
         if not runs:
             continue
         spans = [

@@ -8,7 +8,7 @@ where the motion is too small to tell.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ _FRAMES = 1500
 _PLACES = 400
 """Places that are tried for the base."""
 
-_AS_GOOD = 0.02
+_AS_GOOD = 0.05
 """A value that so few frames fewer have is as good: labels then decide."""
 
 _UNANIMOUS, _SPLIT = 4.0, 1.3
@@ -46,6 +46,8 @@ class Rigid:
     """(n,) of the links."""
     sigmas: np.ndarray
     """(n,) their scatter."""
+    unsure: tuple[int, ...] = ()
+    """Joints whose label changes, and that neither the motion nor a known length tells apart."""
 
 
 def find(markers: np.ndarray, lengths: Sequence[float] | None = None) -> Rigid:
@@ -63,8 +65,8 @@ def find(markers: np.ndarray, lengths: Sequence[float] | None = None) -> Rigid:
     joints = picked.shape[1]
     size = float(np.median(np.linalg.norm(np.diff(picked, axis=1), axis=2)))
     near = max(6 * _jitter(markers), 2e-3 * size, 1e-9)
-    base = _place(picked, near)
-    found = []
+    base, sure = _place(picked, near)
+    found, unsure = [], [] if sure else [0]
     # The marker at each joint, found from the base outwards.
     free = np.ones(picked.shape[:2], dtype=bool)
     at = np.linalg.norm(picked - base, axis=2).argmin(axis=1)
@@ -75,13 +77,12 @@ def find(markers: np.ndarray, lengths: Sequence[float] | None = None) -> Rigid:
         if j == 1:  # the base is known better than its marker
             away = np.linalg.norm(picked - base, axis=2)
         away[~free] = np.inf
-        length = _length(away, j, near, lengths[j - 1] if lengths is not None else None)
+        length, sure = _length(away, j, near, lengths[j - 1] if lengths is not None else None)
         found.append(length)
+        unsure += [] if sure else [j]
         at = np.abs(away - length).argmin(axis=1)
-    floor = FLOOR * size
-    return Rigid(
-        base, max(near / 3, floor), np.array(found), np.full(joints - 1, max(near / 3, floor))
-    )
+    sigma = max(near / 3, FLOOR * size)
+    return Rigid(base, sigma, np.array(found), np.full(joints - 1, sigma), tuple(unsure))
 
 
 def refine(joints: np.ndarray, before: Rigid) -> Rigid:
@@ -95,6 +96,7 @@ def refine(joints: np.ndarray, before: Rigid) -> Rigid:
         max(_spread(joints[:, 0] - base), floor),
         lengths,
         np.maximum([_spread(link - l) for link, l in zip(links.T, lengths, strict=True)], floor),
+        before.unsure,
     )
 
 
@@ -110,8 +112,8 @@ def _jitter(markers: np.ndarray) -> float:
     return min(sizes, default=0.0) / 20**0.5  # third differences of white noise
 
 
-def _place(picked: np.ndarray, near: float) -> np.ndarray:
-    """Where in most frames some marker is; where labels decide, the first one."""
+def _place(picked: np.ndarray, near: float) -> tuple[np.ndarray, bool]:
+    """Where in most frames some marker is, and whether that is sure; else the first one's."""
     pool = picked.reshape(-1, 3)
     places = pool[np.linspace(0, len(pool) - 1, _PLACES).astype(int)]
     # As many of the first marker's own, so that a tie has its place among the candidates.
@@ -121,16 +123,15 @@ def _place(picked: np.ndarray, near: float) -> np.ndarray:
         away = np.linalg.norm(picked - place, axis=2)
         here = away < near
         values.append(_Value(place, here, _size(away[here])))
-    best = _most(values, 0)
-    return np.median(picked[best.here], axis=0)
+    best, sure = _most(values, 0)
+    return np.median(picked[best.here], axis=0), sure
 
 
-def _length(away: np.ndarray, j: int, near: float, known: float | None) -> float:
-    """The distance at which in most frames some marker is; where labels decide, the j-th one."""
+def _length(away: np.ndarray, j: int, near: float, known: float | None) -> tuple[float, bool]:
+    """The distance at which in most frames some marker is, and whether that is sure; else the
+    j-th one's."""
     pool = away[np.isfinite(away)]
     tried = np.quantile(pool, np.linspace(0, 1, _PLACES))
-    if known is not None and (abs(tried - known) < _FAR * known).any():
-        tried = tried[abs(tried - known) < _FAR * known]
     values = []
     for length in tried:
         here = np.abs(away - length) < near
@@ -138,13 +139,14 @@ def _length(away: np.ndarray, j: int, near: float, known: float | None) -> float
             continue
         middle = np.median(away[here])
         values.append(_Value(middle, here, _size(away[here] - middle)))
-    return float(np.median(away[_most(values, j).here]))
+    best, sure = _most(values, j, known)
+    return float(np.median(away[best.here])), sure
 
 
 class _Value(NamedTuple):
     """A value that a constant may have."""
 
-    value: np.ndarray | float
+    value: Any
     here: np.ndarray
     """(frames, n + 1) bool: which markers have it."""
     scatter: float
@@ -154,14 +156,26 @@ def _size(x: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(x))) if len(x) else np.inf
 
 
-def _most(values: list[_Value], label: int) -> _Value:
-    """The value that most frames have, and of those as good, what its label or its scatter says."""
+def _most(values: list[_Value], label: int, known: float | None = None) -> tuple[_Value, bool]:
+    """The value that most frames have, and of those as good, what its label or its scatter says.
+
+    Not sure where there is another, about as firm, and frames do not agree on the label.
+    """
     frames = np.array([each.here.any(axis=1).mean() for each in values])
     good = [v for v, count in zip(values, frames, strict=True) if count >= frames.max() - _AS_GOOD]
+    if known is not None:  # decides between what is as good, and cannot make anything so
+        good = [each for each in good if abs(each.value - known) < _FAR * known] or good
     own = [float(each.here[:, label].mean()) for each in good]
     named = good[int(np.argmax(own))]
     firm = min(good, key=lambda each: each.scatter)
     # Labels that never change are believed for long; ones that do, hardly more than chance asks.
     share = min(max(own) / max(float(named.here.any(axis=1).mean()), 1e-9), 1.0)
-    believed = _SPLIT + (_UNANIMOUS - _SPLIT) * max(2 * share - 1, 0) ** 2
-    return firm if named.scatter > believed * firm.scatter else named
+    believed = _SPLIT + (_UNANIMOUS - _SPLIT) * max(2 * share - 1, 0) ** 6
+    best = firm if named.scatter > believed * firm.scatter else named
+    rivals = [
+        each
+        for each in good
+        if each.scatter < _UNANIMOUS * best.scatter
+        and (each.here & best.here).sum() < 0.5 * best.here.sum()
+    ]
+    return best, not rivals or share > 0.97

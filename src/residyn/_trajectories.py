@@ -38,7 +38,12 @@ class Trajectories:
 
     def of(self, markers: Sequence[str]) -> np.ndarray:
         """(N, len(markers), 3) m: positions of these markers, named with or without a subject."""
-        return self.position[:, [_find(name, self.names) for name in markers]]
+        at = [_find(name, self.names) for name in markers]
+        for i, column in enumerate(at):
+            if column in at[:i]:
+                one = quote(markers[at.index(column)])
+                raise InputError(f"{one} and {quote(markers[i])} are the same marker of the file")
+        return self.position[:, at]
 
 
 def is_vicon(text: str) -> bool:

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import _labels, _mended, _plane, _rigid
+from ._arrays import check_enough
 from ._input import InputError, inside, number, quote
 from ._release import window
-from ._rest import rest_angles
+from ._rest import SWINGS, rest_angles, swings
 from ._trajectories import Trajectories, read_trajectories
 
 if TYPE_CHECKING:
@@ -28,6 +29,9 @@ _SURE = 1e-3
 
 _LOOSE = 0.01
 """Relative scatter or error of a link's length that is worth a word."""
+
+_ELASTIC, _REFUSED = 0.1, 0.25
+"""Relative scatter of a link's length, and share of readings rejected, that are no arm's."""
 
 _OTHER = 0.2
 """Relative error of a link's length with which it must be another link."""
@@ -64,8 +68,13 @@ class MotionCapture:
     def rest(self, start: float | str | None = None, stop: float | None = None) -> np.ndarray:
         """(n,) rad: the angles about which the arm rings, from `start` to `stop`."""
         with inside(self.name):
-            part = window(self.time, self.angle, start, stop)
+            part = self._part(start, stop)
             return rest_angles(self.time[part], self.angle[part])
+
+    def _part(self, start: float | str | None, stop: float | None) -> slice:
+        part = window(self.time, self.angle, start, stop)
+        check_enough(self.angle[part], part=start is not None or stop is not None)
+        return part
 
     def recording(self, **options: Any) -> "Recording":
         """The recording, in a model's own coordinates: angles from rest.
@@ -93,6 +102,13 @@ class MotionCapture:
                 options["theta2"] = float(rest[1])
         turned = ", ".join(f"q{j + 1} from {angle:.4f} rad" for j, angle in enumerate(rest))
         said.append(f"angles are counted from rest, {turned} of its markers")
+        part = self._part(options.get("start"), options.get("stop"))
+        count = swings(self.time[part], self.angle[part])
+        if count < SWINGS:
+            said.append(
+                f"with {count:.2g} swings of its slowest mode that rest is known roughly: if the "
+                "residual has an offset, fit sensor_offset too"
+            )
         return Recording.from_arrays(self.time, self.angle - rest, **options).saying(said)
 
 
@@ -116,6 +132,8 @@ def read(
     trajectories = read_trajectories(path)
     where = os.fspath(path)
     with inside(where):
+        if link_lengths is not None:
+            link_lengths = [number("link_lengths", x, "m", above=0) for x in link_lengths]
         names = _names(markers, trajectories, link_lengths)
         return _solve(where, names, trajectories, normal, link_lengths)
 
@@ -157,13 +175,19 @@ def _solve(
     rigid = _rigid.find(markers, lengths)
     labels = _labels.assign(markers, rigid)
     for _ in range(2):
-        _check_believable(names, markers, labels)
         rigid = _rigid.refine(labels.apply(markers), rigid)
+        _check_believable(names, markers, labels, rigid)
         labels = _labels.assign(markers, rigid)
     joints = labels.apply(markers)
     noise = float(min(rigid.sigmas)) / 2**0.5
     plane = _plane.fit(joints, noise) if normal is None else _plane.frame_of(_direction(normal))
     doubts = _lengths_doubted(names, rigid, lengths)
+    doubts += [
+        f"{quote(names[j])} changes its label with another marker, and the arm moves too little to "
+        "tell which it is: what most frames have was believed"
+        + ("" if lengths is not None else "; link_lengths would tell")
+        for j in rigid.unsure
+    ]
     if plane.tilt > _TILT:
         doubts.append(
             f"the markers hardly leave one line, so the table's plane is known to "
@@ -204,15 +228,24 @@ def _solve(
     )
 
 
-def _check_believable(names: tuple[str, ...], markers: np.ndarray, labels: _labels.Labels) -> None:
-    """Markers of which most fit no rigid arm are not an arm's."""
+def _check_believable(
+    names: tuple[str, ...], markers: np.ndarray, labels: _labels.Labels, rigid: _rigid.Rigid
+) -> None:
+    """Markers of which many fit no rigid arm are not an arm's."""
     seen = int((~np.isnan(markers[:, :, 0])).sum())
-    if labels.rejected.sum() > 0.25 * seen:
+    wrong = int(labels.rejected.sum())
+    why = ""
+    if wrong > _REFUSED * seen:
+        why = f"{wrong} of {seen} readings fit none"
+    loose = rigid.sigmas / rigid.lengths
+    if not loose.max() < _ELASTIC:
+        j = int(loose.argmax())
+        why = f"from {quote(names[j])} to {quote(names[j + 1])} the distance changes"
+    if why:
         listed = ", ".join(quote(name) for name in names)
         raise InputError(
-            f"markers {listed} are no chain of rigid links from a joint that stands still: "
-            f"{int(labels.rejected.sum())} of {seen} readings fit none; must be one marker at each "
-            "joint's centre, from base to tip"
+            f"markers {listed} are no chain of rigid links from a joint that stands still: {why}; "
+            "must be one marker at each joint's centre, from base to tip"
         )
 
 

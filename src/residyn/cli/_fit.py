@@ -4,12 +4,14 @@ import typer
 
 from .._input import InputError
 from . import _options
+from ._each import fit_each
 from ._experiment import bring, fitted, input_files, load, title
 from ._shell import DONE, NO_NUMBERS, Outputs, complain, set_up_jax
 
 
 def fit(
-    experiment: _options.Experiment,
+    experiment: _options.OneExperiment = None,
+    each: _options.Each = None,
     effects: _options.With = None,
     own: _options.Effects = None,
     starts: _options.Starts = _options.STARTS,
@@ -22,6 +24,15 @@ def fit(
     if method not in _options.METHODS:
         known = " or ".join(_options.METHODS)
         raise InputError(f'--method "{method}": there is no such method; it must be {known}')
+    if each is not None:
+        if experiment is not None:
+            raise InputError(f"--each {each}: takes the place of EXPERIMENT; leave one of them out")
+        if report is not None or method != _options.METHODS[0]:
+            raise InputError("--each goes with neither --report nor --method genetic")
+        bring(own)
+        fit_each(each, effects or [], starts, json, no_cache)
+    if experiment is None:
+        raise InputError("an EXPERIMENT is needed, a TOML file, or --each FOLDER")
     out = Outputs(json, report)
     set_up_jax(not no_cache)
     bring(own)

@@ -13,6 +13,25 @@ Experiment = Annotated[
         show_default=False,
     ),
 ]
+OneExperiment = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="EXPERIMENT",
+        help='A TOML file that describes the arm and its recordings; "-" reads it from '
+        "standard input.",
+        show_default=False,
+    ),
+]
+Each = Annotated[
+    str | None,
+    typer.Option(
+        "--each",
+        metavar="FOLDER",
+        help="Fit every experiment (*.toml) of a folder instead of one; --json FILE then takes a "
+        "line for each as it is done, and a run that was stopped goes on from there.",
+        show_default=False,
+    ),
+]
 With = Annotated[
     list[str] | None,
     typer.Option(

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from .._input import InputError
+from .._json import finite
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -195,15 +195,6 @@ class Outputs:
         with progress() as say:
             say("writing the report")
             write_report(self.report, fits, compared, diagnosis)
-
-
-def finite(value: Any) -> Any:
-    """JSON knows no infinities: what is not finite becomes null."""
-    if isinstance(value, Mapping):
-        return {key: finite(each) for key, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _same(one: str | Path, other: str | Path) -> bool:

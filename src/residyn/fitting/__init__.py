@@ -1,11 +1,15 @@
 """Fitting a model to recordings."""
 
+from .bootstrap import Bootstrap as Bootstrap
+from .bootstrap import bootstrap as bootstrap
 from .embedded import Embedded as Embedded
 from .embedded import Solution as Solution
 from .embedded import embed as embed
 from .evolution import MissingExtra as MissingExtra
 from .genetic import Genetic as Genetic
 from .history import History as History
+from .many import Each as Each
+from .many import fit_many as fit_many
 from .pipeline import DEFAULT_STARTS as DEFAULT_STARTS
 from .pipeline import fit as fit
 from .result import Fit as Fit

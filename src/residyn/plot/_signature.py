@@ -21,7 +21,14 @@ _EDGE = 4  # samples at the ends where a difference is one-sided
 _SCALES = Scales(inertia=0.6, frequency=5.0, amplitude=0.1)
 # Share of the typical size at which an effect can be seen beside the ringing without burying it.
 _STRENGTH = 0.1
-_STRONG = {"dead_zone": 0.6, "brake_slip": 0.6, "sensor_delay": 0.1, "damper": 0.05, "spring": 1.0}
+_STRONG = {
+    "dead_zone": 0.6,
+    "brake_slip": 0.6,
+    "sensor_delay": 0.1,
+    "damper": 0.05,
+    "spring": 1.0,
+    "coupling_damping": 0.01,  # more, and it feeds the arm faster than its dampers drain it
+}
 
 
 @styled
@@ -45,6 +52,8 @@ def signature(name: str, *, narrow: bool = False) -> Figure:
     top.plot(t, without[:, joint], color=MEASURED, lw=2.2, label="without")
     top.plot(t, with_it[:, joint], color=MODEL, lw=0.9, label="with")
     top.set(xlabel="time (s)", ylabel="reading (rad)", title=f"{name}: {where} reading")
+    low, high = top.get_ylim()
+    top.set_ylim(low, high + 0.25 * (high - low))  # the legend's own room, above the curves
     top.legend(loc="upper right", ncols=2)
     for ax, x, label in zip(
         rest, (t, q, v), ("time (s)", "angle (rad)", "rate (rad/s)"), strict=True

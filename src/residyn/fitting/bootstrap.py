@@ -1,0 +1,108 @@
+"""How far numbers scatter: the same fit to many noises, abreast.
+
+A standard error is a prediction: were the recording made again, the numbers would differ by so
+much. The bootstrap does it again. It takes the fitted motion for the truth, adds fresh noise of the
+size that was found, and fits; what these fits spread by needs no linear theory. Fits run in batches
+under `vmap`, a batch's lanes divided among all devices; memory stays that of one batch.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from .embedded import Embedded, embed
+from .result import Fit
+
+BATCH = 64
+"""Fits that run abreast on each device."""
+
+
+class Bootstrap(NamedTuple):
+    """D fits to D noises."""
+
+    names: tuple[str, ...]
+    numbers: np.ndarray
+    """(D, P), each in its own unit."""
+    converged: np.ndarray
+    """(D,) whether each settled."""
+
+    @property
+    def std(self) -> np.ndarray:
+        """(P,) standard deviation of the fits that settled."""
+        return np.std(self.numbers[self.converged], axis=0, ddof=1)
+
+    def interval(self, share: float = 0.95) -> np.ndarray:
+        """(P, 2) that hold this share of the fits that settled, as much outside on either side."""
+        out = 0.5 * (1.0 - share)
+        return np.quantile(self.numbers[self.converged], [out, 1.0 - out], axis=0).T
+
+
+def bootstrap(
+    fit: Fit,
+    draws: int = 1000,
+    *,
+    seed: int = 0,
+    batch: int = BATCH,
+    progress: Callable[[str], None] | None = None,
+) -> Bootstrap:
+    """Parametric bootstrap of a fit: `draws` times fresh noise on the fitted motion, and a fit.
+
+    The noise is white, of the size stated or estimated, times the root of the reduced chi-square
+    where more is left. Lost and wild readings stay out. Runs in float64, on all devices that JAX
+    has.
+
+    **Arguments:**
+
+    - `draws`: how many fits, at least 2.
+    - `seed`: the same seed gives the same noises, whatever the batch.
+    - `batch`: fits that run abreast on each device.
+    - `progress`: called with a few words now and then.
+
+    **Raises:** `ValueError` for fewer than two draws, or an empty batch.
+    """
+    if draws < 2:
+        raise ValueError(f"draws = {draws}: a spread needs at least two")
+    if batch < 1:
+        raise ValueError(f"batch = {batch}: must be at least 1")
+    with jax.enable_x64(True):
+        fits = embed(fit)
+        fitted = [r for r in fit.recordings if r.recording.role != "check"]
+        truth = [jnp.asarray(np.where(r.used, r.predicted, np.nan)) for r in fitted]
+        size = float(np.sqrt(max(1.0, fit.reduced_chi2)))
+        noise = [jnp.asarray(size * r.recording.noise) for r in fitted]
+        devices = jax.devices()
+        mesh = Mesh(np.asarray(devices), ("fits",))
+        lanes = NamedSharding(mesh, PartitionSpec("fits"))
+        fits = jax.device_put(fits, NamedSharding(mesh, PartitionSpec()))
+        width = min(batch, -(-draws // len(devices))) * len(devices)
+        keys = jax.random.split(jax.random.key(seed), draws)
+        found = []
+        for first in range(0, draws, width):
+            some = keys[first : first + width]
+            # The last batch is filled up, so that one compiled program serves all.
+            filled = jnp.concatenate([some, jnp.repeat(some[-1:], width - len(some), axis=0)])
+            out = _refits(fits, truth, noise, jax.device_put(filled, lanes))
+            found.append([np.asarray(x)[: len(some)] for x in out])
+            if progress is not None:
+                progress(f"{min(first + width, draws)} of {draws} fits")
+    numbers, converged = (np.concatenate(x) for x in zip(*found, strict=True))
+    return Bootstrap(fits.names, numbers, converged)
+
+
+@eqx.filter_jit
+def _refits(fits: Embedded, truth, noise, keys):
+    def one(key):
+        each = jax.random.split(key, len(truth))
+        angles = [
+            q + s * jax.random.normal(k, q.shape)
+            for q, s, k in zip(truth, noise, each, strict=True)
+        ]
+        found = fits.with_angles(*angles).solve()
+        return found.numbers, found.converged
+
+    return jax.vmap(one)(keys)

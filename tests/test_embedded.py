@@ -1,0 +1,159 @@
+"""`embed`: a fit inside other people's JAX programs. Recordings are made by MuJoCo (tests/rig)."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import residyn
+from residyn import AirBearing, PlanarArm, modes, without_bearings
+from residyn.recording import ArmTable
+from tests import rig
+
+ARM, SECONDS, NOISE = rig.paper_twin(0.3), 6.0, 1e-3
+T = np.arange(round(SECONDS * 50)) / 50.0
+BEARING = [AirBearing("wrist", 1.9635, 0.00245)]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def float64():
+    with jax.enable_x64(True):
+        yield
+
+
+def experiment(shoulder=ARM.shoulder, elbow=ARM.elbow, coupling=ARM.coupling, angle=None, seed=0):
+    truth, _ = rig.simulate(ARM, T, [0.2, -0.1])
+    noise = NOISE * np.random.default_rng(seed).standard_normal(truth.shape)
+    angle = truth + noise if angle is None else angle
+    recording = residyn.Recording.from_arrays(T, angle, noise=NOISE, theta2=ARM.theta2)
+    return residyn.Experiment(ArmTable((ARM.l1, ARM.l2), shoulder, elbow, coupling), (recording,))
+
+
+@pytest.fixture(scope="module")
+def fit(float64):
+    return residyn.fit(experiment(), starts=1)
+
+
+@pytest.fixture(scope="module")
+def embedded(fit):
+    return residyn.embed(fit)
+
+
+def numbers_of(fit):
+    return np.array([n.value for n in fit.numbers])
+
+
+def test_it_ends_where_the_fit_did(fit, embedded):
+    found = embedded.solve()
+    errors = np.array([n.std for n in fit.numbers])
+    assert bool(found.converged)
+    assert embedded.names == tuple(n.name for n in fit.numbers)
+    np.testing.assert_allclose(found.numbers, numbers_of(fit), atol=1e-2 * errors.min())
+    inflation = max(1.0, fit.reduced_chi2)
+    np.testing.assert_allclose(found.covariance * inflation, fit.covariance, rtol=1e-3, atol=1e-12)
+    (predicted,) = embedded.readings(found.predicted)
+    np.testing.assert_allclose(predicted, fit.recordings[0].predicted, atol=1e-6)
+    assert float(embedded.chi2(found.numbers, found.states)) == pytest.approx(float(found.chi2))
+    # The minimum is one: a small step in any number makes it worse.
+    for i, error in enumerate(errors):
+        moved = found.numbers.at[i].add(0.1 * error)
+        assert float(embedded.chi2(moved, found.states)) > float(found.chi2)
+
+
+def test_other_readings_are_fitted_as_a_fit_of_their_own(embedded):
+    other = experiment(seed=5).recordings[0].angle
+    again = residyn.fit(experiment(angle=other), starts=1)
+    found = embedded.with_angles(other).solve()
+    errors = np.array([n.std for n in again.numbers])
+    assert (np.abs(found.numbers - numbers_of(again)) < 0.02 * errors).all()
+
+
+def test_a_lost_reading_does_not_count(embedded, fit):
+    angle = np.array(fit.experiment.recordings[0].angle)
+    spoilt = angle.copy()
+    angle[40:60] = np.nan
+    spoilt[40:60] = 7.0
+    lost = embedded.with_angles(angle).solve()
+    assert bool(lost.converged)
+    assert float(lost.chi2) < float(embedded.solve().chi2)
+    assert float(embedded.with_angles(spoilt).chi2(lost.numbers)) > 1e6
+    with pytest.raises(ValueError, match="shape"):
+        embedded.with_angles(angle[:-1])
+    with pytest.raises(ValueError, match="2 arrays"):
+        embedded.with_angles(angle, angle)
+
+
+def test_bootstrap_fits_spread_as_the_covariance_says(embedded):
+    rng = np.random.default_rng(1)
+    found = embedded.solve()
+    (clean,) = embedded.readings(found.predicted)
+    angles = np.asarray(clean) + NOISE * rng.standard_normal((64, *clean.shape))
+    out = jax.jit(jax.vmap(lambda q: embedded.with_angles(q).solve().numbers))(jnp.asarray(angles))
+    one = embedded.with_angles(angles[3]).solve().numbers
+    np.testing.assert_allclose(out[3], one, rtol=1e-6)
+    spread = np.std(np.asarray(out), axis=0) / np.sqrt(np.diag(found.covariance))
+    assert ((spread > 0.7) & (spread < 1.35)).all()  # 64 draws: 9 % of one standard deviation
+
+
+def test_an_outer_loop_traces_once(embedded):
+    traces = []
+
+    @jax.jit
+    def stiffness(angles, inertias):
+        traces.append(1)
+        arm = PlanarArm((ARM.l1, ARM.l2), *inertias, ARM.theta2)
+        return embedded.with_angles(angles).with_mechanism(arm).solve().numbers[0]
+
+    inertias = jnp.array([ARM.shoulder, ARM.elbow, ARM.coupling])
+    base = experiment().recordings[0].angle
+    values = [float(stiffness(base + 1e-4 * k, inertias * (1 + 0.01 * k))) for k in range(4)]
+    assert len(traces) == 1
+    assert len(set(values)) == 4
+
+
+def orbital(embedded, inertias):
+    """Natural frequencies, Hz, that a fit with these inertias predicts without the bearing."""
+    arm = PlanarArm((ARM.l1, ARM.l2), *inertias, ARM.theta2)
+    model = embedded.with_mechanism(arm).solve().model
+    bare = without_bearings(arm, BEARING)
+    return modes(eqx.tree_at(lambda m: m.mechanism, model, bare)).frequency_hz
+
+
+def test_derivatives_go_through_the_fit(embedded):
+    inertias = jnp.array([ARM.shoulder, ARM.elbow, ARM.coupling])
+    slopes = jax.jit(jax.jacfwd(lambda x: orbital(embedded, x)))(inertias)
+    step = 2e-3
+
+    def refitted(k, side):
+        moved = np.array(inertias)
+        moved[k] += side * step
+        fit = residyn.fit(experiment(*moved), starts=1)
+        arm = PlanarArm((ARM.l1, ARM.l2), *moved, ARM.theta2)
+        bare = without_bearings(arm, BEARING)
+        return modes(eqx.tree_at(lambda m: m.mechanism, fit.model, bare)).frequency_hz
+
+    differences = np.stack([(refitted(k, 1) - refitted(k, -1)) / (2 * step) for k in range(3)], 1)
+    np.testing.assert_allclose(slopes, differences, rtol=2e-3, atol=2e-3 * np.abs(slopes).max())
+    # Inertias and stiffness scale together (Eq. 9): with the bearing on, nothing would change.
+    assert np.abs(slopes).max() > 0.1
+
+
+def test_reverse_mode_is_the_same(embedded):
+    angle = jnp.asarray(experiment().recordings[0].angle)
+
+    def damping(q):
+        return embedded.with_angles(q).solve().numbers[3]
+
+    push = jnp.asarray(np.random.default_rng(2).standard_normal(angle.shape))
+    _, forward = jax.jvp(damping, (angle,), (push,))
+    backward = jnp.sum(jax.grad(damping)(angle) * push)
+    assert float(backward) == pytest.approx(float(forward), rel=1e-6)
+    h = 1e-6
+    between = float(damping(angle + h * push) - damping(angle - h * push)) / (2 * h)
+    assert float(forward) == pytest.approx(between, rel=1e-3)
+
+
+def test_single_precision_is_refused(fit):
+    with jax.enable_x64(False), pytest.raises(ValueError, match="jax_enable_x64"):
+        residyn.embed(fit)

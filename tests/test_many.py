@@ -1,0 +1,145 @@
+"""Many fits: bootstrap resamples over all devices, and folders of experiments that go on where a
+killed run stopped."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import residyn
+from residyn import cli
+from residyn.recording import InertiaTable
+
+TABLE = InertiaTable(("cart",), ((2.0,),), ("m",))
+T = np.arange(300) / 50.0
+
+
+def ringing(seed=0, stiffness=50.0, noise=1e-3):
+    """A cart on a spring and a damper, in closed form; m."""
+    decay, fast = 0.1, np.sqrt(stiffness / 2.0 - 0.1**2)
+    q = 0.1 * np.exp(-decay * T) * (np.cos(fast * T) + decay / fast * np.sin(fast * T))
+    return q + noise * np.random.default_rng(seed).standard_normal(len(T))
+
+
+def experiment(seed=0, stiffness=50.0):
+    recording = residyn.Recording.from_arrays(T, ringing(seed, stiffness), noise=1e-3)
+    return residyn.Experiment(TABLE, (recording,))
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return residyn.fit(experiment(), starts=1)
+
+
+def test_bootstrap_spreads_as_the_errors_say(fit):
+    found = residyn.bootstrap(fit, 200, seed=1, batch=64)
+    assert found.names == tuple(n.name for n in fit.numbers)
+    assert found.numbers.shape == (200, 2)
+    assert found.converged.all()
+    errors = np.array([n.std for n in fit.numbers])
+    assert (np.abs(found.std / errors - 1) < 0.2).all()  # 200 draws: 5 % of one standard deviation
+    low, high = found.interval(0.95).T
+    np.testing.assert_allclose((high - low) / (2 * 1.96 * errors), 1.0, atol=0.25)
+    values = np.array([n.value for n in fit.numbers])
+    assert ((low < values) & (values < high)).all()
+
+
+def test_the_batch_changes_nothing(fit):
+    one, other = (residyn.bootstrap(fit, 10, seed=2, batch=b).numbers for b in (4, 10))
+    np.testing.assert_allclose(one, other, rtol=1e-8)
+    with pytest.raises(ValueError, match="draws = 1"):
+        residyn.bootstrap(fit, 1)
+
+
+def test_two_devices_share_the_fits(tmp_path):
+    script = tmp_path / "two.py"
+    script.write_text(
+        "import jax, numpy as np, residyn\n"
+        "from tests.test_many import experiment\n"
+        "assert len(jax.devices()) == 2\n"
+        "fit = residyn.fit(experiment(), starts=1)\n"
+        "np.save('numbers.npy', residyn.bootstrap(fit, 10, seed=2, batch=3).numbers)\n"
+    )
+    root = Path(__file__).parents[1]
+    subprocess.run(
+        [sys.executable, str(script)],
+        cwd=tmp_path,
+        env={
+            "XLA_FLAGS": "--xla_force_host_platform_device_count=2",
+            "PYTHONPATH": f"{root}",
+            "PATH": "",
+            "JAX_PLATFORMS": "cpu",
+        },
+        check=True,
+    )
+    alone = residyn.bootstrap(residyn.fit(experiment(), starts=1), 10, seed=2).numbers
+    np.testing.assert_allclose(np.load(tmp_path / "numbers.npy"), alone, rtol=1e-6)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name, stiffness in (("a", 50.0), ("b", 60.0), ("d", 40.0)):
+        rows = [f"{t:.3f},{q:.9f}" for t, q in zip(T, ringing(1, stiffness), strict=True)]
+        (tmp_path / f"{name}.csv").write_text("t,q1\n" + "\n".join(rows) + "\n")
+        (tmp_path / f"{name}.toml").write_text(
+            '[inertia]\njoints = ["cart"]\nunits = ["m"]\nmatrix = [[2.0]]\n'
+            f'[[recordings]]\nfile = "{name}.csv"\nnoise = 1e-3\n'
+        )
+    (tmp_path / "c.toml").write_text('[inertia]\njoints = ["cart"]\n')
+    return tmp_path
+
+
+def test_one_broken_experiment_does_not_stop_the_rest(folder, capsys):
+    out = folder / "all.jsonl"
+    assert cli.main(["fit", "--each", str(folder), "--starts", "1", "--json", str(out)]) == 1
+    told = [json.loads(line) for line in out.read_text().splitlines()]
+    assert [Path(t["name"]).stem for t in told] == ["a", "b", "c", "d"]
+    assert ["error" in t for t in told] == [False, False, True, False]
+    values = [t["parameters"]["spring:cart.stiffness"]["value"] for t in told if "error" not in t]
+    assert values == pytest.approx([50.0, 60.0, 40.0], rel=1e-2)
+    printed = capsys.readouterr()
+    assert "1 of 4 experiments could not be fitted" in printed.err
+    assert printed.out.count("reduced chi2") == 3
+
+
+def test_a_killed_run_goes_on(folder):
+    files = [str(folder / f"{n}.toml") for n in "abd"]
+    out = folder / "all.jsonl"
+    first = next(residyn.fit_many(files, starts=1, out=out))
+    assert first.fit is not None
+    with out.open("a") as file:
+        file.write('{"name": "half a li')  # killed while it wrote
+    rest = list(residyn.fit_many(files, starts=1, out=out))
+    assert [each.before for each in rest] == [True, False, False]
+    assert rest[0].told == json.loads(json.dumps(first.told))
+    assert len(out.read_text().splitlines()) == 3
+    again = list(residyn.fit_many(files, starts=1, out=out))
+    assert all(each.before for each in again)
+
+
+def test_other_files_are_not_written_into(folder):
+    (folder / "notes.txt").write_text("nothing of ours\n")
+    with pytest.raises(residyn.InputError, match=r"notes\.txt: line 1"):
+        next(residyn.fit_many([str(folder / "a.toml")], out=folder / "notes.txt"))
+    with pytest.raises(residyn.InputError, match="twice"):
+        next(residyn.fit_many([str(folder / "a.toml")] * 2))
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--each", "nowhere"], "no such folder"),
+        (["--each", "."], "no experiment in it"),
+        (["x.toml", "--each", "."], "leave one of them out"),
+        ([], "EXPERIMENT is needed"),
+    ],
+)
+def test_what_each_cannot_do_is_said_in_one_line(words, says, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["fit", *words]) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
