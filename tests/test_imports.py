@@ -26,6 +26,7 @@ LAYERS = [
         "_csv",
         "_lab_files",
         "_labels",
+        "_marker_checks",
         "_mended",
         "_noise",
         "_plane",
