@@ -13,8 +13,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ._release import _even
 
-SWINGS = 4
-"""Swings of the slowest mode that the best window spans; with fewer, rest is known roughly."""
+SWINGS = 8
+"""Swings of the slowest mode, two of the best windows: with fewer, rest is known roughly."""
 
 _WINDOWS = {
     4: (0.35875, -0.48829, 0.14128, -0.01168),
@@ -23,7 +23,7 @@ _WINDOWS = {
 }
 """Cosines of the window that spans so many swings: Blackman's and Harris', Blackman's, Hann's."""
 
-_LEAK = 5e-3
+_LEAK = 1e-3
 """What a mean may be off, of the swing under its window."""
 
 _STILL = 0.05
