@@ -1,9 +1,9 @@
 """What the site's build adds to the pages: outputs, pictures, the catalogue, the public names.
 
 None of this is in the repository, so none of it can be out of date. A page's code is run where the
-page shows what comes of it (`blocks.py`); what it writes is found under `made/PAGE/`. Everything is
-kept in `.cache/docs` until the package or the page changes. `RESIDYN_DOCS=words` leaves out what
-takes time, for a look at words and links alone.
+page shows what comes of it (`blocks.py`), and so is every notebook's (`notebooks.py`); what it
+draws is found under `made/PAGE/`. Everything is kept in `.cache/docs` until the package or the page
+changes. `RESIDYN_DOCS=words` leaves out what takes time, for a look at words and links alone.
 """
 
 import hashlib
@@ -17,6 +17,7 @@ import tempfile
 from pathlib import Path
 
 import blocks
+import notebooks
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).parents[1]
@@ -55,12 +56,20 @@ def on_files(files, config):
             made |= {link: _PLACEHOLDER.encode() for link in _MADE.findall(text)}
         for uri, data in made.items():
             files.append(File.generated(config, uri, content=data))
+    for path in notebooks.paths(ROOT):
+        folder = _notebook(path)
+        page = notebooks.page(path, folder)
+        files.append(File.generated(config, f"{notebooks.SITE}/{path.stem}.md", content=page))
+        for picture in sorted(folder.glob("*.svg")) if folder else ():
+            uri = f"made/{path.stem}/{picture.name}"
+            files.append(File.generated(config, uri, content=picture.read_bytes()))
     return files
 
 
 def on_page_markdown(markdown, page, config, files):
     """Put outputs, the catalogue and the public names where the page asks for them."""
     stem = Path(page.file.src_uri).stem
+    markdown = notebooks.on_the_site(markdown)
     for path, uri in _ELSEWHERE.items():
         markdown = markdown.replace(f"](../{path}", f"]({uri}")
     if stem in _printed:
@@ -113,6 +122,14 @@ def _ran(text: str, name: str) -> tuple[list[str], dict[str, bytes]]:
 
 def _made(folder: Path) -> list[Path]:
     return blocks.made_in(folder)
+
+
+def _notebook(path: Path) -> Path | None:
+    """What a notebook prints and draws."""
+    if WORDS_ONLY:
+        return None
+    text = path.read_text(encoding="utf-8")
+    return _kept(path.stem, text, lambda folder: notebooks.made(notebooks.run(path), folder))
 
 
 def _with_outputs(markdown: str, printed: list[str]) -> str:
