@@ -15,10 +15,11 @@ def diagnose(
     starts: _options.Starts = _options.STARTS,
     json: _options.Json = None,
     report: _options.Report = None,
+    table: _options.Table = None,
     no_cache: _options.NoCache = False,
 ) -> None:
     """Name the effect that is missing, add it, and see the error fall."""
-    out = Outputs(json, report)
+    out = Outputs(json, report, table)
     set_up_jax(not no_cache)
     bring(own)
     loaded = load(experiment)
@@ -26,6 +27,7 @@ def diagnose(
     found = diagnosed(loaded, effects or [], most, starts)
     out.words.print(str(found), soft_wrap=True)
     out.write_json(found.to_dict())
+    out.write_table(found)
     if report is not None:
         out.write_report(models(found, title(experiment)), diagnosis=found)
         out.words.print(f"report: {report}", soft_wrap=True)

@@ -18,6 +18,7 @@ def fit(
     method: _options.Method = _options.METHODS[0],
     json: _options.Json = None,
     report: _options.Report = None,
+    table: _options.Table = None,
     no_cache: _options.NoCache = False,
 ) -> None:
     """Fit springs, dampers and other effects to recordings."""
@@ -27,13 +28,13 @@ def fit(
     if each is not None:
         if experiment is not None:
             raise InputError(f"--each {each}: takes the place of EXPERIMENT; leave one of them out")
-        if report is not None or method != _options.METHODS[0]:
-            raise InputError("--each goes with neither --report nor --method genetic")
+        if report is not None or table is not None or method != _options.METHODS[0]:
+            raise InputError("--each goes with none of --report, --table and --method genetic")
         bring(own)
         fit_each(each, effects or [], starts, json, no_cache)
     if experiment is None:
         raise InputError("an EXPERIMENT is needed, a TOML file, or --each FOLDER")
-    out = Outputs(json, report)
+    out = Outputs(json, report, table)
     set_up_jax(not no_cache)
     bring(own)
     loaded = load(experiment)
@@ -41,6 +42,7 @@ def fit(
     result = fitted(loaded, effects or [], starts, method)
     out.words.print(str(result), soft_wrap=True)
     out.write_json(result.to_dict())
+    out.write_table(result)
     if report is not None:
         out.write_report([(title(experiment), result)])
         out.words.print(f"report: {report}", soft_wrap=True)

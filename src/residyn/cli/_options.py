@@ -82,6 +82,15 @@ Report = Annotated[
         show_default=False,
     ),
 ]
+Table = Annotated[
+    str | None,
+    typer.Option(
+        "--table",
+        metavar="FILE.tex|FILE.csv",
+        help="Write the numbers as a table for a paper: LaTeX (booktabs), or CSV.",
+        show_default=False,
+    ),
+]
 NoCache = Annotated[
     bool,
     typer.Option(

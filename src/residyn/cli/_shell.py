@@ -1,6 +1,7 @@
 """What all commands share: exit statuses, words, progress, output files, JAX's settings."""
 
 import contextlib
+import itertools
 import json
 import os
 import sys
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 DONE, NO_NUMBERS, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 TRACEBACK = "RESIDYN_TRACEBACK"
+_TABLES = (".tex", ".csv")
 
 # The class of all complaints about the command line, which typer itself does not name.
 _UsageError: Any = typer.BadParameter.__bases__[0]
@@ -143,15 +145,24 @@ def progress() -> Iterator[Callable[[str], None]]:
 class Outputs:
     """Where results go. Made before the long work, so that a wrong path costs no waiting."""
 
-    def __init__(self, json_file: str | None, report: str | None):
-        self.json_file, self.report = json_file, report
+    def __init__(self, json_file: str | None, report: str | None, table: str | None = None):
+        self.json_file, self.report, self.table = json_file, report, table
         if report == "-":
             raise InputError("--report -: a report needs the name of a file")
-        if report is not None and json_file is not None and _same(report, json_file):
-            raise InputError(f"--report and --json are the same file, {report}")
-        for option, path in (("--json", json_file), ("--report", report)):
-            if path is not None and not (option == "--json" and path == "-"):
-                _check_writable(option, path)
+        if table is not None and Path(table).suffix not in _TABLES:
+            raise InputError(f"--table {table}: must end in {' or '.join(_TABLES)}")
+        each = [(option, path) for option, path in self._files if path != "-"]
+        for (one, path), (other, own) in itertools.combinations(each, 2):
+            if _same(path, own):
+                raise InputError(f"{other} and {one} are the same file, {own}")
+        for option, path in each:
+            _check_writable(option, path)
+
+    @property
+    def _files(self) -> list[tuple[str, str]]:
+        """(option, path) of all that were asked for."""
+        each = ("--json", self.json_file), ("--report", self.report), ("--table", self.table)
+        return [(option, path) for option, path in each if path is not None]
 
     @property
     def words(self) -> "Console":
@@ -163,8 +174,8 @@ class Outputs:
 
         **Raises:** `InputError`.
         """
-        for option, path in (("--json", self.json_file), ("--report", self.report)):
-            if path is not None and any(_same(path, each) for each in inputs):
+        for option, path in self._files:
+            if any(_same(path, each) for each in inputs):
                 raise InputError(f"{option} {path}: is an input of this experiment; choose another")
 
     def write_json(self, result: Mapping[str, Any]) -> None:
@@ -180,6 +191,17 @@ class Outputs:
             Path(self.json_file).write_text(text, encoding="utf-8")
         except OSError as error:
             raise _unwritable("--json", self.json_file, error) from None
+
+    def write_table(self, result: "Fit | Diagnosis") -> None:
+        """Write the table, if it was asked for."""
+        if self.table is None:
+            return
+        text = result.to_latex() if Path(self.table).suffix == ".tex" else result.to_csv()
+        try:
+            Path(self.table).write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise _unwritable("--table", self.table, error) from None
+        self.words.print(f"table: {self.table}", soft_wrap=True)
 
     def write_report(
         self,

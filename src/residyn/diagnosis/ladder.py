@@ -135,7 +135,8 @@ def accepted(
         return None
     if matters(stands, new):
         return Accepted(new, True)
-    promises = cost_of(new.fit) < (1.0 - _PROMISES) ** 2 * before
+    # A model whose prediction could not even be had promises nothing.
+    promises = new.held_out is not None and cost_of(new.fit) < (1.0 - _PROMISES) ** 2 * before
     return Accepted(new, False) if stands is step and promises else None
 
 

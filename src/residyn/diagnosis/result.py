@@ -196,6 +196,18 @@ class Diagnosis:
             "seconds": number(self.seconds),
         }
 
+    def to_latex(self) -> str:
+        """Two tables for a paper (package booktabs): the ladder, and the suspects."""
+        from .publish import latex
+
+        return latex(self)
+
+    def to_csv(self) -> str:
+        """The ladder and all candidates, a line each: table, model, name, value, std, unit."""
+        from .publish import comma_separated
+
+        return comma_separated(self)
+
     def __str__(self) -> str:
         from .printed import lines
 

@@ -74,7 +74,8 @@ class RecordingFit:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted model beside its recordings. Print it; or `to_dict()` for the JSON."""
+    """A fitted model beside its recordings. Print it; `to_dict()` is the JSON, `to_latex()` and
+    `to_csv()` are tables for a paper."""
 
     experiment: Experiment
     model: Model
@@ -162,6 +163,18 @@ class Fit:
             "seconds": _number(self.seconds),
             "warnings": list(self.warnings),
         }
+
+    def to_latex(self) -> str:
+        """A table for a paper (package booktabs), values rounded by their standard errors."""
+        from .publish import latex
+
+        return latex(self)
+
+    def to_csv(self) -> str:
+        """Numbers, modes and residuals, a line each: name, value, std, unit."""
+        from .publish import comma_separated
+
+        return comma_separated(self)
 
     def __str__(self) -> str:
         return "\n".join(_lines(self))

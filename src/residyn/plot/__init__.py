@@ -7,7 +7,8 @@ how its predictions do, `missing_torque` the torque that it lacks, `signature` w
 catalogue would leave if it were missing; of a diagnosis, `ladder` the error falling and `suspects`
 what might have been missing.
 All return a matplotlib `Figure` (no pyplot, no window, no global state): save it, show it in a
-notebook, or put it into a page. `narrow=True` lays a picture out for a phone's width.
+notebook, or put it into a page. Saved as PDF its fonts are TrueType, as SVG its letters are paths:
+both print as they look. `narrow=True` lays a picture out for a phone's width.
 """
 
 from ._convergence import convergence as convergence

@@ -45,18 +45,33 @@ _STYLE: dict[str, Any] = {
     "text.parse_math": False,  # names come from users: a dollar sign is a dollar sign
 }
 
+# What a journal's printer takes: whole TrueType fonts in PDF and PostScript (Type 3 is refused by
+# many), and in SVG letters drawn as paths, which look the same where the font is not installed.
+_FILES: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "path"}
+
 _P = ParamSpec("_P")
 
 
+class _Printable(Figure):
+    """A figure whose files have fonts that print, whatever the user's settings when it is saved."""
+
+    def savefig(self, *args: Any, **named: Any) -> None:
+        with mpl.rc_context(_FILES):
+            super().savefig(*args, **named)
+
+
 def styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
-    """Draw in this style, whatever the user's own is, and leave the user's own as it was."""
+    """Draw in this style, whatever the user's own is, and leave the user's own as it was; files
+    that are saved of it have fonts that print."""
 
     @functools.wraps(draw)
     def wrapped(*args: _P.args, **named: _P.kwargs) -> Figure:
         settings: dict[Any, Any] = {**mpl.rcParamsDefault, **_STYLE}
         del settings["backend"]
         with mpl.rc_context(settings):
-            return draw(*args, **named)
+            figure = draw(*args, **named)
+        figure.__class__ = _Printable
+        return figure
 
     return wrapped
 
