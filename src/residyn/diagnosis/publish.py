@@ -1,0 +1,121 @@
+"""A diagnosis as tables for a paper: the error falling, and what might have been missing."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .._units import plain, prefixed
+from ..fitting.publish import (
+    NEEDS,
+    effect,
+    escaped,
+    lines,
+    measured,
+    residuals,
+    scientific,
+    table,
+    unit,
+)
+from .printed import percent, rung_name, worth_showing
+from .words import listed
+
+if TYPE_CHECKING:
+    from .result import Diagnosis, Rung
+
+
+def latex(found: "Diagnosis") -> str:
+    """Two tables: the ladder, and the suspects that are worth a line."""
+    return f"{_ladder(found)}\n{_suspects(found).removeprefix(NEEDS).lstrip()}"
+
+
+def _ladder(found: "Diagnosis") -> str:
+    joints, held = found.fit.joints, any(r.held_out is not None for r in found.ladder)
+    units = found.fit.experiment.units or ("",) * len(joints)
+    scales = [
+        prefixed(name, float(min(r.fit.rmse[j] for r in found.ladder)))
+        for j, name in enumerate(units)
+    ]
+    above, below, rules = [""], ["Model"], []
+    for joint, (_, short) in zip(joints, scales, strict=True):
+        words = f"{escaped(joint)} ({unit(short)})"
+        if held:
+            rules.append(rf"\cmidrule(lr){{{len(below) + 1}-{len(below) + 2}}}")
+            above.append(rf"\multicolumn{{2}}{{c}}{{{words}}}")
+            below += ["fitted", "held out"]
+        else:
+            below.append(words)
+    below.append(r"Reduced $\chi^2$")
+    rows = []
+    for rung in found.ladder:
+        cells = [_model(rung)]
+        checks = _held_out(rung)
+        for j, (factor, _) in enumerate(scales):
+            cells.append(_size(rung.fit.rmse[j] / factor))
+            if held:
+                cells.append(_size(checks[j] / factor))
+        rows.append([*cells, scientific(plain(rung.fit.reduced_chi2))])
+    over = f"{' & '.join([*above, ''])} \\\\\n{' '.join(rules)}\n" if held else ""
+    return table("l" + "r" * (len(below) - 1), below, [rows], over)
+
+
+def _model(rung: "Rung") -> str:
+    """What joined, with its place in words."""
+    if rung.added is None:
+        return escaped(rung_name(rung).replace("_", " "))
+    gone = [_placed(x) for x in rung.dropped]
+    return f"+ {_placed(rung.added)}" + (f" without {listed(gone)}" if gone else "")
+
+
+def _placed(label: str) -> str:
+    """`coulomb_friction:elbow` is "coulomb friction (elbow)"."""
+    name, _, place = label.partition(":")
+    return escaped(name.replace("_", " ") + (f" ({place})" if place else ""))
+
+
+def _suspects(found: "Diagnosis") -> str:
+    head = ["Effect", "Probability", r"Fall of $\chi^2$", "Value", "Unit"]
+    rows = []
+    for c in worth_showing(found):
+        fall = c.chi2_drop_screened if c.chi2_drop_refit is None else c.chi2_drop_refit
+        sure = escaped(percent(c.probability)).replace("<", "$<$").replace(">", "$>$")
+        # What was only screened is a first guess, and no number to print.
+        values = list(c.parameters.items()) if c.chi2_drop_refit is not None else []
+        first = [effect(c.effect), sure, _size(fall)]
+        if not values:
+            rows.append([*first, "--", ""])
+        for i, (name, v) in enumerate(values):
+            own = f"{escaped(name.rpartition('.')[2])} " if len(values) > 1 else ""
+            begin = first if i == 0 else ["", "", ""]
+            rows.append([*begin, own + measured(v.value, v.std), unit(v.unit)])
+    return table("lrrrl", head, [rows])
+
+
+def comma_separated(found: "Diagnosis") -> str:
+    """One line for each number: which table and which line of it, name, value, std, unit."""
+    rows: list[tuple[object, ...]] = []
+    units = found.fit.experiment.units or ("",) * len(found.fit.joints)
+    for rung in found.ladder:
+        own = "ladder", rung_name(rung)
+        for name, joint, x, u in residuals(rung.fit):
+            if name != "check_rmse":
+                rows.append((*own, f"{name}:{joint}", x, None, u))
+        if rung.held_out is not None:
+            for joint, x, u in zip(found.fit.joints, _held_out(rung), units, strict=True):
+                rows.append((*own, f"check_rmse:{joint}", x, None, u))
+        rows.append((*own, "reduced_chi2", rung.fit.reduced_chi2, None, "1"))
+    for c in found.candidates:
+        own = "candidate", c.effect
+        rows.append((*own, "probability", c.probability, None, "1"))
+        rows.append((*own, "chi2_drop_screened", c.chi2_drop_screened, None, "1"))
+        rows.append((*own, "chi2_drop_refit", c.chi2_drop_refit, None, "1"))
+        rows += [(*own, name, v.value, v.std, v.unit) for name, v in c.parameters.items()]
+    return lines(("table", "model", "name", "value", "std", "unit"), rows)
+
+
+def _held_out(rung: "Rung") -> np.ndarray:
+    held = rung.held_out
+    return np.full(len(rung.fit.joints), np.nan) if held is None else held.held_out.rmse
+
+
+def _size(x: float) -> str:
+    return scientific(plain(float(x)))

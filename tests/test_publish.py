@@ -1,0 +1,264 @@
+"""What a paper takes: tables in LaTeX and CSV, and pictures whose fonts print."""
+
+import csv
+import dataclasses
+import io
+import re
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+from residyn import plot
+from residyn.cli import main
+from residyn.fitting import Number
+from residyn.fitting.publish import escaped, measured, scientific, unit
+from tests import by_hand
+
+NUMBER = re.compile(r"-?\d+(\.\d+)?")
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return by_hand.a_fit((by_hand.FOUND,))
+
+
+def read(text):
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def rows_of(latex):
+    """The cells of each row of a LaTeX text."""
+    lines = [line for line in latex.splitlines() if line.endswith(r"\\")]
+    return [[cell.strip() for cell in line.removesuffix(r"\\").split(" & ")] for line in lines]
+
+
+def well_formed(latex):
+    """Braces and dollars close, nothing is left that LaTeX would stop at."""
+    plain = latex.replace("% needs", "").replace("\\%", "").replace("\\_", "").replace("\\$", "")
+    plain = plain.replace("\\&", "").replace("\\#", "")
+    assert plain.count("{") == plain.count("}")
+    assert plain.count("$") % 2 == 0
+    outside = re.sub(r"\$[^$]*\$", "", plain)
+    assert not re.search(r"[_^%#~]", outside)
+    assert latex.isascii()
+
+
+# -- numbers ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "text"),
+    [
+        (16.6712, 0.0213, r"$16.67 \pm 0.02$"),
+        (16.6712, 0.0151, r"$16.671 \pm 0.015$"),
+        (16.6712, 0.0097, r"$16.671 \pm 0.010$"),
+        (16.6712, 0.0096, r"$16.671 \pm 0.010$"),
+        (-0.5, 0.3, r"$-0.5 \pm 0.3$"),
+        (1.234e-5, 3.1e-7, r"$(1.23 \pm 0.03) \times 10^{-5}$"),
+        (1.234e7, 3.1e5, r"$(1.23 \pm 0.03) \times 10^{7}$"),
+        (0.0, 0.02, r"$0.00 \pm 0.02$"),
+        (1234.5, 30.0, r"$(1.23 \pm 0.03) \times 10^{3}$"),
+        (16.6712, float("inf"), "$16.67$"),
+        (16.6712, 0.0, "$16.67$"),
+        (float("nan"), 0.1, "--"),
+    ],
+)
+def test_a_value_ends_where_its_error_begins(value, std, text):
+    assert measured(value, std) == text
+
+
+def test_the_printed_value_and_error_are_the_numbers():
+    random = np.random.default_rng(0)
+    for _ in range(300):
+        std = 10 ** random.uniform(-9, 5)
+        value = std * 10 ** random.uniform(-1, 5) * random.choice([-1, 1])
+        text = measured(value, std)
+        power = re.search(r"10\^\{(-?\d+)\}", text)
+        size = 10.0 ** int(power[1]) if power else 1.0
+        a, b = (float(m[0]) * size for m in list(NUMBER.finditer(text))[:2])
+        assert abs(a - value) <= 0.26 * std
+        assert abs(b / std - 1) <= 0.25
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ("N m/rad", r"N\,m/rad"),
+        ("N m s^2/rad^2", r"N\,m\,s$^{2}$/rad$^{2}$"),
+        ("N m/(rad s)", r"N\,m/(rad\,s)"),
+        ("µrad", r"\textmu{}rad"),
+        ("×10⁻³", r"$\times 10^{-3}$"),
+        ("1", "1"),
+        ("", "1"),
+    ],
+)
+def test_units_are_upright(given, text):
+    assert unit(given) == text
+
+
+def test_words_of_users_are_shown_as_they_are():
+    assert escaped("a_b & 5 % of $1 {x}") == r"a\_b \& 5 \% of \$1 \{x\}"
+    assert scientific("1.2e-05") == r"$1.2 \times 10^{-5}$"
+    assert scientific("?") == "--"
+
+
+# -- a fit -----------------------------------------------------------------------------------
+
+
+def test_a_fit_in_latex(fit):
+    latex = fit.to_latex()
+    well_formed(latex)
+    rows = rows_of(latex)
+    assert {len(row) for row in rows} == {4}
+    assert ["spring, shoulder", "joint stiffness", r"$17.00 \pm 0.02$", r"N\,m/rad"] in rows
+    assert ["mode 1", "natural frequency", r"$0.3600 \pm 0.0002$", "Hz"] in rows
+    assert latex.count(r"\midrule") == 3
+    for word in ("rms residual", "held out", r"reduced $\chi^2$", "toprule", "bottomrule"):
+        assert word in latex
+
+
+def test_a_fit_in_csv(fit):
+    rows = read(fit.to_csv())
+    assert list(rows[0]) == ["name", "value", "std", "unit"]
+    found = {row["name"]: row for row in rows}
+    for n in fit.numbers:
+        row = found[n.name]
+        assert (float(row["value"]), float(row["std"]), row["unit"]) == (n.value, n.std, n.unit)
+    assert float(found["check_rmse:elbow"]["value"]) == fit.check_rmse[1]
+    assert found["rmse:elbow"]["unit"] == "rad"
+    assert found["reduced_chi2"]["std"] == ""
+
+
+def test_what_is_not_determined_says_so(fit):
+    first = dataclasses.replace(fit.numbers[0], std=float("inf"), determined=False)
+    assert isinstance(first, Number)
+    odd = dataclasses.replace(fit, numbers=(first, *fit.numbers[1:]), modes=())
+    assert "not determined" in odd.to_latex()
+    assert read(odd.to_csv())[0]["std"] == ""
+    assert odd.to_latex().count(r"\midrule") == 2
+
+
+# -- a diagnosis -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("which", ["missing", "adequate", "unexplained"])
+def test_a_diagnosis_in_latex(which):
+    found = getattr(by_hand, which)()
+    latex = found.to_latex()
+    well_formed(latex)
+    ladder, suspects = latex.split("\n\n")
+    above, *rows = rows_of(ladder)
+    assert above[1] == r"\multicolumn{2}{c}{shoulder (mrad)}"
+    assert {len(row) for row in rows} == {6}
+    assert {len(row) for row in rows_of(suspects)} == {5}
+    assert len(rows_of(ladder)) == 2 + len(found.ladder)
+    if which == "missing":
+        assert rows_of(ladder)[-1][0] == "+ coulomb friction (elbow)"
+        assert rows_of(suspects)[1][0] == "coulomb friction, elbow"
+        assert rows_of(suspects)[1][3:] == [r"$0.2001 \pm 0.0006$", r"N\,m"]
+
+
+def test_a_diagnosis_without_anything_held_out():
+    found = by_hand.missing()
+    ladder = tuple(dataclasses.replace(r, held_out=None) for r in found.ladder)
+    bare = dataclasses.replace(found, ladder=ladder)
+    assert {len(row) for row in rows_of(bare.to_latex().split("\n\n")[0])} == {4}
+    assert "check_rmse" not in bare.to_csv()
+
+
+def test_a_diagnosis_in_csv():
+    found = by_hand.missing()
+    rows = read(found.to_csv())
+    assert list(rows[0]) == ["table", "model", "name", "value", "std", "unit"]
+    ladder = [row for row in rows if row["table"] == "ladder"]
+    assert [r["model"] for r in ladder if r["name"] == "reduced_chi2"] == [
+        "springs and dampers",
+        "+ coulomb_friction:elbow",
+    ]
+    check = next(r for r in ladder if r["name"] == "check_rmse:shoulder")
+    assert float(check["value"]) == found.ladder[0].held_out.held_out.rmse[0]
+    told = {row["model"] for row in rows if row["table"] == "candidate"}
+    assert told == {c.effect for c in found.candidates}
+
+
+# -- the command -----------------------------------------------------------------------------
+
+TOML = """
+[inertia]
+joints = ["cart"]
+units = ["m"]
+matrix = [[1.0]]
+
+[[recordings]]
+file = "cart.csv"
+noise = 1e-4
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cart")
+    time = np.arange(300) / 100
+    q = 0.05 * np.exp(-0.4 * time) * np.cos(10.0 * time)
+    q += 1e-4 * np.random.default_rng(0).standard_normal(len(time))
+    lines = [f"{t:.2f},{x:.6f}" for t, x in zip(time, q, strict=True)]
+    (folder / "cart.csv").write_text("\n".join(["t,q1", *lines, ""]))
+    (folder / "cart.toml").write_text(TOML)
+    return folder
+
+
+@pytest.fixture
+def here(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def test_fit_writes_either_table(here, capsys):
+    words = ["fit", "cart.toml", "--starts", "1", "--no-cache", "--table"]
+    for name, begins in (("fit.csv", "name,value,std,unit\nspring:cart"), ("fit.tex", "% needs")):
+        assert main([*words, name]) == 0
+        assert (here / name).read_text().startswith(begins)
+        assert f"table: {name}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", ["fit", "diagnose"])
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--table", "fit.pdf"], "--table fit.pdf: must end in .tex or .csv"),
+        (["--table", "fit"], "must end in .tex or .csv"),
+        (["--table", "-"], "must end in .tex or .csv"),
+        (["--table", "none/fit.tex"], "cannot be written"),
+        (["--table", "cart.csv"], "is an input of this experiment"),
+        (["--table", "a.csv", "--json", "./a.csv"], "--table and --json are the same file"),
+        (["--table", "a.csv", "--report", "a.csv"], "--table and --report are the same file"),
+    ],
+)
+def test_a_table_that_cannot_be_is_refused(here, capsys, command, words, says):
+    before = (here / "cart.csv").read_text()
+    assert main([command, "cart.toml", *words]) == 2
+    err = capsys.readouterr().err
+    assert says in err
+    assert err.count("\n") == 1
+    assert (here / "cart.csv").read_text() == before
+
+
+# -- pictures --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("users", [{}, {"pdf.fonttype": 3, "svg.fonttype": "none"}])
+def test_fonts_of_pictures_print(fit, users):
+    with mpl.rc_context(users):
+        for figure in (plot.overlay(fit), plot.ladder(by_hand.missing())):
+            data = {}
+            for kind in ("pdf", "svg"):
+                buffer = io.BytesIO()
+                figure.savefig(buffer, format=kind)
+                data[kind] = buffer.getvalue()
+            assert b"/FontFile2" in data["pdf"] or b"/Type0" in data["pdf"]
+            assert b"/Type3" not in data["pdf"]
+            assert b"<text" not in data["svg"]
+            assert b"<path" in data["svg"]
+        for name, value in users.items():
+            assert mpl.rcParams[name] == value
