@@ -4,6 +4,8 @@ import csv
 import dataclasses
 import io
 import re
+import sys
+import types
 
 import matplotlib as mpl
 import numpy as np
@@ -11,7 +13,8 @@ import pytest
 
 from residyn import plot
 from residyn.cli import main
-from residyn.fitting import Number
+from residyn.fitting import MissingExtra, Number
+from residyn.fitting.posterior import gaussian
 from residyn.fitting.publish import escaped, measured, scientific, unit
 from tests import by_hand
 
@@ -137,6 +140,63 @@ def test_what_is_not_determined_says_so(fit):
     assert "not determined" in odd.to_latex()
     assert read(odd.to_csv())[0]["std"] == ""
     assert odd.to_latex().count(r"\midrule") == 2
+
+
+# -- a posterior -----------------------------------------------------------------------------
+
+
+def test_draws_have_the_fits_values_errors_and_correlations(fit):
+    drawn = gaussian(fit, 20000, 0)
+    assert list(drawn) == [n.name for n in fit.numbers]
+    each = np.stack(list(drawn.values()))
+    std = np.array([n.std for n in fit.numbers])
+    values = np.array([n.value for n in fit.numbers])
+    np.testing.assert_allclose(each.mean(axis=1), values, atol=4 * std.max() / 20000**0.5)
+    np.testing.assert_allclose(each.std(axis=1), std, rtol=0.03)
+    np.testing.assert_allclose(np.corrcoef(each), fit.correlation, atol=0.03)
+    again = gaussian(fit, 20000, 0)
+    assert all(np.array_equal(drawn[name], again[name]) for name in drawn)
+
+
+def test_what_is_not_determined_is_not_drawn(fit):
+    first = dataclasses.replace(fit.numbers[0], std=float("inf"), determined=False)
+    covariance = fit.covariance.copy()
+    covariance[0] = covariance[:, 0] = np.nan
+    odd = dataclasses.replace(fit, numbers=(first, *fit.numbers[1:]), covariance=covariance)
+    drawn = gaussian(odd, 10, 0)
+    assert list(drawn) == [n.name for n in fit.numbers[1:]]
+    assert all(np.isfinite(x).all() for x in drawn.values())
+    nothing = tuple(dataclasses.replace(n, determined=False) for n in fit.numbers)
+    with pytest.raises(ValueError, match="nothing to draw from"):
+        gaussian(dataclasses.replace(fit, numbers=nothing), 10, 0)
+    with pytest.raises(ValueError, match="draws = 0"):
+        gaussian(fit, 0, 0)
+
+
+@pytest.mark.parametrize("version", ["0.23.4", "1.3.0"])
+def test_either_arviz_is_given_what_it_reads(fit, monkeypatch, version):
+    """From 1.0 on, `from_dict` takes all groups in one mapping."""
+
+    def from_dict(groups=None, posterior=None):
+        assert (groups is None) == (version < "1")
+        return posterior if groups is None else groups["posterior"]
+
+    fake = types.SimpleNamespace(__version__=version, from_dict=from_dict)
+    monkeypatch.setitem(sys.modules, "arviz", fake)
+    assert {x.shape for x in fit.to_arviz(draws=7).values()} == {(1, 7)}
+
+
+def test_without_arviz_one_line_says_what_to_install(fit, monkeypatch):
+    monkeypatch.setitem(sys.modules, "arviz", None)
+    with pytest.raises(MissingExtra, match=r"residyn\[bayes\]"):
+        fit.to_arviz()
+
+
+def test_arviz_summarises_it(fit):
+    arviz = pytest.importorskip("arviz", reason="needs the extra bayes")
+    table = arviz.summary(fit.to_arviz(4000), kind="stats", round_to="none")
+    for n in fit.numbers:
+        assert abs(float(table.loc[n.name, "mean"]) - n.value) < 5 * n.std / 4000**0.5
 
 
 # -- a diagnosis -----------------------------------------------------------------------------

@@ -176,6 +176,16 @@ class Fit:
 
         return comma_separated(self)
 
+    def to_arviz(self, draws: int = 1000, seed: int = 0) -> Any:
+        """Draws from the Gaussian of values and covariance, as ArviZ reads them (extra `bayes`):
+        one chain; numbers that the data cannot determine are left out.
+
+        **Raises:** `MissingExtra` without ArviZ; `ValueError` if nothing is determined.
+        """
+        from .posterior import to_arviz
+
+        return to_arviz(self, draws, seed)
+
     def __str__(self) -> str:
         return "\n".join(_lines(self))
 
