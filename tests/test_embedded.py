@@ -149,11 +149,90 @@ def test_reverse_mode_is_the_same(embedded):
     _, forward = jax.jvp(damping, (angle,), (push,))
     backward = jnp.sum(jax.grad(damping)(angle) * push)
     assert float(backward) == pytest.approx(float(forward), rel=1e-6)
-    h = 1e-6
+    h = 3e-4  # a third of the noise: a smaller step would be within what a descent leaves
     between = float(damping(angle + h * push) - damping(angle - h * push)) / (2 * h)
-    assert float(forward) == pytest.approx(between, rel=1e-3)
+    assert float(forward) == pytest.approx(between, rel=2e-2)
 
 
 def test_single_precision_is_refused(fit):
     with jax.enable_x64(False), pytest.raises(ValueError, match="jax_enable_x64"):
         residyn.embed(fit)
+
+
+class ThreeLinks(residyn.AbstractMechanism):
+    """Three equal links in a plane, point masses at their ends, angles from link to link.
+
+    With absolute angles a, the kinetic energy is (1/2) m l^2 sum c_ij cos(a_i - a_j) a_i' a_j',
+    c_ij = 3 - max(i, j); and a = S q with S lower triangular, all ones."""
+
+    mass: float = 1.0
+    length: float = 0.4
+    joints: tuple[str, ...] = eqx.field(static=True, default=("base", "middle", "tip"))
+    units: tuple[str, ...] | None = eqx.field(static=True, default=("rad",) * 3)
+
+    def mass_matrix(self, q):
+        a = (q[0], q[0] + q[1], q[0] + q[1] + q[2])
+        size = self.mass * self.length**2
+        each = [[(3 - max(i, j)) * jnp.cos(a[i] - a[j]) for j in range(3)] for i in range(3)]
+        return tuple(
+            tuple(
+                size * sum(each[k][m] for k in range(i, 3) for m in range(j, 3)) for j in range(3)
+            )
+            for i in range(3)
+        )
+
+
+def test_a_mechanism_of_the_users_own_is_fitted():
+    arm = ThreeLinks()
+    model = residyn.Model(arm)
+    for joint, k, c in zip(arm.joints, (30.0, 20.0, 10.0), (0.2, 0.1, 0.05), strict=True):
+        model = model + residyn.Spring(joint, k) + residyn.Damper(joint, c)
+    # An integrator and a mass matrix of its own: absolute angles, SciPy's eighth-order method.
+    from scipy.integrate import solve_ivp
+
+    shape = np.array([[3 - max(i, j) for j in range(3)] for i in range(3)]) * 0.16
+    lower = np.tril(np.ones((3, 3)))
+    back = np.linalg.inv(lower)
+
+    def rates(t, y):
+        a, w = y[:3], y[3:]
+        q, v = back @ a, back @ w
+        pull = back.T @ (np.array([30.0, 20.0, 10.0]) * q + np.array([0.2, 0.1, 0.05]) * v)
+        apart = a[:, None] - a[None, :]
+        swirl = (shape * np.sin(apart)) @ w**2
+        return np.concatenate([w, np.linalg.solve(shape * np.cos(apart), -pull - swirl)])
+
+    q0 = np.array([0.3, -0.2, 0.25])
+    t = np.arange(301) / 50.0
+    out = solve_ivp(
+        rates, (0, t[-1]), [*(lower @ q0), 0, 0, 0], "DOP853", t, rtol=1e-10, atol=1e-12
+    )
+    truth = (back @ out.y[:3]).T
+    q = np.asarray(residyn.simulate(model, t, q0).q)
+    np.testing.assert_allclose(q, truth, atol=2e-5)
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(truth.shape)
+    recording = residyn.Recording.from_arrays(t, truth + noise, noise=1e-3)
+    found = residyn.fit(residyn.Experiment(arm, (recording,)), starts=1)
+    values = {n.name: (n.value, n.std) for n in found.numbers}
+    for joint, k in zip(arm.joints, (30.0, 20.0, 10.0), strict=True):
+        value, std = values[f"spring:{joint}.stiffness"]
+        assert abs(value - k) < 4 * std < 0.1
+    assert 0.8 < found.reduced_chi2 < 1.2
+
+
+def test_the_vector_field_runs_in_an_integrator_of_the_users_own(fit):
+    import diffrax
+
+    q0 = jnp.array([0.2, -0.1])
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(lambda t, y, args: fit.model.vector_field(t, y, args)),
+        diffrax.Tsit5(),
+        0.0,
+        3.0,
+        0.01,
+        (q0, jnp.zeros(2)),
+        stepsize_controller=diffrax.PIDController(rtol=1e-9, atol=1e-11),
+        saveat=diffrax.SaveAt(ts=jnp.linspace(0.0, 3.0, 50)),
+    )
+    own = residyn.simulate(fit.model, jnp.linspace(0.0, 3.0, 50), q0).q
+    np.testing.assert_allclose(solution.ys[0], own, atol=2e-6)

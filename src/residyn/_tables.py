@@ -122,10 +122,10 @@ class Bearing:
         object.__setattr__(self, "inertia", number("inertia", self.inertia, "kg m^2", above=0))
 
 
-def check_bearings(inertia: ArmTable | InertiaTable, bearings: Iterable[Bearing]) -> None:
+def check_bearings(inertia: Any, bearings: Iterable[Bearing]) -> None:
     """The arm must be a real one, and still be one when its `bearings` are taken off (Eq. 5)."""
     bearings = tuple(bearings)
-    if isinstance(inertia, InertiaTable):
+    if not isinstance(inertia, ArmTable):
         if bearings:
             raise InputError("[[air_bearings]] ride on an [arm]; with [inertia] leave them out")
         return

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,6 +33,9 @@ from ._release import release_time, window
 from ._tables import ArmTable, Bearing, InertiaTable, check_bearings
 from ._toml import check_role, parse
 from ._wild import wild_samples
+
+if TYPE_CHECKING:
+    from .mechanism import AbstractMechanism
 
 __all__ = [
     "ArmTable",
@@ -165,7 +168,8 @@ class Recording:
 class Experiment:
     """The inertia of what moved, and its recordings."""
 
-    inertia: ArmTable | InertiaTable
+    inertia: "ArmTable | InertiaTable | AbstractMechanism"
+    """A table, or a mechanism of your own: it is then as it is in every recording."""
     recordings: tuple[Recording, ...]
     bearings: tuple[Bearing, ...] = ()
     path: str = ""

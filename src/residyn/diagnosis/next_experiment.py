@@ -21,7 +21,7 @@ from ..fitting.problem import bucket, posed
 from ..fitting.setup import Ready, mechanism_of
 from ..model import Model
 from ..nodes import read
-from ..recording import ArmTable, Experiment, Recording
+from ..recording import ArmTable, Experiment, InertiaTable, Recording
 from ..simulation import march
 from .result import NextExperiment
 from .rung import Refit, Step
@@ -86,7 +86,7 @@ def _scenes(experiment: Experiment, like: Recording, state: np.ndarray) -> list[
         changes += [{"theta2": sign * e * math.pi} for e in _ELBOWS]
         if experiment.bearings:
             changes.append({"air_bearings": not like.air_bearings})
-    else:
+    elif isinstance(table, InertiaTable):
         own = float(np.asarray(table.matrix)[0][0])
         changes += [{"extra_mass": like.extra_mass + x * own} for x in _LOADS]
     return [

@@ -46,6 +46,8 @@ def mechanism_of(experiment: Experiment, recording: Recording) -> AbstractMechan
             on = [AirBearing(b.joint, b.mass, b.inertia) for b in experiment.bearings]  # pyright: ignore
             arm = without_bearings(arm, on)
         return jax.tree.map(lambda x: jnp.asarray(x, float), arm)
+    if isinstance(table, AbstractMechanism):
+        return jax.tree.map(lambda x: jnp.asarray(x, float), table)
     matrix = np.array(table.matrix, float)
     matrix[0, 0] += recording.extra_mass
     return ConstantInertia(matrix, table.joints, table.units)
