@@ -27,6 +27,7 @@ from .screen import glance, pair, screen
 from .words import SURE
 
 _REFITS = 6  # candidates that are fitted
+_LATER = 4  # the same, beside a model that has an effect already: each takes longer
 _CLOSE = 1.25  # a candidate this many times worse than the best, screened, is not fitted
 _ROUGHLY = 3.0  # the same where not even the best one comes near the noise
 _FEWEST = 3
@@ -76,7 +77,8 @@ def search(
     if tried:
         best, noise = tried[0].chi2, float(step.readings)
         enough = (_CLOSE if best < 2 * noise else _ROUGHLY) * max(best, noise)
-        tried = [s for i, s in enumerate(tried) if i < _FEWEST or s.chi2 < enough][:_REFITS]
+        tried = [s for i, s in enumerate(tried) if i < _FEWEST or s.chi2 < enough]
+        tried = tried[: _REFITS if first else _LATER]
     names = ", ".join(s.effect.label for s in tried)
     say(f"fitting {names}" if names else "nothing worth fitting")
     found_by_fit = refits(step, experiment, tried)
