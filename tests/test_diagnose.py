@@ -1,6 +1,7 @@
 """`diagnose`: the right name, no name, and no name for what is in no catalogue. The truth is made
 by MuJoCo (tests/rig), which shares no code with the package."""
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -14,12 +15,13 @@ import residyn
 from residyn.diagnosis.curves import candidates as candidates_for
 from residyn.diagnosis.ladder import needless, search
 from residyn.diagnosis.linear import Near
+from residyn.diagnosis.missing import missing_of
 from residyn.diagnosis.missing_torque import missing_torque
 from residyn.diagnosis.next_experiment import advise
 from residyn.diagnosis.path import Path as Way
 from residyn.diagnosis.path import variants
 from residyn.diagnosis.rung import stand
-from residyn.diagnosis.screen import screen
+from residyn.diagnosis.screen import left_over, pair, screen
 from residyn.recording import ArmTable, Bearing, InertiaTable
 from tests import rig
 
@@ -233,3 +235,58 @@ def test_an_effect_that_has_become_needless_is_dropped():
         left = needless(step, made, 0)
     assert [e.label for e in left.effects] == ["coulomb_friction:elbow"]
     assert left.cost < 1.01 * step.cost
+
+
+# -- torques of any shape ------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def clean():
+    """A clean arm's fit, searched: what the later rungs look with."""
+    made = experiment(seed=3)
+    with jax.enable_x64(True):
+        step = stand(residyn.fit(made, starts=1), ())
+        torque = [m.torque for m in missing_of(step.fit, ())]
+        return search(step, made, torque, candidates_for(step.fit.model), lambda words: None)
+
+
+def looked(step, residual):
+    """The step's first-order look at another residual (N, n), rad."""
+    (one,) = step.near.fitted
+    recording = dataclasses.replace(one.recording, angle=one.predicted + residual)
+    near = step.near._replace(fitted=(dataclasses.replace(one, recording=recording),))
+    with jax.enable_x64(True):
+        return left_over(near, step.slopes, step.tried)
+
+
+def test_noise_is_not_taken_for_a_torque(clean):
+    rng = np.random.default_rng(0)
+    shape = clean.near.fitted[0].predicted.shape
+    p = np.array([looked(clean, 5e-4 * rng.standard_normal(shape)).p for _ in range(100)])
+    # Corrected as if all shapes were independent, p is larger than a uniform number, if anything.
+    assert np.mean(p < 0.05) <= 0.12
+    assert np.mean(p < 0.5) <= 0.65
+    assert p.min() > 1e-4
+
+
+def test_a_short_push_is_seen_where_and_when_it_was(clean):
+    """A push too small for the whiteness test; its answer is that of another simulator."""
+    values = {"torque": 0.02, "time": 5.0, "width": 0.3}
+    pushed, quiet = (
+        rig.record(np.random.default_rng(1), ARM, Q0, hidden, seconds=12.0, rate=100.0, noise=1e-12)
+        for hidden in ([rig.Hidden("burst:elbow", values)], [])
+    )
+    noise = 5e-4 * np.random.default_rng(2).standard_normal(pushed.q.shape)
+    seen = looked(clean, pushed.q - quiet.q + noise)
+    assert seen.p < 1e-6
+    said, when = seen.words.removesuffix(" s").rsplit(" ", 1)
+    assert said == "acted on the elbow about"
+    assert abs(float(when) - 5.0) < 1.0
+
+
+def test_two_that_explain_only_together_are_found(clean):
+    """Of the arm's screen: the larger torque comes first, and two leave less than one."""
+    with jax.enable_x64(True):
+        one, other, left = pair(clean.near, clean.seen)
+    assert one != other
+    assert left < min(s.chi2 for s in clean.screened)
