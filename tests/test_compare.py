@@ -406,3 +406,11 @@ def test_bad_input_is_one_line(folder, capsys, words, named):
     assert err.startswith("residyn: ")
     assert err.count("\n") == 1
     assert named in err
+
+
+def test_without_a_period_nothing_hangs():
+    """A driven slide rings in no mode: the motion may stand still, and is no ringing that ended."""
+    time = np.arange(50) / 10.0
+    still = hangs(time, 0.0 * time, Grid(0.0, 1e-3), 0.0)
+    assert still.shape == time.shape
+    assert not still.any()

@@ -24,6 +24,7 @@ _IMPOSSIBLE = 3.0  # standard errors on the wrong side of zero
 _FAR = 10.0  # times the noise: no such fit will come down to it
 _VALLEYS = 2  # candidates that are fitted stage by stage
 _NOISE = 1.1  # times the noise: as good as it gets
+_CYCLES = 2.0  # of an oscillation in the longest recording: fewer could be any slow torque
 _THREADS = 2
 
 
@@ -156,15 +157,17 @@ def silent(effect: AbstractEffect) -> AbstractEffect:
 
 def _possible(step: Step, model: Model, descent: Descent, alone: Model) -> bool:
     """Whether no number of the effect is on the wrong side of zero, for sure, and no oscillation is
-    but a correction of a mode."""
+    but a correction of a mode, or too slow to be seen as one."""
     values, spread = np.asarray(model.vector()), errors_of(descent, 1.0)
     first = len(values) - len(alone.fitted)
     modes = [m.frequency_hz for m in step.fit.modes]
     longest = max(r.recording.duration for r in step.near.fitted)
     for i, n in enumerate(alone.fitted):
         oscillates = n.meaning.field == alone.effects[n.effect].oscillates
-        if oscillates and resonant(abs(values[first + i]), modes, longest):
-            return False
+        if oscillates:
+            frequency = abs(values[first + i])
+            if frequency * longest < _CYCLES or resonant(frequency, modes, longest):
+                return False
         if n.meaning.sign == "positive" and n.meaning.silent is not None:
             value, std = values[first + i], spread[first + i]
             if value < 0 and (not np.isfinite(std) or value < -_IMPOSSIBLE * std):

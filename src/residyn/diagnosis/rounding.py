@@ -54,8 +54,11 @@ class Grid(NamedTuple):
 
 
 def hangs(time: np.ndarray, angle: np.ndarray, grid: Grid, period: float) -> np.ndarray:
-    """Where (N,) the motion `angle` (N,) keeps within a step or two for a whole period (s)."""
+    """Where (N,) the motion `angle` (N,) keeps within a step or two for a whole period (s);
+    nowhere, if there is no period (0)."""
+    if not period > 0:
+        return np.zeros(len(time), bool)
     low = np.searchsorted(time, time - period / 2)
-    high = np.searchsorted(time, time + period / 2)
+    high = np.maximum(np.searchsorted(time, time + period / 2), np.arange(len(time)) + 1)
     size = np.array([np.ptp(angle[a:b]) for a, b in zip(low, high, strict=True)])
     return size < _STEPS * grid.step
