@@ -182,7 +182,7 @@ class ThreeLinks(residyn.AbstractMechanism):
         )
 
 
-def test_a_mechanism_of_the_users_own_is_fitted():
+def test_three_links_of_the_users_own_swing_as_they_must():
     arm = ThreeLinks()
     model = residyn.Model(arm)
     for joint, k, c in zip(arm.joints, (30.0, 20.0, 10.0), (0.2, 0.1, 0.05), strict=True):
@@ -210,13 +210,38 @@ def test_a_mechanism_of_the_users_own_is_fitted():
     truth = (back @ out.y[:3]).T
     q = np.asarray(residyn.simulate(model, t, q0).q)
     np.testing.assert_allclose(q, truth, atol=2e-5)
-    noise = 1e-3 * np.random.default_rng(0).standard_normal(truth.shape)
-    recording = residyn.Recording.from_arrays(t, truth + noise, noise=1e-3)
-    found = residyn.fit(residyn.Experiment(arm, (recording,)), starts=1)
-    values = {n.name: (n.value, n.std) for n in found.numbers}
-    for joint, k in zip(arm.joints, (30.0, 20.0, 10.0), strict=True):
-        value, std = values[f"spring:{joint}.stiffness"]
-        assert abs(value - k) < 4 * std < 0.1
+
+
+class RodOnCart(residyn.AbstractMechanism):
+    """A cart, and a point mass on a rod that a joint spring holds upright."""
+
+    joints: tuple[str, ...] = eqx.field(static=True, default=("cart", "rod"))
+    units: tuple[str, ...] | None = eqx.field(static=True, default=("m", "rad"))
+
+    def mass_matrix(self, q):
+        off = 0.15 * jnp.cos(q[1])
+        return (2.5, off), (off, 0.045)
+
+
+def test_a_mechanism_of_the_users_own_is_fitted():
+    from scipy.integrate import solve_ivp
+
+    def rates(t, y):
+        matrix = np.array([[2.5, 0.15 * np.cos(y[1])], [0.15 * np.cos(y[1]), 0.045]])
+        pull = np.array([100.0 * y[0] + 0.5 * y[2], 2.0 * y[1] + 0.01 * y[3]])
+        pull[0] -= 0.15 * np.sin(y[1]) * y[3] ** 2
+        return np.concatenate([y[2:], np.linalg.solve(matrix, -pull)])
+
+    t = np.arange(301) / 50.0
+    out = solve_ivp(rates, (0, t[-1]), [0.1, 0.5, 0, 0], "DOP853", t, rtol=1e-10, atol=1e-12)
+    noise = 1e-3 * np.random.default_rng(0).standard_normal((len(t), 2))
+    recording = residyn.Recording.from_arrays(t, out.y[:2].T + noise, noise=1e-3)
+    found = residyn.fit(residyn.Experiment(RodOnCart(), (recording,)), starts=1)
+    values = {n.name: (n.value, n.std, n.unit) for n in found.numbers}
+    for name, truth in (("spring:cart.stiffness", 100.0), ("spring:rod.stiffness", 2.0)):
+        value, std, unit = values[name]
+        assert abs(value - truth) < 4 * std < 0.01 * truth
+        assert unit == ("N/m" if "cart" in name else "N m/rad")
     assert 0.8 < found.reduced_chi2 < 1.2
 
 
