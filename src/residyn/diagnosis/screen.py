@@ -28,6 +28,8 @@ from .path import Path, Variant, variants, with_fields
 from .unnamed import Shape, Unnamed, shapes, unnamed
 
 _SHAPES = 4  # of an effect that are kept
+_SHARPENED = 4  # candidates whose shapes are looked for between the grid's values
+_FINER = (1.32, 1.15, 1.07, 1.035)  # by these factors, one after the other
 _SHAPES_OF_TWO = 2  # the same, of each of two at once
 
 
@@ -101,7 +103,54 @@ def screen(
         best, *others = [_weigh(near, solver, answers, *x) for x in each[:_SHAPES]]
         found.append(best._replace(others=tuple(others)))
     kept = Tried(tried, bounds, answers, np.array([_rms(c) for c in flat]), found_shapes)
+    best = {k: (each[0][0], each[0][1]) for k, each in by_label.items()}
+    found = _sharpened(near, paths, needed, led, sorted(found, key=lambda s: s.chi2), best)
     return solver.alone, sorted(found, key=lambda s: s.chi2), kept
+
+
+def _sharpened(
+    near: Near,
+    paths: Sequence[Path],
+    needed: Sequence[np.ndarray],
+    led: bool,
+    found: list[Screened],
+    best: dict[str, tuple[float, Variant]],
+) -> list[Screened]:
+    """The best candidates with their shapes between the grid's values: a fit that begins with a gap
+    a third off may never find it."""
+    names = [s.effect.label for s in found[:_SHARPENED]]
+    for factor in _FINER:
+        near_by = [v for name in names for v in _beside_shapes(best[name][1], factor)]
+        if not near_by:
+            break
+        columns = [columns_of(near, paths, v) + holds(paths, needed, v) for v in near_by]
+        bounds = np.cumsum([0, *(len(c) for c in columns)])
+        flat = list(itertools.chain(*columns))
+        answers = answers_to(near, paths, needed if led else None, flat)
+        solver = Solver.of(near, answers)
+        for variant, first, last in zip(near_by, bounds, bounds[1:], strict=False):
+            which, label = range(first, last), variant.effect.label
+            factors, drop = _factors(solver, variant, which)
+            if np.isfinite(drop) and drop > best[label][0]:
+                best[label] = drop, variant
+                new = _weigh(near, solver, answers, drop, variant, which, factors)
+                found = [
+                    new._replace(others=(s, *s.others)[:_SHAPES]) if s.effect.label == label else s
+                    for s in found
+                ]
+    return found
+
+
+def _beside_shapes(variant: Variant, factor: float) -> list[Variant]:
+    """The same effect with one of its shapes a little smaller or larger, each in turn."""
+    found = []
+    for p in parameters_of(variant.effect):
+        if p.fitted and p.silent is None and p.grid and p.field != variant.effect.oscillates:
+            value = float(getattr(variant.effect, p.field))
+            for times in (1.0 / factor, factor):
+                effect = with_fields(variant.effect, {p.field: value * times})
+                found.append(variant._replace(effect=effect))
+    return found
 
 
 def glance(near: Near, slopes: Sequence[np.ndarray], kept: Tried) -> dict[str, float]:
