@@ -4,13 +4,17 @@ PYTHON ?= $(firstword $(foreach p,python3.13 python3.12 python3.11 python3 pytho
 BIN := .venv/bin
 RUN := $(BIN)/python
 
-.PHONY: demo test lint docs clean
+.PHONY: demo test pages lint docs clean
 
 demo: .venv/.demo
 	$(BIN)/residyn demo
 
 test: lint
 	$(RUN) -m pytest -n 2 --dist loadfile
+
+# Every block of code in the documentation; minutes, so not part of the tests.
+pages: .venv/.test
+	$(RUN) -m pytest -m pages tests/test_docs.py
 
 lint: .venv/.test
 	$(BIN)/ruff check .

@@ -55,6 +55,7 @@ def files(request, tmp_path):
     return request.param, tmp_path
 
 
+@pytest.mark.pages
 @pytest.mark.parametrize("files", PAGES, ids=name_of, indirect=True)
 def test_every_block_of_a_page_runs(files, one_cache, short_search):
     path, folder = files
