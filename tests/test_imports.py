@@ -24,6 +24,7 @@ LAYERS = [
         "recording",
         "_arrays",
         "_csv",
+        "_doubts",
         "_lab_files",
         "_labels",
         "_marker_checks",

@@ -26,6 +26,7 @@ from ._arrays import (
     doubtful_clock,
 )
 from ._csv import read_csv, write_csv
+from ._doubts import in_degrees, not_held_out
 from ._input import InputError, decode, flag, inside, number, read_text
 from ._lab_files import has_markers, read_table
 from ._noise import estimate_noise, noise_and_doubts
@@ -209,7 +210,7 @@ class Experiment:
     def warnings(self) -> tuple[str, ...]:
         """What is doubtful in the recordings, and in their fitting together."""
         own = [line for recording in self.recordings for line in recording.warnings]
-        return (*own, *_degrees(self), *_not_held_out(self))
+        return (*own, *in_degrees(self), *not_held_out(self))
 
 
 def load(path: str | os.PathLike[str]) -> Experiment:
@@ -277,34 +278,3 @@ def _from_markers(
     lengths = inertia.link_lengths if isinstance(inertia, ArmTable) else None
     seen = motion_capture.read(path, markers, normal=normal, link_lengths=lengths)
     return seen.recording(**options)
-
-
-def _degrees(experiment: Experiment) -> list[str]:
-    """Doubts about the unit of angles: no braked joint turns by five radians."""
-    doubts = []
-    for recording in experiment.recordings:
-        sizes = np.nanquantile(np.abs(recording.angle), 0.99, axis=0)
-        units = experiment.units or ("",) * len(sizes)
-        large = [
-            f"q{j + 1} reaches {size:.3g}"
-            for j, (size, unit) in enumerate(zip(sizes, units, strict=True))
-            if unit == "rad" and size > 5
-        ]
-        if abs(recording.theta2) > 2 * np.pi:
-            large.append(f"theta2 = {recording.theta2:g}")
-        doubts += [f"{recording.name}: {x}: in degrees? it must be in rad" for x in large]
-    return doubts
-
-
-def _not_held_out(experiment: Experiment) -> list[str]:
-    """A check on readings that were fitted is none."""
-    doubts = []
-    for check in experiment.check_recordings:
-        for fit in experiment.fit_recordings:
-            _, i, j = np.intersect1d(check.time, fit.time, return_indices=True)
-            same = np.array_equal(check.angle[i], fit.angle[j], equal_nan=True)
-            if check.name == fit.name and len(i) and same:
-                doubts.append(
-                    f'{check.name}: {len(i)} of its samples have role = "check" and are fitted too'
-                )
-    return doubts
