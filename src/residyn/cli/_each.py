@@ -9,7 +9,7 @@ import typer
 
 from .._input import InputError
 from .._json import finite
-from ._shell import DONE, NO_NUMBERS, complain, console, progress, set_up_jax
+from ._shell import DONE, NO_NUMBERS, Outputs, complain, progress, set_up_jax
 
 if TYPE_CHECKING:
     from ..fitting.many import Each
@@ -20,12 +20,15 @@ def fit_each(
 ) -> None:
     """Fit every experiment of a folder, a line each as it is done.
 
-    **Raises:** `InputError` for a folder without experiments, or a file of results that is none.
+    **Raises:** `InputError` for a folder without experiments, or a file of results that is none or
+    cannot be written.
     """
     files = experiments_in(folder)
+    out = Outputs(json, None)
+    out.spare([Path(file) for file in files])
     set_up_jax(not no_cache)
     lines = json == "-"
-    words, bad = console(stderr=lines), 0
+    bad = 0
     with progress() as say:
         from ..fitting import fit_many
 
@@ -33,7 +36,7 @@ def fit_each(
             files, effects=effects, starts=starts, out=None if lines else json, progress=say
         )
         for each in every:
-            words.print(_line(each), soft_wrap=True)
+            out.words.print(_line(each), soft_wrap=True)
             if lines:
                 print(json_.dumps(finite(each.told), allow_nan=False), flush=True)
             bad += "error" in each.told

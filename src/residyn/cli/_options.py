@@ -4,24 +4,13 @@ from typing import Annotated
 
 import typer
 
-Experiment = Annotated[
-    str,
-    typer.Argument(
-        metavar="EXPERIMENT",
-        help='A TOML file that describes the arm and its recordings; "-" reads it from '
-        "standard input.",
-        show_default=False,
-    ),
-]
-OneExperiment = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="EXPERIMENT",
-        help='A TOML file that describes the arm and its recordings; "-" reads it from '
-        "standard input.",
-        show_default=False,
-    ),
-]
+_EXPERIMENT = typer.Argument(
+    metavar="EXPERIMENT",
+    help='A TOML file that describes the arm and its recordings; "-" reads it from standard input.',
+    show_default=False,
+)
+Experiment = Annotated[str, _EXPERIMENT]
+OneExperiment = Annotated[str | None, _EXPERIMENT]
 Each = Annotated[
     str | None,
     typer.Option(
