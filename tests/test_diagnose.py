@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 import residyn
+from residyn.diagnosis import diagnosing
 from residyn.diagnosis.curves import candidates as candidates_for
-from residyn.diagnosis.ladder import needless, search
+from residyn.diagnosis.ladder import Accepted, needless, search
 from residyn.diagnosis.linear import Near
 from residyn.diagnosis.missing import missing_of
 from residyn.diagnosis.missing_torque import missing_torque
@@ -284,9 +285,72 @@ def test_a_short_push_is_seen_where_and_when_it_was(clean):
     assert abs(float(when) - 5.0) < 1.0
 
 
-def test_two_that_explain_only_together_are_found(clean):
-    """Of the arm's screen: the larger torque comes first, and two leave less than one."""
+def test_two_hidden_effects_are_found_together():
+    """Screened as a pair, the larger torque first, where each alone leaves much."""
+    hidden = [
+        rig.Hidden("coulomb_friction:elbow", {"torque": 0.02}),
+        rig.Hidden("cubic_stiffness:shoulder", {"coefficient": 40.0}),
+    ]
+    made = rig.record(
+        np.random.default_rng(4), ARM, Q0, hidden, seconds=12.0, rate=100.0, noise=5e-4
+    )
+    table = experiment().inertia
+    recording = residyn.Recording.from_arrays(made.t, made.q, theta2=ARM.theta2, noise=5e-4)
     with jax.enable_x64(True):
-        one, other, left = pair(clean.near, clean.seen)
-    assert one != other
-    assert left < min(s.chi2 for s in clean.screened)
+        fit = residyn.fit(residyn.Experiment(table, (recording,)), starts=1)
+        near, (missing,) = Near.of(fit), missing_of(fit, ())
+        way = Way.of(missing.torque, near.problem.steps, 1 / fit.modes[0].frequency_hz)
+        some = [
+            e
+            for e in candidates_for(fit.model)
+            if e.name
+            in ("coulomb_friction", "cubic_stiffness", "quadratic_drag", "constant_torque")
+        ]
+        _, found, kept = screen(near, [way], some)
+        one, other, left = pair(near, kept)
+    assert (one, other) == ("cubic_stiffness:shoulder", "coulomb_friction:elbow")
+    assert left < 1.5 * made.q.size
+    assert left < 0.7 * found[0].chi2
+
+
+def ladder(monkeypatch, plan):
+    """The rungs that `_climb` returns where effect i of `plan` joins firmly (True), waits (False)
+    or does not join (None)."""
+
+    class Rung:
+        def __init__(self, count):
+            self.effects = tuple(f"e{i}" for i in range(count))
+            model = type("M", (), {"labels": self.effects})
+            self.fit = type("F", (), {"model": model})
+
+    def accepted(step, chosen, made, stands):
+        firm = plan[len(step.effects)] if len(step.effects) < len(plan) else None
+        if firm is None:
+            return None
+        new = Rung(len(step.effects) + 1)
+        new.effects = (*new.effects[:-1], type("E", (), {"label": "next"}))
+        return Accepted(new, firm)
+
+    monkeypatch.setattr(diagnosing, "candidates_for", lambda model: [])
+    monkeypatch.setattr(diagnosing, "search", lambda step, *rest: step)
+    monkeypatch.setattr(diagnosing, "ranked", lambda step: ["best"])
+    monkeypatch.setattr(diagnosing, "accepted", accepted)
+    monkeypatch.setattr(diagnosing, "with_another", lambda step, made: None)
+    monkeypatch.setattr(diagnosing, "needless", lambda step, made, first: step)
+    return len(diagnosing._climb(None, Rung(0), [], 3, lambda words: None)) - 1
+
+
+@pytest.mark.parametrize(
+    ("plan", "rungs"),
+    [
+        ([None], 0),
+        ([True, None], 1),
+        ([False, None], 0),  # what it waited for did not come: taken back
+        ([False, True, None], 2),
+        ([True, False, None], 1),
+        ([True, False, True], 3),
+        ([True, True, False], 2),  # no rung is left to wait for
+    ],
+)
+def test_what_waits_stands_only_with_the_next(plan, rungs, monkeypatch):
+    assert ladder(monkeypatch, plan) == rungs

@@ -23,7 +23,7 @@ from .missing_torque import MissingTorque
 from .path import Path
 from .refits import refits, silent
 from .rung import Refit, Step, cost_of, stand, worth
-from .screen import glance, pair, screen
+from .screen import glance, pair, screen, sharpened
 from .words import SURE
 
 _REFITS = 6  # candidates that are fitted
@@ -78,7 +78,9 @@ def search(
         best, noise = tried[0].chi2, float(step.readings)
         enough = (_CLOSE if best < 2 * noise else _ROUGHLY) * max(best, noise)
         tried = [s for i, s in enumerate(tried) if i < _FEWEST or s.chi2 < enough]
-        tried = tried[: _REFITS if first else _LATER]
+        tried = sharpened(step.near, paths, tried[: _REFITS if first else _LATER], led)
+        finer = {s.effect.label: s for s in tried}
+        found = sorted((finer.get(s.effect.label, s) for s in found), key=lambda s: s.chi2)
     names = ", ".join(s.effect.label for s in tried)
     say(f"fitting {names}" if names else "nothing worth fitting")
     found_by_fit = refits(step, experiment, tried)
@@ -109,16 +111,13 @@ class Accepted(NamedTuple):
     """Whether it stands by itself; else it is to be judged by what the next rung makes of it."""
 
 
-def accepted(
-    step: Step, chosen: Refit, experiment: Experiment, stands: Step | None = None
-) -> Accepted | None:
+def accepted(step: Step, chosen: Refit, experiment: Experiment, stands: Step) -> Accepted | None:
     """The next rung, with the chosen effect; None if that is not sure, or does not matter.
 
-    `stands` is the rung that it must be better than, if that is not `step` itself. Where two
+    `stands` is the rung that it must be better than: the last one that stood by itself. Where two
     effects are missing, the one that joins first may predict no better until the other one has
     joined: if the fitted readings say that it explains much, it may wait for that.
     """
-    stands = step if stands is None else stands
     before = cost_of(step.fit)
     drop = (before - chosen.cost) / max(1.0, chosen.cost / step.readings)
     if drop < worth(chosen.effect, step):

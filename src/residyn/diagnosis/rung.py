@@ -60,9 +60,6 @@ class Step(NamedTuple):
     fit: Fit
     near: Near
     where: Where
-    white: float
-    """Probability that what is left is noise: the least of all tests, corrected for their
-    number."""
     held_out: HeldOut | None
     effects: tuple[AbstractEffect, ...]
     slopes: list[np.ndarray]
@@ -77,15 +74,15 @@ class Step(NamedTuple):
 
     def seen_with(self, tried: Tried) -> "Step":
         """The same, looked at with torques of any shape, too."""
-        unnamed = left_over(self.near, self.slopes, tried)
-        white = min(self.where_p, unnamed.p)
-        return self._replace(tried=tried, unnamed=unnamed, white=1.0 - (1.0 - white) ** 2)
+        return self._replace(tried=tried, unnamed=left_over(self.near, self.slopes, tried))
 
     @property
-    def where_p(self) -> float:
-        """Probability of so much structure in the residual's spectra, if it is noise."""
+    def white(self) -> float:
+        """Probability that what is left is noise: the least of all tests, corrected for their
+        number."""
         p = [w.p for w in self.where.white.values() if np.isfinite(w.p)]
-        return float(-np.expm1(len(p) * np.log1p(-min(p)))) if p and min(p) < 1 else 1.0
+        spectra = _least(min(p), len(p)) if p else 1.0
+        return spectra if self.unnamed is None else _least(min(spectra, self.unnamed.p), 2)
 
     @property
     def cost(self) -> float:
@@ -112,9 +109,13 @@ def stand(fit: Fit, effects: Sequence[AbstractEffect], tried: Tried | None = Non
     near = Near.of(fit)
     _, slopes = near.look(near.at)
     found = where(near, slopes)
-    step = Step(fit, near, found, 1.0, held_out(near), tuple(effects), slopes)
-    step = step._replace(white=step.where_p)
+    step = Step(fit, near, found, held_out(near), tuple(effects), slopes)
     return step if tried is None else step.seen_with(tried)
+
+
+def _least(p: float, count: int) -> float:
+    """Probability that the least of so many independent ones is as small as this."""
+    return float(-np.expm1(count * np.log1p(-p))) if p < 1 else 1.0
 
 
 def worth(effect: AbstractEffect, step: Step) -> float:

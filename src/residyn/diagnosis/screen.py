@@ -11,7 +11,7 @@ phase slip.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,8 +28,7 @@ from .path import Path, Variant, variants, with_fields
 from .unnamed import Shape, Unnamed, shapes, unnamed
 
 _SHAPES = 4  # of an effect that are kept
-_SHARPENED = 4  # candidates whose shapes are looked for between the grid's values
-_FINER = (1.32, 1.15, 1.07, 1.035)  # by these factors, one after the other
+_FINER = (1.32, 1.15, 1.07, 1.035)  # steps of a shape between the grid's values, one by one
 _SHAPES_OF_TWO = 2  # the same, of each of two at once
 
 
@@ -46,6 +45,8 @@ class Screened(NamedTuple):
     """(P,) the model's own numbers beside it."""
     states: np.ndarray
     """(R, s) initial states, the effect's own last."""
+    variant: Variant
+    """What its strengths and shapes were estimated as."""
     others: tuple["Screened", ...] = ()
     """The same effect with other shapes, the next best first."""
 
@@ -79,20 +80,11 @@ def screen(
     `glance` needs.
     """
     tried = [v for effect in candidates for v in _variants(near, paths, effect)]
-    n = len(near.fit.joints)
-    needed = [
-        path.inverse(posed(near.fit.model, mechanism), r.state[2 * n :])
-        for path, mechanism, r in zip(paths, near.ready.mechanisms, near.fitted, strict=True)
-    ]
-    columns = [columns_of(near, paths, v) + holds(paths, needed, v) for v in tried]
-    bounds = np.cumsum([0, *(len(c) for c in columns)])
     more, found_shapes = shapes(near, paths) if any_shape else ([], [])
-    flat = [*itertools.chain(*columns), *more]
-    answers = answers_to(near, paths, needed if led else None, flat)
-    solver = Solver.of(near, answers)
+    answered = _answered(near, paths, tried, led, more)
+    solver = answered.solver
     by_label: dict[str, list] = {}
-    for variant, first, last in zip(tried, bounds, bounds[1:], strict=False):
-        which = range(first, last)
+    for variant, which in zip(tried, answered.ranges(), strict=True):
         factors, drop = _factors(solver, variant, which)
         if np.isfinite(drop):
             each = by_label.setdefault(variant.effect.label, [])
@@ -100,45 +92,62 @@ def screen(
     found = []
     for each in by_label.values():
         each.sort(key=lambda x: -x[0])
-        best, *others = [_weigh(near, solver, answers, *x) for x in each[:_SHAPES]]
+        best, *others = [_weigh(near, answered, *x) for x in each[:_SHAPES]]
         found.append(best._replace(others=tuple(others)))
-    kept = Tried(tried, bounds, answers, np.array([_rms(c) for c in flat]), found_shapes)
-    best = {k: (each[0][0], each[0][1]) for k, each in by_label.items()}
-    found = _sharpened(near, paths, needed, led, sorted(found, key=lambda s: s.chi2), best)
+    sizes = np.array([_rms(c) for c in answered.flat])
+    kept = Tried(tried, answered.bounds, answered.answers, sizes, found_shapes)
     return solver.alone, sorted(found, key=lambda s: s.chi2), kept
 
 
-def _sharpened(
+def sharpened(
+    near: Near, paths: Sequence[Path], found: Sequence[Screened], led: bool
+) -> list[Screened]:
+    """Candidates with their shapes between the grid's values: a fit that begins with a gap a third
+    off may never find it."""
+    best = list(found)
+    for factor in _FINER:
+        some = [(i, v) for i, s in enumerate(best) for v in _beside_shapes(s.variant, factor)]
+        if not some:
+            break
+        answered = _answered(near, paths, [v for _, v in some], led)
+        for (i, variant), which in zip(some, answered.ranges(), strict=True):
+            factors, drop = _factors(answered.solver, variant, which)
+            if np.isfinite(drop) and drop > best[i].drop:
+                new = _weigh(near, answered, drop, variant, which, factors)
+                best[i] = new._replace(others=(best[i], *best[i].others)[:_SHAPES])
+    return best
+
+
+class _Answered(NamedTuple):
+    """Variants' columns, and what a model answers to them."""
+
+    flat: list[Column]
+    bounds: np.ndarray
+    answers: Answers
+    solver: Solver
+
+    def ranges(self) -> Iterator[range]:
+        """Each variant's columns."""
+        return (range(a, b) for a, b in itertools.pairwise(self.bounds))
+
+
+def _answered(
     near: Near,
     paths: Sequence[Path],
-    needed: Sequence[np.ndarray],
+    tried: Sequence[Variant],
     led: bool,
-    found: list[Screened],
-    best: dict[str, tuple[float, Variant]],
-) -> list[Screened]:
-    """The best candidates with their shapes between the grid's values: a fit that begins with a gap
-    a third off may never find it."""
-    names = [s.effect.label for s in found[:_SHARPENED]]
-    for factor in _FINER:
-        near_by = [v for name in names for v in _beside_shapes(best[name][1], factor)]
-        if not near_by:
-            break
-        columns = [columns_of(near, paths, v) + holds(paths, needed, v) for v in near_by]
-        bounds = np.cumsum([0, *(len(c) for c in columns)])
-        flat = list(itertools.chain(*columns))
-        answers = answers_to(near, paths, needed if led else None, flat)
-        solver = Solver.of(near, answers)
-        for variant, first, last in zip(near_by, bounds, bounds[1:], strict=False):
-            which, label = range(first, last), variant.effect.label
-            factors, drop = _factors(solver, variant, which)
-            if np.isfinite(drop) and drop > best[label][0]:
-                best[label] = drop, variant
-                new = _weigh(near, solver, answers, drop, variant, which, factors)
-                found = [
-                    new._replace(others=(s, *s.others)[:_SHAPES]) if s.effect.label == label else s
-                    for s in found
-                ]
-    return found
+    more: Sequence[Column] = (),
+) -> _Answered:
+    n = len(near.fit.joints)
+    needed = [
+        path.inverse(posed(near.fit.model, mechanism), r.state[2 * n :])
+        for path, mechanism, r in zip(paths, near.ready.mechanisms, near.fitted, strict=True)
+    ]
+    columns = [columns_of(near, paths, v) + holds(paths, needed, v) for v in tried]
+    bounds = np.cumsum([0, *(len(c) for c in columns)])
+    flat = [*itertools.chain(*columns), *more]
+    answers = answers_to(near, paths, needed if led else None, flat)
+    return _Answered(flat, bounds, answers, Solver.of(near, answers))
 
 
 def _beside_shapes(variant: Variant, factor: float) -> list[Variant]:
@@ -225,8 +234,7 @@ def _rms(column: Column) -> float:
 
 def _weigh(
     near: Near,
-    solver: Solver,
-    answers: Answers,
+    answered: _Answered,
     drop: float,
     variant: Variant,
     which: range,
@@ -234,7 +242,7 @@ def _weigh(
 ) -> Screened:
     """A variant's strengths, and what goes with them."""
     own = len(variant.effect.memory)
-    memory = np.zeros((len(answers.left), own))
+    memory = np.zeros((len(answered.answers.left), own))
     if variant.phases:
         pairs = factors.reshape(-1, 2)
         strengths = np.array([np.sqrt(np.mean(np.sum(pairs**2, axis=1)))])
@@ -243,9 +251,14 @@ def _weigh(
         strengths = factors[: len(variant.strengths)]
     fields = dict(zip(variant.strengths, strengths * variant.sizes, strict=True))
     effect = with_fields(variant.effect, {k: float(v) for k, v in fields.items()})
-    numbers, states = _beside(near, answers, list(which), factors)
+    numbers, states = _beside(near, answered.answers, list(which), factors)
     return Screened(
-        effect, solver.alone - drop, drop, numbers, np.concatenate([states, memory], axis=1)
+        effect,
+        answered.solver.alone - drop,
+        drop,
+        numbers,
+        np.concatenate([states, memory], axis=1),
+        variant,
     )
 
 
