@@ -1,6 +1,7 @@
 """What every effect of the catalogue must do. A new effect gets these tests by being listed."""
 
 import dataclasses
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -66,6 +67,13 @@ def own_part(with_it, motion):
 def double():
     with jax.enable_x64(True):
         yield
+
+
+def test_where_effects_can_act_is_asked_in_any_precision():
+    with jax.enable_x64(False), warnings.catch_warnings():
+        warnings.simplefilter("error")  # JAX warns where it cuts an array of the arm short
+        assert "bearing_drag" in instances()
+        assert "gravity" in instances()
 
 
 @pytest.mark.parametrize("words", instances())

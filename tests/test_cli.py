@@ -161,6 +161,10 @@ BAD = {
     "twice": (["fit", "cart.toml", "--with", "spring:cart"], "already"),
     "no such method": (["fit", "cart.toml", "--method", "magic"], "levenberg"),
     "no starts": (["fit", "cart.toml", "--starts", "0"], "--starts"),
+    "starts without use": (
+        ["fit", "cart.toml", "--method", "genetic", "--starts", "3"],
+        "--starts",
+    ),
     "starts in words": (["fit", "cart.toml", "--starts", "six"], "--starts"),
     "json nowhere": (["fit", "cart.toml", "--json", "no/such/folder.json"], "no/such/folder.json"),
     "report nowhere": (["fit", "cart.toml", "--report", "no/such.html"], "no/such.html"),

@@ -35,6 +35,7 @@ LAYERS = [
         "_rest",
         "_rigid",
         "_spectrum",
+        "_stretches",
         "_tables",
         "_toml",
         "_trajectories",

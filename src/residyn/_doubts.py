@@ -4,6 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ._stretches import wholes
+
 if TYPE_CHECKING:
     from .recording import Experiment
 
@@ -11,7 +13,7 @@ if TYPE_CHECKING:
 def in_degrees(experiment: "Experiment") -> list[str]:
     """Doubts about the unit of angles: no braked joint turns by five radians."""
     doubts = []
-    for recording in experiment.recordings:
+    for recording, _ in wholes(experiment.recordings):
         sizes = np.nanquantile(np.abs(recording.angle), 0.99, axis=0)
         units = experiment.units or ("",) * len(sizes)
         large = [
@@ -28,8 +30,8 @@ def in_degrees(experiment: "Experiment") -> list[str]:
 def not_held_out(experiment: "Experiment") -> list[str]:
     """A check on readings that were fitted is none."""
     doubts = []
-    for check in experiment.check_recordings:
-        for fit in experiment.fit_recordings:
+    for check, _ in wholes(experiment.check_recordings):
+        for fit, _ in wholes(experiment.fit_recordings):
             _, i, j = np.intersect1d(check.time, fit.time, return_indices=True)
             same = np.array_equal(check.angle[i], fit.angle[j], equal_nan=True)
             if check.name == fit.name and len(i) and same:

@@ -49,8 +49,8 @@ class JointError(NamedTuple):
 
 def joint_errors(fit: Fit) -> list[JointError]:
     """The errors of a fit, joint by joint."""
-    fitted = [r for r in fit.recordings if r.recording.role != "check"]
-    held_out = [r for r in fit.recordings if r.recording.role == "check"]
+    fitted = [r for r in fit.whole if r.recording.role != "check"]
+    held_out = [r for r in fit.whole if r.recording.role == "check"]
     noise, motion = _noise(fitted), _motion(fitted)
     check, check_noise = fit.check_rmse, _noise(held_out) if held_out else None
     return [

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -57,7 +56,7 @@ class Args(NamedTuple):
     drive: Drive | None
 
 
-@jax.jit  # traced once for all stages of all steps: tracing is most of a first fit's cost
+@eqx.filter_jit  # traced once for all stages of all steps: tracing is most of a first fit's cost
 def rates(args: Args, motion: Motion, held: Joints | None = None) -> tuple[Joints, Joints]:
     """(q'', z'): accelerations, and the rates of the internal states."""
     drive = None if args.drive is None else args.drive(motion.t)

@@ -8,12 +8,13 @@ that needs the meaning (units in a table, the scale of a step, bounds) reads it 
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, PyTree
 
 Sign = Literal["any", "positive"]
 
@@ -89,6 +90,26 @@ def floating(x: Any) -> Array:
     """As a float array of the precision in force. (`jnp.asarray(0.1)` would be weakly typed, and
     take the precision of whatever it meets.)"""
     return jnp.asarray(x, float)
+
+
+def all_floating(tree: PyTree) -> PyTree:
+    """A pytree with its numbers as float arrays. What is no number stays as it is: an effect may
+    hold a network, whose activation is a function and whose switches are flags."""
+
+    def leaf(x):
+        return floating(x) if eqx.is_array_like(x) and not isinstance(x, bool) else x
+
+    return jax.tree.map(leaf, tree)
+
+
+def stacked(trees: Sequence[PyTree]) -> PyTree:
+    """Pytrees of one structure as one, their arrays along a new first axis. What is no array is
+    taken to be the same in all of them."""
+
+    def both(first, *others):
+        return jnp.stack((first, *others)) if eqx.is_array(first) else first
+
+    return jax.tree.map(both, *trees)
 
 
 def param(

@@ -80,6 +80,8 @@ class Recording:
     """Load on the first coordinate, kg (constant inertia only)."""
     warnings: tuple[str, ...] = ()
     """What is doubtful, a line each that names the recording."""
+    whole: "Recording | None" = None
+    """What this is a stretch of, if it is one."""
 
     @classmethod
     def from_arrays(

@@ -9,6 +9,7 @@ round: the stages foresee that, and the end of the step knows.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -99,7 +100,7 @@ def _advance(y: State, h, weights, slopes) -> State:
     )
 
 
-@jax.jit
+@eqx.filter_jit
 def smooth_step(args: Args, t, h, y: State) -> tuple[State, Joints]:
     """One step: its end, and the acceleration at its beginning."""
     turn = _turns_ahead(args, t, h, y)
@@ -108,7 +109,7 @@ def smooth_step(args: Args, t, h, y: State) -> tuple[State, Joints]:
     return _settled(args, t, h, y, end, first, last), first
 
 
-@jax.jit
+@eqx.filter_jit
 def dry_step(args: Args, t, h, y: State) -> tuple[State, Joints]:
     """`smooth_step` for joints that may reverse or stick inside the step.
 

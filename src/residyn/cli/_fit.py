@@ -25,6 +25,8 @@ def fit(
     if method not in _options.METHODS:
         known = " or ".join(_options.METHODS)
         raise InputError(f'--method "{method}": there is no such method; it must be {known}')
+    if method == "genetic" and starts != _options.STARTS:
+        raise InputError("--starts goes with --method levenberg; the genetic algorithm has none")
     if each is not None:
         if experiment is not None:
             raise InputError(f"--each {each}: takes the place of EXPERIMENT; leave one of them out")

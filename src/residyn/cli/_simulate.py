@@ -118,15 +118,16 @@ def _with_fit(fit, recordings, angles, rates) -> "list[np.ndarray]":
     """The motion with the numbers of a fit, from its own initial states unless others are given."""
     from ._predict import motion
 
-    beside = {id(r.recording): r for r in fit.recordings}
+    # Warned of, a recording is another object: they are told by their times.
+    beside = {id(r.recording.time): r for r in fit.whole}
     if angles is None and rates is None:
-        return [beside[id(r)].predicted for r in recordings]
+        return [beside[id(r.time)].predicted for r in recordings]
     n = len(fit.experiment.joints)
     found = []
     with progress() as say:
         for recording in recordings:
             say(f"simulating {recording.name}")
-            state = beside[id(recording)].state
+            state = beside[id(recording.time)].state
             q0 = state[:n] if angles is None else angles
             v0 = state[n : 2 * n] if rates is None else rates
             found.append(motion(fit.model, fit.experiment, recording, q0, v0, state[2 * n :]))

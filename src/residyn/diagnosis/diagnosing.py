@@ -9,14 +9,13 @@ import numpy as np
 from ..effects import AbstractEffect
 from ..fitting import DEFAULT_STARTS, fit
 from ..model import Model
-from ..parameter import parameters_of
 from ..recording import Experiment
 from .chances import alike, chances
 from .comparison import Comparison
 from .curves import candidates as candidates_for
 from .horizon import horizon
-from .ladder import accepted, needless, ranked, search, with_another
-from .missing import Missing, missing_of, with_curves
+from .ladder import accepted, extends, needless, ranked, search, with_another
+from .missing import Missing, along_each, missing_of, with_curves
 from .next_experiment import advise
 from .result import Candidate, Diagnosis, NextExperiment, Rung, Value
 from .rung import Step, cost_of, stand
@@ -61,6 +60,7 @@ def diagnose(
         raise ValueError(f"max_effects = {max_effects}: it cannot be negative")
     began, say = time.perf_counter(), progress or (lambda words: None)
     base = fit(experiment, effects=effects, starts=starts, progress=say)
+    experiment = base.experiment  # in stretches, if need be
     with jax.enable_x64(True):
         say("looking where the residual is")
         own = tuple(e for e in base.model.effects if e.name not in ("spring", "damper"))
@@ -80,7 +80,7 @@ def _climb(
     say: Callable[[str], None],
 ) -> list[Step]:
     """The rungs, from the base model up."""
-    candidates, torques = candidates_for(step.fit.model), [m.torque for m in missing]
+    candidates, torques = candidates_for(step.fit.model), along_each(step.fit, missing)
     first, firm = len(step.effects), 0
     steps: list[Step] = []
     waits = False
@@ -207,7 +207,6 @@ def _candidates(first: Step, sure: dict[str, float]) -> tuple[Candidate, ...]:
 def _advice(step: Step, experiment: Experiment, group: tuple[str, ...]) -> NextExperiment | None:
     by_name = {r.label: r for r in step.refits}
     rivals = [by_name[name] for name in group]
-    own = {p.name for p in parameters_of(rivals[0].effect)}
     # A law that contains the other one can always mimic it: no experiment tells, but by its value.
-    others = [r for r in rivals[1:] if not own < {p.name for p in parameters_of(r.effect)}]
+    others = [r for r in rivals[1:] if not extends(r, rivals[0])]
     return advise(step, experiment, rivals[0], others[0]) if others else None

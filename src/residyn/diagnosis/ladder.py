@@ -33,6 +33,7 @@ _ROUGHLY = 3.0  # the same where not even the best one comes near the noise
 _FEWEST = 3
 _STEADY = 2.5  # standard errors of the gain, as stretches of the recording show it
 _MATTERS = 0.1  # share of the error that must go, where what is left is not white
+_MORE_THAN_NOISE = 1.2  # chi-square a reading
 _HELD = 0.05  # and where nothing was fitted
 _TOGETHER = 0.5  # chi-square of two effects, screened, over the best one's: they belong together
 _PROMISES = 0.2  # share of the fitted error that must go for an effect to wait for another one
@@ -88,8 +89,22 @@ def search(
 
 
 def score(step: Step, refit: Refit) -> float:
-    """Chi-square in units of what is left by the best, plus what its numbers cost."""
-    return refit.cost / unit(step) + refit.numbers * math.log(step.readings)
+    """Chi-square in units of what is left by the best, plus what its numbers cost.
+
+    Where even the best leaves more than noise, a law with more to it than another one bends to
+    that, too: what it brings beyond the other one counts only if it matters.
+    """
+    cost = refit.cost
+    simpler = next((r for r in step.refits if r.possible and extends(refit, r)), None)
+    matters = simpler is None or cost < (1.0 - _MATTERS) ** 2 * simpler.cost
+    if simpler is not None and unit(step) > _MORE_THAN_NOISE and not matters:
+        cost = max(cost, simpler.cost)
+    return cost / unit(step) + refit.numbers * math.log(step.readings)
+
+
+def extends(one: Refit, other: Refit) -> bool:
+    """Whether an effect is another one's law with more to it, at the same place."""
+    return one.effect.extends == other.effect.name and one.effect.place == other.effect.place
 
 
 def unit(step: Step) -> float:

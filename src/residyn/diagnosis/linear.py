@@ -62,7 +62,8 @@ class Near(NamedTuple):
         problem = reweighted(self.problem, self.layouts, dropped)
         lanes = self.fit.starts  # as many as the fit had, so that its compiled program serves
         start = jax.tree.map(lambda x: jnp.broadcast_to(x, (lanes, *x.shape)), self.at)
-        out = jax.device_get(polish(problem, start, (1.0,)))
+        size = max(1.0, float(np.sqrt(self.fit.reduced_chi2)))
+        out = jax.device_get(polish(problem, start, (1.0,), size=size))
         good = bool(out.converged[0]) and bool(np.isfinite(out.cost[0]))
         return jax.tree.map(lambda x: jnp.asarray(x[0]), out.unknowns), good
 

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .._stretches import wholes
 from .._units import plain
 from ..effects import AbstractEffect
 from ..fitting.problem import posed
@@ -68,7 +69,7 @@ def missing_of(fit: Fit, effects: Sequence[AbstractEffect] | None = None) -> tup
     """The missing torque of every fitted recording of a fit, with the curves of some effects; None:
     of the whole catalogue."""
     found = []
-    for beside in fit.recordings:
+    for beside in fit.whole:
         if beside.recording.role == "check":
             continue
         model = posed(fit.model, mechanism_of(fit.experiment, beside.recording))
@@ -86,11 +87,24 @@ def missing_of(fit: Fit, effects: Sequence[AbstractEffect] | None = None) -> tup
     return tuple(found)
 
 
+def along_each(fit: Fit, found: Sequence[Missing]) -> list[MissingTorque]:
+    """The missing torque along each fitted recording, stretches by themselves."""
+    fitted = [r.recording for r in fit.recordings if r.recording.role != "check"]
+    parts: list[MissingTorque | None] = [None] * len(fitted)
+    for (_, which), missing in zip(wholes(fitted), found, strict=True):
+        first = 0
+        for i in which:
+            last = first + len(fitted[i].time)
+            parts[i] = missing.torque.between(first, last)
+            first = last
+    return [p for p in parts if p is not None]
+
+
 def with_curves(
     fit: Fit, found: Sequence[Missing], effects: Sequence[AbstractEffect]
 ) -> tuple[Missing, ...]:
     """The same, with the curves of these effects instead."""
-    fitted = [r.recording for r in fit.recordings if r.recording.role != "check"]
+    fitted = [r.recording for r in fit.whole if r.recording.role != "check"]
     return tuple(
         m._replace(
             curves=tuple(

@@ -15,7 +15,7 @@ torque would make it; where the torque is smooth, the band is therefore too wide
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -24,6 +24,7 @@ import numpy as np
 
 from ..model import Model
 from ..motion import Motion, split, stack
+from ..parameter import all_floating
 from ..recording import Recording
 from ..simulation import compiled_state_matrix
 from ._filter import Start
@@ -62,6 +63,11 @@ class MissingTorque:
     share_of_spring: np.ndarray
     """(n,) `rms` over the rms of the joint's spring torque, or of Z q'' if it has no spring."""
 
+    def between(self, first: int, last: int) -> "MissingTorque":
+        """The same from one sample up to another; what is said of the whole stays as it was."""
+        own = ("time", "angle", "rate", "torque", "std", "amplitude")
+        return replace(self, **{name: getattr(self, name)[first:last] for name in own})
+
 
 def missing_torque(
     model: Model,
@@ -86,7 +92,7 @@ def missing_torque(
     **Returns:** a `MissingTorque`.
     """
     with jax.enable_x64(True):
-        model = jax.tree.map(lambda x: jnp.asarray(x, float), model)
+        model = all_floating(model)
         bad = np.zeros(recording.angle.shape, bool) if wild is None else np.asarray(wild, bool)
         data, sample = _data(model, recording, bad, state)
         levels = _follow_all(model, data, jnp.asarray(_LEVELS))

@@ -45,7 +45,7 @@ class Refit(NamedTuple):
     @property
     def numbers(self) -> int:
         """How many numbers it brought."""
-        return len(Model(self.model.mechanism, (self.effect,)).fitted)
+        return numbers_of(self.effect, self.model, len(self.descent.layouts))
 
     @property
     def std(self) -> np.ndarray:
@@ -120,9 +120,16 @@ def _least(p: float, count: int) -> float:
 
 def worth(effect: AbstractEffect, step: Step) -> float:
     """How far chi-square must fall for an effect, in its own units."""
-    count = len(Model(step.fit.model.mechanism, (effect,)).fitted)
+    count = numbers_of(effect, step.fit.model, len(step.near.fitted))
     least = _DROP + _MORE * (count - 1) + _SEARCHED * (effect.oscillates is not None)
     return least
+
+
+def numbers_of(effect: AbstractEffect, model: Model, recordings: int) -> int:
+    """How many numbers an effect brings to a model; an oscillation has a phase of its own in every
+    recording, of which the first is part of the search."""
+    phases = recordings - 1 if effect.oscillates else 0
+    return len(Model(model.mechanism, (effect,)).fitted) + phases
 
 
 def errors_of(descent: Descent, inflation: float) -> np.ndarray:

@@ -35,6 +35,8 @@ class AbstractEffect(eqx.Module):
     - `grips`: True if `crawls` and `holds` do something.
     - `senses`: True if it acts on the readings instead of the motion.
     - `oscillates`: the field that holds a frequency of its own, which a fit starts from a spectrum.
+    - `extends`: the effect that it is with its further numbers silent, if it is another one's law
+      with more to it.
     - `of_bearings`: True if it leaves with the air bearings (step 3 of the paper).
     """
 
@@ -50,6 +52,7 @@ class AbstractEffect(eqx.Module):
     grips: ClassVar[bool] = False
     senses: ClassVar[bool] = False
     oscillates: ClassVar[str | None] = None
+    extends: ClassVar[str | None] = None
     of_bearings: ClassVar[bool] = False
 
     @classmethod

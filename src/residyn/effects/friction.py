@@ -37,6 +37,7 @@ class StribeckFriction(JointEffect):
     source = "Stribeck 1902; Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30, 1994"
     dissipates = True
     dry = True
+    extends = "coulomb_friction"
 
     level: Scalar = param("friction torque when fast", TORQUE, sign="positive", name="torque")
     excess: Scalar = param("more of it near rest", TORQUE, sign="positive")

@@ -1,5 +1,6 @@
 """Gravity in the plane of motion: a tilted table or, at 90 degrees, a pendulum."""
 
+import jax
 import jax.numpy as jnp
 
 from ..motion import Scalar
@@ -29,7 +30,8 @@ class Gravity(AbstractEffect):
 
     @classmethod
     def places(cls, mechanism):
-        mechanism.link_angles((0.0,) * len(mechanism.joints))
+        with jax.enable_x64(True):  # the mechanism may be of another precision than that in force
+            mechanism.link_angles((0.0,) * len(mechanism.joints))
         return ()
 
     def torque(self, motion, mechanism):

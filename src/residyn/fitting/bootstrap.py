@@ -78,7 +78,7 @@ def bootstrap(
         devices = jax.devices()
         mesh = Mesh(np.asarray(devices), ("fits",))
         lanes = NamedSharding(mesh, PartitionSpec("fits"))
-        fits = jax.device_put(fits, NamedSharding(mesh, PartitionSpec()))
+        fits = eqx.filter_shard(fits, NamedSharding(mesh, PartitionSpec()))
         width = min(batch, -(-draws // len(devices))) * len(devices)
         keys = jax.random.split(jax.random.key(seed), draws)
         found = []

@@ -19,6 +19,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..mechanism import AbstractMechanism
 from ..model import Model
+from ..parameter import all_floating, stacked
 from .levenberg import Stretch, rows, solver
 from .problem import Compressed, Problem, Unknowns, compressed, posed, predict, whiten
 from .result import Fit
@@ -90,15 +91,12 @@ class Embedded(eqx.Module):
         count = len(self.layouts)
         if len(mechanisms) not in (1, count):
             raise ValueError(f"{len(mechanisms)} mechanisms for {count} recordings")
-        each = [
-            jax.tree.map(lambda x: jnp.asarray(x, float), m)
-            for m in (mechanisms if len(mechanisms) == count else mechanisms * count)
-        ]
-        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
+        all_of_them = mechanisms if len(mechanisms) == count else mechanisms * count
+        each = [all_floating(m) for m in all_of_them]
         return eqx.tree_at(
             lambda e: (e.problem.recorded.mechanism, e.problem.model),
             self,
-            (stacked, posed(self.problem.model, each[0])),
+            (stacked(each), posed(self.problem.model, each[0])),
         )
 
     def with_start(
@@ -145,6 +143,28 @@ class Embedded(eqx.Module):
         # What is known of memories counts as a reading.
         known = jnp.sum((own / problem.scale.states)[:, 2 * joints :] ** 2)
         return jnp.sum(jax.vmap(one)(problem.recorded, own)) + known
+
+    def covariance(
+        self, numbers: Float[Array, " P"], states: Float[Array, "R s"] | None = None
+    ) -> Float[Array, "U U"]:
+        """Of the P numbers and, after them, the R s initial states, U in all, each in its own unit,
+        if what is left is white noise of the size stated: the mass matrix of a sampler of `chi2`.
+
+        It is (J'J)^-1 at this point; its first P rows and columns at the minimum are
+        `Solution.covariance`. `states` None are those of the start.
+        """
+        problem = self.problem
+        own = problem.states(self.start) if states is None else jnp.asarray(states, float)
+        y = problem.scaled(jnp.asarray(numbers, float), own)
+        squeezed = compressed(problem, y)
+        (count, each), p = own.shape, y.numbers.shape[0]
+        total = jnp.zeros((p + count * each, p + count * each))
+        for i, factor in enumerate(squeezed.factor):
+            # Each recording knows of the numbers and of its own state.
+            seen = np.r_[:p, p + i * each : p + (i + 1) * each]
+            total = total.at[np.ix_(seen, seen)].add(factor.T @ factor)
+        size = jnp.concatenate([problem.scale.numbers, problem.scale.states.reshape(-1)])
+        return jnp.linalg.inv(total) * size * size[:, None]
 
     def readings(self, grid: Float[Array, "R M m n"]) -> list[Float[Array, "N n"]]:
         """`Solution.predicted` in the order of the readings, recording by recording."""

@@ -21,7 +21,8 @@ from .problem import Compressed, Problem, Unknowns, compressed
 
 STEPS = 20  # of one call: between calls, the hopeless can be left
 _CALLS = 4
-# Steps end when the whitened residual moves by less than this many sigma, in total ...
+# Steps end when the whitened residual moves by less than this many sigma, in total (sigma of the
+# noise; after the first call, of whatever the model misses the readings by, if that is more) ...
 _RESIDUAL_TOLERANCE = 3e-3
 # ... and no unknown by more than this share of its scale.
 _UNKNOWN_TOLERANCE = 1e-5
@@ -59,13 +60,15 @@ class Stretch(NamedTuple):
 
     problem: Problem
     only: Int[Array, ""]
+    size: Float[Array, ""] | float = 1.0
+    """What the optimiser takes for one sigma, in sigma."""
 
 
 @eqx.filter_custom_jvp
 def rows(y: Unknowns, stretch: Stretch) -> tuple[_Rows, Compressed]:
     """Compressed residual. Its Jacobian is known already, so it is attached, not derived."""
     squeezed = compressed(stretch.problem, y, stretch.only)
-    return _Rows(squeezed.along, squeezed.beside), squeezed
+    return _Rows(squeezed.along / stretch.size, squeezed.beside / stretch.size), squeezed
 
 
 @rows.def_jvp
@@ -74,8 +77,8 @@ def _rows_jvp(primals, tangents):
     squeezed = compressed(stretch.problem, y, stretch.only)
     everywhere = jnp.broadcast_to(dy.numbers, (dy.states.shape[0], dy.numbers.shape[0]))
     local = jnp.concatenate([everywhere, dy.states], axis=1)
-    along = jnp.einsum("rij,rj->ri", squeezed.factor, local)
-    rows = _Rows(squeezed.along, squeezed.beside)
+    along = jnp.einsum("rij,rj->ri", squeezed.factor, local) / stretch.size
+    rows = _Rows(squeezed.along / stretch.size, squeezed.beside / stretch.size)
     still = jax.tree.map(jnp.zeros_like, squeezed)
     return (rows, squeezed), (_Rows(along, jnp.zeros_like(squeezed.beside)), still)
 
@@ -106,17 +109,22 @@ def polish(
     starts: Unknowns,
     shares: Sequence[float],
     hopeless: Callable[[float], bool] = lambda cost: False,
+    size: float = 1.0,
 ) -> Polished:
     """Descend from every start over growing shares (0 to 1) of the recordings.
 
     `hopeless` is asked, now and then, whether a start that has not yet settled should be left where
-    it is, at this cost.
+    it is, at this cost; `size` is the least rms residual to expect, in sigma.
     """
     lost = jnp.zeros(starts.numbers.shape[0], bool)
+    readings = max(1, np.count_nonzero(problem.recorded.weights))
     out, taken = None, 0
     for share in shares:
+        unit = size
         for _ in range(_CALLS):
-            out = _stretch(problem, starts, lost, jnp.asarray(float(share)))
+            out = _stretch(problem, starts, lost, jnp.asarray(float(share)), jnp.asarray(unit))
+            if np.isfinite(least := np.min(out.cost)):
+                unit = max(unit, float(np.sqrt(least / readings)))
             starts, lost, taken = out.unknowns, out.lost, taken + out.steps
             settled = np.asarray(out.converged | lost)
             if settled.all() or (share == 1.0 and hopeless(float(np.min(out.cost)))):
@@ -126,11 +134,11 @@ def polish(
 
 
 @eqx.filter_jit
-def _stretch(problem: Problem, y: Unknowns, lost, share) -> Polished:
+def _stretch(problem: Problem, y: Unknowns, lost, share, size) -> Polished:
     row = jnp.arange(problem.steps)[:, None, None]
     only = jnp.ceil(share * problem.steps).astype(int)
     weights = jnp.where(row < only, problem.recorded.weights, 0.0)
-    stage = Stretch(eqx.tree_at(lambda p: p.recorded.weights, problem, weights), only)
+    stage = Stretch(eqx.tree_at(lambda p: p.recorded.weights, problem, weights), only, size)
 
     def one(start):
         return descend(stage, start)

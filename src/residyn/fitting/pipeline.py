@@ -17,6 +17,7 @@ from ..model import Model
 from ..recording import Experiment
 from ..simulation import compiled_state_matrix
 from .descent import Descent, descend, wild_beside
+from .drifting import without_drift
 from .identify import Spread, spread_of
 from .result import Fit, Mode, Number, RecordingFit
 from .setup import Ready, ready
@@ -79,6 +80,11 @@ def _fit(experiment, effects, starts, progress) -> Fit:
 
     progress("finding a start in closed form")
     numbers, memory = beginning(here, wild, starts)
+    whole = experiment
+    experiment = without_drift(whole, here.model.with_vector(jnp.asarray(numbers[0])))
+    if experiment is not whole:
+        here = ready(experiment, experiment.fit_recordings, effects)
+        wild, memory = wild_beside(here, [r.angle for r in here.recordings]), None
 
     progress(f"fitting from {starts} start{'s' * (starts > 1)}")
     begin = here.model.with_vector(jnp.asarray(numbers[0]))

@@ -23,6 +23,7 @@ from ..mechanism import AbstractMechanism
 from ..model import Model
 from ..motion import Scalar
 from ..nodes import read_slots
+from ..parameter import stacked
 from ..recording import Recording
 from ..simulation import march
 
@@ -124,15 +125,15 @@ def lay_out(
         place[i, layout.row, layout.slot] = part
         angles[i, layout.row, layout.slot] = np.where(seen, r.angle, 0.0)
         weights[i, layout.row, layout.slot] = np.where(seen, 1.0 / r.noise, 0.0)
-    stacked = Recorded(
+    recorded = Recorded(
         duration=jnp.asarray([r.duration for r in recordings]),
         place=jnp.asarray(place),
         angles=jnp.asarray(angles),
         weights=jnp.asarray(weights),
-        mechanism=jax.tree.map(lambda *leaves: jnp.stack(leaves), *mechanisms),
+        mechanism=stacked(mechanisms),
         drive=_drives(recordings, steps),
     )
-    return stacked, [layout for layout, _ in layouts]
+    return recorded, [layout for layout, _ in layouts]
 
 
 def _drives(recordings: Sequence[Recording], steps: int) -> Piecewise | None:
@@ -157,7 +158,7 @@ def _drives(recordings: Sequence[Recording], steps: int) -> Piecewise | None:
             left.append(mean - slope * h / 2)
             right.append(mean + slope * h / 2)
         drives.append(Piecewise(0.0, h, np.stack(left, axis=1), np.stack(right, axis=1)))
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *drives)
+    return stacked(drives)
 
 
 def _integrals(time: np.ndarray, x: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

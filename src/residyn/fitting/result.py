@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from .._stretches import wholes
 from ..model import Model
 from ..recording import Experiment, Recording
 from .history import History
@@ -92,6 +93,17 @@ class Fit:
     seconds: float
     warnings: tuple[str, ...]
     history: History | None = None  # of a genetic algorithm: how Eq. 17 fell
+
+    @property
+    def whole(self) -> tuple[RecordingFit, ...]:
+        """`recordings`, with stretches of one recording put together again: what one draws."""
+        found = []
+        for recording, which in wholes([r.recording for r in self.recordings]):
+            parts = [self.recordings[i] for i in which]
+            predicted = np.concatenate([p.predicted for p in parts])
+            wild = np.concatenate([p.wild for p in parts])
+            found.append(RecordingFit(recording, predicted, wild, parts[0].state))
+        return tuple(found)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -203,7 +215,7 @@ def _lines(fit: Fit) -> list[str]:
     """The report, for a terminal of 80 columns."""
     fitted = [r for r in fit.recordings if r.recording.role != "check"]
     readings = sum(int(r.used.sum()) for r in fitted)
-    names = ", ".join(r.recording.name for r in fitted)
+    names = ", ".join(r.name for r, _ in wholes([f.recording for f in fitted]))
     lines = [
         *_wrapped("[[Model]]  ", " + ".join(fit.model.labels)),
         "[[Fit]]",
@@ -231,10 +243,9 @@ def _lines(fit: Fit) -> list[str]:
     if fit.modes:
         lines.append("[[Modes]]  natural frequency, damping ratio")
     for i, m in enumerate(fit.modes, 1):
-        lines.append(
-            f"    {i}  {m.frequency_hz:.6g} +/- {m.frequency_hz_std:.2g} Hz   "
-            f"{m.damping_ratio:.4g} +/- {m.damping_ratio_std:.2g}"
-        )
+        frequency = _with_error(m.frequency_hz, m.frequency_hz_std, 6)
+        damping = _with_error(m.damping_ratio, m.damping_ratio_std, 4)
+        lines.append(f"    {i}  {frequency} Hz   {damping}")
     strong = fit.strong_correlations()
     if strong:
         lines.append(f"[[Correlations]]  beyond {STRONG}")
@@ -244,6 +255,10 @@ def _lines(fit: Fit) -> list[str]:
         for warning in fit.warnings:
             lines += _wrapped("    - ", warning)
     return lines
+
+
+def _with_error(x: float, std: float, digits: int) -> str:
+    return f"{x:.{digits}g} " + (f"+/- {std:.2g}" if np.isfinite(std) else "(not determined)")
 
 
 def _wrapped(head: str, words: str) -> list[str]:

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -13,7 +12,7 @@ from ..bearings import AirBearing, without_bearings
 from ..effects import AbstractEffect, effects_named
 from ..mechanism import AbstractMechanism, ConstantInertia, PlanarArm
 from ..model import Model
-from ..parameter import Scales
+from ..parameter import Scales, all_floating
 from ..recording import ArmTable, Experiment, Recording
 from ..simulation import fastest
 from .problem import Layout, Problem, Unknowns, bucket, lay_out, posed
@@ -45,9 +44,9 @@ def mechanism_of(experiment: Experiment, recording: Recording) -> AbstractMechan
         if not recording.air_bearings:
             on = [AirBearing(b.joint, b.mass, b.inertia) for b in experiment.bearings]  # pyright: ignore
             arm = without_bearings(arm, on)
-        return jax.tree.map(lambda x: jnp.asarray(x, float), arm)
+        return all_floating(arm)
     if isinstance(table, AbstractMechanism):
-        return jax.tree.map(lambda x: jnp.asarray(x, float), table)
+        return all_floating(table)
     matrix = np.array(table.matrix, float)
     matrix[0, 0] += recording.extra_mass
     return ConstantInertia(matrix, table.joints, table.units)
@@ -64,7 +63,7 @@ def model_for(mechanism: AbstractMechanism, effects: Sequence[str | AbstractEffe
             (effect,) if isinstance(effect, AbstractEffect) else effects_named(effect, mechanism)
         )
         for each in named:
-            model = model + jax.tree.map(lambda x: jnp.asarray(x, float), each)
+            model = model + all_floating(each)
     return model
 
 

@@ -13,6 +13,7 @@ multi-start judge between them.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -22,6 +23,7 @@ import numpy as np
 
 from ..model import Model
 from ..motion import Motion, split, stack
+from ..parameter import stacked
 from ..recording import Recording
 from .beginnings import Beginnings, memory_along, oscillates, plain, tuned
 from .problem import bucket
@@ -139,12 +141,12 @@ def closed_form(
             rows.append([np.pad(p, [(0, pad)] + [(0, 0)] * (p.ndim - 1)) for p in parts])
     arrays = [np.stack(column) for column in zip(*rows, strict=True)]
     data = tuple(jnp.asarray(x.reshape(_LADDER, len(grids), *x.shape[1:])) for x in arrays)
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *models)
+    posed = stacked(models)
     spacing = jnp.asarray([g.dt for g in grids])
 
     def solved(beginnings: Beginnings):
         begin = jax.tree.map(jnp.asarray, beginnings)
-        return jax.device_get(_solve(stacked, begin, spacing, data))
+        return jax.device_get(_solve(posed, begin, spacing, data))
 
     beginnings = plain(models[0], sizes, len(grids))
     if oscillates(models[0]):
@@ -210,7 +212,7 @@ def _solve(models, beginnings: Beginnings, spacing, data):
     def one(vector, z0, data):  # one beginning and kernel; `data` over recordings
         length = data[0].shape[1]
         t = spacing[:, None] * jnp.arange(length)
-        z = jax.vmap(lambda m, *x: memory_along(m.with_vector(vector), *x))(
+        z = eqx.filter_vmap(lambda m, *x: memory_along(m.with_vector(vector), *x))(
             models, spacing, data[0], data[1], z0
         )
 
@@ -219,7 +221,7 @@ def _solve(models, beginnings: Beginnings, spacing, data):
                 e = error(vector, model, *instant)
                 return e, jax.jacfwd(error)(vector, model, *instant)
 
-            rows = jax.vmap(jax.vmap(row, in_axes=(None,) + (0,) * 7))
+            rows = eqx.filter_vmap(jax.vmap(row, in_axes=(None,) + (0,) * 7))
             e, j = rows(models, t, *data, z)
             j = jnp.where(shape, 0.0, j)
             return jnp.einsum("rgnp,rgnk->pk", j, j), jnp.einsum("rgnp,rgn->p", j, e), e
@@ -246,8 +248,9 @@ def _solve(models, beginnings: Beginnings, spacing, data):
         rows = model.bodies.mass_matrix(split(q))
         return stack(tuple(sum(z * x for z, x in zip(row, split(e), strict=True)) for row in rows))
 
-    over = jax.vmap(jax.vmap(jax.vmap(torque, in_axes=(None, 0, 0))), in_axes=(None, 0, 0))
-    return numbers, spread, over(models, data[0], -e[:, 0])
+    # Of each recording's own model, which may hold what is no array: not for `jax.vmap`.
+    each = eqx.filter_vmap(jax.vmap(torque, in_axes=(None, 0, 0)))
+    return numbers, spread, jax.vmap(partial(each, models))(data[0], -e[:, 0])
 
 
 def perturbed(best: np.ndarray, count: int, spread: float = 0.3) -> np.ndarray:

@@ -72,9 +72,9 @@ def overlay(
     frequency or damping has had the most time to grow. Lost samples are gaps; readings that the fit
     set aside as wild are marked, at the edge of a panel if they lie beyond it.
 
-    **Arguments:** `recordings`: which of `fit.recordings` to draw; all if not given.
+    **Arguments:** `recordings`: which of `fit.whole` to draw; all if not given.
     """
-    shown = tuple(fit.recordings if recordings is None else recordings)
+    shown = tuple(fit.whole if recordings is None else recordings)
     joints = len(fit.experiment.joints)
     lay = _NARROW if narrow else _WIDE
     handles = _key(any(each.wild.any() for each in shown))

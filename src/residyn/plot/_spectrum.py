@@ -27,7 +27,7 @@ def spectrum(fit: Fit, *, narrow: bool = False) -> Figure:
     """
     joints = fit.experiment.joints
     units = fit.experiment.units or (None,) * len(joints)
-    fitted = [r for r in fit.recordings if r.recording.role != "check"]
+    fitted = [r for r in fit.whole if r.recording.role != "check"]
     height = (2.1 if narrow else 2.2) * len(joints) + (1.3 if narrow else 1.0)
     figure = Figure(figsize=(NARROW if narrow else WIDE, height), layout="constrained")
     axes = list(figure.subplots(len(joints), 1, sharex=True, squeeze=False)[:, 0])

@@ -12,7 +12,7 @@ from ._picture import picture
 
 def chapter(title: str, fit: Fit) -> dict[str, Any]:
     """All that the template says of one fit."""
-    fitted = [r for r in fit.recordings if r.recording.role != "check"]
+    fitted = [r for r in fit.whole if r.recording.role != "check"]
     return {
         "title": title,
         "fit": fit,
@@ -31,18 +31,18 @@ def chapter(title: str, fit: Fit) -> dict[str, Any]:
                 plot.overlay(fit, [r]),
                 plot.overlay(fit, [r], narrow=True),
             )
-            for r in fit.recordings
+            for r in fit.whole
         ],
         "spectrum": picture(
             "Amplitude spectra of the motion and of what is left, with the modes marked",
             plot.spectrum(fit),
             plot.spectrum(fit, narrow=True),
         ),
-        "recordings": [r.recording.name for r in fit.recordings],
+        "recordings": [r.recording.name for r in fit.whole],
         "correlations": fit.strong_correlations(),
         "readings": sum(int(r.used.sum()) for r in fitted),
         "fitted": [r.recording.name for r in fitted],
-        "held_out": [r.recording.name for r in fit.recordings if r.recording.role == "check"],
+        "held_out": [r.recording.name for r in fit.whole if r.recording.role == "check"],
     }
 
 
