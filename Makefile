@@ -10,7 +10,7 @@ demo: .venv/.demo
 	$(BIN)/residyn demo
 
 test: lint
-	$(RUN) -m pytest -n 2 --dist loadfile
+	$(RUN) -m pytest -n 2 --dist loadfile --durations=25
 
 # Every block of code in the documentation; minutes, so not part of the tests.
 pages: .venv/.test
