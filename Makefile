@@ -4,13 +4,17 @@ PYTHON ?= $(firstword $(foreach p,python3.13 python3.12 python3.11 python3 pytho
 BIN := .venv/bin
 RUN := $(BIN)/python
 
-.PHONY: demo test pages lint docs clean
+.PHONY: demo test slow pages lint docs clean
 
 demo: .venv/.demo
 	$(BIN)/residyn demo
 
 test: lint
 	$(RUN) -m pytest -n 2 --dist loadfile --durations=25
+
+# More cases of some tests, minutes.
+slow: .venv/.test
+	$(RUN) -m pytest -n 2 -m slow
 
 # Every block of code in the documentation; minutes, so not part of the tests.
 pages: .venv/.test

@@ -182,7 +182,23 @@ BASE = {"spring:shoulder": 16.0, "spring:elbow": 14.0, "damper:shoulder": 0.1, "
 PLAIN = {"dead_zone": 0.3, "brake_slip": 0.6, "sensor_delay": 0.05, "wrist_flexibility": 0.1}
 
 
-@pytest.mark.parametrize("words", FREE)
+# One of each kind; the fits of all others are `make slow`.
+KINDS = {
+    "cubic_stiffness",
+    "coulomb_friction",
+    "hysteresis",
+    "periodic_disturbance",
+    "sensor_delay",
+    "gravity",
+    "bearing_drag",
+    "inertia_error",
+}
+EACH = [
+    w if w.partition(":")[0] in KINDS else pytest.param(w, marks=pytest.mark.slow) for w in FREE
+]
+
+
+@pytest.mark.parametrize("words", EACH)
 def test_its_numbers_are_recovered_from_its_own_simulation(words):
     """Within their errors, from a recording made with it and noise."""
     truth = residyn.Model(ARM)

@@ -332,6 +332,7 @@ def ladder(monkeypatch, plan):
         return Accepted(new, firm)
 
     monkeypatch.setattr(diagnosing, "candidates_for", lambda model: [])
+    monkeypatch.setattr(diagnosing, "along_each", lambda fit, missing: [])
     monkeypatch.setattr(diagnosing, "search", lambda step, *rest: step)
     monkeypatch.setattr(diagnosing, "ranked", lambda step: ["best"])
     monkeypatch.setattr(diagnosing, "accepted", accepted)

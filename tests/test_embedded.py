@@ -139,6 +139,7 @@ def test_derivatives_go_through_the_fit(embedded):
     assert np.abs(slopes).max() > 0.1
 
 
+@pytest.mark.slow
 def test_reverse_mode_is_the_same(embedded):
     angle = jnp.asarray(experiment().recordings[0].angle)
 

@@ -116,7 +116,7 @@ def test_covariance_of_the_three_is_that_of_eq_14(found):
 # -- any arm ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_random_arms(seed):
     """Other arms, trajectories, angles, sampling; brakes that give; more tests than unknowns."""
     rng = np.random.default_rng([seed, 3])

@@ -10,7 +10,7 @@ from residyn.recording import InertiaTable
 MASS, VISCOUS, DRY, NOISE = 20.0, 60.0, 8.0, 2e-5
 
 
-def slide(seconds=10.0, dry=DRY, spring=0.0, seed=0):
+def slide(seconds=8.0, dry=DRY, spring=0.0, seed=0):
     """A slide led to and fro by a position controller; small steps of its own, every hundredth
     kept. The drive is held over each sample, as a digital controller does."""
     steps, h = 100, 1e-4

@@ -155,6 +155,11 @@ class Model(eqx.Module):
         """Whether `memory_follow` changes anything."""
         return any(effect.follows for effect in self.effects)
 
+    @property
+    def mirrors(self) -> bool:
+        """Whether `upright` could do anything."""
+        return any(effect.mirrors for effect in self.effects)
+
     def upright(self, memory: Joints) -> tuple[Self, Joints]:
         """The same model with every number of the sign that people write, and what `memory` is in
         it (which stays what effects begin with, and beyond)."""
@@ -248,14 +253,15 @@ class Model(eqx.Module):
         return self._with(values)
 
     def _with(self, values: Mapping[str, PyTree]) -> Self:
-        effects = list(self.effects)
+        fields: list[dict[str, PyTree]] = [{} for _ in self.effects]
         for number in self.numbers:
             if number.name in values:
-                effects[number.effect] = dataclasses.replace(
-                    effects[number.effect],
-                    **{number.meaning.field: values[number.name]},  # pyright: ignore
-                )
-        return dataclasses.replace(self, effects=tuple(effects))
+                fields[number.effect][number.meaning.field] = values[number.name]
+        effects = tuple(
+            dataclasses.replace(effect, **own) if own else effect  # pyright: ignore
+            for effect, own in zip(self.effects, fields, strict=True)
+        )
+        return dataclasses.replace(self, effects=effects)
 
 
 def _add(x: Joints, y: Joints) -> Joints:

@@ -7,6 +7,7 @@ that needs the meaning (units in a table, the scale of a step, bounds) reads it 
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
@@ -159,11 +160,16 @@ def param(
 
 def parameters_of(effect: Any) -> tuple[Parameter, ...]:
     """The declared numbers of an effect (a class or an instance), in the order of declaration."""
+    return _declared_by(effect if isinstance(effect, type) else type(effect))
+
+
+@functools.cache  # a fit asks some hundred times
+def _declared_by(kind: Any) -> tuple[Parameter, ...]:
     return tuple(
         Parameter(
             field=field.name,
             **{**field.metadata[_KEY], "name": field.metadata[_KEY]["name"] or field.name},
         )
-        for field in dataclasses.fields(effect)
+        for field in dataclasses.fields(kind)
         if _KEY in field.metadata
     )

@@ -84,12 +84,17 @@ class AbstractEffect(eqx.Module):
     def upright(self, memory: Joints) -> tuple[Self, Joints]:
         """The same effect with its numbers of the sign that people write: a fit may find a positive
         shape number's mirror image, which every law must take for the same."""
-        mirrored = {
-            p.field: jnp.abs(getattr(self, p.field))
-            for p in parameters_of(self)
-            if p.silent is None and p.sign == "positive"
-        }
+        mirrored = {name: jnp.abs(getattr(self, name)) for name in self._shapes()}
         return dataclasses.replace(self, **mirrored), memory
+
+    @property
+    def mirrors(self) -> bool:
+        """Whether `upright` could do anything."""
+        return bool(self._shapes()) or type(self).upright is not AbstractEffect.upright
+
+    def _shapes(self) -> list[str]:
+        """Fields of its numbers that are positive and are no strengths."""
+        return [p.field for p in parameters_of(self) if p.silent is None and p.sign == "positive"]
 
     # -- memory ------------------------------------------------------------------------------
 

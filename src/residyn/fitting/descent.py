@@ -22,6 +22,7 @@ _AGREE = 0.5  # starts that end within this many standard errors of the best one
 _MOST_WILD = 0.05  # a larger share of readings is not a few wild ones, it is another motion
 _ROUNDS = 3
 _ABSURD = 1e9  # rad or m
+_FAR = 5.0  # sigma: what is nearer to the model than this is not wild beside it
 _USUAL = 0.5  # of the residual's own size: what a wild reading must exceed, too
 
 
@@ -122,6 +123,8 @@ def shares_of(here: Ready, begin: Model) -> list[float]:
 
 def _upright(problem: Problem, at: Unknowns) -> Unknowns | None:
     """The same point with all numbers of the sign that people write; None if they have it."""
+    if not problem.model.mirrors:
+        return None
     states = np.array(problem.states(at))
     model, n = problem.model.with_vector(problem.numbers(at)), len(problem.model.mechanism.joints)
     found = model
@@ -142,6 +145,9 @@ def wild_beside(
         noise = recording.noise
         if beside:  # where the model misses something, the residual has corners of its own
             noise = np.maximum(noise, _USUAL * 1.4826 * np.nanmedian(np.abs(x), axis=0))
+            if not np.any(np.abs(x) > _FAR * noise):
+                found.append(np.zeros(x.shape, bool))
+                continue
         found.append(wild_samples(recording.time, x, noise))
     return found
 

@@ -7,15 +7,15 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..effects import AbstractEffect
-from ..modal import modes_of
+from ..modal import modes_of, state_matrix
 from ..model import Model
 from ..recording import Experiment
-from ..simulation import compiled_state_matrix
 from .descent import Descent, descend, wild_beside
 from .drifting import without_drift
 from .identify import Spread, spread_of
@@ -213,22 +213,29 @@ def _numbers(model: Model, start: np.ndarray, spread: Spread) -> tuple[Number, .
 def _modes(model: Model, covariance: np.ndarray) -> tuple[Mode, ...]:
     """The modes that ring, with errors carried over from the numbers."""
     vector = np.asarray(model.vector())
-
-    def at(numbers: np.ndarray) -> np.ndarray:
-        matrix = compiled_state_matrix(model.with_vector(jnp.asarray(numbers)))
-        return np.stack(modes_of(jnp.asarray(np.linalg.eigvals(np.asarray(matrix)))))
-
-    best, slopes = at(vector), []
-    for i, value in enumerate(vector):
-        step = np.zeros_like(vector)
-        step[i] = 1e-6 * max(abs(value), 1e-6)
-        slopes.append((at(vector + step) - at(vector - step)) / (2 * step[i]))
+    steps = np.diag(1e-6 * np.maximum(np.abs(vector), 1e-6))
+    beside = np.concatenate([vector[None], vector + steps, vector - steps])
+    # All at once: one by one, these small matrices would take as long as the search.
+    matrices = _state_matrices(model, jnp.asarray(beside))
+    values = np.linalg.eigvals(np.asarray(matrices))
+    best, *others = np.stack(_modes_of_each(jnp.asarray(values, complex)), axis=1)
+    up, down = np.split(np.asarray(others).reshape(-1, *best.shape), 2)
+    slopes = (up - down) / (2 * np.diag(steps)[:, None, None])
     found = []
     for i, (frequency, damping) in enumerate(best.T):
         if frequency > 0 and abs(damping) < 1 - 1e-9:
-            spread = [_carried(np.array([s[j, i] for s in slopes]), covariance) for j in (0, 1)]
+            spread = [_carried(slopes[:, j, i], covariance) for j in (0, 1)]
             found.append(Mode(float(frequency), spread[0], float(damping), spread[1]))
     return tuple(found)
+
+
+@eqx.filter_jit
+def _state_matrices(model: Model, numbers):
+    """(K, s, s) of the model with each row of numbers (K, P)."""
+    return jax.vmap(lambda x: state_matrix(model.with_vector(x)))(numbers)
+
+
+_modes_of_each = jax.jit(jax.vmap(modes_of))
 
 
 def _carried(slope: np.ndarray, covariance: np.ndarray) -> float:

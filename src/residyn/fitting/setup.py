@@ -1,7 +1,7 @@
 """An experiment made ready to fit: bodies, model, step, scales, first guesses of the states."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -98,9 +98,8 @@ class Ready(NamedTuple):
             ]
         )
         size = self.amplitude
-        memory = [
-            m.meaning.dimension.size(_of(begin, m.joint, size, frequency)) for m in begin.memory
-        ]
+        scales = _scales_of(begin, size, np.full(len(size), frequency))
+        memory = [m.meaning.dimension.size(scales(m.joint)) for m in begin.memory]
         scale = Unknowns(
             jnp.asarray(_scales(begin, size, frequency)),
             jnp.asarray(
@@ -144,13 +143,9 @@ class Ready(NamedTuple):
         rate = np.max([_rate(r) for r in self.recordings], axis=0)
         least = max(2 * math.pi / r.duration for r in self.recordings)
         pace = np.maximum(rate / np.maximum(swing, size), least)
-        return np.array(
-            [
-                n.meaning.dimension.size(_of(self.model, n.joint, size, _at(pace, n.joint)))
-                for n in self.model.fitted
-            ],
-            float,
-        )
+        scales = _scales_of(self.model, size, pace)
+        sizes = [n.meaning.dimension.size(scales(n.joint)) for n in self.model.fitted]
+        return np.array(sizes, float)
 
 
 def ready(
@@ -176,19 +171,20 @@ def reweighted(problem: Problem, layouts: Sequence[Layout], wild: Sequence[np.nd
 
 def _scales(model: Model, amplitude: np.ndarray, frequency: float) -> np.ndarray:
     """A size for every number, never zero: its value, or what its dimension is typically."""
-    sizes = []
+    sizes, scales = [], _scales_of(model, amplitude, np.full(len(amplitude), frequency))
     for number, value in zip(model.fitted, np.asarray(model.vector()), strict=True):
-        scales = _of(model, number.joint, amplitude, frequency)
-        typical = float(number.meaning.dimension.size(scales))
+        typical = float(number.meaning.dimension.size(scales(number.joint)))
         sizes.append(max(abs(value) if np.isfinite(value) else 0.0, 1e-2 * typical))
     return np.asarray(sizes, float)
 
 
-def _of(model: Model, joint: int | None, amplitude: np.ndarray, frequency: float) -> Scales:
-    """The scales of one joint, or of the last one for what belongs to none."""
+def _scales_of(
+    model: Model, amplitude: np.ndarray, pace: np.ndarray
+) -> Callable[[int | None], Scales]:
+    """The scales of one joint, or of the last one for what belongs to none; `pace` (n,) rad/s."""
     matrix = model.mechanism.mass_matrix((0.0,) * len(amplitude))
     inertia = np.array([float(row[i]) for i, row in enumerate(matrix)])
-    return Scales(_at(inertia, joint), float(frequency), _at(amplitude, joint))
+    return lambda joint: Scales(*(_at(each, joint) for each in (inertia, pace, amplitude)))
 
 
 def _at(each: np.ndarray, joint: int | None) -> float:

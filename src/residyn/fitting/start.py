@@ -86,26 +86,59 @@ def kernel(half: int, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return value / total, first / total / width, second / total / width**2
 
 
-def smooth(data: Uniform, half: int, noise: np.ndarray):
-    """(q, v, a, drive, weight) through one kernel; the weight is 0 where it does not apply."""
-    kernels = kernel(half, data.dt)
-    length = len(data.q)
+class Smoothed(NamedTuple):
+    """A recording through H kernels: arrays (H, G, n) and a weight (H, G), 0 where a kernel's
+    result does not apply."""
 
-    def through(columns: np.ndarray, k: np.ndarray) -> np.ndarray:
-        return np.stack([np.convolve(c, k, "same") for c in columns.T], axis=1)
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    drive: np.ndarray
+    weight: np.ndarray
 
-    q, v, a = (through(data.q, k) for k in kernels)
-    inside = np.zeros(length, bool)
-    inside[half : length - half] = True
-    filled = np.convolve((~data.good).astype(float), np.ones(2 * half + 1), "same") > 0.5
+    def kept(self, halves: np.ndarray) -> np.ndarray:
+        """(H,) share of the motion (rms about its mean, best joint) that passes each kernel."""
+        whole, shares = self.q[0].std(axis=0), []
+        for q, half in zip(self.q, halves, strict=True):
+            inside = q[half : max(half + 1, len(q) - half)]
+            shares.append((inside.std(axis=0) / np.maximum(whole, 1e-300)).max())
+        return np.asarray(shares)
+
+
+def smooth(data: Uniform, halves: np.ndarray, noise: np.ndarray) -> Smoothed:
+    """Through the kernels of these half-widths (H,), in samples."""
+    length, widest = len(data.q), int(halves.max())
+    size = 1 << (length + 4 * widest).bit_length()  # no end reaches round to the other
+
+    def response(kernels: Sequence[np.ndarray]) -> np.ndarray:
+        rows = np.zeros((len(kernels), size))
+        for row, k in zip(rows, kernels, strict=True):  # the middle stands at 0, its left side last
+            half = len(k) // 2
+            row[: half + 1], row[size - half :] = k[half:], k[:half]
+        return np.fft.rfft(rows)
+
+    def through(columns: np.ndarray, responses: np.ndarray) -> np.ndarray:
+        if not columns.any():
+            return np.zeros((len(responses), *columns.shape))
+        spectrum = np.fft.rfft(columns.T, size)
+        passed = np.fft.irfft(responses[:, None] * spectrum, size)
+        return passed[..., :length].transpose(0, 2, 1)
+
+    kernels = [kernel(int(half), data.dt) for half in halves]
+    responses = [response(each) for each in zip(*kernels, strict=True)]
+    q, v, a = (through(data.q, r) for r in responses)
+    lost = (~data.good)[:, None].astype(float)
+    near = through(lost, response([np.ones(2 * half + 1) for half in halves]))[..., 0] > 0.5
+    index = np.arange(length)
+    inside = (index >= halves[:, None]) & (index < length - halves[:, None])
     # Where the motion has died away only noise is left, which would pull the numbers to itself.
-    left = noise * np.sqrt((kernels[0] ** 2).sum())
+    left = noise * np.array([np.sqrt((k[0] ** 2).sum()) for k in kernels])[:, None]
     rest = np.median(data.q[-max(10, length // 10) :], axis=0)
-    block = np.ones(4 * half + 1) / (4 * half + 1)
-    size2 = through((data.q - rest) ** 2, block)
-    share = (size2 / (6 * left) ** 2).max(axis=1)
-    weight = share / (1 + share) * (inside & ~filled)
-    return q, v, a, through(data.drive, kernels[0]), weight
+    blocks = response([np.ones(4 * half + 1) / (4 * half + 1) for half in halves])
+    size2 = np.maximum(through((data.q - rest) ** 2, blocks), 0.0)
+    share = (size2 / (6 * left[:, None]) ** 2).max(axis=2)
+    weight = share / (1 + share) * (inside & ~near)
+    return Smoothed(q, v, a, through(data.drive, responses[0]), weight)
 
 
 class Candidates(NamedTuple):
@@ -133,14 +166,9 @@ def closed_form(
     shortest, longest = min(len(g.q) for g in grids), bucket(max(len(g.q) for g in grids))
     halves = np.array([round(_NARROWEST * 1.5**i) for i in range(_LADDER)])
     fits = halves <= max(_NARROWEST, shortest // 8)
-    rows = []
-    for half in np.where(fits, halves, _NARROWEST):  # always as many: one compiled program
-        for grid, recording in zip(grids, recordings, strict=True):
-            parts = smooth(grid, int(half), recording.noise)
-            pad = longest - len(grid.q)
-            rows.append([np.pad(p, [(0, pad)] + [(0, 0)] * (p.ndim - 1)) for p in parts])
-    arrays = [np.stack(column) for column in zip(*rows, strict=True)]
-    data = tuple(jnp.asarray(x.reshape(_LADDER, len(grids), *x.shape[1:])) for x in arrays)
+    used = np.where(fits, halves, _NARROWEST)  # always as many: one compiled program
+    each = [smooth(g, used, r.noise) for g, r in zip(grids, recordings, strict=True)]
+    data = tuple(jnp.asarray(_side_by_side(parts, longest)) for parts in zip(*each, strict=True))
     posed = stacked(models)
     spacing = jnp.asarray([g.dt for g in grids])
 
@@ -155,7 +183,7 @@ def closed_form(
     numbers, spread, _ = solved(beginnings)
     # A kernel wider than the slowest swing leaves only rest and drift, which any tiny stiffness
     # fits beautifully.
-    kept = _kept(grids, halves)
+    kept = np.max([s.kept(used) for s in each], axis=0)
     fits &= kept > min(_LEAST_KEPT, 0.5 * kept.max())
     # Overlapping kernels share their noise: a kernel of half-width h leaves about 1/h as many
     # independent equations.
@@ -178,21 +206,12 @@ def _order(spread: np.ndarray) -> np.ndarray:
     return order[np.isfinite(spread.reshape(-1)[order])]
 
 
-def _kept(grids: Sequence[Uniform], halves: np.ndarray) -> np.ndarray:
-    """Share of the motion (rms about its mean, best joint) that passes each kernel."""
-    shares = []
-    for half in halves:
-        best = 0.0
-        for grid in grids:
-            if len(grid.q) > 4 * half:
-                about = grid.q - grid.q.mean(axis=0)
-                value = kernel(int(half), grid.dt)[0]
-                passed = np.stack([np.convolve(c, value, "valid") for c in about.T], axis=1)
-                passed = passed - passed.mean(axis=0)
-                size = np.maximum(about.std(axis=0), 1e-300)
-                best = max(best, float((passed.std(axis=0) / size).max()))
-        shares.append(best)
-    return np.asarray(shares)
+def _side_by_side(parts: Sequence[np.ndarray], longest: int) -> np.ndarray:
+    """(H, G, ...) of each recording as (H, R, longest, ...), filled up with zeros."""
+    filled = np.zeros((parts[0].shape[0], len(parts), longest, *parts[0].shape[2:]))
+    for i, part in enumerate(parts):
+        filled[:, i, : part.shape[1]] = part
+    return filled
 
 
 @eqx.filter_jit
