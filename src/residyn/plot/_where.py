@@ -25,10 +25,16 @@ def where(compared: Comparison, *, narrow: bool = False) -> Figure:
     figure = Figure(figsize=(NARROW, 8.6) if narrow else (WIDE, 3.3), layout="constrained")
     time, swing, band = figure.subplots(*shape).ravel()
     _bars(time, [f"{plain(p.start, 2)}-{plain(p.stop, 2)}" for p in at.time], at.time, at.joints)
-    time.set(xlabel="time since the start (s)", title="when")
+    cut = any(r.recording.whole is not None for r in compared.fit.recordings)
+    since = "stretch's start" if cut else "start"
+    time.set(xlabel=f"time since the {since} (s)", title="when")
     _by_swing(swing, compared)
     swing.set(title="at which swing")
-    names = [p.name or f"{plain(p.start, 2)}-{plain(p.stop, 2)} Hz" for p in at.frequency]
+    names = [p.name for p in at.frequency]
+    names = [
+        name if name and names.count(name) == 1 else f"{plain(p.start, 2)}-{plain(p.stop, 2)} Hz"
+        for name, p in zip(names, at.frequency, strict=True)
+    ]
     _bars(band, names, at.frequency, at.joints)
     band.set(xlabel="band of frequencies", title="at which frequency")
     if max((c.ratio for p in at.frequency for c in p.cells if c.ratio == c.ratio), default=0) > 20:
