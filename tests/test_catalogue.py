@@ -194,6 +194,8 @@ LATER = {
     "coupling_stiffness",
     "damper",
     "dead_zone",
+    "hysteresis",
+    "inertia_error",
     "quadratic_drag",
     "sensor_offset",
     "sensor_scale",

@@ -111,6 +111,7 @@ def test_what_is_in_no_catalogue_is_not_forced_into_a_name():
     assert max(c.probability for c in found.candidates) < 0.9
 
 
+@pytest.mark.slow
 def test_no_effect_may_be_added_if_none_is_allowed():
     found = residyn.diagnose(
         experiment("cubic_stiffness:shoulder", {"coefficient": 40.0}), max_effects=0
@@ -180,6 +181,7 @@ def test_a_torque_keeps_its_impulse_and_moment_in_every_step():
 # -- what to measure next -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_another_elbow_angle_tells_gravity_from_a_constant_torque():
     made = experiment("constant_torque:elbow", {"torque": 0.4}, noise=1e-3)
     base = residyn.fit(made, starts=2)
@@ -212,6 +214,7 @@ def test_a_cart_has_dry_friction():
     assert math.hypot(*found.ladder[0].fit.rmse) > 4 * math.hypot(*found.ladder[1].fit.rmse)
 
 
+@pytest.mark.slow
 def test_jax_sees_plain_arrays(friction):
     """The named model is a model like any other: it simulates, and differentiates."""
     model = friction.fit.model
@@ -227,6 +230,7 @@ def test_jax_sees_plain_arrays(friction):
     assert float(slope) == pytest.approx(float(step), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_an_effect_that_has_become_needless_is_dropped():
     """Friction was hidden; a cubic spring that had joined before it goes, friction stays."""
     made = experiment("coulomb_friction:elbow", {"torque": 0.05})

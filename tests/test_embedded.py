@@ -120,6 +120,7 @@ def orbital(embedded, inertias):
     return modes(eqx.tree_at(lambda m: m.mechanism, model, bare)).frequency_hz
 
 
+@pytest.mark.slow
 def test_derivatives_go_through_the_fit(embedded):
     inertias = jnp.array([ARM.shoulder, ARM.elbow, ARM.coupling])
     slopes = jax.jit(jax.jacfwd(lambda x: orbital(embedded, x)))(inertias)

@@ -132,6 +132,7 @@ def test_several_recordings_share_their_numbers_and_check_ones_are_held_out(case
     np.testing.assert_allclose(values[0], values[1], rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_bearing_drag_is_fitted_though_all_check_recordings_are_bare():
     """What is not on a held-out recording's bearings need not be there to be named."""
     unloaded = pytest.importorskip("tests.rig.unloaded")
@@ -152,6 +153,7 @@ def test_bearing_drag_is_fitted_though_all_check_recordings_are_bare():
     assert np.isfinite(fit.check_rmse).all()
 
 
+@pytest.mark.slow
 def test_hidden_coulomb_friction_shows_and_then_fits():
     rng = np.random.default_rng([8, 1])
     case = next(rig.friction_cases(rng, 1, noise=2e-4, share=(0.03, 0.05)))

@@ -81,6 +81,7 @@ def test_acceleration_noise_and_a_brake_that_gives_harm_the_papers_way_more(pape
     assert np.sqrt(np.mean(np.square(theirs), axis=0)).max() > 1e-2
 
 
+@pytest.mark.slow
 def test_errors_are_honest(paper):
     """Pulls of the three inertias and of every test's numbers, over seeds."""
     truth, arms, tests, chi2 = truth_of(paper[0].arm), [], [], []

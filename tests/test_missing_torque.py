@@ -101,6 +101,7 @@ def test_the_right_effect_draws_the_best_curve(friction):
     assert not np.any(best.torque[:, 0])
 
 
+@pytest.mark.slow
 def test_it_can_be_differentiated_and_vmapped(friction):
     """In the model's numbers, and over models."""
     from residyn.diagnosis import missing_torque as module_function  # the numpy-facing one

@@ -149,6 +149,7 @@ def test_gravity_agrees_with_mujoco():
         assert np.abs(np.asarray(ours.q) - theirs).max() < 1e-5
 
 
+@pytest.mark.slow
 def test_every_adjoint_gives_the_same_motion_and_gradient(undamped):
     model = undamped + Damper("elbow", 0.1)
     t = jnp.linspace(0.0, 3.0, 50)

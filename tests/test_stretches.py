@@ -77,6 +77,7 @@ def test_what_a_spring_pulls_back_stays_whole():
     assert fit.numbers[0].value == pytest.approx(400.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_friction_is_named():
     found = residyn.diagnose(experiment(recorded()), starts=1, max_effects=1)
     assert found.added == ("coulomb_friction:slide",)

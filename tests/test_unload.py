@@ -174,6 +174,7 @@ def named(dragged):
     return residyn.unload(dragged, effects=HIDDEN)
 
 
+@pytest.mark.slow
 def test_with_drag_and_friction_named_decay_and_frequency_are_right(named):
     assert named.left_out == HIDDEN
     assert named.unloaded.labels == named.fit.model.labels[:4]
@@ -253,6 +254,7 @@ def test_recordings_with_and_without_bearings_fitted_together():
 # -- what cannot be told ---------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_drag_on_the_elbow_alone_is_a_damper_at_the_shoulder():
     wanted = [Release(0.3), Release(1.5)]
     found = residyn.unload(
