@@ -71,6 +71,7 @@ def test_stretches_are_told_of_once_and_drawn_as_one(fit):
     )
 
 
+@pytest.mark.slow
 def test_what_a_spring_pulls_back_stays_whole():
     fit = residyn.fit(experiment(recorded(dry=0.0, spring=400.0)), starts=1)
     assert len(fit.recordings) == 1

@@ -157,6 +157,7 @@ def decay(mode):
     return 2 * math.pi * mode.frequency_hz * mode.damping_ratio
 
 
+@pytest.mark.slow
 def test_viscous_joints_alone_predict_the_wrong_decay(dragged):
     """The paper's open problem: frequencies right, decay far too fast."""
     found = residyn.unload(dragged)
