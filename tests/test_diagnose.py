@@ -5,6 +5,7 @@ import dataclasses
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ import pytest
 import residyn
 from residyn.diagnosis import diagnosing
 from residyn.diagnosis.curves import candidates as candidates_for
-from residyn.diagnosis.ladder import Accepted, needless, search
+from residyn.diagnosis.ladder import Accepted, needless, ranked, search
 from residyn.diagnosis.linear import Near
 from residyn.diagnosis.missing import missing_of
 from residyn.diagnosis.missing_torque import missing_torque
@@ -359,3 +360,23 @@ def ladder(monkeypatch, plan):
 )
 def test_what_waits_stands_only_with_the_next(plan, rungs, monkeypatch):
     assert ladder(monkeypatch, plan) == rungs
+
+
+@pytest.mark.parametrize(
+    ("left", "bends", "named"),
+    [
+        (5.0, 0.95, "coulomb_friction:elbow"),  # bends to what neither explains
+        (5.0, 0.70, "stribeck_friction:elbow"),  # matters
+        (1.0, 0.95, "stribeck_friction:elbow"),  # only noise is left: chi-square can be believed
+    ],
+)
+def test_a_law_with_more_to_it_must_matter_beside_the_simpler_one(left, bends, named):
+    readings = 4000
+    laws = residyn.CoulombFriction("elbow"), residyn.StribeckFriction("elbow")
+    costs = left * readings / bends, left * readings
+    refits = [
+        SimpleNamespace(effect=e, label=e.label, cost=c, numbers=n, possible=True)
+        for e, c, n in zip(laws, costs, (1, 3), strict=True)
+    ]
+    step = SimpleNamespace(refits=refits, cost=100.0 * readings, readings=readings)
+    assert ranked(step)[0].label == named
