@@ -92,9 +92,9 @@ def _kept(name: str, text: str, make) -> Path:
         digest.update(path.read_bytes())
     folder = CACHE / f"{name}-{digest.hexdigest()[:16]}"
     if not folder.exists():
-        from residyn.cli._shell import set_up_jax
+        from residyn import set_up
 
-        set_up_jax(cache=True)
+        set_up()
         for old in CACHE.glob(f"{name}-*"):
             shutil.rmtree(old)
         with tempfile.TemporaryDirectory() as work:

@@ -7,6 +7,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .ahead import set_up as set_up
     from .bearings import AirBearing as AirBearing
     from .bearings import with_bearings as with_bearings
     from .bearings import without_bearings as without_bearings
@@ -79,6 +80,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _PUBLIC = {
+    "ahead": ("set_up",),
     "bearings": ("AirBearing", "with_bearings", "without_bearings"),
     "diagnosis": ("Comparison", "Diagnosis", "compare", "diagnose"),
     "effects": (

@@ -6,6 +6,7 @@ that JAX differentiates, vmaps and fits.
 """
 
 import dataclasses
+import functools
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple, Self
 
@@ -216,17 +217,14 @@ class Model(eqx.Module):
     @property
     def numbers(self) -> tuple[Number, ...]:
         """Every declared number of every effect, in order."""
-        found = []
-        for index, effect in enumerate(self.effects):
-            joint = self._joint(effect)
-            for meaning in parameters_of(effect):
-                found.append(Number(f"{effect.label}.{meaning.name}", meaning, index, joint))
-        return tuple(found)
+        each = tuple((type(e), e.label, self._joint(e)) for e in self.effects)
+        return _numbers(each)
 
     @property
     def fitted(self) -> tuple[Number, ...]:
         """The numbers that a fit moves."""
-        return tuple(number for number in self.numbers if number.meaning.fitted)
+        each = tuple((type(e), e.label, self._joint(e)) for e in self.effects)
+        return _fitted(each)
 
     def vector(self) -> Float[Array, " p"]:
         """The fitted numbers as one array, in the order of `fitted`."""
@@ -262,6 +260,21 @@ class Model(eqx.Module):
             for effect, own in zip(self.effects, fields, strict=True)
         )
         return dataclasses.replace(self, effects=effects)
+
+
+@functools.cache  # a fit asks some hundred times
+def _numbers(effects: tuple[tuple[type[AbstractEffect], str, int | None], ...]):
+    """The numbers of effects, each told by its class, its label and its joint."""
+    found = []
+    for index, (kind, label, joint) in enumerate(effects):
+        for meaning in parameters_of(kind):
+            found.append(Number(f"{label}.{meaning.name}", meaning, index, joint))
+    return tuple(found)
+
+
+@functools.cache
+def _fitted(effects) -> tuple[Number, ...]:
+    return tuple(number for number in _numbers(effects) if number.meaning.fitted)
 
 
 def _add(x: Joints, y: Joints) -> Joints:

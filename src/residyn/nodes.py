@@ -8,7 +8,7 @@ step, whose error is about (w h)^6 / 46080.
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .model import Model
 from .motion import Joints
@@ -27,11 +27,12 @@ class Trajectory(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """The motion at the ends of the steps: `start` s, `h` s, and (steps + 1, n) arrays; `z`
-    (steps + 1, m) are internal states."""
+    """The motion at the ends of the steps: `start` s, `h` s, and arrays whose first `steps` + 1
+    rows count; `z` are internal states."""
 
     start: Float[Array, ""]
     h: Float[Array, ""]
+    steps: Int[Array, ""] | int
     q: Float[Array, "M n"]
     v: Float[Array, "M n"]
     a: Float[Array, "M n"]
@@ -41,43 +42,47 @@ class Nodes(NamedTuple):
 def read(model: Model, nodes: Nodes, times: Float[Array, " N"]) -> Trajectory:
     """Motion at any times."""
     place = (times - nodes.start) / nodes.h
-    curve, s = _at(nodes, place)
+    row = _row(nodes, place)
+    curve, s = _curve(nodes, row), (place - row)[:, None]
     q = _polynomial(curve, s)
     rate = _polynomial([k * c for k, c in enumerate(curve)][1:], s) / nodes.h
     seen = _late(nodes, place, model.delays) if model.late else q
     return Trajectory(times, q, rate, model.reading(seen))
 
 
-def read_slots(model: Model, nodes: Nodes, place: Float[Array, "M m"]) -> Float[Array, "M m n"]:
-    """Readings at `place` (0 to 1) of each of the M steps: `read` for a fit, without look-ups."""
-    if not model.late:
-        return model.reading(
-            _polynomial([c[:, None, :] for c in _curves(nodes)], place[:, :, None])
-        )
-    where = (jnp.arange(place.shape[0])[:, None] + place).reshape(-1)
-    late = _late(nodes, where, model.delays)
-    return model.reading(late.reshape(*place.shape, late.shape[-1]))
+def read_rows(
+    model: Model, nodes: Nodes, row: Int[Array, " N"], place: Float[Array, " N"]
+) -> Float[Array, "N n"]:
+    """Readings at `place` (0 to 1) within the steps `row`: `read` for a fit, which knows where its
+    readings lie."""
+    if model.late:
+        return model.reading(_late(nodes, row + place, model.delays))
+    return model.reading(_polynomial(_curve(nodes, row), place[:, None]))
 
 
 def _late(nodes: Nodes, place: Float[Array, " N"], delays: Joints) -> Float[Array, "N n"]:
     """Each joint as it was `delays` (s) ago; before the beginning the first curve goes on."""
     columns = []
     for joint, delay in enumerate(delays):
-        curve, s = _at(nodes, place - delay / nodes.h)
-        columns.append(_polynomial([c[:, joint] for c in curve], s[:, 0]))
+        there = place - delay / nodes.h
+        row = _row(nodes, there)
+        curve = _curve(nodes, row)
+        columns.append(_polynomial([c[:, joint] for c in curve], there - row))
     return jnp.stack(columns, axis=-1)
 
 
-def _at(nodes: Nodes, place: Float[Array, " N"]):
-    """The curve that holds at each place, counted in steps, and where on it, (N, 1)."""
-    index = jnp.clip(jnp.floor(place).astype(int), 0, nodes.q.shape[0] - 2)
-    return [c[index] for c in _curves(nodes)], (place - index)[:, None]
+def _row(nodes: Nodes, place: Float[Array, " N"]) -> Int[Array, " N"]:
+    """The step whose curve holds at each place, counted in steps."""
+    return jnp.clip(jnp.floor(place).astype(int), 0, nodes.steps - 1)
 
 
-def _curves(nodes: Nodes) -> list[Float[Array, "M n"]]:
-    """Coefficients of each step's quintic in s, which runs from 0 to 1 along the step."""
-    h = nodes.h
-    (q0, q1), (v0, v1), (a0, a1) = ((x[:-1], x[1:]) for x in (nodes.q, h * nodes.v, h**2 * nodes.a))
+def _curve(nodes: Nodes, row: Int[Array, " N"]) -> list[Float[Array, "N n"]]:
+    """Coefficients of some steps' quintics in s, which runs from 0 to 1 along a step."""
+    h, n = nodes.h, nodes.q.shape[1]
+    # All that a step begins with lies in one row: one look-up for its beginning, one for its end.
+    ends = jnp.concatenate([nodes.q, h * nodes.v, h**2 * nodes.a], axis=1)
+    at = [ends.at[i].get(mode="promise_in_bounds") for i in (row, row + 1)]
+    (q0, q1), (v0, v1), (a0, a1) = zip(*(jnp.split(x, (n, 2 * n), axis=1) for x in at), strict=True)
     # Taylor at the left end, and three higher powers matched to the right end.
     rest, slope, bend = q1 - q0 - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
     return [

@@ -21,7 +21,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from .equation import Args, Drive, Piecewise, rates
 from .modal import state_matrix
@@ -85,19 +85,22 @@ def march(
     q0: Float[Array, " n"],
     v0: Float[Array, " n"],
     *,
-    steps: int,
+    steps: int | Int[Array, ""],
     z0: Float[Array, " m"] | None = None,
     drive: Drive | Piecewise | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
+    room: int | None = None,
     only: Scalar | None = None,
 ) -> Nodes:
-    """Integrate Eq. 1 over `steps` equal steps. Any number here may be traced, `steps` may not.
+    """Integrate Eq. 1 over `steps` equal steps. Any number here may be traced, but, without `room`,
+    not the steps.
 
     `z0` is what the internal states hold beyond what their effects begin with. `adjoint` None steps
     the solver in a plain `lax.scan`, which both forward and reverse mode can differentiate, and
     which compiles and runs quickest. A diffrax adjoint instead integrates with
-    `diffrax.diffeqsolve` and differentiates as that adjoint says. `only` (which may be traced)
-    stops after that many steps and leaves zeros behind; it excludes reverse mode.
+    `diffrax.diffeqsolve` and differentiates as that adjoint says. With `room` for that many steps,
+    their number may be traced, too, and `only` so many of them are taken; zeros are left behind.
+    That excludes reverse mode.
     """
     start, stop = jnp.asarray(start, float), jnp.asarray(stop, float)
     h = (stop - start) / steps
@@ -115,7 +118,7 @@ def march(
         def advance(index, y):
             return solver.advance(during(index), start + index * h, h, y)
 
-        if only is None:
+        if room is None:
 
             def body(y, index):
                 end, a = advance(index, y)
@@ -123,22 +126,28 @@ def march(
 
             last, path = jax.lax.scan(body, y, jnp.arange(steps))
             path = jax.tree.map(lambda x: jnp.append(x, 0.0), path)
+            end, rows = steps, steps + 1
         else:
+            end, rows = steps if only is None else only, room + 1
 
             def fill(index, carry):
                 y, path = carry
                 end, a = advance(index, y)
-                put = jax.tree.map(lambda row, x: row.at[index].set(x), path, (*y, a))
+                put = jax.tree.map(
+                    lambda row, x: jax.lax.dynamic_update_index_in_dim(row, x, index, 0),
+                    path,
+                    (*y, a),
+                )
                 return end, put
 
-            empty = jax.tree.map(lambda _: jnp.zeros(steps + 1), (*y, y.q))
-            last, path = jax.lax.fori_loop(0, only, fill, (y, empty))
-        end = steps if only is None else only
+            empty = jax.tree.map(lambda _: jnp.zeros(rows), (*y, y.q))
+            last, path = jax.lax.fori_loop(0, end, fill, (y, empty))
         rest = _acceleration_at(during(end - 1), start + end * h, last)
         q, v, z, a = jax.tree.map(lambda row, x: row.at[end].set(x), path, (*last, rest))
-        empty = jnp.zeros((steps + 1, 0))
+        empty = jnp.zeros((rows, 0))
         q, v, a, z = (jnp.stack(x, axis=1) if x else empty for x in (q, v, a, z))
-        return Nodes(start, h, q, v, a, z)
+        return Nodes(start, h, steps, q, v, a, z)
+    assert isinstance(steps, int), "diffrax compiles the number of steps in"
     args = during(0)
     nodes = start + h * jnp.arange(steps + 1)
     solution = diffrax.diffeqsolve(
@@ -158,7 +167,7 @@ def march(
     assert solution.ys is not None
     q, v, z = solution.ys
     a = jax.vmap(lambda t, *y: stack(_acceleration_at(args, t, _tuples(y))))(nodes, q, v, z)
-    return Nodes(start, h, q, v, a, z)
+    return Nodes(start, h, steps, q, v, a, z)
 
 
 def _vector_field(t, y, args: Args):

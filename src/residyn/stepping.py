@@ -12,10 +12,11 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .equation import Args, rates, signs
 from .model import solve_inertia
-from .motion import Joints, Motion, Scalar
+from .motion import Joints, Motion, Scalar, split
 from .stick_slip import break_away, position_within, reversals, sliding, turning_point
 
 # What counts as unresolved inside a step, as a share of it: below 0.4 the stages would chatter.
@@ -61,6 +62,8 @@ _WEIGHTS = (
 )
 
 
+_TABLE = np.array([[*row, *(0.0,) * (len(_WEIGHTS) - len(row))] for row in _ROWS])
+
 # How often each stage's torque counts in the rate at the end, and in the position; and minus the
 # same by a finer rule, Gauss' two points in each eighth of a step: its error at corners.
 _FINE = tuple((k + 0.5 + side / 12**0.5) / 8 for k in range(8) for side in (-1.0, 1.0))
@@ -76,28 +79,29 @@ _IN_POSITION = (
 
 
 def _tsit5(rates, h, y: State):
-    """Tsitouras' six stages of y' = rates(share of the step, y), written out.
+    """Tsitouras' six stages of y' = rates(share of the step, y).
+
+    A loop over the stages is a sixth of the code to compile, and no slower.
 
     **Returns:** the state at the end of the step, and q'' at its first and last stage.
     """
-    slopes: list[State] = []
-    for row, node in zip(_ROWS, _NODES, strict=False):
-        stage = _advance(y, h, row, slopes)
-        a, z = rates(node, stage)
-        slopes.append(State(stage.v, a, z))
-    return _advance(y, h, _WEIGHTS, slopes), slopes[0].v, slopes[-1].v
+    n = len(y.q)
+    begin = jnp.stack([*y.q, *y.v, *y.z])
+    rows, nodes = jnp.asarray(_TABLE), jnp.asarray(_NODES)
 
+    def at(weights, slopes) -> State:
+        x = split(begin + h * (weights @ slopes))
+        return State(x[:n], x[n : 2 * n], x[2 * n :])
 
-def _advance(y: State, h, weights, slopes) -> State:
-    used = [(h * w, s) for w, s in zip(weights, slopes, strict=False) if w != 0.0]
-    if not used:
-        return y
-    return State(
-        *(
-            tuple(x + sum(w * s[part][i] for w, s in used) for i, x in enumerate(column))
-            for part, column in enumerate(y)
-        )
-    )
+    def stage(i, slopes):
+        here = at(rows[i], slopes)
+        a, z = rates(nodes[i], here)
+        slope = jnp.stack([*here.v, *a, *z])
+        return jax.lax.dynamic_update_index_in_dim(slopes, slope, i, 0)
+
+    slopes = jax.lax.fori_loop(0, len(_TABLE), stage, jnp.zeros((len(_TABLE), len(begin))))
+    first, last = (split(slopes[i, n : 2 * n]) for i in (0, -1))
+    return at(jnp.asarray(_WEIGHTS), slopes), first, last
 
 
 @eqx.filter_jit

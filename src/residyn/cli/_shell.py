@@ -13,6 +13,7 @@ import typer
 
 from .._input import InputError
 from .._json import finite
+from ..ahead import set_up
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -247,30 +248,7 @@ def _unwritable(option: str, path: str, error: Exception) -> InputError:
 
 
 def set_up_jax(cache: bool) -> None:
-    """Numbers in float64, and compiled programs kept for the next run.
-
-    A command sets this for itself; importing the package sets nothing.
-    """
+    """JAX as a command wants it; importing the package sets nothing."""
     # A recording is a chain of small steps, which is what a CPU does best; the user may disagree.
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-    folder = _cache_folder() if cache else None
-    if folder is not None:
-        jax.config.update("jax_compilation_cache_dir", str(folder))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
-        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-
-
-def _cache_folder() -> Path | None:
-    """The user's cache folder, or None if it cannot be written."""
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    try:
-        # A relative XDG_CACHE_HOME is invalid, says its specification, and must be ignored.
-        home = Path(base) if os.path.isabs(base) else Path.home() / ".cache"
-        folder = home / "residyn"
-        folder.mkdir(parents=True, exist_ok=True)
-        return folder if os.access(folder, os.W_OK | os.X_OK) else None
-    except (OSError, RuntimeError):
-        return None
+    set_up(cache=cache)

@@ -115,13 +115,13 @@ def answers_to(
     """The answers to all columns, and, first among them, to the drive that is `needed` to lead the
     model along the paths and is not there."""
     n, fit = len(near.fit.joints), near.fit
-    steps, driven = near.problem.steps, near.problem.recorded.drive
+    room, driven = near.problem.room, near.problem.recorded.drive
     lines, gaps = [], []
     for r, path in enumerate(paths):
-        real = np.zeros((2, steps, n))
+        real = np.zeros((2, room, n))
         if driven is not None:
             real = np.stack([driven.left[r], driven.right[r]])
-        lines.append(real if needed is None else path.lines(needed[r]))
+        lines.append(real if needed is None else _filled(path.lines(needed[r]), room))
         gaps.append(real - lines[-1])
     drive = Piecewise(
         jnp.zeros(len(paths)),
@@ -135,7 +135,8 @@ def answers_to(
         begin[r, :n], begin[r, n : 2 * n] = path.q[0] - h * path.v[0], path.v[0] - h * path.a[0]
     y = near.problem.scaled(fit.model.vector(), jnp.asarray(begin))
     torques = [gaps] + [
-        [np.zeros((2, steps, n)) if x is None else -x for x in c.lines] for c in columns
+        [np.zeros((2, room, n)) if x is None else -_filled(x, room) for x in c.lines]
+        for c in columns
     ]
     blocks = []
     for first in range(0, len(torques), _LANES):
@@ -145,6 +146,11 @@ def answers_to(
         out = jax.device_get(_respond(near.problem, y, drive, jnp.asarray(stacked)))
         blocks.append((out, len(some)))
     return _whitened(near, blocks, columns, np.asarray(y.states))
+
+
+def _filled(lines: np.ndarray, room: int) -> np.ndarray:
+    """(2, M, n) lines with zeros behind, (2, room, n)."""
+    return np.pad(lines, ((0, 0), (0, room - lines.shape[1]), (0, 0)))
 
 
 def seen_from(near: Near, slopes: Sequence[np.ndarray], kept: Answers) -> Answers:
@@ -170,21 +176,21 @@ def seen_from(near: Near, slopes: Sequence[np.ndarray], kept: Answers) -> Answer
 def _whitened(near: Near, blocks, columns: Sequence[Column], states: np.ndarray) -> Answers:
     found = Answers([], [], [], [], states * np.asarray(near.problem.scale.states))
     memories, numbers = near.memories(), near.numbers
-    for r, (layout, weight) in enumerate(zip(near.layouts, near.weights(), strict=True)):
-        predicted, slopes, _ = (x[r] for x in blocks[0][0])
+    for r, weight in enumerate(near.weights()):
+        predicted, slopes, _ = (x[r, : len(weight)] for x in blocks[0][0])
         w = weight.reshape(-1, 1)
         answers = np.concatenate(
-            [layout.take(out[2][r])[..., :count] for out, count in blocks], axis=-1
+            [out[2][r, : len(weight), :, :count] for out, count in blocks], axis=-1
         )
         answers = answers.reshape(-1, answers.shape[-1])
-        readings = np.nan_to_num(near.fitted[r].recording.angle) - layout.take(predicted)
+        readings = np.nan_to_num(near.fitted[r].recording.angle) - predicted
         left = readings.reshape(-1) - answers[:, 0]
         answers = answers[:, 1:]
         for k, column in enumerate(columns):
             seen = column.readings[r]
             if seen is not None:
                 answers[:, k] = seen.reshape(-1)
-        local = layout.take(slopes).reshape(len(w), -1)
+        local = slopes.reshape(len(w), -1)
         prior = np.zeros((memories, local.shape[1] - numbers))
         if memories:
             prior[:, -memories:] = np.eye(memories)
@@ -198,7 +204,7 @@ def _whitened(near: Near, blocks, columns: Sequence[Column], states: np.ndarray)
 
 @eqx.filter_jit
 def _respond(problem: Problem, y: Unknowns, drive: Piecewise, torques):
-    """Predictions (R, M, m, n) under a drive, and their slopes in the unknowns and in torques."""
+    """Predictions (R, N, n) under a drive, and their slopes in the unknowns and in torques."""
     numbers = problem.scale.numbers.shape[0]
 
     def one(recorded, scale, state, drive, torques):

@@ -68,7 +68,7 @@ def search(
     # Near the noise the fit's own motion is the better one to look from: it has no noise in it.
     led = step.cost > _NEAR * step.readings
     paths = [
-        Path.of(m, step.near.problem.steps, period, None if led else r.predicted)
+        Path.of(m, int(step.near.problem.steps), period, None if led else r.predicted)
         for m, r in zip(missing, step.near.fitted, strict=True)
     ]
     first = step.tried is None

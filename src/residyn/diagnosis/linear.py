@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..fitting.levenberg import polish
-from ..fitting.problem import Layout, Problem, Unknowns, predict
+from ..fitting.problem import Problem, Unknowns, predict
 from ..fitting.result import Fit, RecordingFit
 from ..fitting.setup import Ready, mechanism_of, reweighted
 
@@ -30,7 +30,6 @@ class Near(NamedTuple):
     fit: Fit
     fitted: tuple[RecordingFit, ...]
     problem: Problem
-    layouts: list[Layout]
     at: Unknowns
     ready: Ready
 
@@ -43,10 +42,10 @@ class Near(NamedTuple):
         # The step, and with it every shape, was chosen where the fit began.
         begin = fit.model.with_vector(jnp.asarray([n.start for n in fit.numbers]))
         ready = Ready(begin, recordings, mechanisms)
-        problem, layouts, _ = ready.problem(begin, [r.wild for r in fitted])
+        problem, _ = ready.problem(begin, [r.wild for r in fitted])
         states = jnp.asarray(np.stack([r.state for r in fitted]))
         at = problem.scaled(fit.model.vector(), states)
-        return cls(fit, fitted, problem, layouts, at, ready)
+        return cls(fit, fitted, problem, at, ready)
 
     @property
     def numbers(self) -> int:
@@ -59,7 +58,7 @@ class Near(NamedTuple):
         **Returns:** they, and whether the search for them, from the whole fit's, settled.
         """
         dropped = [~(np.isfinite(r.recording.angle) & k[:, None]) for k, r in self._pairs(kept)]
-        problem = reweighted(self.problem, self.layouts, dropped)
+        problem = reweighted(self.problem, dropped)
         lanes = self.fit.starts  # as many as the fit had, so that its compiled program serves
         start = jax.tree.map(lambda x: jnp.broadcast_to(x, (lanes, *x.shape)), self.at)
         size = max(1.0, float(np.sqrt(self.fit.reduced_chi2)))
@@ -71,8 +70,8 @@ class Near(NamedTuple):
         """Predictions (N, n), rad or m, and their slopes (N, n, L) in each recording's L unknowns:
         the shared numbers, then its own initial state, in the problem's scales."""
         predicted, slopes = (
-            [layout.take(x) for layout, x in zip(self.layouts, grids, strict=True)]
-            for grids in jax.device_get(_look(self.problem, at))
+            [x[: len(f.recording.time)] for f, x in zip(self.fitted, each, strict=True)]
+            for each in jax.device_get(_look(self.problem, at))
         )
         return predicted, slopes
 

@@ -45,7 +45,7 @@ class Refit(NamedTuple):
     @property
     def numbers(self) -> int:
         """How many numbers it brought."""
-        return numbers_of(self.effect, self.model, len(self.descent.layouts))
+        return numbers_of(self.effect, self.model, len(self.descent.wild))
 
     @property
     def std(self) -> np.ndarray:

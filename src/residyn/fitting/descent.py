@@ -13,7 +13,7 @@ from ..model import Model
 from ..motion import split
 from ..recording import Recording, wild_samples
 from .levenberg import Polished, polish
-from .problem import Compressed, Layout, Problem, Unknowns
+from .problem import Compressed, Problem, Unknowns
 from .result import FitError, RecordingFit
 from .setup import Ready, reweighted
 
@@ -30,7 +30,6 @@ class Descent(NamedTuple):
     """Where the best start ended."""
 
     problem: Problem
-    layouts: list[Layout]
     wild: list[np.ndarray]
     unknowns: Unknowns
     compressed: Compressed
@@ -43,7 +42,7 @@ class Descent(NamedTuple):
     def beside(self, recordings: Sequence[Recording]) -> list[RecordingFit]:
         """Each recording beside the model."""
         states = np.asarray(self.problem.states(self.unknowns))
-        predicted = _predictions(self.compressed, self.layouts)
+        predicted = _predictions(self.compressed, recordings)
         parts = zip(recordings, predicted, self.wild, states, strict=True)
         return [RecordingFit(*part) for part in parts]
 
@@ -67,7 +66,7 @@ def descend(
     `near` (S, R, s), initial states which are near enough that no phase can slip, all readings
     count from the first step on, unless that is to be `staged`, too.
     """
-    problem, layouts, states = here.problem(begin, wild, like)
+    problem, states = here.problem(begin, wild, like)
     if like is not None:
         problem = eqx.tree_at(lambda p: p.active, problem, jnp.zeros_like(problem.active))
     starts = len(numbers)
@@ -93,7 +92,7 @@ def descend(
     for round_ in range(_ROUNDS + 1):
         if not np.isfinite(out.cost[best]):
             raise FitError("no start led to finite numbers: is this the arm that was recorded?")
-        predicted = _predictions(squeezed, layouts)
+        predicted = _predictions(squeezed, here.recordings)
         if not all(np.all(np.abs(p) < _ABSURD) for p in predicted):
             raise FitError("no start led to a motion that could be: is this the arm recorded?")
         pairs = zip(here.recordings, predicted, strict=True)
@@ -104,14 +103,14 @@ def descend(
             break
         progress("fitting again without wild readings")
         wild = found
-        problem = reweighted(problem, layouts, wild)
+        problem = reweighted(problem, wild)
         # From the best point, in every lane, so that the compiled program serves again.
         again = jax.tree.map(lambda x: jnp.broadcast_to(x, (starts, *x.shape)), at)
         out = jax.device_get(polish(problem, again, (1.0,)))
         steps, best = steps + int(out.steps[0]), 0
         at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
     total, done = float(out.cost[best]), bool(out.converged[best])
-    return Descent(problem, layouts, wild, at, squeezed, total, steps, done, starts, agreeing)
+    return Descent(problem, wild, at, squeezed, total, steps, done, starts, agreeing)
 
 
 def shares_of(here: Ready, begin: Model) -> list[float]:
@@ -156,9 +155,9 @@ def _row(tree, index: int):
     return jax.tree.map(lambda x: x[index], tree)
 
 
-def _predictions(squeezed: Compressed, layouts: Sequence[Layout]) -> list[np.ndarray]:
-    pairs = zip(layouts, squeezed.predicted, strict=True)
-    return [layout.take(grid) for layout, grid in pairs]
+def _predictions(squeezed: Compressed, recordings: Sequence[Recording]) -> list[np.ndarray]:
+    pairs = zip(recordings, np.asarray(squeezed.predicted), strict=True)
+    return [x[: len(r.time)] for r, x in pairs]
 
 
 def _agreeing(out: Polished) -> int:

@@ -41,8 +41,8 @@ class Solution(eqx.Module):
     """Of the numbers, if what is left is white noise of the size stated: (J'J)^-1."""
     converged: Bool[Array, ""]
     steps: Int[Array, ""]
-    predicted: Float[Array, "R M m n"]
-    """Predicted readings by integration step and place in it: `Embedded.readings` sorts them."""
+    predicted: Float[Array, "R N n"]
+    """Predicted readings, rad or m; those of a shorter recording are filled up."""
     model: Model
     """The fitted model, on the first recording's bodies."""
 
@@ -52,7 +52,6 @@ class Embedded(eqx.Module):
 
     problem: Problem
     start: Unknowns
-    layouts: list[tuple[Int[Array, " N"], Int[Array, " N"]]]
     usable: list[Bool[Array, "N n"]]
     noise: list[Float[Array, " n"]]
     names: tuple[str, ...] = eqx.field(static=True)
@@ -66,11 +65,11 @@ class Embedded(eqx.Module):
 
         **Raises:** `ValueError` for a wrong number of arrays or a wrong shape.
         """
-        if len(angles) != len(self.layouts):
-            raise ValueError(f"{len(angles)} arrays of angles for {len(self.layouts)} recordings")
+        if len(angles) != len(self.usable):
+            raise ValueError(f"{len(angles)} arrays of angles for {len(self.usable)} recordings")
         recorded = self.problem.recorded
         grid, weights = recorded.angles, recorded.weights
-        for i, (given, (row, slot)) in enumerate(zip(angles, self.layouts, strict=True)):
+        for i, given in enumerate(angles):
             x = jnp.asarray(given, float)
             if x.shape != self.usable[i].shape:
                 raise ValueError(
@@ -78,8 +77,8 @@ class Embedded(eqx.Module):
                     f"{self.usable[i].shape}"
                 )
             seen = jnp.isfinite(x) & self.usable[i]
-            grid = grid.at[i, row, slot].set(jnp.where(seen, x, 0.0))
-            weights = weights.at[i, row, slot].set(jnp.where(seen, 1.0 / self.noise[i], 0.0))
+            grid = grid.at[i, : len(x)].set(jnp.where(seen, x, 0.0))
+            weights = weights.at[i, : len(x)].set(jnp.where(seen, 1.0 / self.noise[i], 0.0))
         return eqx.tree_at(
             lambda e: (e.problem.recorded.angles, e.problem.recorded.weights),
             self,
@@ -88,7 +87,7 @@ class Embedded(eqx.Module):
 
     def with_mechanism(self, *mechanisms: AbstractMechanism) -> "Embedded":
         """The same readings on other bodies: one mechanism for each recording, or one for all."""
-        count = len(self.layouts)
+        count = len(self.usable)
         if len(mechanisms) not in (1, count):
             raise ValueError(f"{len(mechanisms)} mechanisms for {count} recordings")
         all_of_them = mechanisms if len(mechanisms) == count else mechanisms * count
@@ -166,9 +165,10 @@ class Embedded(eqx.Module):
         size = jnp.concatenate([problem.scale.numbers, problem.scale.states.reshape(-1)])
         return jnp.linalg.inv(total) * size * size[:, None]
 
-    def readings(self, grid: Float[Array, "R M m n"]) -> list[Float[Array, "N n"]]:
-        """`Solution.predicted` in the order of the readings, recording by recording."""
-        return [grid[i, row, slot] for i, (row, slot) in enumerate(self.layouts)]
+    def readings(self, predicted: Float[Array, "R N n"]) -> list[Float[Array, "N n"]]:
+        """`Solution.predicted`, recording by recording, each of its own length."""
+        pairs = zip(predicted, self.usable, strict=True)
+        return [x[: len(own)] for x, own in pairs]
 
 
 def embed(fit: Fit) -> Embedded:
@@ -188,12 +188,11 @@ def embed(fit: Fit) -> Embedded:
     fitted = [r for r in fit.recordings if r.recording.role != "check"]
     effects = [e for e in fit.model.effects if e.name not in ("spring", "damper")]
     here = ready(fit.experiment, [r.recording for r in fitted], effects)
-    problem, layouts, _ = here.problem(fit.model, [r.wild for r in fitted])
+    problem, _ = here.problem(fit.model, [r.wild for r in fitted], fixed=True)
     start = problem.scaled(fit.model.vector(), jnp.asarray(np.stack([r.state for r in fitted])))
     return Embedded(
         problem=problem,
         start=start,
-        layouts=[(jnp.asarray(x.row), jnp.asarray(x.slot)) for x in layouts],
         usable=[jnp.asarray(~r.wild) for r in fitted],
         noise=[jnp.asarray(r.recording.noise) for r in fitted],
         names=tuple(n.name for n in fit.model.fitted),
@@ -210,7 +209,7 @@ def _minimum(problem: Problem, start: Unknowns):
         rows,
         solver(),
         start,
-        args=Stretch(problem, jnp.asarray(problem.steps)),
+        args=Stretch(problem),
         has_aux=True,
         options={"jac": "fwd"},
         max_steps=_STEPS,

@@ -114,7 +114,7 @@ def fit_genetic(
     progress("errors, modes and held-out recordings")
     model = here.model.with_vector(jnp.asarray(found.numbers))
     # Once more with the step that these numbers ask for.
-    problem, layouts, _ = here.problem(model, wild)
+    problem, _ = here.problem(model, wild)
     at = jax.device_get(problem.scaled(jnp.asarray(found.numbers), jnp.asarray(found.states)))
     squeezed = jax.device_get(compressed(problem, at))
     cost = float(np.sum(squeezed.along**2) + np.sum(squeezed.beside**2))
@@ -122,7 +122,7 @@ def fit_genetic(
         raise FitError("no individual led to finite numbers: is this the arm that was recorded?")
     settled = _settled(found.history)
     descent = Descent(
-        problem, layouts, wild, at, squeezed, cost, how.generations, settled, starts=1, agreeing=1
+        problem, wild, at, squeezed, cost, how.generations, settled, starts=1, agreeing=1
     )
     fit = finish(experiment, model, found.first, descent, began)
     reason = (
@@ -139,7 +139,7 @@ def search_of(here: Ready, wild: Sequence[np.ndarray], how: Genetic) -> Search:
     Levenberg-Marquardt would have, so that both simulate alike; but not its start."""
     begin = beginning(here, wild, 1)[0][0]
     bounds = box(here.model.fitted, here.typical(), how.bounds)
-    problem, _, states = here.problem(here.model.with_vector(jnp.asarray(begin)), wild)
+    problem, states = here.problem(here.model.with_vector(jnp.asarray(begin)), wild)
     noise = np.max([r.noise for r in here.recordings], axis=0)
     return Search(problem, genome(problem, bounds, states, noise, how.initial))
 

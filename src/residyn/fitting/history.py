@@ -35,7 +35,7 @@ def relative_error(problem: Problem, y: Unknowns) -> Float[Array, ""]:
         seen = recorded.weights > 0
         off = jnp.where(seen, predicted - recorded.angles, 0.0)
         size = jnp.where(seen, recorded.angles, 0.0)
-        return jnp.sum(off**2, axis=(0, 1)), jnp.sum(size**2, axis=(0, 1))
+        return jnp.sum(off**2, axis=0), jnp.sum(size**2, axis=0)
 
     each = over_recordings(one, problem.model)(problem.recorded, problem.states(y))
     off, size = (jnp.sum(x, axis=0) for x in each)

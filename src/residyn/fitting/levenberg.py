@@ -59,9 +59,17 @@ class Stretch(NamedTuple):
     """A problem over the first `only` integration steps of every recording."""
 
     problem: Problem
-    only: Int[Array, ""]
+    only: Int[Array, ""] | None = None
     size: Float[Array, ""] | float = 1.0
     """What the optimiser takes for one sigma, in sigma."""
+
+    @classmethod
+    def of(cls, problem: Problem, share) -> "Stretch":
+        """The first share (0 to 1) of every recording."""
+        only = jnp.ceil(share * problem.steps).astype(int)
+        counts = (problem.recorded.row < only)[..., None]
+        weights = jnp.where(counts, problem.recorded.weights, 0.0)
+        return cls(eqx.tree_at(lambda p: p.recorded.weights, problem, weights), only)
 
 
 @eqx.filter_custom_jvp
@@ -135,10 +143,7 @@ def polish(
 
 @eqx.filter_jit
 def _stretch(problem: Problem, y: Unknowns, lost, share, size) -> Polished:
-    row = jnp.arange(problem.steps)[:, None, None]
-    only = jnp.ceil(share * problem.steps).astype(int)
-    weights = jnp.where(row < only, problem.recorded.weights, 0.0)
-    stage = Stretch(eqx.tree_at(lambda p: p.recorded.weights, problem, weights), only, size)
+    stage = Stretch.of(problem, share)._replace(size=size)
 
     def one(start):
         return descend(stage, start)

@@ -175,7 +175,7 @@ def _held_out(experiment: Experiment, model: Model, descent: Descent) -> list[Re
     """Check recordings beside the fitted model: only their initial states are fitted."""
     # The effects themselves, not their names: bare recordings know no effect of bearings by name.
     effects = [e for e in model.effects if e.name not in ("spring", "damper")]
-    group, found = len(descent.layouts), []
+    group, found = len(descent.wild), []
     numbers = np.tile(np.asarray(model.vector()), (descent.starts, 1))
     for first in range(0, len(experiment.check_recordings), group):
         # As many at a time as were fitted, so that no other program need be compiled.

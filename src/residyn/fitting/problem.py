@@ -16,13 +16,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..equation import Piecewise
 from ..mechanism import AbstractMechanism
 from ..model import Model
 from ..motion import Scalar
-from ..nodes import read_slots
+from ..nodes import read_rows
 from ..parameter import stacked
 from ..recording import Recording
 from ..simulation import march
@@ -40,42 +40,36 @@ class Unknowns(NamedTuple):
 
 
 class Recorded(eqx.Module):
-    """R recordings as arrays, their readings sorted into M integration steps of at most m each.
+    """R recordings as arrays of N instants each: their readings, and behind the last one of a
+    shorter recording instants at which nothing was read.
 
     Time counts from each recording's first sample.
     """
 
     duration: Float[Array, " R"]
-    place: Float[Array, "R M m"]  # of each reading within its step, 0 to 1
-    angles: Float[Array, "R M m n"]
-    weights: Float[Array, "R M m n"]  # 1/sigma of each reading; 0 where there is none
+    row: Int[Array, "R N"]  # integration step in which each instant lies
+    place: Float[Array, "R N"]  # where within it, 0 to 1
+    angles: Float[Array, "R N n"]
+    weights: Float[Array, "R N n"]  # 1/sigma of each reading; 0 where there is none
     mechanism: AbstractMechanism
     drive: Piecewise | None
 
 
-class Layout(NamedTuple):
-    """Where one recording's N readings went: row and slot of each."""
-
-    row: np.ndarray
-    slot: np.ndarray
-
-    def take(self, grid: np.ndarray) -> np.ndarray:
-        """(M, m, ...) values back in the order of the readings, (N, ...)."""
-        return np.asarray(grid)[self.row, self.slot]
-
-
 class Problem(eqx.Module):
-    """A model, its recordings and the scales in which the unknowns are of order one."""
+    """A model, its recordings and the scales in which the unknowns are of order one.
+
+    How many integration steps a recording takes is an input like any other, so that one compiled
+    program serves slow arms and fast ones; only the `room` for them is compiled in.
+    """
 
     model: Model
     recorded: Recorded
     scale: Unknowns
     active: Float[Array, " P"]  # 1 for a number that the fit moves, 0 for one it must keep
-
-    @property
-    def steps(self) -> int:
-        """M, the number of integration steps of every recording."""
-        return self.recorded.place.shape[-2]
+    steps: Int[Array, ""]  # M, of every recording
+    room: int = eqx.field(static=True)  # at least M
+    fixed: bool = eqx.field(static=True, default=False)
+    """Whether M is `room`, compiled in: what reverse mode asks for."""
 
     def numbers(self, y: Unknowns) -> Float[Array, " P"]:
         """The model's numbers, in their own units, at scaled unknowns."""
@@ -92,10 +86,12 @@ class Problem(eqx.Module):
         return Unknowns(numbers / self.scale.numbers, states / self.scale.states)
 
 
-def bucket(count: int) -> int:
-    """The next of 1, 1.25, 1.5, 1.75 times a power of two: few sizes, so few compilations."""
-    power = 2 ** max(0, int(np.floor(np.log2(max(count, 1)))) - 2)
-    return int(-(-count // power) * power)
+def bucket(count: int, base: int = 2) -> int:
+    """The next power of `base`, from 16 up: few sizes, so few compilations."""
+    size = 16
+    while size < count:
+        size *= base
+    return size
 
 
 def lay_out(
@@ -103,40 +99,37 @@ def lay_out(
     mechanisms: Sequence[AbstractMechanism],
     wild: Sequence[np.ndarray],
     steps: int,
-    slots: int = 0,
-) -> tuple[Recorded, list[Layout]]:
-    """Sort readings into `steps` equal steps a recording; `wild` (N, n) ones get no weight.
+    room: int,
+    instants: int = 0,
+) -> Recorded:
+    """Readings as they lie in `steps` equal steps a recording; `wild` (N, n) ones get no weight.
 
-    `slots` is the least m to lay out for.
+    `instants` is the least N to lay out for.
     """
-    layouts = []
-    for r in recordings:
+    longest = max(instants, *(len(r.time) for r in recordings))
+    shape = len(recordings), longest, recordings[0].angle.shape[1]
+    row, place = np.zeros(shape[:2], int), np.zeros(shape[:2])
+    angles, weights = np.zeros(shape), np.zeros(shape)
+    for i, (r, bad) in enumerate(zip(recordings, wild, strict=True)):
+        count = len(r.time)
         part = (r.time - r.time[0]) / (r.time[-1] - r.time[0]) * steps
-        row = np.clip(np.floor(part).astype(int), 0, steps - 1)
-        slot = np.arange(len(row)) - np.searchsorted(row, row)
-        layouts.append((Layout(row, slot), part - row))
-    slots = max(slots, *(int(layout.slot.max()) + 1 for layout, _ in layouts))
-    joints = recordings[0].angle.shape[1]
-    place = np.zeros((len(recordings), steps, slots))
-    angles = np.zeros((len(recordings), steps, slots, joints))
-    weights = np.zeros_like(angles)
-    for i, (r, bad, (layout, part)) in enumerate(zip(recordings, wild, layouts, strict=True)):
+        row[i, :count] = np.clip(np.floor(part).astype(int), 0, steps - 1)
+        place[i, :count] = part - row[i, :count]
         seen = np.isfinite(r.angle) & ~bad
-        place[i, layout.row, layout.slot] = part
-        angles[i, layout.row, layout.slot] = np.where(seen, r.angle, 0.0)
-        weights[i, layout.row, layout.slot] = np.where(seen, 1.0 / r.noise, 0.0)
-    recorded = Recorded(
+        angles[i, :count] = np.where(seen, r.angle, 0.0)
+        weights[i, :count] = np.where(seen, 1.0 / r.noise, 0.0)
+    return Recorded(
         duration=jnp.asarray([r.duration for r in recordings]),
+        row=jnp.asarray(row),
         place=jnp.asarray(place),
         angles=jnp.asarray(angles),
         weights=jnp.asarray(weights),
         mechanism=stacked(mechanisms),
-        drive=_drives(recordings, steps),
+        drive=_drives(recordings, steps, room),
     )
-    return recorded, [layout for layout, _ in layouts]
 
 
-def _drives(recordings: Sequence[Recording], steps: int) -> Piecewise | None:
+def _drives(recordings: Sequence[Recording], steps: int, room: int) -> Piecewise | None:
     """Drive torques as one straight line a step, with the readings' own impulse and moment.
 
     The integrator follows a straight line exactly, but a kink inside a step would cost it its
@@ -157,7 +150,10 @@ def _drives(recordings: Sequence[Recording], steps: int) -> Piecewise | None:
             slope = -12 * (np.diff(twice) - h * once[:-1] - mean * h**2 / 2) / h**3
             left.append(mean - slope * h / 2)
             right.append(mean + slope * h / 2)
-        drives.append(Piecewise(0.0, h, np.stack(left, axis=1), np.stack(right, axis=1)))
+        sides = (
+            np.stack([np.pad(x, (0, room - steps)) for x in side], 1) for side in (left, right)
+        )
+        drives.append(Piecewise(0.0, h, *sides))
     return stacked(drives)
 
 
@@ -180,8 +176,9 @@ def posed(model: Model, mechanism: AbstractMechanism) -> Model:
     return eqx.tree_at(lambda m: m.mechanism, model, mechanism)
 
 
-def predict(problem: Problem, one: Recorded, numbers, state, only=None) -> Float[Array, "M m n"]:
-    """Predicted readings of one recording (`one` without its leading axis)."""
+def predict(problem: Problem, one: Recorded, numbers, state, only=None) -> Float[Array, "N n"]:
+    """Predicted readings of one recording (`one` without its leading axis); after the `only` first
+    steps, if that is given, whatever."""
     n = one.angles.shape[-1]
     model = posed(problem.model.with_vector(numbers), one.mechanism)
     nodes = march(
@@ -190,15 +187,16 @@ def predict(problem: Problem, one: Recorded, numbers, state, only=None) -> Float
         one.duration,
         state[:n],
         state[n : 2 * n],
-        steps=problem.steps,
+        steps=problem.room if problem.fixed else problem.steps,
         z0=state[2 * n :],
         drive=one.drive,
+        room=None if problem.fixed else problem.room,
         only=only,
     )
-    return read_slots(model, nodes, one.place)
+    return read_rows(model, nodes, one.row, one.place)
 
 
-def whiten(one: Recorded, predicted) -> Float[Array, "M m n"]:
+def whiten(one: Recorded, predicted) -> Float[Array, "N n"]:
     """Whitened residual of one recording: (model - measurement) / sigma."""
     misfit = (predicted - one.angles) * one.weights
     sane = jnp.isfinite(misfit) & (jnp.abs(misfit) < _RUNAWAY)
@@ -208,8 +206,7 @@ def whiten(one: Recorded, predicted) -> Float[Array, "M m n"]:
 class Compressed(NamedTuple):
     """A least-squares problem at a point, one row per recording (L = P + s local unknowns)."""
 
-    predicted: Float[Array, "R M m n"]  # readings, rad or m
-
+    predicted: Float[Array, "R N n"]  # readings, rad or m
     factor: Float[Array, "R L L"]  # upper triangular, factor'factor = J'J
     along: Float[Array, "R L"]  # residual projected on J's columns
     beside: Float[Array, " R"]  # length of the rest of the residual

@@ -15,13 +15,14 @@ from ..model import Model
 from ..parameter import Scales, all_floating
 from ..recording import ArmTable, Experiment, Recording
 from ..simulation import fastest
-from .problem import Layout, Problem, Unknowns, bucket, lay_out, posed
+from .problem import Problem, Unknowns, bucket, lay_out, posed
 
 # Step of a fit times fastest angular frequency: good to 1e-6 of the amplitude, far below any noise.
 _STEP = 0.4
 _ROUGH_STEP = 0.2
 # A driven motion is as quick as its drive, whatever the modes: samples per step at most.
 _SAMPLES_DRIVEN = 5
+_ROOMS = 4  # room for steps comes in powers of it: few compilations; what is not used costs little
 
 
 def mechanism_of(experiment: Experiment, recording: Recording) -> AbstractMechanism:
@@ -79,17 +80,24 @@ class Ready(NamedTuple):
         return [posed(model or self.model, m) for m in self.mechanisms]
 
     def problem(
-        self, begin: Model, wild: Sequence[np.ndarray], like: Problem | None = None
-    ) -> tuple[Problem, list[Layout], np.ndarray]:
+        self,
+        begin: Model,
+        wild: Sequence[np.ndarray],
+        like: Problem | None = None,
+        fixed: bool = False,
+    ) -> tuple[Problem, np.ndarray]:
         """The least-squares problem near the model `begin`, and guessed initial states (R, s).
 
-        `like` gives the problem the shapes of another one, so that its compiled program serves.
+        `like` gives the problem the shapes of another one, so that its compiled program serves;
+        `fixed` compiles the number of steps in.
         """
         frequency = self.frequency(begin)
-        steps, slots = bucket(self._steps(begin, frequency)), 0
-        if like is not None and like.steps >= steps:
-            steps, slots = like.recorded.place.shape[-2:]
-        recorded, layouts = lay_out(self.recordings, self.mechanisms, wild, steps, slots)
+        steps = self._steps(begin, frequency)
+        readings = max(len(r.time) for r in self.recordings)
+        room, instants = (steps, readings) if fixed else (bucket(steps, _ROOMS), bucket(readings))
+        if like is not None:
+            room, instants = max(room, like.room), max(instants, like.recorded.row.shape[-1])
+        recorded = lay_out(self.recordings, self.mechanisms, wild, steps, room, instants)
         memory = np.zeros(len(begin.memory))
         states = np.stack(
             [
@@ -106,8 +114,9 @@ class Ready(NamedTuple):
                 np.tile(np.concatenate([size, size * frequency, memory]), (len(states), 1))
             ),
         )
-        problem = Problem(begin, recorded, scale, jnp.ones(len(begin.fitted)))
-        return problem, layouts, states
+        active = jnp.ones(len(begin.fitted))
+        problem = Problem(begin, recorded, scale, active, jnp.asarray(steps), room, fixed)
+        return problem, states
 
     @property
     def amplitude(self) -> np.ndarray:
@@ -161,11 +170,11 @@ def ready(
     return Ready(model, tuple(recordings), mechanisms)
 
 
-def reweighted(problem: Problem, layouts: Sequence[Layout], wild: Sequence[np.ndarray]) -> Problem:
+def reweighted(problem: Problem, wild: Sequence[np.ndarray]) -> Problem:
     """The problem with wild readings (N, n) taken out."""
     weights = np.array(problem.recorded.weights)
-    for i, (layout, bad) in enumerate(zip(layouts, wild, strict=True)):
-        weights[i, layout.row, layout.slot] *= ~bad
+    for own, bad in zip(weights, wild, strict=True):
+        own[: len(bad)] *= ~bad
     return eqx.tree_at(lambda p: p.recorded.weights, problem, jnp.asarray(weights))
 
 

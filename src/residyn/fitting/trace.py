@@ -42,7 +42,7 @@ def levenberg_history(
         wild = wild_beside(here, [r.angle for r in here.recordings])
         numbers, memory = beginning(here, wild, starts)
         begin = here.model.with_vector(jnp.asarray(numbers[0]))
-        problem, _, states = here.problem(begin, wild)
+        problem, states = here.problem(begin, wild)
         first = np.broadcast_to(states, (starts, *states.shape)).copy()
         if memory is not None and memory.size:
             first[..., -memory.shape[-1] :] = memory
@@ -57,10 +57,7 @@ def _descents(problem: Problem, each: list[Unknowns], shares: Sequence[float]) -
     cost_of_step = 1 + problem.scale.numbers.size + problem.scale.states.size
     spent, simulations, objective = 0, [], []
     for share in shares:
-        only = jnp.ceil(jnp.asarray(share) * problem.steps).astype(int)
-        row = jnp.arange(problem.steps)[:, None, None]
-        weights = jnp.where(row < only, problem.recorded.weights, 0.0)
-        stage = Stretch(eqx.tree_at(lambda p: p.recorded.weights, problem, weights), only)
+        stage = Stretch.of(problem, jnp.asarray(share))
         paths = [_descent(stage, problem, y) for y in each]
         for step in range(max(len(errors) for errors, *_ in paths)):
             going = [errors[step] for errors, *_ in paths if step < len(errors)]

@@ -92,7 +92,7 @@ def _information(fit: Fit, effects: Sequence[str | AbstractEffect]) -> np.ndarra
     initial states taken out."""
     fitted = [f for f in fit.recordings if f.recording.role == "fit"]
     here = ready(fit.experiment, [f.recording for f in fitted], effects)
-    problem, _, _ = here.problem(fit.model, [f.wild for f in fitted])
+    problem, _ = here.problem(fit.model, [f.wild for f in fitted])
     numbers, factors = fit.model.vector(), []
     for i, beside in enumerate(fitted):
         one = jax.tree.map(lambda x, i=i: x[i], problem.recorded)
