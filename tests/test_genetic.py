@@ -24,7 +24,7 @@ from tests.legible import legible
 rig = pytest.importorskip("tests.rig")
 pytest.importorskip("evosax")
 
-SMALL = {"method": "genetic", "strategy": "CMA_ES", "population": 24, "generations": 120}
+SMALL = {"method": "genetic", "strategy": "CMA_ES", "population": 24, "generations": 160}
 NOISE = 1e-3
 
 
@@ -67,8 +67,8 @@ def test_the_same_fit_comes_back(genetic, levenberg):
     np.testing.assert_allclose(
         [n.std for n in genetic.numbers], [n.std for n in levenberg.numbers], rtol=0.2
     )
-    assert (genetic.starts, genetic.agreeing_starts, genetic.steps) == (1, 1, 120)
-    assert "120 generations of 24 individuals (CMA_ES)" in genetic.reason
+    assert (genetic.starts, genetic.agreeing_starts, genetic.steps) == (1, 1, 160)
+    assert "160 generations of 24 individuals (CMA_ES)" in genetic.reason
     assert genetic.converged
     assert "[[Parameters]]" in str(genetic)
     assert levenberg.history is None
@@ -76,7 +76,7 @@ def test_the_same_fit_comes_back(genetic, levenberg):
 
 def test_history_is_the_objective_of_equation_17(genetic):
     spent, objective = genetic.history
-    assert (spent[0], spent[-1], len(objective)) == (24, 24 * 120, 120)
+    assert (spent[0], spent[-1], len(objective)) == (24, 24 * 160, 160)
     assert (np.diff(objective) <= 0).all()
     beside = genetic.recordings[0]
     size = np.linalg.norm(beside.recording.angle, axis=0)

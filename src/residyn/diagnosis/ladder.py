@@ -23,7 +23,7 @@ from .missing_torque import MissingTorque
 from .path import Path
 from .refits import refits, silent
 from .rung import Refit, Step, cost_of, stand, worth
-from .screen import glance, pair, screen, sharpened
+from .screen import glance, pair, screen, sharpened, steadied
 from .words import SURE
 
 _REFITS = 6  # candidates that are fitted
@@ -67,19 +67,19 @@ def search(
     period = 1.0 / step.fit.modes[0].frequency_hz if step.fit.modes else longest / _PAUSES
     # Near the noise the fit's own motion is the better one to look from: it has no noise in it.
     led = step.cost > _NEAR * step.readings
+    first, near = step.tried is None, steadied(step.near) if led else step.near
     paths = [
-        Path.of(m, int(step.near.problem.steps), period, None if led else r.predicted)
+        Path.of(m, int(near.problem.steps), period, None if led else r.predicted)
         for m, r in zip(missing, step.near.fitted, strict=True)
     ]
-    first = step.tried is None
-    alone, found, kept = screen(step.near, paths, some, led, any_shape=first)
+    alone, found, kept = screen(near, paths, some, led, any_shape=first)
     step = step.seen_with(kept) if first else step
     tried = [s for s in found if s.drop > (0.5 if led else 0.8) * worth(s.effect, step)]
     if tried:
         best, noise = tried[0].chi2, float(step.readings)
         enough = (_CLOSE if best < 2 * noise else _ROUGHLY) * max(best, noise)
         tried = [s for i, s in enumerate(tried) if i < _FEWEST or s.chi2 < enough]
-        tried = sharpened(step.near, paths, tried[: _REFITS if first else _LATER], led)
+        tried = sharpened(near, paths, tried[: _REFITS if first else _LATER], led)
         finer = {s.effect.label: s for s in tried}
         found = sorted((finer.get(s.effect.label, s) for s in found), key=lambda s: s.chi2)
     names = ", ".join(s.effect.label for s in tried)

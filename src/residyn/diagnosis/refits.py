@@ -1,11 +1,15 @@
 """Candidates joined to a model and fitted, each from where the screen says."""
 
+import dataclasses
+import itertools
+import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import numpy as np
 
+from .._stretches import in_stretches
 from ..effects import AbstractEffect
 from ..fitting.descent import Descent
 from ..fitting.pipeline import refit
@@ -24,8 +28,11 @@ _IMPOSSIBLE = 3.0  # standard errors on the wrong side of zero
 _FAR = 10.0  # times the noise: no such fit will come down to it
 _VALLEYS = 2  # candidates that are fitted stage by stage
 _NOISE = 1.1  # times the noise: as good as it gets
+_UNUSUAL = 2.0  # standard deviations of chi-square
 _CYCLES = 2.0  # of an oscillation in the longest recording: fewer could be any slow torque
 _THREADS = 2
+_STRETCH = 2.0  # cycles of the slowest mode in a stretch, at least
+_JOINED = 3  # stretches make one of the next longer ones
 
 
 def refits(step: Step, experiment: Experiment, tried: Sequence[Screened]) -> list[Refit]:
@@ -62,18 +69,20 @@ def _again(step: Step, experiment: Experiment, refits: list[Refit]) -> list[Refi
 
 
 def _staged(step: Step, experiment: Experiment, found: list[Refit]) -> list[Refit]:
-    """Joints that stick make many valleys. Where the best fits of such effects end above the noise,
-    the first cycles are fitted first, from where the screen began and from where the fit ended."""
+    """Joints that stick or rattle make many valleys. Where the best fits of such effects end above
+    the noise, they start again from what stretches of a few cycles say, in which no phase can slip,
+    and from where the screen began and the fit ended with the first cycles fitted first."""
     best = sorted((r for r in found if r.possible), key=lambda r: r.cost)[:_VALLEYS]
     wild = [r.wild for r in step.near.fitted]
     for r in best:
         if not (r.effect.dry or r.effect.rough):
             continue
-        if not _NOISE < r.cost / step.readings < _FAR:
+        if r.cost < step.readings + _UNUSUAL * math.sqrt(2.0 * step.readings):
             continue
         alone = Model(step.fit.model.mechanism, (r.effect,))
         ended = np.asarray(r.model.vector()), r.descent.problem.states(r.descent.unknowns)
-        for numbers, states in ((r.start, r.screened.states), ended):
+        begins = [(r.start, r.screened.states), ended]
+        for numbers, states in [*_from_stretches(step, experiment, r), *begins]:
             try:
                 model, descent = refit(
                     experiment,
@@ -90,9 +99,38 @@ def _staged(step: Step, experiment: Experiment, found: list[Refit]) -> list[Refi
                 new = r._replace(model=model, descent=descent, possible=possible)
                 found = [new if x.label == r.label else x for x in found]
                 r = new
-            if r.cost < _NOISE * step.readings:
-                break
     return found
+
+
+def _from_stretches(step: Step, experiment: Experiment, r: Refit):
+    """Where fits of ever longer stretches of the recordings end, each stretch begun afresh:
+    (numbers, states), or nothing.
+
+    A few cycles cannot slip, and all of them together know the numbers nearly as well as the whole
+    does; from there the next longer ones cannot slip either.
+    """
+    wholes = [x for x in experiment.recordings if x.role == "fit"]
+    if not step.fit.modes:
+        return []
+    cycles = max(x.duration for x in wholes) * step.fit.modes[0].frequency_hz
+    level = int(math.log(max(1.0, cycles / _STRETCH), _JOINED))
+    effects = (*step.effects, silent(r.effect))
+    numbers, states = np.asarray(r.start)[None], None
+    for many in [_JOINED**i for i in range(level, 0, -1)]:
+        parts = [in_stretches(x, x.duration / many) for x in wholes]
+        wild = []
+        for each, whole in zip(parts, step.near.fitted, strict=True):
+            edges = np.cumsum([len(p.time) for p in each])[:-1]
+            wild += np.split(whole.wild, edges)
+        cut = dataclasses.replace(experiment, recordings=tuple(itertools.chain(*parts)))
+        try:
+            model, descent = refit(cut, effects, numbers, states, wild)
+        except FitError:
+            return []
+        numbers = np.asarray(model.vector())[None]
+        # Every third stretch begins where a longer one does.
+        states = np.asarray(descent.problem.states(descent.unknowns))[None, ::_JOINED]
+    return [] if states is None else [(numbers[0], states[0])]
 
 
 def _refit(

@@ -111,13 +111,13 @@ def refit(
     experiment: Experiment,
     effects: Sequence[str | AbstractEffect],
     numbers: np.ndarray,
-    states: np.ndarray,
+    states: np.ndarray | None,
     wild: Sequence[np.ndarray],
     hopeless: Callable[[float], bool] = lambda cost: False,
     staged: bool = False,
 ) -> tuple[Model, Descent]:
     """Descend from numbers (S, P) and initial states (S, R, s) that are near already, unless that
-    is `hopeless` at some cost; `staged` fits the first cycles first.
+    is `hopeless` at some cost; `staged`, or without states, the first cycles are fitted first.
 
     Call it in float64. **Raises:** `FitError` if nothing finite comes of them.
     """
