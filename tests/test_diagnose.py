@@ -23,7 +23,7 @@ from residyn.diagnosis.next_experiment import advise
 from residyn.diagnosis.path import Path as Way
 from residyn.diagnosis.path import variants
 from residyn.diagnosis.rung import stand
-from residyn.diagnosis.screen import left_over, pair, screen
+from residyn.diagnosis.screen import left_over, pair, screen, steadied
 from residyn.recording import ArmTable, Bearing, InertiaTable
 from tests import rig
 
@@ -199,6 +199,48 @@ def test_another_elbow_angle_tells_gravity_from_a_constant_torque():
     assert "gravity" in found.words
     assert "rad" in found.words
     assert set(found.release) == {"shoulder", "elbow"}
+
+
+# -- joints that rattle ----------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("label", "values"),
+    [
+        ("dead_zone:shoulder", {"stiffness": ARM.stiffness[0], "gap": 0.05}),
+        ("brake_slip:elbow", {"stiffness": ARM.stiffness[1], "angle": 0.03}),
+    ],
+)
+def test_a_spring_that_is_lost_on_the_way_is_named(label, values):
+    """Backlash or a slipping brake in series with the whole spring: springs and dampers are then
+    fitted best with hardly a spring, and fits sit in wrong valleys."""
+    made = experiment(label, values, noise=2e-3, seconds=20.0)
+    found = residyn.diagnose(made)
+    assert found.verdict == "missing"
+    assert found.added == (label,)
+    value = found.fit.to_dict()["parameters"][f"{label}.{list(values)[1]}"]
+    assert abs(value["value"] - values[list(values)[1]]) < 4 * value["std"]
+
+
+@pytest.mark.parametrize("stiffness", [1e-4, 8.0])
+def test_a_model_without_a_spring_is_led_with_one(stiffness):
+    """... at a step that follows the motion, however slow the model is that was fitted."""
+    fit = residyn.fit(experiment(), starts=1)
+    slow = fit.model.with_values({"spring:elbow.stiffness": stiffness})
+    begun = [dataclasses.replace(n, start=n.value) for n in fit.numbers]
+    with jax.enable_x64(True):
+        near = Near.of(dataclasses.replace(fit, model=slow, numbers=tuple(begun)))
+        led = steadied(near)
+    values = led.fit.model.values()
+    if stiffness == 8.0:
+        assert led is near
+    else:
+        assert 1.0 < float(values["spring:elbow.stiffness"]) < 300.0
+        assert float(values["spring:shoulder.stiffness"]) == pytest.approx(
+            ARM.stiffness[0], rel=0.1
+        )
+    assert int(led.problem.steps) >= int(near.problem.steps)
 
 
 # -- measured -----------------------------------------------------------------------------------

@@ -31,7 +31,9 @@ from .unnamed import Shape, Unnamed, shapes, unnamed
 
 _SHAPES = 4  # of an effect that are kept
 _FINER = (1.32, 1.15, 1.07, 1.035)  # steps of a shape between the grid's values, one by one
-_SOFTEST = 0.1  # stiffness and damping, in typical sizes, below which a model is led with others
+# Stiffness and damping below which a model is led with other ones, and those, in typical sizes (of
+# a damping: critical).
+_LED = {"spring": (0.1, 1.0), "damper": (1e-3, 1e-2)}
 _SHAPES_OF_TWO = 2  # the same, of each of two at once
 
 
@@ -131,8 +133,9 @@ def steadied(near: Near) -> Near:
     model = near.fit.model
     values, typical = np.array(model.vector()), near.ready.typical()
     for i, number in enumerate(model.fitted):
-        if number.name.startswith(("spring:", "damper:")) and values[i] < _SOFTEST * typical[i]:
-            values[i] = typical[i]
+        least, instead = _LED.get(number.name.partition(":")[0], (-np.inf, 0.0))
+        if values[i] < least * typical[i]:
+            values[i] = instead * typical[i]
     if np.array_equal(values, np.asarray(model.vector())):
         return near
     model = model.with_vector(jnp.asarray(values))
