@@ -48,7 +48,6 @@ _ONE_THREAD = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
 }
-_TASKS = 12  # cases after which a worker is replaced: compiled programs are never given back
 
 Work = Callable[[Spec], Any]
 
@@ -118,7 +117,7 @@ def work_through(work: Work, todo: list[Spec], out: Path, jobs: int, again: bool
             return
         fresh = multiprocessing.get_context("spawn")
         try:
-            with ProcessPoolExecutor(jobs, fresh, max_tasks_per_child=_TASKS) as pool:
+            with ProcessPoolExecutor(jobs, fresh) as pool:
                 waiting = [pool.submit(_safe, work, spec) for spec in left.values()]
                 for each in as_completed(waiting):
                     keep(each.result())

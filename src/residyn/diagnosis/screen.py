@@ -33,7 +33,7 @@ _SHAPES = 4  # of an effect that are kept
 _FINER = (1.32, 1.15, 1.07, 1.035)  # steps of a shape between the grid's values, one by one
 # Stiffness and damping below which a model is led with other ones, and those, in typical sizes (of
 # a damping: critical).
-_LED = {"spring": (0.1, 1.0), "damper": (1e-3, 1e-2)}
+_LED = {"spring": (1e-3, 1.0), "damper": (1e-3, 1e-2)}
 _SHAPES_OF_TWO = 2  # the same, of each of two at once
 
 
