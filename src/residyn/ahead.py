@@ -20,9 +20,8 @@ def set_up(*, cache: bool | str | Path = True) -> None:
     """Make JAX ready for residyn: call it first, before JAX computes anything.
 
     Switches float64 on, has XLA compile loops as one kernel (JAX reads that setting at its first
-    computation and never again; fits of effects with friction or memory run two to six times
-    faster), and keeps compiled programs for the next run. An `XLA_FLAGS` that sets the same limit
-    is left as it is.
+    computation and never again; fits with friction or memory gain most), and keeps compiled
+    programs for the next run. An `XLA_FLAGS` that sets the same limit is left as it is.
 
     **Arguments:**
 
