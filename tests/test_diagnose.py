@@ -16,14 +16,14 @@ import residyn
 from residyn.diagnosis import diagnosing
 from residyn.diagnosis.curves import candidates as candidates_for
 from residyn.diagnosis.ladder import Accepted, needless, ranked, search
-from residyn.diagnosis.linear import Near
+from residyn.diagnosis.linear import Near, steadied
 from residyn.diagnosis.missing import missing_of
 from residyn.diagnosis.missing_torque import missing_torque
 from residyn.diagnosis.next_experiment import advise
 from residyn.diagnosis.path import Path as Way
 from residyn.diagnosis.path import variants
 from residyn.diagnosis.rung import stand
-from residyn.diagnosis.screen import left_over, pair, screen, steadied
+from residyn.diagnosis.screen import left_over, pair, screen
 from residyn.recording import ArmTable, Bearing, InertiaTable
 from tests import rig
 

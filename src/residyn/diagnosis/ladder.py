@@ -19,11 +19,12 @@ from ..fitting.pipeline import finish, refit
 from ..fitting.result import FitError
 from ..recording import Experiment
 from .horizon import HeldOut
+from .linear import steadied
 from .missing_torque import MissingTorque
 from .path import Path
 from .refits import refits, silent
 from .rung import Refit, Step, cost_of, stand, worth
-from .screen import glance, pair, screen, sharpened, steadied
+from .screen import glance, pair, screen, sharpened
 from .words import SURE
 
 _REFITS = 6  # candidates that are fitted

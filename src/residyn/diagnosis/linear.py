@@ -7,6 +7,7 @@ test of the residual must know that. And a prediction beyond the fitted readings
 in them, carried over by the same columns: a prediction is bad only if it is off by more than that.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -22,6 +23,9 @@ from ..fitting.setup import Ready, mechanism_of, reweighted
 
 # A direction of the tangent this much shorter than the longest is rounding, or undetermined.
 _BLIND = 1e-5
+# Stiffness and damping below which a model is led with other ones, and those, in typical sizes (of
+# a damping: critical).
+_LED = {"spring": (1e-3, 1.0), "damper": (1e-3, 1e-2)}
 
 
 class Near(NamedTuple):
@@ -89,6 +93,28 @@ class Near(NamedTuple):
 
     def _pairs(self, kept: Sequence[np.ndarray]):
         return zip(kept, self.fitted, strict=True)
+
+
+def steadied(near: Near) -> Near:
+    """The same, with a spring and some damping at every joint, as something to lead.
+
+    A model that misses much may be fitted best without them. Led along the motion, any numbers do,
+    since those of springs and dampers enter linearly there; but what answers to a small torque must
+    not run away, and the integration step must follow the motion, not what the fit made of it.
+    """
+    model = near.fit.model
+    values, typical = np.array(model.vector()), near.ready.typical()
+    for i, number in enumerate(model.fitted):
+        least, instead = _LED.get(number.name.partition(":")[0], (-np.inf, 0.0))
+        if values[i] < least * typical[i]:
+            values[i] = instead * typical[i]
+    if np.array_equal(values, np.asarray(model.vector())):
+        return near
+    model = model.with_vector(jnp.asarray(values))
+    problem, _ = near.ready.problem(model, [r.wild for r in near.fitted], near.problem)
+    at = problem.scaled(model.vector(), near.problem.states(near.at))
+    fit = dataclasses.replace(near.fit, model=model)
+    return near._replace(fit=fit, problem=problem, at=at)
 
 
 @eqx.filter_jit

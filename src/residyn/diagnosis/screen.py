@@ -10,12 +10,10 @@ About the fitted motion instead, the same algebra would misjudge any effect that
 phase slip.
 """
 
-import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from ..effects import AbstractEffect
@@ -31,9 +29,6 @@ from .unnamed import Shape, Unnamed, shapes, unnamed
 
 _SHAPES = 4  # of an effect that are kept
 _FINER = (1.32, 1.15, 1.07, 1.035)  # steps of a shape between the grid's values, one by one
-# Stiffness and damping below which a model is led with other ones, and those, in typical sizes (of
-# a damping: critical).
-_LED = {"spring": (1e-3, 1.0), "damper": (1e-3, 1e-2)}
 _SHAPES_OF_TWO = 2  # the same, of each of two at once
 
 
@@ -121,28 +116,6 @@ def sharpened(
                 new = _weigh(near, answered, drop, variant, which, factors)
                 best[i] = new._replace(others=(best[i], *best[i].others)[:_SHAPES])
     return best
-
-
-def steadied(near: Near) -> Near:
-    """The same, with a spring and some damping at every joint, as something to lead.
-
-    A model that misses much may be fitted best without them. Led along the motion, any numbers do,
-    since those of springs and dampers enter linearly there; but what answers to a small torque must
-    not run away, and the integration step must follow the motion, not what the fit made of it.
-    """
-    model = near.fit.model
-    values, typical = np.array(model.vector()), near.ready.typical()
-    for i, number in enumerate(model.fitted):
-        least, instead = _LED.get(number.name.partition(":")[0], (-np.inf, 0.0))
-        if values[i] < least * typical[i]:
-            values[i] = instead * typical[i]
-    if np.array_equal(values, np.asarray(model.vector())):
-        return near
-    model = model.with_vector(jnp.asarray(values))
-    problem, _ = near.ready.problem(model, [r.wild for r in near.fitted], near.problem)
-    at = problem.scaled(model.vector(), near.problem.states(near.at))
-    fit = dataclasses.replace(near.fit, model=model)
-    return near._replace(fit=fit, problem=problem, at=at)
 
 
 class _Answered(NamedTuple):
