@@ -20,6 +20,8 @@ from ..fitting.levenberg import polish
 from ..fitting.problem import Problem, Unknowns, predict
 from ..fitting.result import Fit, RecordingFit
 from ..fitting.setup import Ready, mechanism_of, reweighted
+from ..modal import equilibrium, state_matrix
+from ..motion import split, stack
 
 # A direction of the tangent this much shorter than the longest is rounding, or undetermined.
 _BLIND = 1e-5
@@ -104,9 +106,14 @@ def steadied(near: Near) -> Near:
     """
     model = near.fit.model
     values, typical = np.array(model.vector()), near.ready.typical()
+    at_work = dict(zip(_LED, np.asarray(_at_work(model)), strict=True))
     for i, number in enumerate(model.fitted):
-        least, instead = _LED.get(number.name.partition(":")[0], (-np.inf, 0.0))
-        if values[i] < least * typical[i]:
+        kind = number.name.partition(":")[0]
+        if kind not in _LED:
+            continue
+        least, instead = _LED[kind]
+        # Gravity, say, holds a joint as well as a spring does.
+        if max(values[i], at_work[kind][number.joint]) < least * typical[i]:
             values[i] = instead * typical[i]
     if np.array_equal(values, np.asarray(model.vector())):
         return near
@@ -115,6 +122,15 @@ def steadied(near: Near) -> Near:
     at = problem.scaled(model.vector(), near.problem.states(near.at))
     fit = dataclasses.replace(near.fit, model=model)
     return near._replace(fit=fit, problem=problem, at=at)
+
+
+@eqx.filter_jit
+def _at_work(model):
+    """(2, n): how stiff each joint is, whatever makes it so, and how damped, where it rests."""
+    n = len(model.mechanism.joints)
+    a = state_matrix(model)[n : 2 * n, : 2 * n]
+    square = jnp.stack([stack(row) for row in model.bodies.mass_matrix(split(equilibrium(model)))])
+    return jnp.stack([jnp.diagonal(-square @ part) for part in (a[:, :n], a[:, n:])])
 
 
 @eqx.filter_jit

@@ -4,7 +4,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import jax
 import numpy as np
@@ -37,9 +37,17 @@ _JOINED = 3  # stretches make one of the next longer ones
 
 def refits(step: Step, experiment: Experiment, tried: Sequence[Screened]) -> list[Refit]:
     """Fits of some candidates beside a model; those that led nowhere are left out."""
-    best = [step.cost]
+    each: list[Future[Refit | None]] = []
+
+    def one(screened: Screened, before: Sequence[Future[Refit | None]]) -> Refit | None:
+        known = [r for r in (f.result() for f in before) if r is not None and r.possible]
+        return _refit(step, experiment, screened, min([step.cost, *(r.cost for r in known)]))
+
     with ThreadPoolExecutor(_THREADS) as pool:  # compiling is most of it, and leaves Python free
-        each = [pool.submit(_refit, step, experiment, s, best) for s in tried]
+        for i, s in enumerate(tried):
+            # Of its neighbour, which is fitted beside it, a candidate must know nothing: what it
+            # knew would depend on the machine's mood.
+            each.append(pool.submit(one, s, each[: max(0, i + 1 - _THREADS)]))
         found = [r for r in (e.result() for e in each) if r is not None]
     return _staged(step, experiment, _again(step, experiment, found))
 
@@ -61,7 +69,7 @@ def _again(step: Step, experiment: Experiment, refits: list[Refit]) -> list[Refi
                 numbers=numbers,
                 states=np.concatenate([states, r.screened.states[:, size:]], axis=1),
             )
-            new = _refit(step, experiment, moved, [best.cost], weak=False)
+            new = _refit(step, experiment, moved, best.cost, weak=False)
             if new is not None and new.cost < r.cost:
                 r = new._replace(screened=r.screened)
         found.append(r)
@@ -71,14 +79,16 @@ def _again(step: Step, experiment: Experiment, refits: list[Refit]) -> list[Refi
 def _staged(step: Step, experiment: Experiment, found: list[Refit]) -> list[Refit]:
     """Joints that stick or rattle make many valleys. Where the best fits of such effects end above
     the noise, they start again from what stretches of a few cycles say, in which no phase can slip,
-    and from where the screen began and the fit ended with the first cycles fitted first."""
+    and from where the screen began and the fit ended with the first cycles fitted first. So does
+    whatever the screen puts first, if its fit is nowhere near what was promised."""
+    noise = step.readings + _UNUSUAL * math.sqrt(2.0 * step.readings)
     best = sorted((r for r in found if r.possible), key=lambda r: r.cost)[:_VALLEYS]
+    best = [r for r in best if (r.effect.dry or r.effect.rough) and r.cost > noise]
+    first = min(found, key=lambda r: r.screened.chi2, default=None)
+    if first is not None and first.cost > _FAR * max(first.screened.chi2, noise):
+        best = [first, *(r for r in best if r is not first)]
     wild = [r.wild for r in step.near.fitted]
     for r in best:
-        if not (r.effect.dry or r.effect.rough):
-            continue
-        if r.cost < step.readings + _UNUSUAL * math.sqrt(2.0 * step.readings):
-            continue
         alone = Model(step.fit.model.mechanism, (r.effect,))
         ended = np.asarray(r.model.vector()), r.descent.problem.states(r.descent.unknowns)
         begins = [(r.start, r.screened.states), ended]
@@ -134,9 +144,9 @@ def _from_stretches(step: Step, experiment: Experiment, r: Refit):
 
 
 def _refit(
-    step: Step, experiment: Experiment, screened: Screened, least: list[float], weak: bool = True
+    step: Step, experiment: Experiment, screened: Screened, least: float, weak: bool = True
 ) -> Refit | None:
-    """Fit a candidate; `least` has the costs of those that were fitted before."""
+    """Fit a candidate; `least` is the best cost among those that were fitted before."""
     effects = (*step.effects, silent(screened.effect))
     alone = Model(step.fit.model.mechanism, (screened.effect,))
     now = np.asarray(step.fit.model.vector())
@@ -150,7 +160,7 @@ def _refit(
     best = None
 
     def hopeless(cost: float) -> bool:
-        return cost > _HOPELESS * max(min(least), float(step.readings))
+        return cost > _HOPELESS * max(least, float(step.readings))
 
     with jax.enable_x64(True):
         # From where the screen says, with the shapes that it likes best; at last from where the
@@ -173,8 +183,6 @@ def _refit(
                 enough = _PROMISED * max(screened.chi2, noise)
             if best.cost < enough:
                 break
-    if best is not None and best.possible:
-        least.append(best.cost)
     return best
 
 
