@@ -28,9 +28,11 @@ PySINDy and BIC beside residyn's on the cases that they share.
 """
 
 import argparse
+import itertools
 import json
 import multiprocessing
 import os
+import sys
 import time
 import traceback
 from collections.abc import Callable
@@ -48,6 +50,9 @@ _ONE_THREAD = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
 }
+
+_FORGET = 10  # cases
+_worked = itertools.count(1)
 
 Work = Callable[[Spec], Any]
 
@@ -81,12 +86,22 @@ def by_sindy_tuning(spec: Spec) -> Any:
 
 
 def _safe(work: Work, spec: Spec) -> list[dict[str, Any]]:
+    if next(_worked) % _FORGET == 0:
+        _forget()
     try:
         rows = work(spec)
     except Exception:
         about = {"key": spec.key, "what": spec.what, "hidden": list(spec.labels)}
         return [about | {"noise": spec.noise, "error": "case", "trace": traceback.format_exc()}]
     return rows if isinstance(rows, list) else [rows]
+
+
+def _forget() -> None:
+    """Drop compiled programs: a process may map only so many pieces of memory."""
+    if "jax" in sys.modules:
+        import jax
+
+        jax.clear_caches()
 
 
 def work_through(work: Work, todo: list[Spec], out: Path, jobs: int, again: bool) -> None:

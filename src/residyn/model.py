@@ -11,7 +11,9 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple, Self
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float, PyTree
 
 from .effects import AbstractEffect
@@ -130,8 +132,9 @@ class Model(eqx.Module):
     @property
     def memory(self) -> tuple[Remembered, ...]:
         """The internal states of all effects, in order."""
+        joints = self.mechanism.joints
         return tuple(
-            Remembered(f"{effect.label}.{each.name}", each, index, self._joint(effect))
+            Remembered(f"{effect.label}.{each.name}", each, index, _joint(effect.label, joints))
             for index, effect in enumerate(self.effects)
             for each in effect.memory
         )
@@ -179,10 +182,6 @@ class Model(eqx.Module):
             yield effect, motion._replace(memory=motion.memory[first:last])
             first = last
 
-    def _joint(self, effect: AbstractEffect) -> int | None:
-        joints = self.mechanism.joints
-        return joints.index(effect.place) if effect.place in joints else None
-
     # -- readings ----------------------------------------------------------------------------
 
     @property
@@ -217,23 +216,30 @@ class Model(eqx.Module):
     @property
     def numbers(self) -> tuple[Number, ...]:
         """Every declared number of every effect, in order."""
-        each = tuple((type(e), e.label, self._joint(e)) for e in self.effects)
-        return _numbers(each)
+        return _numbers(*self._named())
 
     @property
     def fitted(self) -> tuple[Number, ...]:
         """The numbers that a fit moves."""
-        each = tuple((type(e), e.label, self._joint(e)) for e in self.effects)
-        return _fitted(each)
+        return _fitted(*self._named())
+
+    def _named(self):
+        return tuple((type(e), e.label) for e in self.effects), self.mechanism.joints
 
     def vector(self) -> Float[Array, " p"]:
         """The fitted numbers as one array, in the order of `fitted`."""
         values = [getattr(self.effects[n.effect], n.meaning.field) for n in self.fitted]
-        return jnp.stack([jnp.asarray(v, float) for v in values]) if values else jnp.zeros(0)
+        if any(isinstance(v, Tracer) for v in values):
+            return jnp.stack([jnp.asarray(v, float) for v in values])
+        # At once: JAX takes its time over each.
+        return jnp.asarray([float(v) for v in values], float)
 
     def with_vector(self, values: Float[Array, " p"]) -> Self:
         """The model with its fitted numbers replaced."""
-        return self._with(dict(zip([n.name for n in self.fitted], list(values), strict=True)))
+        if isinstance(values, jax.Array) and not isinstance(values, Tracer):
+            values = jax.device_get(values)
+        each = [jnp.asarray(x) for x in values]
+        return self._with(dict(zip([n.name for n in self.fitted], each, strict=True)))
 
     def values(self) -> dict[str, Array]:
         """Public name -> value, for every number."""
@@ -262,19 +268,25 @@ class Model(eqx.Module):
         return dataclasses.replace(self, effects=effects)
 
 
+def _joint(label: str, joints: tuple[str, ...]) -> int | None:
+    place = label.partition(":")[2]
+    return joints.index(place) if place in joints else None
+
+
 @functools.cache  # a fit asks some hundred times
-def _numbers(effects: tuple[tuple[type[AbstractEffect], str, int | None], ...]):
-    """The numbers of effects, each told by its class, its label and its joint."""
+def _numbers(effects: tuple[tuple[type[AbstractEffect], str], ...], joints: tuple[str, ...]):
+    """The numbers of effects, each told by its class and its label, on a mechanism of `joints`."""
     found = []
-    for index, (kind, label, joint) in enumerate(effects):
+    for index, (kind, label) in enumerate(effects):
+        joint = _joint(label, joints)
         for meaning in parameters_of(kind):
             found.append(Number(f"{label}.{meaning.name}", meaning, index, joint))
     return tuple(found)
 
 
 @functools.cache
-def _fitted(effects) -> tuple[Number, ...]:
-    return tuple(number for number in _numbers(effects) if number.meaning.fitted)
+def _fitted(effects, joints) -> tuple[Number, ...]:
+    return tuple(number for number in _numbers(effects, joints) if number.meaning.fitted)
 
 
 def _add(x: Joints, y: Joints) -> Joints:

@@ -90,6 +90,9 @@ _KEY = "residyn"
 def floating(x: Any) -> Array:
     """As a float array of the precision in force. (`jnp.asarray(0.1)` would be weakly typed, and
     take the precision of whatever it meets.)"""
+    wanted = jnp.float64 if jax.config.jax_enable_x64 else jnp.float32  # pyright: ignore
+    if isinstance(x, jax.Array) and not x.weak_type and x.dtype == wanted:
+        return x  # JAX would take its time to find that there is nothing to do
     return jnp.asarray(x, float)
 
 

@@ -65,12 +65,10 @@ class Near(NamedTuple):
         """
         dropped = [~(np.isfinite(r.recording.angle) & k[:, None]) for k, r in self._pairs(kept)]
         problem = reweighted(self.problem, dropped)
-        lanes = self.fit.starts  # as many as the fit had, so that its compiled program serves
-        start = jax.tree.map(lambda x: jnp.broadcast_to(x, (lanes, *x.shape)), self.at)
+        start = jax.tree.map(lambda x: jnp.asarray(x)[None], self.at)
         size = max(1.0, float(np.sqrt(self.fit.reduced_chi2)))
-        out = jax.device_get(polish(problem, start, (1.0,), size=size))
-        good = bool(out.converged[0]) and bool(np.isfinite(out.cost[0]))
-        return jax.tree.map(lambda x: jnp.asarray(x[0]), out.unknowns), good
+        out = polish(problem, start, (1.0,), size=size)
+        return jax.tree.map(jnp.asarray, out.unknowns), out.converged and np.isfinite(out.cost)
 
     def look(self, at: Unknowns) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Predictions (N, n), rad or m, and their slopes (N, n, L) in each recording's L unknowns:

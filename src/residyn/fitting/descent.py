@@ -12,13 +12,12 @@ import numpy as np
 from ..model import Model
 from ..motion import split
 from ..recording import Recording, wild_samples
-from .levenberg import Polished, polish
+from .levenberg import polish
 from .problem import Compressed, Problem, Unknowns
 from .result import FitError, RecordingFit
 from .setup import Ready, reweighted
 
 _FIRST_CYCLES = 3  # of the fastest mode, in the first stretch
-_AGREE = 0.5  # starts that end within this many standard errors of the best one agree with it
 _MOST_WILD = 0.05  # a larger share of readings is not a few wild ones, it is another motion
 _ROUNDS = 3
 _ABSURD = 1e9  # rad or m
@@ -66,7 +65,8 @@ def descend(
     `near` (S, R, s), initial states which are near enough that no phase can slip, all readings
     count from the first step on, unless that is to be `staged`, too.
     """
-    problem, states = here.problem(begin, wild, like)
+    frequency = here.frequency(begin)
+    problem, states = here.problem(begin, wild, like, frequency=frequency)
     if like is not None:
         problem = eqx.tree_at(lambda p: p.active, problem, jnp.zeros_like(problem.active))
     starts = len(numbers)
@@ -76,23 +76,18 @@ def descend(
     y = Unknowns(
         jnp.asarray(numbers) / problem.scale.numbers, jnp.asarray(first) / problem.scale.states
     )
-    shares = shares_of(here, begin) if near is None or staged else [1.0]
+    shares = shares_of(here, frequency) if near is None or staged else [1.0]
     if near is not None:
         y = y._replace(states=jnp.asarray(near) / problem.scale.states)
-    out = jax.device_get(polish(problem, y, shares, hopeless))
-    best, agreeing = int(np.argmin(out.cost)), _agreeing(out)
-    steps = int(out.steps[best])
-    at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
-    mirrored = _upright(problem, at)
+    out = polish(problem, y, shares, hopeless)
+    steps, agreeing = out.steps, out.agreeing
+    mirrored = _upright(problem, out.unknowns)
     if mirrored is not None:
-        again = jax.tree.map(lambda x: jnp.broadcast_to(x, (starts, *x.shape)), mirrored)
-        out = jax.device_get(polish(problem, again, (1.0,)))
-        best = 0
-        at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
+        out = polish(problem, _single(mirrored), (1.0,))
     for round_ in range(_ROUNDS + 1):
-        if not np.isfinite(out.cost[best]):
+        if not np.isfinite(out.cost):
             raise FitError("no start led to finite numbers: is this the arm that was recorded?")
-        predicted = _predictions(squeezed, here.recordings)
+        predicted = _predictions(out.compressed, here.recordings)
         if not all(np.all(np.abs(p) < _ABSURD) for p in predicted):
             raise FitError("no start led to a motion that could be: is this the arm recorded?")
         pairs = zip(here.recordings, predicted, strict=True)
@@ -104,19 +99,26 @@ def descend(
         progress("fitting again without wild readings")
         wild = found
         problem = reweighted(problem, wild)
-        # From the best point, in every lane, so that the compiled program serves again.
-        again = jax.tree.map(lambda x: jnp.broadcast_to(x, (starts, *x.shape)), at)
-        out = jax.device_get(polish(problem, again, (1.0,)))
-        steps, best = steps + int(out.steps[0]), 0
-        at, squeezed = _row(out.unknowns, best), _row(out.compressed, best)
-    total, done = float(out.cost[best]), bool(out.converged[best])
-    return Descent(problem, wild, at, squeezed, total, steps, done, starts, agreeing)
+        out = polish(problem, _single(out.unknowns), (1.0,))
+        steps += out.steps
+    return Descent(
+        problem,
+        wild,
+        out.unknowns,
+        out.compressed,
+        out.cost,
+        steps,
+        out.converged,
+        starts,
+        agreeing,
+    )
 
 
-def shares_of(here: Ready, begin: Model) -> list[float]:
-    """The growing shares (0 to 1) of the recordings that a start is fitted to."""
+def shares_of(here: Ready, frequency: float) -> list[float]:
+    """The growing shares (0 to 1) of the recordings that a start is fitted to; `frequency` is the
+    fastest one, rad/s."""
     longest = max(r.duration for r in here.recordings)
-    first = min(1.0, _FIRST_CYCLES * 2 * math.pi / here.frequency(begin) / longest)
+    first = min(1.0, _FIRST_CYCLES * 2 * math.pi / frequency / longest)
     return sorted({first, math.sqrt(first), 1.0})
 
 
@@ -151,23 +153,11 @@ def wild_beside(
     return found
 
 
-def _row(tree, index: int):
-    return jax.tree.map(lambda x: x[index], tree)
+def _single(y: Unknowns) -> Unknowns:
+    """As starts, of which there is but one."""
+    return jax.tree.map(lambda x: jnp.asarray(x)[None], y)
 
 
 def _predictions(squeezed: Compressed, recordings: Sequence[Recording]) -> list[np.ndarray]:
     pairs = zip(recordings, np.asarray(squeezed.predicted), strict=True)
     return [x[: len(r.time)] for r, x in pairs]
-
-
-def _agreeing(out: Polished) -> int:
-    """How many starts ended where the best one did, counting it."""
-    best = int(np.argmin(out.cost))
-    off = jax.tree.map(lambda x: x - x[best], out.unknowns)
-    everywhere = np.broadcast_to(
-        off.numbers[:, None], (*off.states.shape[:2], off.numbers.shape[-1])
-    )
-    local = np.concatenate([everywhere, off.states], axis=-1)
-    moved = np.einsum("rij,srj->sri", out.compressed.factor[best], local)
-    distance = np.sqrt(np.sum(moved**2, axis=(1, 2)))
-    return int(np.sum((distance < _AGREE) & ~out.lost))

@@ -205,11 +205,12 @@ def embed(fit: Fit) -> Embedded:
 @eqx.filter_custom_jvp
 def _minimum(problem: Problem, start: Unknowns):
     """(unknowns, steps, whether they settled)."""
+    whole = Stretch(problem)
     solution = optx.least_squares(
         rows,
-        solver(),
+        solver(whole),
         start,
-        args=Stretch(problem),
+        args=whole,
         has_aux=True,
         options={"jac": "fwd"},
         max_steps=_STEPS,

@@ -3,10 +3,15 @@
 Ringing makes a cruel cost: off by half a cycle at the end of the record, the fit sits in a wrong
 valley. Two things lead out of it. The closed-form start is already close. And each start first
 fits the first few cycles alone, where no phase can slip, then a longer stretch, then everything.
-All starts run abreast under `vmap`, in one compiled program; a start that has fallen far behind
-after the first stretch follows the best one from there, and is not counted as agreeing.
+
+Over the first cycles all starts run abreast under `vmap`: that is cheap, and it is where starts
+differ. Those that end in the same place go on as one, for they would take the same way; those that
+have fallen far behind do not go on. What is left descends one after the other, by the program of a
+single start: none waits for another one, and many starts cost little more than one.
 """
 
+import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -21,24 +26,30 @@ from .problem import Compressed, Problem, Unknowns, compressed
 
 STEPS = 20  # of one call: between calls, the hopeless can be left
 _CALLS = 4
+_ABREAST = 10  # the same for starts abreast, where all wait for the last one
 # Steps end when the whitened residual moves by less than this many sigma, in total (sigma of the
 # noise; after the first call, of whatever the model misses the readings by, if that is more) ...
 _RESIDUAL_TOLERANCE = 3e-3
 # ... and no unknown by more than this share of its scale.
 _UNKNOWN_TOLERANCE = 1e-5
-# A start this many times worse than the best after the first stretch has lost its way.
+# A stretch that is not the whole only has to lead into the right valley: so many times as much.
+_ROUGHLY = 300.0
+# A start this many times worse than the best after a stretch has lost its way.
 LOST = 25.0
+_SAME = 0.5  # starts that end within this many standard errors of another one have ended there
+_PART = 8  # the first cycles, where they are no more than this part of the readings
 
 
 class Polished(NamedTuple):
-    """Where every start (leading axis S) ended."""
+    """Where the best start ended."""
 
     unknowns: Unknowns
-    cost: Float[Array, " S"]  # sum of squared whitened residuals
-    steps: Int[Array, " S"]
-    converged: Bool[Array, " S"]
-    lost: Bool[Array, " S"]
     compressed: Compressed
+    cost: float  # sum of squared whitened residuals
+    steps: int
+    converged: bool
+    agreeing: int
+    """How many starts ended here."""
 
 
 class _Rows(NamedTuple):
@@ -62,6 +73,11 @@ class Stretch(NamedTuple):
     only: Int[Array, ""] | None = None
     size: Float[Array, ""] | float = 1.0
     """What the optimiser takes for one sigma, in sigma."""
+
+    @property
+    def whole(self) -> Bool[Array, ""] | bool:
+        """Whether nothing is left out."""
+        return True if self.only is None else self.only >= self.problem.steps
 
     @classmethod
     def of(cls, problem: Problem, share) -> "Stretch":
@@ -91,21 +107,22 @@ def _rows_jvp(primals, tangents):
     return (rows, squeezed), (_Rows(along, jnp.zeros_like(squeezed.beside)), still)
 
 
-def solver() -> optx.LevenbergMarquardt:
+def solver(stretch: Stretch) -> optx.LevenbergMarquardt:
     """Levenberg-Marquardt with this module's stopping rule."""
-    return optx.LevenbergMarquardt(rtol=0.0, atol=_RESIDUAL_TOLERANCE, norm=_norm)
+    tolerance = _RESIDUAL_TOLERANCE * jnp.where(stretch.whole, 1.0, _ROUGHLY)
+    return optx.LevenbergMarquardt(rtol=0.0, atol=tolerance, norm=_norm)  # pyright: ignore
 
 
-def descend(stretch: Stretch, y: Unknowns):
+def descend(stretch: Stretch, y: Unknowns, steps: int = STEPS):
     """One Levenberg-Marquardt descent: where it ended, steps, whether it converged, and J there."""
     solution = optx.least_squares(
         rows,
-        solver(),
+        solver(stretch),
         y,
         args=stretch,
         has_aux=True,
         options={"jac": "fwd"},
-        max_steps=STEPS,
+        max_steps=steps,
         throw=False,
     )
     done = solution.result == optx.RESULTS.successful
@@ -119,48 +136,113 @@ def polish(
     hopeless: Callable[[float], bool] = lambda cost: False,
     size: float = 1.0,
 ) -> Polished:
-    """Descend from every start over growing shares (0 to 1) of the recordings.
+    """Descend from every start (leading axis S) over growing shares (0 to 1) of the recordings.
 
     `hopeless` is asked, now and then, whether a start that has not yet settled should be left where
     it is, at this cost; `size` is the least rms residual to expect, in sigma.
     """
-    lost = jnp.zeros(starts.numbers.shape[0], bool)
-    readings = max(1, np.count_nonzero(problem.recorded.weights))
-    out, taken = None, 0
+    going, shares = _begun(starts), list(shares)
+    if len(going) > 1:
+        going = _together(_abreast(problem, starts, shares[0], size))
+        shares = shares[1:] or shares
     for share in shares:
-        unit = size
-        for _ in range(_CALLS):
-            out = _stretch(problem, starts, lost, jnp.asarray(float(share)), jnp.asarray(unit))
-            if np.isfinite(least := np.min(out.cost)):
-                unit = max(unit, float(np.sqrt(least / readings)))
-            starts, lost, taken = out.unknowns, out.lost, taken + out.steps
-            settled = np.asarray(out.converged | lost)
-            if settled.all() or (share == 1.0 and hopeless(float(np.min(out.cost)))):
+        going = _together([_alone(problem, each, share, hopeless, size) for each in going])
+    return going[0]
+
+
+def _alone(problem: Problem, start: Polished, share: float, hopeless, size: float) -> Polished:
+    """One start's descent over a share of the recordings."""
+    readings = max(1, np.count_nonzero(problem.recorded.weights))
+    end, unit = start, size
+    for _ in range(_CALLS):
+        out = _stretch(problem, end.unknowns, jnp.asarray(float(share)), jnp.asarray(unit))
+        end = _polished(jax.device_get(out), end)
+        if np.isfinite(end.cost):
+            unit = max(unit, math.sqrt(end.cost / readings))
+        if end.converged or (share == 1.0 and hopeless(end.cost)):
+            break
+    return end
+
+
+def _polished(out, start: Polished) -> Polished:
+    y, squeezed, cost, steps, good = out
+    return Polished(y, squeezed, float(cost), start.steps + int(steps), bool(good), start.agreeing)
+
+
+def _abreast(problem: Problem, starts: Unknowns, share: float, size: float) -> list[Polished]:
+    """Every start's descent over a share of the recordings."""
+    out = jax.device_get(
+        _stretches(_head(problem, share), starts, jnp.asarray(float(share)), jnp.asarray(size))
+    )
+    return [_polished(_row(out, i), start) for i, start in enumerate(_begun(starts))]
+
+
+def _begun(starts: Unknowns) -> list[Polished]:
+    """Starts that have not moved yet."""
+    nothing: Compressed = None  # pyright: ignore[reportAssignmentType]
+    count = starts.numbers.shape[0]
+    return [Polished(_row(starts, i), nothing, math.inf, 0, False, 1) for i in range(count)]
+
+
+def _together(ends: list[Polished]) -> list[Polished]:
+    """The different places where starts ended, the best one first, without those far behind."""
+    found: list[Polished] = []
+    for end in sorted(ends, key=lambda e: e.cost if math.isfinite(e.cost) else math.inf):
+        for i, other in enumerate(found):
+            if _distance(other, end) < _SAME:
+                found[i] = other._replace(agreeing=other.agreeing + end.agreeing)
                 break
-    assert out is not None
-    return out._replace(steps=taken)
+        else:
+            if not found or end.cost <= LOST * found[0].cost:
+                found.append(end)
+    return found
+
+
+def _distance(one: Polished, other: Polished) -> float:
+    """Between two ends, in standard errors of the first."""
+    numbers = np.asarray(other.unknowns.numbers) - one.unknowns.numbers
+    states = np.asarray(other.unknowns.states) - one.unknowns.states
+    local = np.concatenate([np.tile(numbers, (len(states), 1)), states], axis=1)
+    return float(np.linalg.norm(np.einsum("rij,rj->ri", one.compressed.factor, local)))
+
+
+def _head(problem: Problem, share: float) -> Problem:
+    """The problem with room for the first quarter only, if the share's readings lie there."""
+    instants, room = problem.recorded.row.shape[-1] // _PART, problem.room // _PART
+    only = math.ceil(share * int(problem.steps))
+    late = np.asarray(problem.recorded.weights)[:, instants:].any(axis=-1)
+    if only > room or np.any(late & (np.asarray(problem.recorded.row)[:, instants:] < only)):
+        return problem
+    first = [x[:, :instants] for x in _read(problem)]
+    return dataclasses.replace(eqx.tree_at(_read, problem, first), room=room)
+
+
+def _read(problem: Problem):
+    recorded = problem.recorded
+    return [recorded.row, recorded.place, recorded.angles, recorded.weights]
+
+
+def _row(tree, index: int):
+    return jax.tree.map(lambda x: x[index], tree)
 
 
 @eqx.filter_jit
-def _stretch(problem: Problem, y: Unknowns, lost, share, size) -> Polished:
+def _stretch(problem: Problem, y: Unknowns, share, size):
+    """One start's descent: where it ended, J there, the cost, steps, whether it converged."""
+    return _ended(Stretch.of(problem, share)._replace(size=size), y, STEPS)
+
+
+@eqx.filter_jit
+def _stretches(problem: Problem, y: Unknowns, share, size):
+    """`_stretch` for starts (S, ...) abreast."""
     stage = Stretch.of(problem, share)._replace(size=size)
-
-    def one(start):
-        return descend(stage, start)
-
     # See `over_recordings`: what dry friction seldom asks for must stay seldom.
-    y, steps, good, squeezed = jax.lax.map(one, y) if problem.model.dry else jax.vmap(one)(y)
-    total = _cost(squeezed)
-    best = jnp.argmin(total)
-    lost = lost | ~(total <= LOST * total[best])
-    y = jax.tree.map(lambda x: jnp.where(_like(lost, x), x[best][None], x), y)
-    return Polished(y, total, steps, good, lost, squeezed)
+    if problem.model.dry:
+        return jax.lax.map(lambda start: _ended(stage, start, _ABREAST), y)
+    return jax.vmap(lambda start: _ended(stage, start, _ABREAST))(y)
 
 
-def _cost(squeezed: Compressed) -> Float[Array, " S"]:
-    total = jnp.sum(squeezed.along**2, axis=(1, 2)) + jnp.sum(squeezed.beside**2, axis=1)
-    return jnp.where(jnp.isfinite(total), total, jnp.inf)
-
-
-def _like(mask, leaf):
-    return mask.reshape(mask.shape + (1,) * (leaf.ndim - 1))
+def _ended(stage: Stretch, y: Unknowns, most: int):
+    y, steps, good, squeezed = descend(stage, y, most)
+    total = jnp.sum(squeezed.along**2) + jnp.sum(squeezed.beside**2)
+    return y, squeezed, jnp.where(jnp.isfinite(total), total, jnp.inf), steps, good

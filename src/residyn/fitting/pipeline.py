@@ -176,7 +176,7 @@ def _held_out(experiment: Experiment, model: Model, descent: Descent) -> list[Re
     # The effects themselves, not their names: bare recordings know no effect of bearings by name.
     effects = [e for e in model.effects if e.name not in ("spring", "damper")]
     group, found = len(descent.wild), []
-    numbers = np.tile(np.asarray(model.vector()), (descent.starts, 1))
+    numbers = np.asarray(model.vector())[None]
     for first in range(0, len(experiment.check_recordings), group):
         # As many at a time as were fitted, so that no other program need be compiled.
         some = experiment.check_recordings[first : first + group]

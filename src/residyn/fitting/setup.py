@@ -12,6 +12,7 @@ from ..bearings import AirBearing, without_bearings
 from ..effects import AbstractEffect, effects_named
 from ..mechanism import AbstractMechanism, ConstantInertia, PlanarArm
 from ..model import Model
+from ..motion import split
 from ..parameter import Scales, all_floating
 from ..recording import ArmTable, Experiment, Recording
 from ..simulation import fastest
@@ -85,13 +86,14 @@ class Ready(NamedTuple):
         wild: Sequence[np.ndarray],
         like: Problem | None = None,
         fixed: bool = False,
+        frequency: float | None = None,
     ) -> tuple[Problem, np.ndarray]:
         """The least-squares problem near the model `begin`, and guessed initial states (R, s).
 
         `like` gives the problem the shapes of another one, so that its compiled program serves;
-        `fixed` compiles the number of steps in.
+        `fixed` compiles the number of steps in; `frequency` is `begin`'s, if that is known.
         """
-        frequency = self.frequency(begin)
+        frequency = self.frequency(begin) if frequency is None else frequency
         steps = self._steps(begin, frequency)
         readings = max(len(r.time) for r in self.recordings)
         room, instants = (steps, readings) if fixed else (bucket(steps, _ROOMS), bucket(readings))
@@ -109,7 +111,7 @@ class Ready(NamedTuple):
         scales = _scales_of(begin, size, np.full(len(size), frequency))
         memory = [m.meaning.dimension.size(scales(m.joint)) for m in begin.memory]
         scale = Unknowns(
-            jnp.asarray(_scales(begin, size, frequency)),
+            jnp.asarray(_sizes(begin, scales)),
             jnp.asarray(
                 np.tile(np.concatenate([size, size * frequency, memory]), (len(states), 1))
             ),
@@ -178,9 +180,9 @@ def reweighted(problem: Problem, wild: Sequence[np.ndarray]) -> Problem:
     return eqx.tree_at(lambda p: p.recorded.weights, problem, jnp.asarray(weights))
 
 
-def _scales(model: Model, amplitude: np.ndarray, frequency: float) -> np.ndarray:
+def _sizes(model: Model, scales: Callable[[int | None], Scales]) -> np.ndarray:
     """A size for every number, never zero: its value, or what its dimension is typically."""
-    sizes, scales = [], _scales_of(model, amplitude, np.full(len(amplitude), frequency))
+    sizes = []
     for number, value in zip(model.fitted, np.asarray(model.vector()), strict=True):
         typical = float(number.meaning.dimension.size(scales(number.joint)))
         sizes.append(max(abs(value) if np.isfinite(value) else 0.0, 1e-2 * typical))
@@ -191,9 +193,16 @@ def _scales_of(
     model: Model, amplitude: np.ndarray, pace: np.ndarray
 ) -> Callable[[int | None], Scales]:
     """The scales of one joint, or of the last one for what belongs to none; `pace` (n,) rad/s."""
-    matrix = model.mechanism.mass_matrix((0.0,) * len(amplitude))
-    inertia = np.array([float(row[i]) for i, row in enumerate(matrix)])
+    inertia = np.asarray(_inertia(model.mechanism))
     return lambda joint: Scales(*(_at(each, joint) for each in (inertia, pace, amplitude)))
+
+
+@eqx.filter_jit
+def _inertia(mechanism: AbstractMechanism):
+    """(n,) the diagonal of the mass matrix with all angles zero."""
+    n = len(mechanism.joints)
+    matrix = mechanism.mass_matrix(split(jnp.zeros(n)))
+    return jnp.stack([jnp.asarray(row[i], float) for i, row in enumerate(matrix)])
 
 
 def _at(each: np.ndarray, joint: int | None) -> float:

@@ -12,6 +12,7 @@ geometric ladder gives one candidate, the least uncertain ones go on, and the si
 multi-start judge between them.
 """
 
+import functools
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
@@ -30,8 +31,10 @@ from .problem import bucket
 
 _POWER = 5  # (1 - s^2)^5 is smooth enough at its ends for two derivatives
 _NARROWEST = 4  # samples in half a kernel
+_STRIDE, _LONG = 2, 1000  # where there are so many samples, every other one will do
 _LADDER = 12  # kernels tried, each 1.5 times wider than the last
 _LEAST_KEPT = 0.05
+_EVEN = 1e-6  # of the spacing
 
 
 class Uniform(NamedTuple):
@@ -50,8 +53,12 @@ def uniform(recording: Recording, wild: np.ndarray) -> Uniform:
     grid = np.arange(time[0], time[-1] + 1e-9 * dt, dt)
     q = np.empty((len(grid), recording.angle.shape[1]))
     good = np.ones(len(grid), bool)
-    for joint in range(q.shape[1]):
-        use = np.isfinite(recording.angle[:, joint]) & ~wild[:, joint]
+    seen = np.isfinite(recording.angle) & ~wild
+    even = len(grid) == len(time) and np.abs(grid - time).max() < _EVEN * dt
+    for joint, use in enumerate(seen.T):
+        if even and use.all():
+            q[:, joint] = recording.angle[:, joint]
+            continue
         known = time[use]
         q[:, joint] = _cubic(known, recording.angle[use, joint], grid)
         after = np.searchsorted(known, grid).clip(1, len(known) - 1)
@@ -105,40 +112,60 @@ class Smoothed(NamedTuple):
         return np.asarray(shares)
 
 
-def smooth(data: Uniform, halves: np.ndarray, noise: np.ndarray) -> Smoothed:
-    """Through the kernels of these half-widths (H,), in samples."""
+def smooth(data: Uniform, halves: np.ndarray, noise: np.ndarray, stride: int) -> Smoothed:
+    """Through the kernels of these half-widths (H,), in samples, at every `stride`-th instant."""
     length, widest = len(data.q), int(halves.max())
-    size = 1 << (length + 4 * widest).bit_length()  # no end reaches round to the other
-
-    def response(kernels: Sequence[np.ndarray]) -> np.ndarray:
-        rows = np.zeros((len(kernels), size))
-        for row, k in zip(rows, kernels, strict=True):  # the middle stands at 0, its left side last
-            half = len(k) // 2
-            row[: half + 1], row[size - half :] = k[half:], k[:half]
-        return np.fft.rfft(rows)
+    # Long enough that no end reaches round to the other, and quick to transform.
+    size = _quick(length + 2 * widest)
 
     def through(columns: np.ndarray, responses: np.ndarray) -> np.ndarray:
         if not columns.any():
-            return np.zeros((len(responses), *columns.shape))
+            return np.zeros((len(responses), *columns[::stride].shape))
         spectrum = np.fft.rfft(columns.T, size)
         passed = np.fft.irfft(responses[:, None] * spectrum, size)
-        return passed[..., :length].transpose(0, 2, 1)
+        return passed[..., :length:stride].transpose(0, 2, 1)
 
-    kernels = [kernel(int(half), data.dt) for half in halves]
-    responses = [response(each) for each in zip(*kernels, strict=True)]
-    q, v, a = (through(data.q, r) for r in responses)
-    lost = (~data.good)[:, None].astype(float)
-    near = through(lost, response([np.ones(2 * half + 1) for half in halves]))[..., 0] > 0.5
-    index = np.arange(length)
+    responses, louder = _responses(tuple(int(half) for half in halves), size)
+    q, v, a = (through(data.q, r / data.dt**k) for k, r in enumerate(responses))
+    index = np.arange(0, length, stride)
     inside = (index >= halves[:, None]) & (index < length - halves[:, None])
+    inside &= _sums(~data.good, halves, stride) == 0
     # Where the motion has died away only noise is left, which would pull the numbers to itself.
-    left = noise * np.array([np.sqrt((k[0] ** 2).sum()) for k in kernels])[:, None]
+    left = noise * louder[:, None]
     rest = np.median(data.q[-max(10, length // 10) :], axis=0)
-    blocks = response([np.ones(4 * half + 1) / (4 * half + 1) for half in halves])
-    size2 = np.maximum(through((data.q - rest) ** 2, blocks), 0.0)
+    wide = 2 * halves
+    size2 = np.stack([_sums(x, wide, stride) for x in ((data.q - rest) ** 2).T], axis=-1)
+    size2 = np.maximum(size2, 0.0) / (2 * wide + 1)[:, None, None]
     share = (size2 / (6 * left[:, None]) ** 2).max(axis=2)
-    weight = share / (1 + share) * (inside & ~near)
+    weight = share / (1 + share) * inside
     return Smoothed(q, v, a, through(data.drive, responses[0]), weight)
+
+
+def _quick(least: int) -> int:
+    """The next length that is a power of two, or one and a half times one."""
+    size = 1 << (least - 1).bit_length()
+    return size * 3 // 4 if size * 3 // 4 >= least else size
+
+
+@functools.lru_cache(maxsize=16)  # recordings come in few lengths
+def _responses(halves: tuple[int, ...], size: int) -> tuple[np.ndarray, np.ndarray]:
+    """For samples one apart, what the kernels and their first two derivatives do to a spectrum of
+    `size` instants, (3, H, F), and how much of white noise passes the kernels, (H,)."""
+    rows = np.zeros((3, len(halves), size))
+    for i, half in enumerate(halves):  # the middle stands at 0, its left side last
+        for row, k in zip(rows[:, i], kernel(half, 1.0), strict=True):
+            row[: half + 1], row[size - half :] = k[half:], k[:half]
+    return np.fft.rfft(rows), np.sqrt((rows[0] ** 2).sum(axis=-1))
+
+
+def _sums(x: np.ndarray, halves: np.ndarray, stride: int) -> np.ndarray:
+    """(H, G): the sum of x (G,) over the instants up to `halves` (H,) away, at every `stride`-th
+    instant."""
+    total = np.concatenate([[0.0], np.cumsum(x)])
+    index = np.arange(0, len(x), stride)
+    first = np.maximum(index - halves[:, None], 0)
+    last = np.minimum(index + halves[:, None] + 1, len(x))
+    return total[last] - total[first]
 
 
 class Candidates(NamedTuple):
@@ -163,14 +190,18 @@ def closed_form(
     **Returns:** the candidates, the least uncertain first; empty if the model has no numbers.
     """
     grids = [uniform(r, w) for r, w in zip(recordings, wild, strict=True)]
-    shortest, longest = min(len(g.q) for g in grids), bucket(max(len(g.q) for g in grids))
+    shortest = min(len(g.q) for g in grids)
+    # What passed a kernel varies from sample to sample as slowly as the kernel does; a memory is
+    # run along the motion, and wants all of it.
+    stride = _STRIDE if shortest >= _LONG and not models[0].memory else 1
+    longest = bucket(max(len(g.q[::stride]) for g in grids))
     halves = np.array([round(_NARROWEST * 1.5**i) for i in range(_LADDER)])
     fits = halves <= max(_NARROWEST, shortest // 8)
     used = np.where(fits, halves, _NARROWEST)  # always as many: one compiled program
-    each = [smooth(g, used, r.noise) for g, r in zip(grids, recordings, strict=True)]
+    each = [smooth(g, used, r.noise, stride) for g, r in zip(grids, recordings, strict=True)]
     data = tuple(jnp.asarray(_side_by_side(parts, longest)) for parts in zip(*each, strict=True))
     posed = stacked(models)
-    spacing = jnp.asarray([g.dt for g in grids])
+    spacing = jnp.asarray([g.dt * stride for g in grids])
 
     def solved(beginnings: Beginnings):
         begin = jax.tree.map(jnp.asarray, beginnings)
@@ -183,7 +214,7 @@ def closed_form(
     numbers, spread, _ = solved(beginnings)
     # A kernel wider than the slowest swing leaves only rest and drift, which any tiny stiffness
     # fits beautifully.
-    kept = np.max([s.kept(used) for s in each], axis=0)
+    kept = np.max([s.kept(used // stride) for s in each], axis=0)
     fits &= kept > min(_LEAST_KEPT, 0.5 * kept.max())
     # Overlapping kernels share their noise: a kernel of half-width h leaves about 1/h as many
     # independent equations.

@@ -42,7 +42,8 @@ def levenberg_history(
         wild = wild_beside(here, [r.angle for r in here.recordings])
         numbers, memory = beginning(here, wild, starts)
         begin = here.model.with_vector(jnp.asarray(numbers[0]))
-        problem, states = here.problem(begin, wild)
+        frequency = here.frequency(begin)
+        problem, states = here.problem(begin, wild, frequency=frequency)
         first = np.broadcast_to(states, (starts, *states.shape)).copy()
         if memory is not None and memory.size:
             first[..., -memory.shape[-1] :] = memory
@@ -50,7 +51,7 @@ def levenberg_history(
             problem.scaled(jnp.asarray(n), jnp.asarray(s))
             for n, s in zip(numbers, first, strict=True)
         ]
-        return _descents(problem, each, shares_of(here, begin))
+        return _descents(problem, each, shares_of(here, frequency))
 
 
 def _descents(problem: Problem, each: list[Unknowns], shares: Sequence[float]) -> History:
@@ -83,7 +84,7 @@ def _descent(stage: Stretch, problem: Problem, y: Unknowns) -> tuple[list[float]
 @eqx.filter_jit
 def _first(y: Unknowns, stage: Stretch):
     out, more = eqx.filter_eval_shape(rows, y, stage)
-    return solver().init(rows, y, stage, _OPTIONS, out, more, frozenset())
+    return solver(stage).init(rows, y, stage, _OPTIONS, out, more, frozenset())
 
 
 @eqx.filter_jit
@@ -94,7 +95,7 @@ def _cost(y: Unknowns, stage: Stretch):
 
 @eqx.filter_jit
 def _step(y: Unknowns, stage: Stretch, state):
-    y, state, _ = solver().step(rows, y, stage, _OPTIONS, state, frozenset())
+    y, state, _ = solver(stage).step(rows, y, stage, _OPTIONS, state, frozenset())
     return y, state
 
 
