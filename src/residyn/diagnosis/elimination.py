@@ -24,21 +24,36 @@ class Solver(NamedTuple):
     slope: np.ndarray  # (C,) of the columns with what is left
     whole: np.ndarray  # (C,) squares of the columns as they are
     alone: float  # chi-square without any column
+    numbers: (
+        np.ndarray
+    )  # (P, C + 1) the model's numbers that each column, and what is left, ask for
+    states: list[np.ndarray]  # (s, P + C + 1) of each recording, initial states, and for numbers
 
     @classmethod
     def of(cls, near: Near, answers: Answers) -> "Solver":
         """Eliminate initial states recording by recording, then the numbers."""
         wide = near.numbers + answers.columns[0].shape[1] + 1
         total, whole = np.zeros((wide, wide)), np.zeros(wide - near.numbers - 1)
+        asked = []
         for left, numbers, states, columns in answers.recordings():
             rows = np.hstack([numbers, columns, left[:, None]])
             basis = basis_of(states)
             total = total + rows.T @ rows - (rows.T @ basis) @ (basis.T @ rows)
             whole = whole + np.sum(columns**2, axis=0)
+            asked.append(np.linalg.pinv(states, rcond=1e-9) @ rows)
         p = near.numbers
         inner = inverse_of(total[:p, :p])
-        rest = total[p:, p:] - total[p:, :p] @ inner @ total[:p, p:]
-        return cls(rest[:-1, :-1], rest[:-1, -1], whole, float(rest[-1, -1]))
+        moved = inner @ total[:p, p:]
+        rest = total[p:, p:] - total[p:, :p] @ moved
+        return cls(rest[:-1, :-1], rest[:-1, -1], whole, float(rest[-1, -1]), moved, asked)
+
+    def beside(self, which: Sequence[int], factors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The model's numbers (P,) and each recording's initial states (R, s) that go with some
+        columns' factors, as steps in the problem's scales."""
+        p, columns = len(self.numbers), np.asarray(which)
+        numbers = self.numbers[:, -1] - self.numbers[:, columns] @ factors
+        states = [x[:, -1] - x[:, p + columns] @ factors - x[:, :p] @ numbers for x in self.states]
+        return numbers, np.stack(states)
 
     def solve(self, chosen: Sequence[int], free: Sequence[bool]) -> tuple[np.ndarray, float]:
         """Factors of some columns, none negative that is not `free`, and the drop they bring."""

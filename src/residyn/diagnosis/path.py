@@ -87,13 +87,12 @@ class Path(NamedTuple):
     def motion(self, model: Model, z0: np.ndarray) -> Motion:
         """The motion as a model's effects see it, every scalar an array (G,); `z0` (m,) is what its
         internal states hold at first, beyond what their effects begin with."""
-        q, v = jnp.asarray(self.q), jnp.asarray(self.v)
         z = ()
         if model.memory:
-            dt = jnp.asarray(self.h / _PARTS)
-            z = tuple(_memory_along(model, dt, q, v, jnp.asarray(z0)).T)
-        at = Motion(jnp.asarray(self.time), tuple(q.T), tuple(v.T), tuple(self.direction.T), z)
-        return at._replace(direction=tuple(jnp.asarray(x) for x in at.direction))
+            along = (jnp.asarray(x) for x in (self.h / _PARTS, self.q, self.v, z0))
+            z = tuple(np.asarray(_memory_along(model, *along)).T)
+        q, v, direction = (tuple(x.T) for x in (self.q, self.v, self.direction))
+        return Motion(self.time, q, v, direction, z)  # pyright: ignore[reportArgumentType]
 
     def torque(self, model: Model, z0: np.ndarray) -> np.ndarray:
         """(G, n) torque of a model's effects along the path, N m."""

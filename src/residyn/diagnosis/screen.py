@@ -11,18 +11,17 @@ phase slip.
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ..effects import AbstractEffect
 from ..fitting.problem import posed
-from ..fitting.setup import Ready
 from ..model import Model
-from ..parameter import parameters_of
+from ..parameter import Scales, parameters_of
 from .answers import Answers, Column, answers_to, columns_of, holds, seen_from
-from .elimination import Solver, basis_of, inverse_of
+from .elimination import Solver
 from .linear import Near
 from .path import Path, Variant, variants, with_fields
 from .unnamed import Shape, Unnamed, shapes, unnamed
@@ -79,7 +78,8 @@ def screen(
     **Returns:** chi-square to first order without any, the candidates, the best first, and what
     `glance` needs.
     """
-    tried = [v for effect in candidates for v in _variants(near, paths, effect)]
+    scales = near.ready.scales()
+    tried = [v for effect in candidates for v in _variants(near, paths, effect, scales)]
     more, found_shapes = shapes(near, paths) if any_shape else ([], [])
     answered = _answered(near, paths, tried, led, more)
     solver = answered.solver
@@ -204,10 +204,16 @@ def left_over(near: Near, slopes: Sequence[np.ndarray], kept: Tried) -> Unnamed:
     return unnamed(near, slopes, kept.answers, int(kept.bounds[-1]), kept.shapes)
 
 
-def _variants(near: Near, paths: Sequence[Path], effect: AbstractEffect) -> list[Variant]:
+def _variants(
+    near: Near,
+    paths: Sequence[Path],
+    effect: AbstractEffect,
+    scales: Callable[[int | None], Scales],
+) -> list[Variant]:
     alone = Model(near.fit.model.mechanism, (effect,))
-    typical = Ready(alone, near.ready.recordings, near.ready.mechanisms).typical()
-    sizes = {n.meaning.field: float(x) for n, x in zip(alone.fitted, typical, strict=True)}
+    sizes = {
+        n.meaning.field: float(n.meaning.dimension.size(scales(n.joint))) for n in alone.fitted
+    }
     joint = alone.numbers[0].joint if alone.numbers else None
     modes = [m.frequency_hz for m in near.fit.modes]
     return variants(effect, sizes, paths, joint, modes)
@@ -251,31 +257,13 @@ def _weigh(
         strengths = factors[: len(variant.strengths)]
     fields = dict(zip(variant.strengths, strengths * variant.sizes, strict=True))
     effect = with_fields(variant.effect, {k: float(v) for k, v in fields.items()})
-    numbers, states = _beside(near, answered.answers, list(which), factors)
+    scale, (numbers, states) = near.problem.scale, answered.solver.beside(which, factors)
+    states = answered.answers.begin + np.asarray(scale.states) * states
     return Screened(
         effect,
         answered.solver.alone - drop,
         drop,
-        numbers,
+        np.asarray(near.fit.model.vector()) + np.asarray(scale.numbers) * numbers,
         np.concatenate([states, memory], axis=1),
         variant,
     )
-
-
-def _beside(near: Near, answers: Answers, which: list[int], factors: np.ndarray):
-    """The model's numbers and initial states that go with some factors."""
-    p = near.numbers
-    square, slope = np.zeros((p, p)), np.zeros(p)
-    parts = []
-    for left, numbers, states, columns in answers.recordings():
-        rest, basis = left - columns[:, which] @ factors, basis_of(states)
-        parts.append((rest, numbers, states))
-        rows, rest = numbers - basis @ (basis.T @ numbers), rest - basis @ (basis.T @ rest)
-        square, slope = square + rows.T @ rows, slope + rows.T @ rest
-    moved = inverse_of(square) @ slope
-    steps = [
-        np.linalg.lstsq(states, rest - rows @ moved, rcond=1e-9)[0] for rest, rows, states in parts
-    ]
-    scale = near.problem.scale
-    numbers = np.asarray(near.fit.model.vector()) + np.asarray(scale.numbers) * moved
-    return numbers, answers.begin + np.asarray(scale.states) * np.stack(steps)

@@ -149,14 +149,18 @@ class Ready(NamedTuple):
 
     def typical(self) -> np.ndarray:
         """(P,) numbers of typical size, from the amplitudes and rates of the readings alone."""
+        scales = self.scales()
+        sizes = [n.meaning.dimension.size(scales(n.joint)) for n in self.model.fitted]
+        return np.array(sizes, float)
+
+    def scales(self) -> Callable[[int | None], Scales]:
+        """The scales of a joint's motion, from the amplitudes and rates of the readings alone."""
         size = self.amplitude
         swing = np.max([np.nanquantile(_about(r), 0.99, axis=0) for r in self.recordings], axis=0)
         rate = np.max([_rate(r) for r in self.recordings], axis=0)
         least = max(2 * math.pi / r.duration for r in self.recordings)
         pace = np.maximum(rate / np.maximum(swing, size), least)
-        scales = _scales_of(self.model, size, pace)
-        sizes = [n.meaning.dimension.size(scales(n.joint)) for n in self.model.fitted]
-        return np.array(sizes, float)
+        return _scales_of(self.model, size, pace)
 
 
 def ready(
