@@ -143,10 +143,10 @@ def polish(
     """
     going, shares = _begun(starts), list(shares)
     if len(going) > 1:
-        going = _together(_abreast(problem, starts, shares[0], size))
+        going = together(_abreast(problem, starts, shares[0], size))
         shares = shares[1:] or shares
     for share in shares:
-        going = _together([_alone(problem, each, share, hopeless, size) for each in going])
+        going = together([_alone(problem, each, share, hopeless, size) for each in going])
     return going[0]
 
 
@@ -184,7 +184,7 @@ def _begun(starts: Unknowns) -> list[Polished]:
     return [Polished(_row(starts, i), nothing, math.inf, 0, False, 1) for i in range(count)]
 
 
-def _together(ends: list[Polished]) -> list[Polished]:
+def together(ends: list[Polished]) -> list[Polished]:
     """The different places where starts ended, the best one first, without those far behind."""
     found: list[Polished] = []
     for end in sorted(ends, key=lambda e: e.cost if math.isfinite(e.cost) else math.inf):

@@ -16,7 +16,7 @@ from ..effects import AbstractEffect
 from ..recording import Experiment
 from .descent import shares_of, wild_beside
 from .history import History, relative_error
-from .levenberg import LOST, STEPS, Stretch, rows, solver
+from .levenberg import STEPS, Polished, Stretch, rows, solver, together
 from .pipeline import DEFAULT_STARTS, beginning
 from .problem import Problem, Unknowns
 from .setup import ready
@@ -60,37 +60,32 @@ def _descents(problem: Problem, each: list[Unknowns], shares: Sequence[float]) -
     for share in shares:
         stage = Stretch.of(problem, jnp.asarray(share))
         paths = [_descent(stage, problem, y) for y in each]
-        for step in range(max(len(errors) for errors, *_ in paths)):
-            going = [errors[step] for errors, *_ in paths if step < len(errors)]
+        for step in range(max(len(errors) for errors, _ in paths)):
+            going = [errors[step] for errors, _ in paths if step < len(errors)]
             spent += cost_of_step * len(going)
             simulations.append(spent)
             objective.append(min([*going, *objective[-1:]]))
-        least = min(cost for *_, cost in paths)
-        each = [y for _, y, cost in paths if cost <= LOST * least] or each
+        each = [end.unknowns for end in together([end for _, end in paths])]
     return History(np.asarray(simulations), np.asarray(objective))
 
 
-def _descent(stage: Stretch, problem: Problem, y: Unknowns) -> tuple[list[float], Unknowns, float]:
-    """Objective after every step, where it ends, and the whitened cost there."""
+def _descent(stage: Stretch, problem: Problem, y: Unknowns) -> tuple[list[float], Polished]:
+    """Objective after every step, and where it ends."""
     state, errors = _first(y, stage), []
     for _ in range(STEPS):
         y, state = _step(y, stage, state)
         errors.append(float(_error(problem, y)))
         if bool(state.terminate) or state.result != optx.RESULTS.successful:
             break
-    return errors, y, float(_cost(y, stage))
+    squeezed = jax.device_get(rows(y, stage)[1])
+    cost = float(np.sum(squeezed.along**2) + np.sum(squeezed.beside**2))
+    return errors, Polished(jax.device_get(y), squeezed, cost, len(errors), False, 1)
 
 
 @eqx.filter_jit
 def _first(y: Unknowns, stage: Stretch):
     out, more = eqx.filter_eval_shape(rows, y, stage)
     return solver(stage).init(rows, y, stage, _OPTIONS, out, more, frozenset())
-
-
-@eqx.filter_jit
-def _cost(y: Unknowns, stage: Stretch):
-    along, beside = rows(y, stage)[0]
-    return jnp.sum(along**2) + jnp.sum(beside**2)
 
 
 @eqx.filter_jit
