@@ -26,6 +26,7 @@ from .problem import Compressed, Problem, Unknowns, compressed
 
 STEPS = 20  # of one call: between calls, the hopeless can be left
 _CALLS = 4
+_LANES = 16  # starts abreast: more gain nothing, and wait for more
 _ABREAST = 10  # the same for starts abreast, where all wait for the last one
 # Steps end when the whitened residual moves by less than this many sigma, in total (sigma of the
 # noise; after the first call, of whatever the model misses the readings by, if that is more) ...
@@ -155,7 +156,9 @@ def _alone(problem: Problem, start: Polished, share: float, hopeless, size: floa
     readings = max(1, np.count_nonzero(problem.recorded.weights))
     end, unit = start, size
     for _ in range(_CALLS):
-        out = _stretch(problem, end.unknowns, jnp.asarray(float(share)), jnp.asarray(unit))
+        out = _stretch(
+            problem, _on_device(end.unknowns), jnp.asarray(float(share)), jnp.asarray(unit)
+        )
         end = _polished(jax.device_get(out), end)
         if np.isfinite(end.cost):
             unit = max(unit, math.sqrt(end.cost / readings))
@@ -171,16 +174,26 @@ def _polished(out, start: Polished) -> Polished:
 
 def _abreast(problem: Problem, starts: Unknowns, share: float, size: float) -> list[Polished]:
     """Every start's descent over a share of the recordings."""
-    out = jax.device_get(
-        _stretches(_head(problem, share), starts, jnp.asarray(float(share)), jnp.asarray(size))
-    )
-    return [_polished(_row(out, i), start) for i, start in enumerate(_begun(starts))]
+    head, begun = _head(problem, share), _begun(starts)
+    lanes, found = min(len(begun), _LANES), []
+    for first in range(0, len(begun), lanes):
+        some = begun[first : first + lanes]
+        filled = [*some, *[some[-1]] * (lanes - len(some))]
+        y = jax.tree.map(lambda *x: np.stack(x), *(each.unknowns for each in filled))
+        out = _stretches(head, _on_device(y), jnp.asarray(float(share)), jnp.asarray(size))
+        out = jax.device_get(out)
+        found += [_polished(_row(out, i), start) for i, start in enumerate(some)]
+    return found
+
+
+def _on_device(tree):
+    return jax.tree.map(jnp.asarray, tree)
 
 
 def _begun(starts: Unknowns) -> list[Polished]:
     """Starts that have not moved yet."""
     nothing: Compressed = None  # pyright: ignore[reportAssignmentType]
-    count = starts.numbers.shape[0]
+    starts, count = jax.device_get(starts), starts.numbers.shape[0]
     return [Polished(_row(starts, i), nothing, math.inf, 0, False, 1) for i in range(count)]
 
 
