@@ -61,7 +61,7 @@ def predict(folder: Path) -> None:
         bare = [
             cart(p, "check") for p in sorted((folder / "carts").glob(f"{spring}_spring_bare_*.csv"))
         ]
-        for effects in ([], ["coulomb_friction"]):
+        for effects in ([], ["coulomb_friction"], ["coulomb_friction", "hysteresis"]):
             fit = residyn.fit(cart_experiment(*loaded, *bare), effects=effects)
             swings = []
             for r in fit.recordings:

@@ -4,6 +4,7 @@ killed run stopped."""
 import json
 import subprocess
 import sys
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -105,6 +106,54 @@ def test_one_broken_experiment_does_not_stop_the_rest(folder, capsys):
     assert printed.out.count("reduced chi2") == 3
 
 
+def test_processes_share_the_experiments(folder, capsys):
+    (folder / "own.py").write_text(
+        "from residyn.effects.friction import CoulombFriction\n\n\nclass Stiction(CoulombFriction):\n"
+        '    """Dry friction by another name."""\n\n    name = "stiction"\n'
+    )
+    out = folder / "all.jsonl"
+    words = ["fit", "--each", str(folder), "--jobs", "2", "--starts", "1", "--json", str(out)]
+    words += ["--effects", str(folder / "own.py"), "--with", "stiction"]
+    assert cli.main(words) == 1
+    told = {Path(t["name"]).stem: t for t in map(json.loads, out.read_text().splitlines())}
+    assert sorted(told) == ["a", "b", "c", "d"]
+    assert "error" in told["c"]
+    alone = residyn.fit(residyn.load(folder / "a.toml"), effects=["coulomb_friction"], starts=1)
+    theirs, ours = told["a"]["parameters"], alone.to_dict()["parameters"]
+    for name, value in ours.items():
+        other = theirs[name.replace("coulomb_friction", "stiction")]
+        assert other["value"] == pytest.approx(value["value"], rel=1e-6, abs=1e-9)
+    assert capsys.readouterr().out.count("reduced chi2") == 3
+
+
+@pytest.mark.parametrize("kind", ["threads", "dask", "dying"])
+def test_any_executor_will_do(kind, folder):
+    files = [str(folder / f"{n}.toml") for n in "abcd"]
+    out = folder / "all.jsonl"
+    next(residyn.fit_many(files[1:2], starts=1, out=out))
+    if kind == "dask":
+        distributed = pytest.importorskip("distributed")
+        with distributed.Client(processes=False, dashboard_address=None) as client:
+            found = list(residyn.fit_many(files, starts=1, out=out, executor=client.get_executor()))
+    elif kind == "threads":
+        with ThreadPoolExecutor(2) as pool:
+            found = list(residyn.fit_many(files, starts=1, out=out, executor=pool))
+    else:
+        found = list(residyn.fit_many(files, starts=1, out=out, executor=Dying()))
+    assert [Path(e.name).stem for e in found if e.before] == ["b"]
+    assert {Path(e.name).stem for e in found} == set("abcd")
+    bad = {Path(e.name).stem for e in found if "error" in e.told}
+    assert bad == (set("acd") if kind == "dying" else {"c"})
+    assert len(out.read_text().splitlines()) == 4
+
+
+class Dying(ThreadPoolExecutor):
+    """What is left of a process pool whose workers were killed."""
+
+    def submit(self, *what, **more):
+        raise BrokenExecutor
+
+
 def test_a_killed_run_goes_on(folder):
     files = [str(folder / f"{n}.toml") for n in "abd"]
     out = folder / "all.jsonl"
@@ -132,6 +181,8 @@ def test_other_files_are_not_written_into(folder):
     ("words", "says"),
     [
         (["--each", "nowhere"], "no such folder"),
+        (["x.toml", "--jobs", "2"], "--jobs 2 goes with --each"),
+        (["--each", "one", "--jobs", "0"], "--jobs"),
         (["--each", "."], "no experiment in it"),
         (["x.toml", "--each", "."], "leave one of them out"),
         ([], "EXPERIMENT is needed"),

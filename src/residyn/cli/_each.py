@@ -1,7 +1,10 @@
 """`residyn fit --each FOLDER`."""
 
+import contextlib
 import json as json_
-from collections.abc import Sequence
+import multiprocessing
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,9 +19,15 @@ if TYPE_CHECKING:
 
 
 def fit_each(
-    folder: str, effects: Sequence[str], starts: int, json: str | None, no_cache: bool
+    folder: str,
+    effects: Sequence[str],
+    own: Sequence[str] | None,
+    starts: int,
+    json: str | None,
+    no_cache: bool,
+    jobs: int,
 ) -> None:
-    """Fit every experiment of a folder, a line each as it is done.
+    """Fit every experiment of a folder, a line each as it is done, in `jobs` processes.
 
     **Raises:** `InputError` for a folder without experiments, or a file of results that is none or
     cannot be written.
@@ -29,11 +38,12 @@ def fit_each(
     set_up_jax(not no_cache)
     lines = json == "-"
     bad = 0
-    with progress() as say:
+    with progress() as say, _workers(min(jobs, len(files)), own, not no_cache) as executor:
         from ..fitting import fit_many
 
+        to = None if lines else json
         every = fit_many(
-            files, effects=effects, starts=starts, out=None if lines else json, progress=say
+            files, effects=effects, starts=starts, out=to, progress=say, executor=executor
         )
         for each in every:
             out.words.print(_line(each), soft_wrap=True)
@@ -44,6 +54,29 @@ def fit_each(
         of = f"{bad} of {len(files)} experiments"
         raise typer.Exit(complain(f"{of} could not be fitted", NO_NUMBERS))
     raise typer.Exit(DONE)
+
+
+@contextlib.contextmanager
+def _workers(
+    jobs: int, own: Sequence[str] | None, cache: bool
+) -> Iterator[ProcessPoolExecutor | None]:
+    """So many processes; none for one job, which this process does itself."""
+    if jobs == 1:
+        yield None
+        return
+    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _prepare, (own, cache))
+    try:
+        yield pool
+    finally:  # whoever interrupts does not want to wait for what is still to do
+        pool.shutdown(cancel_futures=True)
+
+
+def _prepare(own: Sequence[str] | None, cache: bool) -> None:
+    from ..effects import load_effects
+
+    set_up_jax(cache)
+    for file in own or ():
+        load_effects(file)
 
 
 def experiments_in(folder: str) -> list[str]:

@@ -12,6 +12,7 @@ from ._shell import DONE, NO_NUMBERS, Outputs, complain, set_up_jax
 def fit(
     experiment: _options.OneExperiment = None,
     each: _options.Each = None,
+    jobs: _options.Jobs = 1,
     effects: _options.With = None,
     own: _options.Effects = None,
     starts: _options.Starts = _options.STARTS,
@@ -33,7 +34,9 @@ def fit(
         if report is not None or table is not None or method != _options.METHODS[0]:
             raise InputError("--each goes with none of --report, --table and --method genetic")
         bring(own)
-        fit_each(each, effects or [], starts, json, no_cache)
+        fit_each(each, effects or [], own, starts, json, no_cache, jobs)
+    if jobs != 1:
+        raise InputError(f"--jobs {jobs} goes with --each FOLDER")
     if experiment is None:
         raise InputError("an EXPERIMENT is needed, a TOML file, or --each FOLDER")
     out = Outputs(json, report, table)

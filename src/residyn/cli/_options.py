@@ -11,6 +11,15 @@ _EXPERIMENT = typer.Argument(
 )
 Experiment = Annotated[str, _EXPERIMENT]
 OneExperiment = Annotated[str | None, _EXPERIMENT]
+Jobs = Annotated[
+    int,
+    typer.Option(
+        "--jobs",
+        metavar="N",
+        min=1,
+        help="With --each: how many processes share the experiments.",
+    ),
+]
 Each = Annotated[
     str | None,
     typer.Option(

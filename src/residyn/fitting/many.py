@@ -1,13 +1,17 @@
-"""Many experiments, one after the other: what a laboratory has at the end of a day.
+"""Many experiments: what a laboratory has at the end of a day.
 
 Compiled programs serve every experiment of the same model whose recordings have about the same
 length, so all but the first fits are quick. Results are written as they come, a line each; a run
 that was killed goes on where it stopped; one broken recording costs its own line and no other.
+With an executor of `concurrent.futures`, or anything that looks like one, such as a Dask cluster's,
+processes and machines share the work.
 """
 
+import itertools
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,13 +21,15 @@ from ..recording import Experiment, InputError, load
 from .pipeline import DEFAULT_STARTS, fit
 from .result import Fit, FitError
 
+_AHEAD = 64  # fits that an executor holds: enough for many workers, little memory
+
 
 class Each(NamedTuple):
     """What became of one experiment."""
 
     name: str
     fit: Fit | None
-    """None where there is none, or where it was done before."""
+    """None where there is none, where it was done before, or where another process did it."""
     told: dict[str, Any]
     """`name`, and the fit's `to_dict()` or, in one line, `error`."""
     before: bool = False
@@ -37,6 +43,7 @@ def fit_many(
     starts: int = DEFAULT_STARTS,
     out: str | os.PathLike[str] | None = None,
     progress: Callable[[str], None] | None = None,
+    executor: Executor | None = None,
 ) -> Iterator[Each]:
     """Fit each of many experiments; an iterator, so that nothing is kept that nobody wants.
 
@@ -46,9 +53,12 @@ def fit_many(
     - `effects`, `starts`, `progress`: as of `residyn.fit`.
     - `out`: a file of JSON lines to add to. What stands in it already is not fitted again; what
       ended in an error there is. A last line that was cut short is taken out.
+    - `executor`: where to fit, such as a `ProcessPoolExecutor` (with the start method "spawn": JAX
+      does not outlive a fork) or `dask.distributed.Client(...).get_executor()`. Its workers read
+      files by the same names, and know the effects of packages but none that were adopted here.
 
-    **Yields:** an `Each` for every experiment, in order; bad input and fits that led nowhere are
-    lines with an `error`, not exceptions.
+    **Yields:** an `Each` for every experiment, in order (with an executor, as they are done); bad
+    input and fits that led nowhere are lines with an `error`, not exceptions.
 
     **Raises:** `InputError` if two experiments have the same name, or `out` holds something else.
     """
@@ -60,26 +70,81 @@ def fit_many(
         seen.add(name)
         named.append((name, one))
     done = {} if out is None else _done(Path(out))
-    for count, (name, one) in enumerate(named, start=1):
-        if name in done:
-            yield Each(name, None, done[name], True)
-            continue
-
-        def say(words: str, at: str = f"{name} ({count} of {len(named)}): ") -> None:
-            if progress is not None:
-                progress(at + words)
-
-        found, told = None, {"name": name}
-        try:
-            experiment = one if isinstance(one, Experiment) else load(one)
-            found = fit(experiment, effects=effects, starts=starts, progress=say)
-            told |= found.to_dict()
-        except (InputError, FitError, ValueError) as error:
-            told["error"] = str(error)
-        if out is not None:
+    left = [(name, one) for name, one in named if name not in done]
+    say = progress or (lambda words: None)
+    if executor is None:
+        fresh = _one_by_one(left, effects, starts, say)
+    else:
+        fresh = _abreast(left, effects, starts, say, executor)
+    for each in _in_order(named, done, fresh) if executor is None else _first(done, fresh):
+        if out is not None and not each.before:
             with open(out, "a", encoding="utf-8") as file:
-                file.write(json.dumps(finite(told)) + "\n")
-        yield Each(name, found, told)
+                file.write(json.dumps(finite(each.told)) + "\n")
+        yield each
+
+
+def _in_order(named, done: dict[str, dict[str, Any]], fresh: Iterator[Each]) -> Iterator[Each]:
+    for name, _ in named:
+        yield Each(name, None, done[name], True) if name in done else next(fresh)
+
+
+def _first(done: dict[str, dict[str, Any]], fresh: Iterator[Each]) -> Iterator[Each]:
+    yield from (Each(name, None, told, True) for name, told in done.items())
+    yield from fresh
+
+
+def _one_by_one(left, effects, starts: int, say: Callable[[str], None]) -> Iterator[Each]:
+    for count, (name, one) in enumerate(left, start=1):
+        at = f"{name} ({count} of {len(left)}): "
+        yield _fitted(name, one, effects, starts, lambda words, at=at: say(at + words))
+
+
+def _abreast(left, effects, starts: int, say: Callable[[str], None], executor: Executor):
+    """Each as it is done, a few waiting their turn."""
+    waiting: dict[Future[Each], str] = {}
+    todo, count = iter(left), 0
+    while True:
+        for name, one in itertools.islice(todo, _AHEAD - len(waiting)):
+            try:
+                waiting[executor.submit(_told, name, one, effects, starts)] = name
+            except BrokenExecutor:
+                yield _lost(name)
+        if not waiting:
+            return
+        for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+            name, count = waiting.pop(future), count + 1
+            say(f"{count} of {len(left)} done: {name}")
+            try:
+                yield future.result()
+            except BrokenExecutor:
+                yield _lost(name)
+
+
+def _told(*given) -> Each:
+    """What travels between processes: numbers, not the recordings they came from."""
+    return _fitted(*given)._replace(fit=None)
+
+
+def _lost(name: str) -> Each:
+    error = "the process that was to fit it has died (memory?): run it again"
+    return Each(name, None, {"name": name, "error": error})
+
+
+def _fitted(
+    name: str,
+    one: str | os.PathLike[str] | Experiment,
+    effects: Sequence[str | AbstractEffect],
+    starts: int,
+    say: Callable[[str], None] | None = None,
+) -> Each:
+    found, told = None, {"name": name}
+    try:
+        experiment = one if isinstance(one, Experiment) else load(one)
+        found = fit(experiment, effects=effects, starts=starts, progress=say)
+        told |= found.to_dict()
+    except (InputError, FitError, ValueError) as error:
+        told["error"] = str(error)
+    return Each(name, found, told)
 
 
 def _done(path: Path) -> dict[str, dict[str, Any]]:
