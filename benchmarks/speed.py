@@ -1,7 +1,10 @@
 """How long a fit takes, beside SciPy, in one run.
 
     python -m benchmarks.speed
-    python -m benchmarks.speed evaluations
+    python -m benchmarks.speed evaluations      one evaluation of the model and its derivatives
+    python -m benchmarks.speed parts            what a warm fit spends its time on
+    python -m benchmarks.speed diagnosis        a diagnosis, cold and warm, in warm fits
+    python -m benchmarks.speed many             fits a second of a bootstrap; growth with the data
 
 The reference problem: the paper's arm at an elbow angle of 0.3 rad, 20 s at 100 Hz, 1 mrad of
 noise, four numbers and four initial states. "Warm" is the second and later fits of a process;
@@ -16,8 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import residyn
+from residyn.fitting import descent, pipeline
 from residyn.fitting.problem import compressed
-from residyn.fitting.setup import ready
+from residyn.fitting.setup import Ready, ready
+from residyn.recording import ArmTable
 from tests import rig
 
 from .fit_quality import experiment_of, scipy_fit
@@ -47,6 +52,112 @@ def evaluations(experiment) -> None:
             print(f"| {name} | {int(problem.steps)} | {took[0]:.1f} | {ms:.2f} |", flush=True)
 
 
+PARTS = {
+    "closed-form start": (pipeline, "closed_form"),
+    "wild readings": (pipeline, "wild_beside"),
+    "the problem's arrays": (Ready, "problem"),
+    "Levenberg-Marquardt": (descent, "polish"),
+    "errors, modes, words": (pipeline, "finish"),
+}
+
+
+def parts(experiment) -> None:
+    """CPU milliseconds of a warm fit from one start, part by part, medians."""
+    took: dict[str, list[float]] = {name: [] for name in (*PARTS, "all")}
+
+    def timed(name, call):
+        def one(*given, **more):
+            began = time.process_time()
+            try:
+                return call(*given, **more)
+            finally:
+                took[name].append(1e3 * (time.process_time() - began))
+
+        return one
+
+    residyn.fit(experiment, starts=1)
+    for name, (where, what) in PARTS.items():
+        setattr(where, what, timed(name, getattr(where, what)))
+    whole = timed("all", residyn.fit)
+    for _ in range(2 * REPEATS):
+        whole(experiment, starts=1)
+    print("| part | CPU, ms | share |")
+    print("|---|---|---|")
+    total = np.median(took["all"])
+    for name, each in took.items():
+        ms = np.median(each)
+        print(f"| {name} | {ms:.1f} | {100 * ms / total:.0f} % |")
+
+
+def diagnosis(experiment) -> None:
+    """Seconds of a diagnosis of a hidden friction, and how many warm fits that is."""
+    began = time.perf_counter()
+    found = residyn.diagnose(experiment)
+    print(f"{found.verdict}: {', '.join(found.added)}; first {time.perf_counter() - began:.1f} s")
+    seconds = {1: [], 6: [], 0: []}
+    for _ in range(7):
+        for starts, each in seconds.items():
+            began = time.perf_counter()
+            if starts:
+                residyn.fit(experiment, starts=starts)
+            else:
+                residyn.diagnose(experiment)
+            each.append(time.perf_counter() - began)
+    one, six, whole = (np.median(each[1:]) for each in seconds.values())
+    print(f"warm: {whole:.2f} s; a fit from one start {one:.3f} s, from six {six:.3f} s")
+    print(f"ratio: {whole / one:.1f} fits from one start, {whole / six:.1f} from six")
+
+
+def many(case, noise: float) -> None:
+    """Fits a second of a bootstrap, and how a fit grows with samples, recordings and starts."""
+    fit = residyn.fit(experiment_of(case, noise), starts=1)
+    residyn.bootstrap(fit, 128, batch=64)
+    draws = 10_000
+    began = time.perf_counter()
+    found = residyn.bootstrap(fit, draws, batch=64)
+    seconds = time.perf_counter() - began
+    settled = int(found.converged.sum())
+    pace = draws / seconds
+    print(f"bootstrap: {draws} fits in {seconds:.0f} s, {pace:.0f} a second, {settled} settled")
+    print("| what | number | warm, s | over the one before |")
+    print("|---|---|---|---|")
+    grown: list[tuple[str, tuple[int, ...]]] = [
+        ("samples", (500, 2000, 8000, 50_000)),
+        ("recordings", (1, 10, 100, 1000)),
+        ("starts", (1, 6, 64, 1024)),
+    ]
+    for what, sizes in grown:
+        before = None
+        for size in sizes:
+            experiment = _grown(what, size)
+            seconds = []
+            for _ in range(4):
+                began = time.perf_counter()
+                residyn.fit(experiment, starts=size if what == "starts" else 1)
+                seconds.append(time.perf_counter() - began)
+                if seconds[-1] > 30:
+                    break
+            warm = float(np.median(seconds[1:] or seconds))
+            more = "" if before is None else f"{warm / before:.1f}"
+            print(f"| {what} | {size} | {warm:.3f} | {more} |", flush=True)
+            before = warm
+
+
+def _grown(what: str, size: int):
+    """The reference problem: more samples in the same 20 s, or more releases; else as it is."""
+    arm, rng, noise = rig.paper_twin(0.3), np.random.default_rng(0), 1e-3
+    count = size if what == "samples" else 2000
+    t = np.arange(count) * 20.0 / count
+    releases = size if what == "recordings" else 1
+    recordings = []
+    truth, _ = rig.simulate(arm, t, np.array([0.2, -0.1]))
+    for _ in range(releases):  # the same release, each with noise of its own
+        q = truth + noise * rng.standard_normal(truth.shape)
+        recordings.append(residyn.Recording.from_arrays(t, q, theta2=arm.theta2, noise=noise))
+    table = ArmTable((arm.l1, arm.l2), arm.shoulder, arm.elbow, arm.coupling)
+    return residyn.Experiment(table, tuple(recordings))
+
+
 def main() -> None:
     """Print the table."""
     rng = np.random.default_rng(0)
@@ -56,8 +167,15 @@ def main() -> None:
     q = truth + noise * rng.standard_normal(truth.shape)
     case = rig.Case(arm, q0, (0.0, 0.0), noise, t, q, truth)
     experiment = experiment_of(case, noise)
-    if sys.argv[1:] == ["evaluations"]:
-        evaluations(experiment)
+    words = sys.argv[1:]
+    if words == ["diagnosis"]:
+        hidden = rig.Hidden("coulomb_friction:elbow", {"torque": 0.05})
+        case = rig.record(rng, arm, q0, [hidden], seconds=20.0, rate=100.0, noise=noise)
+        diagnosis(experiment_of(case, noise))
+        return
+    if words:
+        some = {"evaluations": evaluations, "parts": parts, "many": lambda _: many(case, noise)}
+        some[words[0]](experiment)
         return
     floor = np.sum((q - truth) ** 2)
     print("| fit | first, s | warm, median (min to max), s | cost / noise |")
