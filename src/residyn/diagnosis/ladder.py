@@ -36,8 +36,8 @@ _STEADY = 2.5  # standard errors of the gain, as stretches of the recording show
 _MATTERS = 0.1  # share of the error that must go, where what is left is not white
 _MORE_THAN_NOISE = 1.2  # chi-square a reading
 _HELD = 0.05  # and where nothing was fitted
-_TOGETHER = 0.5  # chi-square of two effects, screened, over the best one's: they belong together
-_PROMISES = 0.2  # share of the fitted error that must go for an effect to wait for another one
+_TOGETHER = 0.5  # what two effects leave over the noise, screened, over the best one's
+_PROMISES = 0.2  # share of the error over the noise that must go for an effect to wait for another
 _WORSE = 0.02  # share by which the held-out error may grow where what is left is white
 _PAUSES = 50  # of a motion without a mode: a rest that long is one
 _STRETCHES = 24  # least number of stretches of all recordings
@@ -153,8 +153,15 @@ def accepted(step: Step, chosen: Refit, experiment: Experiment, stands: Step) ->
     if matters(stands, new):
         return Accepted(new, True)
     # A model whose prediction could not even be had promises nothing.
-    promises = new.held_out is not None and cost_of(new.fit) < (1.0 - _PROMISES) ** 2 * before
+    left, had = (over_noise(cost, step) for cost in (cost_of(new.fit), before))
+    promises = new.held_out is not None and left < (1.0 - _PROMISES) ** 2 * had
     return Accepted(new, False) if stands is step and promises else None
+
+
+def over_noise(chi2: float, step: Step) -> float:
+    """What is left beyond noise: by that two effects share what one alone can do of it, however
+    little of the whole that is."""
+    return max(0.0, chi2 - step.readings)
 
 
 def with_another(step: Step, experiment: Experiment) -> Accepted | None:
@@ -163,7 +170,8 @@ def with_another(step: Step, experiment: Experiment) -> Accepted | None:
     if step.seen is None or step.white >= SURE or not step.screened:
         return None
     found = pair(step.near, step.seen)
-    if found is None or found[2] > _TOGETHER * max(step.screened[0].chi2, float(step.readings)):
+    best = over_noise(step.screened[0].chi2, step)
+    if found is None or over_noise(found[2], step) > _TOGETHER * best:
         return None
     chosen = next((r for r in step.refits if r.label == found[0]), None)
     if chosen is None:
