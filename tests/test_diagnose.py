@@ -243,7 +243,32 @@ def test_a_model_without_a_spring_is_led_with_one(stiffness):
     assert int(led.problem.steps) >= int(near.problem.steps)
 
 
+def test_gravity_holds_a_joint_as_a_spring_does():
+    fit = residyn.fit(experiment(), effects=["gravity"], starts=1)
+    lost = {"spring:elbow.stiffness": 1e-4, "gravity.moment1": 0.0}
+    steady = []
+    for moment in (0.0, 16.0):
+        model = fit.model.with_values({**lost, "gravity.moment2": moment})
+        begun = [dataclasses.replace(n, start=n.value) for n in fit.numbers]
+        with jax.enable_x64(True):
+            near = Near.of(dataclasses.replace(fit, model=model, numbers=tuple(begun)))
+            steady.append(steadied(near) is near)
+    assert steady == [False, True]
+
+
 # -- measured -----------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (DATA / "double_pendulum").is_dir(), reason="measured data are not here")
+@pytest.mark.parametrize(("start", "stop", "least"), [(30, 40, 2.9e-3), (8, 13, 3.8e-3)])
+def test_a_hanging_arm_feels_gravity(start, stop, least):
+    table = ArmTable((0.1727, 0.2), 5.648e-3, 3.146e-3, 1.6072e-2)  # its authors' estimate
+    time, angle, _, _ = residyn.recording.read_csv(DATA / "double_pendulum" / "free_swing.csv", 2)
+    recording = residyn.Recording.from_arrays(time, angle, start=start, stop=stop, theta2=0.0)
+    found = residyn.diagnose(residyn.Experiment(table, (recording,)))
+    assert found.added[0] == "gravity"
+    assert math.sqrt(np.mean(np.square(found.fit.rmse))) < least
 
 
 @pytest.mark.skipif(not (DATA / "carts").is_dir(), reason="measured data are not here")

@@ -108,7 +108,8 @@ def test_one_broken_experiment_does_not_stop_the_rest(folder, capsys):
 
 def test_processes_share_the_experiments(folder, capsys):
     (folder / "own.py").write_text(
-        "from residyn.effects.friction import CoulombFriction\n\n\nclass Stiction(CoulombFriction):\n"
+        "from residyn.effects.friction import CoulombFriction\n\n\n"
+        "class Stiction(CoulombFriction):\n"
         '    """Dry friction by another name."""\n\n    name = "stiction"\n'
     )
     out = folder / "all.jsonl"
