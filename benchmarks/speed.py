@@ -111,10 +111,10 @@ def diagnosis(experiment) -> None:
 def many(case, noise: float) -> None:
     """Fits a second of a bootstrap, and how a fit grows with samples, recordings and starts."""
     fit = residyn.fit(experiment_of(case, noise), starts=1)
-    residyn.bootstrap(fit, 128, batch=64)
+    residyn.bootstrap(fit, 8)
     draws = 10_000
     began = time.perf_counter()
-    found = residyn.bootstrap(fit, draws, batch=64)
+    found = residyn.bootstrap(fit, draws)
     seconds = time.perf_counter() - began
     settled = int(found.converged.sum())
     pace = draws / seconds

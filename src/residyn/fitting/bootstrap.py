@@ -18,8 +18,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from .embedded import Embedded, embed
 from .result import Fit
 
-BATCH = 64
-"""Fits that run abreast on each device."""
+_ABREAST = 64  # fits on each device; on a CPU, which has a cache and no lanes, one after the other
 
 
 class Bootstrap(NamedTuple):
@@ -47,7 +46,7 @@ def bootstrap(
     draws: int = 1000,
     *,
     seed: int = 0,
-    batch: int = BATCH,
+    batch: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Bootstrap:
     """Parametric bootstrap of a fit: `draws` times fresh noise on the fitted motion, and a fit.
@@ -60,13 +59,16 @@ def bootstrap(
 
     - `draws`: how many fits, at least 2.
     - `seed`: the same seed gives the same noises, whatever the batch.
-    - `batch`: fits that run abreast on each device.
+    - `batch`: fits that run abreast on each device; None is what suits it (1 on a CPU).
     - `progress`: called with a few words now and then.
 
     **Raises:** `ValueError` for fewer than two draws, or an empty batch.
     """
     if draws < 2:
         raise ValueError(f"draws = {draws}: a spread needs at least two")
+    devices = jax.devices()
+    if batch is None:
+        batch = 1 if devices[0].platform == "cpu" else _ABREAST
     if batch < 1:
         raise ValueError(f"batch = {batch}: must be at least 1")
     with jax.enable_x64(True):
@@ -75,7 +77,6 @@ def bootstrap(
         truth = [jnp.asarray(np.where(r.used, r.predicted, np.nan)) for r in fitted]
         size = float(np.sqrt(max(1.0, fit.reduced_chi2)))
         noise = [jnp.asarray(size * r.recording.noise) for r in fitted]
-        devices = jax.devices()
         mesh = Mesh(np.asarray(devices), ("fits",))
         lanes = NamedSharding(mesh, PartitionSpec("fits"))
         fits = eqx.filter_shard(fits, NamedSharding(mesh, PartitionSpec()))
