@@ -12,6 +12,7 @@ import pytest
 
 import residyn
 from residyn import cli
+from residyn.fitting import many
 from residyn.recording import InertiaTable
 
 TABLE = InertiaTable(("cart",), ((2.0,),), ("m",))
@@ -128,7 +129,8 @@ def test_processes_share_the_experiments(folder, capsys):
 
 
 @pytest.mark.parametrize("kind", ["threads", "dask", "dying"])
-def test_any_executor_will_do(kind, folder):
+def test_any_executor_will_do(kind, folder, monkeypatch):
+    monkeypatch.setattr(many, "_AHEAD", 2)  # fewer than there are
     files = [str(folder / f"{n}.toml") for n in "abcd"]
     out = folder / "all.jsonl"
     next(residyn.fit_many(files[1:2], starts=1, out=out))

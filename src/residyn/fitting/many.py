@@ -7,7 +7,6 @@ With an executor of `concurrent.futures`, or anything that looks like one, such 
 processes and machines share the work.
 """
 
-import itertools
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -102,16 +101,15 @@ def _one_by_one(left, effects, starts: int, say: Callable[[str], None]) -> Itera
 def _abreast(left, effects, starts: int, say: Callable[[str], None], executor: Executor):
     """Each as it is done, a few waiting their turn."""
     waiting: dict[Future[Each], str] = {}
-    todo, count = iter(left), 0
-    while True:
-        for name, one in itertools.islice(todo, _AHEAD - len(waiting)):
+    todo, count = list(reversed(left)), 0
+    while todo or waiting:
+        while todo and len(waiting) < _AHEAD:
+            name, one = todo.pop()
             try:
                 waiting[executor.submit(_told, name, one, effects, starts)] = name
             except BrokenExecutor:
                 yield _lost(name)
-        if not waiting:
-            return
-        for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+        for future in wait(waiting, return_when=FIRST_COMPLETED).done if waiting else ():
             name, count = waiting.pop(future), count + 1
             say(f"{count} of {len(left)} done: {name}")
             try:
