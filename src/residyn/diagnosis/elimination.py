@@ -24,9 +24,7 @@ class Solver(NamedTuple):
     slope: np.ndarray  # (C,) of the columns with what is left
     whole: np.ndarray  # (C,) squares of the columns as they are
     alone: float  # chi-square without any column
-    numbers: (
-        np.ndarray
-    )  # (P, C + 1) the model's numbers that each column, and what is left, ask for
+    numbers: np.ndarray  # (P, C + 1) steps that each column, and what is left, ask of the numbers
     states: list[np.ndarray]  # (s, P + C + 1) of each recording, initial states, and for numbers
 
     @classmethod

@@ -26,8 +26,8 @@ from .problem import Compressed, Problem, Unknowns, compressed
 
 STEPS = 20  # of one call: between calls, the hopeless can be left
 _CALLS = 4
-_LANES = 16  # starts abreast: more gain nothing, and wait for more
 _ABREAST = 10  # the same for starts abreast, where all wait for the last one
+_LANES = 16  # starts abreast: more gain nothing, and wait for more
 # Steps end when the whitened residual moves by less than this many sigma, in total (sigma of the
 # noise; after the first call, of whatever the model misses the readings by, if that is more) ...
 _RESIDUAL_TOLERANCE = 3e-3
