@@ -3,8 +3,8 @@
     python -m benchmarks.measured_diagnosis FOLDER [WHAT]...
 
 FOLDER holds `carts/`, `double_pendulum/`, `emps/`, `air_track/` (see the docs for where they come
-from); none is part of this repository. WHAT is `carts`, `predict`, `pendulum`, `air` or `emps`; all
-if not given.
+from); none is part of this repository. WHAT is `carts`, `others`, `predict`, `pendulum`, `air` or
+`emps`; all if not given.
 
 `predict` is the paper's third step with carts: fit the loaded runs, take the load off, predict the
 bare ones from their first readings, with viscous damping alone and with the friction named.
@@ -78,6 +78,25 @@ def predict(folder: Path) -> None:
             )
 
 
+def others(folder: Path) -> None:
+    """Fitted by name to the first run of each kind; the other two predicted from their states."""
+    for path in sorted((folder / "carts").glob("*_1.csv")):
+        kind = path.stem.removesuffix("_1")
+        runs = [cart(folder / "carts" / f"{kind}_{i}.csv", "check") for i in (2, 3)]
+        for effects in (["coulomb_friction"], ["coulomb_friction", "hysteresis"]):
+            fit = residyn.fit(cart_experiment(cart(path), *runs), effects=effects)
+            assert fit.check_rmse is not None
+            print(
+                f"| {kind} | {' + '.join(effects)} | {1e3 * fit.rmse[0]:.3f} "
+                f"| {1e3 * fit.check_rmse[0]:.3f} | {_numbers(fit)} |",
+                flush=True,
+            )
+
+
+def _numbers(fit: residyn.Fit) -> str:
+    return ", ".join(f"{n.name} {n.value:.4g} {n.unit}" for n in fit.numbers)
+
+
 def _last_swing(time: np.ndarray, x: np.ndarray) -> float:
     """When the swing last exceeds a tenth of the first one, s after the release."""
     about = np.abs(x - np.nanmedian(x[-len(x) // 10 :]))
@@ -91,7 +110,9 @@ def pendulum(folder: Path) -> None:
     time, angle, _, _ = residyn.recording.read_csv(folder / "double_pendulum" / "free_swing.csv", 2)
     for start, stop in ((30, 40), (8, 13)):
         recording = residyn.Recording.from_arrays(time, angle, start=start, stop=stop, theta2=0.0)
-        told(f"{start}-{stop} s", residyn.diagnose(residyn.Experiment(table, (recording,))))
+        found = residyn.diagnose(residyn.Experiment(table, (recording,)))
+        told(f"{start}-{stop} s", found)
+        print(f"    {_numbers(found.fit)}", flush=True)
 
 
 def air(folder: Path) -> None:
@@ -147,7 +168,14 @@ def _force_left(fit: residyn.Fit, recording: residyn.Recording) -> float:
     return float(np.sqrt(np.mean(left**2) / np.mean(drive**2)))
 
 
-TABLES = {"carts": carts, "predict": predict, "pendulum": pendulum, "air": air, "emps": emps}
+TABLES = {
+    "carts": carts,
+    "others": others,
+    "predict": predict,
+    "pendulum": pendulum,
+    "air": air,
+    "emps": emps,
+}
 
 
 def main() -> None:

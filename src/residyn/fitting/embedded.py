@@ -205,12 +205,11 @@ def embed(fit: Fit) -> Embedded:
 @eqx.filter_custom_jvp
 def _minimum(problem: Problem, start: Unknowns):
     """(unknowns, steps, whether they settled)."""
-    whole = Stretch(problem)
     solution = optx.least_squares(
         rows,
-        solver(whole),
+        solver(),
         start,
-        args=whole,
+        args=Stretch(problem),
         has_aux=True,
         options={"jac": "fwd"},
         max_steps=_STEPS,

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from .problem import Compressed, Problem, Unknowns, compressed
 
@@ -33,8 +33,6 @@ _LANES = 16  # starts abreast: more gain nothing, and wait for more
 _RESIDUAL_TOLERANCE = 3e-3
 # ... and no unknown by more than this share of its scale.
 _UNKNOWN_TOLERANCE = 1e-5
-# A stretch that is not the whole only has to lead into the right valley: so many times as much.
-_ROUGHLY = 300.0
 # A start this many times worse than the best after a stretch has lost its way.
 LOST = 25.0
 _SAME = 0.5  # starts that end within this many standard errors of another one have ended there
@@ -75,11 +73,6 @@ class Stretch(NamedTuple):
     size: Float[Array, ""] | float = 1.0
     """What the optimiser takes for one sigma, in sigma."""
 
-    @property
-    def whole(self) -> Bool[Array, ""] | bool:
-        """Whether nothing is left out."""
-        return True if self.only is None else self.only >= self.problem.steps
-
     @classmethod
     def of(cls, problem: Problem, share) -> "Stretch":
         """The first share (0 to 1) of every recording."""
@@ -108,17 +101,16 @@ def _rows_jvp(primals, tangents):
     return (rows, squeezed), (_Rows(along, jnp.zeros_like(squeezed.beside)), still)
 
 
-def solver(stretch: Stretch) -> optx.LevenbergMarquardt:
+def solver() -> optx.LevenbergMarquardt:
     """Levenberg-Marquardt with this module's stopping rule."""
-    tolerance = _RESIDUAL_TOLERANCE * jnp.where(stretch.whole, 1.0, _ROUGHLY)
-    return optx.LevenbergMarquardt(rtol=0.0, atol=tolerance, norm=_norm)  # pyright: ignore
+    return optx.LevenbergMarquardt(rtol=0.0, atol=_RESIDUAL_TOLERANCE, norm=_norm)
 
 
 def descend(stretch: Stretch, y: Unknowns, steps: int = STEPS):
     """One Levenberg-Marquardt descent: where it ended, steps, whether it converged, and J there."""
     solution = optx.least_squares(
         rows,
-        solver(stretch),
+        solver(),
         y,
         args=stretch,
         has_aux=True,
@@ -145,7 +137,9 @@ def polish(
     going, shares = _begun(starts), list(shares)
     if len(going) > 1:
         going = together(_abreast(problem, starts, shares[0], size))
-        shares = shares[1:] or shares
+        # Those that had not settled go on where they are before more of the recording counts.
+        rest = [e if e.converged else _alone(problem, e, shares[0], hopeless, size) for e in going]
+        going, shares = together(rest), shares[1:] or shares
     for share in shares:
         going = together([_alone(problem, each, share, hopeless, size) for each in going])
     return going[0]
