@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import residyn
+from residyn.fitting.levenberg import Polished, together
+from residyn.fitting.problem import Compressed, Unknowns
 from residyn.recording import ArmTable, Bearing, InertiaTable
 
 rig = pytest.importorskip("tests.rig")
@@ -269,3 +271,17 @@ def test_a_fit_of_a_second_recording_compiles_nothing(case, second, monkeypatch)
         assert again.modes[0].frequency_hz == pytest.approx(
             first.modes[0].frequency_hz / 3, rel=1e-3
         )
+
+
+def test_starts_that_meet_go_on_as_one():
+    """... those far behind do not, and those elsewhere do."""
+
+    def end(number, cost):
+        at = Unknowns(np.array([number]), np.zeros((1, 1)))
+        seen = Compressed(np.zeros(0), np.diag([10.0, 1.0])[None], np.zeros((1, 2)), np.zeros(1))
+        return Polished(at, seen, cost, 3, True, 1)
+
+    found = together(
+        [end(1.2, 9.0), end(1.0, 8.0), end(1.04, 8.5), end(1.01, 900.0), end(5.0, 300.0)]
+    )
+    assert [(float(e.unknowns.numbers[0]), e.agreeing) for e in found] == [(1.0, 3), (1.2, 1)]
