@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import residyn
-from residyn.diagnosis import diagnosing
+from residyn.diagnosis import climb as climbing
 from residyn.diagnosis.curves import candidates as candidates_for
 from residyn.diagnosis.ladder import Accepted, needless, ranked, search
 from residyn.diagnosis.linear import Near, steadied
@@ -386,12 +386,13 @@ def test_two_hidden_effects_are_found_together():
 
 
 def ladder(monkeypatch, plan):
-    """The rungs that `_climb` returns where effect i of `plan` joins firmly (True), waits (False)
+    """The rungs of a ladder where effect i of `plan` joins firmly (True), waits (False)
     or does not join (None)."""
 
     class Rung:
         def __init__(self, count):
             self.effects = tuple(f"e{i}" for i in range(count))
+            self.screened = ()
             model = type("M", (), {"labels": self.effects})
             self.fit = type("F", (), {"model": model})
 
@@ -403,14 +404,12 @@ def ladder(monkeypatch, plan):
         new.effects = (*new.effects[:-1], type("E", (), {"label": "next"}))
         return Accepted(new, firm)
 
-    monkeypatch.setattr(diagnosing, "candidates_for", lambda model: [])
-    monkeypatch.setattr(diagnosing, "along_each", lambda fit, missing: [])
-    monkeypatch.setattr(diagnosing, "search", lambda step, *rest: step)
-    monkeypatch.setattr(diagnosing, "ranked", lambda step: ["best"])
-    monkeypatch.setattr(diagnosing, "accepted", accepted)
-    monkeypatch.setattr(diagnosing, "with_another", lambda step, made: None)
-    monkeypatch.setattr(diagnosing, "needless", lambda step, made, first: step)
-    return len(diagnosing._climb(None, Rung(0), [], 3, lambda words: None)) - 1
+    monkeypatch.setattr(climbing, "search", lambda step, *rest: step)
+    monkeypatch.setattr(climbing, "ranked", lambda step: ["best"])
+    monkeypatch.setattr(climbing, "accepted", accepted)
+    monkeypatch.setattr(climbing, "with_another", lambda step, made: None)
+    monkeypatch.setattr(climbing, "needless", lambda step, made, first: step)
+    return len(climbing._Ladder(None, [], 0, 3, lambda words: None).up(Rung(0), [])) - 1
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,10 @@ from ..fitting import DEFAULT_STARTS, fit
 from ..model import Model
 from ..recording import Experiment
 from .chances import alike, chances
+from .climb import climb
 from .comparison import Comparison
-from .curves import candidates as candidates_for
 from .horizon import horizon
-from .ladder import accepted, extends, needless, ranked, search, with_another
+from .ladder import extends, ranked
 from .missing import Missing, along_each, missing_of, with_curves
 from .next_experiment import advise
 from .result import Candidate, Diagnosis, NextExperiment, Rung, Value
@@ -24,7 +24,6 @@ from .verdict import verdict_on, words_for
 MOST_EFFECTS = 3
 """How many effects the ladder adds unless it is told otherwise."""
 
-_TRIED = 2  # of a rung's candidates that may be the next one
 _DRAWN = 2  # suspects that did not join, whose curves are drawn
 
 
@@ -67,49 +66,9 @@ def diagnose(
         first = stand(base, own)
         say("following the missing torque")
         missing = missing_of(base, ())
-        steps = _climb(experiment, first, missing, max_effects, say)
+        steps = climb(experiment, first, along_each(base, missing), max_effects, say)
         say("weighing the names")
         return _concluded(experiment, steps, missing, began, say)
-
-
-def _climb(
-    experiment: Experiment,
-    step: Step,
-    missing: Sequence[Missing],
-    max_effects: int,
-    say: Callable[[str], None],
-) -> list[Step]:
-    """The rungs, from the base model up."""
-    candidates, torques = candidates_for(step.fit.model), along_each(step.fit, missing)
-    first, firm = len(step.effects), 0
-    steps: list[Step] = []
-    waits = False
-    while True:
-        full = len(step.effects) - first >= max_effects
-        if not full or not steps:  # what might come next matters only if it may
-            step = search(step, experiment, torques, candidates, say)
-        steps.append(step)
-        firm = firm if waits else len(steps) - 1
-        if full:
-            return steps[: firm + 1]
-        new = None
-        for chosen in ranked(step)[:_TRIED]:
-            found = accepted(step, chosen, experiment, steps[firm])
-            if found is not None and (new is None or found.firm):
-                new = found
-            if new is not None and new.firm:
-                break
-        if new is None and not waits:
-            new = with_another(step, experiment)
-        if new is None:
-            return steps[: firm + 1]
-        label = new.step.effects[-1].label
-        say(f"{label} joins the model" if new.firm else f"looking on with {label}")
-        waits = not new.firm
-        step = needless(new.step, experiment, first)
-        # What has become needless does not come back, or the ladder might go round and round.
-        gone = set(new.step.fit.model.labels) - set(step.fit.model.labels)
-        candidates = [c for c in candidates if c.label not in gone]
 
 
 def _concluded(

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..effects import AbstractEffect
 from ..fitting.pipeline import finish, refit
-from ..fitting.result import FitError
+from ..fitting.result import Fit, FitError
 from ..recording import Experiment
 from .horizon import HeldOut
 from .linear import steadied
@@ -189,11 +189,7 @@ def needless(step: Step, experiment: Experiment, first: int) -> Step:
     fit = step.fit
     for effect in step.effects[first:-1]:
         own = [i for i, n in enumerate(fit.numbers) if n.name.startswith(f"{effect.label}.")]
-        square = fit.covariance[np.ix_(own, own)]
-        values = np.array([fit.numbers[i].value for i in own])
-        if np.isfinite(square).all() and values @ np.linalg.pinv(square) @ values > worth(
-            effect, step
-        ):
+        if _loud(fit, own) > worth(effect, step):
             continue  # so far from silent that no fit without it could do
         left = tuple(e for e in step.effects if e.label != effect.label)
         keep = [i for i in range(len(fit.numbers)) if i not in own]
@@ -219,6 +215,18 @@ def needless(step: Step, experiment: Experiment, first: int) -> Step:
             without = stand(finish(experiment, model, numbers, descent, began), left, step.tried)
             return needless(without, experiment, first)
     return step
+
+
+def _loud(fit: Fit, own: Sequence[int]) -> float:
+    """How far an effect's strengths are from silent, in squared standard errors; 0 if nobody knows.
+    A shape is never silent: a gap's width says nothing of whether there is one."""
+    meanings = [n.meaning for n in fit.model.fitted]
+    strengths = [i for i in own if meanings[i].silent is not None]
+    square = fit.covariance[np.ix_(strengths, strengths)]
+    if not strengths or not np.isfinite(square).all():
+        return 0.0
+    far = np.array([fit.numbers[i].value - float(meanings[i].silent or 0.0) for i in strengths])
+    return float(far @ np.linalg.pinv(square) @ far)
 
 
 def steady(step: Step, chosen: Refit) -> bool:

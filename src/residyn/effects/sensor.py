@@ -58,7 +58,7 @@ class SensorDelay(_SensorEffect):
     looks_like = "one joint behind the other, by more of a cycle the faster the mode"
     source = "filters and buses: a pure delay to first order"
 
-    delay: Scalar = param("delay of the reading", DURATION)
+    delay: Scalar = param("delay of the reading", DURATION, sign="positive")
 
     def delays(self, mechanism):
         return tuple(self.delay if j == self.joint else 0.0 for j in mechanism.joints)
