@@ -70,10 +70,14 @@ def _among(step: Step) -> dict[str, float]:
     scores = {r.label: score(step, r) for r in step.refits if r.possible}
     least = min([*(r.cost for r in step.refits), step.cost])
     scale = max(1.0, least / step.readings)
+    # Who was not fitted is believed as far as the others have kept what the screen promised.
+    kept = [r.cost / max(r.screened.chi2, least) for r in step.refits]
+    promised = max(1.0, float(np.median(kept))) if kept else 1.0
     for s in step.screened:
         numbers = len(Model(step.fit.model.mechanism, (s.effect,)).fitted)
         if not any(r.label == s.effect.label for r in step.refits):
-            scores[s.effect.label] = max(s.chi2, least) / scale + numbers * math.log(step.readings)
+            chi2 = max(promised * s.chi2, least)
+            scores[s.effect.label] = chi2 / scale + numbers * math.log(step.readings)
     nobody = step.cost / scale
     best = min([*scores.values(), nobody])
     weights = {k: math.exp(-0.5 * min(1e3, (x - best) / unit)) for k, x in scores.items()}

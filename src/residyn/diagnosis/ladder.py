@@ -177,7 +177,7 @@ def with_another(step: Step, experiment: Experiment) -> Accepted | None:
     if chosen is None:
         screened = next(s for s in step.screened if s.effect.label == found[0])
         chosen = next(iter(refits(step, experiment, [screened])), None)
-    if chosen is None or not chosen.possible:
+    if chosen is None or not chosen.possible or chosen.cost > step.cost:
         return None
     began = time.perf_counter()
     fit = finish(experiment, chosen.model, chosen.start, chosen.descent, began)

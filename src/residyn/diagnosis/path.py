@@ -16,7 +16,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import maximum_filter1d
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from ..effects import AbstractEffect
 from ..fitting.beginnings import memory_along
@@ -31,6 +31,7 @@ _STILL = 3.0  # times that, for a whole period: it does
 _MOST_SHAPES = 48
 _BESIDE = 0.05  # of a mode's frequency
 _LINES = 8  # frequencies tried of an effect with a frequency of its own
+_AROUND = 10.0  # cycles more or less in the longest recording: a line's surroundings
 _FINER = 2  # values in place of one of a shape's grid
 
 
@@ -207,27 +208,37 @@ def _finer(grid: Sequence[float]) -> list[float]:
 
 
 def _frequencies(j: int, paths: Sequence[Path], modes: Sequence[float]) -> list[float]:
-    """The strongest frequencies of what springs and dampers leave of the missing torque, Hz."""
-    power: np.ndarray | None = None
+    """Frequencies, Hz, of what springs and dampers leave of the missing torque: the strongest of
+    joint j, and those that stand out most at any joint."""
     longest = max(p.time[-1] for p in paths)
     fastest = max(1 / (3 * p.h) for p in paths)
     frequency = np.arange(1.0, fastest * longest, 0.25) / longest
-    for path in paths:
-        # A few thousand instants tell all frequencies that an integration step can follow.
-        mean = path.missing[:, j].reshape(-1, _PARTS).mean(axis=1)
-        q, v = (x[:, j].reshape(-1, _PARTS).mean(axis=1) for x in (path.q, path.v))
-        time = path.time.reshape(-1, _PARTS).mean(axis=1)
-        window = np.hanning(len(mean))
-        rows = np.stack([q, v, np.ones_like(q)], axis=1)
-        left = mean - rows @ np.linalg.lstsq(rows, mean, rcond=None)[0]
-        wave = np.exp(-2j * np.pi * np.outer(frequency, time)) @ (window * left)
-        own = np.abs(wave) ** 2
-        power = own if power is None else power + own
-    assert power is not None
-    power = np.where(resonant(frequency, modes, longest), 0.0, power)
-    found = []
-    for _ in range(_LINES):
-        top = int(np.argmax(power))
-        found.append(float(frequency[top]))
-        power = np.where(np.abs(frequency - frequency[top]) < 2 / longest, 0.0, power)
+    power = np.sum([_power(path, frequency) for path in paths], axis=0)
+    # The noise of a torque grows with frequency: what stands out of its surroundings counts, too,
+    # and at every joint, for the sensor of the other one may be the one that sees it.
+    around = 1 + 2 * round(_AROUND / (frequency[1] - frequency[0]) / longest)
+    level = median_filter(power, (around, 1))
+    contrast = np.max(power / np.maximum(level, 1e-300), axis=1)
+    beside = resonant(frequency, modes, longest)
+    found: list[float] = []
+    for seen in (power[:, j], contrast):
+        for _ in range(_LINES // 2):
+            near = [np.abs(frequency - f) < 2 / longest for f in found]
+            left = np.where(np.any([beside, *near], axis=0), 0.0, seen)
+            found.append(float(frequency[np.argmax(left)]))
     return found
+
+
+def _power(path: Path, frequency: np.ndarray) -> np.ndarray:
+    """(F, n) spectrum of each joint's missing torque, less what its spring and damper could do."""
+    # A few thousand instants tell all frequencies that an integration step can follow.
+    means = (x.reshape(-1, _PARTS, x.shape[1]).mean(axis=1) for x in (path.missing, path.q, path.v))
+    time = path.time.reshape(-1, _PARTS).mean(axis=1)
+    window = np.hanning(len(time))
+    turn = np.exp(-2j * np.pi * np.outer(frequency, time))
+    each = []
+    for missing, q, v in zip(*(x.T for x in means), strict=True):
+        rows = np.stack([q, v, np.ones_like(q)], axis=1)
+        left = missing - rows @ np.linalg.lstsq(rows, missing, rcond=None)[0]
+        each.append(np.abs(turn @ (window * left)) ** 2)
+    return np.stack(each, axis=1)

@@ -80,15 +80,24 @@ def _staged(step: Step, experiment: Experiment, found: list[Refit]) -> list[Refi
     """Joints that stick or rattle make many valleys. Where the best fits of such effects end above
     the noise, they start again from what stretches of a few cycles say, in which no phase can slip,
     and from where the screen began and the fit ended with the first cycles fitted first. So does
-    whatever the screen puts first, if its fit is nowhere near what was promised."""
+    whatever the screen puts first, if its fit is nowhere near what was promised, and the first of
+    such effects that would have been the best, had it kept its promise."""
     noise = step.readings + _UNUSUAL * math.sqrt(2.0 * step.readings)
-    best = sorted((r for r in found if r.possible), key=lambda r: r.cost)[:_VALLEYS]
-    best = [r for r in best if (r.effect.dry or r.effect.rough) and r.cost > noise]
-    first = min(found, key=lambda r: r.screened.chi2, default=None)
-    if first is not None and first.cost > _FAR * max(first.screened.chi2, noise):
-        best = [first, *(r for r in best if r is not first)]
+    by_cost = sorted((r for r in found if r.possible), key=lambda r: r.cost)
+    promised = sorted(found, key=lambda r: r.screened.chi2)
+
+    def slips(r: Refit) -> bool:
+        return (r.effect.dry or r.effect.rough) and r.cost > noise
+
+    def broke(r: Refit, times: float) -> bool:
+        return r.cost > times * max(r.screened.chi2, noise)
+
+    again = [r for r in promised[:1] if broke(r, _FAR)]
+    rivals = [r for r in promised if slips(r) and broke(r, _PROMISED)]
+    again += [r for r in rivals if by_cost and r.screened.chi2 < by_cost[0].cost][:1]
+    again += [r for r in by_cost[:_VALLEYS] if slips(r)]
     wild = [r.wild for r in step.near.fitted]
-    for r in best:
+    for r in {r.label: r for r in again}.values():
         alone = Model(step.fit.model.mechanism, (r.effect,))
         ended = np.asarray(r.model.vector()), r.descent.problem.states(r.descent.unknowns)
         begins = [(r.start, r.screened.states), ended]
@@ -181,7 +190,7 @@ def _refit(
             enough = _NOISE * noise
             if not screened.others or screened.chi2 > _FAR * noise:
                 enough = _PROMISED * max(screened.chi2, noise)
-            if best.cost < enough:
+            if best.cost < enough and not (screened.effect.rough and begin is not begins[-1][1]):
                 break
     return best
 

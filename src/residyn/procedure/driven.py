@@ -15,7 +15,7 @@ from scipy.signal import oaconvolve
 
 from .._input import InputError, inside
 from ..fitting import FitError
-from ..fitting.start import Uniform, uniform
+from ..fitting.smoothing import Uniform, uniform
 from ..recording import Recording, estimate_noise, wild_samples
 
 _BRAKED = 0.2

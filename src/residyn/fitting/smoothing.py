@@ -1,0 +1,147 @@
+"""Angles, rates and accelerations that all passed the same filter.
+
+A kernel K that is smooth at its ends turns readings q into K*q, K'*q and K''*q: no noisy difference
+is ever taken, and whatever linear equation the motion obeys still holds between them, exactly,
+whatever the kernel's width. Wide kernels let little noise through, and little of a fast mode.
+"""
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+
+from ..recording import Recording
+
+_POWER = 5  # (1 - s^2)^5 is smooth enough at its ends for two derivatives
+_EVEN = 1e-6  # of the spacing
+
+
+class Uniform(NamedTuple):
+    """A recording on a uniform grid of G instants, `dt` s apart."""
+
+    q: np.ndarray  # (G, n)
+    good: np.ndarray  # (G,) False where readings were missing for more than a few samples
+    drive: np.ndarray  # (G, n)
+    dt: float
+
+
+def uniform(recording: Recording, wild: np.ndarray) -> Uniform:
+    """Resample to the median spacing, leaving out lost and wild readings."""
+    time = recording.time
+    dt = float(np.median(np.diff(time)))
+    grid = np.arange(time[0], time[-1] + 1e-9 * dt, dt)
+    q = np.empty((len(grid), recording.angle.shape[1]))
+    good = np.ones(len(grid), bool)
+    seen = np.isfinite(recording.angle) & ~wild
+    even = len(grid) == len(time) and np.abs(grid - time).max() < _EVEN * dt
+    for joint, use in enumerate(seen.T):
+        if even and use.all():
+            q[:, joint] = recording.angle[:, joint]
+            continue
+        known = time[use]
+        q[:, joint] = _cubic(known, recording.angle[use, joint], grid)
+        after = np.searchsorted(known, grid).clip(1, len(known) - 1)
+        good &= np.diff(known)[after - 1] < 4.5 * dt
+    drive = np.zeros_like(q)
+    if recording.drive is not None:
+        drive = np.stack([np.interp(grid, time, u) for u in recording.drive.T], axis=1)
+    return Uniform(q, good, drive, dt)
+
+
+def _cubic(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Cubic Lagrange interpolation through the four nearest readings."""
+    first = (np.searchsorted(x, at) - 2).clip(0, len(x) - 4)
+    index = first[:, None] + np.arange(4)
+    nodes, values = x[index], y[index]
+    total = np.zeros(len(at))
+    for i in range(4):
+        others = [k for k in range(4) if k != i]
+        top = np.prod(at[:, None] - nodes[:, others], axis=1)
+        total += values[:, i] * top / np.prod(nodes[:, [i]] - nodes[:, others], axis=1)
+    return total
+
+
+def kernel(half: int, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The kernel of half-width `half` samples and its first two derivatives, s^-1 and s^-2."""
+    s = np.arange(-half, half + 1) / half
+    bump, p = 1 - s**2, _POWER
+    value = bump**p
+    first = -2 * p * s * bump ** (p - 1)
+    second = -2 * p * bump ** (p - 1) + 4 * p * (p - 1) * s**2 * bump ** (p - 2)
+    total, width = value.sum(), half * dt
+    return value / total, first / total / width, second / total / width**2
+
+
+class Smoothed(NamedTuple):
+    """A recording through H kernels: arrays (H, G, n) and a weight (H, G), 0 where a kernel's
+    result does not apply."""
+
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    drive: np.ndarray
+    weight: np.ndarray
+
+    def kept(self, halves: np.ndarray) -> np.ndarray:
+        """(H,) share of the motion (rms about its mean, best joint) that passes each kernel."""
+        whole, shares = self.q[0].std(axis=0), []
+        for q, half in zip(self.q, halves, strict=True):
+            inside = q[half : max(half + 1, len(q) - half)]
+            shares.append((inside.std(axis=0) / np.maximum(whole, 1e-300)).max())
+        return np.asarray(shares)
+
+
+def smooth(data: Uniform, halves: np.ndarray, noise: np.ndarray, stride: int) -> Smoothed:
+    """Through the kernels of these half-widths (H,), in samples, at every `stride`-th instant."""
+    length, widest = len(data.q), int(halves.max())
+    # Long enough that no end reaches round to the other, and quick to transform.
+    size = _quick(length + 2 * widest)
+
+    def through(columns: np.ndarray, responses: np.ndarray) -> np.ndarray:
+        if not columns.any():
+            return np.zeros((len(responses), *columns[::stride].shape))
+        spectrum = np.fft.rfft(columns.T, size)
+        passed = np.fft.irfft(responses[:, None] * spectrum, size)
+        return passed[..., :length:stride].transpose(0, 2, 1)
+
+    responses, louder = _responses(tuple(int(half) for half in halves), size)
+    q, v, a = (through(data.q, r / data.dt**k) for k, r in enumerate(responses))
+    index = np.arange(0, length, stride)
+    inside = (index >= halves[:, None]) & (index < length - halves[:, None])
+    inside &= _sums(~data.good, halves, stride) == 0
+    # Where the motion has died away only noise is left, which would pull the numbers to itself.
+    left = noise * louder[:, None]
+    rest = np.median(data.q[-max(10, length // 10) :], axis=0)
+    wide = 2 * halves
+    size2 = np.stack([_sums(x, wide, stride) for x in ((data.q - rest) ** 2).T], axis=-1)
+    size2 = np.maximum(size2, 0.0) / (2 * wide + 1)[:, None, None]
+    share = (size2 / (6 * left[:, None]) ** 2).max(axis=2)
+    weight = share / (1 + share) * inside
+    return Smoothed(q, v, a, through(data.drive, responses[0]), weight)
+
+
+def _quick(least: int) -> int:
+    """The next length that is a power of two, or one and a half times one."""
+    size = 1 << (least - 1).bit_length()
+    return size * 3 // 4 if size * 3 // 4 >= least else size
+
+
+@functools.lru_cache(maxsize=16)  # recordings come in few lengths
+def _responses(halves: tuple[int, ...], size: int) -> tuple[np.ndarray, np.ndarray]:
+    """For samples one apart, what the kernels and their first two derivatives do to a spectrum of
+    `size` instants, (3, H, F), and how much of white noise passes the kernels, (H,)."""
+    rows = np.zeros((3, len(halves), size))
+    for i, half in enumerate(halves):  # the middle stands at 0, its left side last
+        for row, k in zip(rows[:, i], kernel(half, 1.0), strict=True):
+            row[: half + 1], row[size - half :] = k[half:], k[:half]
+    return np.fft.rfft(rows), np.sqrt((rows[0] ** 2).sum(axis=-1))
+
+
+def _sums(x: np.ndarray, halves: np.ndarray, stride: int) -> np.ndarray:
+    """(H, G): the sum of x (G,) over the instants up to `halves` (H,) away, at every `stride`-th
+    instant."""
+    total = np.concatenate([[0.0], np.cumsum(x)])
+    index = np.arange(0, len(x), stride)
+    first = np.maximum(index - halves[:, None], 0)
+    last = np.minimum(index + halves[:, None] + 1, len(x))
+    return total[last] - total[first]
