@@ -66,9 +66,10 @@ def search(
     say(f"screening {len(some)} effects")
     longest = max(r.recording.duration for r in step.near.fitted)
     period = 1.0 / step.fit.modes[0].frequency_hz if step.fit.modes else longest / _PAUSES
-    # Near the noise the fit's own motion is the better one to look from: it has no noise in it.
-    led = step.cost > _NEAR * step.readings
-    first, near = step.tried is None, steadied(step.near) if led else step.near
+    # Near the noise the fit's own motion is the better one to look from: it has no noise in it; but
+    # not that of an arm without springs, which has found some other way to be near.
+    first, near = step.tried is None, steadied(step.near)
+    led = step.cost > _NEAR * step.readings or near is not step.near
     paths = [
         Path.of(m, int(near.problem.steps), period, None if led else r.predicted)
         for m, r in zip(missing, step.near.fitted, strict=True)

@@ -83,19 +83,20 @@ def closed_form(
         missing = solved(beginnings)[2]
         beginnings = tuned(models[0], beginnings, missing, np.asarray(spacing), fits)
     numbers, spread, _ = solved(beginnings)
-    kinds = 1
+    memory = beginnings.memory
     if any(_rests_elsewhere(g.q) for g in grids):
-        kinds, more = 2, solved(beginnings, pushed=True)
-        numbers, spread = (np.concatenate(x) for x in zip(more[:2], (numbers, spread), strict=True))
+        more = solved(beginnings, pushed=True)
+        pairs = zip((*more[:2], memory[None]), (numbers, spread, memory[None]), strict=True)
+        numbers, spread, (memory,) = (np.concatenate(pair, axis=1) for pair in pairs)
     # A kernel wider than the slowest swing leaves only rest and drift, which any tiny stiffness
     # fits beautifully.
     kept = np.max([s.kept(used // stride) for s in each], axis=0)
     fits &= kept > min(_LEAST_KEPT, 0.5 * kept.max())
     # Overlapping kernels share their noise: a kernel of half-width h leaves about 1/h as many
     # independent equations.
-    spread = spread + np.tile(np.where(fits, 0.5 * np.log(halves), np.inf), kinds)[:, None]
+    spread = spread + np.where(fits, 0.5 * np.log(halves), np.inf)[:, None]
     spread = np.where(np.isfinite(numbers).all(axis=-1), spread, np.inf)
-    memory = np.broadcast_to(beginnings.memory, (kinds * _LADDER, *beginnings.memory.shape))
+    memory = np.broadcast_to(memory, (_LADDER, *memory.shape))
     order = _order(spread)
     flat = [x.reshape(spread.size, *x.shape[2:])[order] for x in (numbers, memory, spread)]
     return Candidates(*flat)
