@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 import residyn
+from residyn.diagnosis import chances as weighing
 from residyn.diagnosis import climb as climbing
 from residyn.diagnosis.curves import candidates as candidates_for
-from residyn.diagnosis.ladder import Accepted, needless, ranked, search
+from residyn.diagnosis.ladder import Accepted, needless, over_noise, ranked, search
 from residyn.diagnosis.linear import Near, steadied
 from residyn.diagnosis.missing import missing_of
 from residyn.diagnosis.missing_torque import missing_torque
@@ -38,7 +39,13 @@ def experiment(label=None, values=None, seed=0, noise=5e-4, seconds=12.0, arm=AR
     case = rig.record(
         np.random.default_rng(seed), arm, Q0, hidden, seconds=seconds, rate=100.0, noise=noise
     )
-    recording = residyn.Recording.from_arrays(case.t, case.q, theta2=arm.theta2, noise=noise)
+    return beside(case)
+
+
+def beside(case):
+    """A rig's case as an experiment."""
+    arm = case.arm
+    recording = residyn.Recording.from_arrays(case.t, case.q, theta2=arm.theta2, noise=case.noise)
     table = ArmTable((arm.l1, arm.l2), arm.shoulder, arm.elbow, arm.coupling)
     bearings = [Bearing(where, 1e-9, 1e-9) for where in case.bearings]
     return residyn.Experiment(table, (recording,), bearings)
@@ -166,6 +173,24 @@ def test_shapes_are_tried_on_a_grid():
         assert float(v.at(0).level) == 2.0
 
 
+@pytest.mark.parametrize("seen_at", [0, 1])
+def test_a_line_is_tried_that_stands_out_of_noise_which_grows_with_frequency(seen_at):
+    """... at the joint that sees it, for an oscillation of either joint."""
+    rng = np.random.default_rng(0)
+    h, count = 0.02, 1000
+    time = (np.arange(8 * count) + 0.5) * h / 8
+    noise = np.gradient(np.gradient(rng.standard_normal((count, 2)), axis=0), axis=0)
+    missing = np.repeat(noise, 8, axis=0)
+    missing[:, seen_at] += 0.1 * np.sin(2 * np.pi * 2.24 * time)
+    q = np.sin(time)[:, None] * [1.0, 0.8]
+    way = Way(h, time, q, q, q, q, 0 * q, missing)
+    for place, joint in (("shoulder", 0), ("elbow", 1)):
+        tried = variants(residyn.PeriodicDisturbance(place), {"level": 1.0}, [way], joint)
+        found = [float(v.effect.frequency) for v in tried]
+        assert len(found) == len(set(found)) <= 8
+        assert min(abs(f - 2.24) for f in found) < 0.03
+
+
 def test_a_torque_keeps_its_impulse_and_moment_in_every_step():
     h, parts = 0.1, 8
     time = (np.arange(40) + 0.5) * h / parts
@@ -210,6 +235,7 @@ def test_another_elbow_angle_tells_gravity_from_a_constant_torque():
     [
         ("dead_zone:shoulder", {"stiffness": ARM.stiffness[0], "gap": 0.05}),
         ("brake_slip:elbow", {"stiffness": ARM.stiffness[1], "angle": 0.03}),
+        ("brake_slip:shoulder", {"stiffness": ARM.stiffness[0], "angle": 0.12}),
     ],
 )
 def test_a_spring_that_is_lost_on_the_way_is_named(label, values):
@@ -308,6 +334,106 @@ def test_an_effect_that_has_become_needless_is_dropped():
         left = needless(step, made, 0)
     assert [e.label for e in left.effects] == ["coulomb_friction:elbow"]
     assert left.cost < 1.01 * step.cost
+
+
+@pytest.mark.slow
+def test_two_simple_effects_are_not_one_with_many_numbers():
+    """Gravity's four numbers explain most of both, and it joins first."""
+    labels = ("constant_torque:elbow", "stiffness_drift:elbow")
+    rng = np.random.default_rng([7008, *"/".join(labels).encode(), 10000])
+    strength = float(np.exp(rng.uniform(*np.log((0.02, 0.1)))))
+    (case,) = rig.hidden_cases(rng, labels, 1, noise_share=0.01, strength=strength)
+    found = residyn.diagnose(beside(case))
+    assert set(found.added) == set(labels)
+    assert found.verdict == "missing"
+
+
+class Seen:
+    """A rung as `climb` sees it: what has joined, what that leaves, what else was fitted."""
+
+    readings, near = 4000, SimpleNamespace(fitted=[None])
+    fitted = (  # what that leaves, and its numbers
+        (residyn.Gravity(), 5e3, 4),
+        (residyn.ConstantTorque("elbow"), 5.4e3, 1),
+        (residyn.StiffnessDrift("elbow"), 9e4, 1),
+    )
+
+    def __init__(self, cost, *names):
+        self.cost = cost
+        self.effects = tuple(next(e for e, *_ in self.fitted if e.name == n) for n in names)
+        mechanism = residyn.ConstantInertia(((2.9, 1.0), (1.0, 0.6)), ("shoulder", "elbow"))
+        self.fit = SimpleNamespace(model=residyn.Model(mechanism, self.effects))
+        self.screened, self.refits = (
+            (),
+            tuple(
+                SimpleNamespace(label=e.label, cost=c, numbers=n, possible=True)
+                for e, c, n in self.fitted
+            ),
+        )
+
+    def _replace(self, screened, refits):
+        left = Seen(self.cost)
+        left.screened, left.refits = screened, refits
+        return left
+
+
+@pytest.mark.parametrize(("instead", "first"), [(4010.0, "constant_torque"), (4040.0, "gravity")])
+def test_the_ladder_is_climbed_again_without_a_law_with_many_numbers(instead, first, monkeypatch):
+    """Three numbers more are worth 25 of chi-square among 4000 readings, and no more."""
+    base, drift = Seen(1.2e5), "stiffness_drift"
+    begun = []
+
+    def up(self, step, candidates):
+        begun.append([r.label for r in step.refits] + [c.label for c in candidates])
+        if "gravity" in begun[-1]:
+            return [base, Seen(5e3, "gravity"), Seen(4e3, "gravity", drift)]
+        return [step, Seen(5.4e3, "constant_torque"), Seen(instead, "constant_torque", drift)]
+
+    monkeypatch.setattr(climbing._Ladder, "up", up)
+    steps = climbing.climb(None, base, [], 3, lambda words: None)
+    assert [e.name for e in steps[-1].effects] == [first, drift]
+    assert len(begun) == 2
+
+
+def weighed(monkeypatch, screened=(), **costs):
+    """Shares of effects (`name`: chi-square with it at the elbow) beside 4000 readings; of those
+    that were only screened, at first order."""
+    monkeypatch.setattr(weighing, "temper", lambda step: 1.0)
+    laws = "CoulombFriction", "StribeckFriction", "CubicStiffness", "QuadraticDrag"
+    kinds = {e.name: e for e in (getattr(residyn, law)("elbow") for law in laws)}
+    numbers = {"stribeck_friction": 3}
+    one = SimpleNamespace(cost=5e3, readings=4000, screened=(), refits=[])
+    one.fit = residyn.fit(experiment(), starts=1)
+    seen = {n: SimpleNamespace(effect=kinds[n], chi2=4000.0) for n in (*costs, *screened)}
+    one.screened = tuple(seen.values())
+    one.refits = [
+        SimpleNamespace(effect=kinds[n], label=kinds[n].label, cost=c, possible=True,
+                        numbers=numbers.get(n, 1), screened=seen[n])
+        for n, c in costs.items()
+    ]  # fmt: skip
+    return {k.partition(":")[0]: x for k, x in weighing._among(one).items()}
+
+
+@pytest.mark.parametrize("richer", [4000.0, 3985.0])
+def test_a_law_that_cannot_be_told_from_a_simpler_one_keeps_its_share(richer, monkeypatch):
+    found = weighed(monkeypatch, coulomb_friction=4000.0, stribeck_friction=richer)
+    assert 0.1 < found["stribeck_friction"] <= found["coulomb_friction"] < 0.9
+
+
+def test_who_was_only_screened_is_believed_as_far_as_screens_keep_their_promises(monkeypatch):
+    only = ("cubic_stiffness",)
+    kept = weighed(monkeypatch, only, coulomb_friction=4000.0, quadratic_drag=4002.0)
+    broken = weighed(monkeypatch, only, coulomb_friction=4000.0, quadratic_drag=4400.0)
+    assert kept["cubic_stiffness"] > 0.3
+    assert broken["cubic_stiffness"] < 0.01
+
+
+def test_what_two_share_is_what_is_left_over_the_noise():
+    """A tenth of chi-square may be half of what there is to explain."""
+    step = SimpleNamespace(readings=4000)
+    assert over_noise(4400.0, step) == 400.0
+    assert over_noise(4200.0, step) == 0.5 * over_noise(4400.0, step)
+    assert over_noise(3900.0, step) == 0.0
 
 
 # -- torques of any shape ------------------------------------------------------------------

@@ -14,8 +14,8 @@ import numpy as np
 
 from ..fitting.result import RecordingFit
 from ..model import Model
-from .ladder import ranked, score
-from .rung import Step, cost_of
+from .ladder import extends, ranked, score
+from .rung import Step, cost_of, numbers_of
 from .verdict import LEFT
 
 _ALIKE = 12.0  # of chi-square, in its units: closer names are not told apart
@@ -61,6 +61,10 @@ def chances(steps: Sequence[Step]) -> dict[str, float]:
             sure = _known(step, follows or step, last.white, label)
             if rung == 0 or (follows and follows.effects and follows.effects[-1].label == label):
                 found[label] = share * sure
+        for effect in follows.effects if follows else ():
+            if effect.label not in last.fit.model.labels:  # it was to become needless
+                odds = step.readings ** (-0.5 * numbers_of(effect, last.fit.model, 1))
+                found[effect.label] = min(found.get(effect.label, 1.0), odds / (1.0 + odds))
     return found
 
 
@@ -68,6 +72,7 @@ def _among(step: Step) -> dict[str, float]:
     """How a rung's candidates share what there is to share, nobody among them."""
     unit = temper(step)
     scores = {r.label: score(step, r) for r in step.refits if r.possible}
+    scores.update(_extended(step, scores))
     least = min([*(r.cost for r in step.refits), step.cost])
     scale = max(1.0, least / step.readings)
     # Who was not fitted is believed as far as the others have kept what the screen promised.
@@ -84,6 +89,20 @@ def _among(step: Step) -> dict[str, float]:
     total = sum(weights.values()) + math.exp(-0.5 * min(1e3, (nobody - best) / unit))
     impossible = {r.label: 0.0 for r in step.refits if not r.possible}
     return {**{k: w / total for k, w in weights.items()}, **impossible}
+
+
+def _extended(step: Step, scores: dict[str, float]) -> dict[str, float]:
+    """Scores of laws with more to them than another one that was fitted: a friction that falls off
+    at rates too small to be seen is dry friction, as far as anyone can tell. So what makes it more
+    costs but what noise would gain (Akaike), though it never makes it the likelier one."""
+    found = {}
+    for rich in step.refits:
+        for plain in step.refits:
+            if extends(rich, plain) and {rich.label, plain.label} <= set(scores):
+                more = (rich.numbers - plain.numbers) * (math.log(step.readings) - 2.0)
+                own, other = scores[rich.label], scores[plain.label]
+                found[rich.label] = min(own, max(own - more, other))
+    return found
 
 
 def _known(before: Step, after: Step, white: float, label: str) -> float:
