@@ -274,7 +274,7 @@ def test_a_fit_of_a_second_recording_compiles_nothing(case, second, monkeypatch)
 
 
 def test_an_arm_that_rests_elsewhere_is_fitted_from_its_own_stiffness():
-    """Springs that hold it away from zero look soft, or negative, to who takes zero for its rest."""
+    """Springs that hold it away from zero look soft, or negative, if its rest is taken for zero."""
     arm, push = rig.paper_twin(0.3), rig.Hidden("constant_torque:elbow", {"torque": 8.0})
     made = rig.record(
         np.random.default_rng(1), arm, [0.15, 0.1], [push], seconds=20.0, rate=100.0, noise=8e-3
