@@ -74,20 +74,21 @@ def closed_form(
     posed = stacked(models)
     spacing = jnp.asarray([g.dt * stride for g in grids])
 
-    def solved(beginnings: Beginnings, pushed: bool = False):
+    def solved(beginnings: Beginnings):
         begin = jax.tree.map(jnp.asarray, beginnings)
-        return jax.device_get(_solve(posed, begin, spacing, data, pushed))
+        return jax.device_get(_solve(posed, begin, spacing, data))
 
     beginnings = plain(models[0], sizes, len(grids))
     if oscillates(models[0]):
         missing = solved(beginnings)[2]
         beginnings = tuned(models[0], beginnings, missing, np.asarray(spacing), fits)
     numbers, spread, _ = solved(beginnings)
-    memory = beginnings.memory
-    if any(_rests_elsewhere(g.q) for g in grids):
-        more = solved(beginnings, pushed=True)
-        pairs = zip((*more[:2], memory[None]), (numbers, spread, memory[None]), strict=True)
-        numbers, spread, (memory,) = (np.concatenate(pair, axis=1) for pair in pairs)
+    # Without and with a constant torque, (K, 2, B): taken as further beginnings.
+    kinds = slice(None, None, -1) if any(_rests_elsewhere(g.q) for g in grids) else slice(1)
+    numbers, spread = numbers[:, kinds], spread[:, kinds]
+    memory = np.tile(beginnings.memory, (numbers.shape[1], 1, 1))
+    numbers = numbers.reshape(_LADDER, -1, numbers.shape[-1])
+    spread = spread.reshape(_LADDER, -1)
     # A kernel wider than the slowest swing leaves only rest and drift, which any tiny stiffness
     # fits beautifully.
     kept = np.max([s.kept(used // stride) for s in each], axis=0)
@@ -128,59 +129,65 @@ def _rests_elsewhere(q: np.ndarray) -> bool:
 
 
 @eqx.filter_jit
-def _solve(models, beginnings: Beginnings, spacing, data, pushed: bool):
-    """Linear least squares on the acceleration error, for every kernel and beginning; if `pushed`,
-    beside a constant torque at every joint.
+def _solve(models, beginnings: Beginnings, spacing, data):
+    """Linear least squares on the acceleration error, for every kernel and beginning, without and
+    with a constant torque at every joint beside the model.
 
-    **Returns:** numbers (K, B, P), their spread (K, B), and the torque that is missing at the first
-    beginning (K, R, G, n).
+    **Returns:** numbers (K, 2, B, P), their spread (K, 2, B), and the torque that is missing at the
+    first beginning (K, R, G, n).
     """
-    count = len(models.mechanism.joints) if pushed else 0
     shape = [n.meaning.silent is None for n in models.fitted]
-    shape = jnp.asarray([*shape, *[False] * count])
-    last = -count or None
+    joints = len(models.mechanism.joints)
+    shape = jnp.asarray([*shape, *[False] * joints])
+    own = jnp.arange(len(shape)) < len(shape) - joints
 
     def error(vector, model, t, q, v, a, drive, weight, z):
-        model = model.with_vector(vector[:last])
-        drive = drive + vector[last:] if pushed else drive
-        wanted = stack(model.acceleration(Motion.at(t, q, v, z), split(drive)))
+        model = model.with_vector(vector[:-joints])
+        drive = split(drive + vector[-joints:])
+        wanted = stack(model.acceleration(Motion.at(t, q, v, z), drive))
         return jnp.sqrt(weight) * (a - wanted)
 
     def one(vector, z0, data):  # one beginning and kernel; `data` over recordings
         length = data[0].shape[1]
-        vector = jnp.concatenate([vector, jnp.zeros(count)])
+        vector = jnp.concatenate([vector, jnp.zeros(joints)])
         t = spacing[:, None] * jnp.arange(length)
-        z = eqx.filter_vmap(lambda m, *x: memory_along(m.with_vector(vector[:last]), *x))(
+        z = eqx.filter_vmap(lambda m, *x: memory_along(m.with_vector(vector[:-joints]), *x))(
             models, spacing, data[0], data[1], z0
         )
 
-        def equations(vector):
+        def rows(slopes, vector):
             def row(model, *instant):
                 e = error(vector, model, *instant)
-                return e, jax.jacfwd(error)(vector, model, *instant)
+                return (e, jax.jacfwd(error)(vector, model, *instant)) if slopes else e
 
-            rows = eqx.filter_vmap(jax.vmap(row, in_axes=(None,) + (0,) * 7))
-            e, j = rows(models, t, *data, z)
-            j = jnp.where(shape, 0.0, j)
-            return jnp.einsum("rgnp,rgnk->pk", j, j), jnp.einsum("rgnp,rgn->p", j, e), e
+            return eqx.filter_vmap(jax.vmap(row, in_axes=(None,) + (0,) * 7))(models, t, *data, z)
 
-        square, slope, _ = equations(vector)
-        seen = jnp.diag(square) > 0
-        size = jnp.sqrt(jnp.where(seen, jnp.diag(square), 1.0))
-        scaled = square / size / size[:, None] + 1e-12 * jnp.eye(len(size))
-        vector = vector - jnp.linalg.solve(scaled, slope / size) / size
-        square, _, e = equations(vector)
+        e, j = rows(True, vector)
+        j = jnp.where(shape, 0.0, j)
+        square, slope = jnp.einsum("rgnp,rgnk->pk", j, j), jnp.einsum("rgnp,rgn->p", j, e)
         readings = jnp.sum(data[-1]) * e.shape[-1]
-        # Log of the typical relative standard deviation, for ranking only.
-        square = square + jnp.diag(jnp.where(seen, 0.0, 1.0))
-        spread = 0.5 * (
-            jnp.log(jnp.sum(e**2) / readings)
-            - jnp.linalg.slogdet(square)[1] / jnp.maximum(1, jnp.sum(seen))
-        )
-        return vector[:last], spread, e
+
+        def kind(use):
+            seen = use & (jnp.diag(square) > 0)
+            size = jnp.sqrt(jnp.where(seen, jnp.diag(square), 1.0))
+            scaled = jnp.where(seen[:, None] & seen, square / size / size[:, None], 0.0)
+            # Blind directions stay put; of others the typical relative standard deviation is
+            # wanted, in its logarithm, and for ranking only.
+            scaled = scaled + jnp.diag(jnp.where(seen, 1e-12, 1.0))
+            found = vector - jnp.linalg.solve(scaled, jnp.where(seen, slope / size, 0.0)) / size
+            left = rows(False, found)
+            volume = jnp.linalg.slogdet(scaled)[1] + 2.0 * jnp.sum(jnp.log(size))
+            spread = 0.5 * (
+                jnp.log(jnp.sum(left**2) / readings) - volume / jnp.maximum(1, jnp.sum(seen))
+            )
+            return found[:-joints], spread, left
+
+        numbers, spread, left = jax.vmap(kind)(jnp.stack([own, own | True]))
+        return numbers, spread, left[0]
 
     each = jax.vmap(one, in_axes=(0, 0, None))
     numbers, spread, e = jax.vmap(each, in_axes=(None, None, 0))(*beginnings, data)
+    numbers, spread = numbers.swapaxes(1, 2), spread.swapaxes(1, 2)
 
     def torque(model, q, e):
         rows = model.bodies.mass_matrix(split(q))
