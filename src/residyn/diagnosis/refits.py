@@ -12,7 +12,7 @@ import numpy as np
 from .._stretches import in_stretches
 from ..effects import AbstractEffect
 from ..fitting.descent import Descent
-from ..fitting.pipeline import refit
+from ..fitting.pipeline import begin_afresh, refit
 from ..fitting.result import FitError
 from ..model import Model
 from ..recording import Experiment
@@ -83,7 +83,8 @@ def _staged(step: Step, experiment: Experiment, found: list[Refit]) -> list[Refi
     whatever the screen puts first, if its fit is nowhere near what was promised, and the first of
     such effects that would have been the best, had it kept its promise."""
     noise = step.readings + _UNUSUAL * math.sqrt(2.0 * step.readings)
-    by_cost = sorted((r for r in found if r.possible), key=lambda r: r.cost)
+    # One of the wrong sign, too: that is a wrong valley's usual mark.
+    by_cost = sorted(found, key=lambda r: r.cost)
     promised = sorted(found, key=lambda r: r.screened.chi2)
 
     def slips(r: Refit) -> bool:
@@ -118,7 +119,29 @@ def _staged(step: Step, experiment: Experiment, found: list[Refit]) -> list[Refi
                 new = r._replace(model=model, descent=descent, possible=possible)
                 found = [new if x.label == r.label else x for x in found]
                 r = new
+        if not r.possible or slips(r):
+            found = [_afresh(step, experiment, r) if x.label == r.label else x for x in found]
     return found
+
+
+def _afresh(step: Step, experiment: Experiment, r: Refit) -> Refit:
+    """The same candidate from where a fit by name begins, which knows nothing of any screen; or as
+    it was, if that is better. One start after the other: that program is compiled already."""
+    effects, wild = (*step.effects, silent(r.effect)), [x.wild for x in step.near.fitted]
+    alone = Model(step.fit.model.mechanism, (r.effect,))
+    numbers, memory = begin_afresh(experiment, effects, wild)
+    for i, row in enumerate(numbers):
+        own = None if memory is None else memory[i : i + 1]
+        try:
+            model, descent = refit(experiment, effects, row[None], None, wild, memory=own)
+        except FitError:
+            continue
+        if descent.cost < r.cost:
+            possible = _possible(step, model, descent, alone)
+            r = r._replace(model=model, descent=descent, start=row, possible=possible)
+        if r.cost < _NOISE * step.readings:
+            break
+    return r
 
 
 def _from_stretches(step: Step, experiment: Experiment, r: Refit):

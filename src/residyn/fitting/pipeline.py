@@ -115,9 +115,11 @@ def refit(
     wild: Sequence[np.ndarray],
     hopeless: Callable[[float], bool] = lambda cost: False,
     staged: bool = False,
+    memory: np.ndarray | None = None,
 ) -> tuple[Model, Descent]:
     """Descend from numbers (S, P) and initial states (S, R, s) that are near already, unless that
     is `hopeless` at some cost; `staged`, or without states, the first cycles are fitted first.
+    Without states, internal ones begin at `memory` (S, R, m).
 
     Call it in float64. **Raises:** `FitError` if nothing finite comes of them.
     """
@@ -129,11 +131,22 @@ def refit(
         numbers,
         list(wild),
         lambda words: None,
+        memory,
         near=states,
         hopeless=hopeless,
         staged=staged,
     )
     return here.model.with_vector(descent.problem.numbers(descent.unknowns)), descent
+
+
+def begin_afresh(
+    experiment: Experiment,
+    effects: Sequence[str | AbstractEffect],
+    wild: Sequence[np.ndarray],
+    starts: int = DEFAULT_STARTS,
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Where a fit by name begins: `beginning` of a model that nothing is known of yet."""
+    return beginning(ready(experiment, experiment.fit_recordings, effects), wild, starts)
 
 
 def finish(
