@@ -23,8 +23,10 @@ from residyn.diagnosis.missing_torque import missing_torque
 from residyn.diagnosis.next_experiment import advise
 from residyn.diagnosis.path import Path as Way
 from residyn.diagnosis.path import variants
-from residyn.diagnosis.rung import stand
+from residyn.diagnosis.rung import Refit, stand
 from residyn.diagnosis.screen import left_over, pair, screen
+from residyn.diagnosis.valleys import out_of_valleys
+from residyn.fitting.pipeline import refit
 from residyn.recording import ArmTable, Bearing, InertiaTable
 from tests import rig
 
@@ -249,6 +251,32 @@ def test_a_spring_that_is_lost_on_the_way_is_named(label, values):
     assert found.added == (label,)
     value = found.fit.to_dict()["parameters"][f"{label}.{list(values)[1]}"]
     assert abs(value["value"] - values[list(values)[1]]) < 4 * value["std"]
+
+
+def test_a_fit_out_of_step_begins_again():
+    """A slipping brake whose fit was left with a spring that is 40 % too soft: no small step leads
+    out of there. From where a fit by name begins, it ends at the noise."""
+    made = experiment(
+        "brake_slip:elbow", {"stiffness": ARM.stiffness[1], "angle": 0.03}, noise=2e-3
+    )
+    base, effect = residyn.fit(made, starts=1), residyn.BrakeSlip("elbow")
+    with jax.enable_x64(True):
+        step = stand(base, ())
+        model = residyn.Model(base.model.mechanism, (*base.model.effects, effect))
+        shoulder, _, *damping = (n.value for n in base.numbers)
+        bad = np.array([[shoulder, 0.6 * ARM.stiffness[1], *damping, 0.6 * ARM.stiffness[1], 0.3]])
+        assert [n.meaning.field for n in model.fitted][-2:] == ["stiffness", "angle"]
+        (r,) = step.near.fitted
+        states = np.append(r.state, 0.0)[None, None]
+        lost, descent = refit(made, (effect,), bad, states, [r.wild])
+        noise = step.readings
+        left = SimpleNamespace(chi2=noise, states=states[0])
+        was = Refit(effect, left, lost, descent, bad[0], True)
+        (now,) = out_of_valleys(step, made, [was])
+    assert was.cost > 3 * noise
+    assert now.cost < 1.1 * noise
+    found = dict(zip([n.name for n in now.model.fitted], now.model.vector(), strict=True))
+    assert found["brake_slip:elbow.angle"] == pytest.approx(0.03, rel=0.1)
 
 
 @pytest.mark.parametrize("stiffness", [1e-4, 8.0])

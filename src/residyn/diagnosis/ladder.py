@@ -19,10 +19,11 @@ from ..fitting.pipeline import finish, refit
 from ..fitting.result import Fit, FitError
 from ..recording import Experiment
 from .horizon import HeldOut
+from .joined import silent
 from .linear import steadied
 from .missing_torque import MissingTorque
 from .path import Path
-from .refits import refits, silent
+from .refits import refits
 from .rung import Refit, Step, cost_of, stand, worth
 from .screen import glance, pair, screen, sharpened
 from .words import SURE

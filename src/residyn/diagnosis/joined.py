@@ -1,0 +1,49 @@
+"""A candidate joined to a model: what it begins from, and whether what came of it could be."""
+
+import numpy as np
+
+from ..effects import AbstractEffect
+from ..fitting.descent import Descent
+from ..model import Model
+from .path import resonant
+from .rung import Step, errors_of
+from .screen import Screened
+
+_WEAK = 0.3  # of a typical or fitted number, in place of one that physics does not allow
+_IMPOSSIBLE = 3.0  # standard errors on the wrong side of zero
+_CYCLES = 2.0  # of an oscillation in the longest recording: fewer could be any slow torque
+
+
+def silent(effect: AbstractEffect) -> AbstractEffect:
+    """The same effect as a fit takes it: at its default values."""
+    return type(effect)(effect.place) if effect.place else type(effect)()  # pyright: ignore
+
+
+def joined(step: Step, screened: Screened) -> np.ndarray:
+    """All numbers of a model with a screened effect; what physics keeps positive stays so."""
+    own = np.asarray(Model(step.fit.model.mechanism, (screened.effect,)).vector())
+    numbers, now = screened.numbers.copy(), np.asarray(step.fit.model.vector())
+    for i, n in enumerate(step.fit.model.fitted):
+        if n.meaning.sign == "positive" and numbers[i] <= 0.0 < now[i]:
+            numbers[i] = _WEAK * now[i]
+    return np.concatenate([numbers, own])
+
+
+def possible(step: Step, model: Model, descent: Descent, alone: Model) -> bool:
+    """Whether no number of the effect is on the wrong side of zero, for sure, and no oscillation is
+    but a correction of a mode, or too slow to be seen as one."""
+    values, spread = np.asarray(model.vector()), errors_of(descent, 1.0)
+    first = len(values) - len(alone.fitted)
+    modes = [m.frequency_hz for m in step.fit.modes]
+    longest = max(r.recording.duration for r in step.near.fitted)
+    for i, n in enumerate(alone.fitted):
+        oscillates = n.meaning.field == alone.effects[n.effect].oscillates
+        if oscillates:
+            frequency = abs(values[first + i])
+            if frequency * longest < _CYCLES or resonant(frequency, modes, longest):
+                return False
+        if n.meaning.sign == "positive" and n.meaning.silent is not None:
+            value, std = values[first + i], spread[first + i]
+            if value < 0 and (not np.isfinite(std) or value < -_IMPOSSIBLE * std):
+                return False
+    return True

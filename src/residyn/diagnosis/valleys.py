@@ -1,0 +1,132 @@
+"""Out of wrong valleys: fits that begin again where no phase can slip.
+
+Joints that stick or rattle make chi-square a landscape of many valleys: a few cycles out of step, a
+model improves by no small change. Stretches of a few cycles cannot be out of step; nor can the
+first cycles, if later ones join only when those fit.
+"""
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+
+from .._stretches import in_stretches
+from ..fitting.pipeline import begin_afresh, refit
+from ..fitting.result import FitError
+from ..model import Model
+from ..recording import Experiment
+from .joined import possible, silent
+from .rung import Refit, Step
+
+PROMISED = 1.5
+"""Times the screened chi-square: a fit that ends worse starts again."""
+ENOUGH = 1.1
+"""Times the noise: as good as it gets."""
+_FAR = 10.0  # times what the screen promised
+_VALLEYS = 2  # candidates that are fitted stage by stage
+_UNUSUAL = 2.0  # standard deviations of chi-square
+_STRETCH = 2.0  # cycles of the slowest mode in a stretch, at least
+_JOINED = 3  # stretches make one of the next longer ones
+
+
+def out_of_valleys(step: Step, experiment: Experiment, found: list[Refit]) -> list[Refit]:
+    """Refits, some of which began again.
+
+    Where the best fits of effects that stick or rattle end above the noise, they start from what
+    stretches of a few cycles say, from where the screen began and the fit ended with the first
+    cycles fitted first, and from where a fit by name begins. So does whatever the screen puts
+    first, if its fit is nowhere near what was promised, and the first of such effects that would
+    have been the best, had it kept its promise.
+    """
+    noise = step.readings + _UNUSUAL * math.sqrt(2.0 * step.readings)
+    # One of the wrong sign, too: that is a wrong valley's usual mark.
+    by_cost = sorted(found, key=lambda r: r.cost)
+    promised = sorted(found, key=lambda r: r.screened.chi2)
+
+    def slips(r: Refit) -> bool:
+        return (r.effect.dry or r.effect.rough) and r.cost > noise
+
+    def broke(r: Refit, times: float) -> bool:
+        return r.cost > times * max(r.screened.chi2, noise)
+
+    again = [r for r in promised[:1] if broke(r, _FAR)]
+    rivals = [r for r in promised if slips(r) and broke(r, PROMISED)]
+    again += [r for r in rivals if by_cost and r.screened.chi2 < by_cost[0].cost][:1]
+    again += [r for r in by_cost[:_VALLEYS] if slips(r)]
+    wild = [r.wild for r in step.near.fitted]
+    for r in {r.label: r for r in again}.values():
+        alone = Model(step.fit.model.mechanism, (r.effect,))
+        ended = np.asarray(r.model.vector()), r.descent.problem.states(r.descent.unknowns)
+        begins = [(r.start, r.screened.states), ended]
+        for numbers, states in [*_from_stretches(step, experiment, r), *begins]:
+            try:
+                model, descent = refit(
+                    experiment,
+                    (*step.effects, silent(r.effect)),
+                    np.asarray(numbers)[None],
+                    np.asarray(states)[None],
+                    wild,
+                    staged=True,
+                )
+            except FitError:
+                continue
+            if descent.cost < r.cost:
+                could = possible(step, model, descent, alone)
+                new = r._replace(model=model, descent=descent, possible=could)
+                found = [new if x.label == r.label else x for x in found]
+                r = new
+        if not r.possible or slips(r):
+            found = [_afresh(step, experiment, r) if x.label == r.label else x for x in found]
+    return found
+
+
+def _afresh(step: Step, experiment: Experiment, r: Refit) -> Refit:
+    """The same candidate from where a fit by name begins, which knows nothing of any screen; or as
+    it was, if that is better. One start after the other: that program is compiled already."""
+    effects, wild = (*step.effects, silent(r.effect)), [x.wild for x in step.near.fitted]
+    alone = Model(step.fit.model.mechanism, (r.effect,))
+    numbers, memory = begin_afresh(experiment, effects, wild)
+    for i, row in enumerate(numbers):
+        own = None if memory is None else memory[i : i + 1]
+        try:
+            model, descent = refit(experiment, effects, row[None], None, wild, memory=own)
+        except FitError:
+            continue
+        if descent.cost < r.cost:
+            could = possible(step, model, descent, alone)
+            r = r._replace(model=model, descent=descent, start=row, possible=could)
+        if r.cost < ENOUGH * step.readings:
+            break
+    return r
+
+
+def _from_stretches(step: Step, experiment: Experiment, r: Refit):
+    """Where fits of ever longer stretches of the recordings end, each stretch begun afresh:
+    (numbers, states), or nothing.
+
+    A few cycles cannot slip, and all of them together know the numbers nearly as well as the whole
+    does; from there the next longer ones cannot slip either.
+    """
+    wholes = [x for x in experiment.recordings if x.role == "fit"]
+    if not step.fit.modes:
+        return []
+    cycles = max(x.duration for x in wholes) * step.fit.modes[0].frequency_hz
+    level = int(math.log(max(1.0, cycles / _STRETCH), _JOINED))
+    effects = (*step.effects, silent(r.effect))
+    numbers, states = np.asarray(r.start)[None], None
+    for many in [_JOINED**i for i in range(level, 0, -1)]:
+        parts = [in_stretches(x, x.duration / many) for x in wholes]
+        wild = []
+        for each, whole in zip(parts, step.near.fitted, strict=True):
+            edges = np.cumsum([len(p.time) for p in each])[:-1]
+            wild += np.split(whole.wild, edges)
+        cut = dataclasses.replace(experiment, recordings=tuple(itertools.chain(*parts)))
+        try:
+            model, descent = refit(cut, effects, numbers, states, wild)
+        except FitError:
+            return []
+        numbers = np.asarray(model.vector())[None]
+        # Every third stretch begins where a longer one does.
+        states = np.asarray(descent.problem.states(descent.unknowns))[None, ::_JOINED]
+    return [] if states is None else [(numbers[0], states[0])]
