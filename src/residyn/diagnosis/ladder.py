@@ -26,6 +26,7 @@ from .path import Path
 from .refits import refits
 from .rung import Refit, Step, cost_of, stand, worth
 from .screen import glance, pair, screen, sharpened
+from .valleys import afresh, near_noise
 from .words import SURE
 
 _REFITS = 6  # candidates that are fitted
@@ -40,6 +41,7 @@ _HELD = 0.05  # and where nothing was fitted
 _TOGETHER = 0.5  # what two effects leave over the noise, screened, over the best one's
 _PROMISES = 0.2  # share of the error over the noise that must go for an effect to wait for another
 _WORSE = 0.02  # share by which the held-out error may grow where what is left is white
+_NEARLY_ALL = 0.01  # of what was over the noise, left
 _PAUSES = 50  # of a motion without a mode: a rest that long is one
 _STRETCHES = 24  # least number of stretches of all recordings
 _NEAR = 2.0  # times the noise: a fit as good as this knows the motion
@@ -70,7 +72,8 @@ def search(
     # Near the noise the fit's own motion is the better one to look from: it has no noise in it; but
     # not that of an arm without springs, which has found some other way to be near.
     first, near = step.tried is None, steadied(step.near)
-    led = step.cost > _NEAR * step.readings or near is not step.near
+    led = step.cost > _NEAR * step.readings or (near is not step.near and not step.effects)
+    near = near if led else step.near
     paths = [
         Path.of(m, int(near.problem.steps), period, None if led else r.predicted)
         for m, r in zip(missing, step.near.fitted, strict=True)
@@ -140,15 +143,11 @@ def accepted(step: Step, chosen: Refit, experiment: Experiment, stands: Step) ->
     drop = (before - chosen.cost) / max(1.0, chosen.cost / step.readings)
     if drop < worth(chosen.effect, step):
         return None
-    began = time.perf_counter()
-    fit = finish(
-        experiment,
-        chosen.model,
-        chosen.start,
-        chosen.descent,
-        began,
-    )
-    new = stand(fit, (*step.effects, silent(chosen.effect)), step.tried)
+    new = _with(step, chosen, experiment)
+    if new.white < SURE and near_noise(step, chosen):
+        better = afresh(step, experiment, chosen)
+        if better is not chosen:
+            chosen, new = better, _with(step, better, experiment)
     # Where only noise is left, chi-square can be believed; else the gain must be steady.
     if new.white < SURE and not steady(step, chosen):
         return None
@@ -158,6 +157,13 @@ def accepted(step: Step, chosen: Refit, experiment: Experiment, stands: Step) ->
     left, had = (over_noise(cost, step) for cost in (cost_of(new.fit), before))
     promises = new.held_out is not None and left < (1.0 - _PROMISES) ** 2 * had
     return Accepted(new, False) if stands is step and promises else None
+
+
+def _with(step: Step, chosen: Refit, experiment: Experiment) -> Step:
+    """The step with one of its candidates in the model."""
+    began = time.perf_counter()
+    fit = finish(experiment, chosen.model, chosen.start, chosen.descent, began)
+    return stand(fit, (*step.effects, silent(chosen.effect)), step.tried)
 
 
 def over_noise(chi2: float, step: Step) -> float:
@@ -181,9 +187,7 @@ def with_another(step: Step, experiment: Experiment) -> Accepted | None:
         chosen = next(iter(refits(step, experiment, [screened])), None)
     if chosen is None or not chosen.possible or chosen.cost > step.cost:
         return None
-    began = time.perf_counter()
-    fit = finish(experiment, chosen.model, chosen.start, chosen.descent, began)
-    return Accepted(stand(fit, (*step.effects, silent(chosen.effect)), step.tried), False)
+    return Accepted(_with(step, chosen, experiment), False)
 
 
 def needless(step: Step, experiment: Experiment, first: int) -> Step:
@@ -257,6 +261,8 @@ def matters(old: Step, new: Step) -> bool:
     held = ratio[1] / ratio[0] if known else 1.0  # pyright: ignore
     if new.white >= SURE:
         return held < 1.0 + _WORSE
+    if not known and over_noise(cost_of(new.fit), new) < _NEARLY_ALL * over_noise(old.cost, old):
+        return True  # what it is about is too plain to be doubted for a prediction that none made
     return fitted < 1.0 - _MATTERS and known and held < 1.0 - _HELD
 
 

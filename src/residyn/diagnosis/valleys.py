@@ -39,7 +39,7 @@ def out_of_valleys(step: Step, experiment: Experiment, found: list[Refit]) -> li
     first, if its fit is nowhere near what was promised, and the first of such effects that would
     have been the best, had it kept its promise.
     """
-    noise = step.readings + _UNUSUAL * math.sqrt(2.0 * step.readings)
+    noise = _usual(step)
     # One of the wrong sign, too: that is a wrong valley's usual mark.
     by_cost = sorted(found, key=lambda r: r.cost)
     promised = sorted(found, key=lambda r: r.screened.chi2)
@@ -77,11 +77,22 @@ def out_of_valleys(step: Step, experiment: Experiment, found: list[Refit]) -> li
                 found = [new if x.label == r.label else x for x in found]
                 r = new
         if not r.possible or slips(r):
-            found = [_afresh(step, experiment, r) if x.label == r.label else x for x in found]
+            found = [afresh(step, experiment, r) if x.label == r.label else x for x in found]
     return found
 
 
-def _afresh(step: Step, experiment: Experiment, r: Refit) -> Refit:
+def near_noise(step: Step, r: Refit) -> bool:
+    """Whether a law that sticks or rattles came so near the noise that it was not tried again,
+    though a valley beside the right one is as near."""
+    return (r.effect.dry or r.effect.rough) and r.cost <= _usual(step)
+
+
+def _usual(step: Step) -> float:
+    """Chi-square that noise does not often exceed."""
+    return step.readings + _UNUSUAL * math.sqrt(2.0 * step.readings)
+
+
+def afresh(step: Step, experiment: Experiment, r: Refit) -> Refit:
     """The same candidate from where a fit by name begins, which knows nothing of any screen; or as
     it was, if that is better. One start after the other: that program is compiled already."""
     effects, wild = (*step.effects, silent(r.effect)), [x.wild for x in step.near.fitted]
@@ -96,8 +107,6 @@ def _afresh(step: Step, experiment: Experiment, r: Refit) -> Refit:
         if descent.cost < r.cost:
             could = possible(step, model, descent, alone)
             r = r._replace(model=model, descent=descent, start=row, possible=could)
-        if r.cost < ENOUGH * step.readings:
-            break
     return r
 
 
