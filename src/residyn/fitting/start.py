@@ -83,8 +83,10 @@ def closed_form(
         missing = solved(beginnings)[2]
         beginnings = tuned(models[0], beginnings, missing, np.asarray(spacing), fits)
     numbers, spread, _ = solved(beginnings)
-    # Without and with a constant torque, (K, 2, B): taken as further beginnings.
-    kinds = slice(None, None, -1) if any(_rests_elsewhere(g.q) for g in grids) else slice(1)
+    # Without and with a constant torque, (K, 2, B): taken as further beginnings, unless there are
+    # several already, which tell more.
+    elsewhere = len(beginnings.numbers) == 1 and any(_rests_elsewhere(g.q) for g in grids)
+    kinds = slice(None, None, -1) if elsewhere else slice(1)
     numbers, spread = numbers[:, kinds], spread[:, kinds]
     memory = np.tile(beginnings.memory, (numbers.shape[1], 1, 1))
     numbers = numbers.reshape(_LADDER, -1, numbers.shape[-1])
