@@ -535,10 +535,13 @@ def test_two_hidden_effects_are_found_together():
             in ("coulomb_friction", "cubic_stiffness", "quadratic_drag", "constant_torque")
         ]
         _, found, kept = screen(near, [way], some)
-        one, other, left = pair(near, kept)
+        labels = {s.effect.label for s in found}
+        one, other, left = pair(near, kept, labels)
+        less = pair(near, kept, labels - {other})
     assert (one, other) == ("cubic_stiffness:shoulder", "coulomb_friction:elbow")
     assert left < 1.5 * made.q.size
     assert left < 0.7 * found[0].chi2
+    assert other not in less[:2]  # who is no candidate any more is not found
 
 
 def ladder(monkeypatch, plan):

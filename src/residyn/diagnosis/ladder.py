@@ -177,7 +177,7 @@ def with_another(step: Step, experiment: Experiment) -> Accepted | None:
     together do: a driven joint without a spring drifts away as long as any constant is missing."""
     if step.seen is None or step.white >= SURE or not step.screened:
         return None
-    found = pair(step.near, step.seen)
+    found = pair(step.near, step.seen, {s.effect.label for s in step.screened})
     best = over_noise(step.screened[0].chi2, step)
     if found is None or over_noise(found[2], step) > _TOGETHER * best:
         return None

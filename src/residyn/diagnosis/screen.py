@@ -11,7 +11,7 @@ phase slip.
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -176,15 +176,15 @@ def glance(near: Near, slopes: Sequence[np.ndarray], kept: Tried) -> dict[str, f
     return found
 
 
-def pair(near: Near, kept: Tried) -> tuple[str, str, float] | None:
-    """Two effects that explain most together, the one of the larger torque first, and chi-square
-    with both; None if there are no two."""
+def pair(near: Near, kept: Tried, among: Collection[str]) -> tuple[str, str, float] | None:
+    """Two effects, with labels `among` these, that explain most together, the one of the larger
+    torque first, and chi-square with both; None if there are no two."""
     solver = Solver.of(near, kept.answers)
     best: dict[str, list[tuple[float, Variant, range]]] = {}
     for variant, first, last in zip(kept.variants, kept.bounds, kept.bounds[1:], strict=False):
         which = range(first, last)
         drop = _factors(solver, variant, which)[1]
-        if np.isfinite(drop):
+        if np.isfinite(drop) and variant.effect.label in among:
             best.setdefault(variant.effect.label, []).append((drop, variant, which))
     some = {k: sorted(v, key=lambda x: -x[0])[:_SHAPES_OF_TWO] for k, v in best.items()}
     found = None
