@@ -84,7 +84,7 @@ def turn(seed: int) -> tuple[dict[str, float], dict[str, float]]:
             off[f"residyn fit, {words}"] = _off(values)
         rng = np.random.default_rng([seed, 12])
         start = TRUTH * np.where(rng.random(4) < 0.5, 0.6, 1.4)
-        given = [ARM.theta2, ARM.shoulder, ARM.elbow, ARM.coupling, *start]
+        given = [ARM.theta2, ARM.shoulder, ARM.elbow, ARM.l1 * ARM.coupling, *start]
         for i, words in enumerate(("first", "second, another length")):
             csv = files[i].with_suffix(".csv")
             command = [sys.executable, str(SCRIPT), str(csv), *(str(float(x)) for x in given)]

@@ -35,7 +35,7 @@ def set_up(*, cache: bool | str | Path = True) -> None:
     folder = cache_folder() if cache is True else None if cache is False else Path(cache)
     if folder is not None:
         jax.config.update("jax_compilation_cache_dir", str(folder))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
