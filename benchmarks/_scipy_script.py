@@ -3,7 +3,7 @@
     python benchmarks/_scipy_script.py release.csv theta2 I1+m2*l1^2 I2 m2*l1*rho2 k1 k2 c1 c2
 
 SciPy's `least_squares` on `solve_ivp` with DOP853, from given start values: the fastest combination
-of `_rivals_scipy`. Nothing of residyn is imported.
+of `_rivals_scipy`. It stands alone, Eq. 1 included: what it imports is timed with it.
 """
 
 import math

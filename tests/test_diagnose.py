@@ -16,7 +16,15 @@ import residyn
 from residyn.diagnosis import chances as weighing
 from residyn.diagnosis import climb as climbing
 from residyn.diagnosis.curves import candidates as candidates_for
-from residyn.diagnosis.ladder import Accepted, needless, over_noise, ranked, search
+from residyn.diagnosis.ladder import (
+    Accepted,
+    _loud,
+    matters,
+    needless,
+    over_noise,
+    ranked,
+    search,
+)
 from residyn.diagnosis.linear import Near, steadied
 from residyn.diagnosis.missing import missing_of
 from residyn.diagnosis.missing_torque import missing_torque
@@ -154,6 +162,8 @@ def screened(label, values, **how):
         ("cubic_stiffness:shoulder", {"coefficient": 40.0}, "coefficient"),
         ("quadratic_drag:elbow", {"coefficient": 0.15}, "coefficient"),
         ("hysteresis:shoulder", {"torque": 0.2, "angle": 0.05}, "level"),
+        # The same as the other joint's being early, which no sensor is.
+        ("sensor_delay:elbow", {"delay": 0.02}, "delay"),
     ],
 )
 def test_the_screen_finds_the_effect_and_its_strength(label, values, field):
@@ -163,6 +173,9 @@ def test_the_screen_finds_the_effect_and_its_strength(label, values, field):
     assert float(getattr(found[0].effect, field)) == pytest.approx(true, rel=0.15)
     readings = near.fitted[0].used.sum()
     assert found[0].chi2 < 1.5 * readings < 0.9 * found[-1].chi2
+    late = [float(s.effect.delay) for s in found if s.effect.name == "sensor_delay"]
+    assert len(late) == 2
+    assert min(late) >= 0.0
 
 
 def test_shapes_are_tried_on_a_grid():
@@ -423,6 +436,34 @@ def test_the_ladder_is_climbed_again_without_a_law_with_many_numbers(instead, fi
     steps = climbing.climb(None, base, [], 3, lambda words: None)
     assert [e.name for e in steps[-1].effects] == [first, drift]
     assert len(begun) == 2
+
+
+@pytest.mark.parametrize(("left", "plain"), [(4100.0, True), (8000.0, False)])
+def test_what_is_plain_needs_no_prediction(left, plain):
+    """All but 1 % of what was over the noise is explained; nobody could predict anything."""
+
+    def rung(cost):
+        fitted = SimpleNamespace(
+            used=np.ones(4000, bool),
+            residual=np.full(4000, math.sqrt(cost / 4000)),
+            recording=SimpleNamespace(noise=1.0, role="fit"),
+        )
+        fit = SimpleNamespace(recordings=[fitted])
+        return SimpleNamespace(fit=fit, cost=cost, readings=4000, white=1e-9, held_out=None)
+
+    assert matters(rung(4e5), rung(left)) is plain
+
+
+@pytest.mark.parametrize(("stiffness", "loud"), [(0.1, False), (9.0, True)])
+def test_a_shape_is_no_proof_of_an_effect(stiffness, loud):
+    """A gap known to 1 %, of a spring that may be none."""
+    model = residyn.Model(
+        residyn.ConstantInertia(((1.0,),), ("j",)), (residyn.DeadZone("j", stiffness, 0.5),)
+    )
+    assert [n.meaning.field for n in model.fitted] == ["stiffness", "gap"]
+    numbers = [SimpleNamespace(value=x) for x in (stiffness, 0.5)]
+    fit = SimpleNamespace(model=model, numbers=numbers, covariance=np.diag([1.0, 0.005**2]))
+    assert (_loud(fit, [0, 1]) > 23.0) is loud
 
 
 def weighed(monkeypatch, screened=(), **costs):

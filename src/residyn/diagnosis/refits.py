@@ -13,11 +13,12 @@ from ..recording import Experiment
 from .joined import joined, possible, silent
 from .rung import Refit, Step
 from .screen import Screened
-from .valleys import ENOUGH, PROMISED, out_of_valleys
+from .valleys import PROMISED, out_of_valleys
 
 _HOPELESS = 1.5  # times the best, when it should have settled: not worth the time
 _WEAK = 0.3  # of the screened strength, for the second start
 _AGAIN = 3  # fits that start again
+_ENOUGH = 1.1  # times the noise: as good as it gets
 _FAR = 10.0  # times the noise: no such fit will come down to it
 _THREADS = 2
 
@@ -99,7 +100,7 @@ def _refit(
                 could = possible(step, model, descent, alone)
                 best = Refit(screened.effect, screened, model, descent, numbers, could)
             noise = float(step.readings)
-            enough = ENOUGH * noise
+            enough = _ENOUGH * noise
             if not screened.others or screened.chi2 > _FAR * noise:
                 enough = PROMISED * max(screened.chi2, noise)
             if best.cost < enough and not screened.effect.rough:

@@ -21,8 +21,6 @@ from .rung import Refit, Step
 
 PROMISED = 1.5
 """Times the screened chi-square: a fit that ends worse starts again."""
-ENOUGH = 1.1
-"""Times the noise: as good as it gets."""
 _FAR = 10.0  # times what the screen promised
 _VALLEYS = 2  # candidates that are fitted stage by stage
 _UNUSUAL = 2.0  # standard deviations of chi-square
