@@ -157,14 +157,11 @@ def _solve(models, beginnings: Beginnings, spacing, data):
             models, spacing, data[0], data[1], z0
         )
 
-        def rows(slopes, vector):
-            def row(model, *instant):
-                e = error(vector, model, *instant)
-                return (e, jax.jacfwd(error)(vector, model, *instant)) if slopes else e
+        def rows(of, vector):
+            row = jax.vmap(partial(of, vector), in_axes=(None,) + (0,) * 7)
+            return eqx.filter_vmap(row)(models, t, *data, z)
 
-            return eqx.filter_vmap(jax.vmap(row, in_axes=(None,) + (0,) * 7))(models, t, *data, z)
-
-        e, j = rows(True, vector)
+        e, j = rows(lambda *x: (error(*x), jax.jacfwd(error)(*x)), vector)
         j = jnp.where(shape, 0.0, j)
         square, slope = jnp.einsum("rgnp,rgnk->pk", j, j), jnp.einsum("rgnp,rgn->p", j, e)
         readings = jnp.sum(data[-1]) * e.shape[-1]
@@ -177,7 +174,7 @@ def _solve(models, beginnings: Beginnings, spacing, data):
             # wanted, in its logarithm, and for ranking only.
             scaled = scaled + jnp.diag(jnp.where(seen, 1e-12, 1.0))
             found = vector - jnp.linalg.solve(scaled, jnp.where(seen, slope / size, 0.0)) / size
-            left = rows(False, found)
+            left = rows(error, found)
             volume = jnp.linalg.slogdet(scaled)[1] + 2.0 * jnp.sum(jnp.log(size))
             spread = 0.5 * (
                 jnp.log(jnp.sum(left**2) / readings) - volume / jnp.maximum(1, jnp.sum(seen))
