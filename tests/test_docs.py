@@ -127,5 +127,6 @@ def test_the_site_builds_strict(tmp_path):
     from residyn.effects import CATALOGUE
 
     page = (tmp_path / "effects" / "index.html").read_text()
-    for name in CATALOGUE:
+    own = [n for n, kind in CATALOGUE.items() if kind.__module__.startswith("residyn.")]
+    for name in own:  # another test may have registered its own effect
         assert f'id="{name}"' in page

@@ -32,7 +32,10 @@ def set_up(*, cache: bool | str | Path = True) -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    from .kept import keep_in
+
     folder = cache_folder() if cache is True else None if cache is False else Path(cache)
+    keep_in(None if folder is None else folder / "traced")
     if folder is not None:
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

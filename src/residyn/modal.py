@@ -6,10 +6,12 @@ frequency, which damping does not move; the peak that one reads off a record lie
 sqrt(1 - zeta^2), which is 0.5 % at zeta = 0.1.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from .model import Model
@@ -19,8 +21,8 @@ from .motion import Motion, split, stack
 class Modes(NamedTuple):
     """n modes, lowest first. A mode that does not ring has `damping_ratio` 1."""
 
-    frequency_hz: Float[Array, " n"]
-    damping_ratio: Float[Array, " n"]
+    frequency_hz: Float[Array | np.ndarray, " n"]
+    damping_ratio: Float[Array | np.ndarray, " n"]
 
 
 def equilibrium(model: Model) -> Float[Array, " n"]:
@@ -60,14 +62,19 @@ def modes(model: Model) -> Modes:
     return modes_of(jnp.linalg.eigvals(state_matrix(model)))
 
 
-def modes_of(values: Complex[Array, " 2n"]) -> Modes:
+def modes_of(values: Complex[Array | np.ndarray, " 2n"]) -> Modes:
     """Modes from the eigenvalues of a state matrix."""
-    size = jnp.abs(values)
+    # NumPy where nothing is traced: JAX would compile each of these operations by itself.
+    concrete = isinstance(values, np.ndarray)
+    here = np if concrete else jnp
+    sort = partial(np.argsort, kind="stable") if concrete else jnp.argsort
+    size = here.abs(values)
     # One of each conjugate pair: the upper half plane first, real values by size after it.
-    keep = jnp.argsort(-jnp.sign(values.imag) - 1e-9 * size / jnp.max(size))[: len(values) // 2]
-    keep = keep[jnp.argsort(size[keep])]
-    safe = jnp.where(size > 0, size, 1.0)
-    return Modes((size / (2 * jnp.pi))[keep], (-values.real / safe)[keep])
+    order = -here.sign(here.imag(values)) - 1e-9 * size / here.max(size)
+    keep = sort(order)[: len(values) // 2]
+    keep = keep[sort(size[keep])]
+    safe = here.where(size > 0, size, 1.0)
+    return Modes((size / (2 * np.pi))[keep], (-here.real(values) / safe)[keep])
 
 
 def _at_rest(q, v, z) -> Motion:

@@ -27,16 +27,25 @@ class Trajectory(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """The motion at the ends of the steps: `start` s, `h` s, and arrays whose first `steps` + 1
-    rows count; `z` are internal states."""
+    """The motion at the ends of the steps: `start` s, `h` s, and `ends`, whose first `steps` + 1
+    rows count: angles, h times rates, h^2 times accelerations. All that a step begins with lies in
+    one row, so that a reading costs one look-up for its beginning and one for its end."""
 
     start: Float[Array, ""]
     h: Float[Array, ""]
     steps: Int[Array, ""] | int
-    q: Float[Array, "M n"]
-    v: Float[Array, "M n"]
-    a: Float[Array, "M n"]
-    z: Float[Array, "M m"]
+    ends: Float[Array, "M 3n"]
+
+    @property
+    def q(self) -> Float[Array, "M n"]:
+        """Angles, rad or m."""
+        return self.ends[:, : self.ends.shape[1] // 3]
+
+    @property
+    def v(self) -> Float[Array, "M n"]:
+        """Rates, rad/s or m/s."""
+        n = self.ends.shape[1] // 3
+        return self.ends[:, n : 2 * n] / self.h
 
 
 def read(model: Model, nodes: Nodes, times: Float[Array, " N"]) -> Trajectory:
@@ -78,10 +87,8 @@ def _row(nodes: Nodes, place: Float[Array, " N"]) -> Int[Array, " N"]:
 
 def _curve(nodes: Nodes, row: Int[Array, " N"]) -> list[Float[Array, "N n"]]:
     """Coefficients of some steps' quintics in s, which runs from 0 to 1 along a step."""
-    h, n = nodes.h, nodes.q.shape[1]
-    # All that a step begins with lies in one row: one look-up for its beginning, one for its end.
-    ends = jnp.concatenate([nodes.q, h * nodes.v, h**2 * nodes.a], axis=1)
-    at = [ends.at[i].get(mode="promise_in_bounds") for i in (row, row + 1)]
+    n = nodes.ends.shape[1] // 3
+    at = [nodes.ends.at[i].get(mode="promise_in_bounds") for i in (row, row + 1)]
     (q0, q1), (v0, v1), (a0, a1) = zip(*(jnp.split(x, (n, 2 * n), axis=1) for x in at), strict=True)
     # Taylor at the left end, and three higher powers matched to the right end.
     rest, slope, bend = q1 - q0 - v0 - a0 / 2, v1 - v0 - a0, a1 - a0

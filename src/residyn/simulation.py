@@ -17,13 +17,13 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from .equation import Args, Drive, Piecewise, rates
+from .kept import kept
 from .modal import state_matrix
 from .model import Model
 from .motion import Joints, Scalar, split, stack
@@ -113,6 +113,9 @@ def march(
     def during(index) -> Args:
         return Args(model, None if drive is None else drive.during(index))
 
+    def row(y: State, a: Joints):
+        return jnp.stack([*y.q, *(h * x for x in y.v), *(h**2 * x for x in a)])
+
     if adjoint is None:
 
         def advance(index, y):
@@ -122,31 +125,23 @@ def march(
 
             def body(y, index):
                 end, a = advance(index, y)
-                return end, (*y, a)
+                return end, row(y, a)
 
-            last, path = jax.lax.scan(body, y, jnp.arange(steps))
-            path = jax.tree.map(lambda x: jnp.append(x, 0.0), path)
-            end, rows = steps, steps + 1
-        else:
-            end, rows = steps if only is None else only, room + 1
+            last, ends = jax.lax.scan(body, y, jnp.arange(steps))
+            rest = _acceleration_at(during(steps - 1), stop, last)
+            return Nodes(start, h, steps, jnp.concatenate([ends, row(last, rest)[None]]))
 
-            def fill(index, carry):
-                y, path = carry
-                end, a = advance(index, y)
-                put = jax.tree.map(
-                    lambda row, x: jax.lax.dynamic_update_index_in_dim(row, x, index, 0),
-                    path,
-                    (*y, a),
-                )
-                return end, put
+        stop_at = steps if only is None else only
 
-            empty = jax.tree.map(lambda _: jnp.zeros(rows), (*y, y.q))
-            last, path = jax.lax.fori_loop(0, end, fill, (y, empty))
-        rest = _acceleration_at(during(end - 1), start + end * h, last)
-        q, v, z, a = jax.tree.map(lambda row, x: row.at[end].set(x), path, (*last, rest))
-        empty = jnp.zeros((rows, 0))
-        q, v, a, z = (jnp.stack(x, axis=1) if x else empty for x in (q, v, a, z))
-        return Nodes(start, h, steps, q, v, a, z)
+        def fill(index, carry):
+            y, ends = carry
+            end, a = advance(index, y)
+            return end, jax.lax.dynamic_update_index_in_dim(ends, row(y, a), index, 0)
+
+        empty = jnp.zeros((room + 1, 3 * len(y.q)))
+        last, ends = jax.lax.fori_loop(0, stop_at, fill, (y, empty))
+        rest = _acceleration_at(during(stop_at - 1), start + stop_at * h, last)
+        return Nodes(start, h, steps, ends.at[stop_at].set(row(last, rest)))
     assert isinstance(steps, int), "diffrax compiles the number of steps in"
     args = during(0)
     nodes = start + h * jnp.arange(steps + 1)
@@ -165,9 +160,12 @@ def march(
         throw=False,
     )
     assert solution.ys is not None
-    q, v, z = solution.ys
-    a = jax.vmap(lambda t, *y: stack(_acceleration_at(args, t, _tuples(y))))(nodes, q, v, z)
-    return Nodes(start, h, steps, q, v, a, z)
+
+    def told(t, *arrays):
+        here = _tuples(arrays)
+        return row(here, _acceleration_at(args, t, here))
+
+    return Nodes(start, h, steps, jax.vmap(told)(nodes, *solution.ys))
 
 
 def _vector_field(t, y, args: Args):
@@ -186,11 +184,21 @@ def _acceleration_at(args: Args, t, y: State) -> Joints:
 
 def fastest(model: Model) -> float:
     """Largest angular frequency of the linearised model, rad/s (concrete numbers only)."""
-    matrix = np.asarray(compiled_state_matrix(model))
+    matrix = compiled_state_matrix(model)
     return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else np.inf
 
 
-compiled_state_matrix = eqx.filter_jit(state_matrix)
+def compiled_state_matrix(model: Model) -> np.ndarray:
+    """`state_matrix` (s, s) of concrete numbers, by the program that a fit needs anyway."""
+    vector = np.asarray(model.vector())
+    return np.asarray(state_matrices(model, np.tile(vector, (2 * len(vector) + 1, 1))))[0]
+
+
+@kept(like=0)
+def state_matrices(model: Model, numbers: Float[Array, "K P"]) -> Float[Array, "K s s"]:
+    """`state_matrix` with each row of numbers. Compiled for each K: 2 P + 1 serves for a central
+    difference in all numbers."""
+    return jax.vmap(lambda x: state_matrix(model.with_vector(x)))(numbers)
 
 
 def steps_for(model: Model, duration: float, frequency: float | None = None) -> int:

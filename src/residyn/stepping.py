@@ -90,7 +90,7 @@ def _tsit5(rates, h, y: State):
     rows, nodes = jnp.asarray(_TABLE), jnp.asarray(_NODES)
 
     def at(weights, slopes) -> State:
-        x = split(begin + h * (weights @ slopes))
+        x = split(begin + h * jnp.sum(weights[:, None] * slopes, axis=0))
         return State(x[:n], x[n : 2 * n], x[2 * n :])
 
     def stage(i, slopes):

@@ -13,8 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..equation import Piecewise
-from ..fitting.problem import Problem, Unknowns, over_recordings, predict
+from ..fitting.problem import Problem, Unknowns, over_recordings, predict, tight
 from ..fitting.result import RecordingFit
+from ..kept import kept
 from ..model import Model
 from .linear import Near
 from .path import Path, Variant
@@ -143,7 +144,7 @@ def answers_to(
         some = torques[first : first + _LANES]
         filled = some + [some[-1]] * (_LANES - len(some))
         stacked = np.stack([np.stack(c) for c in filled], axis=1)  # (R, C, 2, M, n)
-        out = jax.device_get(_respond(near.problem, y, drive, jnp.asarray(stacked)))
+        out = jax.device_get(_respond(tight(near.problem), y, drive, jnp.asarray(stacked)))
         blocks.append((out, len(some)))
     return _whitened(near, blocks, columns, np.asarray(y.states))
 
@@ -202,7 +203,7 @@ def _whitened(near: Near, blocks, columns: Sequence[Column], states: np.ndarray)
     return found
 
 
-@eqx.filter_jit
+@kept(like=(0, 0, 0))
 def _respond(problem: Problem, y: Unknowns, drive: Piecewise, torques):
     """Predictions (R, N, n) under a drive, and their slopes in the unknowns and in torques."""
     numbers = problem.scale.numbers.shape[0]

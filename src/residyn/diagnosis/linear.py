@@ -11,15 +11,15 @@ import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..fitting.levenberg import polish
-from ..fitting.problem import Problem, Unknowns, predict
+from ..fitting.problem import Problem, Unknowns, predict, tight
 from ..fitting.result import Fit, RecordingFit
 from ..fitting.setup import Ready, mechanism_of, reweighted
+from ..kept import kept
 from ..modal import equilibrium, state_matrix
 from ..motion import split, stack
 
@@ -75,7 +75,7 @@ class Near(NamedTuple):
         the shared numbers, then its own initial state, in the problem's scales."""
         predicted, slopes = (
             [x[: len(f.recording.time)] for f, x in zip(self.fitted, each, strict=True)]
-            for each in jax.device_get(_look(self.problem, at))
+            for each in jax.device_get(_look(tight(self.problem), at))
         )
         return predicted, slopes
 
@@ -122,7 +122,7 @@ def steadied(near: Near) -> Near:
     return near._replace(fit=fit, problem=problem, at=at)
 
 
-@eqx.filter_jit
+@kept(like=0)
 def _at_work(model):
     """(2, n): how stiff each joint is, whatever makes it so, and how damped, where it rests."""
     n = len(model.mechanism.joints)
@@ -131,7 +131,7 @@ def _at_work(model):
     return jnp.stack([jnp.diagonal(-square @ part) for part in (a[:, :n], a[:, n:])])
 
 
-@eqx.filter_jit
+@kept(like=(0, 0))
 def _look(problem: Problem, y: Unknowns):
     numbers = problem.scale.numbers.shape[0]
 

@@ -17,11 +17,11 @@ torque would make it; where the torque is smooth, the band is therefore too wide
 import math
 from dataclasses import dataclass, replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..kept import kept
 from ..model import Model
 from ..motion import Motion, split, stack
 from ..parameter import all_floating
@@ -155,7 +155,7 @@ def _frequencies(model: Model, time: np.ndarray) -> tuple[float, float]:
     return float(np.clip(np.abs(values).max(), least, most)), float(np.clip(slow, least, most))
 
 
-@eqx.filter_jit
+@kept(like=0)
 def _follow_all(model: Model, data: Data, levels):
     """Log likelihood of following the readings with each of these levels."""
     return jax.vmap(
@@ -163,7 +163,7 @@ def _follow_all(model: Model, data: Data, levels):
     )(levels)
 
 
-@eqx.filter_jit
+@kept(like=(Smoothed(0, 0, 0, 0), 0, 0, 0))  # pyright: ignore[reportArgumentType]
 def _estimate(model: Model, data: Data):
     """Smoothed at the likeliest intensities, those as torques, the likelihood without, and what to
     compare the torque with."""

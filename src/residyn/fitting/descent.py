@@ -68,17 +68,15 @@ def descend(
     frequency = here.frequency(begin)
     problem, states = here.problem(begin, wild, like, frequency=frequency)
     if like is not None:
-        problem = eqx.tree_at(lambda p: p.active, problem, jnp.zeros_like(problem.active))
+        problem = eqx.tree_at(lambda p: p.active, problem, np.zeros_like(problem.active))
     starts = len(numbers)
     first = np.broadcast_to(states, (starts, *states.shape)).copy()
     if memory is not None and memory.size:
         first[..., -memory.shape[-1] :] = memory
-    y = Unknowns(
-        jnp.asarray(numbers) / problem.scale.numbers, jnp.asarray(first) / problem.scale.states
-    )
+    y = Unknowns(numbers / problem.scale.numbers, first / problem.scale.states)
     shares = shares_of(here, frequency) if near is None or staged else [1.0]
     if near is not None:
-        y = y._replace(states=jnp.asarray(near) / problem.scale.states)
+        y = y._replace(states=near / problem.scale.states)
     out = polish(problem, y, shares, hopeless)
     steps, agreeing = out.steps, out.agreeing
     mirrored = _upright(problem, out.unknowns)
@@ -127,7 +125,10 @@ def _upright(problem: Problem, at: Unknowns) -> Unknowns | None:
     if not problem.model.mirrors:
         return None
     states = np.array(problem.states(at))
-    model, n = problem.model.with_vector(problem.numbers(at)), len(problem.model.mechanism.joints)
+    model, n = (
+        problem.model.with_vector(jnp.asarray(problem.numbers(at))),
+        len(problem.model.mechanism.joints),
+    )
     found = model
     for state in states:
         found, memory = model.upright(split(state[2 * n :]))
@@ -155,7 +156,7 @@ def wild_beside(
 
 def _single(y: Unknowns) -> Unknowns:
     """As starts, of which there is but one."""
-    return jax.tree.map(lambda x: jnp.asarray(x)[None], y)
+    return jax.tree.map(lambda x: np.asarray(x)[None], y)
 
 
 def _predictions(squeezed: Compressed, recordings: Sequence[Recording]) -> list[np.ndarray]:

@@ -10,7 +10,6 @@ acts. Each stretch begins with a state of its own.
 
 import dataclasses
 
-import jax.numpy as jnp
 import numpy as np
 
 from .._stretches import in_stretches
@@ -31,7 +30,7 @@ def stretch_of(model: Model, recording: Recording) -> float | None:
     if not driven or recording.whole is not None:
         return None
     values = np.linalg.eigvals(np.asarray(compiled_state_matrix(model)))
-    frequency, damping = (np.asarray(x) for x in modes_of(jnp.asarray(values)))
+    frequency, damping = (np.asarray(x) for x in modes_of(values))
     rings = (frequency * recording.duration > _CYCLES) & (np.abs(damping) < 1 - 1e-9)
     if rings.all():
         return None

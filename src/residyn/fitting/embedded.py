@@ -68,7 +68,7 @@ class Embedded(eqx.Module):
         if len(angles) != len(self.usable):
             raise ValueError(f"{len(angles)} arrays of angles for {len(self.usable)} recordings")
         recorded = self.problem.recorded
-        grid, weights = recorded.angles, recorded.weights
+        grid, weights = jnp.asarray(recorded.angles), jnp.asarray(recorded.weights)
         for i, given in enumerate(angles):
             x = jnp.asarray(given, float)
             if x.shape != self.usable[i].shape:
@@ -117,15 +117,16 @@ class Embedded(eqx.Module):
         """
         y, steps, done = _minimum(self.problem, self.start)
         squeezed = compressed(self.problem, y)
+        numbers = jnp.asarray(self.problem.numbers(y))
         return Solution(
-            numbers=self.problem.numbers(y),
-            states=self.problem.states(y),
+            numbers=numbers,
+            states=jnp.asarray(self.problem.states(y)),
             chi2=_misfit(squeezed),
             covariance=_covariance(self.problem, squeezed),
             converged=done,
             steps=steps,
             predicted=squeezed.predicted,
-            model=self.problem.model.with_vector(self.problem.numbers(y)),
+            model=self.problem.model.with_vector(numbers),
         )
 
     def chi2(
@@ -191,7 +192,7 @@ def embed(fit: Fit) -> Embedded:
     problem, _ = here.problem(fit.model, [r.wild for r in fitted], fixed=True)
     start = problem.scaled(fit.model.vector(), jnp.asarray(np.stack([r.state for r in fitted])))
     return Embedded(
-        problem=problem,
+        problem=jax.tree.map(jnp.asarray, problem),
         start=start,
         usable=[jnp.asarray(~r.wild) for r in fitted],
         noise=[jnp.asarray(r.recording.noise) for r in fitted],

@@ -4,10 +4,11 @@ Ringing makes a cruel cost: off by half a cycle at the end of the record, the fi
 valley. Two things lead out of it. The closed-form start is already close. And each start first
 fits the first few cycles alone, where no phase can slip, then a longer stretch, then everything.
 
-Over the first cycles all starts run abreast under `vmap`: that is cheap, and it is where starts
-differ. Those that end in the same place go on as one, for they would take the same way; those that
-have fallen far behind do not go on. What is left descends one after the other, by the program of a
-single start: none waits for another one, and many starts cost little more than one.
+Over the first cycles every start runs, many of them abreast under `vmap`: that is cheap, and it is
+where starts differ. Those that end in the same place go on as one, for they would take the same
+way; those that have fallen far behind do not go on. What is left descends one after the other, by
+the program of a single start, which is also that of few starts over the first cycles: none waits
+for another one, many starts cost little more than one, and few compile no more than one.
 """
 
 import dataclasses
@@ -22,12 +23,14 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
-from .problem import Compressed, Problem, Unknowns, compressed
+from ..kept import kept
+from .problem import Compressed, Problem, Unknowns, compressed, read_of
 
 STEPS = 20  # of one call: between calls, the hopeless can be left
 _CALLS = 4
 _ABREAST = 10  # the same for starts abreast, where all wait for the last one
 _LANES = 16  # starts abreast: more gain nothing, and wait for more
+_FEW = 8  # starts that a CPU runs one after the other
 # Steps end when the whitened residual moves by less than this many sigma, in total (sigma of the
 # noise; after the first call, of whatever the model misses the readings by, if that is more) ...
 _RESIDUAL_TOLERANCE = 3e-3
@@ -134,9 +137,15 @@ def polish(
     `hopeless` is asked, now and then, whether a start that has not yet settled should be left where
     it is, at this cost; `size` is the least rms residual to expect, in sigma.
     """
+    problem = jax.device_put(problem)  # once, not in every call
     going, shares = _begun(starts), list(shares)
     if len(going) > 1:
-        going = together(_abreast(problem, starts, shares[0], size))
+        few = len(going) <= _FEW and jax.default_backend() == "cpu"
+        going = together(
+            [_alone(problem, each, shares[0], hopeless, size, calls=1) for each in going]
+            if few
+            else _abreast(problem, starts, shares[0], size)
+        )
         # Those that had not settled go on where they are before more of the recording counts.
         rest = [e if e.converged else _alone(problem, e, shares[0], hopeless, size) for e in going]
         going, shares = together(rest), shares[1:] or shares
@@ -145,14 +154,14 @@ def polish(
     return going[0]
 
 
-def _alone(problem: Problem, start: Polished, share: float, hopeless, size: float) -> Polished:
+def _alone(
+    problem: Problem, start: Polished, share: float, hopeless, size: float, calls: int = _CALLS
+) -> Polished:
     """One start's descent over a share of the recordings."""
     readings = max(1, np.count_nonzero(problem.recorded.weights))
     end, unit = start, size
-    for _ in range(_CALLS):
-        out = _stretch(
-            problem, _on_device(end.unknowns), jnp.asarray(float(share)), jnp.asarray(unit)
-        )
+    for _ in range(calls):
+        out = _stretch(problem, end.unknowns, np.asarray(float(share)), np.asarray(unit))
         end = _polished(jax.device_get(out), end)
         if np.isfinite(end.cost):
             unit = max(unit, math.sqrt(end.cost / readings))
@@ -174,14 +183,10 @@ def _abreast(problem: Problem, starts: Unknowns, share: float, size: float) -> l
         some = begun[first : first + lanes]
         filled = [*some, *[some[-1]] * (lanes - len(some))]
         y = jax.tree.map(lambda *x: np.stack(x), *(each.unknowns for each in filled))
-        out = _stretches(head, _on_device(y), jnp.asarray(float(share)), jnp.asarray(size))
+        out = _stretches(head, y, np.asarray(float(share)), np.asarray(size))
         out = jax.device_get(out)
         found += [_polished(_row(out, i), start) for i, start in enumerate(some)]
     return found
-
-
-def _on_device(tree):
-    return jax.tree.map(jnp.asarray, tree)
 
 
 def _begun(starts: Unknowns) -> list[Polished]:
@@ -220,26 +225,25 @@ def _head(problem: Problem, share: float) -> Problem:
     late = np.asarray(problem.recorded.weights)[:, instants:].any(axis=-1)
     if only > room or np.any(late & (np.asarray(problem.recorded.row)[:, instants:] < only)):
         return problem
-    first = [x[:, :instants] for x in _read(problem)]
-    return dataclasses.replace(eqx.tree_at(_read, problem, first), room=room)
-
-
-def _read(problem: Problem):
-    recorded = problem.recorded
-    return [recorded.row, recorded.place, recorded.angles, recorded.weights]
+    first = [x[:, :instants] for x in read_of(problem.recorded)]
+    short = eqx.tree_at(lambda p: read_of(p.recorded), problem, first)
+    return dataclasses.replace(short, room=room)
 
 
 def _row(tree, index: int):
     return jax.tree.map(lambda x: x[index], tree)
 
 
-@eqx.filter_jit
+_ENDED = Unknowns(0, 0), Compressed(0, 0, 0, 0), 0, 0, 0  # pyright: ignore[reportArgumentType]
+
+
+@kept(like=_ENDED)
 def _stretch(problem: Problem, y: Unknowns, share, size):
     """One start's descent: where it ended, J there, the cost, steps, whether it converged."""
     return _ended(Stretch.of(problem, share)._replace(size=size), y, STEPS)
 
 
-@eqx.filter_jit
+@kept(like=_ENDED)
 def _stretches(problem: Problem, y: Unknowns, share, size):
     """`_stretch` for starts (S, ...) abreast."""
     stage = Stretch.of(problem, share)._replace(size=size)

@@ -7,15 +7,15 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..effects import AbstractEffect
-from ..modal import modes_of, state_matrix
+from ..modal import modes_of
 from ..model import Model
 from ..recording import Experiment
+from ..simulation import state_matrices
 from .descent import Descent, descend, wild_beside
 from .drifting import without_drift
 from .identify import Spread, spread_of
@@ -91,7 +91,7 @@ def _fit(experiment, effects, starts, progress) -> Fit:
     descent = descend(here, begin, numbers, wild, progress, memory)
 
     progress("errors, modes and held-out recordings")
-    model = here.model.with_vector(descent.problem.numbers(descent.unknowns))
+    model = here.model.with_vector(jnp.asarray(descent.problem.numbers(descent.unknowns)))
     return finish(experiment, model, np.asarray(numbers[0]), descent, began)
 
 
@@ -136,7 +136,7 @@ def refit(
         hopeless=hopeless,
         staged=staged,
     )
-    return here.model.with_vector(descent.problem.numbers(descent.unknowns)), descent
+    return here.model.with_vector(jnp.asarray(descent.problem.numbers(descent.unknowns))), descent
 
 
 def begin_afresh(
@@ -229,9 +229,9 @@ def _modes(model: Model, covariance: np.ndarray) -> tuple[Mode, ...]:
     steps = np.diag(1e-6 * np.maximum(np.abs(vector), 1e-6))
     beside = np.concatenate([vector[None], vector + steps, vector - steps])
     # All at once: one by one, these small matrices would take as long as the search.
-    matrices = _state_matrices(model, jnp.asarray(beside))
+    matrices = state_matrices(model, beside)
     values = np.linalg.eigvals(np.asarray(matrices))
-    best, *others = np.stack(_modes_of_each(jnp.asarray(values, complex)), axis=1)
+    best, *others = (np.stack(modes_of(x)) for x in values)
     up, down = np.split(np.asarray(others).reshape(-1, *best.shape), 2)
     slopes = (up - down) / (2 * np.diag(steps)[:, None, None])
     found = []
@@ -240,15 +240,6 @@ def _modes(model: Model, covariance: np.ndarray) -> tuple[Mode, ...]:
             spread = [_carried(slopes[:, j, i], covariance) for j in (0, 1)]
             found.append(Mode(float(frequency), spread[0], float(damping), spread[1]))
     return tuple(found)
-
-
-@eqx.filter_jit
-def _state_matrices(model: Model, numbers):
-    """(K, s, s) of the model with each row of numbers (K, P)."""
-    return jax.vmap(lambda x: state_matrix(model.with_vector(x)))(numbers)
-
-
-_modes_of_each = jax.jit(jax.vmap(modes_of))
 
 
 def _carried(slope: np.ndarray, covariance: np.ndarray) -> float:

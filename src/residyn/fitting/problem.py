@@ -22,35 +22,42 @@ from ..equation import Piecewise
 from ..mechanism import AbstractMechanism
 from ..model import Model
 from ..motion import Scalar
-from ..nodes import read_rows
+from ..nodes import Nodes, read_rows
 from ..parameter import stacked
 from ..recording import Recording
 from ..simulation import march
 
 # A residual beyond this many sigma comes from a simulation that has run away.
 _RUNAWAY = 1e6
+# Instants whose residuals are squared and summed at a time: their derivatives stay in the cache,
+# and how many there are need not be compiled in.
+_CHUNK = 256
+
+
+AnyArray = Array | np.ndarray  # NumPy's, until a compiled program takes it
 
 
 class Unknowns(NamedTuple):
     """What a fit moves: (P,) numbers of the model and (R, s) initial states (q0, v0, z0), where z0
     are the internal states beyond what their effects begin with."""
 
-    numbers: Float[Array, " P"]
-    states: Float[Array, "R s"]
+    numbers: Float[AnyArray, " P"]
+    states: Float[AnyArray, "R s"]
 
 
 class Recorded(eqx.Module):
-    """R recordings as arrays of N instants each: their readings, and behind the last one of a
-    shorter recording instants at which nothing was read.
+    """R recordings as arrays of N instants each, of NumPy or JAX: their readings, and behind the
+    last one of a shorter recording instants at which nothing was read.
 
     Time counts from each recording's first sample.
     """
 
-    duration: Float[Array, " R"]
-    row: Int[Array, "R N"]  # integration step in which each instant lies
-    place: Float[Array, "R N"]  # where within it, 0 to 1
-    angles: Float[Array, "R N n"]
-    weights: Float[Array, "R N n"]  # 1/sigma of each reading; 0 where there is none
+    duration: Float[AnyArray, " R"]
+    row: Int[AnyArray, "R N"]  # integration step in which each instant lies
+    place: Float[AnyArray, "R N"]  # where within it, 0 to 1
+    angles: Float[AnyArray, "R N n"]
+    weights: Float[AnyArray, "R N n"]  # 1/sigma of each reading; 0 where there is none
+    count: Int[AnyArray, " R"]  # of the N, how many instants are its own
     mechanism: AbstractMechanism
     drive: Piecewise | None
 
@@ -65,19 +72,21 @@ class Problem(eqx.Module):
     model: Model
     recorded: Recorded
     scale: Unknowns
-    active: Float[Array, " P"]  # 1 for a number that the fit moves, 0 for one it must keep
-    steps: Int[Array, ""]  # M, of every recording
+    active: Float[AnyArray, " P"]  # 1 for a number that the fit moves, 0 for one it must keep
+    steps: Int[AnyArray, ""]  # M, of every recording
     room: int = eqx.field(static=True)  # at least M
     fixed: bool = eqx.field(static=True, default=False)
     """Whether M is `room`, compiled in: what reverse mode asks for."""
 
-    def numbers(self, y: Unknowns) -> Float[Array, " P"]:
+    def numbers(self, y: Unknowns) -> Float[AnyArray, " P"]:
         """The model's numbers, in their own units, at scaled unknowns."""
-        kept = self.model.vector()
+        # NumPy where nothing is traced: JAX would compile each of these operations by itself.
+        here = np if isinstance(y.numbers, np.ndarray) else jnp
+        kept = here.asarray(self.model.vector())
         moved = self.scale.numbers * y.numbers
-        return jnp.where(self.active > 0, moved, kept)
+        return here.where(self.active > 0, moved, kept)
 
-    def states(self, y: Unknowns) -> Float[Array, "R s"]:
+    def states(self, y: Unknowns) -> Float[AnyArray, "R s"]:
         """The initial states, in their own units, at scaled unknowns."""
         return self.scale.states * y.states
 
@@ -86,12 +95,24 @@ class Problem(eqx.Module):
         return Unknowns(numbers / self.scale.numbers, states / self.scale.states)
 
 
-def bucket(count: int, base: int = 2) -> int:
-    """The next power of `base`, from 16 up: few sizes, so few compilations."""
-    size = 16
+def bucket(count: int, base: int = 2, least: int = 16) -> int:
+    """The next of `least`, `base` times that, and so on: few sizes, so few compilations."""
+    size = least
     while size < count:
         size *= base
     return size
+
+
+def tight(problem: Problem) -> Problem:
+    """The problem with hardly more instants than its recordings have, for programs whose cost grows
+    with what is there, read or not."""
+    recorded = problem.recorded
+    few = bucket(int(np.max(recorded.count)))
+    if few >= recorded.row.shape[-1]:
+        return problem
+    return eqx.tree_at(
+        lambda p: read_of(p.recorded), problem, [x[:, :few] for x in read_of(recorded)]
+    )
 
 
 def lay_out(
@@ -119,11 +140,12 @@ def lay_out(
         angles[i, :count] = np.where(seen, r.angle, 0.0)
         weights[i, :count] = np.where(seen, 1.0 / r.noise, 0.0)
     return Recorded(
-        duration=jnp.asarray([r.duration for r in recordings]),
-        row=jnp.asarray(row),
-        place=jnp.asarray(place),
-        angles=jnp.asarray(angles),
-        weights=jnp.asarray(weights),
+        duration=np.array([r.duration for r in recordings]),
+        row=row,
+        place=place,
+        angles=angles,
+        weights=weights,
+        count=np.array([len(r.time) for r in recordings]),
         mechanism=stacked(mechanisms),
         drive=_drives(recordings, steps, room),
     )
@@ -176,24 +198,29 @@ def posed(model: Model, mechanism: AbstractMechanism) -> Model:
     return eqx.tree_at(lambda m: m.mechanism, model, mechanism)
 
 
-def predict(problem: Problem, one: Recorded, numbers, state, only=None) -> Float[Array, "N n"]:
-    """Predicted readings of one recording (`one` without its leading axis); after the `only` first
-    steps, if that is given, whatever."""
+def predict(problem: Problem, one: Recorded, numbers, state) -> Float[Array, "N n"]:
+    """Predicted readings of one recording (`one` without its leading axis)."""
+    model, nodes = _simulated(problem, one, numbers, state)
+    return read_rows(model, nodes, jnp.asarray(one.row), jnp.asarray(one.place))
+
+
+def _simulated(problem: Problem, one: Recorded, numbers, state, only=None) -> tuple[Model, Nodes]:
+    """The model with these numbers on one recording's bodies, and its motion, of which `only` the
+    first so many steps are taken, if that is given."""
     n = one.angles.shape[-1]
     model = posed(problem.model.with_vector(numbers), one.mechanism)
-    nodes = march(
+    return model, march(
         model,
         0.0,
         one.duration,
         state[:n],
         state[n : 2 * n],
-        steps=problem.room if problem.fixed else problem.steps,
+        steps=problem.room if problem.fixed else jnp.asarray(problem.steps),
         z0=state[2 * n :],
         drive=one.drive,
         room=None if problem.fixed else problem.room,
         only=only,
     )
-    return read_rows(model, nodes, one.row, one.place)
 
 
 def whiten(one: Recorded, predicted) -> Float[Array, "N n"]:
@@ -221,23 +248,75 @@ def compressed(problem: Problem, y: Unknowns, only: Scalar | None = None) -> Com
     size = numbers + y.states.shape[1]
     known = jnp.where(jnp.arange(size) >= numbers + 2 * angles.shape[-1], 1.0, 0.0)
 
+    instants = problem.recorded.row.shape[-1]
+    chunk = instants if problem.fixed else min(instants, _CHUNK)
+    chunks = _chunks(problem, only, chunk)
+
     def one(recorded, scale, state):
-        def local(z):
+        def simulated(z):
             moved = problem.numbers(Unknowns(z[:numbers], y.states))
-            predicted = predict(problem, recorded, moved, scale * z[numbers:], only)
-            return whiten(recorded, predicted), predicted
+            model, nodes = _simulated(problem, recorded, moved, scale * z[numbers:], only)
+            return (model.vector(), nodes.ends), (model, nodes)
 
         z = jnp.concatenate([y.numbers, state])
-        misfit, slopes, predicted = jax.vmap(
-            lambda e: jax.jvp(local, (z,), (e,), has_aux=True), out_axes=(None, 0, None)
+        point, moving, (model, nodes) = jax.vmap(
+            lambda e: jax.jvp(simulated, (z,), (e,), has_aux=True), out_axes=(None, 0, None)
         )(jnp.eye(len(z)))
-        slopes = jnp.where(jnp.isfinite(slopes), slopes, 0.0).reshape(len(z), -1)
-        flat = misfit.reshape(-1)
-        square = slopes @ slopes.T + jnp.diag(known)
-        slope, total = slopes @ flat + known * z, flat @ flat + jnp.sum(known * z**2)
+
+        def seen(point, part):
+            vector, ends = point
+            here = model.with_vector(vector), nodes._replace(ends=ends)
+            predicted = read_rows(*here, part.row, part.place)
+            return whiten(part, predicted), predicted
+
+        def add(index, sums):
+            square, slope, total, readings = sums
+            first = index * chunk
+            part = eqx.tree_at(
+                read_of,
+                recorded,
+                [jax.lax.dynamic_slice_in_dim(x, first, chunk) for x in read_of(recorded)],
+            )
+            misfit, slopes, predicted = jax.vmap(
+                lambda d: jax.jvp(lambda p: seen(p, part), (point,), (d,), has_aux=True),
+                out_axes=(None, 0, None),
+            )(moving)
+            slopes = jnp.where(jnp.isfinite(slopes), slopes, 0.0).reshape(len(z), -1)
+            flat = misfit.reshape(-1)
+            return (
+                square + slopes @ slopes.T,
+                slope + slopes @ flat,
+                total + flat @ flat,
+                jax.lax.dynamic_update_slice_in_dim(readings, predicted, first, 0),
+            )
+
+        sums = (
+            jnp.diag(known),
+            known * z,
+            jnp.sum(known * z**2),
+            jnp.zeros_like(recorded.angles),
+        )
+        if problem.fixed:
+            square, slope, total, predicted = add(0, sums)
+        else:
+            square, slope, total, predicted = jax.lax.fori_loop(0, chunks, add, sums)
         return Compressed(predicted, *_compress(square, slope, total))
 
     return over_recordings(one, problem.model)(problem.recorded, problem.scale.states, y.states)
+
+
+def read_of(recorded: Recorded) -> list[AnyArray]:
+    """What of a recording is one row per instant."""
+    return [recorded.row, recorded.place, recorded.angles, recorded.weights]
+
+
+def _chunks(problem: Problem, only, chunk: int):
+    """How many chunks of instants hold all that count."""
+    recorded, index = problem.recorded, jnp.arange(problem.recorded.row.shape[-1])
+    counts = index < recorded.count[:, None]
+    if only is not None:
+        counts &= recorded.row < only
+    return -(-jnp.max(jnp.sum(counts, axis=-1)) // chunk)
 
 
 def over_recordings(one: Callable, model: Model) -> Callable:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..bearings import AirBearing, without_bearings
 from ..effects import AbstractEffect, effects_named
+from ..kept import kept
 from ..mechanism import AbstractMechanism, ConstantInertia, PlanarArm
 from ..model import Model
 from ..motion import split
@@ -23,7 +24,11 @@ _STEP = 0.4
 _ROUGH_STEP = 0.2
 # A driven motion is as quick as its drive, whatever the modes: samples per step at most.
 _SAMPLES_DRIVEN = 5
-_ROOMS = 4  # room for steps comes in powers of it: few compilations; what is not used costs little
+# Room for steps comes in powers of this, from this up, and room for readings: few compilations;
+# what is not used costs little.
+_ROOMS = 4, 1024
+_INSTANTS = 8, 4096
+_MANY = 32
 
 
 def mechanism_of(experiment: Experiment, recording: Recording) -> AbstractMechanism:
@@ -96,7 +101,12 @@ class Ready(NamedTuple):
         frequency = self.frequency(begin) if frequency is None else frequency
         steps = self._steps(begin, frequency)
         readings = max(len(r.time) for r in self.recordings)
-        room, instants = (steps, readings) if fixed else (bucket(steps, _ROOMS), bucket(readings))
+        room, instants = steps, readings
+        if not fixed:
+            room = bucket(steps, *_ROOMS)
+            # What is not there costs little but the room for it, which many recordings lack.
+            many = len(self.recordings) > _MANY
+            instants = bucket(readings) if many else bucket(readings, *_INSTANTS)
         if like is not None:
             room, instants = max(room, like.room), max(instants, like.recorded.row.shape[-1])
         recorded = lay_out(self.recordings, self.mechanisms, wild, steps, room, instants)
@@ -111,13 +121,11 @@ class Ready(NamedTuple):
         scales = _scales_of(begin, size, np.full(len(size), frequency))
         memory = [m.meaning.dimension.size(scales(m.joint)) for m in begin.memory]
         scale = Unknowns(
-            jnp.asarray(_sizes(begin, scales)),
-            jnp.asarray(
-                np.tile(np.concatenate([size, size * frequency, memory]), (len(states), 1))
-            ),
+            _sizes(begin, scales),
+            np.tile(np.concatenate([size, size * frequency, memory]), (len(states), 1)),
         )
-        active = jnp.ones(len(begin.fitted))
-        problem = Problem(begin, recorded, scale, active, jnp.asarray(steps), room, fixed)
+        active = np.ones(len(begin.fitted))
+        problem = Problem(begin, recorded, scale, active, np.asarray(steps), room, fixed)
         return problem, states
 
     @property
@@ -181,7 +189,7 @@ def reweighted(problem: Problem, wild: Sequence[np.ndarray]) -> Problem:
     weights = np.array(problem.recorded.weights)
     for own, bad in zip(weights, wild, strict=True):
         own[: len(bad)] *= ~bad
-    return eqx.tree_at(lambda p: p.recorded.weights, problem, jnp.asarray(weights))
+    return eqx.tree_at(lambda p: p.recorded.weights, problem, weights)
 
 
 def _sizes(model: Model, scales: Callable[[int | None], Scales]) -> np.ndarray:
@@ -201,7 +209,7 @@ def _scales_of(
     return lambda joint: Scales(*(_at(each, joint) for each in (inertia, pace, amplitude)))
 
 
-@eqx.filter_jit
+@kept(like=0)
 def _inertia(mechanism: AbstractMechanism):
     """(n,) the diagonal of the mass matrix with all angles zero."""
     n = len(mechanism.joints)

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..kept import kept
 from ..model import Model
 from ..motion import Motion, split, stack
 from ..parameter import stacked
@@ -36,6 +37,8 @@ _NARROWEST = 4  # samples in half a kernel
 _STRIDE, _LONG = 2, 1000  # where there are so many samples, every other one will do
 _LADDER = 12  # kernels tried, each 1.5 times wider than the last
 _LEAST_KEPT = 0.05
+_INSTANTS = 8, 2048  # room for instants comes in powers of this, from this up
+_CHUNK = 256  # instants whose equations are summed at a time
 _ELSEWHERE = 0.1  # of a joint's swing: where it rings about, if not about zero
 
 
@@ -65,24 +68,28 @@ def closed_form(
     # What passed a kernel varies from sample to sample as slowly as the kernel does; a memory is
     # run along the motion, and wants all of it.
     stride = _STRIDE if shortest >= _LONG and not models[0].memory else 1
-    longest = bucket(max(len(g.q[::stride]) for g in grids))
+    longest = max(len(g.q[::stride]) for g in grids)
+    longest = bucket(longest) if models[0].memory else bucket(longest, *_INSTANTS)
     halves = np.array([round(_NARROWEST * 1.5**i) for i in range(_LADDER)])
     fits = halves <= max(_NARROWEST, shortest // 8)
     used = np.where(fits, halves, _NARROWEST)  # always as many: one compiled program
     each = [smooth(g, used, r.noise, stride) for g, r in zip(grids, recordings, strict=True)]
-    data = tuple(jnp.asarray(_side_by_side(parts, longest)) for parts in zip(*each, strict=True))
+    data = tuple(_side_by_side(parts, longest) for parts in zip(*each, strict=True))
     posed = stacked(models)
-    spacing = jnp.asarray([g.dt * stride for g in grids])
+    spacing = np.array([g.dt * stride for g in grids])
+
+    chunks = np.asarray(-(-max(q.shape[1] for q, *_ in each) // min(_CHUNK, longest)))
 
     def solved(beginnings: Beginnings):
-        begin = jax.tree.map(jnp.asarray, beginnings)
-        return jax.device_get(_solve(posed, begin, spacing, data))
+        return jax.device_get(_solve(posed, beginnings, spacing, data, chunks))
 
     beginnings = plain(models[0], sizes, len(grids))
     if oscillates(models[0]):
-        missing = solved(beginnings)[2]
-        beginnings = tuned(models[0], beginnings, missing, np.asarray(spacing), fits)
-    numbers, spread, _ = solved(beginnings)
+        first = jax.tree.map(lambda x: x[0], beginnings)
+        found = solved(beginnings)[0][:, 0, 0]
+        missing = jax.device_get(_missing(posed, first, found, spacing, data))
+        beginnings = tuned(models[0], beginnings, missing, spacing, fits)
+    numbers, spread = solved(beginnings)
     # Without and with a constant torque, (K, 2, B): taken as further beginnings, unless there are
     # several already, which tell more.
     elsewhere = len(beginnings.numbers) == 1 and any(_rests_elsewhere(g.q) for g in grids)
@@ -130,41 +137,67 @@ def _rests_elsewhere(q: np.ndarray) -> bool:
     return bool(np.any(np.abs(middle) > _ELSEWHERE * np.abs(q).max(axis=0)))
 
 
-@eqx.filter_jit
-def _solve(models, beginnings: Beginnings, spacing, data):
-    """Linear least squares on the acceleration error, for every kernel and beginning, without and
-    with a constant torque at every joint beside the model.
+def _errors(of, models, vector, data, z, t):
+    """`of`, the acceleration error or its derivative, at every instant of every recording."""
+    row = jax.vmap(partial(of, vector), in_axes=(None,) + (0,) * 7)
+    return eqx.filter_vmap(row)(models, t, *data, z)
 
-    **Returns:** numbers (K, 2, B, P), their spread (K, 2, B), and the torque that is missing at the
-    first beginning (K, R, G, n).
+
+def _error(vector, model, t, q, v, a, drive, weight, z):
+    """Acceleration, and a torque at each joint that no effect gives, less what was measured."""
+    joints = len(model.mechanism.joints)
+    model = model.with_vector(vector[:-joints])
+    drive = split(drive + vector[-joints:])
+    wanted = stack(model.acceleration(Motion.at(t, q, v, z), drive))
+    return jnp.sqrt(weight) * (a - wanted)
+
+
+def _memories(models, vector, z0, spacing, data):
+    """Each recording's internal states (R, G, m) along its motion, with these numbers (P,)."""
+    return eqx.filter_vmap(lambda m, *x: memory_along(m.with_vector(vector), *x))(
+        models, spacing, data[0], data[1], z0
+    )
+
+
+@kept(like=(0, 0))
+def _solve(models, beginnings: Beginnings, spacing, data, chunks):
+    """Linear least squares on the acceleration error, for every kernel and beginning, without and
+    with a constant torque at every joint beside the model; of the first `chunks` chunks of
+    instants.
+
+    **Returns:** numbers (K, 2, B, P) and their spread (K, 2, B).
     """
     shape = [n.meaning.silent is None for n in models.fitted]
     joints = len(models.mechanism.joints)
     shape = jnp.asarray([*shape, *[False] * joints])
     own = jnp.arange(len(shape)) < len(shape) - joints
-
-    def error(vector, model, t, q, v, a, drive, weight, z):
-        model = model.with_vector(vector[:-joints])
-        drive = split(drive + vector[-joints:])
-        wanted = stack(model.acceleration(Motion.at(t, q, v, z), drive))
-        return jnp.sqrt(weight) * (a - wanted)
+    t = spacing[:, None] * jnp.arange(data[0].shape[2])
 
     def one(vector, z0, data):  # one beginning and kernel; `data` over recordings
-        length = data[0].shape[1]
+        z = _memories(models, vector, z0, spacing, data)
         vector = jnp.concatenate([vector, jnp.zeros(joints)])
-        t = spacing[:, None] * jnp.arange(length)
-        z = eqx.filter_vmap(lambda m, *x: memory_along(m.with_vector(vector[:-joints]), *x))(
-            models, spacing, data[0], data[1], z0
-        )
+        everything = (data, z, t)
 
-        def rows(of, vector):
-            row = jax.vmap(partial(of, vector), in_axes=(None,) + (0,) * 7)
-            return eqx.filter_vmap(row)(models, t, *data, z)
+        def over(add, empty):
+            """The sum over chunks: how many there are need not be compiled in."""
+            chunk = min(_CHUNK, t.shape[1])
 
-        e, j = rows(lambda *x: (error(*x), jax.jacfwd(error)(*x)), vector)
-        j = jnp.where(shape, 0.0, j)
-        square, slope = jnp.einsum("rgnp,rgnk->pk", j, j), jnp.einsum("rgnp,rgn->p", j, e)
-        readings = jnp.sum(data[-1]) * e.shape[-1]
+            def body(index, total):
+                part = jax.tree.map(
+                    lambda x: jax.lax.dynamic_slice_in_dim(x, index * chunk, chunk, 1), everything
+                )
+                return jax.tree.map(jnp.add, total, add(*part))
+
+            return jax.lax.fori_loop(0, chunks, body, empty)
+
+        def equations(data, z, t):
+            of = lambda *x: (_error(*x), jax.jacfwd(_error)(*x))  # noqa: E731
+            e, j = _errors(of, models, vector, data, z, t)
+            j = jnp.where(shape, 0.0, j)
+            return jnp.einsum("rgnp,rgnk->pk", j, j), jnp.einsum("rgnp,rgn->p", j, e)
+
+        square, slope = over(equations, (jnp.zeros((len(shape),) * 2), jnp.zeros(len(shape))))
+        readings = jnp.sum(data[-1]) * joints
 
         def kind(use):
             seen = use & (jnp.diag(square) > 0)
@@ -174,27 +207,36 @@ def _solve(models, beginnings: Beginnings, spacing, data):
             # wanted, in its logarithm, and for ranking only.
             scaled = scaled + jnp.diag(jnp.where(seen, 1e-12, 1.0))
             found = vector - jnp.linalg.solve(scaled, jnp.where(seen, slope / size, 0.0)) / size
-            left = rows(error, found)
+            left = over(lambda *x: jnp.sum(_errors(_error, models, found, *x) ** 2), 0.0)
             volume = jnp.linalg.slogdet(scaled)[1] + 2.0 * jnp.sum(jnp.log(size))
-            spread = 0.5 * (
-                jnp.log(jnp.sum(left**2) / readings) - volume / jnp.maximum(1, jnp.sum(seen))
-            )
-            return found[:-joints], spread, left
+            spread = 0.5 * (jnp.log(left / readings) - volume / jnp.maximum(1, jnp.sum(seen)))
+            return found[:-joints], spread
 
-        numbers, spread, left = jax.vmap(kind)(jnp.stack([own, own | True]))
-        return numbers, spread, left[0]
+        return jax.vmap(kind)(jnp.stack([own, own | True]))
 
     each = jax.vmap(one, in_axes=(0, 0, None))
-    numbers, spread, e = jax.vmap(each, in_axes=(None, None, 0))(*beginnings, data)
-    numbers, spread = numbers.swapaxes(1, 2), spread.swapaxes(1, 2)
+    numbers, spread = jax.vmap(each, in_axes=(None, None, 0))(*beginnings, data)
+    return numbers.swapaxes(1, 2), spread.swapaxes(1, 2)
+
+
+@kept(like=0)
+def _missing(models, beginning: Beginnings, numbers, spacing, data):
+    """The torque (K, R, G, n) that is missing beside numbers (K, P) found from one beginning."""
+    joints = len(models.mechanism.joints)
+    t = spacing[:, None] * jnp.arange(data[0].shape[2])
 
     def torque(model, q, e):
         rows = model.bodies.mass_matrix(split(q))
         return stack(tuple(sum(z * x for z, x in zip(row, split(e), strict=True)) for row in rows))
 
-    # Of each recording's own model, which may hold what is no array: not for `jax.vmap`.
-    each = eqx.filter_vmap(jax.vmap(torque, in_axes=(None, 0, 0)))
-    return numbers, spread, jax.vmap(partial(each, models))(data[0], -e[:, 0])
+    def one(found, data):
+        z = _memories(models, beginning.numbers, beginning.memory, spacing, data)
+        vector = jnp.concatenate([found, jnp.zeros(joints)])
+        left = _errors(_error, models, vector, data, z, t)
+        # Of each recording's own model, which may hold what is no array: not for `jax.vmap`.
+        return eqx.filter_vmap(jax.vmap(torque, in_axes=(None, 0, 0)))(models, data[0], -left)
+
+    return jax.vmap(one)(numbers, data)
 
 
 def perturbed(best: np.ndarray, count: int, spread: float = 0.3) -> np.ndarray:

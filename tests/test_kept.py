@@ -1,0 +1,167 @@
+"""Traced programs that are kept: found again, never taken for others, and nothing without them."""
+
+import os
+import subprocess
+import sys
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from residyn import PlanarArm, Spring, kept
+from residyn.kept import keep_in
+from residyn.parameter import all_floating
+from rig import paper_twin, record
+
+
+@pytest.fixture
+def folder(tmp_path):
+    keep_in(tmp_path)
+    yield tmp_path
+    keep_in(None)
+
+
+def watched(count):
+    """A function as in a fresh process, and how often its body is traced."""
+
+    def body(model, x):
+        count.append(1)
+        return {"twice": 2 * x}, model.vector().sum()
+
+    return kept.kept(like=({"twice": 0}, 0))(body)
+
+
+def arm(stiffness=2.0):
+    return all_floating(
+        PlanarArm([0.4, 0.4], 1.0, 0.5, 1.4, 0.7)
+        + Spring("shoulder", stiffness)
+        + Spring("elbow", 3.0)
+    )
+
+
+def test_a_later_process_traces_nothing(folder):
+    first, second = [], []
+    for seen in (first, second):
+        out, total = watched(seen)(arm(), np.arange(3.0))
+        np.testing.assert_array_equal(out["twice"], [0.0, 2.0, 4.0])
+        assert float(total) == 5.0
+    assert (len(first), len(second)) == (1, 0)
+    assert len(list(folder.iterdir())) == 1
+
+
+def test_other_numbers_are_the_same_program_and_other_shapes_are_not(folder):
+    seen = []
+    call = watched(seen)
+    assert float(call(arm(5.0), np.arange(3.0))[1]) == 8.0
+    assert float(call(arm(6.0), 2 * np.arange(3.0))[1]) == 9.0
+    assert len(seen) == 1
+    call(arm(), np.arange(4.0))
+    call(arm(), np.arange(3, dtype=np.int32))
+    call(arm().mechanism + Spring("shoulder", jnp.asarray(1.0)), np.arange(3.0))
+    assert len(seen) == 4
+    assert len(list(folder.iterdir())) == 4
+
+
+def test_another_function_and_other_sources_are_other_programs(folder, monkeypatch):
+    @kept.kept(like=0)
+    def one(x):
+        return x + 1
+
+    @kept.kept(like=0)
+    def other(x):
+        return x + 2
+
+    assert float(one(np.asarray(1.0))) == 2.0
+    assert float(other(np.asarray(1.0))) == 3.0
+    seen = []
+    watched(seen)(arm(), np.arange(3.0))
+    monkeypatch.setattr(kept, "_sources", lambda: "edited")
+    watched(seen)(arm(), np.arange(3.0))
+    assert len(seen) == 2
+
+
+class Doubler(eqx.Module):
+    """Somebody's own class: its code is not in the name of a program."""
+
+    factor: float = 2.0
+
+
+def test_what_words_cannot_tell_is_traced(folder):
+    @kept.kept(like=0)
+    def scaled(own, x):
+        return own.factor * x
+
+    @kept.kept(like=0)
+    def applied(function, x):
+        return function(x)
+
+    assert float(scaled(Doubler(), np.asarray(3.0))) == 6.0
+    assert float(applied(lambda x: x - 1, np.asarray(3.0))) == 2.0
+    assert float(applied(lambda x: x - 2, np.asarray(3.0))) == 1.0
+    assert not list(folder.iterdir())
+
+
+def test_a_broken_file_is_written_again(folder):
+    seen = []
+    watched(seen)(arm(), np.arange(3.0))
+    (file,) = folder.iterdir()
+    file.write_bytes(b"broken")
+    watched(seen)(arm(), np.arange(3.0))
+    assert len(seen) == 2
+    watched(seen)(arm(), np.arange(3.0))
+    assert len(seen) == 2
+
+
+def test_inside_a_larger_program_it_is_a_function_like_any_other(folder):
+    seen = []
+    call = watched(seen)
+    slope = jax.grad(lambda x: jnp.sum(call(arm(), x)[0]["twice"]))(jnp.arange(3.0))
+    np.testing.assert_array_equal(slope, 2.0)
+    assert not list(folder.iterdir())
+
+
+def test_a_folder_that_cannot_be_written_is_no_reason_to_fail(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    keep_in(tmp_path / "file" / "folder")
+    try:
+        assert float(watched([])(arm(), np.arange(3.0))[1]) == 5.0
+    finally:
+        keep_in(None)
+
+
+def test_a_second_command_traces_no_fit_and_answers_the_same(tmp_path):
+    """Two processes with one cache, the second on a recording of another length."""
+    rng = np.random.default_rng(0)
+    for i, seconds in enumerate((6.0, 11.0)):
+        case = record(rng, paper_twin(0.3), [0.2, -0.1], [], seconds=seconds, rate=100.0)
+        rows = np.column_stack([case.t, case.q])
+        np.savetxt(tmp_path / f"{i}.csv", rows, delimiter=",", header="t,q1,q2", comments="")
+        twin = paper_twin(0.3)
+        (tmp_path / f"{i}.toml").write_text(
+            f"[arm]\nlink_lengths = [{twin.l1}, {twin.l2}]\nshoulder = {twin.shoulder}\n"
+            f"elbow = {twin.elbow}\ncoupling = {twin.coupling}\n\n"
+            f'[[recordings]]\nfile = "{i}.csv"\ntheta2 = {twin.theta2}\nnoise = 1e-3\n'
+        )
+    code = """
+import sys
+import residyn
+residyn.set_up(cache=sys.argv[1])
+from residyn.kept import Kept
+traced, own = [], Kept._traced
+Kept._traced = lambda self, *given: traced.append(self) or own(self, *given)
+fit = residyn.fit(residyn.load(sys.argv[2]))
+print(len(traced), *(n.value for n in fit.numbers))
+"""
+
+    def told(cache, i):
+        command = [sys.executable, "-c", code, str(tmp_path / cache), str(tmp_path / f"{i}.toml")]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ)
+        count, *numbers = done.stdout.split()
+        return int(count), [float(x) for x in numbers]
+
+    assert told("one", 0)[0] > 0
+    count, numbers = told("one", 1)
+    assert count == 0
+    np.testing.assert_array_equal(numbers, told("other", 1)[1])
