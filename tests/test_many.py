@@ -81,6 +81,56 @@ def test_two_devices_share_the_fits(tmp_path):
     np.testing.assert_allclose(np.load(tmp_path / "numbers.npy"), alone, rtol=1e-6)
 
 
+def test_two_devices_share_the_experiments(folder):
+    """The same numbers as one by one, and a broken file, or another length, is no hindrance."""
+    script = folder / "two.py"
+    script.write_text(
+        "import sys, jax, numpy as np, residyn\n"
+        "from residyn.fitting import abreast\n"
+        "divided, own = [], abreast._run\n"
+        "def run(program, stacked, rest):\n"
+        "    leaf = jax.tree.leaves(stacked)[0]\n"
+        "    divided.append((len(leaf), len(leaf.sharding.device_set)))\n"
+        "    return own(program, stacked, rest)\n"
+        "abreast._run = run\n"
+        "files = [f'{x}.toml' for x in 'abcde']\n"
+        "for each in residyn.fit_many(files, batch=int(sys.argv[1])):\n"
+        "    numbers = [repr(n.value) for n in each.fit.numbers] if each.fit else []\n"
+        "    print(each.name, each.told.get('error', '-').replace(' ', '_'), *numbers)\n"
+        "print(len(jax.devices()), max(divided, default=0), file=sys.stderr)\n"
+    )
+    rows = [f"{t:.3f},{q:.9f}" for t, q in zip(T, ringing(4, 45.0), strict=True)]
+    (folder / "e.csv").write_text("t,q1\n" + "\n".join(rows[:200]) + "\n")
+    (folder / "e.toml").write_text((folder / "a.toml").read_text().replace("a.csv", "e.csv"))
+
+    def told(batch, devices):
+        done = subprocess.run(
+            [sys.executable, str(script), str(batch)],
+            cwd=folder,
+            env={
+                "XLA_FLAGS": f"--xla_force_host_platform_device_count={devices}",
+                "PATH": "",
+                "JAX_PLATFORMS": "cpu",
+            },
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        lines = [line.split() for line in done.stdout.splitlines()]
+        return [line[:2] for line in lines], [line[2:] for line in lines], done.stderr.strip()
+
+    names, numbers, _ = told(1, 1)
+    assert [name for name, _ in names] == [f"{x}.toml" for x in "abcde"]
+    assert [error == "-" for _, error in names] == [True, True, False, True, True]
+    for batch, devices, shape in ((1, 2, (2, 2)), (4, 1, (4, 1))):
+        others, values, seen = told(batch, devices)
+        assert (others, seen) == (names, f"{devices} {shape}")
+        for one, other in zip(numbers, values, strict=True):
+            np.testing.assert_allclose(
+                np.array(one, float), np.array(other, float), rtol=1e-5, atol=1e-9
+            )
+
+
 @pytest.fixture
 def folder(tmp_path):
     for name, stiffness in (("a", 50.0), ("b", 60.0), ("d", 40.0)):

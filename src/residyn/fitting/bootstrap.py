@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from .abreast import lanes
 from .embedded import Embedded, embed
 from .result import Fit
 
@@ -67,10 +68,7 @@ def bootstrap(
     if draws < 2:
         raise ValueError(f"draws = {draws}: a spread needs at least two")
     devices = jax.devices()
-    if batch is None:
-        batch = 1 if devices[0].platform == "cpu" else _ABREAST
-    if batch < 1:
-        raise ValueError(f"batch = {batch}: must be at least 1")
+    width = min(lanes(batch, _ABREAST), -(-draws // len(devices)) * len(devices))
     with jax.enable_x64(True):
         fits = embed(fit)
         fitted = [r for r in fit.recordings if r.recording.role != "check"]
@@ -78,16 +76,15 @@ def bootstrap(
         size = float(np.sqrt(max(1.0, fit.reduced_chi2)))
         noise = [jnp.asarray(size * r.recording.noise) for r in fitted]
         mesh = Mesh(np.asarray(devices), ("fits",))
-        lanes = NamedSharding(mesh, PartitionSpec("fits"))
+        divided = NamedSharding(mesh, PartitionSpec("fits"))
         fits = eqx.filter_shard(fits, NamedSharding(mesh, PartitionSpec()))
-        width = min(batch, -(-draws // len(devices))) * len(devices)
         keys = jax.random.split(jax.random.key(seed), draws)
         found = []
         for first in range(0, draws, width):
             some = keys[first : first + width]
             # The last batch is filled up, so that one compiled program serves all.
             filled = jnp.concatenate([some, jnp.repeat(some[-1:], width - len(some), axis=0)])
-            out = _refits(fits, truth, noise, jax.device_put(filled, lanes))
+            out = _refits(fits, truth, noise, jax.device_put(filled, divided))
             found.append([np.asarray(x)[: len(some)] for x in out])
             if progress is not None:
                 progress(f"{min(first + width, draws)} of {draws} fits")

@@ -24,6 +24,7 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from ..kept import kept
+from .abreast import asked, gathered
 from .problem import Compressed, Problem, Unknowns, compressed, read_of
 
 STEPS = 20  # of one call: between calls, the hopeless can be left
@@ -137,10 +138,11 @@ def polish(
     `hopeless` is asked, now and then, whether a start that has not yet settled should be left where
     it is, at this cost; `size` is the least rms residual to expect, in sigma.
     """
-    problem = jax.device_put(problem)  # once, not in every call
+    if not gathered():
+        problem = jax.device_put(problem)  # once, not in every call
     going, shares = _begun(starts), list(shares)
     if len(going) > 1:
-        few = len(going) <= _FEW and jax.default_backend() == "cpu"
+        few = len(going) <= _FEW and (gathered() or jax.default_backend() == "cpu")
         going = together(
             [_alone(problem, each, shares[0], hopeless, size, calls=1) for each in going]
             if few
@@ -161,7 +163,8 @@ def _alone(
     readings = max(1, np.count_nonzero(problem.recorded.weights))
     end, unit = start, size
     for _ in range(calls):
-        out = _stretch(problem, end.unknowns, np.asarray(float(share)), np.asarray(unit))
+        here = problem, end.unknowns, np.asarray(float(share)), np.asarray(unit)
+        out = asked(_one_stretch, _stretch, *here)
         end = _polished(jax.device_get(out), end)
         if np.isfinite(end.cost):
             unit = max(unit, math.sqrt(end.cost / readings))
@@ -237,10 +240,12 @@ def _row(tree, index: int):
 _ENDED = Unknowns(0, 0), Compressed(0, 0, 0, 0), 0, 0, 0  # pyright: ignore[reportArgumentType]
 
 
-@kept(like=_ENDED)
-def _stretch(problem: Problem, y: Unknowns, share, size):
+def _one_stretch(problem: Problem, y: Unknowns, share, size):
     """One start's descent: where it ended, J there, the cost, steps, whether it converged."""
     return _ended(Stretch.of(problem, share)._replace(size=size), y, STEPS)
+
+
+_stretch = kept(like=_ENDED)(_one_stretch)
 
 
 @kept(like=_ENDED)

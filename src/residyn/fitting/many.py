@@ -1,25 +1,29 @@
 """Many experiments: what a laboratory has at the end of a day.
 
 Compiled programs serve every experiment of the same model whose recordings have about the same
-length, so all but the first fits are quick. Results are written as they come, a line each; a run
-that was killed goes on where it stopped; one broken recording costs its own line and no other.
-With an executor of `concurrent.futures`, or anything that looks like one, such as a Dask cluster's,
-processes and machines share the work.
+length, so all but the first fits are quick. Where JAX has several devices, or one that is no CPU,
+fits run in batches that share a program and all devices. Results are written as they come, a line
+each; a run that was killed goes on where it stopped; one broken recording costs its own line and no
+other. With an executor of `concurrent.futures`, or anything that looks like one, such as a Dask
+cluster's, processes and machines share the work.
 """
 
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from .._json import finite
 from ..effects import AbstractEffect
 from ..recording import Experiment, InputError, load
+from .abreast import lanes, together
 from .pipeline import DEFAULT_STARTS, fit
 from .result import Fit, FitError
 
+_ABREAST = 16  # fits on each device that is no CPU
 _AHEAD = 64  # fits that an executor holds: enough for many workers, little memory
 
 
@@ -43,6 +47,7 @@ def fit_many(
     out: str | os.PathLike[str] | None = None,
     progress: Callable[[str], None] | None = None,
     executor: Executor | None = None,
+    batch: int | None = None,
 ) -> Iterator[Each]:
     """Fit each of many experiments; an iterator, so that nothing is kept that nobody wants.
 
@@ -55,12 +60,17 @@ def fit_many(
     - `executor`: where to fit, such as a `ProcessPoolExecutor` (with the start method "spawn": JAX
       does not outlive a fork) or `dask.distributed.Client(...).get_executor()`. Its workers read
       files by the same names, and know the effects of packages but none that were adopted here.
+    - `batch`: fits that run together on each device; None is what suits it (1 on a CPU). The
+      results of a batch come all at once.
 
     **Yields:** an `Each` for every experiment, in order (with an executor, as they are done); bad
     input and fits that led nowhere are lines with an `error`, not exceptions.
 
-    **Raises:** `InputError` if two experiments have the same name, or `out` holds something else.
+    **Raises:** `ValueError` for an empty batch, or one beside an executor, whose workers fit one at
+    a time; `InputError` if two experiments have the same name, or `out` holds something else.
     """
+    if batch is not None and (batch < 1 or executor is not None):
+        raise ValueError(f"batch = {batch}: must be at least 1, and not beside an executor")
     named, seen = [], set()
     for index, one in enumerate(experiments):
         name = one.path or f"experiment {index + 1}" if isinstance(one, Experiment) else str(one)
@@ -72,7 +82,8 @@ def fit_many(
     left = [(name, one) for name, one in named if name not in done]
     say = progress or (lambda words: None)
     if executor is None:
-        fresh = _one_by_one(left, effects, starts, say)
+        width = lanes(batch, _ABREAST)
+        fresh = _in_batches(left, effects, starts, say, width)
     else:
         fresh = _abreast(left, effects, starts, say, executor)
     for each in _in_order(named, done, fresh) if executor is None else _first(done, fresh):
@@ -92,10 +103,15 @@ def _first(done: dict[str, dict[str, Any]], fresh: Iterator[Each]) -> Iterator[E
     yield from fresh
 
 
-def _one_by_one(left, effects, starts: int, say: Callable[[str], None]) -> Iterator[Each]:
+def _in_batches(left, effects, starts: int, say, width: int) -> Iterator[Each]:
+    works = []
     for count, (name, one) in enumerate(left, start=1):
         at = f"{name} ({count} of {len(left)}): "
-        yield _fitted(name, one, effects, starts, lambda words, at=at: say(at + words))
+        progress = lambda words, at=at: say(at + words)  # noqa: E731
+        works.append(partial(_fitted, name, one, effects, starts, progress))
+    for first in range(0, len(works), width):
+        some = works[first : first + width]
+        yield from together(some) if width > 1 else [some[0]()]
 
 
 def _abreast(left, effects, starts: int, say: Callable[[str], None], executor: Executor):
