@@ -16,6 +16,7 @@ import numpy as np
 
 from ..effects import AbstractEffect, catalogue
 from ..fitting.beginnings import plain, torque_along
+from ..kept import kept
 from ..model import Model
 from ..parameter import Scales
 from .missing_torque import MissingTorque
@@ -167,9 +168,11 @@ class _Along(NamedTuple):
             if n.meaning.silent is not None:
                 numbers[i] = n.meaning.silent + (size if i == which else 0.0)
         model = alone.with_vector(jnp.asarray(numbers))
-        dt = jnp.asarray(self.time[1] - self.time[0])
-        z0, q, v = jnp.zeros(len(model.memory)), jnp.asarray(self.angle), jnp.asarray(self.rate)
-        return np.asarray(torque_along(model, dt, q, v, z0), float)
+        dt, z0 = np.asarray(self.time[1] - self.time[0]), np.zeros(len(model.memory))
+        return np.asarray(_torque_along(model, dt, self.angle, self.rate, z0), float)
+
+
+_torque_along = kept(like=0)(torque_along)
 
 
 def _allowed(columns: np.ndarray, target: np.ndarray, free: Sequence[bool]) -> np.ndarray:

@@ -31,19 +31,20 @@ class Solver(NamedTuple):
     def of(cls, near: Near, answers: Answers) -> "Solver":
         """Eliminate initial states recording by recording, then the numbers."""
         wide = near.numbers + answers.columns[0].shape[1] + 1
-        total, whole = np.zeros((wide, wide)), np.zeros(wide - near.numbers - 1)
+        total, whole = np.zeros((wide, wide)), np.zeros(wide)
         asked = []
         for left, numbers, states, columns in answers.recordings():
             rows = np.hstack([numbers, columns, left[:, None]])
-            basis = basis_of(states)
-            total = total + rows.T @ rows - (rows.T @ basis) @ (basis.T @ rows)
-            whole = whole + np.sum(columns**2, axis=0)
+            square, taken = rows.T @ rows, basis_of(states).T @ rows
+            total += square - taken.T @ taken
+            whole += np.diag(square)
             asked.append(np.linalg.pinv(states, rcond=1e-9) @ rows)
         p = near.numbers
         inner = inverse_of(total[:p, :p])
         moved = inner @ total[:p, p:]
         rest = total[p:, p:] - total[p:, :p] @ moved
-        return cls(rest[:-1, :-1], rest[:-1, -1], whole, float(rest[-1, -1]), moved, asked)
+        alone = float(rest[-1, -1])
+        return cls(rest[:-1, :-1], rest[:-1, -1], whole[p:-1], alone, moved, asked)
 
     def beside(self, which: Sequence[int], factors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The model's numbers (P,) and each recording's initial states (R, s) that go with some

@@ -12,7 +12,6 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -20,6 +19,7 @@ from scipy.ndimage import maximum_filter1d, median_filter
 
 from ..effects import AbstractEffect
 from ..fitting.beginnings import memory_along
+from ..kept import kept
 from ..model import Model
 from ..motion import Motion
 from ..parameter import parameters_of
@@ -116,7 +116,7 @@ class Path(NamedTuple):
 
 
 # Laws without memory are few operations on long arrays: not worth compiling one by one.
-_memory_along = eqx.filter_jit(memory_along)
+_memory_along = kept(like=0)(memory_along)
 
 
 def _hermite(x: np.ndarray, y: np.ndarray, slope: np.ndarray, at: np.ndarray):

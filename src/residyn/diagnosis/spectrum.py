@@ -8,6 +8,7 @@ are in the covariance of the residual's products with the cosines, were it white
 it, the energy in any k cosines is chi-square with k degrees of freedom.
 """
 
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ import numpy as np
 from ..fitting.result import RecordingFit
 from .linear import Tangent
 
+_EVENLY = 1e-9  # rad, over the highest cosine: this far off even counts as even
 _MOST = 4096  # rows; a longer recording is averaged in blocks, which keeps white noise white
 _PIECE = 64  # cosines at a time: eigenvalues of large matrices cost most
 _SEEN = 0.05  # of a cosine's own energy: what must be left of it to count
@@ -96,12 +98,28 @@ def spectrum(strip: Strip, top: float) -> Spectrum:
         time = np.add.reduceat(time, first) / count
         residual = np.add.reduceat(residual, first) / np.sqrt(count)
         tangent = np.add.reduceat(tangent, first) / np.sqrt(count)[:, None]
-    phase = (time - time[0] + step / 2) * np.pi / duration
-    cosines = np.cos(phase[:, None] * np.arange(int(np.ceil(2 * duration * top))))
-    cosines /= np.sqrt((cosines**2).sum(axis=0))
+    phase, many = (time - time[0] + step / 2) * np.pi / duration, int(np.ceil(2 * duration * top))
+    even = _middles(len(phase))
+    same = len(phase) >= many and np.abs(phase - even).max() < _EVENLY / max(1, many)
+    cosines, overlap = _even_cosines(len(phase), many) if same else _cosines(phase, many)
     along = tangent.T @ cosines
-    overlap = cosines.T @ cosines
     return Spectrum(duration, cosines.T @ residual, overlap, along, energy, freedom)
+
+
+def _cosines(phase: np.ndarray, many: int) -> tuple[np.ndarray, np.ndarray]:
+    """Cosines of unit length (N, many) at phases (N,), and their products with each other."""
+    cosines = np.cos(phase[:, None] * np.arange(many))
+    cosines /= np.sqrt((cosines**2).sum(axis=0))
+    return cosines, cosines.T @ cosines
+
+
+def _middles(count: int) -> np.ndarray:
+    return (np.arange(count) + 0.5) * np.pi / count
+
+
+@functools.lru_cache(maxsize=4)  # every joint and rung asks for the same ones
+def _even_cosines(count: int, many: int) -> tuple[np.ndarray, np.ndarray]:
+    return _cosines(_middles(count), many)
 
 
 def energies(one: Spectrum, groups: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
