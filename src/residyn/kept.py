@@ -10,6 +10,7 @@ of this package, the versions of what it is built on, and the structure of what 
 cannot be told by its text (a class or a function of somebody else's) is traced, as ever.
 """
 
+import contextlib
 import functools
 import hashlib
 import os
@@ -83,9 +84,11 @@ class Kept:
         except Exception:  # not there, or broken: what is wrong with it does not matter
             try:
                 exported = self._traced(args, arrays)
-                _write(file, exported.serialize())
-            except (ImportError, OSError, ValueError, NotImplementedError):
+                content = exported.serialize()
+            except (ImportError, ValueError, NotImplementedError):  # not everything can be exported
                 return plain
+            with contextlib.suppress(OSError):  # a cache that cannot be written is only slower
+                _write(file, content)
         call, out = jax.jit(exported.call), self._out
         return lambda args, arrays: jax.tree.unflatten(out, call(*arrays))
 
