@@ -44,6 +44,7 @@ def kept(like: Any) -> Callable[[Callable], "Kept"]:
     """`equinox.filter_jit` for a function of arrays and models whose traced program is kept.
 
     It takes no keywords, and returns arrays in the structure of `like`, whose leaves are anything.
+    It must be a module's own: what a closure holds is not in a program's name.
     """
     return lambda function: Kept(function, like)
 

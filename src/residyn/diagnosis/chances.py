@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..effects import AbstractEffect
 from ..fitting.result import RecordingFit
 from ..model import Model
 from .ladder import extends, ranked, score
@@ -54,6 +55,7 @@ def chances(steps: Sequence[Step]) -> dict[str, float]:
     that stands."""
     last = steps[-1]
     found: dict[str, float] = {}
+    several = 1.0 / (1.0 + one_law(steps))
     for rung, step in enumerate(steps):
         each = _among(step)
         follows = steps[rung + 1] if rung + 1 < len(steps) else None
@@ -65,7 +67,32 @@ def chances(steps: Sequence[Step]) -> dict[str, float]:
             if effect.label not in last.fit.model.labels:  # it was to become needless
                 odds = step.readings ** (-0.5 * numbers_of(effect, last.fit.model, 1))
                 found[effect.label] = min(found.get(effect.label, 1.0), odds / (1.0 + odds))
+    for effect in _added(steps):
+        found[effect.label] = several * found.get(effect.label, 0.0)
     return found
+
+
+def one_law(steps: Sequence[Step]) -> float:
+    """Odds that what several names explain together is one law that no catalogue has.
+
+    Some law of an angle or a rate may explain as much as all of them with fewer numbers. Each
+    number is worth the logarithm of the number of readings, as it is between names.
+    """
+    first, last, names = steps[0], steps[-1], _added(steps)
+    law = None if first.unnamed is None else first.unnamed.law
+    if law is None or len(names) < 2:
+        return 0.0
+    scale = max(1.0, last.cost / last.readings)
+    recordings = len(last.near.fitted)
+    more = sum(numbers_of(e, last.fit.model, recordings) for e in names) - law.freedom
+    lost = (first.cost - last.cost - law.drop) / scale
+    return _STRANGE * math.exp(min(500.0, 0.5 * (more * math.log(last.readings) - lost)))
+
+
+def _added(steps: Sequence[Step]) -> list[AbstractEffect]:
+    """The effects that the ladder added and that stand."""
+    own = {e.label for e in steps[0].effects}
+    return [e for e in steps[-1].effects if e.label not in own]
 
 
 def _among(step: Step) -> dict[str, float]:

@@ -10,7 +10,7 @@ from ..effects import AbstractEffect
 from ..fitting import DEFAULT_STARTS, fit
 from ..model import Model
 from ..recording import Experiment
-from .chances import alike, chances
+from .chances import alike, chances, one_law
 from .climb import climb
 from .comparison import Comparison
 from .horizon import horizon
@@ -19,7 +19,7 @@ from .missing import Missing, along_each, missing_of, with_curves
 from .next_experiment import advise
 from .result import Candidate, Diagnosis, NextExperiment, Rung, Value
 from .rung import Step, cost_of, stand
-from .verdict import verdict_on, words_for
+from .verdict import LEFT, verdict_on, words_for
 
 MOST_EFFECTS = 3
 """How many effects the ladder adds unless it is told otherwise."""
@@ -81,7 +81,10 @@ def _concluded(
     first, last = steps[0], steps[-1]
     rungs = _rungs(steps)
     kept = [r.added for r in rungs[1:] if r.added in last.fit.model.labels]
-    verdict = verdict_on(last, bool(kept))
+    seen, instead = first.unnamed, ""
+    if seen is not None and seen.law is not None and last.white >= LEFT and one_law(steps) > 1.0:
+        instead = seen.law.words
+    verdict = verdict_on(last, bool(kept), bool(instead))
     sure = chances(steps)
     candidates = _candidates(first, sure)
     groups, advice = [], None
@@ -100,7 +103,8 @@ def _concluded(
     missing = with_curves(first.fit, missing, shown)
     left = missing if last is first else missing_of(last.fit) if verdict == "unexplained" else ()
     compared = Comparison(last.fit, last.where, last.held_out, horizon(last.near), left)
-    words = words_for(verdict, first.fit, last, [(k, sure.get(k, 0.0)) for k in kept], groups)
+    told = [(k, sure.get(k, 0.0)) for k in kept]
+    words = words_for(verdict, first.fit, last, told, groups, instead)
     return Diagnosis(
         verdict=verdict,
         ladder=rungs,

@@ -10,6 +10,7 @@ shape has, along any directions that were fixed beforehand: so the answers of an
 the ladder serve for a later one.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -38,6 +39,16 @@ class Shape(NamedTuple):
     last: int
 
 
+class Law(NamedTuple):
+    """What one family of torques would explain."""
+
+    words: str
+    drop: float
+    """By how much chi-square falls with it."""
+    freedom: int
+    """How many numbers it has."""
+
+
 class Unnamed(NamedTuple):
     """How a residual looks to torques of any shape."""
 
@@ -48,6 +59,9 @@ class Unnamed(NamedTuple):
     """What the best one would be."""
     drop: float
     """By how much chi-square falls with it."""
+    law: Law | None = None
+    """The one that explains most for its numbers, each worth the logarithm of the number of
+    readings."""
 
 
 def shapes(near: Near, paths: Sequence[Path]) -> tuple[list[Column], list[Shape]]:
@@ -113,15 +127,17 @@ def unnamed(
     solver = Solver.of(near, seen_from(near, slopes, kept))
     readings = sum(int(r.used.sum()) for r in near.fitted)
     scale = max(1.0, solver.alone / readings)
-    best = Unnamed(1.0, "", 0.0)
+    best, laws = Unnamed(1.0, "", 0.0), []
     for shape in found:
         which = np.arange(begin + shape.first, begin + shape.last)
         drop, freedom = _drop(solver, which)
         p = float(chi_square.sf(drop / scale, freedom)) if freedom else 1.0
+        laws.append(Law(shape.words, drop, freedom))
         if p < best.p:
             best = Unnamed(p, shape.words, drop)
     p = -np.expm1(len(found) * np.log1p(-best.p)) if best.p < 1 else 1.0
-    return best._replace(p=float(p))
+    price = scale * math.log(readings)
+    return best._replace(p=float(p), law=max(laws, key=lambda x: x.drop - price * x.freedom))
 
 
 def _line(path: Path, torque: np.ndarray, joint: int) -> np.ndarray:

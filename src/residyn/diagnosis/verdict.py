@@ -17,8 +17,11 @@ _MOSTLY = 0.5  # of what is left
 _SLIGHT = 0.1  # of the residual's size: structure smaller than this does not matter
 
 
-def verdict_on(last: Step, added: bool) -> Verdict:
-    """About what is left: noise, or not."""
+def verdict_on(last: Step, added: bool, instead: bool = False) -> Verdict:
+    """About what is left: noise, or not; `instead`: one law of no catalogue is likelier than all
+    names together."""
+    if instead:
+        return "unexplained"
     if last.white >= LEFT or slight(last):
         return "missing" if added else "adequate"
     return "unexplained"
@@ -58,8 +61,10 @@ def words_for(
     last: Step,
     kept: Sequence[tuple[str, float]],
     groups: Sequence[tuple[str, ...]],
+    instead: str = "",
 ) -> tuple[str, ...]:
-    """The verdict in a few sentences; `kept` are names and how sure each is."""
+    """The verdict in a few sentences; `kept` are names and how sure each is; `instead` is what one
+    law would be that is likelier than all of them."""
     fit = last.fit
     worst = int(np.nanargmax(base.rmse / base.noise))
     joint = fit.joints[worst]
@@ -90,6 +95,12 @@ def words_for(
             f"{names} {be} missing: with {'it' if len(kept) == 1 else 'them'} {fall}, and what "
             f"is left is no more than noise ({chance(last.white)})."
         ]
+    elif instead:
+        words = [
+            f"With {names}, {fall}, and what is left is no more than noise ({chance(last.white)}).",
+            f"But one torque that {instead} would do as much with fewer numbers: likelier than all "
+            "of these names is one law that is not in the catalogue.",
+        ]
     elif kept:
         words = [
             f"{names} explain{'s' * (len(kept) == 1)} part of it: {fall}.",
@@ -102,7 +113,7 @@ def words_for(
             f"dampers leave {ratio(after)} times the noise at the {joint}, and it is not noise "
             f"({chance(last.white)}). See the torque that is missing."
         ]
-    if verdict == "unexplained":
+    if verdict == "unexplained" and not instead:
         words += _looks_like(last)
     for group in groups:
         words.append(f"These recordings cannot tell {group[0]} from {listed(list(group[1:]))}.")
