@@ -33,7 +33,9 @@ from residyn.diagnosis.path import Path as Way
 from residyn.diagnosis.path import variants
 from residyn.diagnosis.rung import Refit, stand
 from residyn.diagnosis.screen import left_over, pair, screen
+from residyn.diagnosis.unnamed import Law, Unnamed
 from residyn.diagnosis.valleys import out_of_valleys
+from residyn.effects import effects_named
 from residyn.fitting.pipeline import refit
 from residyn.recording import ArmTable, Bearing, InertiaTable
 from tests import rig
@@ -646,3 +648,34 @@ def test_a_law_with_more_to_it_must_matter_beside_the_simpler_one(left, bends, n
     ]
     step = SimpleNamespace(refits=refits, cost=100.0 * readings, readings=readings)
     assert ranked(step)[0].label == named
+
+
+@pytest.mark.parametrize(
+    ("drop", "freedom", "believed"),
+    [
+        (800.0, 1, False),  # as much as both, with one number
+        (802.0, 5, True),  # as much, with more numbers than both have
+        (770.0, 1, True),  # 30 less: what the second name explained
+        (0.0, 0, True),
+    ],
+)
+def test_one_law_of_no_name_may_be_likelier_than_two_names(drop, freedom, believed):
+    arm = residyn.ConstantInertia(((2.9, 1.0), (1.0, 0.6)), ("shoulder", "elbow"))
+    names = [
+        e for x in ("quadratic_drag", "stribeck_friction") for e in effects_named(f"{x}:elbow", arm)
+    ]
+    law = Law("depends on the rate of the elbow", drop, freedom)
+    first = SimpleNamespace(
+        effects=(), cost=4800.0, readings=4000, unnamed=Unnamed(1e-9, "", 0.0, law)
+    )
+
+    def odds(*kept):
+        model = residyn.Model(arm, kept)
+        near = SimpleNamespace(fitted=[None])
+        last = SimpleNamespace(
+            effects=kept, cost=4000.0, readings=4000, near=near, fit=SimpleNamespace(model=model)
+        )
+        return weighing.one_law([first, last])
+
+    assert (odds(*names) < 1.0) == believed
+    assert odds(names[0]) == 0.0  # one name is one law
