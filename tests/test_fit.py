@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import residyn
+from residyn.fitting import pipeline
 from residyn.fitting.levenberg import Polished, together
 from residyn.fitting.problem import Compressed, Unknowns
 from residyn.recording import ArmTable, Bearing, InertiaTable
@@ -297,3 +298,21 @@ def test_starts_that_meet_go_on_as_one():
         [end(1.2, 9.0), end(1.0, 8.0), end(1.04, 8.5), end(1.01, 900.0), end(5.0, 300.0)]
     )
     assert [(float(e.unknowns.numbers[0]), e.agreeing) for e in found] == [(1.0, 3), (1.2, 1)]
+
+
+def test_a_start_that_leads_nowhere_is_not_the_last(monkeypatch, case):
+    """One start may be a bad one; six that lead nowhere are an error."""
+    asked, own = [], pipeline._fit
+
+    def lost(given, effects, starts, say):
+        asked.append(starts)
+        if starts == 1 or not effects:
+            raise residyn.FitError("no start led to finite numbers")
+        return own(given, (), 1, say)
+
+    monkeypatch.setattr(pipeline, "_fit", lost)
+    residyn.fit(experiment(case), effects=["gravity"], starts=1)
+    assert asked == [1, 6]
+    with pytest.raises(residyn.FitError):
+        residyn.fit(experiment(case), starts=1)
+    assert asked[2:] == [1, 6]

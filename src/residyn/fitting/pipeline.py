@@ -19,7 +19,7 @@ from ..simulation import state_matrices
 from .descent import Descent, descend, wild_beside
 from .drifting import without_drift
 from .identify import Spread, spread_of
-from .result import Fit, Mode, Number, RecordingFit
+from .result import Fit, FitError, Mode, Number, RecordingFit
 from .setup import Ready, ready
 from .start import closed_form, perturbed
 from .words import warnings_for
@@ -46,7 +46,7 @@ def fit(
 
     - `experiment`: from `residyn.load`, or made of arrays.
     - `effects`: what to add to the springs and dampers: `name`, `name:joint`, or an effect.
-    - `starts`: how many starts to try, at least 1.
+    - `starts`: how many starts to try, at least 1; if they lead nowhere, six are tried.
     - `progress`: called with a few words as each phase begins.
     - `method`: "levenberg", or "genetic" for the paper's genetic algorithm on Eq. 17, which knows
       no `starts` and takes further arguments: those of `residyn.fitting.Genetic`.
@@ -66,7 +66,14 @@ def fit(
             raise ValueError(f'method = "{method}": must be "levenberg" or "genetic"')
         if search:
             raise TypeError(f'{next(iter(search))} is an argument of method="genetic" only')
-        return _fit(experiment, effects, starts, say)
+        try:
+            return _fit(experiment, effects, starts, say)
+        except FitError:
+            if starts >= DEFAULT_STARTS:
+                raise
+            # The first start in closed form may be a bad one: others from it seldom are, too.
+            say(f"no start led anywhere: fitting from {DEFAULT_STARTS}")
+            return _fit(experiment, effects, DEFAULT_STARTS, say)
 
 
 def _fit(experiment, effects, starts, progress) -> Fit:
