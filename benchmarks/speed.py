@@ -4,7 +4,8 @@
     python -m benchmarks.speed evaluations      one evaluation of the model and its derivatives
     python -m benchmarks.speed parts            what a warm fit spends its time on
     python -m benchmarks.speed diagnosis        a diagnosis, cold and warm, in warm fits
-    python -m benchmarks.speed many             fits a second of a bootstrap; growth with the data
+    python -m benchmarks.speed many             fits a second of a bootstrap
+    python -m benchmarks.speed scaling          how a fit grows with its data; a picture
 
 The reference problem: the paper's arm at an elbow angle of 0.3 rad, 20 s at 100 Hz, 1 mrad of
 noise, four numbers and four initial states. "Warm" is the second and later fits of a process;
@@ -13,6 +14,7 @@ noise, four numbers and four initial states. "Warm" is the second and later fits
 
 import sys
 import time
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +30,7 @@ from tests import rig
 from .fit_quality import experiment_of, scipy_fit
 
 REPEATS = 15
+PICTURE = Path(__file__).parents[1] / "docs" / "images" / "scaling.svg"
 
 
 def evaluations(experiment) -> None:
@@ -109,7 +112,7 @@ def diagnosis(experiment) -> None:
 
 
 def many(case, noise: float) -> None:
-    """Fits a second of a bootstrap, and how a fit grows with samples, recordings and starts."""
+    """Fits a second of a bootstrap."""
     fit = residyn.fit(experiment_of(case, noise), starts=1)
     residyn.bootstrap(fit, 8)
     draws = 10_000
@@ -119,15 +122,21 @@ def many(case, noise: float) -> None:
     settled = int(found.converged.sum())
     pace = draws / seconds
     print(f"bootstrap: {draws} fits in {seconds:.0f} s, {pace:.0f} a second, {settled} settled")
+
+
+GROWN: dict[str, tuple[int, ...]] = {
+    "samples": (500, 2000, 8000, 50_000),
+    "recordings": (1, 10, 100, 1000),
+    "starts": (1, 6, 64, 1024),
+}
+
+
+def scaling() -> None:
+    """How a warm fit grows with samples, recordings and starts: a table and a picture."""
     print("| what | number | warm, s | over the one before |")
     print("|---|---|---|---|")
-    grown: list[tuple[str, tuple[int, ...]]] = [
-        ("samples", (500, 2000, 8000, 50_000)),
-        ("recordings", (1, 10, 100, 1000)),
-        ("starts", (1, 6, 64, 1024)),
-    ]
-    for what, sizes in grown:
-        before = None
+    found: dict[str, list[float]] = {what: [] for what in GROWN}
+    for what, sizes in GROWN.items():
         for size in sizes:
             experiment = _grown(what, size)
             seconds = []
@@ -138,9 +147,35 @@ def many(case, noise: float) -> None:
                 if seconds[-1] > 30:
                     break
             warm = float(np.median(seconds[1:] or seconds))
-            more = "" if before is None else f"{warm / before:.1f}"
+            more = f"{warm / found[what][-1]:.1f}" if found[what] else ""
             print(f"| {what} | {size} | {warm:.3f} | {more} |", flush=True)
-            before = warm
+            found[what].append(warm)
+    _drawn(found)
+
+
+def _drawn(found: dict[str, list[float]]) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    words = {
+        "samples": "samples in 20 s",
+        "recordings": "recordings of 2000 samples",
+        "starts": "starts",
+    }
+    figure, all_axes = plt.subplots(1, 3, figsize=(9.0, 3.0), sharey=True, layout="constrained")
+    for axes, (what, seconds) in zip(all_axes, found.items(), strict=True):
+        sizes = np.array(GROWN[what], float)
+        even = seconds[-2] * sizes / sizes[-2]
+        axes.loglog(sizes, even, color="0.7", lw=1, zorder=0, label="in proportion")
+        axes.loglog(sizes, seconds, "o-", color="C0", ms=5, label="measured")
+        axes.set_xlabel(words[what])
+        axes.spines[["top", "right"]].set_visible(False)
+    all_axes[0].set_ylabel("one warm fit, s")
+    all_axes[0].legend(frameon=False, loc="upper left")
+    figure.savefig(PICTURE)
+    plt.close(figure)
 
 
 def _grown(what: str, size: int):
@@ -174,7 +209,12 @@ def main() -> None:
         diagnosis(experiment_of(case, noise))
         return
     if words:
-        some = {"evaluations": evaluations, "parts": parts, "many": lambda _: many(case, noise)}
+        some = {
+            "evaluations": evaluations,
+            "parts": parts,
+            "many": lambda _: many(case, noise),
+            "scaling": lambda _: scaling(),
+        }
         some[words[0]](experiment)
         return
     floor = np.sum((q - truth) ** 2)

@@ -32,6 +32,7 @@ _RUNAWAY = 1e6
 # Instants whose residuals are squared and summed at a time: their derivatives stay in the cache,
 # and how many there are need not be compiled in.
 _CHUNK = 256
+_ABREAST = 8  # recordings that a CPU takes together
 
 
 AnyArray = Array | np.ndarray  # NumPy's, until a compiled program takes it
@@ -320,15 +321,19 @@ def _chunks(problem: Problem, only, chunk: int):
 
 
 def over_recordings(one: Callable, model: Model) -> Callable:
-    """`one`, of one recording, for all of them: abreast, or, where dry friction asks what seldom
-    happens, one after the other, for abreast it would have to be computed every time."""
+    """`one`, of one recording, for all of them: abreast, a few at a time where a CPU's cache cannot
+    hold them all, or, where dry friction asks what seldom happens, one after the other, for abreast
+    it would have to be computed every time."""
 
     def each(*trees):
-        if jax.tree.leaves(trees)[0].shape[0] == 1:
+        count = jax.tree.leaves(trees)[0].shape[0]
+        if count == 1:
             found = one(*jax.tree.map(lambda x: x[0], trees))
             return jax.tree.map(lambda x: x[None], found)
         if model.dry:
             return jax.lax.map(lambda x: one(*x), trees)
+        if count > 2 * _ABREAST and jax.default_backend() == "cpu":
+            return jax.lax.map(lambda x: one(*x), trees, batch_size=_ABREAST)
         return jax.vmap(one)(*trees)
 
     return each
