@@ -71,12 +71,15 @@ class _Gathering:
     def __init__(self, running: int):
         self._lock = threading.Lock()
         self._running = running
-        self._waiting: list[tuple[Callable, tuple, Future]] = []
+        self._waiting: list[_Request] = []
 
     def ask(self, program: Callable, args: tuple) -> Any:
         future: Future = Future()
+        shapes = tuple(x.shape for x in jax.tree.leaves(args) if eqx.is_array(x))
+        kind = program, jax.tree.structure(args), shapes
+        hash(kind)  # what cannot be grouped fails here, and holds no other fit up
         with self._lock:
-            self._waiting.append((program, args, future))
+            self._waiting.append((kind, args, future))
             due = self._due()
         _answer(due)
         return future.result()
@@ -88,18 +91,21 @@ class _Gathering:
             due = self._due()
         _answer(due)
 
-    def _due(self) -> list[tuple[Callable, tuple, Future]]:
+    def _due(self) -> "list[_Request]":
         if not self._waiting or len(self._waiting) < self._running:
             return []
         due, self._waiting = self._waiting, []
         return due
 
 
-def _answer(requests: list[tuple[Callable, tuple, Future]]) -> None:
-    groups: dict[Any, list[tuple[tuple, Future]]] = {}
-    for program, args, future in requests:
-        shapes = tuple(x.shape for x in jax.tree.leaves(args) if eqx.is_array(x))
-        groups.setdefault((program, jax.tree.structure(args), shapes), []).append((args, future))
+_Request = tuple[tuple, tuple, Future]
+"""What tells programs apart (the function, its inputs' structure and shapes), inputs, the answer."""
+
+
+def _answer(requests: list[_Request]) -> None:
+    groups: dict[tuple, list[tuple[tuple, Future]]] = {}
+    for kind, args, future in requests:
+        groups.setdefault(kind, []).append((args, future))
     for (program, *_), group in groups.items():
         try:
             with jax.enable_x64(True):  # a setting of each thread, and this one's fit may be over
