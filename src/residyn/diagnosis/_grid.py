@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..fitting.problem import bucket
+from ..fitting.layout import bucket
 from ..recording import Recording
 
 _STEP = 0.3  # integration step times fastest angular frequency

@@ -17,7 +17,8 @@ import numpy as np
 
 from .._units import amount, plain
 from ..fitting.identify import information
-from ..fitting.problem import bucket, posed
+from ..fitting.layout import bucket
+from ..fitting.problem import posed
 from ..fitting.setup import Ready, mechanism_of
 from ..model import Model
 from ..nodes import read

@@ -99,7 +99,7 @@ class _Gathering:
 
 
 _Request = tuple[tuple, tuple, Future]
-"""What tells programs apart (the function, its inputs' structure and shapes), inputs, the answer."""
+"""What tells programs apart (function, inputs' structure and shapes), inputs, the answer."""
 
 
 def _answer(requests: list[_Request]) -> None:

@@ -25,7 +25,8 @@ from jaxtyping import Array, Float, Int
 
 from ..kept import kept
 from .abreast import asked, gathered
-from .problem import Compressed, Problem, Unknowns, compressed, read_of
+from .layout import read_of
+from .problem import Compressed, Problem, Unknowns, compressed
 
 STEPS = 20  # of one call: between calls, the hopeless can be left
 _CALLS = 4

@@ -17,7 +17,8 @@ from ..motion import split
 from ..parameter import Scales, all_floating
 from ..recording import ArmTable, Experiment, Recording
 from ..simulation import fastest
-from .problem import Problem, Unknowns, bucket, lay_out, posed
+from .layout import bucket, lay_out
+from .problem import Problem, Unknowns, posed
 
 # Step of a fit times fastest angular frequency: good to 1e-6 of the amplitude, far below any noise.
 _STEP = 0.4

@@ -30,7 +30,7 @@ from ..motion import Motion, split, stack
 from ..parameter import stacked
 from ..recording import Recording
 from .beginnings import Beginnings, memory_along, oscillates, plain, tuned
-from .problem import bucket
+from .layout import bucket
 from .smoothing import smooth, uniform
 
 _NARROWEST = 4  # samples in half a kernel

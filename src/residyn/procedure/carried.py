@@ -18,7 +18,8 @@ import numpy as np
 from ..effects import AbstractEffect
 from ..fitting import Fit, Mode
 from ..fitting.identify import information
-from ..fitting.problem import Problem, Recorded, predict, whiten
+from ..fitting.layout import Recorded
+from ..fitting.problem import Problem, predict, whiten
 from ..fitting.setup import ready
 from ..mechanism import AbstractMechanism, PlanarArm
 from ..modal import modes
