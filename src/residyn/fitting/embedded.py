@@ -208,7 +208,7 @@ def _minimum(problem: Problem, start: Unknowns):
     """(unknowns, steps, whether they settled)."""
     solution = optx.least_squares(
         rows,
-        solver(),
+        solver(start),
         start,
         args=Stretch(problem),
         has_aux=True,

@@ -19,12 +19,14 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lineax as lx
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from ..kept import kept
 from .abreast import asked, gathered
+from .arrowhead import Arrowhead
 from .layout import read_of
 from .problem import Compressed, Problem, Unknowns, compressed
 
@@ -106,16 +108,17 @@ def _rows_jvp(primals, tangents):
     return (rows, squeezed), (_Rows(along, jnp.zeros_like(squeezed.beside)), still)
 
 
-def solver() -> optx.LevenbergMarquardt:
-    """Levenberg-Marquardt with this module's stopping rule."""
-    return optx.LevenbergMarquardt(rtol=0.0, atol=_RESIDUAL_TOLERANCE, norm=_norm)
+def solver(y: Unknowns) -> optx.LevenbergMarquardt:
+    """Levenberg-Marquardt of unknowns like these, with this module's stopping rule."""
+    step = lx.QR() if y.states.shape[0] == 1 else Arrowhead()
+    return optx.LevenbergMarquardt(0.0, _RESIDUAL_TOLERANCE, _norm, step)
 
 
 def descend(stretch: Stretch, y: Unknowns, steps: int = STEPS):
     """One Levenberg-Marquardt descent: where it ended, steps, whether it converged, and J there."""
     solution = optx.least_squares(
         rows,
-        solver(),
+        solver(y),
         y,
         args=stretch,
         has_aux=True,

@@ -85,12 +85,12 @@ def _descent(stage: Stretch, problem: Problem, y: Unknowns) -> tuple[list[float]
 @eqx.filter_jit
 def _first(y: Unknowns, stage: Stretch):
     out, more = eqx.filter_eval_shape(rows, y, stage)
-    return solver().init(rows, y, stage, _OPTIONS, out, more, frozenset())
+    return solver(y).init(rows, y, stage, _OPTIONS, out, more, frozenset())
 
 
 @eqx.filter_jit
 def _step(y: Unknowns, stage: Stretch, state):
-    y, state, _ = solver().step(rows, y, stage, _OPTIONS, state, frozenset())
+    y, state, _ = solver(y).step(rows, y, stage, _OPTIONS, state, frozenset())
     return y, state
 
 
