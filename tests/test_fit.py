@@ -316,3 +316,36 @@ def test_a_start_that_leads_nowhere_is_not_the_last(monkeypatch, case):
     with pytest.raises(residyn.FitError):
         residyn.fit(experiment(case), starts=1)
     assert asked[2:] == [1, 6]
+
+
+def test_many_recordings_in_one_fit():
+    """More recordings than the start looks at, each with a state of its own: all are weighed."""
+    rng = np.random.default_rng(7)
+    arm, t, noise = rig.paper_twin(0.3), np.arange(300) * 0.01, 1e-3
+    truth, recordings = rig.simulate(arm, t, np.array([0.2, -0.1]))[0], []
+    for _ in range(70):
+        q = truth + noise * rng.standard_normal(truth.shape)
+        recordings.append(residyn.Recording.from_arrays(t, q, theta2=arm.theta2, noise=noise))
+    table = ArmTable((arm.l1, arm.l2), arm.shoulder, arm.elbow, arm.coupling)
+    few = residyn.fit(residyn.Experiment(table, tuple(recordings[:7])), starts=1)
+    fit = residyn.fit(residyn.Experiment(table, tuple(recordings)), starts=1)
+    assert fit.converged
+    assert 0.95 < fit.reduced_chi2 < 1.05
+    for number, other, true in zip(
+        fit.numbers, few.numbers, [*arm.stiffness, *arm.damping], strict=True
+    ):
+        assert abs(number.value - true) < 4 * number.std
+        # Ten times the readings, a third of the error.
+        assert number.std == pytest.approx(other.std / np.sqrt(10), rel=0.05)
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_a_start_stays_where_numbers_can_be(seed):
+    """Gravity and springs pull alike in a small swing: noise must not drive them apart."""
+    case = clean_case(seed, noise=5e-3)
+    made = experiment(case, noise=5e-3)
+    here = pipeline.ready(made, made.fit_recordings, ["gravity"])
+    with jax.enable_x64(True):
+        wild = [np.zeros(r.angle.shape, bool) for r in here.recordings]
+        numbers, _ = pipeline.beginning(here, wild, 6)
+        assert np.all(np.abs(numbers) < 50 * here.typical())

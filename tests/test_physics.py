@@ -11,8 +11,9 @@ import pytest
 import residyn
 from residyn import ConstantInertia, CoulombFriction, Damper, Gravity, PlanarArm, Spring
 from residyn.effects import PrintedInertiaTorque
+from residyn.modal import at_rest, equilibrium, fastest, state_matrices, state_matrix
 from residyn.motion import Motion
-from residyn.simulation import fastest, march
+from residyn.simulation import march
 
 rig = pytest.importorskip("tests.rig")
 
@@ -253,3 +254,19 @@ def test_dry_friction_of_a_bearing_damps_no_mode():
         pairs = zip(residyn.modes(model), residyn.modes(rubbed), strict=True)
         for clean, found in pairs:
             np.testing.assert_allclose(found, clean, atol=1e-9)
+
+
+@pytest.mark.parametrize("tilted", [False, True])
+def test_concrete_state_matrices_are_those_of_any_other_program(undamped, tilted):
+    """Where an arm rests is found outside of the compiled program for concrete numbers."""
+    model = undamped + Damper("elbow", 0.3)
+    if tilted:  # a hanging elbow: it rests far from where its spring is slack
+        model = model + Gravity(2.0, 1.5, 1.2, 0.4)
+    q, matrix = at_rest(model)
+    np.testing.assert_allclose(q, equilibrium(model), atol=1e-10)
+    np.testing.assert_allclose(matrix, state_matrix(model), rtol=1e-9, atol=1e-9)
+    assert (np.abs(q).max() > 0.01) == tilted
+    rows = np.asarray(model.vector()) * np.array([[1.0], [1.1], [0.8]])
+    for found, row in zip(state_matrices(model, rows), rows, strict=True):
+        there = state_matrix(model.with_vector(jnp.asarray(row)))
+        np.testing.assert_allclose(found, there, rtol=1e-9, atol=1e-9)

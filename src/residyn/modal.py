@@ -14,8 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from .kept import kept
 from .model import Model
 from .motion import Motion, split, stack
+
+_NEWTON = 12
+_RIDGE = 1e-12
+_SETTLED = 1e-12  # rad or m, of a step to where a model rests
 
 
 class Modes(NamedTuple):
@@ -27,19 +32,16 @@ class Modes(NamedTuple):
 
 def equilibrium(model: Model) -> Float[Array, " n"]:
     """Where the model rests, rad or m: near 0, less where gravity or a constant torque pulls."""
-
-    def push(q):
-        return stack(model.acceleration(_at_rest(q, 0.0 * q, jnp.zeros(len(model.memory)))))
+    n = len(model.mechanism.joints)
 
     def step(q, _):
-        slope = jax.jacfwd(push)(q)
+        slope = jax.jacfwd(partial(_pull, model))(q)
         # A joint without stiffness rests anywhere: the small ridge leaves it where it is.
         square = slope.T @ slope
-        ridge = (1e-12 * jnp.trace(square) + 1e-300) * jnp.eye(len(q))
-        return q - jnp.linalg.solve(square + ridge, slope.T @ push(q)), None
+        ridge = (_RIDGE * jnp.trace(square) + 1e-300) * jnp.eye(n)
+        return q - jnp.linalg.solve(square + ridge, slope.T @ _pull(model, q)), None
 
-    start = jnp.zeros(len(model.mechanism.joints))
-    return jax.lax.scan(step, start, None, length=12)[0]
+    return jax.lax.scan(step, jnp.zeros(n), None, length=_NEWTON)[0]
 
 
 def state_matrix(model: Model, q: Float[Array, " n"] | None = None) -> Float[Array, "s s"]:
@@ -49,12 +51,77 @@ def state_matrix(model: Model, q: Float[Array, " n"] | None = None) -> Float[Arr
     n, still = q.shape[0], jnp.zeros(len(model.memory))
 
     def slopes(y):
-        motion = _at_rest(y[:n], y[n : 2 * n], y[2 * n :])
+        motion = _still(y[:n], y[n : 2 * n], y[2 * n :])
         return jnp.concatenate(
             [y[n : 2 * n], stack(model.acceleration(motion)), _array(model.memory_rate(motion))]
         )
 
     return jax.jacfwd(slopes)(jnp.concatenate([q, jnp.zeros(n), still]))
+
+
+def fastest(model: Model) -> float:
+    """Largest angular frequency of the linearised model, rad/s (concrete numbers only)."""
+    matrix = concrete_state_matrix(model)
+    return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else np.inf
+
+
+def concrete_state_matrix(model: Model) -> np.ndarray:
+    """`state_matrix` (s, s) of concrete numbers, by the program that a fit needs anyway."""
+    return at_rest(model)[1]
+
+
+def at_rest(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """`equilibrium` (n,) and `state_matrix` (s, s) of concrete numbers."""
+    vector = np.asarray(model.vector())
+    q, matrices = _at_rest_with(model, np.tile(vector, (2 * len(vector) + 1, 1)))
+    return q[0], matrices[0]
+
+
+def state_matrices(model: Model, numbers: Float[np.ndarray, "K P"]) -> Float[np.ndarray, "K s s"]:
+    """`state_matrix` with each row of concrete numbers. Compiled for each K: 2 P + 1 serves for a
+    central difference in all numbers."""
+    return _at_rest_with(model, numbers)[1]
+
+
+def _at_rest_with(model: Model, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the model rests (K, n), and its state matrix there."""
+    # Newton's steps of `equilibrium`, outside of the compiled program, which is small then; most
+    # models rest at 0, and take none.
+    n = len(model.mechanism.joints)
+
+    def seen(q) -> tuple[np.ndarray, np.ndarray]:
+        pull, matrices = _linearised(model, numbers, q)
+        return _finite(pull)[..., None], np.asarray(matrices)
+
+    q = np.zeros((len(numbers), n))
+    pull, matrices = seen(q)
+    for _ in range(_NEWTON):
+        slope = _finite(matrices[:, n : 2 * n, :n])
+        square = slope.swapaxes(1, 2) @ slope
+        trace = np.trace(square, axis1=1, axis2=2)[:, None, None]
+        ridge = (_RIDGE * trace + 1e-300) * np.eye(n)
+        step = np.linalg.solve(square + ridge, slope.swapaxes(1, 2) @ pull)[..., 0]
+        if np.all(np.abs(step) <= _SETTLED):
+            break
+        q = q - step
+        pull, matrices = seen(q)
+    return q, matrices
+
+
+def _finite(x) -> np.ndarray:
+    return np.nan_to_num(np.asarray(x), nan=0.0, posinf=0.0, neginf=0.0)
+
+
+@kept(like=(0, 0))
+def _linearised(model: Model, numbers, q):
+    """What pulls at rest in each row of `q`, and the state matrix there."""
+
+    # One after the other: such small arrays compile longer than they run.
+    def one(row):
+        here = model.with_vector(row[0])
+        return _pull(here, row[1]), state_matrix(here, row[1])
+
+    return jax.lax.map(one, (numbers, q))
 
 
 def modes(model: Model) -> Modes:
@@ -77,7 +144,12 @@ def modes_of(values: Complex[Array | np.ndarray, " 2n"]) -> Modes:
     return Modes((size / (2 * np.pi))[keep], (-here.real(values) / safe)[keep])
 
 
-def _at_rest(q, v, z) -> Motion:
+def _pull(model: Model, q) -> Float[Array, " n"]:
+    """The acceleration from rest at `q`."""
+    return stack(model.acceleration(_still(q, 0.0 * q, jnp.zeros(len(model.memory)))))
+
+
+def _still(q, v, z) -> Motion:
     return Motion(0.0, split(q), split(v), (0.0,) * len(q), split(z))
 
 

@@ -19,12 +19,10 @@ from typing import ClassVar
 import diffrax
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from .equation import Args, Drive, Piecewise, rates
-from .kept import kept
-from .modal import state_matrix
+from .modal import fastest
 from .model import Model
 from .motion import Joints, Scalar, split, stack
 from .nodes import Nodes, Trajectory, read
@@ -180,25 +178,6 @@ def _acceleration_at(args: Args, t, y: State) -> Joints:
         return rates(args, motion)[0]
     sticking = sliding(args, motion)
     return rates(args, motion._replace(direction=sticking.direction), sticking.held)[0]
-
-
-def fastest(model: Model) -> float:
-    """Largest angular frequency of the linearised model, rad/s (concrete numbers only)."""
-    matrix = compiled_state_matrix(model)
-    return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else np.inf
-
-
-def compiled_state_matrix(model: Model) -> np.ndarray:
-    """`state_matrix` (s, s) of concrete numbers, by the program that a fit needs anyway."""
-    vector = np.asarray(model.vector())
-    return np.asarray(state_matrices(model, np.tile(vector, (2 * len(vector) + 1, 1))))[0]
-
-
-@kept(like=0)
-def state_matrices(model: Model, numbers: Float[Array, "K P"]) -> Float[Array, "K s s"]:
-    """`state_matrix` with each row of numbers. Compiled for each K: 2 P + 1 serves for a central
-    difference in all numbers."""
-    return jax.vmap(lambda x: state_matrix(model.with_vector(x)))(numbers)
 
 
 def steps_for(model: Model, duration: float, frequency: float | None = None) -> int:

@@ -46,7 +46,7 @@ def first_angles(
     model: "Model", experiment: "Experiment", recording: "Recording", rates: np.ndarray
 ) -> np.ndarray:
     """Angles at the first instant: a parabola of the known slope through the first readings."""
-    from ..simulation import fastest
+    from ..modal import fastest
 
     time = recording.time - recording.time[0]
     # Up to here, a swing at the fastest mode is a parabola within 0.3 %.

@@ -20,8 +20,8 @@ from ..fitting.problem import Problem, Unknowns, predict, tight
 from ..fitting.result import Fit, RecordingFit
 from ..fitting.setup import Ready, mechanism_of, reweighted
 from ..kept import kept
-from ..modal import equilibrium, state_matrix
-from ..motion import split, stack
+from ..modal import at_rest
+from ..model import Model
 
 # A direction of the tangent this much shorter than the longest is rounding, or undetermined.
 _BLIND = 1e-5
@@ -104,7 +104,7 @@ def steadied(near: Near) -> Near:
     """
     model = near.fit.model
     values, typical = np.array(model.vector()), near.ready.typical()
-    at_work = dict(zip(_LED, np.asarray(_at_work(model)), strict=True))
+    at_work = dict(zip(_LED, _at_work(model), strict=True))
     for i, number in enumerate(model.fitted):
         kind = number.name.partition(":")[0]
         if kind not in _LED:
@@ -122,13 +122,14 @@ def steadied(near: Near) -> Near:
     return near._replace(fit=fit, problem=problem, at=at)
 
 
-@kept(like=0)
-def _at_work(model):
+def _at_work(model: Model) -> np.ndarray:
     """(2, n): how stiff each joint is, whatever makes it so, and how damped, where it rests."""
     n = len(model.mechanism.joints)
-    a = state_matrix(model)[n : 2 * n, : 2 * n]
-    square = jnp.stack([stack(row) for row in model.bodies.mass_matrix(split(equilibrium(model)))])
-    return jnp.stack([jnp.diagonal(-square @ part) for part in (a[:, :n], a[:, n:])])
+    q, matrix = at_rest(model)
+    rows = model.bodies.mass_matrix(tuple(q))
+    square = np.array([[float(x) for x in row] for row in rows])
+    below = matrix[n : 2 * n]
+    return np.stack([np.diagonal(-square @ part) for part in (below[:, :n], below[:, n : 2 * n])])
 
 
 @kept(like=(0, 0))

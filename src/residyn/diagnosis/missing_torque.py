@@ -22,11 +22,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..kept import kept
+from ..modal import concrete_state_matrix
 from ..model import Model
 from ..motion import Motion, split, stack
 from ..parameter import all_floating
 from ..recording import Recording
-from ..simulation import compiled_state_matrix
 from ._filter import Start
 from ._grid import amplitude, lay_out
 from ._smooth import Data, Smoothed, along, estimate, followed, likeliest
@@ -147,7 +147,7 @@ def _frequencies(model: Model, time: np.ndarray) -> tuple[float, float]:
     """Angular frequencies of the fastest and of the slowest motion to expect, rad/s."""
     least = 2 * math.pi / (time[-1] - time[0])
     most = math.pi / float(np.median(np.diff(time)))
-    matrix = np.asarray(compiled_state_matrix(model))
+    matrix = np.asarray(concrete_state_matrix(model))
     values = np.linalg.eigvals(matrix) if np.isfinite(matrix).all() else np.array([most])
     imaginary = np.imag(values)
     rings = imaginary[imaginary > 0]

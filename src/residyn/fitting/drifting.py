@@ -13,10 +13,9 @@ import dataclasses
 import numpy as np
 
 from .._stretches import in_stretches
-from ..modal import modes_of
+from ..modal import concrete_state_matrix, modes_of
 from ..model import Model
 from ..recording import Experiment, Recording
-from ..simulation import compiled_state_matrix
 
 _CYCLES = 1.0  # of a mode in the recording: fewer, and it holds nothing in place
 _SAMPLES = 40  # of a stretch, at least
@@ -29,7 +28,7 @@ def stretch_of(model: Model, recording: Recording) -> float | None:
     driven = recording.drive is not None and bool(np.any(recording.drive))
     if not driven or recording.whole is not None:
         return None
-    values = np.linalg.eigvals(np.asarray(compiled_state_matrix(model)))
+    values = np.linalg.eigvals(np.asarray(concrete_state_matrix(model)))
     frequency, damping = (np.asarray(x) for x in modes_of(values))
     rings = (frequency * recording.duration > _CYCLES) & (np.abs(damping) < 1 - 1e-9)
     if rings.all():

@@ -12,10 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..effects import AbstractEffect
-from ..modal import modes_of
+from ..modal import modes_of, state_matrices
 from ..model import Model
 from ..recording import Experiment
-from ..simulation import state_matrices
 from .descent import Descent, descend, wild_beside
 from .drifting import without_drift
 from .identify import Spread, spread_of

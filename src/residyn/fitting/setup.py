@@ -12,11 +12,11 @@ from ..bearings import AirBearing, without_bearings
 from ..effects import AbstractEffect, effects_named
 from ..kept import kept
 from ..mechanism import AbstractMechanism, ConstantInertia, PlanarArm
+from ..modal import fastest
 from ..model import Model
 from ..motion import split
 from ..parameter import Scales, all_floating
 from ..recording import ArmTable, Experiment, Recording
-from ..simulation import fastest
 from .layout import bucket, lay_out
 from .problem import Problem, Unknowns, posed
 

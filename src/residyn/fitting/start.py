@@ -30,7 +30,7 @@ from ..motion import Motion, split, stack
 from ..parameter import stacked
 from ..recording import Recording
 from .beginnings import Beginnings, memory_along, oscillates, plain, tuned
-from .layout import bucket
+from .layout import AnyArray, bucket
 from .smoothing import smooth, uniform
 
 _NARROWEST = 4  # samples in half a kernel
@@ -40,6 +40,8 @@ _LADDER = 12  # kernels tried, each 1.5 times wider than the last
 _LEAST_KEPT = 0.05
 _INSTANTS = 8, 2048  # room for instants comes in powers of this, from this up
 _CHUNK = 256  # instants whose equations are summed at a time
+_FAR = 10.0  # times its typical size: no number is looked for much further away
+_ROUNDING = 1e-14
 _ELSEWHERE = 0.1  # of a joint's swing: where it rings about, if not about zero
 
 
@@ -85,7 +87,8 @@ def closed_form(
     chunks = np.asarray(-(-max(q.shape[1] for q, *_ in each) // min(_CHUNK, longest)))
 
     def solved(beginnings: Beginnings):
-        return jax.device_get(_solve(posed, beginnings, spacing, data, chunks))
+        equations = jax.device_get(_equations(posed, beginnings, spacing, data, chunks))
+        return _solved(equations, np.asarray(beginnings.numbers), sizes, used // stride)
 
     beginnings = plain(models[0], sizes, len(grids))
     if oscillates(models[0]):
@@ -163,64 +166,87 @@ def _memories(models, vector, z0, spacing, data):
     )
 
 
-@kept(like=(0, 0))
-def _solve(models, beginnings: Beginnings, spacing, data, chunks):
-    """Linear least squares on the acceleration error, for every kernel and beginning, without and
-    with a constant torque at every joint beside the model; of the first `chunks` chunks of
-    instants.
+class _Equations(NamedTuple):
+    """Linear equations for changes of U unknowns, the model's numbers (P,) and a constant torque at
+    every joint: J'J, J'e and e'e, for every kernel and beginning."""
 
-    **Returns:** numbers (K, 2, B, P) and their spread (K, 2, B).
-    """
-    shape = [n.meaning.silent is None for n in models.fitted]
+    square: AnyArray  # (K, B, U, U)
+    slope: AnyArray  # (K, B, U)
+    total: AnyArray  # (K, B)
+    readings: AnyArray  # (K,) how many there are, by their weight
+
+
+@kept(like=_Equations(0, 0, 0, 0))  # pyright: ignore[reportArgumentType]
+def _equations(models, beginnings: Beginnings, spacing, data, chunks) -> _Equations:
+    """The acceleration error and its slopes, summed over the first `chunks` chunks of instants."""
     joints = len(models.mechanism.joints)
+    shape = [n.meaning.silent is None for n in models.fitted]
     shape = jnp.asarray([*shape, *[False] * joints])
-    own = jnp.arange(len(shape)) < len(shape) - joints
     t = spacing[:, None] * jnp.arange(data[0].shape[2])
+    chunk = min(_CHUNK, t.shape[1])
 
     def one(vector, z0, data):  # one beginning and kernel; `data` over recordings
         z = _memories(models, vector, z0, spacing, data)
         vector = jnp.concatenate([vector, jnp.zeros(joints)])
-        everything = (data, z, t)
 
-        def over(add, empty):
-            """The sum over chunks: how many there are need not be compiled in."""
-            chunk = min(_CHUNK, t.shape[1])
-
-            def body(index, total):
-                part = jax.tree.map(
-                    lambda x: jax.lax.dynamic_slice_in_dim(x, index * chunk, chunk, 1), everything
-                )
-                return jax.tree.map(jnp.add, total, add(*part))
-
-            return jax.lax.fori_loop(0, chunks, body, empty)
-
-        def equations(data, z, t):
+        def add(index, sums):
+            """How many chunks there are need not be compiled in."""
+            part = jax.tree.map(
+                lambda x: jax.lax.dynamic_slice_in_dim(x, index * chunk, chunk, 1), (data, z, t)
+            )
             of = lambda *x: (_error(*x), jax.jacfwd(_error)(*x))  # noqa: E731
-            e, j = _errors(of, models, vector, data, z, t)
+            e, j = _errors(of, models, vector, *part)
             j = jnp.where(shape, 0.0, j)
-            return jnp.einsum("rgnp,rgnk->pk", j, j), jnp.einsum("rgnp,rgn->p", j, e)
+            more = jnp.einsum("rgnp,rgnk->pk", j, j), jnp.einsum("rgnp,rgn->p", j, e), jnp.sum(e**2)
+            return jax.tree.map(jnp.add, sums, more)
 
-        square, slope = over(equations, (jnp.zeros((len(shape),) * 2), jnp.zeros(len(shape))))
-        readings = jnp.sum(data[-1]) * joints
-
-        def kind(use):
-            seen = use & (jnp.diag(square) > 0)
-            size = jnp.sqrt(jnp.where(seen, jnp.diag(square), 1.0))
-            scaled = jnp.where(seen[:, None] & seen, square / size / size[:, None], 0.0)
-            # Blind directions stay put; of others the typical relative standard deviation is
-            # wanted, in its logarithm, and for ranking only.
-            scaled = scaled + jnp.diag(jnp.where(seen, 1e-12, 1.0))
-            found = vector - jnp.linalg.solve(scaled, jnp.where(seen, slope / size, 0.0)) / size
-            left = over(lambda *x: jnp.sum(_errors(_error, models, found, *x) ** 2), 0.0)
-            volume = jnp.linalg.slogdet(scaled)[1] + 2.0 * jnp.sum(jnp.log(size))
-            spread = 0.5 * (jnp.log(left / readings) - volume / jnp.maximum(1, jnp.sum(seen)))
-            return found[:-joints], spread
-
-        return jax.vmap(kind)(jnp.stack([own, own | True]))
+        empty = jnp.zeros((len(shape),) * 2), jnp.zeros(len(shape)), jnp.zeros(())
+        return jax.lax.fori_loop(0, chunks, add, empty)
 
     each = jax.vmap(one, in_axes=(0, 0, None))
-    numbers, spread = jax.vmap(each, in_axes=(None, None, 0))(*beginnings, data)
-    return numbers.swapaxes(1, 2), spread.swapaxes(1, 2)
+    sums = jax.vmap(each, in_axes=(None, None, 0))(*beginnings, data)
+    return _Equations(sums[0], sums[1], sums[2], jnp.sum(data[-1], axis=(1, 2)) * joints)
+
+
+def _solved(
+    equations: _Equations, vectors: np.ndarray, sizes: np.ndarray, halves: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers (K, 2, B, P), without and with the constant torques, and their spread (K, 2, B), from
+    beginnings (B, P); `sizes` (P,) are typical, `halves` (K,) the kernels' half-widths in instants.
+    """
+    squares, slopes, total, readings = (np.asarray(x) for x in equations)
+    own, found, spreads = vectors.shape[1], [], []
+    for count in (own, slopes.shape[-1]):
+        square, slope = squares[..., :count, :count], slopes[..., :count]
+        diagonal = np.einsum("kbii->kbi", square)
+        seen = diagonal > 0
+        size = np.sqrt(np.where(seen, diagonal, 1.0))
+        scaled = square / size[..., None] / size[..., None, :]
+        # Blind directions stay put; of others the typical relative standard deviation is wanted, in
+        # its logarithm, and for ranking only.
+        scaled = scaled + np.where(seen, 1e-12, 1.0)[..., None] * np.eye(count)
+        change = _change(scaled, slope / size)
+        gained = np.einsum("kbi,kbi->kb", slope / size, change)
+        left = np.maximum(total + gained, _ROUNDING * total)
+        left = np.maximum(left, 1e-300) / np.maximum(readings, 1e-300)[:, None]
+        volume = np.linalg.slogdet(scaled)[1] + 2.0 * np.sum(np.log(size), axis=-1)
+        spread = 0.5 * (np.log(left) - volume / np.maximum(1, seen.sum(axis=-1)))
+        # What these readings hardly determine stays near where it began: far away, no simulation
+        # would come back. Equations share their noise with as many others as a kernel is wide.
+        known = np.append(_FAR * sizes, np.full(count - own, np.inf))
+        ridge = (halves[:, None] * left)[..., None] / (known * size) ** 2
+        change = _change(scaled + ridge[..., None] * np.eye(count), slope / size) / size
+        found.append(vectors + change[..., :own])
+        spreads.append(np.where(readings[:, None] > 0, spread, np.inf))
+    return np.stack(found, axis=1), np.stack(spreads, axis=1)
+
+
+def _change(square: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Least squares' step; none where something is not finite."""
+    good = np.asarray(np.isfinite(square).all(axis=(-2, -1)) & np.isfinite(slope).all(axis=-1))
+    square = np.where(good[..., None, None], square, np.eye(square.shape[-1]))
+    step = -np.linalg.solve(square, slope[..., None])[..., 0]
+    return np.where(good[..., None], step, np.nan)
 
 
 @kept(like=0)
