@@ -435,7 +435,7 @@ def test_the_ladder_is_climbed_again_without_a_law_with_many_numbers(instead, fi
         return [step, Seen(5.4e3, "constant_torque"), Seen(instead, "constant_torque", drift)]
 
     monkeypatch.setattr(climbing._Ladder, "up", up)
-    steps = climbing.climb(None, base, [], 3, lambda words: None)
+    steps, _ = climbing.climb(None, base, [], 3, lambda words: None)
     assert [e.name for e in steps[-1].effects] == [first, drift]
     assert len(begun) == 2
 
@@ -609,6 +609,7 @@ def ladder(monkeypatch, plan):
     monkeypatch.setattr(climbing, "search", lambda step, *rest: step)
     monkeypatch.setattr(climbing, "ranked", lambda step: ["best"])
     monkeypatch.setattr(climbing, "accepted", accepted)
+    monkeypatch.setattr(climbing, "beside_a_mode", lambda step, made: None)
     monkeypatch.setattr(climbing, "with_another", lambda step, made: None)
     monkeypatch.setattr(climbing, "needless", lambda step, made, first: step)
     return len(climbing._Ladder(None, [], 0, 3, lambda words: None).up(Rung(0), [])) - 1

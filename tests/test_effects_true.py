@@ -11,7 +11,7 @@ import pytest
 
 import residyn
 from residyn.effects import effects_named
-from tests.rig import NAMES, hidden_cases
+from tests.rig import NAMES, Arm, Hidden, hidden_cases, record
 
 # Largest error as a share of the amplitude: twenty times below the noise of a good recording
 # (0.25 %) where all is smooth, five times below it where joints stick or bearings stop.
@@ -62,3 +62,19 @@ def test_it_moves_as_in_mujoco(label):
     off = np.abs(predicted(case) - case.truth).max() / np.abs(case.truth).max()
     dry = truth(case).dry
     assert off < (DRY if dry else SMOOTH)
+
+
+@pytest.mark.parametrize("theta2", [0.0, -0.02, 0.4, 2.0])
+def test_bearings_hold_an_arm_in_any_pose(theta2):
+    """Stretched out, the wrist's bearing can push along one direction only, and the elbow's takes
+    what that leaves: where both stop, the arm stays, and does not creep back."""
+    arm = Arm(0.57, 0.42, 0.4, 0.04, 0.126, theta2, (16.0, 6.4), (0.25, 0.012))
+    hidden = [Hidden("bearing_friction", {"force": 0.04})]
+    rng = np.random.default_rng(0)
+    case = record(rng, arm, np.array([-0.17, -0.077]), hidden, seconds=12.0, rate=50.0, noise=1e-6)
+    swing = np.abs(case.truth).max(axis=0)
+    late = case.t > 9.0
+    assert np.ptp(case.truth[late], axis=0).max() < 1e-6, "it is to be stuck by then"
+    off = predicted(case) - case.truth
+    assert np.abs(off[late]).max() < 5 * DRY * swing.max()
+    assert np.ptp(off[late], axis=0).max() < 0.1 * DRY * swing.max()

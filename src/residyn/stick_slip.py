@@ -104,14 +104,11 @@ def _gripped(args: Args, motion: Motion, level: list[Scalar | None]) -> Scalar:
     load = [
         -sum(z * a for z, a in zip(row, free, strict=True)) for row in bodies.mass_matrix(motion.q)
     ]
-    # The joints' own friction takes what it can.
-    for joint, limit in enumerate(level):
-        if limit is not None:
-            load[joint] = load[joint] - jnp.clip(load[joint], -jnp.abs(limit), jnp.abs(limit))
+    joints = tuple(0.0 if limit is None else jnp.abs(limit) for limit in level)
     grip: Scalar = 0.0
     for effect, own in args.model.each(motion):
         if effect.grips:
-            grip = jnp.maximum(grip, effect.holds(tuple(load), own, bodies))
+            grip = jnp.maximum(grip, effect.holds(tuple(load), joints, own, bodies))
     return grip
 
 

@@ -154,3 +154,15 @@ def alike(step: Step, accepted: str) -> tuple[str, ...]:
     others = [r for r in ranked(step) if r.label != accepted]
     close = [r.label for r in others if r.cost - own.cost < _ALIKE * unit]
     return (accepted, *close)
+
+
+def together(last: Step, others: Sequence[Step], name: str) -> tuple[str, ...]:
+    """The names in place of an accepted one, and maybe of more, in a climb that ended as near the
+    readings."""
+    now, found = last.fit.model.labels, []
+    for end in others:
+        instead = end.fit.model.labels
+        scale = max(1.0, min(last.cost, end.cost) / last.readings)
+        if name not in instead and abs(end.cost - last.cost) < _ALIKE * scale:
+            found += [x for x in instead if x not in now]
+    return tuple(dict.fromkeys(found))

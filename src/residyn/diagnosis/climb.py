@@ -15,9 +15,17 @@ from .curves import candidates as candidates_for
 from .ladder import accepted, needless, ranked, search, with_another
 from .missing_torque import MissingTorque
 from .rung import Step, numbers_of
+from .valleys import beside_a_mode
 
 _TRIED = 2  # of a rung's candidates that may be the next one
 _RIVAL = 0.5  # share of what an effect explained that another one must, for a climb without it
+
+
+class Climbed(NamedTuple):
+    """The rungs of the climb that stands, and where others ended."""
+
+    steps: list[Step]
+    others: list[Step]
 
 
 def climb(
@@ -26,12 +34,12 @@ def climb(
     torques: Sequence[MissingTorque],
     most: int,
     say: Callable[[str], None],
-) -> list[Step]:
+) -> Climbed:
     """The rungs from the base model up, with at most so many effects joining it; `torques` are what
     is missing along each fitted recording."""
     candidates, first = candidates_for(base.fit.model), len(base.effects)
     ladder = _Ladder(experiment, torques, first, most, say)
-    steps = ladder.up(base, candidates)
+    steps, ends = ladder.up(base, candidates), []
     for effect in steps[-1].effects[first:-1]:
         at = next(i for i, s in enumerate(steps) if effect.label in s.fit.model.labels) - 1
         left = without(steps[at], effect)
@@ -41,8 +49,9 @@ def climb(
         others = [c for c in candidates if c.label != effect.label]
         instead = [*steps[:at], *ladder.up(left, others)]
         if price(instead[-1], first, steps[-1]) < price(steps[-1], first, instead[-1]):
-            return instead
-    return steps
+            return Climbed(instead, [steps[-1]])
+        ends.append(instead[-1])
+    return Climbed(steps, ends)
 
 
 class _Ladder(NamedTuple):
@@ -74,6 +83,12 @@ class _Ladder(NamedTuple):
                     new = found
                 if new is not None and new.firm:
                     break
+            if new is None and not waits:
+                sounds = beside_a_mode(step, self.experiment)
+                if sounds is not None:
+                    others = (r for r in step.refits if r.label != sounds.label)
+                    step = steps[-1] = step._replace(refits=(sounds, *others))
+                    new = accepted(step, sounds, self.experiment, steps[firm])
             if new is None and not waits:
                 new = with_another(step, self.experiment)
             if new is None:

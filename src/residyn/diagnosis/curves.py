@@ -25,6 +25,7 @@ _MOST_POINTS = 2000
 _PER_NUMBER = 0.1
 _STUCK = 0.3  # of the rms rate: below, a joint may be at rest, and a step is blurred
 _HUBER, _ROUNDS = 1.345, 8
+_LONGEST, _HALF = 3, 0.5
 
 
 class Curve(NamedTuple):
@@ -58,6 +59,24 @@ def curves(
         found = [curve for e in chosen if (curve := along.curve(e)) is not None]
     # Of two that leave as much, the one with fewer numbers.
     return sorted(found, key=lambda c: (1.0 - c.share) * (1.0 + _PER_NUMBER * len(c.values)))
+
+
+def likeliest(
+    models: Sequence[Model],
+    missing: Sequence[MissingTorque],
+    effects: Sequence[AbstractEffect],
+    count: int,
+) -> set[str]:
+    """Labels of the `count` effects that explain most of what is missing, at least half of it, in
+    the longest recordings; one model per recording's pose."""
+    order = sorted(range(len(missing)), key=lambda i: missing[i].time[0] - missing[i].time[-1])
+    shares: dict[str, list[float]] = {}
+    for i in order[:_LONGEST]:
+        for curve in curves(models[i], missing[i], effects):
+            shares.setdefault(curve.effect, []).append(curve.share)
+    mean = {label: float(np.mean(each)) for label, each in shares.items()}
+    best = sorted(mean, key=lambda label: -mean[label])[:count]
+    return {label for label in best if mean[label] > _HALF}
 
 
 def candidates(model: Model) -> list[AbstractEffect]:

@@ -10,8 +10,8 @@ from ..effects import AbstractEffect
 from ..fitting import DEFAULT_STARTS, fit
 from ..model import Model
 from ..recording import Experiment
-from .chances import alike, chances, one_law
-from .climb import climb
+from .chances import alike, chances, one_law, together
+from .climb import Climbed, climb
 from .comparison import Comparison
 from .horizon import horizon
 from .ladder import extends, ranked
@@ -66,18 +66,19 @@ def diagnose(
         first = stand(base, own)
         say("following the missing torque")
         missing = missing_of(base, ())
-        steps = climb(experiment, first, along_each(base, missing), max_effects, say)
+        climbed = climb(experiment, first, along_each(base, missing), max_effects, say)
         say("weighing the names")
-        return _concluded(experiment, steps, missing, began, say)
+        return _concluded(experiment, climbed, missing, began, say)
 
 
 def _concluded(
     experiment: Experiment,
-    steps: list[Step],
+    climbed: Climbed,
     missing: tuple[Missing, ...],
     began: float,
     say: Callable[[str], None],
 ) -> Diagnosis:
+    steps = climbed.steps
     first, last = steps[0], steps[-1]
     rungs = _rungs(steps)
     kept = [r.added for r in rungs[1:] if r.added in last.fit.model.labels]
@@ -92,10 +93,10 @@ def _concluded(
         if rung.added not in kept or rung.added is None:
             continue
         group = alike(step, rung.added)
-        if len(group) < 2:
-            continue
-        groups.append(group)
-        if advice is None:
+        both = together(last, climbed.others, rung.added)
+        if len(group) > 1 or both:
+            groups.append((*group, *(x for x in both if x not in group)))
+        if len(group) > 1 and advice is None:
             say("looking for the experiment that would tell them apart")
             advice = _advice(step, experiment, group)
     shown = [r.effect for step in steps for r in step.refits if r.label in kept]

@@ -36,13 +36,16 @@ def possible(step: Step, model: Model, descent: Descent, alone: Model) -> bool:
     first = len(values) - len(alone.fitted)
     modes = [m.frequency_hz for m in step.fit.modes]
     longest = max(r.recording.duration for r in step.near.fitted)
+    (effect,) = alone.effects
+    # Beside the simpler law that it extends only the sum of both is known.
+    part = any(e.name == effect.extends and e.place == effect.place for e in step.effects)
     for i, n in enumerate(alone.fitted):
         oscillates = n.meaning.field == alone.effects[n.effect].oscillates
         if oscillates:
             frequency = abs(values[first + i])
             if frequency * longest < _CYCLES or resonant(frequency, modes, longest):
                 return False
-        if n.meaning.sign == "positive" and n.meaning.silent is not None:
+        if n.meaning.sign == "positive" and n.meaning.silent is not None and not part:
             value, std = values[first + i], spread[first + i]
             if value < 0 and (not np.isfinite(std) or value < -_IMPOSSIBLE * std):
                 return False

@@ -16,8 +16,10 @@ import numpy as np
 
 from ..effects import AbstractEffect
 from ..fitting.pipeline import finish, refit
+from ..fitting.problem import posed
 from ..fitting.result import Fit, FitError
 from ..recording import Experiment
+from .curves import likeliest
 from .horizon import HeldOut
 from .joined import silent
 from .linear import steadied
@@ -26,14 +28,19 @@ from .path import Path
 from .refits import refits
 from .rung import Refit, Step, cost_of, stand, worth
 from .screen import glance, pair, screen, sharpened
-from .valleys import afresh, near_noise
+from .valleys import afresh, near_noise, none_lost, usual
 from .words import SURE
 
 _REFITS = 6  # candidates that are fitted
 _LATER = 4  # the same, beside a model that has an effect already: each takes longer
 _CLOSE = 1.25  # a candidate this many times worse than the best, screened, is not fitted
 _ROUGHLY = 3.0  # the same where not even the best one comes near the noise
+_SHARE = 0.1  # but is, if it explains as much as the best but for this share
 _FEWEST = 3
+_PART = (
+    0.5  # of what the best one promises: fitted, too, where none of the first comes to the noise
+)
+_DRAWN = 3  # that draw the missing torque best, fitted where none promises to come near the noise
 _STEADY = 2.5  # standard errors of the gain, as stretches of the recording show it
 _MATTERS = 0.1  # share of the error that must go, where what is left is not white
 _MORE_THAN_NOISE = 1.2  # chi-square a reading
@@ -83,14 +90,33 @@ def search(
     tried = [s for s in found if s.drop > (0.5 if led else 0.8) * worth(s.effect, step)]
     if tried:
         best, noise = tried[0].chi2, float(step.readings)
-        enough = (_CLOSE if best < 2 * noise else _ROUGHLY) * max(best, noise)
+        enough = (_CLOSE if best < _NEAR * noise else _ROUGHLY) * max(best, noise)
+        # Where noise is small, the best of a grid's shapes is not near it, and yet near the truth.
+        enough = max(enough, best + _SHARE * (alone - best))
         tried = [s for i, s in enumerate(tried) if i < _FEWEST or s.chi2 < enough]
-        tried = sharpened(near, paths, tried[: _REFITS if first else _LATER], led)
-        finer = {s.effect.label: s for s in tried}
-        found = sorted((finer.get(s.effect.label, s) for s in found), key=lambda s: s.chi2)
+        tried = tried[: _REFITS if first else _LATER]
+        if first and best > _NEAR * noise:
+            # No small change of the motion as it was explains it; the missing torque still may.
+            models = [posed(step.fit.model, m) for m in step.near.ready.mechanisms]
+            also = likeliest(models, missing, some, _DRAWN) - {s.effect.label for s in tried}
+            tried += [s for s in found if s.effect.label in also]
+        tried = sharpened(near, paths, tried, led)
+    finer = {s.effect.label: s for s in tried}
     names = ", ".join(s.effect.label for s in tried)
     say(f"fitting {names}" if names else "nothing worth fitting")
     found_by_fit = refits(step, experiment, tried)
+    if tried and min(r.cost for r in (*found_by_fit, step)) > usual(step):
+        # The screen is right to first order only: what it puts further down may explain the rest.
+        told, most = {s.effect.label for s in tried}, max(s.drop for s in found)
+        least = max(_PART * most, worth(found[0].effect, step))
+        more = [s for s in found if s.effect.label not in told and s.drop > least][:_REFITS]
+        if more:
+            more = sharpened(near, paths, more, led)
+            say(f"fitting {', '.join(s.effect.label for s in more)}, too")
+            found_by_fit += refits(step, experiment, more)
+            finer |= {s.effect.label: s for s in more}
+        found_by_fit = none_lost(step, experiment, found_by_fit)
+    found = sorted((finer.get(s.effect.label, s) for s in found), key=lambda s: s.chi2)
     return step._replace(alone=alone, seen=kept, screened=tuple(found), refits=tuple(found_by_fit))
 
 
@@ -204,7 +230,7 @@ def needless(step: Step, experiment: Experiment, first: int) -> Step:
         begin = 2 * len(fit.joints) + sum(sizes[:at])
         states = np.stack([r.state for r in step.near.fitted])
         states = np.delete(states, np.arange(begin, begin + sizes[at]), axis=1)
-        numbers = np.asarray(fit.model.vector())[keep]
+        numbers = _handed_on(fit, effect)[keep]
         try:
             model, descent = refit(
                 experiment,
@@ -221,6 +247,19 @@ def needless(step: Step, experiment: Experiment, first: int) -> Step:
             without = stand(finish(experiment, model, numbers, descent, began), left, step.tried)
             return needless(without, experiment, first)
     return step
+
+
+def _handed_on(fit: Fit, effect: AbstractEffect) -> np.ndarray:
+    """(P,) numbers, those of an effect added to its own ones in a law that extends it."""
+    numbers = np.array(fit.model.vector())
+    place = {n.name: i for i, n in enumerate(fit.numbers)}
+    for rich in fit.model.effects:
+        if rich.extends == effect.name and rich.place == effect.place:
+            for name, i in place.items():
+                label, _, field = name.rpartition(".")
+                if label == effect.label and f"{rich.label}.{field}" in place:
+                    numbers[place[f"{rich.label}.{field}"]] += numbers[i]
+    return numbers
 
 
 def _loud(fit: Fit, own: Sequence[int]) -> float:

@@ -31,6 +31,8 @@ class Refit(NamedTuple):
     start: np.ndarray
     possible: bool
     """Whether its numbers have the sign that physics allows."""
+    by_name: bool = False
+    """Whether it was fitted from where a fit by name begins, too."""
 
     @property
     def label(self) -> str:

@@ -5,6 +5,7 @@ model improves by no small change. Stretches of a few cycles cannot be out of st
 first cycles, if later ones join only when those fit.
 """
 
+import contextlib
 import dataclasses
 import itertools
 import math
@@ -12,6 +13,7 @@ import math
 import numpy as np
 
 from .._stretches import in_stretches
+from ..effects import AbstractEffect
 from ..fitting.pipeline import begin_afresh, refit
 from ..fitting.result import FitError
 from ..model import Model
@@ -23,6 +25,7 @@ PROMISED = 1.5
 """Times the screened chi-square: a fit that ends worse starts again."""
 _FAR = 10.0  # times what the screen promised
 _VALLEYS = 2  # candidates that are fitted stage by stage
+_PLAIN = 2.0  # times the noise: something plain is missing
 _UNUSUAL = 2.0  # standard deviations of chi-square
 _STRETCH = 2.0  # cycles of the slowest mode in a stretch, at least
 _JOINED = 3  # stretches make one of the next longer ones
@@ -37,7 +40,7 @@ def out_of_valleys(step: Step, experiment: Experiment, found: list[Refit]) -> li
     first, if its fit is nowhere near what was promised, and the first of such effects that would
     have been the best, had it kept its promise.
     """
-    noise = _usual(step)
+    noise = usual(step)
     # One of the wrong sign, too: that is a wrong valley's usual mark.
     by_cost = sorted(found, key=lambda r: r.cost)
     promised = sorted(found, key=lambda r: r.screened.chi2)
@@ -82,30 +85,64 @@ def out_of_valleys(step: Step, experiment: Experiment, found: list[Refit]) -> li
 def near_noise(step: Step, r: Refit) -> bool:
     """Whether a law that sticks or rattles came so near the noise that it was not tried again,
     though a valley beside the right one is as near."""
-    return (r.effect.dry or r.effect.rough) and r.cost <= _usual(step)
+    return (r.effect.dry or r.effect.rough) and r.cost <= usual(step)
 
 
-def _usual(step: Step) -> float:
+def usual(step: Step) -> float:
     """Chi-square that noise does not often exceed."""
     return step.readings + _UNUSUAL * math.sqrt(2.0 * step.readings)
 
 
 def afresh(step: Step, experiment: Experiment, r: Refit) -> Refit:
-    """The same candidate from where a fit by name begins, which knows nothing of any screen; or as
-    it was, if that is better. One start after the other: that program is compiled already."""
-    effects, wild = (*step.effects, silent(r.effect)), [x.wild for x in step.near.fitted]
+    """The same candidate from where a fit by name begins, of which nothing is known yet, or as it
+    was, if that is better."""
     alone = Model(step.fit.model.mechanism, (r.effect,))
+    for start, model, descent in _by_name(step, experiment, r.effect):
+        if descent.cost < r.cost:
+            could = possible(step, model, descent, alone)
+            r = r._replace(model=model, descent=descent, start=start, possible=could)
+    return r._replace(by_name=True)
+
+
+def none_lost(step: Step, experiment: Experiment, found: list[Refit]) -> list[Refit]:
+    """Refits, those of laws that stick or rattle from where a fit by name begins, too: where none
+    of them explains what is missing, one may have lost its way."""
+    noise = usual(step)
+    if not found or min(r.cost for r in found) <= noise:
+        return found
+    lost = {r.label for r in found if (r.effect.dry or r.effect.rough) and not r.by_name}
+    return [afresh(step, experiment, r) if r.label in lost else r for r in found]
+
+
+def beside_a_mode(step: Step, experiment: Experiment) -> Refit | None:
+    """An oscillation that explains all that is missing, where nothing else does, however near a
+    mode it is.
+
+    So near, a little of it mimics any effect: no other candidate may be judged beside it. But
+    nothing mimics the whole of a missing effect down to the noise by chance.
+    """
+    noise = usual(step)
+    if step.cost < _PLAIN * noise:
+        return None
+    there = set(step.fit.model.labels)
+    for s in step.screened:
+        if s.effect.oscillates is None or s.effect.label in there:
+            continue
+        for start, model, descent in _by_name(step, experiment, s.effect):
+            if descent.cost <= noise:
+                return Refit(s.effect, s, model, descent, start, True)
+    return None
+
+
+def _by_name(step: Step, experiment: Experiment, effect: AbstractEffect):
+    """Fits from where a fit by name begins: (numbers there, model, where it ended). One start after
+    the other: that program is compiled already."""
+    effects, wild = (*step.effects, silent(effect)), [x.wild for x in step.near.fitted]
     numbers, memory = begin_afresh(experiment, effects, wild)
     for i, row in enumerate(numbers):
         own = None if memory is None else memory[i : i + 1]
-        try:
-            model, descent = refit(experiment, effects, row[None], None, wild, memory=own)
-        except FitError:
-            continue
-        if descent.cost < r.cost:
-            could = possible(step, model, descent, alone)
-            r = r._replace(model=model, descent=descent, start=row, possible=could)
-    return r
+        with contextlib.suppress(FitError):
+            yield row, *refit(experiment, effects, row[None], None, wild, memory=own)
 
 
 def _from_stretches(step: Step, experiment: Experiment, r: Refit):

@@ -131,9 +131,12 @@ class AbstractEffect(eqx.Module):
         """True where `holds` may return 1: where everything is all but at rest."""
         return False
 
-    def holds(self, load: Joints, motion: Motion, mechanism: AbstractMechanism) -> Scalar:
+    def holds(
+        self, load: Joints, joints: Joints, motion: Motion, mechanism: AbstractMechanism
+    ) -> Scalar:
         """1 if, as slow as it is in `motion`, its friction brings everything to rest and holds it
-        under this load, N m; else 0."""
+        under this load, N m; else 0. Friction of each joint's own may take up to `joints`, N m, of
+        the load, either way."""
         return 0.0
 
     # -- readings ----------------------------------------------------------------------------

@@ -136,15 +136,18 @@ class BearingFriction(_BearingEffect):
         _, wrist = _slips(motion, mechanism)
         return wrist.square <= self._slow(motion, mechanism) ** 2
 
-    def holds(self, load, motion, mechanism):
+    def holds(self, load, joints, motion, mechanism):
         assert isinstance(mechanism, PlanarArm)
         _, wrist = _slips(motion, mechanism)
         (l1, l2), sin = mechanism.link_lengths, jnp.sin(mechanism.theta2 + motion.q[1])
-        limit = wrist.bearings * self.force
+        cos, limit = jnp.cos(mechanism.theta2 + motion.q[1]), wrist.bearings * self.force
         # The force F at the wrist with J'F = load; along the two links' normals n1, n2 it is
-        # F.n2 = load2 / l2 and F.n1 = (load1 - load2) / l1.
-        cos = jnp.cos(mechanism.theta2 + motion.q[1])
-        x, y = (load[0] - load[1]) / l1, load[1] / l2
+        # F.n2 = load2 / l2 and F.n1 = (load1 - load2) / l1, less what the joints take: the elbow as
+        # much as it can, the shoulder what leaves the smallest F. An arm stretched out can take
+        # nothing else: there F.n1 is F.n2.
+        at_elbow = load[1] - jnp.clip(load[1], -joints[1], joints[1])
+        y, x = at_elbow / l2, (load[0] - at_elbow) / l1
+        x = jnp.clip(y * cos, x - joints[0] / l1, x + joints[0] / l1)
         needed = x**2 + y**2 - 2 * x * y * cos
         slow = self.crawls(motion, mechanism)
         return jnp.where(slow & (limit > 0) & (needed <= (limit * sin) ** 2), 1.0, 0.0)
