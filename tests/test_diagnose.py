@@ -18,6 +18,7 @@ from residyn.diagnosis import climb as climbing
 from residyn.diagnosis.curves import candidates as candidates_for
 from residyn.diagnosis.ladder import (
     Accepted,
+    _handed_on,
     _loud,
     matters,
     needless,
@@ -266,6 +267,82 @@ def test_a_spring_that_is_lost_on_the_way_is_named(label, values):
     assert found.added == (label,)
     value = found.fit.to_dict()["parameters"][f"{label}.{list(values)[1]}"]
     assert abs(value["value"] - values[list(values)[1]]) < 4 * value["std"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("arm", "q0", "hidden", "noise"),
+    [
+        (  # half the swing is backlash: no small change of the motion explains that
+            rig.Arm(0.515, 0.299, 0.5654, 0.08265, 0.2625, -1.6466, (47.08, 9.66), (0.517, 0.0626)),
+            (0.3005, 0.0638),
+            {"dead_zone:elbow": {"stiffness": 9.66, "gap": 0.2524}},
+            1.27e-3,
+        ),
+        (  # 0.07 Hz beside a mode that hardly rings off
+            rig.Arm(
+                0.543, 0.312, 0.4851, 0.02495, 0.1554, -0.132, (2.29, 0.3511), (0.0145, 4.3e-4)
+            ),
+            (-0.3198, -0.2758),
+            {"periodic_disturbance:elbow": {"torque": 3.29e-3, "frequency": 1.2464, "phase": 4.48}},
+            9.7e-4,
+        ),
+        (  # gravity and a coupling promise more, to first order
+            rig.Arm(0.265, 0.577, 0.3015, 0.2317, 0.5009, 1.3523, (64.6, 48.09), (0.0672, 0.0368)),
+            (-0.2827, -0.3429),
+            {"inertia_error:elbow": {"share": 0.0413}},
+            9.2e-4,
+        ),
+        (  # Coulomb friction joins first, and makes way for the law that extends it
+            rig.Arm(
+                0.5745, 0.599, 1.2531, 0.267, 0.6945, -1.2962, (9.935, 3.028), (0.3066, 2.5e-3)
+            ),
+            (-0.1026, -0.1441),
+            {
+                "asymmetric_damping:shoulder": {"damping": 0.1235},
+                "stribeck_friction:shoulder": {
+                    "torque": 0.0201,
+                    "excess": 0.0153,
+                    "velocity": 0.0145,
+                },
+            },
+            1.27e-3,
+        ),
+    ],
+)
+def test_what_the_screen_misjudges_is_named_all_the_same(arm, q0, hidden, noise):
+    each = [rig.Hidden(label, values) for label, values in hidden.items()]
+    rng = np.random.default_rng(0)
+    case = rig.record(rng, arm, np.array(q0), each, seconds=20.0, rate=100.0, noise=noise)
+    found = residyn.diagnose(beside(case))
+    assert found.verdict == "missing"
+    assert set(found.added) == set(hidden)
+
+
+def test_a_law_takes_over_from_the_one_that_it_extends():
+    """Both at one joint: only the sum of their torques is known, and one of them is to go."""
+    model = residyn.Model(residyn.PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.3))
+    model = model + residyn.Spring("elbow", 10.0) + residyn.CoulombFriction("elbow", 0.5)
+    model = model + residyn.StribeckFriction("elbow", -0.2, 0.1, 0.05)
+    numbers = [SimpleNamespace(name=n.name) for n in model.fitted]
+    fit = SimpleNamespace(model=model, numbers=numbers)
+    handed = dict(zip([n.name for n in numbers], _handed_on(fit, model.effects[1]), strict=True))
+    assert handed["stribeck_friction:elbow.torque"] == pytest.approx(0.3)
+    assert handed["stribeck_friction:elbow.excess"] == pytest.approx(0.1)
+    assert handed["spring:elbow.stiffness"] == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize(("cost", "said"), [(4010.0, ("gravity",)), (4100.0, ())])
+def test_a_law_that_does_the_work_of_two_is_said_beside_each(cost, said):
+    def end(cost, *labels):
+        names = SimpleNamespace(model=SimpleNamespace(labels=("spring:elbow", *labels)))
+        return SimpleNamespace(fit=names, cost=cost, readings=4000)
+
+    two = end(4005.0, "constant_torque:elbow", "constant_torque:shoulder", "dead_zone:elbow")
+    others = [end(cost, "gravity", "dead_zone:elbow")]
+    for name in ("constant_torque:elbow", "constant_torque:shoulder"):
+        assert weighing.together(two, others, name) == said
+    assert weighing.together(two, others, "dead_zone:elbow") == ()
 
 
 def test_a_fit_out_of_step_begins_again():

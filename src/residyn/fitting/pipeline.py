@@ -107,10 +107,22 @@ def beginning(
     """Where the starts begin, the best one first: numbers (S, P), internal states (S, R, m)."""
     found = closed_form(here.posed(), here.recordings, wild, here.typical())
     candidates = found.numbers[:starts] if len(found.numbers) else here.typical()[None]
+    candidates = _turned(here.model, candidates)
     more = starts - len(candidates)
     numbers = np.vstack([candidates, perturbed(candidates[0], more)])
     memory = found.memory[[*range(len(candidates)), *[0] * more]] if len(found.memory) else None
     return numbers, memory
+
+
+def _turned(model: Model, numbers: np.ndarray) -> np.ndarray:
+    """Starts (S, P) of which no effect's number has a sign that physics does not allow: an inertia
+    below zero, however small, runs away. Springs and dampers stay: gravity may hold a joint."""
+    base = ("spring", "damper")
+    positive = [
+        n.meaning.sign == "positive" and model.effects[n.effect].name not in base
+        for n in model.fitted
+    ]
+    return np.where(positive, np.abs(numbers), numbers)
 
 
 def refit(
