@@ -686,7 +686,6 @@ def ladder(monkeypatch, plan):
     monkeypatch.setattr(climbing, "search", lambda step, *rest: step)
     monkeypatch.setattr(climbing, "ranked", lambda step: ["best"])
     monkeypatch.setattr(climbing, "accepted", accepted)
-    monkeypatch.setattr(climbing, "beside_a_mode", lambda step, made: None)
     monkeypatch.setattr(climbing, "with_another", lambda step, made: None)
     monkeypatch.setattr(climbing, "needless", lambda step, made, first: step)
     return len(climbing._Ladder(None, [], 0, 3, lambda words: None).up(Rung(0), [])) - 1

@@ -349,3 +349,15 @@ def test_a_start_stays_where_numbers_can_be(seed):
         wild = [np.zeros(r.angle.shape, bool) for r in here.recordings]
         numbers, _ = pipeline.beginning(here, wild, 6)
         assert np.all(np.abs(numbers) < 50 * here.typical())
+
+
+def test_first_cycles_that_lead_away_are_not_the_last_word():
+    """A brake that slips in the first swing and holds then: the first cycles know no spring."""
+    arm = rig.Arm(0.348, 0.354, 2.4517, 1.3187, 4.1587, -0.7143, (70.6, 236.4), (0.2756, 0.5289))
+    hidden = [rig.Hidden("brake_slip:shoulder", {"stiffness": 70.6, "angle": 0.03795})]
+    rng, q0 = np.random.default_rng(0), np.array([0.1542, -0.0791])
+    case = rig.record(rng, arm, q0, hidden, seconds=20.0, rate=100.0, noise=3.06e-4)
+    fit = residyn.fit(experiment(case, noise=3.06e-4))
+    assert np.all(np.isfinite(fit.rmse))
+    # Springs and dampers cannot explain it, but a joint at rest would leave as much as it moved.
+    assert np.all(fit.rmse < np.sqrt(np.mean(case.q**2, axis=0)))

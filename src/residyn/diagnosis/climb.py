@@ -15,7 +15,6 @@ from .curves import candidates as candidates_for
 from .ladder import accepted, needless, ranked, search, with_another
 from .missing_torque import MissingTorque
 from .rung import Step, numbers_of
-from .valleys import beside_a_mode
 
 _TRIED = 2  # of a rung's candidates that may be the next one
 _RIVAL = 0.5  # share of what an effect explained that another one must, for a climb without it
@@ -83,12 +82,6 @@ class _Ladder(NamedTuple):
                     new = found
                 if new is not None and new.firm:
                     break
-            if new is None and not waits:
-                sounds = beside_a_mode(step, self.experiment)
-                if sounds is not None:
-                    others = (r for r in step.refits if r.label != sounds.label)
-                    step = steps[-1] = step._replace(refits=(sounds, *others))
-                    new = accepted(step, sounds, self.experiment, steps[firm])
             if new is None and not waits:
                 new = with_another(step, self.experiment)
             if new is None:

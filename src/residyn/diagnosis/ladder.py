@@ -28,14 +28,14 @@ from .path import Path
 from .refits import refits
 from .rung import Refit, Step, cost_of, stand, worth
 from .screen import glance, pair, screen, sharpened
-from .valleys import afresh, near_noise, none_lost, usual
+from .valleys import afresh, beside_a_mode, near_noise, none_lost, usual
 from .words import SURE
 
 _REFITS = 6  # candidates that are fitted
 _LATER = 4  # the same, beside a model that has an effect already: each takes longer
 _CLOSE = 1.25  # a candidate this many times worse than the best, screened, is not fitted
 _ROUGHLY = 3.0  # the same where not even the best one comes near the noise
-_SHARE = 0.1  # but is, if it explains as much as the best but for this share
+_SHARE = 0.2  # but is, if it explains as much as the best but for this share
 _FEWEST = 3
 _PART = (
     0.5  # of what the best one promises: fitted, too, where none of the first comes to the noise
@@ -116,6 +116,9 @@ def search(
             found_by_fit += refits(step, experiment, more)
             finer |= {s.effect.label: s for s in more}
         found_by_fit = none_lost(step, experiment, found_by_fit)
+        sounds = beside_a_mode(step, experiment, found, found_by_fit)
+        if sounds is not None:
+            found_by_fit = [sounds, *(r for r in found_by_fit if r.label != sounds.label)]
     found = sorted((finer.get(s.effect.label, s) for s in found), key=lambda s: s.chi2)
     return step._replace(alone=alone, seen=kept, screened=tuple(found), refits=tuple(found_by_fit))
 

@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from ..model import Model
 from ..recording import Experiment
 from .joined import possible, silent
 from .rung import Refit, Step
+from .screen import Screened
 
 PROMISED = 1.5
 """Times the screened chi-square: a fit that ends worse starts again."""
@@ -114,23 +116,23 @@ def none_lost(step: Step, experiment: Experiment, found: list[Refit]) -> list[Re
     return [afresh(step, experiment, r) if r.label in lost else r for r in found]
 
 
-def beside_a_mode(step: Step, experiment: Experiment) -> Refit | None:
-    """An oscillation that explains all that is missing, where nothing else does, however near a
-    mode it is.
+def beside_a_mode(
+    step: Step, experiment: Experiment, screened: Sequence[Screened], found: Sequence[Refit]
+) -> Refit | None:
+    """An oscillation that explains all that is missing, where no other fit comes near that, however
+    near a mode it is.
 
     So near, a little of it mimics any effect: no other candidate may be judged beside it. But
     nothing mimics the whole of a missing effect down to the noise by chance.
     """
     noise = usual(step)
-    if step.cost < _PLAIN * noise:
+    if min([step.cost, *(r.cost for r in found)]) < _PLAIN * noise:
         return None
-    there = set(step.fit.model.labels)
-    for s in step.screened:
-        if s.effect.oscillates is None or s.effect.label in there:
-            continue
-        for start, model, descent in _by_name(step, experiment, s.effect):
-            if descent.cost <= noise:
-                return Refit(s.effect, s, model, descent, start, True)
+    for s in screened:
+        if s.effect.oscillates is not None:
+            for start, model, descent in _by_name(step, experiment, s.effect):
+                if descent.cost <= noise:
+                    return Refit(s.effect, s, model, descent, start, True, True)
     return None
 
 

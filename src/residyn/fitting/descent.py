@@ -12,7 +12,7 @@ import numpy as np
 from ..model import Model
 from ..motion import split
 from ..recording import Recording, wild_samples
-from .levenberg import polish
+from .levenberg import Polished, polish
 from .problem import Compressed, Problem, Unknowns
 from .result import FitError, RecordingFit
 from .setup import Ready, reweighted
@@ -78,6 +78,9 @@ def descend(
     if near is not None:
         y = y._replace(states=near / problem.scale.states)
     out = polish(problem, y, shares, hopeless)
+    if len(shares) > 1 and not _sane(out, here.recordings):
+        # A brake that slips at first and holds then, say: the first cycles lead away from the rest.
+        out = polish(problem, y, (1.0,), hopeless)
     steps, agreeing = out.steps, out.agreeing
     mirrored = _upright(problem, out.unknowns)
     if mirrored is not None:
@@ -85,9 +88,9 @@ def descend(
     for round_ in range(_ROUNDS + 1):
         if not np.isfinite(out.cost):
             raise FitError("no start led to finite numbers: is this the arm that was recorded?")
-        predicted = _predictions(out.compressed, here.recordings)
-        if not all(np.all(np.abs(p) < _ABSURD) for p in predicted):
+        if not _sane(out, here.recordings):
             raise FitError("no start led to a motion that could be: is this the arm recorded?")
+        predicted = _predictions(out.compressed, here.recordings)
         pairs = zip(here.recordings, predicted, strict=True)
         found = wild_beside(here, [r.angle - p for r, p in pairs], beside=True)
         found = [new | old for new, old in zip(found, wild, strict=True)]
@@ -118,6 +121,13 @@ def shares_of(here: Ready, frequency: float) -> list[float]:
     longest = max(r.duration for r in here.recordings)
     first = min(1.0, _FIRST_CYCLES * 2 * math.pi / frequency / longest)
     return sorted({first, math.sqrt(first), 1.0})
+
+
+def _sane(out: Polished, recordings: Sequence[Recording]) -> bool:
+    """Whether a start ended in a motion that could be."""
+    if not np.isfinite(out.cost):
+        return False
+    return all(np.all(np.abs(x) < _ABSURD) for x in _predictions(out.compressed, recordings))
 
 
 def _upright(problem: Problem, at: Unknowns) -> Unknowns | None:
