@@ -24,7 +24,6 @@ from residyn.diagnosis.ladder import (
     needless,
     over_noise,
     ranked,
-    search,
 )
 from residyn.diagnosis.linear import Near, steadied
 from residyn.diagnosis.missing import missing_of
@@ -34,6 +33,7 @@ from residyn.diagnosis.path import Path as Way
 from residyn.diagnosis.path import variants
 from residyn.diagnosis.rung import Refit, stand
 from residyn.diagnosis.screen import left_over, pair, screen
+from residyn.diagnosis.suspects import search
 from residyn.diagnosis.unnamed import Law, Unnamed
 from residyn.diagnosis.valleys import out_of_valleys
 from residyn.effects import effects_named

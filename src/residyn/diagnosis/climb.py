@@ -12,9 +12,10 @@ from typing import NamedTuple
 from ..effects import AbstractEffect
 from ..recording import Experiment
 from .curves import candidates as candidates_for
-from .ladder import accepted, needless, ranked, search, with_another
+from .ladder import accepted, needless, ranked, with_another
 from .missing_torque import MissingTorque
 from .rung import Step, numbers_of
+from .suspects import search
 
 _TRIED = 2  # of a rung's candidates that may be the next one
 _RIVAL = 0.5  # share of what an effect explained that another one must, for a climb without it

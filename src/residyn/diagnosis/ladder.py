@@ -9,38 +9,23 @@ stretch of the recording.
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ..effects import AbstractEffect
 from ..fitting.pipeline import finish, refit
-from ..fitting.problem import posed
 from ..fitting.result import Fit, FitError
 from ..recording import Experiment
-from .curves import likeliest
 from .horizon import HeldOut
 from .joined import silent
-from .linear import steadied
-from .missing_torque import MissingTorque
-from .path import Path
 from .refits import refits
 from .rung import Refit, Step, cost_of, stand, worth
-from .screen import glance, pair, screen, sharpened
-from .valleys import afresh, beside_a_mode, near_noise, none_lost, usual
+from .screen import pair
+from .valleys import afresh, near_noise
 from .words import SURE
 
-_REFITS = 6  # candidates that are fitted
-_LATER = 4  # the same, beside a model that has an effect already: each takes longer
-_CLOSE = 1.25  # a candidate this many times worse than the best, screened, is not fitted
-_ROUGHLY = 3.0  # the same where not even the best one comes near the noise
-_SHARE = 0.2  # but is, if it explains as much as the best but for this share
-_FEWEST = 3
-_PART = (
-    0.5  # of what the best one promises: fitted, too, where none of the first comes to the noise
-)
-_DRAWN = 3  # that draw the missing torque best, fitted where none promises to come near the noise
 _STEADY = 2.5  # standard errors of the gain, as stretches of the recording show it
 _MATTERS = 0.1  # share of the error that must go, where what is left is not white
 _MORE_THAN_NOISE = 1.2  # chi-square a reading
@@ -49,78 +34,7 @@ _TOGETHER = 0.5  # what two effects leave over the noise, screened, over the bes
 _PROMISES = 0.2  # share of the error over the noise that must go for an effect to wait for another
 _WORSE = 0.02  # share by which the held-out error may grow where what is left is white
 _NEARLY_ALL = 0.01  # of what was over the noise, left
-_PAUSES = 50  # of a motion without a mode: a rest that long is one
 _STRETCHES = 24  # least number of stretches of all recordings
-_NEAR = 2.0  # times the noise: a fit as good as this knows the motion
-_GLANCE = 0.6  # of what a newcomer must bring: less, and it is not even screened
-
-
-def search(
-    step: Step,
-    experiment: Experiment,
-    missing: Sequence[MissingTorque],
-    candidates: Sequence[AbstractEffect],
-    say: Callable[[str], None],
-) -> Step:
-    """Screen all candidates beside a model, and fit those that deserve it."""
-    if step.tried is not None:
-        drops = glance(step.near, step.slopes, step.tried)
-        if not any(
-            drops.get(c.label, 0.0) > _GLANCE * worth(c, step) * max(1.0, step.cost / step.readings)
-            for c in candidates
-            if c.label not in step.fit.model.labels
-        ):
-            return step
-    there = set(step.fit.model.labels)
-    some = [c for c in candidates if c.label not in there]
-    say(f"screening {len(some)} effects")
-    longest = max(r.recording.duration for r in step.near.fitted)
-    period = 1.0 / step.fit.modes[0].frequency_hz if step.fit.modes else longest / _PAUSES
-    # Near the noise the fit's own motion is the better one to look from: it has no noise in it; but
-    # not that of an arm without springs, which has found some other way to be near.
-    first, near = step.tried is None, steadied(step.near)
-    led = step.cost > _NEAR * step.readings or (near is not step.near and not step.effects)
-    near = near if led else step.near
-    paths = [
-        Path.of(m, int(near.problem.steps), period, None if led else r.predicted)
-        for m, r in zip(missing, step.near.fitted, strict=True)
-    ]
-    alone, found, kept = screen(near, paths, some, led, any_shape=first)
-    step = step.seen_with(kept) if first else step
-    tried = [s for s in found if s.drop > (0.5 if led else 0.8) * worth(s.effect, step)]
-    if tried:
-        best, noise = tried[0].chi2, float(step.readings)
-        enough = (_CLOSE if best < _NEAR * noise else _ROUGHLY) * max(best, noise)
-        # Where noise is small, the best of a grid's shapes is not near it, and yet near the truth.
-        enough = max(enough, best + _SHARE * (alone - best))
-        tried = [s for i, s in enumerate(tried) if i < _FEWEST or s.chi2 < enough]
-        tried = tried[: _REFITS if first else _LATER]
-        if first and best > _NEAR * noise:
-            # No small change of the motion as it was explains it; the missing torque still may.
-            models = [posed(step.fit.model, m) for m in step.near.ready.mechanisms]
-            also = likeliest(models, missing, some, _DRAWN) - {s.effect.label for s in tried}
-            tried += [s for s in found if s.effect.label in also]
-        tried = sharpened(near, paths, tried, led)
-    finer = {s.effect.label: s for s in tried}
-    names = ", ".join(s.effect.label for s in tried)
-    say(f"fitting {names}" if names else "nothing worth fitting")
-    found_by_fit = refits(step, experiment, tried)
-    if tried and min(r.cost for r in (*found_by_fit, step)) > usual(step):
-        # The screen is right to first order only: what it puts further down may explain the rest.
-        told, most = {s.effect.label for s in tried}, max(s.drop for s in found)
-        least = max(_PART * most, worth(found[0].effect, step))
-        more = [s for s in found if s.effect.label not in told and s.drop > least][:_REFITS]
-        if more:
-            more = sharpened(near, paths, more, led)
-            say(f"fitting {', '.join(s.effect.label for s in more)}, too")
-            found_by_fit += refits(step, experiment, more)
-            finer |= {s.effect.label: s for s in more}
-        found_by_fit = none_lost(step, experiment, found_by_fit)
-        sounds = beside_a_mode(step, experiment, found, found_by_fit)
-        if sounds is not None:
-            found_by_fit = [sounds, *(r for r in found_by_fit if r.label != sounds.label)]
-    found = sorted((finer.get(s.effect.label, s) for s in found), key=lambda s: s.chi2)
-    return step._replace(alone=alone, seen=kept, screened=tuple(found), refits=tuple(found_by_fit))
 
 
 def score(step: Step, refit: Refit) -> float:

@@ -1,0 +1,136 @@
+"""Whom to suspect: all candidates are screened, those that deserve it are fitted.
+
+The screen costs one simulation for all of them and is right to first order, along a motion that is
+known but for noise. A fit takes as long as a fit and is right, if it ends in the right valley. So
+few are fitted at first; only as long as none of them explains what is missing, more are, and those
+that may have lost their way begin again.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from ..effects import AbstractEffect
+from ..fitting.problem import posed
+from ..recording import Experiment
+from .curves import likeliest
+from .linear import Near, steadied
+from .missing_torque import MissingTorque
+from .path import Path
+from .refits import refits
+from .rung import Refit, Step, worth
+from .screen import Screened, glance, screen, sharpened
+from .valleys import beside_a_mode, none_lost, usual
+
+_REFITS = 6  # candidates that are fitted
+_LATER = 4  # the same, beside a model that has an effect already: each takes longer
+_CLOSE = 1.25  # a candidate this many times worse than the best, screened, is not fitted
+_ROUGHLY = 3.0  # the same where not even the best one comes near the noise
+_SHARE = 0.2  # but is, if it explains as much as the best but for this share
+_FEWEST = 3
+_DRAWN = 3  # that draw the missing torque best, fitted where none promises to come near the noise
+_HALF = 0.5  # of the best promise: fitted where none of the first fits comes to the noise
+_PAUSES = 50  # of a motion without a mode: a rest that long is one
+_NEAR = 2.0  # times the noise: a fit as good as this knows the motion
+_GLANCE = 0.6  # of what a newcomer must bring: less, and it is not even screened
+
+
+class _View(NamedTuple):
+    """From where candidates are looked at."""
+
+    near: Near
+    paths: Sequence[Path]
+    led: bool
+    """Whether the model is led along the paths; else they are its own."""
+
+    @classmethod
+    def of(cls, step: Step, missing: Sequence[MissingTorque]) -> "_View":
+        """Near the noise along the fit's own motion: it has no noise in it; but not along that of
+        an arm without springs, which has found some other way to be near."""
+        longest = max(r.recording.duration for r in step.near.fitted)
+        period = 1.0 / step.fit.modes[0].frequency_hz if step.fit.modes else longest / _PAUSES
+        near = steadied(step.near)
+        led = step.cost > _NEAR * step.readings or (near is not step.near and not step.effects)
+        near = near if led else step.near
+        paths = [
+            Path.of(m, int(near.problem.steps), period, None if led else r.predicted)
+            for m, r in zip(missing, step.near.fitted, strict=True)
+        ]
+        return cls(near, paths, led)
+
+    def sharper(self, some: Sequence[Screened]) -> list[Screened]:
+        """Candidates with their shapes between the grid's values."""
+        return sharpened(self.near, self.paths, some, self.led)
+
+
+def search(
+    step: Step,
+    experiment: Experiment,
+    missing: Sequence[MissingTorque],
+    candidates: Sequence[AbstractEffect],
+    say: Callable[[str], None],
+) -> Step:
+    """Screen all candidates beside a model, and fit those that deserve it."""
+    there, first = set(step.fit.model.labels), step.tried is None
+    some = [c for c in candidates if c.label not in there]
+    if not first and _nothing_to_see(step, some):
+        return step
+    say(f"screening {len(some)} effects")
+    view = _View.of(step, missing)
+    alone, found, kept = screen(view.near, view.paths, some, view.led, any_shape=first)
+    step = step.seen_with(kept) if first else step
+    tried = _promising(step, found, alone, view.led, _REFITS if first else _LATER)
+    if first and tried and tried[0].chi2 > _NEAR * step.readings:
+        # No small change of the motion as it was explains it; the missing torque still may.
+        models = [posed(step.fit.model, m) for m in step.near.ready.mechanisms]
+        also = likeliest(models, missing, some, _DRAWN) - {s.effect.label for s in tried}
+        tried += [s for s in found if s.effect.label in also]
+    tried = view.sharper(tried)
+    names = ", ".join(s.effect.label for s in tried)
+    say(f"fitting {names}" if names else "nothing worth fitting")
+    fitted = refits(step, experiment, tried)
+    if tried and _unexplained(step, fitted):
+        more = view.sharper(_next_best(step, found, tried))
+        if more:
+            say(f"fitting {', '.join(s.effect.label for s in more)}, too")
+            fitted, tried = [*fitted, *refits(step, experiment, more)], [*tried, *more]
+        fitted = none_lost(step, experiment, fitted)
+        sounds = beside_a_mode(step, experiment, found, fitted)
+        if sounds is not None:
+            fitted = [sounds, *(r for r in fitted if r.label != sounds.label)]
+    finer = {s.effect.label: s for s in tried}
+    found = sorted((finer.get(s.effect.label, s) for s in found), key=lambda s: s.chi2)
+    return step._replace(alone=alone, seen=kept, screened=tuple(found), refits=tuple(fitted))
+
+
+def _nothing_to_see(step: Step, candidates: Sequence[AbstractEffect]) -> bool:
+    """Whether the first rung's answers, as directions to look into, promise nothing any more."""
+    assert step.tried is not None
+    drops, unit = glance(step.near, step.slopes, step.tried), max(1.0, step.cost / step.readings)
+    return all(drops.get(c.label, 0.0) <= _GLANCE * worth(c, step) * unit for c in candidates)
+
+
+def _promising(
+    step: Step, found: Sequence[Screened], alone: float, led: bool, most: int
+) -> list[Screened]:
+    """Those that are fitted first, the best one first."""
+    tried = [s for s in found if s.drop > (0.5 if led else 0.8) * worth(s.effect, step)]
+    if not tried:
+        return []
+    best, noise = tried[0].chi2, float(step.readings)
+    enough = (_CLOSE if best < _NEAR * noise else _ROUGHLY) * max(best, noise)
+    # Where noise is small, the best of a grid's shapes is not near it, and yet near the truth.
+    enough = max(enough, best + _SHARE * (alone - best))
+    return [s for i, s in enumerate(tried) if i < _FEWEST or s.chi2 < enough][:most]
+
+
+def _unexplained(step: Step, fitted: Sequence[Refit]) -> bool:
+    """Whether no fit came down to the noise."""
+    return min([step.cost, *(r.cost for r in fitted)]) > usual(step)
+
+
+def _next_best(step: Step, found: Sequence[Screened], tried: Sequence[Screened]) -> list[Screened]:
+    """Those that promise some of what the best one does. The screen is right to first order only:
+    what it puts further down may explain the rest."""
+    told, most = {s.effect.label for s in tried}, max(s.drop for s in found)
+    left = [s for s in found if s.effect.label not in told]
+    return [s for s in left if s.drop > max(_HALF * most, worth(s.effect, step))][:_REFITS]
