@@ -85,13 +85,15 @@ def specs(
     seeds: str = "tuning",
     only: Sequence[str] = (),
     of: str = "amplitude",
+    skip: int = 0,
 ) -> Iterator[Spec]:
-    """Cases of every label: `count` of each at each noise ("none" and "pairs" are one label).
+    """Cases of every label: `count` of each at each noise ("none" and "pairs" are one label), of
+    all seeds but the first `skip`.
 
     With `only`, the labels (or bare names, for both joints) to keep: a pair needs one of them, and
     "none" has none.
     """
-    for seed in SEEDS[seeds][:count]:
+    for seed in SEEDS[seeds][skip : skip + count]:
         for share in noise:
             for kind in what:
                 for labels in _labels(kind, seed, share):

@@ -163,6 +163,7 @@ def main() -> None:
         one.add_argument("--of", choices=("amplitude", "rms"), default="amplitude")
         one.add_argument("--count", type=int, default=1)
         one.add_argument("--seeds", choices=list(SEEDS), default="tuning")
+        one.add_argument("--skip", type=int, default=0, help="of these seeds, the first so many")
         one.add_argument("--only", nargs="+", default=[], metavar="LABEL")
         one.add_argument("--jobs", type=int, default=1)
         one.add_argument("--out", type=Path, required=True, help="JSON lines; not for git")
@@ -189,7 +190,7 @@ def main() -> None:
             parser.error("nothing is tuned on the report seeds")
         work = by_sindy_tuning
     o = options
-    todo = specs(o.what, o.noise, o.count, o.seeds, o.only, o.of)
+    todo = specs(o.what, o.noise, o.count, o.seeds, o.only, o.of, o.skip)
     work_through(work, list(todo), options.out, options.jobs, options.again)
     if tune:
         from benchmarks._hidden_beside import settings

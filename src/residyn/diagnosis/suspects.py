@@ -93,10 +93,11 @@ def search(
         if more:
             say(f"fitting {', '.join(s.effect.label for s in more)}, too")
             fitted, tried = [*fitted, *refits(step, experiment, more)], [*tried, *more]
-        fitted = none_lost(step, experiment, fitted)
-        sounds = beside_a_mode(step, experiment, found, fitted)
-        if sounds is not None:
-            fitted = [sounds, *(r for r in fitted if r.label != sounds.label)]
+        if first:  # later on, the best of them is in the model, and what is left is small
+            fitted = none_lost(step, experiment, fitted)
+            sounds = beside_a_mode(step, experiment, found, fitted)
+            if sounds is not None:
+                fitted = [sounds, *(r for r in fitted if r.label != sounds.label)]
     finer = {s.effect.label: s for s in tried}
     found = sorted((finer.get(s.effect.label, s) for s in found), key=lambda s: s.chi2)
     return step._replace(alone=alone, seen=kept, screened=tuple(found), refits=tuple(fitted))
