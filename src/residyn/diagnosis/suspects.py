@@ -88,16 +88,16 @@ def search(
     names = ", ".join(s.effect.label for s in tried)
     say(f"fitting {names}" if names else "nothing worth fitting")
     fitted = refits(step, experiment, tried)
-    if tried and _unexplained(step, fitted):
+    # Later on the best of them is in the model, and what is left is small.
+    if first and tried and _unexplained(step, fitted):
         more = view.sharper(_next_best(step, found, tried))
         if more:
             say(f"fitting {', '.join(s.effect.label for s in more)}, too")
             fitted, tried = [*fitted, *refits(step, experiment, more)], [*tried, *more]
-        if first:  # later on, the best of them is in the model, and what is left is small
-            fitted = none_lost(step, experiment, fitted)
-            sounds = beside_a_mode(step, experiment, found, fitted)
-            if sounds is not None:
-                fitted = [sounds, *(r for r in fitted if r.label != sounds.label)]
+        fitted = none_lost(step, experiment, fitted)
+        sounds = beside_a_mode(step, experiment, found, fitted)
+        if sounds is not None:
+            fitted = [sounds, *(r for r in fitted if r.label != sounds.label)]
     finer = {s.effect.label: s for s in tried}
     found = sorted((finer.get(s.effect.label, s) for s in found), key=lambda s: s.chi2)
     return step._replace(alone=alone, seen=kept, screened=tuple(found), refits=tuple(fitted))
