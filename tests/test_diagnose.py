@@ -15,6 +15,7 @@ import pytest
 import residyn
 from residyn.diagnosis import chances as weighing
 from residyn.diagnosis import climb as climbing
+from residyn.diagnosis import suspects, valleys
 from residyn.diagnosis.curves import candidates as candidates_for
 from residyn.diagnosis.ladder import (
     Accepted,
@@ -42,6 +43,7 @@ from residyn.recording import ArmTable, Bearing, InertiaTable
 from tests import rig
 
 ARM = rig.paper_twin(0.3)
+ARM_BODIES = residyn.PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.3)
 DATA = Path(__file__).parents[2] / "shared" / "data"
 Q0 = np.array([0.2, -0.15])
 
@@ -319,10 +321,60 @@ def test_what_the_screen_misjudges_is_named_all_the_same(arm, q0, hidden, noise)
     assert set(found.added) == set(hidden)
 
 
+@pytest.mark.parametrize(("best", "again"), [(4e3, []), (9e3, ["brake_slip", "coulomb_friction"])])
+def test_who_may_have_lost_its_way_is_fitted_by_name(best, again, monkeypatch):
+    """Laws that stick or rattle, if nothing explains what is missing, and each of them once."""
+    asked = []
+    monkeypatch.setattr(valleys, "afresh", lambda step, made, r: asked.append(r.effect.name) or r)
+    laws = (residyn.BrakeSlip, residyn.CoulombFriction, residyn.Hysteresis, residyn.CubicStiffness)
+    fits = [
+        SimpleNamespace(effect=law("elbow"), label=law.name, cost=c, by_name=law.name == done)
+        for law, c, done in zip(laws, (best, 2e4, 3e4, 1e4), [None, None, "hysteresis", None])
+    ]
+    assert valleys.none_lost(SimpleNamespace(readings=4000), None, fits) == fits
+    assert asked == again
+
+
+@pytest.mark.parametrize(("cost", "found"), [(5e3, None), (9e3, "periodic_disturbance:elbow")])
+def test_an_oscillation_beside_a_mode_must_explain_everything(cost, found, monkeypatch):
+    def by_name(step, made, effect):
+        for place, left in (("shoulder", 8e3), ("elbow", 4e3)):
+            if effect.place == place:
+                yield np.zeros(1), None, SimpleNamespace(cost=left)
+
+    monkeypatch.setattr(valleys, "_by_name", by_name)
+    kinds = [residyn.CubicStiffness("elbow")]
+    kinds += [residyn.PeriodicDisturbance(joint) for joint in ("shoulder", "elbow")]
+    screened = [SimpleNamespace(effect=e) for e in kinds]
+    step, fits = SimpleNamespace(readings=4000, cost=1e5), [SimpleNamespace(cost=cost)]
+    refit = valleys.beside_a_mode(step, None, screened, fits)
+    assert (refit and refit.label) == found
+
+
+def test_whom_the_screen_puts_further_down_is_fitted_next():
+    """Of those not fitted yet, who promises half of what the best one does."""
+    drops = {"gravity": 1e5, "dead_zone": 8e4, "hysteresis": 6e4, "cubic_stiffness": 4e4}
+    kinds = {n: effects_named(n, ARM_BODIES)[-1] for n in drops}
+    model = residyn.Model(ARM_BODIES)
+    step = SimpleNamespace(
+        readings=4000, fit=SimpleNamespace(model=model), near=SimpleNamespace(fitted=[None])
+    )
+    found = [SimpleNamespace(effect=kinds[n], drop=d, chi2=2e5 - d) for n, d in drops.items()]
+    next_ = suspects._next_best(step, found, found[:1])
+    assert [s.effect.name for s in next_] == ["dead_zone", "hysteresis"]
+    # Four fifths of the best promise are enough to be among the first, beyond the three best.
+    chi2s = (4.1e3, 3e4, 3.5e4, 4e4, 6e4)
+    first = [SimpleNamespace(effect=kinds["gravity"], drop=2e5 - c, chi2=c) for c in chi2s]
+    assert len(suspects._promising(step, first, 2e5, True, 6)) == 4
+
+
 def test_a_law_takes_over_from_the_one_that_it_extends():
     """Both at one joint: only the sum of their torques is known, and one of them is to go."""
-    model = residyn.Model(residyn.PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.3))
-    model = model + residyn.Spring("elbow", 10.0) + residyn.CoulombFriction("elbow", 0.5)
+    model = (
+        residyn.Model(ARM_BODIES)
+        + residyn.Spring("elbow", 10.0)
+        + residyn.CoulombFriction("elbow", 0.5)
+    )
     model = model + residyn.StribeckFriction("elbow", -0.2, 0.1, 0.05)
     numbers = [SimpleNamespace(name=n.name) for n in model.fitted]
     fit = SimpleNamespace(model=model, numbers=numbers)

@@ -35,11 +35,7 @@ def equilibrium(model: Model) -> Float[Array, " n"]:
     n = len(model.mechanism.joints)
 
     def step(q, _):
-        slope = jax.jacfwd(partial(_pull, model))(q)
-        # A joint without stiffness rests anywhere: the small ridge leaves it where it is.
-        square = slope.T @ slope
-        ridge = (_RIDGE * jnp.trace(square) + 1e-300) * jnp.eye(n)
-        return q - jnp.linalg.solve(square + ridge, slope.T @ _pull(model, q)), None
+        return q - _past_rest(jnp, jax.jacfwd(partial(_pull, model))(q), _pull(model, q)), None
 
     return jax.lax.scan(step, jnp.zeros(n), None, length=_NEWTON)[0]
 
@@ -91,21 +87,28 @@ def _at_rest_with(model: Model, numbers: np.ndarray) -> tuple[np.ndarray, np.nda
 
     def seen(q) -> tuple[np.ndarray, np.ndarray]:
         pull, matrices = _linearised(model, numbers, q)
-        return _finite(pull)[..., None], np.asarray(matrices)
+        return _finite(pull), np.asarray(matrices)
 
     q = np.zeros((len(numbers), n))
     pull, matrices = seen(q)
     for _ in range(_NEWTON):
-        slope = _finite(matrices[:, n : 2 * n, :n])
-        square = slope.swapaxes(1, 2) @ slope
-        trace = np.trace(square, axis1=1, axis2=2)[:, None, None]
-        ridge = (_RIDGE * trace + 1e-300) * np.eye(n)
-        step = np.linalg.solve(square + ridge, slope.swapaxes(1, 2) @ pull)[..., 0]
+        step = _past_rest(np, _finite(matrices[:, n : 2 * n, :n]), pull)
         if np.all(np.abs(step) <= _SETTLED):
             break
         q = q - step
         pull, matrices = seen(q)
     return q, matrices
+
+
+def _past_rest(here, slope, pull):
+    """How far (..., n) from rest a model is, by Newton, where it is pulled with `pull` (..., n),
+    which has this `slope` (..., n, n); `here` is NumPy or JAX."""
+    turned = here.swapaxes(slope, -1, -2)
+    square = turned @ slope
+    # A joint without stiffness rests anywhere: the small ridge leaves it where it is.
+    ridge = _RIDGE * here.trace(square, axis1=-2, axis2=-1) + 1e-300
+    square = square + ridge[..., None, None] * here.eye(slope.shape[-1])
+    return here.linalg.solve(square, turned @ pull[..., None])[..., 0]
 
 
 def _finite(x) -> np.ndarray:
