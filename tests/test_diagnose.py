@@ -327,9 +327,10 @@ def test_who_may_have_lost_its_way_is_fitted_by_name(best, again, monkeypatch):
     asked = []
     monkeypatch.setattr(valleys, "afresh", lambda step, made, r: asked.append(r.effect.name) or r)
     laws = (residyn.BrakeSlip, residyn.CoulombFriction, residyn.Hysteresis, residyn.CubicStiffness)
+    named = (None, None, "hysteresis", None)
     fits = [
         SimpleNamespace(effect=law("elbow"), label=law.name, cost=c, by_name=law.name == done)
-        for law, c, done in zip(laws, (best, 2e4, 3e4, 1e4), [None, None, "hysteresis", None])
+        for law, c, done in zip(laws, (best, 2e4, 3e4, 1e4), named, strict=True)
     ]
     assert valleys.none_lost(SimpleNamespace(readings=4000), None, fits) == fits
     assert asked == again
