@@ -321,6 +321,17 @@ def test_what_the_screen_misjudges_is_named_all_the_same(arm, q0, hidden, noise)
     assert set(found.added) == set(hidden)
 
 
+@pytest.mark.parametrize(
+    ("one", "other", "better"),
+    [(44e3, 46e3, False), (30e3, 46e3, True), (1010, 1060, True), (1060, 1010, False)],
+)
+def test_another_climb_is_preferred_for_what_matters(one, other, better, monkeypatch):
+    """Where both leave much more than noise, a little less is no reason for other names."""
+    monkeypatch.setattr(climbing, "price", lambda step, first, beside: step.cost)
+    steps = [SimpleNamespace(cost=cost, readings=1000) for cost in (one, other)]
+    assert climbing.does_better(*steps, 0) is better
+
+
 @pytest.mark.parametrize(("best", "again"), [(4e3, []), (9e3, ["brake_slip", "coulomb_friction"])])
 def test_who_may_have_lost_its_way_is_fitted_by_name(best, again, monkeypatch):
     """Laws that stick or rattle, if nothing explains what is missing, and each of them once."""

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from ..effects import AbstractEffect
 from ..recording import Experiment
 from .curves import candidates as candidates_for
-from .ladder import accepted, needless, ranked, with_another
+from .ladder import MATTERS, MORE_THAN_NOISE, accepted, needless, ranked, with_another
 from .missing_torque import MissingTorque
 from .rung import Step, numbers_of
 from .suspects import search
@@ -48,7 +48,7 @@ def climb(
         say(f"looking once more without {effect.label}")
         others = [c for c in candidates if c.label != effect.label]
         instead = [*steps[:at], *ladder.up(left, others)]
-        if price(instead[-1], first, steps[-1]) < price(steps[-1], first, instead[-1]):
+        if does_better(instead[-1], steps[-1], first):
             return Climbed(instead, [steps[-1]])
         ends.append(instead[-1])
     return Climbed(steps, ends)
@@ -110,6 +110,16 @@ def without(step: Step, effect: AbstractEffect) -> Step | None:
         screened=tuple(s for s in step.screened if s.effect.label != effect.label),
         refits=tuple(r for r in step.refits if r is not own),
     )
+
+
+def does_better(one: Step, other: Step, first: int) -> bool:
+    """Whether one climb's end is to be preferred to another's. Where both leave more than noise,
+    every number bends to what no name explains: then it is only if the error is less by what
+    matters."""
+    if price(one, first, other) >= price(other, first, one):
+        return False
+    left = min(one.cost, other.cost) / one.readings
+    return left <= MORE_THAN_NOISE or one.cost < (1.0 - MATTERS) ** 2 * other.cost
 
 
 def price(step: Step, first: int, other: Step) -> float:

@@ -26,9 +26,11 @@ from .screen import pair
 from .valleys import afresh, near_noise
 from .words import SURE
 
+MATTERS = 0.1
+"""Share of the error that must go, where what is left is not white."""
+MORE_THAN_NOISE = 1.2
+"""Chi-square a reading."""
 _STEADY = 2.5  # standard errors of the gain, as stretches of the recording show it
-_MATTERS = 0.1  # share of the error that must go, where what is left is not white
-_MORE_THAN_NOISE = 1.2  # chi-square a reading
 _HELD = 0.05  # and where nothing was fitted
 _TOGETHER = 0.5  # what two effects leave over the noise, screened, over the best one's
 _PROMISES = 0.2  # share of the error over the noise that must go for an effect to wait for another
@@ -45,8 +47,8 @@ def score(step: Step, refit: Refit) -> float:
     """
     cost = refit.cost
     simpler = next((r for r in step.refits if r.possible and extends(refit, r)), None)
-    matters = simpler is None or cost < (1.0 - _MATTERS) ** 2 * simpler.cost
-    if simpler is not None and unit(step) > _MORE_THAN_NOISE and not matters:
+    matters = simpler is None or cost < (1.0 - MATTERS) ** 2 * simpler.cost
+    if simpler is not None and unit(step) > MORE_THAN_NOISE and not matters:
         cost = max(cost, simpler.cost)
     return cost / unit(step) + refit.numbers * math.log(step.readings)
 
@@ -219,7 +221,7 @@ def matters(old: Step, new: Step) -> bool:
         return held < 1.0 + _WORSE
     if not known and over_noise(cost_of(new.fit), new) < _NEARLY_ALL * over_noise(old.cost, old):
         return True  # what it is about is too plain to be doubted for a prediction that none made
-    return fitted < 1.0 - _MATTERS and known and held < 1.0 - _HELD
+    return fitted < 1.0 - MATTERS and known and held < 1.0 - _HELD
 
 
 def _size(held: HeldOut | None) -> float | None:
