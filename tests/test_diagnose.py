@@ -15,7 +15,7 @@ import pytest
 import residyn
 from residyn.diagnosis import chances as weighing
 from residyn.diagnosis import climb as climbing
-from residyn.diagnosis import suspects, valleys
+from residyn.diagnosis import joined, suspects, valleys
 from residyn.diagnosis.curves import candidates as candidates_for
 from residyn.diagnosis.ladder import (
     Accepted,
@@ -330,6 +330,25 @@ def test_another_climb_is_preferred_for_what_matters(one, other, better, monkeyp
     monkeypatch.setattr(climbing, "price", lambda step, first, beside: step.cost)
     steps = [SimpleNamespace(cost=cost, readings=1000) for cost in (one, other)]
     assert climbing.does_better(*steps, 0) is better
+
+
+@pytest.mark.parametrize(
+    ("law", "recordings", "std", "only"),
+    [
+        (residyn.Hysteresis, 60, (35.0, 13.0), True),
+        (residyn.Hysteresis, 60, (0.2, 13.0), False),
+        (residyn.Hysteresis, 60, (np.inf, np.inf), True),
+        (residyn.Hysteresis, 1, (35.0, 13.0), False),
+        (residyn.BrakeSlip, 2, (35.0, 13.0), True),
+        (residyn.PeriodicDisturbance, 60, (35.0, 13.0), False),
+    ],
+)
+def test_what_is_all_memory_has_no_name(law, recordings, std, only):
+    """The memories of many stretches are any torque; only a strength that is known is an effect."""
+    step = SimpleNamespace(near=SimpleNamespace(fitted=[None] * recordings))
+    alone = residyn.Model(residyn.ConstantInertia([[1.0]], ["slide"], ["m"]), (law("slide"),))
+    assert len(alone.fitted) == 2
+    assert joined._only_remembers(step, np.array([3.9, 2.2]), np.array(std), alone) is only
 
 
 @pytest.mark.parametrize(("best", "again"), [(4e3, []), (9e3, ["brake_slip", "coulomb_friction"])])

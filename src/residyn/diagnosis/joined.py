@@ -11,6 +11,7 @@ from .screen import Screened
 
 _WEAK = 0.3  # of a typical or fitted number, in place of one that physics does not allow
 _IMPOSSIBLE = 3.0  # standard errors on the wrong side of zero
+_KNOWN = 3.0  # standard errors of a strength that is known
 _CYCLES = 2.0  # of an oscillation in the longest recording: fewer could be any slow torque
 
 
@@ -31,9 +32,14 @@ def joined(step: Step, screened: Screened) -> np.ndarray:
 
 def possible(step: Step, model: Model, descent: Descent, alone: Model) -> bool:
     """Whether no number of the effect is on the wrong side of zero, for sure, and no oscillation is
-    but a correction of a mode, or too slow to be seen as one."""
+    but a correction of a mode, or too slow to be seen as one, and no memory all that there is to
+    it."""
     values, spread = np.asarray(model.vector()), errors_of(descent, 1.0)
     first = len(values) - len(alone.fitted)
+    if _only_remembers(
+        step, values[first:], errors_of(descent, _left(step, descent))[first:], alone
+    ):
+        return False
     modes = [m.frequency_hz for m in step.fit.modes]
     longest = max(r.recording.duration for r in step.near.fitted)
     (effect,) = alone.effects
@@ -50,3 +56,21 @@ def possible(step: Step, model: Model, descent: Descent, alone: Model) -> bool:
             if value < 0 and (not np.isfinite(std) or value < -_IMPOSSIBLE * std):
                 return False
     return True
+
+
+def _only_remembers(step: Step, values: np.ndarray, std: np.ndarray, alone: Model) -> bool:
+    """Whether an effect does what it does by the memories that many recordings, or stretches of
+    one, begin with: each is free, so that together they are any torque that changes from one to the
+    next. Then nothing is known of its strength."""
+    (effect,) = alone.effects
+    if len(step.near.fitted) < 2 or not effect.memory or effect.oscillates is not None:
+        return False
+    silent_ = [n.meaning.silent for n in alone.fitted]
+    return all(
+        s is None or not abs(x - s) > _KNOWN * e
+        for s, x, e in zip(silent_, values, std, strict=True)
+    )
+
+
+def _left(step: Step, descent: Descent) -> float:
+    return max(1.0, descent.cost / step.readings)
