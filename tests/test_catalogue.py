@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import residyn
+from residyn.diagnosis.curves import candidates
 from residyn.effects import CATALOGUE, effects_named
 from residyn.motion import Motion
 from residyn.parameter import Scales, parameters_of
@@ -242,3 +243,12 @@ def readings(model, t):
     times = np.concatenate([[0.0], lead + t[lead == 0.0 :]])
     path = residyn.simulate(model, times, [0.3, -0.25], steps=3000)
     return np.asarray(path.readings)[int(lead > 0.0) :]
+
+
+def test_what_slides_feels_no_sine_of_an_angle():
+    slide = residyn.ConstantInertia([[1.0]], ["cart"], ["m"])
+    with pytest.raises(ValueError, match=r"gravity .* cart slides .*constant_torque:cart"):
+        effects_named("gravity", slide)
+    assert "gravity" not in [e.name for e in candidates(residyn.Model(slide))]
+    hanging = residyn.ConstantInertia([[1.0]], ["link"], ["rad"])
+    assert "gravity" in [e.name for e in candidates(residyn.Model(hanging))]

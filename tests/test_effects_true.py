@@ -78,3 +78,28 @@ def test_bearings_hold_an_arm_in_any_pose(theta2):
     off = predicted(case) - case.truth
     assert np.abs(off[late]).max() < 5 * DRY * swing.max()
     assert np.ptp(off[late], axis=0).max() < 0.1 * DRY * swing.max()
+
+
+@pytest.mark.parametrize(
+    ("arm", "q0", "force"),
+    [
+        (
+            Arm(0.35, 0.32, 0.416, 0.0789, 0.373, -1.64, (3.43, 1.69), (0.0062, 0.0189)),
+            (-0.16, 0.285),
+            0.0458,
+        ),
+        (
+            Arm(0.521, 0.532, 0.527, 0.119, 0.259, 1.652, (31.4, 17.5), (0.196, 0.0042)),
+            (0.358, 0.324),
+            0.874,
+        ),
+    ],
+)
+def test_the_smoothing_of_a_bearings_friction_takes_no_energy(arm, q0, force):
+    """The wrist passes through rest without turning aside: cycle after cycle, whatever smooths the
+    friction there must not change what it takes."""
+    hidden = [Hidden("bearing_friction", {"force": force})]
+    rng = np.random.default_rng(0)
+    case = record(rng, arm, np.array(q0), hidden, seconds=20.0, rate=100.0, noise=1e-6)
+    off = np.sqrt(np.mean((predicted(case) - case.truth) ** 2, axis=0))
+    assert off.max() < DRY * np.abs(case.truth).max()

@@ -115,10 +115,13 @@ class BearingFriction(_BearingEffect):
         assert isinstance(mechanism, PlanarArm)
         _, wrist = _slips(motion, mechanism)
         at_elbow = self.jumps(motion, mechanism)[0] * motion.direction[0]
-        speed = _root(wrist.square + self._slow(motion, mechanism) ** 2)
+        slow = self._slow(motion, mechanism) ** 2
+        speed = _root(wrist.square + slow)
         safe = jnp.where(speed > 0, speed, 1.0)
-        # Where it neither slides nor has a grain (a linearisation at rest), it has no slope.
-        at_wrist = jnp.where(speed > 0, wrist.bearings * self.force / safe, 0.0)
+        # Where it neither slides nor has a grain (a linearisation at rest), it has no slope. The
+        # second term makes the smoothing's loss at higher speeds fall with their fourth power.
+        smooth = (1.0 + 0.5 * slow / safe**2) / safe
+        at_wrist = jnp.where(speed > 0, wrist.bearings * self.force * smooth, 0.0)
         return at_elbow + at_wrist * wrist.generalised[0], at_wrist * wrist.generalised[1]
 
     def _slow(self, motion: Motion, arm: PlanarArm) -> Scalar:

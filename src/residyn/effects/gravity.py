@@ -30,6 +30,14 @@ class Gravity(AbstractEffect):
 
     @classmethod
     def places(cls, mechanism):
+        sliding = [
+            j for j, u in zip(mechanism.joints, mechanism.units or (), strict=False) if u == "m"
+        ]
+        if sliding:
+            raise ValueError(
+                f"gravity acts with the sine of an angle, and {sliding[0]} slides (m): what pulls "
+                f"it down a slope is constant_torque:{sliding[0]}"
+            )
         with jax.enable_x64(True):  # the mechanism may be of another precision than that in force
             mechanism.link_angles((0.0,) * len(mechanism.joints))
         return ()
