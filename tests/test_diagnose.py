@@ -661,6 +661,23 @@ def test_who_was_only_screened_is_believed_as_far_as_screens_keep_their_promises
     assert broken["cubic_stiffness"] < 0.01
 
 
+def test_who_takes_over_from_a_simpler_law_is_as_sure_as_that_was(monkeypatch):
+    """Dry friction was sure; whether it falls off hardly is."""
+    monkeypatch.setattr(weighing, "_among", lambda step: step.shares)
+    monkeypatch.setattr(weighing, "_known", lambda *rest: 0.8)
+    plain, rich = residyn.CoulombFriction("elbow"), residyn.StribeckFriction("elbow")
+    model = residyn.Model(residyn.PlanarArm([0.4, 0.4], 1.2, 0.6, 1.4), (rich,))
+    shares = [{plain.label: 0.9, rich.label: 0.05}, {rich.label: 0.1}, {}]
+    known = {"white": 0.0, "readings": 4000, "fit": SimpleNamespace(model=model), "unnamed": None}
+    steps = [
+        SimpleNamespace(shares=x, effects=e, **known)
+        for x, e in zip(shares, [(), (plain,), (rich,)], strict=True)
+    ]
+    found = weighing.chances(steps)
+    assert found[rich.label] == pytest.approx(0.9 * 0.8)
+    assert found[plain.label] < 0.1
+
+
 def test_what_two_share_is_what_is_left_over_the_noise():
     """A tenth of chi-square may be half of what there is to explain."""
     step = SimpleNamespace(readings=4000)

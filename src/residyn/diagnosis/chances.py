@@ -55,19 +55,27 @@ def chances(steps: Sequence[Step]) -> dict[str, float]:
     that stands."""
     last = steps[-1]
     found: dict[str, float] = {}
+    joined: dict[str, float] = {}
     several = 1.0 / (1.0 + one_law(steps))
     for rung, step in enumerate(steps):
         each = _among(step)
         follows = steps[rung + 1] if rung + 1 < len(steps) else None
         for label, share in each.items():
             sure = _known(step, follows or step, last.white, label)
-            if rung == 0 or (follows and follows.effects and follows.effects[-1].label == label):
+            joins = follows and follows.effects and follows.effects[-1].label == label
+            if rung == 0 or joins:
                 found[label] = share * sure
+            if joins:
+                joined[label] = share * sure
         for effect in follows.effects if follows else ():
             if effect.label not in last.fit.model.labels:  # it was to become needless
                 odds = step.readings ** (-0.5 * numbers_of(effect, last.fit.model, 1))
                 found[effect.label] = min(found.get(effect.label, 1.0), odds / (1.0 + odds))
     for effect in _added(steps):
+        # Who took over from a simpler law is at least as sure as that one was: it contains it.
+        plain = f"{effect.extends}:{effect.place}"
+        if plain not in last.fit.model.labels:
+            found[effect.label] = max(found.get(effect.label, 0.0), joined.get(plain, 0.0))
         found[effect.label] = several * found.get(effect.label, 0.0)
     return found
 
