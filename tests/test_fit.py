@@ -8,6 +8,7 @@ import pytest
 
 import residyn
 from residyn.fitting import pipeline
+from residyn.fitting import starts as begins
 from residyn.fitting.levenberg import Polished, together
 from residyn.fitting.problem import Compressed, Unknowns
 from residyn.recording import ArmTable, Bearing, InertiaTable
@@ -347,7 +348,7 @@ def test_a_start_stays_where_numbers_can_be(seed):
     here = pipeline.ready(made, made.fit_recordings, ["gravity"])
     with jax.enable_x64(True):
         wild = [np.zeros(r.angle.shape, bool) for r in here.recordings]
-        numbers, _ = pipeline.beginning(here, wild, 6)
+        numbers, _ = begins.beginning(here, wild, 6)
         assert np.all(np.abs(numbers) < 50 * here.typical())
 
 
@@ -361,3 +362,59 @@ def test_first_cycles_that_lead_away_are_not_the_last_word():
     assert np.all(np.isfinite(fit.rmse))
     # Springs and dampers cannot explain it, but a joint at rest would leave as much as it moved.
     assert np.all(fit.rmse < np.sqrt(np.mean(case.q**2, axis=0)))
+
+
+@pytest.mark.parametrize(
+    ("arm", "q0", "label", "values", "noise"),
+    [
+        (
+            rig.Arm(0.394, 0.36, 2.246, 0.4903, 2.0056, -1.8605, (261.8, 91.7), (0.526, 0.072)),
+            (-0.1527, -0.2044),
+            "periodic_disturbance:elbow",
+            {"torque": 0.2425, "frequency": 0.7001, "phase": 5.1},
+            0.01,
+        ),
+        (
+            rig.Arm(0.5264, 0.5484, 1.3467, 0.5839, 1.4011, 1.6905, (28.55, 124.5), (0.548, 0.312)),
+            (0.1029, -0.3126),
+            "hysteresis:shoulder",
+            {"torque": 0.0588, "angle": 0.03094},
+            0.0116,
+        ),
+    ],
+)
+def test_a_slow_start_does_not_spoil_the_others(arm, q0, label, values, noise):
+    """In 5 % noise the surest candidate may be one that has lost the fast mode. Integrated with its
+    step, none of the others would get anywhere."""
+    for seed in (4, 6, 12):
+        rng = np.random.default_rng(seed)
+        hidden = [rig.Hidden(label, values)]
+        case = rig.record(rng, arm, np.array(q0), hidden, seconds=20.0, rate=100.0, noise=noise)
+        fit = residyn.fit(experiment(case, noise=noise))
+        assert fit.reduced_chi2 < 1.2
+        for number, true in zip(fit.numbers, arm.stiffness, strict=False):
+            assert number.value == pytest.approx(true, rel=0.1)
+
+
+def ready_for():
+    made = experiment(clean_case(0))
+    return pipeline.ready(made, made.fit_recordings, [])
+
+
+def test_of_candidates_that_are_alike_one_is_tried_first():
+    k, c = np.array([16.0, 16.0]), np.array([0.1, 0.1])
+    rows = [np.append(f * k, g * c) for f, g in [(1e-3, 1), (1.1e-3, 1.2), (1, 1), (1.1, 3), (9, 1)]]
+    with jax.enable_x64(True):
+        assert begins._various(ready_for(), np.array(rows)) == [0, 2, 4, 1, 3]
+        assert begins._various(ready_for(), np.zeros((0, 4))) == []
+
+
+@pytest.mark.parametrize(
+    ("factors", "sets"),
+    [((1e-3, 1.0, 1.1, 1e-3), 1.1), ((1.0,), 1.0), ((1e-3, 1.0, 1.1, 0.9, 1e6), 1.1)],
+)
+def test_the_step_is_one_that_most_starts_can_live_with(factors, sets):
+    """Too slow a mode spoils all others; a single absurd one costs time for nothing."""
+    rows = np.array([[16.0 * f, 16.0 * f, 0.1, 0.1] for f in factors])
+    with jax.enable_x64(True):
+        assert np.asarray(begins.resolving(ready_for(), rows).vector())[0] == 16.0 * sets

@@ -61,6 +61,20 @@ def fastest(model: Model) -> float:
     return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else np.inf
 
 
+def eigenvalue_sizes(model: Model, numbers: Float[np.ndarray, "K P"]) -> Float[np.ndarray, "K s"]:
+    """Sizes of the state matrix' eigenvalues with each row of concrete numbers, smallest first,
+    rad/s; infinite where it is not finite."""
+    room, found = 2 * numbers.shape[1] + 1, []  # rows that are compiled for anyway
+    for first in range(0, len(numbers), room):
+        some = numbers[first : first + room]
+        filled = np.concatenate([some, np.tile(some[-1:], (room - len(some), 1))])
+        matrices = np.asarray(state_matrices(model, filled))[: len(some)]
+        good = np.asarray(np.isfinite(matrices).all(axis=(1, 2), keepdims=True))
+        sizes = np.sort(np.abs(np.linalg.eigvals(np.where(good, matrices, 0.0))))
+        found.append(np.where(good[..., 0], sizes, np.inf))
+    return np.concatenate(found)
+
+
 def concrete_state_matrix(model: Model) -> np.ndarray:
     """`state_matrix` (s, s) of concrete numbers, by the program that a fit needs anyway."""
     return at_rest(model)[1]

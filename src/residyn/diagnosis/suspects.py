@@ -49,7 +49,8 @@ class _View(NamedTuple):
         longest = max(r.recording.duration for r in step.near.fitted)
         period = 1.0 / step.fit.modes[0].frequency_hz if step.fit.modes else longest / _PAUSES
         near = steadied(step.near)
-        led = step.cost > _NEAR * step.readings or (near is not step.near and not step.effects)
+        springless = _springs(near) != _springs(step.near) and not step.effects
+        led = step.cost > _NEAR * step.readings or springless
         near = near if led else step.near
         paths = [
             Path.of(m, int(near.problem.steps), period, None if led else r.predicted)
@@ -60,6 +61,11 @@ class _View(NamedTuple):
     def sharper(self, some: Sequence[Screened]) -> list[Screened]:
         """Candidates with their shapes between the grid's values."""
         return sharpened(self.near, self.paths, some, self.led)
+
+
+def _springs(near: Near) -> list[float]:
+    fitted = zip(near.fit.model.fitted, near.fit.model.vector(), strict=True)
+    return [float(x) for n, x in fitted if n.name.startswith("spring:")]
 
 
 def search(

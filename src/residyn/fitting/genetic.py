@@ -22,10 +22,11 @@ from .descent import Descent, wild_beside
 from .evolution import evolve
 from .genes import GENES, Genome, box, genome
 from .history import History, relative_error
-from .pipeline import beginning, finish
+from .pipeline import DEFAULT_STARTS, finish
 from .problem import Compressed, Problem, compressed
 from .result import Fit, FitError
 from .setup import Ready, ready
+from .starts import beginning, resolving
 
 _LAST, _FALL = 0.1, 0.01  # settled: the last tenth of the generations gained less than 1 %
 _FAR = 1.0  # standard errors that least squares would still go
@@ -137,9 +138,9 @@ def fit_genetic(
 def search_of(here: Ready, wild: Sequence[np.ndarray], how: Genetic) -> Search:
     """The search of an experiment: the model, the step and the readings that
     Levenberg-Marquardt would have, so that both simulate alike; but not its start."""
-    begin = beginning(here, wild, 1)[0][0]
+    begin = resolving(here, beginning(here, wild, DEFAULT_STARTS)[0])
     bounds = box(here.model.fitted, here.typical(), how.bounds)
-    problem, states = here.problem(here.model.with_vector(jnp.asarray(begin)), wild)
+    problem, states = here.problem(begin, wild)
     noise = np.max([r.noise for r in here.recordings], axis=0)
     return Search(problem, genome(problem, bounds, states, noise, how.initial))
 

@@ -19,8 +19,8 @@ from .descent import Descent, descend, wild_beside
 from .drifting import without_drift
 from .identify import Spread, spread_of
 from .result import Fit, FitError, Mode, Number, RecordingFit
-from .setup import Ready, ready
-from .start import closed_form, perturbed
+from .setup import ready
+from .starts import beginning, resolving
 from .words import warnings_for
 
 DEFAULT_STARTS = 6
@@ -93,36 +93,12 @@ def _fit(experiment, effects, starts, progress) -> Fit:
         wild, memory = wild_beside(here, [r.angle for r in here.recordings]), None
 
     progress(f"fitting from {starts} start{'s' * (starts > 1)}")
-    begin = here.model.with_vector(jnp.asarray(numbers[0]))
+    begin = resolving(here, numbers)
     descent = descend(here, begin, numbers, wild, progress, memory)
 
     progress("errors, modes and held-out recordings")
     model = here.model.with_vector(jnp.asarray(descent.problem.numbers(descent.unknowns)))
-    return finish(experiment, model, np.asarray(numbers[0]), descent, began)
-
-
-def beginning(
-    here: Ready, wild: Sequence[np.ndarray], starts: int
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Where the starts begin, the best one first: numbers (S, P), internal states (S, R, m)."""
-    found = closed_form(here.posed(), here.recordings, wild, here.typical())
-    candidates = found.numbers[:starts] if len(found.numbers) else here.typical()[None]
-    candidates = _turned(here.model, candidates)
-    more = starts - len(candidates)
-    numbers = np.vstack([candidates, perturbed(candidates[0], more)])
-    memory = found.memory[[*range(len(candidates)), *[0] * more]] if len(found.memory) else None
-    return numbers, memory
-
-
-def _turned(model: Model, numbers: np.ndarray) -> np.ndarray:
-    """Starts (S, P) of which no effect's number has a sign that physics does not allow: an inertia
-    below zero, however small, runs away. Springs and dampers stay: gravity may hold a joint."""
-    base = ("spring", "damper")
-    positive = [
-        n.meaning.sign == "positive" and model.effects[n.effect].name not in base
-        for n in model.fitted
-    ]
-    return np.where(positive, np.abs(numbers), numbers)
+    return finish(experiment, model, np.asarray(begin.vector()), descent, began)
 
 
 def refit(

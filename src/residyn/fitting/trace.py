@@ -17,9 +17,10 @@ from ..recording import Experiment
 from .descent import shares_of, wild_beside
 from .history import History, relative_error
 from .levenberg import STEPS, Polished, Stretch, rows, solver, together
-from .pipeline import DEFAULT_STARTS, beginning
+from .pipeline import DEFAULT_STARTS
 from .problem import Problem, Unknowns
 from .setup import ready
+from .starts import beginning, resolving
 
 _OPTIONS = {"jac": "fwd"}
 
@@ -41,7 +42,7 @@ def levenberg_history(
         here = ready(experiment, experiment.fit_recordings, effects)
         wild = wild_beside(here, [r.angle for r in here.recordings])
         numbers, memory = beginning(here, wild, starts)
-        begin = here.model.with_vector(jnp.asarray(numbers[0]))
+        begin = resolving(here, numbers)
         frequency = here.frequency(begin)
         problem, states = here.problem(begin, wild, frequency=frequency)
         first = np.broadcast_to(states, (starts, *states.shape)).copy()
