@@ -2,7 +2,7 @@
 
     python -m benchmarks.fit_quality clean      50 arms, 20 s, noise 5e-4 rad: accuracy, chi-square
     python -m benchmarks.fit_quality minimum    200 arms, hard ones: is the global minimum found?
-    python -m benchmarks.fit_quality missing    400 arms with an effect hidden that is not fitted: lowest end?
+    python -m benchmarks.fit_quality missing    400 arms with an effect not fitted: lowest minimum?
     python -m benchmarks.fit_quality coverage   400 recordings: do 95 % intervals hold the truth?
 
 Every fit runs with the default settings and no start value. Seeds are fixed; `--seed` takes others,

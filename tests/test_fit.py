@@ -403,7 +403,8 @@ def ready_for():
 
 def test_of_candidates_that_are_alike_one_is_tried_first():
     k, c = np.array([16.0, 16.0]), np.array([0.1, 0.1])
-    rows = [np.append(f * k, g * c) for f, g in [(1e-3, 1), (1.1e-3, 1.2), (1, 1), (1.1, 3), (9, 1)]]
+    factors = [(1e-3, 1.0), (1.1e-3, 1.2), (1.0, 1.0), (1.1, 3.0), (9.0, 1.0)]
+    rows = [np.append(f * k, g * c) for f, g in factors]
     with jax.enable_x64(True):
         assert begins._various(ready_for(), np.array(rows)) == [0, 2, 4, 1, 3]
         assert begins._various(ready_for(), np.zeros((0, 4))) == []
