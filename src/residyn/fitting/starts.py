@@ -31,7 +31,7 @@ def beginning(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Where the starts begin, the best one first: numbers (S, P), internal states (S, R, m)."""
     found = closed_form(here.posed(), here.recordings, wild, here.typical())
-    some = _various(here, found.numbers)[:starts]
+    some = _various(here, found.numbers)[:starts] if starts > 1 else [0][: len(found.numbers)]
     candidates = found.numbers[some] if some else here.typical()[None]
     candidates = _turned(here.model, candidates)
     more = starts - len(candidates)
