@@ -56,9 +56,19 @@ def state_matrix(model: Model, q: Float[Array, " n"] | None = None) -> Float[Arr
 
 
 def fastest(model: Model) -> float:
-    """Largest angular frequency of the linearised model, rad/s (concrete numbers only)."""
-    matrix = concrete_state_matrix(model)
-    return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else np.inf
+    """Largest angular frequency of the linearised model, rad/s (concrete numbers only), and of what
+    it is where no effect with corners acts: outside of its gap a joint with backlash has all of its
+    spring."""
+    return float(eigenvalue_sizes(model, paced(model, np.asarray(model.vector())[None])).max())
+
+
+def paced(model: Model, numbers: Float[np.ndarray, "K P"]) -> Float[np.ndarray, "2K P"]:
+    """Rows of numbers, and the same again with the strengths of effects with corners silent."""
+    smooth = np.array(numbers, float)
+    for i, n in enumerate(model.fitted):
+        if model.effects[n.effect].rough and n.meaning.silent is not None:
+            smooth[:, i] = n.meaning.silent
+    return np.concatenate([numbers, smooth])
 
 
 def eigenvalue_sizes(model: Model, numbers: Float[np.ndarray, "K P"]) -> Float[np.ndarray, "K s"]:
