@@ -30,6 +30,7 @@ _REST = 0.02  # of the rms rate: slower than this a joint may be at rest
 _STILL = 3.0  # times that, for a whole period: it does
 _MOST_SHAPES = 48
 _BESIDE = 0.05  # of a mode's frequency
+_ABOVE = 5.0  # times the fastest mode: no disturbance is looked for beyond
 _LINES = 8  # frequencies tried of an effect with a frequency of its own
 _AROUND = 10.0  # cycles more or less in the longest recording: a line's surroundings
 _FINER = 2  # values in place of one of a shape's grid
@@ -211,8 +212,9 @@ def _frequencies(j: int, paths: Sequence[Path], modes: Sequence[float]) -> list[
     """Frequencies, Hz, of what springs and dampers leave of the missing torque: the strongest of
     joint j, and those that stand out most at any joint."""
     longest = max(p.time[-1] for p in paths)
-    fastest = max(1 / (3 * p.h) for p in paths)
-    frequency = np.arange(1.0, fastest * longest, 0.25) / longest
+    # Far above the fastest mode nothing shows but noise, however short the step.
+    most = min(max(1 / (3 * p.h) for p in paths), _ABOVE * max(modes, default=np.inf))
+    frequency = np.arange(1.0, most * longest, 0.25) / longest
     power = np.sum([_power(path, frequency) for path in paths], axis=0)
     # The noise of a torque grows with frequency: what stands out of its surroundings counts, too,
     # and at every joint, for the sensor of the other one may be the one that sees it.
