@@ -15,7 +15,7 @@ import pytest
 import residyn
 from residyn.diagnosis import chances as weighing
 from residyn.diagnosis import climb as climbing
-from residyn.diagnosis import joined, suspects, valleys
+from residyn.diagnosis import joined, ladder, suspects, valleys
 from residyn.diagnosis.curves import candidates as candidates_for
 from residyn.diagnosis.ladder import (
     Accepted,
@@ -349,6 +349,25 @@ def test_what_is_all_memory_has_no_name(law, recordings, std, only):
     alone = residyn.Model(residyn.ConstantInertia([[1.0]], ["slide"], ["m"]), (law("slide"),))
     assert len(alone.fitted) == 2
     assert joined._only_remembers(step, np.array([3.9, 2.2]), np.array(std), alone) is only
+
+
+@pytest.mark.parametrize(
+    ("costs", "first"),
+    [
+        ((4000.0, 4000.0 + 1e-9), "constant_torque"),
+        ((4000.0 + 1e-9, 4000.0), "constant_torque"),
+        ((4000.5, 4000.0), "sensor_offset"),
+    ],
+)
+def test_rounding_does_not_choose_between_twins(costs, first, monkeypatch):
+    monkeypatch.setattr(ladder, "score", lambda step, r: r.cost)
+    laws = (residyn.ConstantTorque, residyn.SensorOffset)
+    fits = [
+        SimpleNamespace(effect=law("elbow"), cost=c, possible=True)
+        for law, c in zip(laws, costs, strict=True)
+    ]
+    for order in (fits, fits[::-1]):
+        assert ranked(SimpleNamespace(refits=order))[0].effect.name == first
 
 
 @pytest.mark.parametrize(("best", "again"), [(4e3, []), (9e3, ["brake_slip", "coulomb_friction"])])

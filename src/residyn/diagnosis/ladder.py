@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..effects import AbstractEffect
+from ..effects import CATALOGUE, AbstractEffect
 from ..fitting.pipeline import finish, refit
 from ..fitting.result import Fit, FitError
 from ..recording import Experiment
@@ -36,6 +36,7 @@ _TOGETHER = 0.5  # what two effects leave over the noise, screened, over the bes
 _PROMISES = 0.2  # share of the error over the noise that must go for an effect to wait for another
 _WORSE = 0.02  # share by which the held-out error may grow where what is left is white
 _NEARLY_ALL = 0.01  # of what was over the noise, left
+_TWINS = 0.01  # of chi-square
 _STRETCHES = 24  # least number of stretches of all recordings
 
 
@@ -65,8 +66,18 @@ def unit(step: Step) -> float:
 
 
 def ranked(step: Step) -> list[Refit]:
-    """The fitted candidates that could be, the best first."""
-    return sorted((r for r in step.refits if r.possible), key=lambda r: score(step, r))
+    """The fitted candidates that could be, the best first. Twins, which nothing but rounding tells
+    apart, come in the catalogue's order: on every machine the same one is named."""
+    scores = {id(r): score(step, r) for r in step.refits if r.possible}
+    best = min(scores.values(), default=0.0)
+    order = list(CATALOGUE)
+
+    def place(r: Refit) -> tuple[float, int]:
+        own, name = scores[id(r)], r.effect.name
+        twin = own - best < _TWINS
+        return (best, order.index(name) if name in order else len(order)) if twin else (own, 0)
+
+    return sorted((r for r in step.refits if r.possible), key=place)
 
 
 class Accepted(NamedTuple):
