@@ -15,7 +15,8 @@ import pytest
 import residyn
 from residyn.diagnosis import chances as weighing
 from residyn.diagnosis import climb as climbing
-from residyn.diagnosis import joined, ladder, suspects, valleys
+from residyn.diagnosis import joined, suspects, valleys
+from residyn.diagnosis import ladder as rungs
 from residyn.diagnosis.curves import candidates as candidates_for
 from residyn.diagnosis.ladder import (
     Accepted,
@@ -360,7 +361,7 @@ def test_what_is_all_memory_has_no_name(law, recordings, std, only):
     ],
 )
 def test_rounding_does_not_choose_between_twins(costs, first, monkeypatch):
-    monkeypatch.setattr(ladder, "score", lambda step, r: r.cost)
+    monkeypatch.setattr(rungs, "score", lambda step, r: r.cost)
     laws = (residyn.ConstantTorque, residyn.SensorOffset)
     fits = [
         SimpleNamespace(effect=law("elbow"), cost=c, possible=True)
