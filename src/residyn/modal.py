@@ -56,24 +56,24 @@ def state_matrix(model: Model, q: Float[Array, " n"] | None = None) -> Float[Arr
 
 
 def fastest(model: Model) -> float:
-    """Largest angular frequency of the linearised model, rad/s (concrete numbers only), and of what
-    it is where no effect with corners acts: outside of its gap a joint with backlash has all of its
-    spring."""
-    return float(eigenvalue_sizes(model, paced(model, np.asarray(model.vector())[None])).max())
+    """Largest angular frequency of the linearised model, rad/s (concrete numbers only)."""
+    return float(paces(model, np.asarray(model.vector())[None]).max())
 
 
-def paced(model: Model, numbers: Float[np.ndarray, "K P"]) -> Float[np.ndarray, "2K P"]:
-    """Rows of numbers, and the same again with the strengths of effects with corners silent."""
-    smooth = np.array(numbers, float)
-    for i, n in enumerate(model.fitted):
-        if model.effects[n.effect].rough and n.meaning.silent is not None:
-            smooth[:, i] = n.meaning.silent
-    return np.concatenate([numbers, smooth])
-
-
-def eigenvalue_sizes(model: Model, numbers: Float[np.ndarray, "K P"]) -> Float[np.ndarray, "K s"]:
+def paces(model: Model, numbers: Float[np.ndarray, "K P"]) -> Float[np.ndarray, "K s"]:
     """Sizes of the state matrix' eigenvalues with each row of concrete numbers, smallest first,
-    rad/s; infinite where it is not finite."""
+    rad/s, or those without effects that have corners, where these are larger: outside of its gap a
+    joint with backlash has all of its spring. Infinite where the matrix is not finite."""
+    found = _eigenvalue_sizes(model, numbers)
+    rough = [model.effects[n.effect].rough and n.meaning.silent is not None for n in model.fitted]
+    if any(rough):
+        silent = [n.meaning.silent for n in model.fitted]
+        without = np.where(rough, np.array(silent, float), numbers)
+        found = np.maximum(found, _eigenvalue_sizes(model, without))
+    return found
+
+
+def _eigenvalue_sizes(model: Model, numbers: np.ndarray) -> np.ndarray:
     room, found = 2 * numbers.shape[1] + 1, []  # rows that are compiled for anyway
     for first in range(0, len(numbers), room):
         some = numbers[first : first + room]

@@ -1,5 +1,7 @@
 """A candidate joined to a model: what it begins from, and whether what came of it could be."""
 
+import math
+
 import numpy as np
 
 from ..effects import AbstractEffect
@@ -36,9 +38,8 @@ def possible(step: Step, model: Model, descent: Descent, alone: Model) -> bool:
     it."""
     values, spread = np.asarray(model.vector()), errors_of(descent, 1.0)
     first = len(values) - len(alone.fitted)
-    if _only_remembers(
-        step, values[first:], errors_of(descent, _left(step, descent))[first:], alone
-    ):
+    left = math.sqrt(max(1.0, descent.cost / step.readings))
+    if _only_remembers(step, values[first:], left * spread[first:], alone):
         return False
     modes = [m.frequency_hz for m in step.fit.modes]
     longest = max(r.recording.duration for r in step.near.fitted)
@@ -70,7 +71,3 @@ def _only_remembers(step: Step, values: np.ndarray, std: np.ndarray, alone: Mode
         s is None or not abs(x - s) > _KNOWN * e
         for s, x, e in zip(silent_, values, std, strict=True)
     )
-
-
-def _left(step: Step, descent: Descent) -> float:
-    return max(1.0, descent.cost / step.readings)

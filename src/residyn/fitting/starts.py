@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from ..modal import eigenvalue_sizes, paced
+from ..modal import paces
 from ..model import Model
 from .problem import posed
 from .setup import Ready
@@ -63,9 +63,7 @@ def _paces(here: Ready, numbers: np.ndarray) -> np.ndarray:
     """(S, s) how fast a model's modes are with numbers (S, P), slowest first, rad/s, none slower
     than a cycle in the longest recording."""
     least = 2 * math.pi / max(r.duration for r in here.recordings)
-    model = posed(here.model, here.mechanisms[0])
-    with_, without = np.split(eigenvalue_sizes(model, paced(model, numbers)), 2)
-    return np.clip(np.maximum(with_, without), least, _ABSURD)
+    return np.clip(paces(posed(here.model, here.mechanisms[0]), numbers), least, _ABSURD)
 
 
 def resolving(here: Ready, numbers: np.ndarray) -> Model:
