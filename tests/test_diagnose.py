@@ -17,6 +17,7 @@ from residyn.diagnosis import chances as weighing
 from residyn.diagnosis import climb as climbing
 from residyn.diagnosis import joined, suspects, valleys
 from residyn.diagnosis import ladder as rungs
+from residyn.diagnosis import path as way
 from residyn.diagnosis.curves import candidates as candidates_for
 from residyn.diagnosis.ladder import (
     Accepted,
@@ -369,6 +370,23 @@ def test_rounding_does_not_choose_between_twins(costs, first, monkeypatch):
     ]
     for order in (fits, fits[::-1]):
         assert ranked(SimpleNamespace(refits=order))[0].effect.name == first
+
+
+def test_noise_far_above_the_modes_hides_no_disturbance():
+    """The noise of a torque grows as the square of the frequency; the short step of a law with
+    corners would show all of it."""
+    rng = np.random.default_rng(0)
+    h, parts = 0.0128, way._PARTS
+    time = (np.arange(1560 * parts) + 0.5) * h / parts
+    knots = np.arange(0.0, 20.0, 0.01)
+    rough = np.gradient(np.gradient(rng.standard_normal(len(knots))))
+    missing = 30 * np.interp(time, knots, rough) + np.sin(2 * np.pi * 6.0 * time)
+    slow = np.sin(2 * np.pi * time)
+    columns = [np.stack([x, x], axis=1) for x in (missing, slow, np.gradient(slow))]
+    path = SimpleNamespace(h=h, time=time, missing=columns[0], q=columns[1], v=columns[2])
+    found = np.array(way._frequencies(0, [path], [1.4, 2.5]))
+    assert found.max() <= 5 * 2.5
+    assert np.abs(found - 6.0).min() < 0.1
 
 
 @pytest.mark.parametrize(("best", "again"), [(4e3, []), (9e3, ["brake_slip", "coulomb_friction"])])
