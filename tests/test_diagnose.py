@@ -372,6 +372,25 @@ def test_rounding_does_not_choose_between_twins(costs, first, monkeypatch):
         assert ranked(SimpleNamespace(refits=order))[0].effect.name == first
 
 
+def test_a_joint_that_hardly_damps_is_not_led_along_noise():
+    """Its fit is near the noise, and knows the motion better than smoothed readings do."""
+    arm = rig.Arm(0.58, 0.588, 0.4467, 0.1059, 0.1937, 1.2578, (5.965, 21.11), (0.0117, 0.0046))
+    hidden = [rig.Hidden("constant_torque:elbow", {"torque": -0.0545})]
+    rng, q0 = np.random.default_rng(0), np.array([0.0843, -0.3194])
+    case = rig.record(rng, arm, q0, hidden, seconds=20.0, rate=100.0, noise=0.0118)
+    with jax.enable_x64(True):
+        step = stand(residyn.fit(beside(case)), ())
+        torques = [m.torque for m in missing_of(step.fit, ())]
+        weak = [i for i, n in enumerate(step.fit.numbers) if n.name == "damper:shoulder.damping"]
+        values = np.asarray(step.fit.model.vector()).copy()
+        values[weak] = 1e-6
+        fit = dataclasses.replace(step.fit, model=step.fit.model.with_vector(jnp.asarray(values)))
+        near = step.near._replace(fit=fit)
+        assert steadied(near) is not near
+        view = suspects._View.of(step._replace(near=near), torques)
+        assert not view.led
+
+
 def test_noise_far_above_the_modes_hides_no_disturbance():
     """The noise of a torque grows as the square of the frequency; the short step of a law with
     corners would show all of it."""
