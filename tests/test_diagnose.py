@@ -34,13 +34,13 @@ from residyn.diagnosis.missing_torque import missing_torque
 from residyn.diagnosis.next_experiment import advise
 from residyn.diagnosis.path import Path as Way
 from residyn.diagnosis.path import variants
-from residyn.diagnosis.rung import Refit, stand
+from residyn.diagnosis.rung import Refit, certainty, numbers_price, stand
 from residyn.diagnosis.screen import left_over, pair, screen
 from residyn.diagnosis.suspects import search
 from residyn.diagnosis.unnamed import Law, Unnamed
 from residyn.diagnosis.valleys import out_of_valleys
 from residyn.effects import effects_named
-from residyn.fitting.pipeline import refit
+from residyn.fitting.pipeline import finish, refit
 from residyn.recording import ArmTable, Bearing, InertiaTable
 from tests import rig
 
@@ -633,6 +633,9 @@ class Seen:
             ),
         )
 
+    def price(self, effect):
+        return next(n for e, _, n in self.fitted if e.name == effect.name) * math.log(4000)
+
     def _replace(self, screened, refits):
         left = Seen(self.cost)
         left.screened, left.refits = screened, refits
@@ -655,6 +658,32 @@ def test_the_ladder_is_climbed_again_without_a_law_with_many_numbers(instead, fi
     steps, _ = climbing.climb(None, base, [], 3, lambda words: None)
     assert [e.name for e in steps[-1].effects] == [first, drift]
     assert len(begun) == 2
+
+
+@pytest.mark.parametrize(("instead", "names"), [(4005.0, 2), (4015.0, 1), (4200.0, 1)])
+def test_a_lone_law_with_many_numbers_is_no_likelier_than_two_with_fewer(
+    instead, names, monkeypatch
+):
+    """Two numbers less are worth 17 of chi-square, and a second name costs 7 of them."""
+    base, drift = Seen(1.2e5), "stiffness_drift"
+    alone = Seen(4000.0, "gravity")
+
+    def up(self, step, candidates):
+        if any(r.label == "gravity" for r in step.refits):
+            return [base, alone]
+        return [step, Seen(5.4e3, "constant_torque"), Seen(instead, "constant_torque", drift)]
+
+    monkeypatch.setattr(climbing._Ladder, "up", up)
+    steps, others = climbing.climb(None, base, [], 3, lambda words: None)
+    assert len(steps[-1].effects) == names
+    assert others[0].cost == (4000.0 if names == 2 else instead)
+
+
+def test_a_lone_law_with_one_number_more_leaves_no_room_for_another_name():
+    alone = Seen(1.2e5)
+    alone.refits[0].numbers = 2
+    assert climbing.without(alone, residyn.Gravity()) is not None
+    assert climbing.without(alone, residyn.Gravity(), room=True) is None
 
 
 @pytest.mark.parametrize(("left", "plain"), [(4100.0, True), (8000.0, False)])
@@ -685,20 +714,22 @@ def test_a_shape_is_no_proof_of_an_effect(stiffness, loud):
     assert (_loud(fit, [0, 1]) > 23.0) is loud
 
 
-def weighed(monkeypatch, screened=(), **costs):
+def weighed(monkeypatch, screened=(), free=(), **costs):
     """Shares of effects (`name`: chi-square with it at the elbow) beside 4000 readings; of those
-    that were only screened, at first order."""
+    that were only screened, at first order; those that are `free` have a number too many."""
     monkeypatch.setattr(weighing, "temper", lambda step: 1.0)
     laws = "CoulombFriction", "StribeckFriction", "CubicStiffness", "QuadraticDrag"
     kinds = {e.name: e for e in (getattr(residyn, law)("elbow") for law in laws)}
-    numbers = {"stribeck_friction": 3}
+    numbers = {"stribeck_friction": 3, **dict.fromkeys(free, 2)}
+    paid = {n: (numbers.get(n, 1) - (n in free)) * math.log(4000) for n in costs}
     one = SimpleNamespace(cost=5e3, readings=4000, screened=(), refits=[])
     one.fit = residyn.fit(experiment(), starts=1)
     seen = {n: SimpleNamespace(effect=kinds[n], chi2=4000.0) for n in (*costs, *screened)}
     one.screened = tuple(seen.values())
     one.refits = [
         SimpleNamespace(effect=kinds[n], label=kinds[n].label, cost=c, possible=True,
-                        numbers=numbers.get(n, 1), screened=seen[n])
+                        numbers=numbers.get(n, 1), screened=seen[n],
+                        price=lambda readings, n=n: paid[n])
         for n, c in costs.items()
     ]  # fmt: skip
     return {k.partition(":")[0]: x for k, x in weighing._among(one).items()}
@@ -708,6 +739,104 @@ def weighed(monkeypatch, screened=(), **costs):
 def test_a_law_that_cannot_be_told_from_a_simpler_one_keeps_its_share(richer, monkeypatch):
     found = weighed(monkeypatch, coulomb_friction=4000.0, stribeck_friction=richer)
     assert 0.1 < found["stribeck_friction"] <= found["coulomb_friction"] < 0.9
+
+
+def test_a_number_that_nothing_determines_costs_nothing(monkeypatch):
+    """Of two that explain the same the simpler one is named, and no surer than the other."""
+    same = {"cubic_stiffness": 4000.0, "quadratic_drag": 4000.0}
+    found = weighed(monkeypatch, free=["quadratic_drag"], **same)
+    assert found["quadratic_drag"] == pytest.approx(found["cubic_stiffness"])
+    # However well it explains: what costs less makes it no likelier than who is ranked before it.
+    found = weighed(
+        monkeypatch, free=["quadratic_drag"], cubic_stiffness=4000.0, quadratic_drag=3995.0
+    )
+    assert found["quadratic_drag"] == pytest.approx(found["cubic_stiffness"])
+
+
+def test_how_well_numbers_are_known_apart():
+    """Two numbers of which only the sum shows, one that the model's own does as well, one by
+    itself; each 50 standard errors."""
+    x = np.random.default_rng(0).normal(size=(400, 3))
+    x *= 50.0 / np.linalg.norm(x, axis=0)
+    own, sums, alone = x.T
+    columns = np.stack([own, sums, sums, 2.0 * own, alone], axis=1)
+    square = columns.T @ columns
+    assert certainty(square, np.array([1, 2])) == pytest.approx([0.0, 2 * 2500.0], rel=0.05)
+    assert certainty(square, np.array([3])) == pytest.approx([0.0], abs=1e-3)
+    assert certainty(square, np.array([4])) == pytest.approx([2500.0], rel=0.05)
+    most = math.log(4000)
+    assert numbers_price(np.array([0.0, 1e9]), 2, 4000) == pytest.approx(most)
+    assert numbers_price(np.array([0.0, 1.0]), 3, 4000) == pytest.approx(most + math.log(2.0))
+
+
+def test_the_number_of_a_step_and_of_its_candidate_cost_the_same():
+    """One is had from the descent, the other from the slopes beside the readings."""
+    hidden = [rig.Hidden("brake_slip:elbow", {"stiffness": 2.8, "angle": 0.12})]
+    made = rig.record(
+        np.random.default_rng(1), ARM, Q0, hidden, seconds=12.0, rate=100.0, noise=0.02
+    )
+    case = beside(made)
+    with jax.enable_x64(True):
+        base = stand(residyn.fit(case, starts=1), ())
+        effect = residyn.BrakeSlip("elbow")
+        start = np.array([*ARM.stiffness, *ARM.damping, 2.8, 0.12])
+        wild = [r.wild for r in base.near.fitted]
+        model, descent = refit(case, (effect,), start[None], None, wild)
+        new = Refit(effect, None, model, descent, start, True)  # pyright: ignore
+        step = stand(finish(case, model, start, descent, 0.0), (effect,))
+        cost = new.price(base.readings)
+    assert cost < 1.8 * math.log(base.readings)
+    assert cost == pytest.approx(step.price(effect), abs=0.5)
+
+
+def test_names_share_what_they_have_with_those_of_a_climb_that_ended_as_well(monkeypatch):
+    elbow = residyn.ConstantTorque("elbow"), residyn.StiffnessDrift("elbow")
+    model = residyn.Model(residyn.PlanarArm([0.4, 0.4], 1.2, 0.6, 1.4), elbow)
+    base, last, other = (
+        SimpleNamespace(effects=e, fit=SimpleNamespace(model=model))
+        for e in ((), elbow, (residyn.Gravity(), elbow[1]))
+    )
+    monkeypatch.setattr(weighing, "temper", lambda step: 1.0)
+    prices = {id(last): 4000.0, id(other): 4000.0 + 2.0 * math.log(3.0)}
+    monkeypatch.setattr(weighing, "price", lambda step, first, beside: prices[id(step)])
+    before = {elbow[0].label: 0.8, elbow[1].label: 0.9, "gravity": 0.0, "cubic_stiffness": 0.1}
+    found = weighing._shared([base, last], [other], before)
+    assert found[elbow[0].label] == pytest.approx(0.75 * 0.8)
+    assert found["gravity"] == pytest.approx(0.25 * 0.8)
+    assert found[elbow[1].label] == pytest.approx(0.9)  # named by both
+    assert found["cubic_stiffness"] == pytest.approx(0.75 * 0.1)
+    assert weighing._shared([base, last], [], before) == before
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "kin"),
+    [
+        (residyn.BrakeSlip("elbow"), residyn.ConstantTorque("elbow"), True),
+        (residyn.ConstantTorque("elbow"), residyn.BrakeSlip("elbow"), True),
+        (residyn.StribeckFriction("elbow"), residyn.CoulombFriction("elbow"), True),
+        (residyn.BrakeSlip("elbow"), residyn.ConstantTorque("shoulder"), False),
+        (residyn.CubicStiffness("elbow"), residyn.ConstantTorque("elbow"), False),
+    ],
+)
+def test_whose_motion_may_be_the_same(one, other, kin):
+    assert suspects.resemble(one, other) is kin
+
+
+def test_a_twin_of_the_best_is_fitted_though_the_screen_puts_it_low():
+    """Springs and dampers have found some other way, with an elbow that has no spring: along it a
+    constant torque explains nothing, and a shifted sensor, the same motion, does."""
+    label = "constant_torque:elbow"
+    rng = np.random.default_rng([7124, *label.encode(), 50000])
+    (case,) = rig.hidden_cases(rng, (label,), 1, noise_share=0.05)
+    swings = np.abs(case.motion[0]).max(axis=0)
+    noise = 0.05 * float(np.sqrt(np.mean(swings**2)))  # of the largest swings, not of all
+    readings = case.truth + noise / case.noise * (case.q - case.truth)
+    made = dataclasses.replace(case, q=readings, noise=noise)
+    found = residyn.diagnose(beside(made))
+    chance = {c.effect: c.probability for c in found.candidates}
+    assert found.verdict == "missing"
+    assert chance["constant_torque:elbow"] > 0.2
+    assert "constant_torque:elbow" in {*found.added, *(x for g in found.lookalikes for x in g)}
 
 
 def test_who_was_only_screened_is_believed_as_far_as_screens_keep_their_promises(monkeypatch):
@@ -903,8 +1032,10 @@ def test_one_law_of_no_name_may_be_likelier_than_two_names(drop, freedom, believ
         effects=(), cost=4800.0, readings=4000, unnamed=Unnamed(1e-9, "", 0.0, law)
     )
 
-    def odds(*kept):
+    def odds(*kept, screened=800.0):
         model = residyn.Model(arm, kept)
+        seen = SimpleNamespace(drop=screened)
+        first.refits = [SimpleNamespace(label=e.label, screened=seen) for e in kept]
         near = SimpleNamespace(fitted=[None])
         last = SimpleNamespace(
             effects=kept, cost=4000.0, readings=4000, near=near, fit=SimpleNamespace(model=model)
@@ -912,4 +1043,7 @@ def test_one_law_of_no_name_may_be_likelier_than_two_names(drop, freedom, believ
         return weighing.one_law([first, last])
 
     assert (odds(*names) < 1.0) == believed
-    assert odds(names[0]) == 0.0  # one name is one law
+    # Beside one name, where first order was right about that: else nobody knows.
+    even = 0.1 * math.exp(0.5 * ((1 - freedom) * math.log(4000) + drop - 798.0))
+    assert odds(names[0], screened=798.0) == pytest.approx(even)
+    assert odds(names[0], screened=780.0) == 0.0

@@ -15,12 +15,14 @@ import numpy as np
 from ..effects import AbstractEffect
 from ..fitting.result import RecordingFit
 from ..model import Model
+from .climb import price
 from .ladder import extends, ranked, score
-from .rung import Step, cost_of, numbers_of
+from .rung import Refit, Step, cost_of, numbers_of
 from .verdict import LEFT
 
 _ALIKE = 12.0  # of chi-square, in its units: closer names are not told apart
 _MOST = 0.88  # probability of any name while something that is not noise is left
+_FIRST_ORDER = 4.0  # of chi-square, in its units: two standard deviations of what noise brings
 _STRANGE = 0.1  # odds, before any look, that what is missing is in no catalogue
 
 
@@ -50,9 +52,9 @@ def temper(step: Step) -> float:
     return correlated(fits)
 
 
-def chances(steps: Sequence[Step]) -> dict[str, float]:
+def chances(steps: Sequence[Step], others: Sequence[Step] = ()) -> dict[str, float]:
     """Probability of every candidate; `steps` from the base model up, the last one being the model
-    that stands."""
+    that stands; `others` are where other climbs ended."""
     last = steps[-1]
     found: dict[str, float] = {}
     joined: dict[str, float] = {}
@@ -77,23 +79,54 @@ def chances(steps: Sequence[Step]) -> dict[str, float]:
         if plain not in last.fit.model.labels:
             found[effect.label] = max(found.get(effect.label, 0.0), joined.get(plain, 0.0))
         found[effect.label] = several * found.get(effect.label, 0.0)
-    return found
+    return _shared(steps, others, found)
+
+
+def _shared(
+    steps: Sequence[Step], others: Sequence[Step], found: dict[str, float]
+) -> dict[str, float]:
+    """What one climb's names have, shared with those of climbs that ended nearly as well without
+    them: by what each leaves and its numbers cost."""
+    last, first = steps[-1], len(steps[0].effects)
+    unit, names = temper(steps[-2]) if len(steps) > 1 else 1.0, [e.label for e in _added(steps)]
+    lead = [(price(x, first, last) - price(last, first, x)) / unit for x in others]
+    odds = [math.exp(-0.5 * min(1e3, max(0.0, x))) for x in lead]
+    total = 1.0 + sum(odds)
+    ends = [
+        (o / total, [e.label for e in x.effects[first:]]) for o, x in zip(odds, others, strict=True)
+    ]
+    shared = {n: p * (1.0 - sum(o for o, end in ends if n not in end)) for n, p in found.items()}
+    for own, end in ends:
+        # A name of another climb only is as sure there as those are here that it does without.
+        gone = [found[n] for n in names if n not in end]
+        for n in end:
+            if n not in names and gone:
+                shared[n] = max(shared.get(n, 0.0), min(gone) * own)
+    return shared
 
 
 def one_law(steps: Sequence[Step]) -> float:
-    """Odds that what several names explain together is one law that no catalogue has.
+    """Odds that what the names explain is one law that no catalogue has.
 
-    Some law of an angle or a rate may explain as much as all of them with fewer numbers. Each
-    number is worth the logarithm of the number of readings, as it is between names.
+    Some law of an angle or a rate may explain as much as several names with fewer numbers. Each
+    number is worth the logarithm of the number of readings, as it is between names. Beside a single
+    name it is a fair rival only where first order, which is all that is known of the law, can be
+    believed: where it was right about the name.
     """
     first, last, names = steps[0], steps[-1], _added(steps)
     law = None if first.unnamed is None else first.unnamed.law
-    if law is None or len(names) < 2:
+    if law is None or not names:
         return 0.0
     scale = max(1.0, last.cost / last.readings)
+    explained = first.cost - last.cost
+    if len(names) == 1:
+        own = next((r for r in first.refits if r.label == names[0].label), None)
+        if own is None or abs(explained - own.screened.drop) > _FIRST_ORDER * scale:
+            return 0.0
+        explained = own.screened.drop
     recordings = len(last.near.fitted)
     more = sum(numbers_of(e, last.fit.model, recordings) for e in names) - law.freedom
-    lost = (first.cost - last.cost - law.drop) / scale
+    lost = (explained - law.drop) / scale
     return _STRANGE * math.exp(min(500.0, 0.5 * (more * math.log(last.readings) - lost)))
 
 
@@ -106,18 +139,24 @@ def _added(steps: Sequence[Step]) -> list[AbstractEffect]:
 def _among(step: Step) -> dict[str, float]:
     """How a rung's candidates share what there is to share, nobody among them."""
     unit = temper(step)
-    scores = {r.label: score(step, r) for r in step.refits if r.possible}
-    scores.update(_extended(step, scores))
+    rebates = {r.label: rebate(r, step) for r in step.refits if r.possible}
+    scores, last = {}, -math.inf
+    for r in sorted((r for r in step.refits if r.possible), key=lambda r: score(step, r)):
+        # What it costs less never makes it likelier than one that is ranked before it.
+        scores[r.label] = last = max(last, score(step, r) - rebates[r.label])
     least = min([*(r.cost for r in step.refits), step.cost])
     scale = max(1.0, least / step.readings)
     # Who was not fitted is believed as far as the others have kept what the screen promised.
     kept = [r.cost / max(r.screened.chi2, least) for r in step.refits]
     promised = max(1.0, float(np.median(kept))) if kept else 1.0
+    most = math.log(step.readings)
+    each = [most - rebates[r.label] / r.numbers for r in step.refits if r.possible]
+    worth = float(np.median(each)) if each else most
     for s in step.screened:
         numbers = len(Model(step.fit.model.mechanism, (s.effect,)).fitted)
         if not any(r.label == s.effect.label for r in step.refits):
             chi2 = max(promised * s.chi2, least)
-            scores[s.effect.label] = chi2 / scale + numbers * math.log(step.readings)
+            scores[s.effect.label] = chi2 / scale + numbers * worth
     nobody = step.cost / scale
     best = min([*scores.values(), nobody])
     weights = {k: math.exp(-0.5 * min(1e3, (x - best) / unit)) for k, x in scores.items()}
@@ -126,18 +165,20 @@ def _among(step: Step) -> dict[str, float]:
     return {**{k: w / total for k, w in weights.items()}, **impossible}
 
 
-def _extended(step: Step, scores: dict[str, float]) -> dict[str, float]:
-    """Scores of laws with more to them than another one that was fitted: a friction that falls off
-    at rates too small to be seen is dry friction, as far as anyone can tell. So what makes it more
-    costs but what noise would gain (Akaike), though it never makes it the likelier one."""
-    found = {}
-    for rich in step.refits:
-        for plain in step.refits:
-            if extends(rich, plain) and {rich.label, plain.label} <= set(scores):
-                more = (rich.numbers - plain.numbers) * (math.log(step.readings) - 2.0)
-                own, other = scores[rich.label], scores[plain.label]
-                found[rich.label] = min(own, max(own - more, other))
-    return found
+def rebate(refit: Refit, step: Step) -> float:
+    """What a candidate's numbers cost less than the logarithm of the number of readings each.
+
+    Those that the recordings do not determine cost less: at which angle a brake slips that slipped
+    once, at the release, was no lucky guess. And of a law with more to it than another one that was
+    fitted, what is more costs but what noise would gain (Akaike): a friction that falls off at
+    rates too small to be seen is dry friction, as far as anyone can tell.
+    """
+    most = math.log(step.readings)
+    less = refit.numbers * most - refit.price(step.readings)
+    for plain in step.refits:
+        if plain.possible and extends(refit, plain):
+            less = max(less, (refit.numbers - plain.numbers) * (most - 2.0))
+    return less
 
 
 def _known(before: Step, after: Step, white: float, label: str) -> float:

@@ -14,7 +14,7 @@ from ..recording import Experiment
 from .curves import candidates as candidates_for
 from .ladder import MATTERS, MORE_THAN_NOISE, accepted, needless, ranked, with_another
 from .missing_torque import MissingTorque
-from .rung import Step, numbers_of
+from .rung import Step
 from .suspects import search
 
 _TRIED = 2  # of a rung's candidates that may be the next one
@@ -40,9 +40,9 @@ def climb(
     candidates, first = candidates_for(base.fit.model), len(base.effects)
     ladder = _Ladder(experiment, torques, first, most, say)
     steps, ends = ladder.up(base, candidates), []
-    for effect in steps[-1].effects[first:-1]:
+    for effect in steps[-1].effects[first:]:
         at = next(i for i, s in enumerate(steps) if effect.label in s.fit.model.labels) - 1
-        left = without(steps[at], effect)
+        left = without(steps[at], effect, room=effect is steps[-1].effects[-1])
         if left is None:
             continue
         say(f"looking once more without {effect.label}")
@@ -96,15 +96,16 @@ class _Ladder(NamedTuple):
             candidates = [c for c in candidates if c.label not in gone]
 
 
-def without(step: Step, effect: AbstractEffect) -> Step | None:
+def without(step: Step, effect: AbstractEffect, room: bool = False) -> Step | None:
     """The step from which an effect joined, as if it could not; None where no law with fewer
-    numbers explained much of what it did."""
+    numbers explained much of what it did; `room`: with so many fewer that another one could join,
+    for nothing else has joined beside it that may do the rest."""
     own = next((r for r in step.refits if r.label == effect.label), None)
     if own is None:
         return None
-    leaner = [r for r in step.refits if r.possible and r.numbers < own.numbers]
+    leaner = [r for r in step.refits if r.possible and r.numbers + room < own.numbers]
     most = max((step.cost - r.cost for r in leaner), default=0.0)
-    if most < _RIVAL * (step.cost - own.cost):
+    if not leaner or most < _RIVAL * (step.cost - own.cost):
         return None
     return step._replace(
         screened=tuple(s for s in step.screened if s.effect.label != effect.label),
@@ -123,9 +124,9 @@ def does_better(one: Step, other: Step, first: int) -> bool:
 
 
 def price(step: Step, first: int, other: Step) -> float:
-    """Chi-square of a step in units of what the better one of two leaves, plus what the numbers of
-    the effects beyond the `first` ones cost."""
+    """Chi-square of a step in units of what the better one of two leaves, plus what the effects
+    beyond the `first` ones cost: each its numbers, and that it is one of so many that might be."""
     unit = max(1.0, min(step.cost, other.cost) / step.readings)
-    recordings = len(step.near.fitted)
-    count = sum(numbers_of(e, step.fit.model, recordings) for e in step.effects[first:])
-    return step.cost / unit + count * math.log(step.readings)
+    added = step.effects[first:]
+    choice = 2.0 * math.log(len(added) + len(candidates_for(step.fit.model)))
+    return step.cost / unit + sum(step.price(e) + choice for e in added)

@@ -86,7 +86,7 @@ def _concluded(
     if seen is not None and seen.law is not None and last.white >= LEFT and one_law(steps) > 1.0:
         instead = seen.law.words
     verdict = verdict_on(last, bool(kept), bool(instead))
-    sure = chances(steps)
+    sure = chances(steps, climbed.others)
     candidates = _candidates(first, sure)
     groups, advice = [], None
     for step, rung in zip(steps, rungs[1:], strict=False):

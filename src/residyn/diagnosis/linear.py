@@ -201,21 +201,9 @@ def spread(
 ) -> list[np.ndarray]:
     """Standard errors of predictions, (N, n) rad or m per recording.
 
-    Of a fit to the readings that have a weight, see `Tangent.of`. Internal states, the last
-    `memories` unknowns of each recording, are known beforehand to their scale.
+    Of a fit to the readings that have a weight, see `marginal`.
     """
-    informations = []
-    for slope, weight in zip(slopes, weights, strict=True):
-        whitened = (slope * weight[:, :, None]).reshape(-1, slope.shape[-1])
-        known = np.zeros(slope.shape[-1])
-        known[len(known) - memories :] = 1.0
-        informations.append(whitened.T @ whitened + np.diag(known))
-    total, gains, inner = np.zeros((numbers, numbers)), [], []
-    for square in informations:  # the states taken out, recording by recording
-        inverse = np.linalg.pinv(square[numbers:, numbers:], hermitian=True)
-        gains.append(inverse @ square[numbers:, :numbers])
-        inner.append(inverse)
-        total += square[:numbers, :numbers] - square[:numbers, numbers:] @ gains[-1]
+    total, gains, inner = marginal(slopes, weights, numbers, memories)
     size = np.sqrt(np.where(np.diag(total) > 0, np.diag(total), 1.0))
     numbers_too = np.linalg.pinv(total / size / size[:, None], rcond=_BLIND**2, hermitian=True)
     numbers_too = numbers_too / size / size[:, None]
@@ -227,3 +215,25 @@ def spread(
         variance += np.einsum("tja,ab,tjb->tj", beyond, numbers_too, beyond)
         found.append(np.sqrt(np.maximum(variance, 0.0)))
     return found
+
+
+def marginal(
+    slopes: Sequence[np.ndarray], weights: Sequence[np.ndarray], numbers: int, memories: int
+) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
+    """(P, P) what the readings that have a weight know of the numbers, initial states taken out; of
+    each recording, how its states follow the numbers, and their own covariance.
+
+    See `Tangent.of`. Internal states, the last `memories` unknowns of each recording, are known
+    beforehand to their scale.
+    """
+    total, gains, inner = np.zeros((numbers, numbers)), [], []
+    for slope, weight in zip(slopes, weights, strict=True):
+        whitened = (slope * weight[:, :, None]).reshape(-1, slope.shape[-1])
+        known = np.zeros(slope.shape[-1])
+        known[len(known) - memories :] = 1.0
+        square = whitened.T @ whitened + np.diag(known)
+        inverse = np.linalg.pinv(square[numbers:, numbers:], hermitian=True)
+        gains.append(inverse @ square[numbers:, :numbers])
+        inner.append(inverse)
+        total += square[:numbers, :numbers] - square[:numbers, numbers:] @ gains[-1]
+    return total, gains, inner

@@ -46,22 +46,27 @@ def _again(step: Step, experiment: Experiment, refits: list[Refit]) -> list[Refi
     best = min((r for r in refits if r.possible), key=lambda r: r.cost, default=None)
     if best is None:
         return refits
-    count, size = len(step.fit.numbers), step.near.fitted[0].state.size
-    numbers = np.asarray(best.model.vector())[:count]
-    states = np.asarray(best.descent.problem.states(best.descent.unknowns))[:, :size]
     found, left = [], _AGAIN
     for r in sorted(refits, key=lambda r: r.screened.chi2):
         if left and r.cost > PROMISED * best.cost:
             left -= 1
-            moved = r.screened._replace(
-                numbers=numbers,
-                states=np.concatenate([states, r.screened.states[:, size:]], axis=1),
-            )
+            moved = beginning_at(step, best, r.screened)
             new = _refit(step, experiment, moved, best.cost, weak=False)
             if new is not None and new.cost < r.cost:
                 r = new._replace(screened=r.screened)
         found.append(r)
     return found
+
+
+def beginning_at(step: Step, best: Refit, screened: Screened) -> Screened:
+    """A candidate with the springs, dampers and initial states that another one's fit has left."""
+    count, size = len(step.fit.numbers), step.near.fitted[0].state.size
+    states = np.asarray(best.descent.problem.states(best.descent.unknowns))[:, :size]
+    return screened._replace(
+        numbers=np.asarray(best.model.vector())[:count],
+        states=np.concatenate([states, screened.states[:, size:]], axis=1),
+        others=tuple(beginning_at(step, best, s) for s in screened.others),
+    )
 
 
 def _refit(

@@ -1,5 +1,6 @@
 """A model on the ladder: its fit, what was seen of it, and the candidates that were tried."""
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -7,11 +8,12 @@ import numpy as np
 
 from ..effects import AbstractEffect
 from ..fitting.descent import Descent
-from ..fitting.identify import spread_of
+from ..fitting.identify import information, spread_of
 from ..fitting.result import Fit
 from ..model import Model
+from .elimination import inverse_of
 from .horizon import HeldOut, held_out
-from .linear import Near
+from .linear import Near, marginal
 from .screen import Screened, Tried, left_over
 from .unnamed import Unnamed
 from .where import Where, where
@@ -55,6 +57,14 @@ class Refit(NamedTuple):
         readings = float(np.sum(np.asarray(self.descent.problem.recorded.weights) > 0))
         return errors_of(self.descent, max(1.0, self.cost / readings))
 
+    def price(self, readings: int) -> float:
+        """What its numbers cost, in units of chi-square."""
+        scale = max(1.0, self.cost / readings)
+        own = np.arange(len(Model(self.model.mechanism, (self.effect,)).fitted))
+        square = information(np.asarray(self.descent.compressed.factor), len(self.start))
+        known = certainty(square / scale, len(self.start) - len(own) + own)
+        return numbers_price(known, self.numbers, readings)
+
 
 class Step(NamedTuple):
     """A model on the ladder, and what was found from it."""
@@ -95,6 +105,15 @@ class Step(NamedTuple):
     def readings(self) -> int:
         """How many readings were fitted."""
         return sum(int(r.used.sum()) for r in self.near.fitted)
+
+    def price(self, effect: AbstractEffect) -> float:
+        """What the numbers of an effect of its model cost, in units of chi-square."""
+        near, scale = self.near, max(1.0, self.cost / self.readings)
+        square, _, _ = marginal(self.slopes, near.weights(), near.numbers, near.memories())
+        index = self.fit.model.labels.index(effect.label)
+        own = np.flatnonzero([n.effect == index for n in self.fit.model.fitted])
+        count = numbers_of(effect, self.fit.model, len(near.fitted))
+        return numbers_price(certainty(square / scale, own), count, self.readings)
 
 
 def cost_of(fit: Fit) -> float:
@@ -138,3 +157,21 @@ def errors_of(descent: Descent, inflation: float) -> np.ndarray:
     """(P,) standard errors of the numbers where a descent ended, squared times `inflation`."""
     sizes = np.asarray(descent.problem.scale.numbers)
     return spread_of(np.asarray(descent.compressed.factor), sizes, inflation).std
+
+
+def certainty(square: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """(K,) of some numbers, along the directions in which they are known apart: by how many of
+    their standard errors their size goes, squared; `square` (P, P) is the information of all."""
+    rest = np.setdiff1d(np.arange(len(square)), own)
+    # What the other numbers could do as well is not known of these.
+    cross = square[np.ix_(rest, own)]
+    alone = square[np.ix_(own, own)] - cross.T @ inverse_of(square[np.ix_(rest, rest)]) @ cross
+    return np.maximum(0.0, np.linalg.eigvalsh(alone))
+
+
+def numbers_price(known: np.ndarray, count: int, readings: int) -> float:
+    """What `count` numbers cost, of which some are `known` so well: the logarithm of the number of
+    readings each, or less, for to fit one of many values costs more than to fit almost any
+    (Laplace's approximation of the evidence, with a number's size as its range beforehand)."""
+    most = math.log(readings)
+    return float(np.sum(np.minimum(most, np.log1p(known)))) + (count - len(known)) * most

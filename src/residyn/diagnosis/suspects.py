@@ -16,7 +16,7 @@ from .curves import likeliest
 from .linear import Near, steadied
 from .missing_torque import MissingTorque
 from .path import Path
-from .refits import refits
+from .refits import beginning_at, refits
 from .rung import Refit, Step, worth
 from .screen import Screened, glance, screen, sharpened
 from .valleys import beside_a_mode, none_lost, usual
@@ -28,6 +28,7 @@ _ROUGHLY = 3.0  # the same where not even the best one comes near the noise
 _SHARE = 0.2  # but is, if it explains as much as the best but for this share
 _FEWEST = 3
 _DRAWN = 3  # that draw the missing torque best, fitted where none promises to come near the noise
+_AS_GOOD = 0.9  # of what the best one explains: whose motion may be that of others, not fitted yet
 _HALF = 0.5  # of the best promise: fitted where none of the first fits comes to the noise
 _PAUSES = 50  # of a motion without a mode: a rest that long is one
 _NEAR = 2.0  # times the noise: a fit as good as this knows the motion
@@ -104,6 +105,10 @@ def search(
         sounds = beside_a_mode(step, experiment, found, fitted)
         if sounds is not None:
             fitted = [sounds, *(r for r in fitted if r.label != sounds.label)]
+    kin = view.sharper(_kin(step, found, fitted))
+    if kin:
+        say(f"fitting what may be the same motion: {', '.join(s.effect.label for s in kin)}")
+        fitted, tried = [*fitted, *refits(step, experiment, kin)], [*tried, *kin]
     finer = {s.effect.label: s for s in tried}
     found = sorted((finer.get(s.effect.label, s) for s in found), key=lambda s: s.chi2)
     return step._replace(alone=alone, seen=kept, screened=tuple(found), refits=tuple(fitted))
@@ -141,3 +146,23 @@ def _next_best(step: Step, found: Sequence[Screened], tried: Sequence[Screened])
     told, most = {s.effect.label for s in tried}, max(s.drop for s in found)
     left = [s for s in found if s.effect.label not in told]
     return [s for s in left if s.drop > max(_HALF * most, worth(s.effect, step))][:_REFITS]
+
+
+def _kin(step: Step, found: Sequence[Screened], fitted: Sequence[Refit]) -> list[Screened]:
+    """Those not fitted yet whose motion may be the same as that of one of the best, from where it
+    ended: what the screen says of them it says along another motion."""
+    told, most = {r.label for r in fitted}, max((step.cost - r.cost for r in fitted), default=0.0)
+    best = [r for r in sorted(fitted, key=lambda r: r.cost) if r.possible]
+    best = [r for r in best if step.cost - r.cost > max(worth(r.effect, step), _AS_GOOD * most)]
+    kin = []
+    for s in found:
+        twin = next((r for r in best if resemble(s.effect, r.effect)), None)
+        if twin is not None and s.effect.label not in told:
+            kin.append(beginning_at(step, twin, s))
+    return kin
+
+
+def resemble(one: AbstractEffect, other: AbstractEffect) -> bool:
+    """Whether two effects act at the same place and their motion can be the same."""
+    same = other.name in one.resembles or one.name in other.resembles
+    return same and one.place == other.place

@@ -35,6 +35,8 @@ class Shape(NamedTuple):
 
     words: str
     """What the torque would be: "depends on the angle of the elbow"."""
+    strange: bool
+    """Whether no effect of the catalogue is just that."""
     first: int
     last: int
 
@@ -60,27 +62,28 @@ class Unnamed(NamedTuple):
     drop: float
     """By how much chi-square falls with it."""
     law: Law | None = None
-    """The one that explains most for its numbers, each worth the logarithm of the number of
-    readings."""
+    """The one of no catalogue that explains most for its numbers, each worth the logarithm of the
+    number of readings."""
 
 
 def shapes(near: Near, paths: Sequence[Path]) -> tuple[list[Column], list[Shape]]:
     """Torques of any shape along some motion, as columns, and what they are."""
     columns: list[Column] = []
     found: list[Shape] = []
-    for words, torques in _families(near, paths):
-        found.append(Shape(words, len(columns), len(columns) + len(torques)))
+    for words, strange, torques in _families(near, paths):
+        found.append(Shape(words, strange, len(columns), len(columns) + len(torques)))
         columns += torques
     return columns, found
 
 
-def _families(near: Near, paths: Sequence[Path]) -> Iterator[tuple[str, list[Column]]]:
+def _families(near: Near, paths: Sequence[Path]) -> Iterator[tuple[str, bool, list[Column]]]:
     none: list[np.ndarray | None] = [None] * len(paths)
     for j, joint in enumerate(near.fit.joints):
         for words, of in (("angle", [p.q for p in paths]), ("rate", [p.v for p in paths])):
-            for laws in _laws([x[:, j] for x in of]):
+            for i, laws in enumerate(_laws([x[:, j] for x in of])):
                 yield (
                     f"depends on the {words} of the {joint}",
+                    (words, i) != ("angle", 0),  # which is cubic stiffness
                     [Column([_line(*x, j) for x in zip(paths, law, strict=True)], none)
                      for law in laws],
                 )  # fmt: skip
@@ -91,7 +94,7 @@ def _families(near: Near, paths: Sequence[Path]) -> Iterator[tuple[str, list[Col
                 each = [[_line(path, x, j) if i == r else None for i in range(len(paths))]
                         for x in pulses]  # fmt: skip
                 words = f"acted on the {joint} about {at:.3g} s{of}"
-                yield words, [Column(lines, none) for lines in each]
+                yield words, True, [Column(lines, none) for lines in each]
 
 
 def _laws(of: Sequence[np.ndarray]) -> Iterator[list[list[np.ndarray]]]:
@@ -132,7 +135,8 @@ def unnamed(
         which = np.arange(begin + shape.first, begin + shape.last)
         drop, freedom = _drop(solver, which)
         p = float(chi_square.sf(drop / scale, freedom)) if freedom else 1.0
-        laws.append(Law(shape.words, drop, freedom))
+        if shape.strange:
+            laws.append(Law(shape.words, drop, freedom))
         if p < best.p:
             best = Unnamed(p, shape.words, drop)
     p = -np.expm1(len(found) * np.log1p(-best.p)) if best.p < 1 else 1.0

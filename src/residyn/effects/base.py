@@ -37,6 +37,7 @@ class AbstractEffect(eqx.Module):
     - `oscillates`: the field that holds a frequency of its own, which a fit starts from a spectrum.
     - `extends`: the effect that it is with its further numbers silent, if it is another one's law
       with more to it.
+    - `resembles`: other effects whose motion can be the same as its own, at the same place.
     - `of_bearings`: True if it leaves with the air bearings (step 3 of the paper).
     """
 
@@ -53,6 +54,7 @@ class AbstractEffect(eqx.Module):
     senses: ClassVar[bool] = False
     oscillates: ClassVar[str | None] = None
     extends: ClassVar[str | None] = None
+    resembles: ClassVar[tuple[str, ...]] = ()
     of_bearings: ClassVar[bool] = False
 
     @classmethod

@@ -29,6 +29,7 @@ class SensorOffset(_SensorEffect):
     equation = "reading = q + o"
     looks_like = "rings about a shifted zero; nothing else changes"
     source = "encoder zeroing error"
+    resembles = ("constant_torque",)
 
     offset: Scalar = param("reading at the true zero", ANGLE)
 
