@@ -628,7 +628,7 @@ class Seen:
         self.screened, self.refits = (
             (),
             tuple(
-                SimpleNamespace(label=e.label, cost=c, numbers=n, possible=True)
+                SimpleNamespace(effect=e, label=e.label, cost=c, numbers=n, possible=True)
                 for e, c, n in self.fitted
             ),
         )
@@ -677,6 +677,17 @@ def test_a_lone_law_with_many_numbers_is_no_likelier_than_two_with_fewer(
     steps, others = climbing.climb(None, base, [], 3, lambda words: None)
     assert len(steps[-1].effects) == names
     assert others[0].cost == (4000.0 if names == 2 else instead)
+
+
+def test_a_lone_law_is_not_tried_against_the_one_that_it_extends():
+    step, place = Seen(1.2e5), "elbow"
+    rich, plain = residyn.StribeckFriction(place), residyn.CoulombFriction(place)
+    step.refits = [
+        SimpleNamespace(effect=e, label=e.label, cost=c, numbers=n, possible=True)
+        for e, c, n in [(rich, 4e3, 3), (plain, 5e3, 1)]
+    ]
+    assert climbing.without(step, rich) is not None  # another effect has joined beside it
+    assert climbing.without(step, rich, room=True) is None
 
 
 def test_a_lone_law_with_one_number_more_leaves_no_room_for_another_name():

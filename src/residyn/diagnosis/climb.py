@@ -12,7 +12,15 @@ from typing import NamedTuple
 from ..effects import AbstractEffect
 from ..recording import Experiment
 from .curves import candidates as candidates_for
-from .ladder import MATTERS, MORE_THAN_NOISE, accepted, needless, ranked, with_another
+from .ladder import (
+    MATTERS,
+    MORE_THAN_NOISE,
+    accepted,
+    extends,
+    needless,
+    ranked,
+    with_another,
+)
 from .missing_torque import MissingTorque
 from .rung import Step
 from .suspects import search
@@ -99,11 +107,13 @@ class _Ladder(NamedTuple):
 def without(step: Step, effect: AbstractEffect, room: bool = False) -> Step | None:
     """The step from which an effect joined, as if it could not; None where no law with fewer
     numbers explained much of what it did; `room`: with so many fewer that another one could join,
-    for nothing else has joined beside it that may do the rest."""
+    for nothing else has joined beside it that may do the rest, and no law that it extends: of these
+    two the rung has decided."""
     own = next((r for r in step.refits if r.label == effect.label), None)
     if own is None:
         return None
     leaner = [r for r in step.refits if r.possible and r.numbers + room < own.numbers]
+    leaner = [r for r in leaner if not (room and extends(own, r))]
     most = max((step.cost - r.cost for r in leaner), default=0.0)
     if not leaner or most < _RIVAL * (step.cost - own.cost):
         return None
