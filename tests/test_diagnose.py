@@ -628,7 +628,7 @@ class Seen:
         self.screened, self.refits = (
             (),
             tuple(
-                SimpleNamespace(effect=e, label=e.label, cost=c, numbers=n, possible=True)
+                SimpleNamespace(label=e.label, cost=c, numbers=n, possible=True)
                 for e, c, n in self.fitted
             ),
         )
@@ -679,11 +679,11 @@ def test_a_lone_law_with_many_numbers_is_no_likelier_than_two_with_fewer(
     assert others[0].cost == (4000.0 if names == 2 else instead)
 
 
-def test_a_lone_law_is_not_tried_against_the_one_that_it_extends():
+def test_a_lone_law_that_extends_another_one_is_not_climbed_without():
     step, place = Seen(1.2e5), "elbow"
     rich, plain = residyn.StribeckFriction(place), residyn.CoulombFriction(place)
     step.refits = [
-        SimpleNamespace(effect=e, label=e.label, cost=c, numbers=n, possible=True)
+        SimpleNamespace(label=e.label, cost=c, numbers=n, possible=True)
         for e, c, n in [(rich, 4e3, 3), (plain, 5e3, 1)]
     ]
     assert climbing.without(step, rich) is not None  # another effect has joined beside it
@@ -1043,10 +1043,8 @@ def test_one_law_of_no_name_may_be_likelier_than_two_names(drop, freedom, believ
         effects=(), cost=4800.0, readings=4000, unnamed=Unnamed(1e-9, "", 0.0, law)
     )
 
-    def odds(*kept, screened=800.0):
+    def odds(*kept):
         model = residyn.Model(arm, kept)
-        seen = SimpleNamespace(drop=screened)
-        first.refits = [SimpleNamespace(label=e.label, screened=seen) for e in kept]
         near = SimpleNamespace(fitted=[None])
         last = SimpleNamespace(
             effects=kept, cost=4000.0, readings=4000, near=near, fit=SimpleNamespace(model=model)
@@ -1054,7 +1052,27 @@ def test_one_law_of_no_name_may_be_likelier_than_two_names(drop, freedom, believ
         return weighing.one_law([first, last])
 
     assert (odds(*names) < 1.0) == believed
-    # Beside one name, where first order was right about that: else nobody knows.
-    even = 0.1 * math.exp(0.5 * ((1 - freedom) * math.log(4000) + drop - 798.0))
-    assert odds(names[0], screened=798.0) == pytest.approx(even)
-    assert odds(names[0], screened=780.0) == 0.0
+    first.refits = [SimpleNamespace(label=names[0].label, screened=SimpleNamespace(drop=800.0))]
+    assert odds(names[0]) == 0.0  # so much that first order cannot be believed
+
+
+@pytest.mark.parametrize(
+    ("screened", "drop", "expected"),
+    [
+        (79.0, 80.0, 0.1 * math.exp(0.5)),  # the law does a little more
+        (79.0, 60.0, 0.1 * math.exp(-9.5)),
+        (70.0, 80.0, 0.0),  # first order was wrong about the name
+    ],
+)
+def test_a_weak_law_has_those_of_no_catalogue_for_rivals(screened, drop, expected):
+    arm = residyn.ConstantInertia(((2.9, 1.0), (1.0, 0.6)), ("shoulder", "elbow"))
+    (name,) = effects_named("quadratic_drag:elbow", arm)
+    law = Law("depends on the rate of the elbow", drop, 1)
+    known = {"readings": 4000, "near": SimpleNamespace(fitted=[None])}
+    refits = [SimpleNamespace(label=name.label, screened=SimpleNamespace(drop=screened))]
+    first = SimpleNamespace(
+        effects=(), cost=4080.0, unnamed=Unnamed(1e-9, "", 0.0, law), refits=refits, **known
+    )
+    fit = SimpleNamespace(model=residyn.Model(arm, (name,)))
+    last = SimpleNamespace(effects=(name,), cost=4000.0, fit=fit, **known)
+    assert weighing.one_law([first, last]) == pytest.approx(expected)

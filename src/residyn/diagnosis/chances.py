@@ -23,6 +23,7 @@ from .verdict import LEFT
 _ALIKE = 12.0  # of chi-square, in its units: closer names are not told apart
 _MOST = 0.88  # probability of any name while something that is not noise is left
 _FIRST_ORDER = 4.0  # of chi-square, in its units: two standard deviations of what noise brings
+_SMALL = 100.0  # the same, of what is missing: first order is right to about a hundredth of it
 _STRANGE = 0.1  # odds, before any look, that what is missing is in no catalogue
 
 
@@ -121,7 +122,9 @@ def one_law(steps: Sequence[Step]) -> float:
     explained = first.cost - last.cost
     if len(names) == 1:
         own = next((r for r in first.refits if r.label == names[0].label), None)
-        if own is None or abs(explained - own.screened.drop) > _FIRST_ORDER * scale:
+        if own is None or explained > _SMALL * scale:
+            return 0.0
+        if abs(explained - own.screened.drop) > _FIRST_ORDER * scale:
             return 0.0
         explained = own.screened.drop
     recordings = len(last.near.fitted)

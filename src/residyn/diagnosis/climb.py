@@ -16,7 +16,6 @@ from .ladder import (
     MATTERS,
     MORE_THAN_NOISE,
     accepted,
-    extends,
     needless,
     ranked,
     with_another,
@@ -107,13 +106,12 @@ class _Ladder(NamedTuple):
 def without(step: Step, effect: AbstractEffect, room: bool = False) -> Step | None:
     """The step from which an effect joined, as if it could not; None where no law with fewer
     numbers explained much of what it did; `room`: with so many fewer that another one could join,
-    for nothing else has joined beside it that may do the rest, and no law that it extends: of these
-    two the rung has decided."""
+    for nothing else has joined beside it that may do the rest. Of a law and the one that it extends
+    the rung has decided."""
     own = next((r for r in step.refits if r.label == effect.label), None)
-    if own is None:
+    if own is None or (room and effect.extends is not None):
         return None
     leaner = [r for r in step.refits if r.possible and r.numbers + room < own.numbers]
-    leaner = [r for r in leaner if not (room and extends(own, r))]
     most = max((step.cost - r.cost for r in leaner), default=0.0)
     if not leaner or most < _RIVAL * (step.cost - own.cost):
         return None

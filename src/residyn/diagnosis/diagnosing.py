@@ -83,8 +83,8 @@ def _concluded(
     rungs = _rungs(steps)
     kept = [r.added for r in rungs[1:] if r.added in last.fit.model.labels]
     seen, instead = first.unnamed, ""
-    if seen is not None and seen.law is not None and last.white >= LEFT and one_law(steps) > 1.0:
-        instead = seen.law.words
+    if seen is not None and seen.law is not None and last.white >= LEFT and len(kept) > 1:
+        instead = seen.law.words if one_law(steps) > 1.0 else ""
     verdict = verdict_on(last, bool(kept), bool(instead))
     sure = chances(steps, climbed.others)
     candidates = _candidates(first, sure)

@@ -96,12 +96,10 @@ def words_for(
             f"is left is no more than noise ({chance(last.white)})."
         ]
     elif instead:
-        than = "this name" if len(kept) == 1 else "all of these names"
-        how = "would do more" if len(kept) == 1 else "would do as much with fewer numbers"
         words = [
             f"With {names}, {fall}, and what is left is no more than noise ({chance(last.white)}).",
-            f"But one torque that {instead} {how}: likelier than {than} is one law that is not in "
-            "the catalogue.",
+            f"But one torque that {instead} would do as much with fewer numbers: likelier than all "
+            "of these names is one law that is not in the catalogue.",
         ]
     elif kept:
         words = [
