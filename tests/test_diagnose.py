@@ -18,6 +18,7 @@ from residyn.diagnosis import climb as climbing
 from residyn.diagnosis import joined, suspects, valleys
 from residyn.diagnosis import ladder as rungs
 from residyn.diagnosis import path as way
+from residyn.diagnosis import refits as refitting
 from residyn.diagnosis.curves import candidates as candidates_for
 from residyn.diagnosis.ladder import (
     Accepted,
@@ -35,7 +36,7 @@ from residyn.diagnosis.next_experiment import advise
 from residyn.diagnosis.path import Path as Way
 from residyn.diagnosis.path import variants
 from residyn.diagnosis.rung import Refit, certainty, numbers_price, stand
-from residyn.diagnosis.screen import left_over, pair, screen
+from residyn.diagnosis.screen import Screened, left_over, pair, screen
 from residyn.diagnosis.suspects import search
 from residyn.diagnosis.unnamed import Law, Unnamed
 from residyn.diagnosis.valleys import out_of_valleys
@@ -695,6 +696,44 @@ def test_a_lone_law_with_one_number_more_leaves_no_room_for_another_name():
     alone.refits[0].numbers = 2
     assert climbing.without(alone, residyn.Gravity()) is not None
     assert climbing.without(alone, residyn.Gravity(), room=True) is None
+
+
+@pytest.mark.parametrize("cost", [4200.0, 4100.0])
+def test_a_law_that_did_worse_than_the_one_it_extends_begins_where_that_ended(cost, monkeypatch):
+    rich, plain = residyn.StribeckFriction("elbow", 9.0, 0.4, 0.2), residyn.CoulombFriction("elbow")
+    base = residyn.Model(ARM_BODIES) + residyn.Spring("elbow", 10.0)
+    model = base + residyn.CoulombFriction("elbow", 0.5)
+    states = np.array([[0.1, 0.2, 0.3, 0.4]])
+    descent = SimpleNamespace(
+        unknowns=None, problem=SimpleNamespace(states=lambda unknowns: states), cost=4150.0
+    )
+    screened = Screened(rich, 0.0, 0.0, np.array([3.0]), np.zeros((1, 4)), None)  # pyright: ignore
+    step = SimpleNamespace(
+        fit=SimpleNamespace(numbers=[None]),
+        near=SimpleNamespace(fitted=[SimpleNamespace(state=states[0])]),
+    )
+    both = [
+        Refit(plain, None, model, descent, np.zeros(2), True),  # pyright: ignore
+        Refit(rich, screened, None, SimpleNamespace(cost=cost), np.zeros(4), True),  # pyright: ignore
+    ]
+    begun = []
+
+    def again(step, experiment, moved, least, weak):
+        begun.append(moved)
+        return both[1]._replace(descent=SimpleNamespace(cost=4149.0))
+
+    monkeypatch.setattr(refitting, "_refit", again)
+    found = refitting.extending(step, None, both)
+    if cost < 4150.0:
+        assert not begun
+        assert found == both
+        return
+    assert [r.cost for r in found] == [4150.0, 4149.0]
+    (moved,) = begun
+    assert moved.numbers == pytest.approx([10.0])
+    assert moved.states == pytest.approx(states)
+    law = moved.effect
+    assert (law.level, law.excess, law.velocity) == pytest.approx((0.5, 0.3 * 0.4, 0.2))
 
 
 @pytest.mark.parametrize(("left", "plain"), [(4100.0, True), (8000.0, False)])

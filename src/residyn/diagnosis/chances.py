@@ -16,8 +16,8 @@ from ..effects import AbstractEffect
 from ..fitting.result import RecordingFit
 from ..model import Model
 from .climb import price
-from .ladder import extends, ranked, score
-from .rung import Refit, Step, cost_of, numbers_of
+from .ladder import ranked, score
+from .rung import Refit, Step, cost_of, extends, numbers_of
 from .verdict import LEFT
 
 _ALIKE = 12.0  # of chi-square, in its units: closer names are not told apart

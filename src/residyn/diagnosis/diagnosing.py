@@ -14,11 +14,11 @@ from .chances import alike, chances, one_law, together
 from .climb import Climbed, climb
 from .comparison import Comparison
 from .horizon import horizon
-from .ladder import extends, ranked
+from .ladder import ranked
 from .missing import Missing, along_each, missing_of, with_curves
 from .next_experiment import advise
 from .result import Candidate, Diagnosis, NextExperiment, Rung, Value
-from .rung import Step, cost_of, stand
+from .rung import Step, cost_of, extends, stand
 from .verdict import LEFT, verdict_on, words_for
 
 MOST_EFFECTS = 3

@@ -21,7 +21,7 @@ from ..recording import Experiment
 from .horizon import HeldOut
 from .joined import silent
 from .refits import refits
-from .rung import Refit, Step, cost_of, stand, worth
+from .rung import Refit, Step, cost_of, extends, stand, worth
 from .screen import pair
 from .valleys import afresh, near_noise
 from .words import SURE
@@ -52,11 +52,6 @@ def score(step: Step, refit: Refit) -> float:
     if simpler is not None and unit(step) > MORE_THAN_NOISE and not matters:
         cost = max(cost, simpler.cost)
     return cost / unit(step) + refit.numbers * math.log(step.readings)
-
-
-def extends(one: Refit, other: Refit) -> bool:
-    """Whether an effect is another one's law with more to it, at the same place."""
-    return one.effect.extends == other.effect.name and one.effect.place == other.effect.place
 
 
 def unit(step: Step) -> float:

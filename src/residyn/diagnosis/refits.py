@@ -9,9 +9,11 @@ import numpy as np
 from ..fitting.pipeline import refit
 from ..fitting.result import FitError
 from ..model import Model
+from ..parameter import parameters_of
 from ..recording import Experiment
 from .joined import joined, possible, silent
-from .rung import Refit, Step
+from .path import with_fields
+from .rung import Refit, Step, extends
 from .screen import Screened
 from .valleys import PROMISED, out_of_valleys
 
@@ -38,6 +40,29 @@ def refits(step: Step, experiment: Experiment, tried: Sequence[Screened]) -> lis
             each.append(pool.submit(one, s, each[: max(0, i + 1 - _THREADS)]))
         found = [r for r in (e.result() for e in each) if r is not None]
     return out_of_valleys(step, experiment, _again(step, experiment, found))
+
+
+def extending(step: Step, experiment: Experiment, refits: list[Refit]) -> list[Refit]:
+    """A law with more to it than another one can do no worse: where its fit did, it begins again
+    where that one ended, with a little of what is more."""
+    found = []
+    for r in refits:
+        plain = next((p for p in refits if extends(r, p) and p.cost < r.cost), None)
+        if plain is not None:
+            own = plain.model.effects[-1]
+            values = {p.field: float(getattr(own, p.field)) for p in parameters_of(own)}
+            more = {
+                p.field: p.silent + _WEAK * (float(getattr(r.screened.effect, p.field)) - p.silent)
+                for p in parameters_of(r.effect)
+                if p.field not in values and p.fitted and p.silent is not None
+            }
+            moved = beginning_at(step, plain, r.screened)
+            moved = moved._replace(effect=with_fields(moved.effect, {**more, **values}), others=())
+            new = _refit(step, experiment, moved, plain.cost, weak=False)
+            if new is not None and new.cost < r.cost:
+                r = new._replace(effect=r.effect, screened=r.screened)
+        found.append(r)
+    return found
 
 
 def _again(step: Step, experiment: Experiment, refits: list[Refit]) -> list[Refit]:

@@ -153,6 +153,11 @@ def numbers_of(effect: AbstractEffect, model: Model, recordings: int) -> int:
     return len(Model(model.mechanism, (effect,)).fitted) + phases
 
 
+def extends(one: Refit, other: Refit) -> bool:
+    """Whether an effect is another one's law with more to it, at the same place."""
+    return one.effect.extends == other.effect.name and one.effect.place == other.effect.place
+
+
 def errors_of(descent: Descent, inflation: float) -> np.ndarray:
     """(P,) standard errors of the numbers where a descent ended, squared times `inflation`."""
     sizes = np.asarray(descent.problem.scale.numbers)

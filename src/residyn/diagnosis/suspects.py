@@ -16,7 +16,7 @@ from .curves import likeliest
 from .linear import Near, steadied
 from .missing_torque import MissingTorque
 from .path import Path
-from .refits import beginning_at, refits
+from .refits import beginning_at, extending, refits
 from .rung import Refit, Step, worth
 from .screen import Screened, glance, screen, sharpened
 from .valleys import beside_a_mode, none_lost, usual
@@ -109,6 +109,7 @@ def search(
     if kin:
         say(f"fitting what may be the same motion: {', '.join(s.effect.label for s in kin)}")
         fitted, tried = [*fitted, *refits(step, experiment, kin)], [*tried, *kin]
+    fitted = extending(step, experiment, fitted)
     finer = {s.effect.label: s for s in tried}
     found = sorted((finer.get(s.effect.label, s) for s in found), key=lambda s: s.chi2)
     return step._replace(alone=alone, seen=kept, screened=tuple(found), refits=tuple(fitted))
