@@ -858,6 +858,24 @@ def test_names_share_what_they_have_with_those_of_a_climb_that_ended_as_well(mon
     assert weighing._shared([base, last], [], before) == before
 
 
+def test_who_did_not_join_has_what_those_have_left_who_did(monkeypatch):
+    """Hysteresis was the likeliest at first; two simpler effects together leave nothing for it."""
+    monkeypatch.setattr(weighing, "_among", lambda step: step.shares)
+    monkeypatch.setattr(weighing, "_known", lambda *rest: 1.0)
+    monkeypatch.setattr(weighing, "temper", lambda step: 1.0)
+    drift, offset = residyn.StiffnessDrift("elbow"), residyn.ConstantTorque("elbow")
+    model = residyn.Model(residyn.PlanarArm([0.4, 0.4], 1.2, 0.6, 1.4), (drift, offset))
+    shares = [{"hysteresis:elbow": 0.99, drift.label: 0.9}, {offset.label: 0.97}, {}]
+    known = {"white": 0.5, "readings": 4000, "fit": SimpleNamespace(model=model), "unnamed": None}
+    steps = [
+        SimpleNamespace(shares=x, effects=e, **known)
+        for x, e in zip(shares, [(), (drift,), (drift, offset)], strict=True)
+    ]
+    found = weighing.chances(steps)
+    assert found["hysteresis:elbow"] == pytest.approx(0.1)
+    assert (found[drift.label], found[offset.label]) == pytest.approx((0.9, 0.97))
+
+
 @pytest.mark.parametrize(
     ("one", "other", "kin"),
     [

@@ -80,6 +80,11 @@ def chances(steps: Sequence[Step], others: Sequence[Step] = ()) -> dict[str, flo
         if plain not in last.fit.model.labels:
             found[effect.label] = max(found.get(effect.label, 0.0), joined.get(plain, 0.0))
         found[effect.label] = several * found.get(effect.label, 0.0)
+    names = [e.label for e in _added(steps)]
+    if names:
+        # Who was likely at first and did not join has only what is left by those that did.
+        most = 1.0 - min(found[n] for n in names)
+        found = {n: p if n in names else min(p, most) for n, p in found.items()}
     return _shared(steps, others, found)
 
 
@@ -88,8 +93,11 @@ def _shared(
 ) -> dict[str, float]:
     """What one climb's names have, shared with those of climbs that ended nearly as well without
     them: by what each leaves and its numbers cost."""
+    if not others:
+        return found
     last, first = steps[-1], len(steps[0].effects)
-    unit, names = temper(steps[-2]) if len(steps) > 1 else 1.0, [e.label for e in _added(steps)]
+    names = [e.label for e in _added(steps)]
+    unit = temper(steps[-2]) if len(steps) > 1 else 1.0
     lead = [(price(x, first, last) - price(last, first, x)) / unit for x in others]
     odds = [math.exp(-0.5 * min(1e3, max(0.0, x))) for x in lead]
     total = 1.0 + sum(odds)
@@ -112,7 +120,7 @@ def one_law(steps: Sequence[Step]) -> float:
     Some law of an angle or a rate may explain as much as several names with fewer numbers. Each
     number is worth the logarithm of the number of readings, as it is between names. Beside a single
     name it is a fair rival only where first order, which is all that is known of the law, can be
-    believed: where it was right about the name.
+    believed: where what is missing is small, and first order was right about the name.
     """
     first, last, names = steps[0], steps[-1], _added(steps)
     law = None if first.unnamed is None else first.unnamed.law
