@@ -187,6 +187,7 @@ def main() -> None:
     for name in options.what or TABLES:
         print(f"\n{name}\n")
         TABLES[name](options.folder)
+        jax.clear_caches()  # so many programs in one process exhaust its memory maps
 
 
 if __name__ == "__main__":
