@@ -890,6 +890,32 @@ def test_whose_motion_may_be_the_same(one, other, kin):
     assert suspects.resemble(one, other) is kin
 
 
+@pytest.mark.parametrize(("left", "found"), [(4100.0, ["brake_slip:elbow"]), (3e4, [])])
+def test_only_kin_of_those_that_are_nearly_the_best_are_fitted(left, found):
+    """Beside 1e5 that the base model leaves, and a law that comes to the noise."""
+    names = (
+        "brake_slip:elbow",
+        "brake_slip:shoulder",
+        "sensor_offset:elbow",
+        "cubic_stiffness:elbow",
+    )
+    effects = [effects_named(name, ARM_BODIES)[0] for name in names]
+    screened = [SimpleNamespace(effect=e) for e in effects]
+    fitted = [
+        SimpleNamespace(effect=e, label=e.label, cost=cost, possible=True)
+        for e, cost in [
+            (residyn.CubicStiffness("elbow"), 4000.0),
+            (residyn.ConstantTorque("elbow"), left),
+            (residyn.SensorOffset("elbow"), 9e4),
+        ]
+    ]
+    fit = SimpleNamespace(model=residyn.Model(ARM_BODIES))
+    step = SimpleNamespace(cost=1e5, fit=fit, near=SimpleNamespace(fitted=[None]))
+    kin, twins = suspects._kin(step, screened, fitted)
+    assert [s.effect.label for s in kin] == found
+    assert all(twin is fitted[1] for twin in twins)
+
+
 def test_a_twin_of_the_best_is_fitted_though_the_screen_puts_it_low():
     """Springs and dampers have found some other way, with an elbow that has no spring: along it a
     constant torque explains nothing, and a shifted sensor, the same motion, does."""

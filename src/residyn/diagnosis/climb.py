@@ -12,14 +12,7 @@ from typing import NamedTuple
 from ..effects import AbstractEffect
 from ..recording import Experiment
 from .curves import candidates as candidates_for
-from .ladder import (
-    MATTERS,
-    MORE_THAN_NOISE,
-    accepted,
-    needless,
-    ranked,
-    with_another,
-)
+from .ladder import MATTERS, MORE_THAN_NOISE, accepted, needless, ranked, with_another
 from .missing_torque import MissingTorque
 from .rung import Step
 from .suspects import search

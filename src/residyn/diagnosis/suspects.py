@@ -105,9 +105,12 @@ def search(
         sounds = beside_a_mode(step, experiment, found, fitted)
         if sounds is not None:
             fitted = [sounds, *(r for r in fitted if r.label != sounds.label)]
-    kin = view.sharper(_kin(step, found, fitted))
+    kin, twins = _kin(step, found, fitted)
     if kin:
         say(f"fitting what may be the same motion: {', '.join(s.effect.label for s in kin)}")
+        kin = [
+            beginning_at(step, twin, s) for s, twin in zip(view.sharper(kin), twins, strict=True)
+        ]
         fitted, tried = [*fitted, *refits(step, experiment, kin)], [*tried, *kin]
     fitted = extending(step, experiment, fitted)
     finer = {s.effect.label: s for s in tried}
@@ -149,18 +152,22 @@ def _next_best(step: Step, found: Sequence[Screened], tried: Sequence[Screened])
     return [s for s in left if s.drop > max(_HALF * most, worth(s.effect, step))][:_REFITS]
 
 
-def _kin(step: Step, found: Sequence[Screened], fitted: Sequence[Refit]) -> list[Screened]:
-    """Those not fitted yet whose motion may be the same as that of one of the best, from where it
-    ended: what the screen says of them it says along another motion."""
+def _kin(
+    step: Step, found: Sequence[Screened], fitted: Sequence[Refit]
+) -> tuple[list[Screened], list[Refit]]:
+    """Those not fitted yet whose motion may be the same as that of one of the best, and that one,
+    from whose end they are to be fitted: what the screen says of them it says along another
+    motion."""
     told, most = {r.label for r in fitted}, max((step.cost - r.cost for r in fitted), default=0.0)
     best = [r for r in sorted(fitted, key=lambda r: r.cost) if r.possible]
     best = [r for r in best if step.cost - r.cost > max(worth(r.effect, step), _AS_GOOD * most)]
-    kin = []
+    kin, twins = [], []
     for s in found:
         twin = next((r for r in best if resemble(s.effect, r.effect)), None)
         if twin is not None and s.effect.label not in told:
-            kin.append(beginning_at(step, twin, s))
-    return kin
+            kin.append(s)
+            twins.append(twin)
+    return kin, twins
 
 
 def resemble(one: AbstractEffect, other: AbstractEffect) -> bool:
