@@ -172,5 +172,5 @@ def _kin(
 
 def resemble(one: AbstractEffect, other: AbstractEffect) -> bool:
     """Whether two effects act at the same place and their motion can be the same."""
-    same = other.name in one.resembles or one.name in other.resembles
-    return same and one.place == other.place
+    told = [(a.extends, *a.resembles) for a in (one, other)]
+    return one.place == other.place and (other.name in told[0] or one.name in told[1])

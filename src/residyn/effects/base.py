@@ -37,7 +37,7 @@ class AbstractEffect(eqx.Module):
     - `oscillates`: the field that holds a frequency of its own, which a fit starts from a spectrum.
     - `extends`: the effect that it is with its further numbers silent, if it is another one's law
       with more to it.
-    - `resembles`: other effects whose motion can be the same as its own, at the same place.
+    - `resembles`: other effects, besides that, whose motion can be the same, at the same place.
     - `of_bearings`: True if it leaves with the air bearings (step 3 of the paper).
     """
 

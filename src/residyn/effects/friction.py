@@ -38,7 +38,6 @@ class StribeckFriction(JointEffect):
     dissipates = True
     dry = True
     extends = "coulomb_friction"
-    resembles = ("coulomb_friction",)
 
     level: Scalar = param("friction torque when fast", TORQUE, sign="positive", name="torque")
     excess: Scalar = param("more of it near rest", TORQUE, sign="positive")
