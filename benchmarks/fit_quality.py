@@ -3,11 +3,12 @@
     python -m benchmarks.fit_quality clean      50 arms, 20 s, noise 5e-4 rad: accuracy, chi-square
     python -m benchmarks.fit_quality minimum    200 arms, hard ones: is the global minimum found?
     python -m benchmarks.fit_quality missing    400 arms with an effect not fitted: lowest minimum?
+    python -m benchmarks.fit_quality named      400 arms with an effect, fitted by name: the same
     python -m benchmarks.fit_quality coverage   400 recordings: do 95 % intervals hold the truth?
 
 Every fit runs with the default settings and no start value. Seeds are fixed; `--seed` takes others,
-`--count` fewer arms (for `missing`: so many tuning seeds, 80 arms each; `--skip` leaves out the
-first). Each line of a table is printed as it comes.
+`--count` fewer arms (for `missing` and `named`: so many tuning seeds, 80 arms each; `--skip` leaves
+out the first). Each line of a table is printed as it comes.
 """
 
 import argparse
@@ -20,6 +21,7 @@ from scipy.optimize import least_squares
 
 import residyn
 from benchmarks._hidden_cases import specs
+from benchmarks.effects import experiment_of as on_bearings
 from residyn.fitting.pipeline import refit
 from residyn.recording import ArmTable
 from tests import rig
@@ -146,6 +148,28 @@ def missing(seed: int, count: int, skip: int = 0) -> None:
     print(f"{total - worse} of {total} end as low")
 
 
+def named(seed: int, count: int, skip: int = 0) -> None:
+    """The hidden effect fitted by name: does the fit leave no more than the true motion does?"""
+    del seed
+    worse, total = 0, 0
+    for spec in specs(["single"], (0.05, 0.01), count=count, skip=skip):
+        case = spec.make()
+        truth = np.sum(((case.q - case.truth) / case.noise) ** 2)
+        try:
+            fit = residyn.fit(on_bearings(case), effects=list(spec.labels))
+            cost = sum(np.nansum((r.residual / r.recording.noise) ** 2) for r in fit.recordings)
+            agreeing = fit.agreeing_starts
+        except residyn.FitError:
+            cost, agreeing = np.inf, 0
+        total += 1
+        if cost > (1 + LOWER) * truth:
+            worse += 1
+            print(
+                f"{spec.key}: {cost / truth:.4g} times the noise, {agreeing} agreeing", flush=True
+            )
+    print(f"{total - worse} of {total} leave no more than the noise")
+
+
 def scipy_fit(case: rig.Case, rng: np.random.Generator) -> float:
     """least_squares on solve_ivp(DOP853), started 40 % off, initial angles as read."""
     truth = truth_of(case)
@@ -200,12 +224,14 @@ if __name__ == "__main__":
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     jobs = {"clean": (clean, 50), "minimum": (minimum, 200), "coverage": (coverage, 400)}
-    jobs["missing"] = (missing, 5)
+    jobs |= {"missing": (missing, 5), "named": (named, 5)}
     parser.add_argument("what", choices=list(jobs))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--count", type=int)
-    parser.add_argument("--skip", type=int, default=0, help="minimum, missing: leave out the first")
+    parser.add_argument(
+        "--skip", type=int, default=0, help="of the arms or seeds, the first so many"
+    )
     given = parser.parse_args()
     job, usual = jobs[given.what]
-    more = {"skip": given.skip} if given.what in ("minimum", "missing") else {}
+    more = {"skip": given.skip} if given.what in ("minimum", "missing", "named") else {}
     job(given.seed, given.count or usual, **more)

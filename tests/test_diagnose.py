@@ -752,6 +752,30 @@ def test_what_is_plain_needs_no_prediction(left, plain):
     assert matters(rung(4e5), rung(left)) is plain
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "ahead", "enough"),
+    [
+        (1.18, 1.02, 0.99, True),  # nine tenths of what was over the noise, a tenth of nothing else
+        (1.18, 1.10, 0.99, False),
+        (1.18, 1.02, 1.01, False),
+        (400.0, 300.0, 0.9, True),
+        (400.0, 340.0, 0.9, False),
+    ],
+)
+def test_near_the_noise_what_matters_is_the_share_of_what_is_over_it(before, after, ahead, enough):
+    def rung(chi2, held):
+        fitted = SimpleNamespace(
+            used=np.ones(4000, bool),
+            residual=np.full(4000, math.sqrt(chi2)),
+            recording=SimpleNamespace(noise=1.0, role="fit"),
+        )
+        held_out = SimpleNamespace(held_out=SimpleNamespace(ratio=np.array([held])))
+        known = {"fit": SimpleNamespace(recordings=[fitted]), "cost": 4000 * chi2}
+        return SimpleNamespace(**known, readings=4000, white=1e-9, held_out=held_out)
+
+    assert matters(rung(before, 1.0), rung(after, ahead)) is enough
+
+
 @pytest.mark.parametrize(("stiffness", "loud"), [(0.1, False), (9.0, True)])
 def test_a_shape_is_no_proof_of_an_effect(stiffness, loud):
     """A gap known to 1 %, of a spring that may be none."""
@@ -890,8 +914,15 @@ def test_whose_motion_may_be_the_same(one, other, kin):
     assert suspects.resemble(one, other) is kin
 
 
-@pytest.mark.parametrize(("left", "found"), [(4100.0, ["brake_slip:elbow"]), (3e4, [])])
-def test_only_kin_of_those_that_are_nearly_the_best_are_fitted(left, found):
+@pytest.mark.parametrize(
+    ("left", "offset", "found"),
+    [
+        (4100.0, 4105.0, ["brake_slip:elbow"]),
+        (4100.0, 9e4, ["brake_slip:elbow", "sensor_offset:elbow"]),  # ended elsewhere: once more
+        (3e4, 9e4, []),
+    ],
+)
+def test_only_kin_of_those_that_are_nearly_the_best_are_fitted(left, offset, found):
     """Beside 1e5 that the base model leaves, and a law that comes to the noise."""
     names = (
         "brake_slip:elbow",
@@ -906,11 +937,12 @@ def test_only_kin_of_those_that_are_nearly_the_best_are_fitted(left, found):
         for e, cost in [
             (residyn.CubicStiffness("elbow"), 4000.0),
             (residyn.ConstantTorque("elbow"), left),
-            (residyn.SensorOffset("elbow"), 9e4),
+            (residyn.SensorOffset("elbow"), offset),
         ]
     ]
     fit = SimpleNamespace(model=residyn.Model(ARM_BODIES))
-    step = SimpleNamespace(cost=1e5, fit=fit, near=SimpleNamespace(fitted=[None]))
+    near = SimpleNamespace(fitted=[None])
+    step = SimpleNamespace(cost=1e5, readings=4000, fit=fit, near=near)
     kin, twins = suspects._kin(step, screened, fitted)
     assert [s.effect.label for s in kin] == found
     assert all(twin is fitted[1] for twin in twins)

@@ -81,6 +81,21 @@ def test_bearings_hold_an_arm_in_any_pose(theta2):
     assert np.ptp(off[late], axis=0).max() < 0.1 * DRY * swing.max()
 
 
+def test_what_turns_about_a_wrist_that_hardly_moves_is_not_held_yet():
+    """Nearly stretched out, an arm may move while its wrist all but rests: friction that could hold
+    it takes a third of a second to stop it, in which it goes 0.4 % of its swing."""
+    arm = Arm(0.5538, 0.4937, 0.5358, 0.0661, 0.2028, 0.1214, (2.074, 1.665), (9.4e-3, 9.48e-3))
+    hidden = [
+        Hidden("bearing_quadratic_drag", {"coefficient": 0.1034}),
+        Hidden("bearing_friction", {"force": 0.02512}),
+    ]
+    rng, q0 = np.random.default_rng(0), np.array([-0.23564, 0.06831])
+    case = record(rng, arm, q0, hidden, seconds=14.0, rate=100.0, noise=1e-6)
+    swing, late = np.abs(case.truth).max(), case.t > 11.0
+    assert np.ptp(case.truth[late], axis=0).max() < 1e-6, "it is to be stuck by then"
+    assert np.abs(predicted(case) - case.truth)[late].max() < 4 * DRY * swing
+
+
 @pytest.mark.parametrize(
     ("arm", "q0", "force"),
     [

@@ -1,6 +1,7 @@
 """The fit, end to end, on MuJoCo arms whose truth is known."""
 
 import dataclasses
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -14,6 +15,8 @@ from residyn.fitting.problem import Compressed, Unknowns
 from residyn.recording import ArmTable, Bearing, InertiaTable
 
 rig = pytest.importorskip("tests.rig")
+
+DATA = Path(__file__).parents[2] / "shared" / "data"
 
 
 def experiment(case, *, noise=None, **changes) -> residyn.Experiment:
@@ -394,6 +397,57 @@ def test_a_slow_start_does_not_spoil_the_others(arm, q0, label, values, noise):
         assert fit.reduced_chi2 < 1.2
         for number, true in zip(fit.numbers, arm.stiffness, strict=False):
             assert number.value == pytest.approx(true, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("arm", "q0", "label", "values", "noise"),
+    [
+        (
+            rig.Arm(0.3524, 0.3151, 1.047, 0.2927, 0.8147, 1.588, (14.34, 17.26), (0.061, 0.0066)),
+            (0.3457, -0.2988),
+            "periodic_disturbance:shoulder",
+            {"torque": 0.07306, "frequency": 0.42732, "phase": 3.62},
+            0.01853,
+        ),
+        (
+            rig.Arm(0.551, 0.3057, 2.3245, 0.1093, 0.6297, 0.8752, (15.26, 11.04), (0.108, 0.0107)),
+            (0.1537, 0.1195),
+            "periodic_disturbance:elbow",
+            {"torque": 0.09484, "frequency": 5.58063, "phase": 0.83655},
+            1.449e-3,
+        ),
+        (
+            rig.Arm(0.323, 0.3992, 1.729, 2.115, 4.796, -1.4275, (71.27, 344.9), (1.4765, 0.3919)),
+            (-0.11682, 0.25658),
+            "brake_slip:shoulder",
+            {"stiffness": 71.27, "angle": 0.02558},
+            2.067e-3,
+        ),
+    ],
+)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_fit_by_name_begins_again_from_springs_and_dampers(arm, q0, label, values, noise, seed):
+    """From the closed form all starts may end in valleys, or in motions that cannot be."""
+    hidden, rng = [rig.Hidden(label, values)], np.random.default_rng(seed)
+    case = rig.record(rng, arm, np.array(q0), hidden, seconds=20.0, rate=100.0, noise=noise)
+    fit = residyn.fit(experiment(case, noise=noise), effects=[label])
+    assert fit.reduced_chi2 < 1.1
+    (strength,) = [n for n in fit.numbers if n.name in (f"{label}.{next(iter(values))}",)]
+    assert strength.value == pytest.approx(next(iter(values.values())), abs=4 * strength.std)
+
+
+@pytest.mark.skipif(not (DATA / "carts").is_dir(), reason="measured data are not here")
+def test_many_starts_are_no_worse_than_one_where_all_first_cycles_mislead():
+    """Three runs of a cart, with friction and hysteresis: their first cycles show no memory."""
+    paths = sorted((DATA / "carts").glob("high_spring_loaded_*.csv"))
+    runs = [residyn.recording.read_csv(path, 1)[:2] for path in paths]
+    table = InertiaTable(("cart",), ((1.5545,),), ("m",))
+    recordings = [residyn.Recording.from_arrays(t, x, start="release") for t, x in runs]
+    made = residyn.Experiment(table, tuple(recordings))
+    one, many = (
+        residyn.fit(made, effects=["coulomb_friction", "hysteresis"], starts=n) for n in (1, 6)
+    )
+    assert many.rmse[0] < 1.05 * one.rmse[0]
 
 
 def ready_for():

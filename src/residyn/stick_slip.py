@@ -16,6 +16,8 @@ from .equation import Args, acceleration, signs
 from .model import solve_inertia
 from .motion import Joints, Motion, Scalar
 
+_SOON = 12.0  # grains of the integrator's time in which friction must stop what it is to hold
+
 
 class Sticking(NamedTuple):
     """Per joint: direction of sliding; 1 if friction holds it at rest; 1 if it all but rests and
@@ -99,16 +101,23 @@ def _gripped(args: Args, motion: Motion, level: list[Scalar | None]) -> Scalar:
     bodies, none = args.model.bodies, (0.0,) * len(motion.q)
     if not any(effect.grips for effect in args.model.effects):
         return 0.0
-    resting = motion._replace(v=none, direction=none)
-    free = acceleration(args, resting)
-    load = [
-        -sum(z * a for z, a in zip(row, free, strict=True)) for row in bodies.mass_matrix(motion.q)
+    free = acceleration(args, motion._replace(v=none, direction=none))
+    # What holds it must take its momentum, too: where the point that rubs hardly moves, an arm that
+    # turns about it, or is stretched out, still may.
+    time = _SOON * jnp.asarray(motion.grain, float)
+    brisk = jnp.where(time > 0, 1.0 / jnp.where(time > 0, time, 1.0), 0.0)
+    stopped = tuple(a + brisk * v for a, v in zip(free, motion.v, strict=True))
+    inertia = bodies.mass_matrix(motion.q)
+    loads = [
+        tuple(-sum(z * a for z, a in zip(row, each, strict=True)) for row in inertia)
+        for each in (free, stopped)
     ]
     joints = tuple(0.0 if limit is None else jnp.abs(limit) for limit in level)
     grip: Scalar = 0.0
     for effect, own in args.model.each(motion):
         if effect.grips:
-            grip = jnp.maximum(grip, effect.holds(tuple(load), joints, own, bodies))
+            still, slowing = (effect.holds(load, joints, own, bodies) for load in loads)
+            grip = jnp.maximum(grip, still * slowing)
     return grip
 
 

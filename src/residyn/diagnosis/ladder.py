@@ -36,6 +36,7 @@ _TOGETHER = 0.5  # what two effects leave over the noise, screened, over the bes
 _PROMISES = 0.2  # share of the error over the noise that must go for an effect to wait for another
 _WORSE = 0.02  # share by which the held-out error may grow where what is left is white
 _NEARLY_ALL = 0.01  # of what was over the noise, left
+_MOST = 0.25  # the same: as good as a tenth of the error, however near the noise that was
 _TWINS = 0.01  # of chi-square
 _STRETCHES = 24  # least number of stretches of all recordings
 
@@ -225,9 +226,11 @@ def matters(old: Step, new: Step) -> bool:
     held = ratio[1] / ratio[0] if known else 1.0  # pyright: ignore
     if new.white >= SURE:
         return held < 1.0 + _WORSE
-    if not known and over_noise(cost_of(new.fit), new) < _NEARLY_ALL * over_noise(old.cost, old):
-        return True  # what it is about is too plain to be doubted for a prediction that none made
-    return fitted < 1.0 - MATTERS and known and held < 1.0 - _HELD
+    left = over_noise(cost_of(new.fit), new) / max(over_noise(old.cost, old), 1e-300)
+    if not known:
+        # What it is about may be too plain to be doubted for a prediction that none made.
+        return left < _NEARLY_ALL
+    return (fitted < 1.0 - MATTERS and held < 1.0 - _HELD) or (left < _MOST and held < 1.0)
 
 
 def _size(held: HeldOut | None) -> float | None:

@@ -6,6 +6,7 @@ few are fitted at first; only as long as none of them explains what is missing, 
 that may have lost their way begin again.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -32,6 +33,7 @@ _AS_GOOD = 0.9  # of what the best one explains: whose motion may be that of oth
 _HALF = 0.5  # of the best promise: fitted where none of the first fits comes to the noise
 _PAUSES = 50  # of a motion without a mode: a rest that long is one
 _NEAR = 2.0  # times the noise: a fit as good as this knows the motion
+_ROUNDS = 2  # of twins: of the best, and of a twin that ended below it
 _GLANCE = 0.6  # of what a newcomer must bring: less, and it is not even screened
 
 
@@ -105,13 +107,19 @@ def search(
         sounds = beside_a_mode(step, experiment, found, fitted)
         if sounds is not None:
             fitted = [sounds, *(r for r in fitted if r.label != sounds.label)]
-    kin, twins = _kin(step, found, fitted)
-    if kin:
+    for round_ in range(_ROUNDS):
+        kin, twins = _kin(step, found, fitted)
+        if round_:  # a twin of a twin may be of another kind
+            ended = {r.label for r in fitted}
+            both = [(s, r) for s, r in zip(kin, twins, strict=True) if s.effect.label in ended]
+            kin, twins = [s for s, _ in both], [r for _, r in both]
+        if not kin:
+            break
         say(f"fitting what may be the same motion: {', '.join(s.effect.label for s in kin)}")
         kin = [
             beginning_at(step, twin, s) for s, twin in zip(view.sharper(kin), twins, strict=True)
         ]
-        fitted, tried = [*fitted, *refits(step, experiment, kin)], [*tried, *kin]
+        fitted, tried = _better(fitted, refits(step, experiment, kin)), [*tried, *kin]
     fitted = extending(step, experiment, fitted)
     finer = {s.effect.label: s for s in tried}
     found = sorted((finer.get(s.effect.label, s) for s in found), key=lambda s: s.chi2)
@@ -155,19 +163,32 @@ def _next_best(step: Step, found: Sequence[Screened], tried: Sequence[Screened])
 def _kin(
     step: Step, found: Sequence[Screened], fitted: Sequence[Refit]
 ) -> tuple[list[Screened], list[Refit]]:
-    """Those not fitted yet whose motion may be the same as that of one of the best, and that one,
-    from whose end they are to be fitted: what the screen says of them it says along another
-    motion."""
-    told, most = {r.label for r in fitted}, max((step.cost - r.cost for r in fitted), default=0.0)
+    """Those whose motion may be the same as that of one of the best, and that one, from whose end
+    they are to be fitted: what the screen says of them it says along another motion. Not fitted
+    again are those that ended where that one did."""
+    ended = {r.label: r.cost for r in fitted}
+    most = max((step.cost - r.cost for r in fitted), default=0.0)
     best = [r for r in sorted(fitted, key=lambda r: r.cost) if r.possible]
     best = [r for r in best if step.cost - r.cost > max(worth(r.effect, step), _AS_GOOD * most)]
     kin, twins = [], []
     for s in found:
         twin = next((r for r in best if resemble(s.effect, r.effect)), None)
-        if twin is not None and s.effect.label not in told:
+        if twin is None:
+            continue
+        near = twin.cost + worth(s.effect, step) * max(1.0, twin.cost / step.readings)
+        if ended.get(s.effect.label, math.inf) > near:
             kin.append(s)
             twins.append(twin)
     return kin, twins
+
+
+def _better(found: Sequence[Refit], more: Sequence[Refit]) -> list[Refit]:
+    """Fits of different candidates, of those fitted twice the better one."""
+    each = {r.label: r for r in found}
+    for r in more:
+        if r.label not in each or r.cost < each[r.label].cost:
+            each[r.label] = r
+    return list(each.values())
 
 
 def resemble(one: AbstractEffect, other: AbstractEffect) -> bool:

@@ -62,16 +62,12 @@ def tuned(
         if not effect.oscillates:
             continue
         joint = model.mechanism.joints.index(effect.place)
-        lines = _lines(missing[fits][..., joint], spacing)
-        number = next(
-            k
-            for k, n in enumerate(model.fitted)
-            if n.effect == i and n.meaning.field == effect.oscillates
-        )
-        first = begin.numbers[:1] if len(begin.numbers) * len(lines) > _MOST else begin.numbers
+        found = lines(missing[fits][..., joint], spacing)
+        number = frequency_of(model, i)
+        first = begin.numbers[:1] if len(begin.numbers) * len(found) > _MOST else begin.numbers
         same = np.unique(np.delete(first, number, axis=1), axis=0)
         numbers, states = [], []
-        for frequency, phases in lines:
+        for frequency, phases in found:
             for row in same:
                 numbers.append(np.insert(row, number, frequency))
                 states.append(begin.memory[0].copy())
@@ -80,8 +76,16 @@ def tuned(
     return begin
 
 
-def _lines(torque: np.ndarray, spacing: np.ndarray) -> list[tuple[float, np.ndarray]]:
-    """Strongest frequencies (Hz) of (K, R, G) torques, and each recording's phase there."""
+def frequency_of(model: Model, index: int) -> int:
+    """Which of a model's fitted numbers is the frequency of its effect `index`."""
+    field = model.effects[index].oscillates
+    pairs = enumerate(model.fitted)
+    return next(k for k, n in pairs if n.effect == index and n.meaning.field == field)
+
+
+def lines(torque: np.ndarray, spacing: np.ndarray) -> list[tuple[float, np.ndarray]]:
+    """Strongest frequencies (Hz) of that of (K, R, G) torques which shows one best, and each
+    recording's phase there."""
     _, recordings, length = torque.shape
     dt = float(spacing.max())
     frequencies = np.arange(0.5, 0.2 * length, 0.25) / (length * dt)

@@ -20,6 +20,7 @@ from .setup import Ready, reweighted
 _FIRST_CYCLES = 3  # of the fastest mode, in the first stretch
 _MOST_WILD = 0.05  # a larger share of readings is not a few wild ones, it is another motion
 _ROUNDS = 3
+_MISLED = 2.0  # times the noise: where a law that sticks or rattles ends above, all count at once
 _ABSURD = 1e9  # rad or m
 _FAR = 5.0  # sigma: what is nearer to the model than this is not wild beside it
 _USUAL = 0.5  # of the residual's own size: what a wild reading must exceed, too
@@ -78,9 +79,13 @@ def descend(
     if near is not None:
         y = y._replace(states=near / problem.scale.states)
     out = polish(problem, y, shares, hopeless)
-    if len(shares) > 1 and not _sane(out, here.recordings):
-        # A brake that slips at first and holds then, say: the first cycles lead away from the rest.
-        out = polish(problem, y, (1.0,), hopeless)
+    if len(shares) > 1:
+        # The first cycles can lead away from the rest: of a brake that slips at first and holds
+        # then, or of springs with a memory, of which they show but one half.
+        lost = not _sane(out, here.recordings)
+        if lost or (near is None and like is None and _misled(problem, out)):
+            whole = polish(problem, y, (1.0,), hopeless)
+            out = whole if lost or whole.cost < out.cost else out
     steps, agreeing = out.steps, out.agreeing
     mirrored = _upright(problem, out.unknowns)
     if mirrored is not None:
@@ -113,6 +118,12 @@ def descend(
         starts,
         agreeing,
     )
+
+
+def _misled(problem: Problem, out: Polished) -> bool:
+    """Whether a law of many valleys has ended well above the noise."""
+    readings = np.count_nonzero(problem.recorded.weights)
+    return problem.model.rough and out.cost > _MISLED * readings
 
 
 def shares_of(here: Ready, frequency: float) -> list[float]:

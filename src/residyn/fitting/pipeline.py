@@ -15,6 +15,7 @@ from ..effects import AbstractEffect
 from ..modal import modes_of, state_matrices
 from ..model import Model
 from ..recording import Experiment
+from .base_first import from_the_base, led_astray
 from .descent import Descent, descend, wild_beside
 from .drifting import without_drift
 from .identify import Spread, spread_of
@@ -94,7 +95,19 @@ def _fit(experiment, effects, starts, progress) -> Fit:
 
     progress(f"fitting from {starts} start{'s' * (starts > 1)}")
     begin = resolving(here, numbers)
-    descent = descend(here, begin, numbers, wild, progress, memory)
+    descent, failed = None, None
+    try:
+        descent = descend(here, begin, numbers, wild, progress, memory)
+    except FitError as error:
+        failed = error
+    if effects and starts > 1 and (descent is None or led_astray(descent)):
+        progress("fitting springs and dampers alone, to begin again from there")
+        again = from_the_base(here, ready(experiment, here.recordings, ()), numbers, memory)
+        if again is not None and (descent is None or again.cost < descent.cost):
+            descent = again
+    if descent is None:
+        assert failed is not None
+        raise failed
 
     progress("errors, modes and held-out recordings")
     model = here.model.with_vector(jnp.asarray(descent.problem.numbers(descent.unknowns)))
