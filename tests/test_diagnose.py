@@ -15,7 +15,7 @@ import pytest
 import residyn
 from residyn.diagnosis import chances as weighing
 from residyn.diagnosis import climb as climbing
-from residyn.diagnosis import joined, suspects, valleys
+from residyn.diagnosis import joined, linear, suspects, valleys
 from residyn.diagnosis import ladder as rungs
 from residyn.diagnosis import path as way
 from residyn.diagnosis import refits as refitting
@@ -753,6 +753,36 @@ def test_what_is_plain_needs_no_prediction(left, plain):
 
 
 @pytest.mark.parametrize(
+    ("ends", "settled"),
+    [
+        ([(500.0, True)], True),
+        ([(500.0, False), (499.9, False)], True),  # 80 more steps gained nothing
+        ([(500.0, False), (300.0, False)], False),
+        ([(500.0, False), (300.0, True)], True),
+        ([(math.inf, False)], False),
+    ],
+)
+def test_a_part_that_no_longer_gains_has_settled(ends, settled, monkeypatch):
+    """Along a kink of dry friction a search may not end by itself where nothing is left to gain."""
+    ends = iter(ends)
+
+    def polish(problem, start, shares, size):
+        cost, converged = next(ends)
+        return SimpleNamespace(cost=cost, converged=converged, unknowns=start)
+
+    monkeypatch.setattr(linear, "polish", polish)
+    monkeypatch.setattr(linear, "reweighted", lambda problem, wild: problem)
+    recording = SimpleNamespace(angle=np.zeros((4, 1)))
+    fit = SimpleNamespace(reduced_chi2=1.0)
+    near = SimpleNamespace(
+        _pairs=lambda kept: [(kept[0], SimpleNamespace(recording=recording))],
+        problem=None, at=np.zeros(1), fit=fit,
+    )  # fmt: skip
+    assert Near.refitted(near, [np.ones(4, bool)])[1] is settled
+    assert next(ends, None) is None
+
+
+@pytest.mark.parametrize(
     ("before", "after", "ahead", "enough"),
     [
         (1.18, 1.02, 0.99, True),  # nine tenths of what was over the noise, a tenth of nothing else
@@ -943,9 +973,9 @@ def test_only_kin_of_those_that_are_nearly_the_best_are_fitted(left, offset, fou
     fit = SimpleNamespace(model=residyn.Model(ARM_BODIES))
     near = SimpleNamespace(fitted=[None])
     step = SimpleNamespace(cost=1e5, readings=4000, fit=fit, near=near)
-    kin, twins = suspects._kin(step, screened, fitted)
-    assert [s.effect.label for s in kin] == found
-    assert all(twin is fitted[1] for twin in twins)
+    pairs = suspects._kin(step, screened, fitted)
+    assert [s.effect.label for s, _ in pairs] == found
+    assert all(twin is fitted[1] for _, twin in pairs)
 
 
 def test_a_twin_of_the_best_is_fitted_though_the_screen_puts_it_low():

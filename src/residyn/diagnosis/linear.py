@@ -68,7 +68,14 @@ class Near(NamedTuple):
         start = jax.tree.map(lambda x: jnp.asarray(x)[None], self.at)
         size = max(1.0, float(np.sqrt(self.fit.reduced_chi2)))
         out = polish(problem, start, (1.0,), size=size)
-        return jax.tree.map(jnp.asarray, out.unknowns), out.converged and np.isfinite(out.cost)
+        if out.converged or not np.isfinite(out.cost):
+            return jax.tree.map(jnp.asarray, out.unknowns), out.converged
+        # Along a kink no step is small enough to end by itself; where as many steps again gain less
+        # than one reading's square, all that matters has settled.
+        start = jax.tree.map(lambda x: jnp.asarray(x)[None], out.unknowns)
+        more = polish(problem, start, (1.0,), size=size)
+        settled = more.converged or out.cost - more.cost < size**2
+        return jax.tree.map(jnp.asarray, more.unknowns), settled and bool(np.isfinite(more.cost))
 
     def look(self, at: Unknowns) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Predictions (N, n), rad or m, and their slopes (N, n, L) in each recording's L unknowns:

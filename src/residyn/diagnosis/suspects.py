@@ -107,18 +107,19 @@ def search(
         sounds = beside_a_mode(step, experiment, found, fitted)
         if sounds is not None:
             fitted = [sounds, *(r for r in fitted if r.label != sounds.label)]
+    begun: set[tuple[str, float]] = set()
     for round_ in range(_ROUNDS):
-        kin, twins = _kin(step, found, fitted)
+        pairs = _kin(step, found, fitted)
         if round_:  # a twin of a twin may be of another kind
             ended = {r.label for r in fitted}
-            both = [(s, r) for s, r in zip(kin, twins, strict=True) if s.effect.label in ended]
-            kin, twins = [s for s, _ in both], [r for _, r in both]
-        if not kin:
+            pairs = [(s, r) for s, r in pairs if s.effect.label in ended]
+        pairs = [(s, r) for s, r in pairs if (s.effect.label, r.cost) not in begun]
+        if not pairs:
             break
-        say(f"fitting what may be the same motion: {', '.join(s.effect.label for s in kin)}")
-        kin = [
-            beginning_at(step, twin, s) for s, twin in zip(view.sharper(kin), twins, strict=True)
-        ]
+        say(f"fitting what may be the same motion: {', '.join(s.effect.label for s, _ in pairs)}")
+        begun |= {(s.effect.label, r.cost) for s, r in pairs}
+        sharp = view.sharper([s for s, _ in pairs])
+        kin = [beginning_at(step, r, s) for s, (_, r) in zip(sharp, pairs, strict=True)]
         fitted, tried = _better(fitted, refits(step, experiment, kin)), [*tried, *kin]
     fitted = extending(step, experiment, fitted)
     finer = {s.effect.label: s for s in tried}
@@ -162,7 +163,7 @@ def _next_best(step: Step, found: Sequence[Screened], tried: Sequence[Screened])
 
 def _kin(
     step: Step, found: Sequence[Screened], fitted: Sequence[Refit]
-) -> tuple[list[Screened], list[Refit]]:
+) -> list[tuple[Screened, Refit]]:
     """Those whose motion may be the same as that of one of the best, and that one, from whose end
     they are to be fitted: what the screen says of them it says along another motion. Not fitted
     again are those that ended where that one did."""
@@ -170,16 +171,15 @@ def _kin(
     most = max((step.cost - r.cost for r in fitted), default=0.0)
     best = [r for r in sorted(fitted, key=lambda r: r.cost) if r.possible]
     best = [r for r in best if step.cost - r.cost > max(worth(r.effect, step), _AS_GOOD * most)]
-    kin, twins = [], []
+    pairs = []
     for s in found:
         twin = next((r for r in best if resemble(s.effect, r.effect)), None)
         if twin is None:
             continue
         near = twin.cost + worth(s.effect, step) * max(1.0, twin.cost / step.readings)
         if ended.get(s.effect.label, math.inf) > near:
-            kin.append(s)
-            twins.append(twin)
-    return kin, twins
+            pairs.append((s, twin))
+    return pairs
 
 
 def _better(found: Sequence[Refit], more: Sequence[Refit]) -> list[Refit]:
