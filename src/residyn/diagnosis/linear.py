@@ -68,8 +68,9 @@ class Near(NamedTuple):
         start = jax.tree.map(lambda x: jnp.asarray(x)[None], self.at)
         size = max(1.0, float(np.sqrt(self.fit.reduced_chi2)))
         out = polish(problem, start, (1.0,), size=size)
-        if out.converged or not np.isfinite(out.cost):
-            return jax.tree.map(jnp.asarray, out.unknowns), out.converged
+        finite = bool(np.isfinite(out.cost))
+        if out.converged or not finite:
+            return jax.tree.map(jnp.asarray, out.unknowns), out.converged and finite
         # Along a kink no step is small enough to end by itself; where as many steps again gain less
         # than one reading's square, all that matters has settled.
         start = jax.tree.map(lambda x: jnp.asarray(x)[None], out.unknowns)
