@@ -978,6 +978,41 @@ def test_only_kin_of_those_that_are_nearly_the_best_are_fitted(left, offset, fou
     assert all(twin is fitted[1] for _, twin in pairs)
 
 
+def test_a_twin_that_ended_lower_leads_the_best_out_of_its_valley(monkeypatch):
+    """A constant torque is stuck at 1.2 times the noise; the brake that it resembles is not, and
+    the torque begins again from there. Those that ended together are not fitted once more."""
+    names = ("constant_torque:elbow", "brake_slip:elbow", "sensor_offset:elbow")
+    effects = [effects_named(name, ARM_BODIES)[0] for name in names]
+    screened = [SimpleNamespace(effect=e) for e in effects]
+    costs = [iter(each) for each in ([4850.0, 4030.0], [4031.0], [4850.0, 4600.0])]
+    calls = []
+
+    def fits(step, experiment, some):
+        calls.append([s.effect.label for s in some])
+        left = [next(costs[names.index(s.effect.label)]) for s in some]
+        pairs = zip(some, left, strict=True)
+        return [
+            SimpleNamespace(effect=s.effect, label=s.effect.label, cost=cost, possible=True)
+            for s, cost in pairs
+        ]
+
+    monkeypatch.setattr(suspects, "refits", fits)
+    monkeypatch.setattr(suspects, "beginning_at", lambda step, twin, s: s)
+    fit = SimpleNamespace(model=residyn.Model(ARM_BODIES))
+    step = SimpleNamespace(cost=1e5, readings=4000, fit=fit, near=SimpleNamespace(fitted=[None]))
+    first, view = fits(step, None, screened[:1]), SimpleNamespace(sharper=list)
+    found, tried = suspects._with_twins(step, None, view, screened, first, lambda words: None)
+    assert [set(labels) for labels in calls] == [
+        set(names[:1]),
+        set(names[1:]),
+        {names[0], names[2]},
+    ]
+    assert {r.label: r.cost for r in found} == dict(
+        zip(names, (4030.0, 4031.0, 4600.0), strict=True)
+    )
+    assert len(tried) == 4
+
+
 def test_a_twin_of_the_best_is_fitted_though_the_screen_puts_it_low():
     """Springs and dampers have found some other way, with an elbow that has no spring: along it a
     constant torque explains nothing, and a shifted sensor, the same motion, does."""

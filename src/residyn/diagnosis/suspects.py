@@ -107,20 +107,8 @@ def search(
         sounds = beside_a_mode(step, experiment, found, fitted)
         if sounds is not None:
             fitted = [sounds, *(r for r in fitted if r.label != sounds.label)]
-    begun: set[tuple[str, float]] = set()
-    for round_ in range(_ROUNDS):
-        pairs = _kin(step, found, fitted)
-        if round_:  # a twin of a twin may be of another kind
-            ended = {r.label for r in fitted}
-            pairs = [(s, r) for s, r in pairs if s.effect.label in ended]
-        pairs = [(s, r) for s, r in pairs if (s.effect.label, r.cost) not in begun]
-        if not pairs:
-            break
-        say(f"fitting what may be the same motion: {', '.join(s.effect.label for s, _ in pairs)}")
-        begun |= {(s.effect.label, r.cost) for s, r in pairs}
-        sharp = view.sharper([s for s, _ in pairs])
-        kin = [beginning_at(step, r, s) for s, (_, r) in zip(sharp, pairs, strict=True)]
-        fitted, tried = _better(fitted, refits(step, experiment, kin)), [*tried, *kin]
+    fitted, kin = _with_twins(step, experiment, view, found, fitted, say)
+    tried = [*tried, *kin]
     fitted = extending(step, experiment, fitted)
     finer = {s.effect.label: s for s in tried}
     found = sorted((finer.get(s.effect.label, s) for s in found), key=lambda s: s.chi2)
@@ -159,6 +147,34 @@ def _next_best(step: Step, found: Sequence[Screened], tried: Sequence[Screened])
     told, most = {s.effect.label for s in tried}, max(s.drop for s in found)
     left = [s for s in found if s.effect.label not in told]
     return [s for s in left if s.drop > max(_HALF * most, worth(s.effect, step))][:_REFITS]
+
+
+def _with_twins(
+    step: Step,
+    experiment: Experiment,
+    view: _View,
+    found: Sequence[Screened],
+    fitted: list[Refit],
+    say: Callable[[str], None],
+) -> tuple[list[Refit], list[Screened]]:
+    """Fits, with those of whatever may be the same motion as the best of them, and of the best once
+    more where such a twin has ended below it; and how the twins began."""
+    tried: list[Screened] = []
+    begun: set[tuple[str, float]] = set()
+    for round_ in range(_ROUNDS):
+        pairs = _kin(step, found, fitted)
+        if round_:  # a twin of a twin may be of another kind
+            ended = {r.label for r in fitted}
+            pairs = [(s, r) for s, r in pairs if s.effect.label in ended]
+        pairs = [(s, r) for s, r in pairs if (s.effect.label, r.cost) not in begun]
+        if not pairs:
+            break
+        say(f"fitting what may be the same motion: {', '.join(s.effect.label for s, _ in pairs)}")
+        begun |= {(s.effect.label, r.cost) for s, r in pairs}
+        sharp = view.sharper([s for s, _ in pairs])
+        kin = [beginning_at(step, r, s) for s, (_, r) in zip(sharp, pairs, strict=True)]
+        fitted, tried = _better(fitted, refits(step, experiment, kin)), [*tried, *kin]
+    return fitted, tried
 
 
 def _kin(

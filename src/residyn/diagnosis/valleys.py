@@ -15,6 +15,7 @@ import numpy as np
 
 from .._stretches import in_stretches
 from ..effects import AbstractEffect
+from ..fitting.base_first import usual as usual_of
 from ..fitting.pipeline import begin_afresh, refit
 from ..fitting.result import FitError
 from ..model import Model
@@ -28,7 +29,6 @@ PROMISED = 1.5
 _FAR = 10.0  # times what the screen promised
 _VALLEYS = 2  # candidates that are fitted stage by stage
 _PLAIN = 2.0  # times the noise: something plain is missing
-_UNUSUAL = 2.0  # standard deviations of chi-square
 _STRETCH = 2.0  # cycles of the slowest mode in a stretch, at least
 _JOINED = 3  # stretches make one of the next longer ones
 
@@ -92,7 +92,7 @@ def near_noise(step: Step, r: Refit) -> bool:
 
 def usual(step: Step) -> float:
     """Chi-square that noise does not often exceed."""
-    return step.readings + _UNUSUAL * math.sqrt(2.0 * step.readings)
+    return usual_of(step.readings)
 
 
 def afresh(step: Step, experiment: Experiment, r: Refit) -> Refit:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .beginnings import frequency_of, lines
-from .descent import Descent, descend, wild_beside
+from .descent import Descent, descend
 from .result import FitError
 from .setup import Ready
 from .smoothing import uniform
@@ -42,17 +42,24 @@ def led_astray(descent: Descent) -> bool:
 
 def above_noise(descent: Descent) -> bool:
     """Whether chi-square is more than noise often makes it."""
-    readings = float(np.count_nonzero(descent.problem.recorded.weights))
-    return descent.cost > readings + _UNUSUAL * math.sqrt(2.0 * readings)
+    return descent.cost > usual(int(np.count_nonzero(descent.problem.recorded.weights)))
+
+
+def usual(readings: int) -> float:
+    """Chi-square that the noise of so many readings does not often exceed."""
+    return readings + _UNUSUAL * math.sqrt(2.0 * readings)
 
 
 def from_the_base(
-    here: Ready, bare: Ready, found: np.ndarray, memory: np.ndarray | None
+    here: Ready,
+    bare: Ready,
+    found: np.ndarray,
+    memory: np.ndarray | None,
+    wild: list[np.ndarray],
 ) -> Descent | None:
     """The fit of `here` from where that of `bare`, springs and dampers alone, ends, with effects
     hardly there, weak, as is typical, and as in the starts (S, P) in closed form and their internal
     states (S, R, m); None where that leads nowhere."""
-    wild = wild_beside(bare, [r.angle for r in bare.recordings])
     numbers, states = beginning(bare, wild, len(found))
     try:
         begin = resolving(bare, numbers)

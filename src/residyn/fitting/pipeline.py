@@ -102,7 +102,8 @@ def _fit(experiment, effects, starts, progress) -> Fit:
         failed = error
     if effects and starts > 1 and (descent is None or led_astray(descent)):
         progress("fitting springs and dampers alone, to begin again from there")
-        again = from_the_base(here, ready(experiment, here.recordings, ()), numbers, memory)
+        bare = ready(experiment, here.recordings, ())
+        again = from_the_base(here, bare, numbers, memory, wild)
         if again is not None and (descent is None or again.cost < descent.cost):
             descent = again
     if descent is None:
