@@ -98,8 +98,9 @@ def search(
     say(f"fitting {names}" if names else "nothing worth fitting")
     fitted = refits(step, experiment, tried)
     # Later on the best of them is in the model, and what is left is small.
-    if first and tried and _unexplained(step, fitted):
-        more = view.sharper(_next_best(step, found, tried))
+    if first and tried:
+        lost = _unexplained(step, fitted)
+        more = view.sharper(_next_best(step, found, tried)) if lost else []
         if more:
             say(f"fitting {', '.join(s.effect.label for s in more)}, too")
             fitted, tried = [*fitted, *refits(step, experiment, more)], [*tried, *more]

@@ -21,13 +21,14 @@ from ..fitting.result import FitError
 from ..model import Model
 from ..recording import Experiment
 from .joined import possible, silent
-from .rung import Refit, Step
+from .rung import Refit, Step, worth
 from .screen import Screened
 
 PROMISED = 1.5
 """Times the screened chi-square: a fit that ends worse starts again."""
 _FAR = 10.0  # times what the screen promised
 _VALLEYS = 2  # candidates that are fitted stage by stage
+_MUCH = 0.5  # of the best promise
 _PLAIN = 2.0  # times the noise: something plain is missing
 _STRETCH = 2.0  # cycles of the slowest mode in a stretch, at least
 _JOINED = 3  # stretches make one of the next longer ones
@@ -108,12 +109,22 @@ def afresh(step: Step, experiment: Experiment, r: Refit) -> Refit:
 
 def none_lost(step: Step, experiment: Experiment, found: list[Refit]) -> list[Refit]:
     """Refits, those of laws that stick or rattle from where a fit by name begins, too: where none
-    of them explains what is missing, one may have lost its way."""
-    noise = usual(step)
-    if not found or min(r.cost for r in found) <= noise:
+    of them explains what is missing, any may have lost its way; where one does, those that promised
+    much of what it brings and brought less, for in much noise wrong valleys are as near it."""
+    if not found:
         return found
     lost = {r.label for r in found if (r.effect.dry or r.effect.rough) and not r.by_name}
+    best = min(found, key=lambda r: r.cost)
+    if best.cost <= usual(step):
+        most = max(r.screened.drop for r in found)
+        lost &= {r.label for r in found if r is not best and r.screened.drop > _MUCH * most}
+        lost &= {r.label for r in found if _short(r, step) > worth(r.effect, step)}
     return [afresh(step, experiment, r) if r.label in lost else r for r in found]
+
+
+def _short(r: Refit, step: Step) -> float:
+    """By how much less chi-square fell than the screen has promised, in units of what is left."""
+    return (r.screened.drop - (step.cost - r.cost)) / max(1.0, r.cost / step.readings)
 
 
 def beside_a_mode(
