@@ -16,8 +16,8 @@ from ..effects import AbstractEffect
 from ..fitting.result import RecordingFit
 from ..model import Model
 from .climb import price
-from .ladder import ranked, score
-from .rung import Refit, Step, cost_of, extends, numbers_of
+from .ladder import left_by, ranked, score, simpler
+from .rung import Refit, Step, cost_of, numbers_of
 from .verdict import LEFT
 
 _ALIKE = 12.0  # of chi-square, in its units: closer names are not told apart
@@ -152,15 +152,16 @@ def _among(step: Step) -> dict[str, float]:
     unit = temper(step)
     rebates = {r.label: rebate(r, step) for r in step.refits if r.possible}
     scores, last = {}, -math.inf
+    most = math.log(step.readings)
     for r in sorted((r for r in step.refits if r.possible), key=lambda r: score(step, r)):
         # What it costs less never makes it likelier than one that is ranked before it.
-        scores[r.label] = last = max(last, score(step, r) - rebates[r.label])
+        last = max(last, left_by(step, r) + r.numbers * most - rebates[r.label])
+        scores[r.label] = last
     least = min([*(r.cost for r in step.refits), step.cost])
     scale = max(1.0, least / step.readings)
     # Who was not fitted is believed as far as the others have kept what the screen promised.
     kept = [r.cost / max(r.screened.chi2, least) for r in step.refits]
     promised = max(1.0, float(np.median(kept))) if kept else 1.0
-    most = math.log(step.readings)
     each = [most - rebates[r.label] / r.numbers for r in step.refits if r.possible]
     worth = float(np.median(each)) if each else most
     for s in step.screened:
@@ -186,10 +187,8 @@ def rebate(refit: Refit, step: Step) -> float:
     """
     most = math.log(step.readings)
     less = refit.numbers * most - refit.price(step.readings)
-    for plain in step.refits:
-        if plain.possible and extends(refit, plain):
-            less = max(less, (refit.numbers - plain.numbers) * (most - 2.0))
-    return less
+    plain = simpler(step, refit)
+    return less if plain is None else max(less, (refit.numbers - plain.numbers) * (most - 2.0))
 
 
 def _known(before: Step, after: Step, white: float, label: str) -> float:

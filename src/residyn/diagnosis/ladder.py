@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
 from ..effects import CATALOGUE, AbstractEffect
 from ..fitting.pipeline import finish, refit
@@ -38,21 +39,38 @@ _WORSE = 0.02  # share by which the held-out error may grow where what is left i
 _NEARLY_ALL = 0.01  # of what was over the noise, left
 _MOST = 0.25  # the same: as good as a tenth of the error, however near the noise that was
 _TWINS = 0.01  # of chi-square
+_SELDOM = 0.01  # probability
 _STRETCHES = 24  # least number of stretches of all recordings
 
 
 def score(step: Step, refit: Refit) -> float:
-    """Chi-square in units of what is left by the best, plus what its numbers cost.
+    """What is left by a candidate, plus what its numbers cost: the logarithm of the number of
+    readings each, or, for what a law has more than another one that was fitted, what noise alone
+    seldom gains with it."""
+    cost, plain = refit.numbers * math.log(step.readings), simpler(step, refit)
+    if plain is not None:
+        more = refit.numbers - plain.numbers
+        seldom = float(chdtri(more, _SELDOM))
+        cost = min(cost, plain.numbers * math.log(step.readings) + seldom)
+    return left_by(step, refit) + cost
+
+
+def left_by(step: Step, refit: Refit) -> float:
+    """Chi-square in units of what is left by the best.
 
     Where even the best leaves more than noise, a law with more to it than another one bends to
     that, too: what it brings beyond the other one counts only if it matters.
     """
-    cost = refit.cost
-    simpler = next((r for r in step.refits if r.possible and extends(refit, r)), None)
-    matters = simpler is None or cost < (1.0 - MATTERS) ** 2 * simpler.cost
-    if simpler is not None and unit(step) > MORE_THAN_NOISE and not matters:
-        cost = max(cost, simpler.cost)
-    return cost / unit(step) + refit.numbers * math.log(step.readings)
+    cost, plain = refit.cost, simpler(step, refit)
+    matters = plain is None or cost < (1.0 - MATTERS) ** 2 * plain.cost
+    if plain is not None and unit(step) > MORE_THAN_NOISE and not matters:
+        cost = max(cost, plain.cost)
+    return cost / unit(step)
+
+
+def simpler(step: Step, refit: Refit) -> Refit | None:
+    """The fit of the law that a candidate extends, if that could be."""
+    return next((r for r in step.refits if r.possible and extends(refit, r)), None)
 
 
 def unit(step: Step) -> float:
