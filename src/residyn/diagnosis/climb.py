@@ -15,7 +15,7 @@ from .curves import candidates as candidates_for
 from .ladder import MATTERS, MORE_THAN_NOISE, accepted, needless, ranked, with_another
 from .missing_torque import MissingTorque
 from .rung import Step
-from .suspects import search
+from .suspects import search, seen_afresh
 
 _TRIED = 2  # of a rung's candidates that may be the next one
 _RIVAL = 0.5  # share of what an effect explained that another one must, for a climb without it
@@ -69,6 +69,7 @@ class _Ladder(NamedTuple):
         steps: list[Step] = []
         while True:
             full = len(step.effects) - self.first >= self.most
+            step = seen_afresh(step, self.torques)
             # What might come next matters only if it may; and a step may have been looked at.
             if not step.screened and (not full or not steps):
                 step = search(step, self.experiment, self.torques, candidates, self.say)

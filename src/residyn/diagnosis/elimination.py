@@ -14,7 +14,7 @@ from .answers import Answers
 from .linear import Near
 
 _BLIND = 1e-9  # of a direction's square: what the model's own numbers do, too
-_LEAST = 1e-5  # of a column's square that must be left when the model has adjusted
+_LEAST = 1e-7  # of a column's square that must be left when the model has adjusted
 
 
 class Solver(NamedTuple):

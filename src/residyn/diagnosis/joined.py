@@ -5,9 +5,10 @@ import math
 import numpy as np
 
 from ..effects import AbstractEffect
+from ..fitting.base_first import usual
 from ..fitting.descent import Descent
 from ..model import Model
-from .path import resonant
+from .path import one_with, resonant
 from .rung import Step, errors_of
 from .screen import Screened
 
@@ -50,7 +51,10 @@ def possible(step: Step, model: Model, descent: Descent, alone: Model) -> bool:
         oscillates = n.meaning.field == alone.effects[n.effect].oscillates
         if oscillates:
             frequency = abs(values[first + i])
-            if frequency * longest < _CYCLES or resonant(frequency, modes, longest):
+            if frequency * longest < _CYCLES or one_with(frequency, modes, longest):
+                return False
+            # Beside a mode it must explain everything: no mimic does.
+            if resonant(frequency, modes, longest) and descent.cost > usual(step.readings):
                 return False
         if n.meaning.sign == "positive" and n.meaning.silent is not None and not part:
             value, std = values[first + i], spread[first + i]

@@ -8,6 +8,7 @@ in them, carried over by the same columns: a prediction is bad only if it is off
 """
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -112,15 +113,20 @@ def steadied(near: Near) -> Near:
     """
     model = near.fit.model
     values, typical = np.array(model.vector()), near.ready.typical()
-    at_work = dict(zip(_LED, _at_work(model), strict=True))
+    *at_work, inertia = _at_work(model)
+    at_work = dict(zip(_LED, at_work, strict=True))
+    slow = 2.0 * math.pi / max(r.recording.duration for r in near.fitted)
     for i, number in enumerate(model.fitted):
         kind = number.name.partition(":")[0]
         if kind not in _LED:
             continue
         least, instead = _LED[kind]
+        floor = least * typical[i]
+        if kind == "spring":  # one that swings less than once is none
+            floor = max(floor, slow**2 * inertia[number.joint])
         # Gravity, say, holds a joint as well as a spring does.
-        if max(values[i], at_work[kind][number.joint]) < least * typical[i]:
-            values[i] = instead * typical[i]
+        if max(values[i], at_work[kind][number.joint]) < floor:
+            values[i] = instead * max(typical[i], floor)
     if np.array_equal(values, np.asarray(model.vector())):
         return near
     model = model.with_vector(jnp.asarray(values))
@@ -131,13 +137,15 @@ def steadied(near: Near) -> Near:
 
 
 def _at_work(model: Model) -> np.ndarray:
-    """(2, n): how stiff each joint is, whatever makes it so, and how damped, where it rests."""
+    """(3, n): how stiff each joint is where it rests, whatever makes it so, how damped, and its
+    inertia."""
     n = len(model.mechanism.joints)
     q, matrix = at_rest(model)
     rows = model.bodies.mass_matrix(tuple(q))
     square = np.array([[float(x) for x in row] for row in rows])
     below = matrix[n : 2 * n]
-    return np.stack([np.diagonal(-square @ part) for part in (below[:, :n], below[:, n : 2 * n])])
+    parts = -square @ below[:, :n], -square @ below[:, n : 2 * n], square
+    return np.stack([np.diagonal(part) for part in parts])
 
 
 @kept(like=(0, 0))

@@ -33,6 +33,7 @@ _BESIDE = 0.05  # of a mode's frequency
 _ABOVE = 5.0  # times the fastest mode: no disturbance is looked for beyond
 _LINES = 8  # frequencies tried of an effect with a frequency of its own
 _AROUND = 10.0  # cycles more or less in the longest recording: a line's surroundings
+_BETWEEN = 0.25, 0.75  # of the way from where it beats once to where a line is seen
 _FINER = 2  # values in place of one of a shape's grid
 
 
@@ -158,9 +159,20 @@ def with_fields(effect: AbstractEffect, values: dict[str, float]) -> AbstractEff
 
 def resonant(frequency, modes: Sequence[float], seconds: float):
     """Whether an oscillation of some Hz is so near a mode that, over so many seconds, it could be
-    nothing but a correction of the ringing itself: such a torque mimics any effect at all."""
-    near = [np.abs(np.asarray(frequency) - f) < _BESIDE * f + 2.0 / seconds for f in modes]
+    nothing but a correction of the ringing itself: such a torque mimics much of any effect."""
+    near = [np.abs(np.asarray(frequency) - f) < _beats(f, seconds)[1] for f in modes]
     return np.any(near, axis=0) if near else np.zeros(np.shape(frequency), bool)
+
+
+def one_with(frequency: float, modes: Sequence[float], seconds: float) -> bool:
+    """Whether it is nearer still: it mimics any effect down to the noise."""
+    return any(abs(frequency - f) < _beats(f, seconds)[0] for f in modes)
+
+
+def _beats(mode: float, seconds: float) -> tuple[float, float]:
+    """How far off a mode an oscillation beats once against the ringing, and so often that it
+    mimics nothing, Hz."""
+    return max(_BESIDE * mode, 1.0 / seconds), _BESIDE * mode + 2.0 / seconds
 
 
 def variants(
@@ -228,7 +240,11 @@ def _frequencies(j: int, paths: Sequence[Path], modes: Sequence[float]) -> list[
             near = [np.abs(frequency - f) < 2 / longest for f in found]
             left = np.where(np.any([beside, *near], axis=0), 0.0, seen)
             found.append(float(frequency[np.argmax(left)]))
-    return found
+    # Beside a mode there is no line to be seen: the ringing outshines it.
+    for mode in modes:
+        near, far = _beats(mode, longest)
+        found += [mode + s * (near + x * (far - near)) for s in (-1.0, 1.0) for x in _BETWEEN]
+    return [f for f in found if 0.0 < f < most and not one_with(f, modes, longest)]
 
 
 def _power(path: Path, frequency: np.ndarray) -> np.ndarray:

@@ -23,11 +23,12 @@ from ..parameter import Scales, parameters_of
 from .answers import Answers, Column, answers_to, columns_of, holds, seen_from
 from .elimination import Solver
 from .linear import Near
-from .path import Path, Variant, variants, with_fields
+from .path import Path, Variant, resonant, variants, with_fields
 from .unnamed import Shape, Unnamed, shapes, unnamed
 
 _SHAPES = 4  # of an effect that are kept
 _FINER = (1.32, 1.15, 1.07, 1.035)  # steps of a shape between the grid's values, one by one
+_NEAR = 2.0  # times the noise
 _SHAPES_OF_TWO = 2  # the same, of each of two at once
 
 
@@ -61,6 +62,8 @@ class Tried(NamedTuple):
     """(C,) rms torque of each column; 0 of a sensor's."""
     shapes: Sequence[Shape] = ()
     """What the columns beyond the candidates' are."""
+    led: bool = True
+    """Whether the model was led along measured motion, noise and all."""
 
 
 def screen(
@@ -82,11 +85,13 @@ def screen(
     tried = [v for effect in candidates for v in _variants(near, paths, effect, scales)]
     more, found_shapes = shapes(near, paths) if any_shape else ([], [])
     answered = _answered(near, paths, tried, led, more)
-    solver = answered.solver
+    solver, readings = answered.solver, sum(int(r.used.sum()) for r in near.fitted)
     by_label: dict[str, list] = {}
     for variant, which in zip(tried, answered.ranges(), strict=True):
         factors, drop = _factors(solver, variant, which)
-        if np.isfinite(drop):
+        # So near a mode it must explain everything, or it is but a mimic.
+        mimic = solver.alone - drop > _NEAR * readings and _beside_a_mode(variant, near)
+        if np.isfinite(drop) and not mimic:
             each = by_label.setdefault(variant.effect.label, [])
             each.append((drop, variant, which, factors))
     found = []
@@ -95,7 +100,7 @@ def screen(
         best, *others = [_weigh(near, answered, *x) for x in each[:_SHAPES]]
         found.append(best._replace(others=tuple(others)))
     sizes = np.array([_rms(c) for c in answered.flat])
-    kept = Tried(tried, answered.bounds, answered.answers, sizes, found_shapes)
+    kept = Tried(tried, answered.bounds, answered.answers, sizes, found_shapes, led)
     return solver.alone, sorted(found, key=lambda s: s.chi2), kept
 
 
@@ -222,6 +227,15 @@ def _variants(
 def _factors(solver: Solver, variant: Variant, which: range) -> tuple[np.ndarray, float]:
     """What a variant's columns count, with the signs that physics allows, and what they bring."""
     return solver.solve(list(which), _free(variant, which))
+
+
+def _beside_a_mode(variant: Variant, near: Near) -> bool:
+    """Whether it oscillates so near a mode that it may be but a correction of the ringing."""
+    if variant.effect.oscillates is None:
+        return False
+    modes = [m.frequency_hz for m in near.fit.modes]
+    longest = max(r.recording.duration for r in near.fitted)
+    return bool(resonant(getattr(variant.effect, variant.effect.oscillates), modes, longest))
 
 
 def _free(variant: Variant, which: range) -> list[bool]:

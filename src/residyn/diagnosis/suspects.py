@@ -19,8 +19,9 @@ from .missing_torque import MissingTorque
 from .path import Path
 from .refits import beginning_at, extending, refits
 from .rung import Refit, Step, worth
-from .screen import Screened, glance, screen, sharpened
+from .screen import Screened, glance, left_over, screen, sharpened
 from .valleys import beside_a_mode, none_lost, usual
+from .verdict import LEFT
 
 _REFITS = 6  # candidates that are fitted
 _LATER = 4  # the same, beside a model that has an effect already: each takes longer
@@ -114,6 +115,20 @@ def search(
     finer = {s.effect.label: s for s in tried}
     found = sorted((finer.get(s.effect.label, s) for s in found), key=lambda s: s.chi2)
     return step._replace(alone=alone, seen=kept, screened=tuple(found), refits=tuple(fitted))
+
+
+def seen_afresh(step: Step, missing: Sequence[MissingTorque]) -> Step:
+    """The step, looked at with torques of any shape along its own motion, if those along a measured
+    one are all that says something is left: what noise has led knows that noise."""
+    if step.unnamed is None or step.tried is None or not step.tried.led:
+        return step
+    if step.white >= LEFT or step._replace(unnamed=None).white < LEFT:
+        return step
+    view = _View.of(step, missing)
+    if view.led:
+        return step
+    _, _, seen = screen(view.near, view.paths, [], view.led, any_shape=True)
+    return step._replace(unnamed=left_over(step.near, step.slopes, seen))
 
 
 def _nothing_to_see(step: Step, candidates: Sequence[AbstractEffect]) -> bool:

@@ -40,6 +40,11 @@ def led_astray(descent: Descent) -> bool:
     return descent.agreeing < descent.starts and above_noise(descent)
 
 
+def alone(descent: Descent) -> bool:
+    """Whether no other start ended where the best one did, above the noise."""
+    return descent.agreeing == 1 < descent.starts and above_noise(descent)
+
+
 def above_noise(descent: Descent) -> bool:
     """Whether chi-square is more than noise often makes it."""
     return descent.cost > usual(int(np.count_nonzero(descent.problem.recorded.weights)))
