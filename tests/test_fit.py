@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import residyn
 from residyn.fitting import pipeline
 from residyn.fitting import starts as begins
+from residyn.fitting.base_first import alone
 from residyn.fitting.levenberg import Polished, together
 from residyn.fitting.problem import Compressed, Unknowns
 from residyn.recording import ArmTable, Bearing, InertiaTable
@@ -473,3 +475,22 @@ def test_the_step_is_one_that_most_starts_can_live_with(factors, sets):
     rows = np.array([[16.0 * f, 16.0 * f, 0.1, 0.1] for f in factors])
     with jax.enable_x64(True):
         assert np.asarray(begins.resolving(ready_for(), rows).vector())[0] == 16.0 * sets
+
+
+@pytest.mark.parametrize(
+    ("agreeing", "starts", "cost", "more"),
+    [(1, 6, 9e3, True), (2, 6, 9e3, False), (1, 6, 4e3, False), (1, 1, 9e3, False)],
+)
+def test_a_start_is_alone_if_no_other_ends_where_it_does(agreeing, starts, cost, more):
+    recorded = SimpleNamespace(weights=np.ones((1, 2000, 2)))
+    problem = SimpleNamespace(recorded=recorded)
+    ended = SimpleNamespace(agreeing=agreeing, starts=starts, cost=cost, problem=problem)
+    assert alone(ended) is more
+
+
+def test_starts_of_which_no_two_agree_are_followed_by_more(case, fit, monkeypatch):
+    monkeypatch.setattr(pipeline, "alone", lambda descent: descent.starts == 6)
+    found = residyn.fit(experiment(case))
+    assert (fit.starts, found.starts) == (6, 24)
+    assert found.agreeing_starts > 1
+    assert found.reduced_chi2 == pytest.approx(fit.reduced_chi2, rel=1e-5)

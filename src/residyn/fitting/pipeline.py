@@ -27,6 +27,7 @@ from .words import warnings_for
 
 DEFAULT_STARTS = 6
 _MORE = 4  # times as many starts, if no two of them agree
+_SAME = 1e-6  # of chi-square
 
 
 def fit(
@@ -115,7 +116,7 @@ def _fit(experiment, effects, starts, progress) -> Fit:
         afresh = resolving(here, numbers)
         with contextlib.suppress(FitError):
             again = descend(here, afresh, numbers, wild, progress, memory)
-            if again.cost < descent.cost:
+            if again.cost < (1.0 + _SAME) * descent.cost:  # how many agree is known better, too
                 begin, descent = afresh, again
     if descent is None:
         assert failed is not None
