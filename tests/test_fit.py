@@ -11,7 +11,7 @@ import pytest
 import residyn
 from residyn.fitting import pipeline
 from residyn.fitting import starts as begins
-from residyn.fitting.base_first import alone
+from residyn.fitting.base_first import lonely
 from residyn.fitting.levenberg import Polished, together
 from residyn.fitting.problem import Compressed, Unknowns
 from residyn.recording import ArmTable, Bearing, InertiaTable
@@ -485,11 +485,11 @@ def test_a_start_is_alone_if_no_other_ends_where_it_does(agreeing, starts, cost,
     recorded = SimpleNamespace(weights=np.ones((1, 2000, 2)))
     problem = SimpleNamespace(recorded=recorded)
     ended = SimpleNamespace(agreeing=agreeing, starts=starts, cost=cost, problem=problem)
-    assert alone(ended) is more
+    assert lonely(ended) is more
 
 
 def test_starts_of_which_no_two_agree_are_followed_by_more(case, fit, monkeypatch):
-    monkeypatch.setattr(pipeline, "alone", lambda descent: descent.starts == 6)
+    monkeypatch.setattr(pipeline, "lonely", lambda descent: descent.starts == 6)
     found = residyn.fit(experiment(case))
     assert (fit.starts, found.starts) == (6, 24)
     assert found.agreeing_starts > 1

@@ -165,13 +165,13 @@ def resonant(frequency, modes: Sequence[float], seconds: float):
 
 
 def one_with(frequency: float, modes: Sequence[float], seconds: float) -> bool:
-    """Whether it is nearer still: it mimics any effect down to the noise."""
+    """Whether it is nearer still, and mimics nearly all of many an effect."""
     return any(abs(frequency - f) < _beats(f, seconds)[0] for f in modes)
 
 
 def _beats(mode: float, seconds: float) -> tuple[float, float]:
-    """How far off a mode an oscillation beats once against the ringing, and so often that it
-    mimics nothing, Hz."""
+    """How far off a mode an oscillation beats once against the ringing, and how far so often that
+    it mimics little, Hz."""
     return max(_BESIDE * mode, 1.0 / seconds), _BESIDE * mode + 2.0 / seconds
 
 

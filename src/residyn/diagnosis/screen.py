@@ -28,7 +28,7 @@ from .unnamed import Shape, Unnamed, shapes, unnamed
 
 _SHAPES = 4  # of an effect that are kept
 _FINER = (1.32, 1.15, 1.07, 1.035)  # steps of a shape between the grid's values, one by one
-_NEAR = 2.0  # times the noise
+_NEAR = 2.0  # times the noise: more, and not everything is explained
 _SHAPES_OF_TWO = 2  # the same, of each of two at once
 
 

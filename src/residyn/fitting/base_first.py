@@ -40,7 +40,7 @@ def led_astray(descent: Descent) -> bool:
     return descent.agreeing < descent.starts and above_noise(descent)
 
 
-def alone(descent: Descent) -> bool:
+def lonely(descent: Descent) -> bool:
     """Whether no other start ended where the best one did, above the noise."""
     return descent.agreeing == 1 < descent.starts and above_noise(descent)
 

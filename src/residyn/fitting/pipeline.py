@@ -16,7 +16,7 @@ from ..effects import AbstractEffect
 from ..modal import modes_of, state_matrices
 from ..model import Model
 from ..recording import Experiment
-from .base_first import alone, from_the_base, led_astray
+from .base_first import from_the_base, led_astray, lonely
 from .descent import Descent, descend, wild_beside
 from .drifting import without_drift
 from .identify import Spread, spread_of
@@ -49,8 +49,8 @@ def fit(
 
     - `experiment`: from `residyn.load`, or made of arrays.
     - `effects`: what to add to the springs and dampers: `name`, `name:joint`, or an effect.
-    - `starts`: how many starts to try, at least 1; if they lead nowhere, six are tried, and if no
-      two agree above the noise, four times as many.
+    - `starts`: how many starts to try, at least 1; if they lead nowhere, six are tried; if no
+      other one ends where the best does, above the noise, four times as many.
     - `progress`: called with a few words as each phase begins.
     - `method`: "levenberg", or "genetic" for the paper's genetic algorithm on Eq. 17, which knows
       no `starts` and takes further arguments: those of `residyn.fitting.Genetic`.
@@ -110,9 +110,11 @@ def _fit(experiment, effects, starts, progress) -> Fit:
         again = from_the_base(here, bare, numbers, memory, wild)
         if again is not None and (descent is None or again.cost < descent.cost):
             descent = again
-    if not effects and starts > 1 and descent is not None and alone(descent):
+    if not effects and starts > 1 and descent is not None and lonely(descent):
         numbers, memory = beginning(here, wild, _MORE * starts)
-        progress(f"fitting from {len(numbers)} starts: no two of {starts} agreed")
+        progress(
+            f"fitting from {len(numbers)} starts: no other of {starts} ended where the best one did"
+        )
         afresh = resolving(here, numbers)
         with contextlib.suppress(FitError):
             again = descend(here, afresh, numbers, wild, progress, memory)
