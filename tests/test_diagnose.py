@@ -269,6 +269,10 @@ def test_a_spring_that_is_lost_on_the_way_is_named(label, values):
     made = experiment(label, values, noise=2e-3, seconds=20.0)
     found = residyn.diagnose(made)
     assert found.verdict == "missing"
+    if label == "brake_slip:shoulder":  # which slips once: a constant torque is the same motion
+        assert found.added == ("constant_torque:shoulder",)
+        assert label in found.lookalikes[0]
+        return
     assert found.added == (label,)
     value = found.fit.to_dict()["parameters"][f"{label}.{list(values)[1]}"]
     assert abs(value["value"] - values[list(values)[1]]) < 4 * value["std"]
@@ -897,12 +901,13 @@ def test_a_shape_is_no_proof_of_an_effect(stiffness, loud):
     assert (_loud(fit, [0, 1]) > 23.0) is loud
 
 
-def weighed(monkeypatch, screened=(), free=(), **costs):
+def weighed(monkeypatch, screened=(), free=(), excess=0.3, **costs):
     """Shares of effects (`name`: chi-square with it at the elbow) beside 4000 readings; of those
     that were only screened, at first order; those that are `free` have a number too many."""
     monkeypatch.setattr(weighing, "temper", lambda step: 1.0)
     laws = "CoulombFriction", "StribeckFriction", "CubicStiffness", "QuadraticDrag"
     kinds = {e.name: e for e in (getattr(residyn, law)("elbow") for law in laws)}
+    ended = kinds | {"stribeck_friction": residyn.StribeckFriction("elbow", 1.0, excess)}
     numbers = {"stribeck_friction": 3, **dict.fromkeys(free, 2)}
     paid = {n: (numbers.get(n, 1) - (n in free)) * math.log(4000) for n in costs}
     one = SimpleNamespace(cost=5e3, readings=4000, screened=(), refits=[])
@@ -912,6 +917,7 @@ def weighed(monkeypatch, screened=(), free=(), **costs):
     one.refits = [
         SimpleNamespace(effect=kinds[n], label=kinds[n].label, cost=c, possible=True,
                         numbers=numbers.get(n, 1), screened=seen[n],
+                        model=SimpleNamespace(effects=(ended[n],)),
                         price=lambda readings, n=n: paid[n])
         for n, c in costs.items()
     ]  # fmt: skip
@@ -924,10 +930,17 @@ def test_a_law_that_cannot_be_told_from_a_simpler_one_keeps_its_share(richer, mo
     assert 0.1 < found["stribeck_friction"] <= found["coulomb_friction"] < 0.9
 
 
-def test_a_law_that_brings_what_noise_seldom_does_beyond_a_simpler_one_is_likelier(monkeypatch):
-    """Two numbers more: noise brings 9.2 once in a hundred."""
-    found = weighed(monkeypatch, coulomb_friction=4000.0, stribeck_friction=3989.0)
-    assert found["stribeck_friction"] > 0.9
+@pytest.mark.parametrize("excess", [0.3, -0.3])
+def test_a_law_that_brings_what_noise_seldom_does_beyond_a_simpler_one_is_likelier(
+    excess, monkeypatch
+):
+    """Two numbers more: noise brings 9.2 once in a hundred. But not one that bends to what is left
+    with a strength that no friction has."""
+    found = weighed(monkeypatch, excess=excess, coulomb_friction=4000.0, stribeck_friction=3989.0)
+    if excess > 0:
+        assert found["stribeck_friction"] > 0.9
+    else:
+        assert found["stribeck_friction"] <= found["coulomb_friction"]
 
 
 def test_a_number_that_nothing_determines_costs_nothing(monkeypatch):
@@ -1282,7 +1295,14 @@ def test_a_law_with_more_to_it_must_matter_beside_the_simpler_one(left, bends, n
     laws = residyn.CoulombFriction("elbow"), residyn.StribeckFriction("elbow")
     costs = left * readings / bends, left * readings
     refits = [
-        SimpleNamespace(effect=e, label=e.label, cost=c, numbers=n, possible=True)
+        SimpleNamespace(
+            effect=e,
+            label=e.label,
+            cost=c,
+            numbers=n,
+            possible=True,
+            model=SimpleNamespace(effects=(e,)),
+        )
         for e, c, n in zip(laws, costs, (1, 3), strict=True)
     ]
     step = SimpleNamespace(refits=refits, cost=100.0 * readings, readings=readings)

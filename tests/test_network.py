@@ -152,7 +152,6 @@ def test_a_network_learns_the_torque_that_the_model_lacks():
 # -- fits ------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_springs_and_dampers_are_fitted_beside_a_network():
     t = np.arange(250) / 50.0
     effect = NetworkTorque("elbow", network())

@@ -18,6 +18,7 @@ from scipy.special import chdtri
 from ..effects import CATALOGUE, AbstractEffect
 from ..fitting.pipeline import finish, refit
 from ..fitting.result import Fit, FitError
+from ..parameter import parameters_of
 from ..recording import Experiment
 from .horizon import HeldOut
 from .joined import silent
@@ -48,11 +49,18 @@ def score(step: Step, refit: Refit) -> float:
     readings each, or, for what a law has more than another one that was fitted, what noise alone
     seldom gains with it."""
     cost, plain = refit.numbers * math.log(step.readings), simpler(step, refit)
-    if plain is not None:
+    if plain is not None and _lawful(refit):
         more = refit.numbers - plain.numbers
         seldom = float(chdtri(more, _SELDOM))
         cost = min(cost, plain.numbers * math.log(step.readings) + seldom)
     return left_by(step, refit) + cost
+
+
+def _lawful(refit: Refit) -> bool:
+    """Whether no strength has the wrong sign, however surely."""
+    own = refit.model.effects[-1]
+    signs = {p.field: p.sign for p in parameters_of(own) if p.silent is not None}
+    return all(getattr(own, field) >= 0.0 for field, sign in signs.items() if sign == "positive")
 
 
 def left_by(step: Step, refit: Refit) -> float:

@@ -192,7 +192,7 @@ def embed(fit: Fit) -> Embedded:
     problem, _ = here.problem(fit.model, [r.wild for r in fitted], fixed=True)
     start = problem.scaled(fit.model.vector(), jnp.asarray(np.stack([r.state for r in fitted])))
     return Embedded(
-        problem=jax.tree.map(jnp.asarray, problem),
+        problem=jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_array_like(x) else x, problem),
         start=start,
         usable=[jnp.asarray(~r.wild) for r in fitted],
         noise=[jnp.asarray(r.recording.noise) for r in fitted],

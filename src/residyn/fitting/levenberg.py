@@ -143,7 +143,9 @@ def polish(
     it is, at this cost; `size` is the least rms residual to expect, in sigma.
     """
     if not gathered():
-        problem = jax.device_put(problem)  # once, not in every call
+        # Once, not in every call; an effect may hold what is no array.
+        arrays, rest = eqx.partition(problem, eqx.is_array_like)
+        problem = eqx.combine(jax.device_put(arrays), rest)
     going, shares = _begun(starts), list(shares)
     if len(going) > 1:
         few = len(going) <= _FEW and (gathered() or jax.default_backend() == "cpu")

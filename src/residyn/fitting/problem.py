@@ -146,15 +146,19 @@ def compressed(problem: Problem, y: Unknowns, only: Scalar | None = None) -> Com
     chunks = _chunks(problem, only, chunk)
 
     def one(recorded, scale, state):
+        # What an effect holds that is no array passes no transformation.
+        rest = eqx.filter(posed(problem.model, recorded.mechanism), eqx.is_array_like, inverse=True)
+
         def simulated(z):
             moved = problem.numbers(Unknowns(z[:numbers], y.states))
             model, nodes = _simulated(problem, recorded, moved, scale * z[numbers:], only)
-            return (model.vector(), nodes.ends), (model, nodes)
+            return (model.vector(), nodes.ends), (eqx.filter(model, eqx.is_array_like), nodes)
 
         z = jnp.concatenate([y.numbers, state])
-        point, moving, (model, nodes) = jax.vmap(
+        point, moving, (arrays, nodes) = jax.vmap(
             lambda e: jax.jvp(simulated, (z,), (e,), has_aux=True), out_axes=(None, 0, None)
         )(jnp.eye(len(z)))
+        model = eqx.combine(arrays, rest)
 
         def seen(point, part):
             vector, ends = point
