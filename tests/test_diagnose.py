@@ -1246,7 +1246,7 @@ def ladder(monkeypatch, plan):
     class Rung:
         def __init__(self, count):
             self.effects = tuple(f"e{i}" for i in range(count))
-            self.screened = ()
+            self.screened, self.unnamed = (), None
             model = type("M", (), {"labels": self.effects})
             self.fit = type("F", (), {"model": model})
 
