@@ -55,6 +55,11 @@ class Near(NamedTuple):
         return cls(fit, fitted, problem, at, ready)
 
     @property
+    def readings(self) -> int:
+        """How many readings were fitted."""
+        return sum(int(r.used.sum()) for r in self.fitted)
+
+    @property
     def numbers(self) -> int:
         """How many of the unknowns are numbers of the model."""
         return len(self.fit.numbers)

@@ -104,7 +104,7 @@ class Step(NamedTuple):
     @property
     def readings(self) -> int:
         """How many readings were fitted."""
-        return sum(int(r.used.sum()) for r in self.near.fitted)
+        return self.near.readings
 
     def price(self, effect: AbstractEffect) -> float:
         """What the numbers of an effect of its model cost, in units of chi-square."""

@@ -85,7 +85,7 @@ def screen(
     tried = [v for effect in candidates for v in _variants(near, paths, effect, scales)]
     more, found_shapes = shapes(near, paths) if any_shape else ([], [])
     answered = _answered(near, paths, tried, led, more)
-    solver, readings = answered.solver, sum(int(r.used.sum()) for r in near.fitted)
+    solver, readings = answered.solver, near.readings
     by_label: dict[str, list] = {}
     for variant, which in zip(tried, answered.ranges(), strict=True):
         factors, drop = _factors(solver, variant, which)

@@ -128,7 +128,7 @@ def unnamed(
     if not found:
         return Unnamed(1.0, "", 0.0)
     solver = Solver.of(near, seen_from(near, slopes, kept))
-    readings = sum(int(r.used.sum()) for r in near.fitted)
+    readings = near.readings
     scale = max(1.0, solver.alone / readings)
     best, laws = Unnamed(1.0, "", 0.0), []
     for shape in found:
