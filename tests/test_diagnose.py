@@ -19,6 +19,7 @@ from residyn.diagnosis import joined, linear, suspects, valleys
 from residyn.diagnosis import ladder as rungs
 from residyn.diagnosis import path as way
 from residyn.diagnosis import refits as refitting
+from residyn.diagnosis import screen as screening
 from residyn.diagnosis.curves import candidates as candidates_for
 from residyn.diagnosis.ladder import (
     Accepted,
@@ -381,6 +382,26 @@ def test_an_oscillation_near_a_mode_may_mimic_anything_but_not_down_to_the_noise
         near=SimpleNamespace(fitted=[SimpleNamespace(recording=SimpleNamespace(duration=20.0))]),
     )
     assert joined.possible(step, alone, SimpleNamespace(cost=cost), alone) is could
+
+
+@pytest.mark.parametrize("frequency", [0.57, 0.9])
+@pytest.mark.parametrize("left", [4e3, 4e4])
+def test_a_mimic_beside_a_mode_is_not_even_screened(frequency, left, monkeypatch):
+    """Unless it comes near the noise: here 4000 readings, and a mode of 0.5 Hz."""
+    effect = residyn.PeriodicDisturbance("elbow", 0.2, frequency)
+    variant = way.Variant(effect, ("torque",), (1.0,), (0.0, 0.5 * np.pi), 1)
+    r = SimpleNamespace(recording=SimpleNamespace(duration=20.0))
+    fit = SimpleNamespace(modes=[SimpleNamespace(frequency_hz=0.5)])
+    near = SimpleNamespace(fit=fit, fitted=[r], readings=4000)
+    near.ready = SimpleNamespace(scales=lambda: None)
+    answered = screening._Answered([], np.array([0, 0]), None, SimpleNamespace(alone=1e5))
+    monkeypatch.setattr(screening, "_variants", lambda *of: [variant])
+    monkeypatch.setattr(screening, "_answered", lambda *of: answered)
+    monkeypatch.setattr(screening, "_factors", lambda *of: (np.zeros(2), 1e5 - left))
+    weighed = SimpleNamespace(chi2=left, _replace=lambda **of: SimpleNamespace(chi2=left))
+    monkeypatch.setattr(screening, "_weigh", lambda *of: weighed)
+    _, found, _ = screening.screen(near, [], [effect])
+    assert bool(found) is (left == 4e3 or frequency == 0.9)
 
 
 def test_disturbances_are_looked_for_beside_modes_too():
@@ -1258,9 +1279,18 @@ def ladder(monkeypatch, plan):
         new.effects = (*new.effects[:-1], type("E", (), {"label": "next"}))
         return Accepted(new, firm)
 
+    def looked_at(step, missing):
+        step.looked_at = True
+        return step
+
+    def accepted_if_seen(step, *rest):
+        assert step.looked_at  # before anything is made of what is left
+        return accepted(step, *rest)
+
+    monkeypatch.setattr(climbing, "seen_afresh", looked_at)
     monkeypatch.setattr(climbing, "search", lambda step, *rest: step)
     monkeypatch.setattr(climbing, "ranked", lambda step: ["best"])
-    monkeypatch.setattr(climbing, "accepted", accepted)
+    monkeypatch.setattr(climbing, "accepted", accepted_if_seen)
     monkeypatch.setattr(climbing, "with_another", lambda step, made: None)
     monkeypatch.setattr(climbing, "needless", lambda step, made, first: step)
     return len(climbing._Ladder(None, [], 0, 3, lambda words: None).up(Rung(0), [])) - 1

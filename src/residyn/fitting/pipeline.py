@@ -26,7 +26,7 @@ from .starts import beginning, resolving
 from .words import warnings_for
 
 DEFAULT_STARTS = 6
-_MORE = 4  # times as many starts, if no two of them agree
+_MORE = 4  # times as many starts, if no other one ended where the best one did
 _SAME = 1e-6  # of chi-square
 
 
