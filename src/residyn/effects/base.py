@@ -32,7 +32,7 @@ class AbstractEffect(eqx.Module):
     - `rough`: True if its torque has corners, which ask for the short step of dry friction.
     - `memory`: its internal states, if it has any; it finds them in `motion.memory`.
     - `follows`: True if `follow` does something.
-    - `grips`: True if `crawls` and `holds` do something.
+    - `grips`: True if `crawls`, `holds`, `lost_speed` and `speed_spread` do something.
     - `senses`: True if it acts on the readings instead of the motion.
     - `oscillates`: the field that holds a frequency of its own, which a fit starts from a spectrum.
     - `extends`: the effect that it is with its further numbers silent, if it is another one's law
@@ -128,6 +128,16 @@ class AbstractEffect(eqx.Module):
             )
             found.append(0.5 * (up - down))
         return tuple(found)
+
+    def lost_speed(self, motion: Motion, mechanism: AbstractMechanism) -> Scalar:
+        """Speed, m/s, that friction of a point takes from it in one `motion.grain`; below it the
+        friction is smoothed. For effects that grip."""
+        return 0.0
+
+    def speed_spread(self, spread: Joints, mechanism: AbstractMechanism) -> Scalar:
+        """Standard deviation of that point's speed, m/s, where those of the joints' rates are
+        these."""
+        return 0.0
 
     def crawls(self, motion: Motion, mechanism: AbstractMechanism) -> Scalar:
         """True where `holds` may return 1: where everything is all but at rest."""

@@ -115,7 +115,7 @@ class BearingFriction(_BearingEffect):
         assert isinstance(mechanism, PlanarArm)
         _, wrist = _slips(motion, mechanism)
         at_elbow = self.jumps(motion, mechanism)[0] * motion.direction[0]
-        slow = self._slow(motion, mechanism) ** 2
+        slow = self.lost_speed(motion, mechanism) ** 2
         speed = _root(wrist.square + slow)
         safe = jnp.where(speed > 0, speed, 1.0)
         # Where it neither slides nor has a grain (a linearisation at rest), it has no slope. The
@@ -124,8 +124,10 @@ class BearingFriction(_BearingEffect):
         at_wrist = jnp.where(speed > 0, wrist.bearings * self.force * smooth, 0.0)
         return at_elbow + at_wrist * wrist.generalised[0], at_wrist * wrist.generalised[1]
 
-    def _slow(self, motion: Motion, arm: PlanarArm) -> Scalar:
+    def lost_speed(self, motion, mechanism):
         """Speed, m/s, that friction takes from the wrist in one grain of the integrator's time."""
+        assert isinstance(mechanism, PlanarArm)
+        arm = mechanism
         # In the pose of rest, which is near enough and the same for all steps.
         (l1, l2), cos = arm.link_lengths, jnp.cos(arm.theta2)
         (a, b), (_, c) = arm.mass_matrix((0.0, 0.0))
@@ -134,10 +136,15 @@ class BearingFriction(_BearingEffect):
         light = (both * c - 2 * mixed * b + tip * a) / (a * c - b * b)
         return motion.grain * arm.bearings[1] * jnp.abs(self.force) * light
 
+    def speed_spread(self, spread, mechanism):
+        assert isinstance(mechanism, PlanarArm)
+        l1, l2 = mechanism.link_lengths
+        return jnp.sqrt((l1 * spread[0]) ** 2 + (l2 * (spread[0] + spread[1])) ** 2)
+
     def crawls(self, motion, mechanism):
         assert isinstance(mechanism, PlanarArm)
         _, wrist = _slips(motion, mechanism)
-        return wrist.square <= self._slow(motion, mechanism) ** 2
+        return wrist.square <= self.lost_speed(motion, mechanism) ** 2
 
     def holds(self, load, joints, motion, mechanism):
         assert isinstance(mechanism, PlanarArm)

@@ -1,0 +1,160 @@
+"""All that decides: priors, the marginal likelihood, and what follows from it.
+
+A *model* is a set of effects and the intensity of a random torque that stands for whatever the
+effects do not say. Its *evidence* is the marginal likelihood of the readings: everything unknown (the
+numbers, the first states, the random torque) integrated over its prior. Evidence times prior,
+normalised over the models that were tried, is the posterior; verdict, probabilities of names and
+families, and look-alikes are sums of it (MacKay, Information Theory, Inference and Learning
+Algorithms, 2003, ch. 28). Nothing else in this folder decides.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import logsumexp
+from scipy.stats import norm
+
+from ..effects import AbstractEffect
+from ..filtering.law import numbers_of
+from ..filtering.trajectory import Prior, Scene, Trajectory, number_slices
+from ..parameter import Parameter
+
+# -- the numbers that decide ------------------------------------------------------------------
+
+WIDTH = 0.3
+"""Prior standard deviation of a strength, in the typical size of its dimension (of a torque: the
+spring's at full swing). Effects worth naming act with 0.5 to 30 % of the spring's torque; a factor
+of two in this width moves an evidence by at most 0.7 nats a number."""
+SCALE_ERROR = 0.05
+"""Prior standard deviation of a sensor's scale: gears, encoders and cameras are calibrated to per
+cents."""
+DELAY = 0.1
+"""Prior standard deviation of a sensor's delay, in radians of the slowest joint's ringing: filters
+and buses are late by samples, not by cycles."""
+SHAPE = 1.0
+"""Prior standard deviation of the logarithm of a shape (a gap, a rate, a frequency): an e-fold about
+the middle of its grid."""
+INTENSITIES = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4, 0.0)
+"""Random torques (rms, in the spring's torque at full swing) over which the evidence is summed: half
+a decade apart, which no posterior of it is narrower than with a hundred independent instants."""
+NO_RANDOM_TORQUE = 0.5
+"""Prior probability that the model needs none; the other half is shared by the rest of the grid."""
+CORRELATION = 1.0
+"""Correlation time of the random torque, in radians of the joint's ringing: what changes no faster
+than the motion does."""
+FURTHER = 0.5
+"""Prior probability of one more effect, given that there are m: the number of effects is geometric,
+one on average; which ones they are is uniform over kinds and places."""
+NEGLIGIBLE = 1e-3
+"""Random torque up to which a model is called complete: a thousandth of the spring's torque changes
+no stiffness by more than 0.1 %."""
+INDISTINGUISHABLE = math.log(20.0)
+"""Nats up to which two models cannot be told apart: posterior odds of 20 to 1 are strong evidence
+(Kass and Raftery, J. American Statistical Association 90, 1995)."""
+REST = 0.05
+"""Prior standard deviation of each recording's own rest, in amplitudes, where the rest was
+estimated from the readings: dry friction lets a joint stop off its rest by so much."""
+EXPLAINS_NOTHING = 0.3
+"""Random torque from which springs and dampers are no model of the motion at all: it then does as
+much as a third of the spring."""
+# ---------------------------------------------------------------------------------------------
+
+
+def prior_of(scene: Scene, effects: Sequence[AbstractEffect]) -> Prior:
+    """The prior of a model's numbers.
+
+    A spring is known within its own typical size, a strength to be within `WIDTH` of nothing, a
+    shape within an e-fold of the middle of its grid.
+    """
+    rows = []
+    for effect in effects:
+        for number in numbers_of(effect):
+            size = scene.size(effect, number)
+            if effect.name == "spring":
+                rows.append((size, size, False))
+            elif number.silent is None:
+                middle = math.exp(np.mean(np.log([g * size for g in number.grid] or [size])))
+                rows.append((middle, SHAPE, True))
+            else:
+                rows.append((number.silent, width_of(scene, effect, number), False))
+    mean, width, log = zip(*rows, strict=True)
+    return Prior(np.array(mean, float), np.array(width, float), np.array(log, bool))
+
+
+def width_of(scene: Scene, effect: AbstractEffect, number: Parameter) -> float:
+    """Prior standard deviation of a strength, in its own unit."""
+    if effect.senses and number.dimension.rotary == "1":
+        return SCALE_ERROR
+    if effect.senses and number.dimension.rotary == "s":
+        return DELAY / min(s.frequency for s in scene.scales)
+    return WIDTH * scene.size(effect, number)
+
+
+def signed(effect: AbstractEffect, number: Parameter) -> bool:
+    """Whether a number has a half-normal prior: physics gives its sign."""
+    base = effect.name in ("spring", "damper")
+    return number.sign == "positive" and number.silent is not None and not base
+
+
+def log_evidence(t: Trajectory) -> float:
+    """Log marginal likelihood of a model at its random torque, half-normal priors included:
+    2 Phi(mean / std) for each number whose sign is known."""
+    total, covariance = t.log_evidence, t.covariance
+    for effect, own in zip(t.effects, number_slices(t.effects), strict=True):
+        for number, i in zip(numbers_of(effect), range(own.start, own.stop), strict=True):
+            if signed(effect, number):
+                spread = math.sqrt(max(covariance[i, i], 1e-300))
+                total += math.log(2.0) + float(norm.logcdf(t.u[i] / spread))
+    return total
+
+
+def log_prior_intensity(intensities: Sequence[float]) -> np.ndarray:
+    """(I,) log prior of each intensity, of which 0 is one."""
+    others = len(INTENSITIES) - 1
+    return np.array(
+        [math.log(NO_RANDOM_TORQUE if x == 0 else (1 - NO_RANDOM_TORQUE) / others)
+         for x in intensities]
+    )  # fmt: skip
+
+
+def over_intensities(evidences: np.ndarray, intensities: Sequence[float]) -> float:
+    """Log evidence of a model, its random torque's intensity summed over."""
+    return float(
+        logsumexp(np.nan_to_num(evidences, nan=-np.inf) + log_prior_intensity(intensities))
+    )
+
+
+def log_prior_model(added: int, candidates: int) -> float:
+    """Log prior of one set of `added` effects out of `candidates`."""
+    sets = (
+        math.lgamma(candidates + 1) - math.lgamma(added + 1) - math.lgamma(candidates - added + 1)
+    )
+    return math.log(1 - FURTHER) + added * math.log(FURTHER) - sets
+
+
+def conditional(gram: np.ndarray, base: int) -> tuple[float, np.ndarray]:
+    """A Gram matrix (1 + base + C)^2 of whitened innovations, with the first `base` regressors
+    integrated out: their log evidence, and the (1 + C)^2 Gram matrix of what is left.
+
+    With unit normal priors the evidence of any further subset is then `subset` of that matrix.
+    """
+    inner = gram[1 : 1 + base, 1 : 1 + base] + np.eye(base)
+    keep = np.r_[0, 1 + base : len(gram)]
+    factor = np.linalg.cholesky(inner)
+    across = np.linalg.solve(factor, gram[1 : 1 + base][:, keep])
+    rest = gram[np.ix_(keep, keep)] - across.T @ across
+    return -0.5 * rest[0, 0] - float(np.log(np.diag(factor)).sum()), rest
+
+
+def subset(gram: np.ndarray, columns: Sequence[int]) -> tuple[float, np.ndarray, np.ndarray]:
+    """By how much some columns raise the log evidence, their posterior mean and covariance.
+
+    `gram` (1 + C)^2 of readings and columns; `columns` from 0.
+    """
+    i = np.asarray(columns) + 1
+    inner = gram[np.ix_(i, i)] + np.eye(len(i))
+    factor = np.linalg.cholesky(inner)
+    x = np.linalg.solve(factor, -gram[i, 0])
+    gain = 0.5 * float(x @ x) - float(np.log(np.diag(factor)).sum())
+    return gain, np.linalg.solve(factor.T, x), np.linalg.inv(inner)

@@ -1,0 +1,146 @@
+"""Recordings as the instants that a filter visits.
+
+All recordings of an experiment stand one after the other on one grid; at the end of each the motion
+begins anew. Where readings come much faster than the motion changes, groups of them are averaged:
+the mean of readings over a short time w is the angle at its middle plus (w^2 / 24) q'', which the
+reading's row of the filter says exactly to this order. Where they are lost or far apart, instants
+without a reading lie between. The count of instants is filled up to one of a few lengths, so that
+one compiled program serves many recordings.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..recording import Recording
+
+STEP = 0.3
+"""Step times the fastest angular frequency: the fourth-order step is then good to 1e-5 a radian."""
+_LEAST = 512
+_SURE = 20.0  # times its mean that a periodogram's line of noise exceeds once in e^20
+
+
+class Grid(NamedTuple):
+    """K instants of n joints, all recordings one after the other."""
+
+    time: np.ndarray
+    """(K,) s from each recording's first sample."""
+    step: np.ndarray
+    """(K,) s to the next instant; 0 at the end of a recording, and where the grid is filled up."""
+    drive: np.ndarray
+    """(K, 3, n) N m at the beginning, middle and end of each step."""
+    angle: np.ndarray
+    """(K, n) mean reading, rad or m; 0 where there is none."""
+    seen: np.ndarray
+    """(K, n) whether there is one."""
+    variance: np.ndarray
+    """(K, n) of it."""
+    spread: np.ndarray
+    """(K,) s^2, w^2 / 24 of the averaged readings (of k spaced by h: (k^2 - 1) h^2 / 24)."""
+    run: np.ndarray
+    """(K,) which recording."""
+    last: np.ndarray
+    """(K,) whether a recording ends here and another one follows."""
+    real: int
+    """How many instants are no filling."""
+
+
+def bucket(count: int) -> int:
+    """The next of 512, 768, 1024, 1536, ...: few lengths to compile for."""
+    size = _LEAST
+    while size < count:
+        size = size * 3 // 2 if size & (size - 1) == 0 else size * 4 // 3
+    return size
+
+
+def fastest_frequency(recording: Recording, wild: np.ndarray) -> float:
+    """Highest angular frequency, rad/s, at which the readings' spectrum stands out of the noise."""
+    time = recording.time - recording.time[0]
+    dt = float(np.median(np.diff(time)))
+    even = np.arange(0.0, time[-1], dt)
+    window = np.hanning(len(even))
+    top = 2 * math.pi / time[-1]
+    for angle, bad, noise in zip(recording.angle.T, wild.T, recording.noise, strict=True):
+        use = np.isfinite(angle) & ~bad
+        if use.sum() < 8:
+            continue
+        x = np.interp(even, time[use], angle[use])
+        power = np.abs(np.fft.rfft((x - x.mean()) * window)) ** 2
+        loud = power > _SURE * noise**2 * np.sum(window**2)
+        if loud.any():
+            top = max(top, 2 * math.pi * np.fft.rfftfreq(len(even), dt)[np.flatnonzero(loud)[-1]])
+    return top
+
+
+def lay_out(recordings: Sequence[Recording], wild: Sequence[np.ndarray]) -> Grid:
+    """The grid of some recordings; `wild` (N, n) of each marks readings that do not count."""
+    fast = max(fastest_frequency(r, w) for r, w in zip(recordings, wild, strict=True))
+    parts = [_one(r, w, STEP / fast) for r, w in zip(recordings, wild, strict=True)]
+    run = np.concatenate([np.full(len(p[0]), i) for i, p in enumerate(parts)])
+    ends = np.zeros(len(run), bool)
+    ends[np.cumsum([len(p[0]) for p in parts])[:-1] - 1] = True
+    columns = [np.concatenate(c) for c in zip(*parts, strict=True)]
+    real, room = len(run), bucket(len(run))
+
+    def filled(x: np.ndarray, rest=None) -> np.ndarray:
+        more = x[-1:] if rest is None else np.full_like(x[-1:], rest)
+        return np.concatenate([x, np.repeat(more, room - real, axis=0)])
+
+    time, step, drive, angle, seen, variance, spread = columns
+    return Grid(
+        time=filled(time),
+        step=filled(step, 0.0),
+        drive=filled(drive),
+        angle=filled(angle, 0.0),
+        seen=filled(seen, False),
+        variance=filled(variance),
+        spread=filled(spread, 0.0),
+        run=filled(run),
+        last=filled(ends, False),
+        real=real,
+    )
+
+
+def _one(recording: Recording, wild: np.ndarray, longest: float):
+    """One recording's columns, with steps of at most about `longest` s."""
+    time = recording.time - recording.time[0]
+    seen = np.isfinite(recording.angle) & ~wild
+    angle = np.where(seen, recording.angle, 0.0)
+    gap = float(np.median(np.diff(time)))
+    drive = np.zeros_like(angle) if recording.drive is None else np.asarray(recording.drive)
+    size = max(1, int(longest / gap))
+    even = np.ptp(np.diff(time)) < 0.1 * gap
+    if size > 1 and even:
+        count = len(time) // size
+        cut = lambda x: x[: count * size].reshape(count, size, *x.shape[1:])  # noqa: E731
+        number = cut(seen).sum(axis=1)
+        # A group with a reading missing is not centred: it counts as not seen, unless all are few.
+        whole = number == size
+        angle = np.where(whole, cut(angle).mean(axis=1), 0.0)
+        time, drive = cut(time).mean(axis=1), cut(drive).mean(axis=1)
+        seen = whole
+        spread = np.full(count, (size**2 - 1) * gap**2 / 24)
+    else:
+        size, spread = 1, np.zeros(len(time))
+    variance = np.tile(recording.noise**2 / size, (len(time), 1))
+    pieces = np.maximum(1, np.ceil(np.diff(time) / max(longest, 1e-12) - 1e-6)).astype(int)
+    if pieces.max(initial=1) > 1:
+        at = np.concatenate([[0], np.cumsum(pieces)])
+        index = np.arange(at[-1] + 1)
+        fine = np.interp(index, at, time)
+
+        def at_samples(x: np.ndarray, rest) -> np.ndarray:
+            out = np.full((len(fine), *x.shape[1:]), rest, x.dtype)
+            out[at] = x
+            return out
+
+        drive = np.stack([np.interp(fine, time, u) for u in drive.T], axis=1)
+        angle, seen = at_samples(angle, 0.0), at_samples(seen, False)
+        variance = np.tile(variance[0], (len(fine), 1))
+        spread, time = at_samples(spread, 0.0), fine
+    step = np.append(np.diff(time), 0.0)
+    after = np.concatenate([drive[1:], drive[-1:]])
+    three = np.stack([drive, 0.5 * (drive + after), after], axis=1)
+    return time, step, three, angle, seen, variance, spread
