@@ -52,9 +52,9 @@ no stiffness by more than 0.1 %."""
 INDISTINGUISHABLE = math.log(20.0)
 """Nats up to which two models cannot be told apart: posterior odds of 20 to 1 are strong evidence
 (Kass and Raftery, J. American Statistical Association 90, 1995)."""
-REST = 0.05
-"""Prior standard deviation of each recording's own rest, in amplitudes, where the rest was
-estimated from the readings: dry friction lets a joint stop off its rest by so much."""
+NOISE = 1e-3
+"""Probability, if it is noise, below which `compare` says that a residual is not white: one right
+model in a thousand is doubted."""
 EXPLAINS_NOTHING = 0.3
 """Random torque from which springs and dampers are no model of the motion at all: it then does as
 much as a third of the spring."""

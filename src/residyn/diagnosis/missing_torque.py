@@ -2,43 +2,49 @@
 
     Z(q) q'' + f^w + sum of effect torques + tau = drive torque
 
-Nothing is assumed of tau but that it changes little from one sample to the next; how little, the
-recording's likelihood says, joint by joint. A Kalman filter carries angles, rates and tau along the
-readings, so the model's phase never drifts and a wrong frequency shows as what it is, a torque in
-proportion to the angle. A smoother then looks back. What comes out is a curve with a band. Against
-time, angle, rate and amplitude it draws the signature of what is missing: a step against the rate
-is dry friction, a bent line against the angle a spring that is not linear, a loop hysteresis.
-
-A torque that the noise hides does not show: the band says where that begins. It assumes that what
-cannot be seen (the harmonics of a torque, above all) is about as large as a kink or a step in the
-torque would make it; where the torque is smooth, the band is therefore too wide rather than right.
+Nothing is assumed of tau but a random torque's size and correlation time. The model's numbers are
+estimated beside it, so that springs and dampers are not bent to stand in for it, and the motion is
+the readings' own: a curve with a band. Against time, angle, rate and amplitude it draws the
+signature of what is missing: a step against the rate is dry friction, a bent line against the angle
+a spring that is not linear, a loop hysteresis.
 """
 
-import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from ..kept import kept
-from ..modal import concrete_state_matrix
+from ..effects import AbstractEffect
+from ..filtering.grid import local_amplitude
+from ..filtering.law import law, numbers_of
+from ..filtering.trajectory import Scene, Trajectory, number_slices, state_slices
+from ..fitting.descent import wild_beside
+from ..fitting.setup import ready
 from ..model import Model
-from ..motion import Motion, split, stack
-from ..parameter import all_floating
-from ..recording import Recording
-from ._filter import Start
-from ._grid import amplitude, lay_out
-from ._smooth import Data, Smoothed, along, estimate, followed, likeliest
-from ._step import size
+from ..recording import Experiment, Recording
+from .search import Tried, tried_alone
 
-_LEVELS = 10.0 ** np.arange(-8, 0)
-_UNSURE = 2.0  # rms amplitudes (rates) that the first angle (rate) may be off
+
+class Curve(NamedTuple):
+    """What an effect would draw over the missing torque."""
+
+    effect: str
+    """`name` or `name:place`."""
+    share: float
+    """Of the missing torque's mean square, the share that it explains, 0 to 1."""
+    values: dict[str, tuple[float, str]]
+    """Its numbers: value and unit."""
+    torque: np.ndarray
+    """(N, n) N m: its own torque, at the times of the missing torque."""
+    changed: np.ndarray
+    """(N, n) N m: what changes of the model's other numbers add to it."""
 
 
 @dataclass(frozen=True, eq=False)
 class MissingTorque:
-    """What one recording's joints feel beside the model: N samples of n joints."""
+    """What one recording's joints feel beside the model: N instants of n joints."""
 
     time: np.ndarray
     """(N,) s, on the recording's own clock."""
@@ -52,29 +58,39 @@ class MissingTorque:
     """(N, n) its standard error: the 95 % band is 1.96 of it to either side."""
     amplitude: np.ndarray
     """(N, n) local amplitude of the angle about where it rests, rad or m."""
-    intensity: np.ndarray
-    """(n,) root mean square of what the torque was allowed to be, N m or N; 0: nothing."""
-    log_likelihood: float
-    """Of the readings, with the missing torque."""
-    log_likelihood_without: float
-    """Of the readings, with the model alone."""
     rms: np.ndarray
     """(n,) rms of the torque, N m or N."""
     share_of_spring: np.ndarray
     """(n,) `rms` over the rms of the joint's spring torque, or of Z q'' if it has no spring."""
 
-    def between(self, first: int, last: int) -> "MissingTorque":
-        """The same from one sample up to another; what is said of the whole stays as it was."""
-        own = ("time", "angle", "rate", "torque", "std", "amplitude")
-        return replace(self, **{name: getattr(self, name)[first:last] for name in own})
+
+class Missing(NamedTuple):
+    """What is missing in one recording."""
+
+    recording: str
+    units: tuple[str, ...]
+    """Of the torque, per joint."""
+    joints: tuple[str, ...]
+    torque: MissingTorque
+    link_angle: np.ndarray | None
+    """(N, n) absolute angles of the links, rad; None where the joints do not tell them."""
+    curves: tuple[Curve, ...]
+    """What effects would draw, the likeliest first."""
+
+    def significant(self, joint: int) -> bool:
+        """Whether the torque at a joint is larger than what is not known of it."""
+        size = np.sqrt(np.mean(self.torque.torque[:, joint] ** 2))
+        return bool(size > np.sqrt(np.mean(self.torque.std[:, joint] ** 2)))
+
+    def curves_at(self, joint: int) -> tuple[Curve, ...]:
+        """The curves that act at a joint."""
+        if not self.significant(joint):
+            return ()
+        return tuple(c for c in self.curves if np.any(c.torque[:, joint]))
 
 
 def missing_torque(
-    model: Model,
-    recording: Recording,
-    *,
-    wild: np.ndarray | None = None,
-    state: np.ndarray | None = None,
+    model: Model, recording: Recording, *, wild: np.ndarray | None = None
 ) -> MissingTorque:
     """The torque that a model lacks to move as the recording says, with its band.
 
@@ -82,115 +98,131 @@ def missing_torque(
 
     **Arguments:**
 
-    - `model`: on this recording's mechanism, whatever effects it has.
+    - `model`: on this recording's mechanism, whatever effects it has. Its numbers are estimated
+      again, beside the missing torque.
     - `recording`: readings and their noise; samples may be lost or uneven, and the motion driven.
-    - `wild`: (N, n) readings to leave out, as from `residyn.recording.wild_samples`. Single
-      readings that are far off are given little weight anyway.
-    - `state`: (q0, v0, and internal states if the model has any) at the first sample, as fitted:
-      where to begin, not what to believe, but for internal states, which are taken as they are.
+    - `wild`: (N, n) readings to leave out, as from `residyn.recording.wild_samples`.
 
     **Returns:** a `MissingTorque`.
     """
     with jax.enable_x64(True):
-        model = all_floating(model)
         bad = np.zeros(recording.angle.shape, bool) if wild is None else np.asarray(wild, bool)
-        data, sample = _data(model, recording, bad, state)
-        levels = _follow_all(model, data, jnp.asarray(_LEVELS))
-        level = _LEVELS[int(np.argmax(np.nan_to_num(np.asarray(levels), nan=-np.inf)))]
-        found = _estimate(model, data._replace(level=jnp.asarray(level)))
-        found, allowed, without, spring = jax.device_get(found)
-    n = recording.joints
-    angle, rate = found.state[sample, :n], found.state[sample, n : 2 * n]
-    torque = found.torque[sample]
-    rms, whole = (np.sqrt(np.mean(x**2, axis=0)) for x in (torque, spring[sample]))
-    return MissingTorque(
-        time=recording.time,
-        angle=angle,
-        rate=rate,
-        torque=torque,
-        std=found.std[sample],
-        amplitude=np.asarray(data.grid.swing)[sample],
-        intensity=allowed,
-        log_likelihood=float(found.likelihood),
-        log_likelihood_without=float(without),
-        rms=rms,
-        share_of_spring=rms / np.where(whole > 0, whole, np.nan),
-    )
+        scene = Scene([recording], [model.mechanism], [bad])
+        (found,) = torques_of(scene, tried_alone(scene, model.effects))
+    return found
 
 
-def _data(
-    model: Model, recording: Recording, wild: np.ndarray, state: np.ndarray | None
-) -> tuple[Data, np.ndarray]:
-    """The recording laid out for the smoother, and where its samples are."""
-    n, time = recording.joints, recording.time
-    angle = np.where(wild, np.nan, recording.angle)
-    fast, slow = _frequencies(model, time)
-    swing = amplitude(time, angle, 2 * math.pi / slow)
-    grid, sample = lay_out(recording, wild, swing, fast)
-    rms = np.maximum(np.nanstd(angle, axis=0), 3 * recording.noise)
-    begin = np.zeros(size(model))
-    if state is not None:
-        begin[:] = state
-    else:
-        begin[:n] = [np.median(q[np.isfinite(q)][:5]) for q in angle.T]
-        memory = model.memory_begin(Motion.at(0.0, begin[:n], begin[n : 2 * n], begin[2 * n :]))
-        begin[2 * n :] = [float(z) for z in memory]
-    unsure = np.zeros(len(begin))
-    unsure[:n], unsure[n : 2 * n] = _UNSURE * rms, _UNSURE * rms * fast
-    start = Start(jnp.asarray(begin), jnp.diag(jnp.asarray(unsure**2)))
-    inertia = model.bodies.mass_matrix((0.0,) * n)
-    unit = np.array([float(inertia[j][j]) for j in range(n)]) * fast**2 * rms
-    return Data(grid, start, jnp.asarray(unit), jnp.asarray(1.0)), sample
+def torques_of(scene: Scene, model: Tried) -> list[MissingTorque]:
+    """The missing torque of each recording of a scene: averaged over the random torque's
+    intensities, each by its posterior."""
+    weights, used = model.weights, [t is not None for t in model.trajectories]
+    pairs = [(w, t) for w, t, u in zip(weights, model.trajectories, used, strict=True) if u]
+    best = model.best
+    mean = -sum(w * t.torque for w, t in pairs)
+    square = sum(w * (t.torque_variance + t.torque**2) for w, t in pairs)
+    std = np.sqrt(np.maximum(square - mean**2, 0.0))
+    spring = _spring(scene, best)
+    g, n, found = scene.grid, scene.n, []
+    slowest = 2 * np.pi / min(s.frequency for s in scene.scales)
+    for i, recording in enumerate(scene.recordings):
+        own = np.flatnonzero((g.run == i) & (np.arange(scene.K) < g.real))
+        time, angle = g.time[own], best.path[own, :n]
+        rms, whole = (np.sqrt(np.mean(x[own] ** 2, axis=0)) for x in (mean, spring))
+        found.append(
+            MissingTorque(
+                time=time + recording.time[0],
+                angle=angle,
+                rate=best.path[own, n : 2 * n],
+                torque=mean[own],
+                std=std[own],
+                amplitude=local_amplitude(time, angle, slowest),
+                rms=rms,
+                share_of_spring=rms / np.where(whole > 0, whole, np.nan),
+            )
+        )
+    return found
 
 
-def _frequencies(model: Model, time: np.ndarray) -> tuple[float, float]:
-    """Angular frequencies of the fastest and of the slowest motion to expect, rad/s."""
-    least = 2 * math.pi / (time[-1] - time[0])
-    most = math.pi / float(np.median(np.diff(time)))
-    matrix = np.asarray(concrete_state_matrix(model))
-    values = np.linalg.eigvals(matrix) if np.isfinite(matrix).all() else np.array([most])
-    imaginary = np.imag(values)
-    rings = imaginary[imaginary > 0]
-    slow = float(rings.min()) if len(rings) else 4 * least
-    return float(np.clip(np.abs(values).max(), least, most)), float(np.clip(slow, least, most))
+def _spring(scene: Scene, t: Trajectory) -> np.ndarray:
+    """(K, n) torque of each joint's spring, or Z q'' where it has none, N m."""
+    n = scene.n
+    own = np.array([s.inertia for s in scene.scales]) * scene.along(t).field.f[:, 0, n : 2 * n]
+    for effect, values in zip(t.effects, number_slices(t.effects), strict=True):
+        if effect.name == "spring":
+            j = scene.joint_of(effect)
+            own[:, j] = t.numbers[values][0] * t.path[:, j]
+    return own
 
 
-@kept(like=0)
-def _follow_all(model: Model, data: Data, levels):
-    """Log likelihood of following the readings with each of these levels."""
-    return jax.vmap(
-        lambda level: jnp.sum(followed(model, data._replace(level=level))[0].likelihood)
-    )(levels)
+def torque_along(scene: Scene, t: Trajectory) -> dict[str, np.ndarray]:
+    """(K, n) torque of each effect of a model along its own motion, N m; what acts on readings or
+    inertias has none."""
+    along = scene.along(t)
+    q, v = along.q[:, 0], along.v[:, 0]
+    step = np.where(scene.grid.step > 0, scene.grid.step, 1.0)
+    direction = along.field.direction[:, 0]
+    found = {}
+    parts = zip(along.effects, number_slices(t.effects), state_slices(t.effects), strict=True)
+    for effect, own, states in parts:
+        torque = np.zeros_like(q)
+        if not effect.senses:
+            bodies = along.bodies
+            each = law(effect, t.numbers[own], bodies, along.time[:, 0], q, v,
+                       along.z[:, 0, states], step, t.spread)  # fmt: skip
+            torque = each.torque.value
+            if each.level is not None:
+                torque = torque + each.level.value * direction
+        found[effect.label] = torque
+    return found
 
 
-@kept(like=(Smoothed(0, 0, 0, 0), 0, 0, 0))  # pyright: ignore[reportArgumentType]
-def _estimate(model: Model, data: Data):
-    """Smoothed at the likeliest intensities, those as torques, the likelihood without, and what to
-    compare the torque with."""
-    here = along(model, data)
-    intensity, without = likeliest(here)
-    found = estimate(here, intensity)
-    walk = here.prior.walk(intensity)
-    # Each regressor's mean square is 1: the mean over the recording of all coefficients' variance.
-    allowed = jnp.sqrt(jnp.sum(walk.begin + 0.5 * jnp.sum(walk.growth, axis=0), axis=1))
-    return found, allowed, without, _spring(model, data, found)
+def curve(scene: Scene, base: Tried, model: Tried, label: str) -> Curve:
+    """What one effect of a model draws over the torque that the base model lacks, over all
+    recordings of the scene."""
+    before, after = (torque_along(scene, m.best) for m in (base, model))
+    own = after.pop(label)
+    changed = sum(after.values()) - sum(before.values())
+    weights = base.weights
+    pairs = zip(weights, base.trajectories, strict=True)
+    missing = -sum(w * t.torque for w, t in pairs if t is not None)
+    real = np.arange(scene.K) < scene.grid.real
+    left = np.sum((missing - own - changed)[real] ** 2) / max(np.sum(missing[real] ** 2), 1e-300)
+    t = model.best
+    index = [e.label for e in t.effects].index(label)
+    effect, numbers = t.effects[index], t.numbers[number_slices(t.effects)[index]]
+    units = scene.mechanisms[0].units
+    unit = units[scene.joint_of(effect)] if units else None
+    values = {
+        f"{label}.{n.name}": (float(x), n.dimension.unit(unit))
+        for n, x in zip(numbers_of(effect), numbers, strict=True)
+    }
+    return Curve(label, float(max(0.0, 1.0 - left)), values, own, changed)
 
 
-def _spring(model: Model, data: Data, found: Smoothed):
-    """(M, n) torque of each joint's spring, or Z q'' where it has none, N m."""
-    n = len(model.mechanism.joints)
-    springs = {e.place: e for e in model.effects if e.name == "spring"}
+def missing_of(
+    scene: Scene, base: Tried, models: Sequence[tuple[Tried, str]] = ()
+) -> tuple[Missing, ...]:
+    """The missing torque of every recording of a scene, with the curves of some models' effects."""
+    curves = [curve(scene, base, model, label) for model, label in models]
+    mechanism = scene.mechanisms[0]
+    kinds = mechanism.units or ("rad",) * scene.n
+    units = tuple("N" if kind == "m" else "N m" for kind in kinds)
+    g, found = scene.grid, []
+    for i, torque in enumerate(torques_of(scene, base)):
+        own = np.flatnonzero((g.run == i) & (np.arange(scene.K) < g.real))
+        try:
+            angles = scene.mechanisms[i].link_angles(tuple(torque.angle.T))
+            links = np.stack([np.asarray(a) for a in angles], axis=1)
+        except ValueError:
+            links = None
+        cut = tuple(c._replace(torque=c.torque[own], changed=c.changed[own]) for c in curves)
+        name = scene.recordings[i].name
+        found.append(Missing(name, units, scene.joints, torque, links, cut))
+    return tuple(found)
 
-    def at(time, x, torque, drive):
-        motion = Motion.at(time, x[:n], x[n : 2 * n], x[2 * n :])
-        push = split(drive - torque)
-        acceleration = stack(model.acceleration(motion, push))
-        matrix = jnp.asarray(model.bodies.mass_matrix(motion.q), float)
-        own = matrix @ acceleration
-        for j, joint in enumerate(model.mechanism.joints):
-            if joint in springs:
-                held = springs[joint].torque(motion, model.mechanism)[j]
-                own = own.at[j].set(held)
-        return own
 
-    return jax.vmap(at)(data.grid.time, found.state, found.torque, data.grid.drive)
+def scene_of(experiment: Experiment, effects: Sequence[str | AbstractEffect]):
+    """The fitted recordings of an experiment as a scene, and the base model with some effects."""
+    here = ready(experiment, experiment.fit_recordings, effects)
+    wild = wild_beside(here, [r.angle for r in here.recordings])
+    return Scene(here.recordings, here.mechanisms, wild), here.model.effects, wild

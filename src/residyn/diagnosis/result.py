@@ -1,27 +1,28 @@
-"""What `diagnose` returns: a verdict, the ladder that led to it, and how sure each name is.
+"""What `diagnose` returns: a verdict with its probability, the models on the way, and who else it
+might have been.
 
-A name is worth something only beside what else it might have been. So each candidate carries a
-probability, names that the data cannot tell apart stand together, and the ladder's errors are shown
-on readings that were fitted and on readings that were not.
+A name is worth something only beside what else was possible. Every probability here is a sum of
+posterior probabilities of models that were tried (`evidence`).
 """
 
+import functools
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from ..fitting.result import Fit
-from .comparison import Comparison
-from .horizon import HeldOut
-from .missing import Missing, summary
-from .where import number
+from .compare import Comparison, compare_fit
+from .forecast import HeldOut
+from .missing_torque import Missing
+from .residuals import number
 
 Verdict = Literal["adequate", "missing", "unexplained"]
 
 
 @dataclass(frozen=True)
 class Value:
-    """A fitted number of a candidate. `std` is NaN where it is not known."""
+    """A number of a candidate. `std` is NaN where it is not known."""
 
     value: float
     std: float
@@ -39,40 +40,60 @@ class Candidate:
     effect: str
     """`name` or `name:place`."""
     probability: float
-    """That it is physically there, given all that was tried."""
-    chi2_drop_screened: float
-    """By how much chi-square falls if it joins the model, to first order."""
-    chi2_drop_refit: float | None
-    """The same after the whole model was fitted again with it; None if it was not tried."""
+    """That it is part of the model, given the recordings."""
+    log_evidence: float
+    """Of the base model with it alone, nats, relative to the best model of all."""
+    iterated: bool
+    """Whether that is its nonlinear evidence; otherwise it is known to first order only."""
     parameters: dict[str, Value]
-    """Its numbers as refitted, or as screened, by their full names."""
+    """Its numbers, alone beside the base model, by their full names."""
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of one candidate."""
         return {
             "effect": self.effect,
             "probability": float(self.probability),
-            "chi2_drop_screened": number(self.chi2_drop_screened),
-            "chi2_drop_refit": None
-            if self.chi2_drop_refit is None
-            else number(self.chi2_drop_refit),
+            "log_evidence": number(self.log_evidence),
             "parameters": {name: v.to_dict() for name, v in self.parameters.items()},
+        }
+
+
+@dataclass(frozen=True)
+class Family:
+    """Laws of one kind at one place."""
+
+    name: str
+    """"dry friction", say."""
+    place: str | None
+    """A joint, or None for the whole mechanism."""
+    probability: float
+    """That one of its members is part of the model."""
+    members: tuple[tuple[str, float], ...]
+    """Labels of effects and how probable each is, the likeliest first."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON of one family."""
+        return {
+            "name": self.name,
+            "place": self.place,
+            "probability": float(self.probability),
+            "members": [{"effect": e, "probability": float(p)} for e, p in self.members],
         }
 
 
 @dataclass(frozen=True, eq=False)
 class Rung:
-    """One step of the ladder: a model, fitted."""
+    """One model on the way, fitted by least squares."""
 
     added: str | None
     """The effect that joined it here; None for the base model."""
     dropped: tuple[str, ...]
-    """Effects that the newcomer made needless."""
+    """Effects that left with it."""
     fit: Fit
     held_out: HeldOut | None
     """Its errors where it was not fitted; None if they could not be had."""
-    white: float
-    """Probability that noise alone leaves a residual so far from white; NaN if not known."""
+    log_evidence: float
+    """Nats, relative to the best model of all."""
 
     @property
     def times_noise(self) -> np.ndarray:
@@ -92,12 +113,50 @@ class Rung:
             "rmse": each(self.fit.rmse),
             "check_rmse": None if held is None else each(held.held_out.rmse),
             "reduced_chi2": number(self.fit.reduced_chi2),
+            "log_evidence": number(self.log_evidence),
         }
 
 
 @dataclass(frozen=True)
+class RandomTorque:
+    """What the best model still lacks at one joint."""
+
+    joint: str
+    unit: str
+    rms: float
+    """Posterior mean, N m or N."""
+    low: float
+    """Of its 95 % interval."""
+    high: float
+    share_of_spring: float
+    """`rms` over the rms of the spring's torque; NaN where there is no spring."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON of one joint."""
+        return {
+            "rms": number(self.rms),
+            "low": number(self.low),
+            "high": number(self.high),
+            "unit": self.unit,
+            "share_of_spring": number(self.share_of_spring),
+        }
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What was tried."""
+
+    models: int
+    """Models iterated to their evidence."""
+    candidates: int
+    """Effects and places screened."""
+    stopped: str | None
+    """Why the search ended before nothing more could be gained: "budget" or "interrupted"."""
+
+
+@dataclass(frozen=True)
 class NextExperiment:
-    """The recording that would tell two look-alikes apart."""
+    """The recording that would tell two names apart."""
 
     between: tuple[str, str]
     """The accepted name, and its rival."""
@@ -116,11 +175,6 @@ class NextExperiment:
     """The same for the recordings that there are."""
     words: str
     """All this, in a sentence or two."""
-
-    @property
-    def helps(self) -> bool:
-        """Whether any experiment tried would separate them."""
-        return self.difference >= 5.0
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of `next_experiment`."""
@@ -141,24 +195,34 @@ class Diagnosis:
     """Which physical effect is missing. Print it; or `to_dict()` for the JSON."""
 
     verdict: Verdict
+    verdict_probability: float
+    """Posterior probability of the verdict."""
     ladder: tuple[Rung, ...]
-    """From the base model to the last that was accepted."""
+    """From the base model to the likeliest one, each fitted."""
     candidates: tuple[Candidate, ...]
-    """For the base model, the likeliest first."""
+    """The likeliest first."""
+    families: tuple[Family, ...]
+    """The likeliest first."""
     lookalikes: tuple[tuple[str, ...], ...]
     """Groups that these recordings cannot tell apart, the accepted name first."""
     next_experiment: NextExperiment | None
     missing: tuple[Missing, ...]
     """The torque that the base model lacks, one per fitted recording."""
-    comparison: Comparison
-    """The last model against measurement: what is left."""
-    words: tuple[str, ...]
-    """The verdict in a few sentences."""
+    still_missing: tuple[Missing, ...]
+    """The torque that the likeliest model lacks."""
+    random_torque: tuple[RandomTorque, ...]
+    """How large that is, per joint."""
+    intensity: float
+    """Posterior mean of the likeliest model's random torque, as a share of the spring's torque at
+    full swing."""
+    explains_nothing: bool
+    """Whether even the likeliest model is none of this motion."""
+    budget: Budget
     seconds: float
 
     @property
     def added(self) -> tuple[str, ...]:
-        """Names that the ladder accepted and kept, in order."""
+        """Names that joined the model, in order."""
         first = set(self.base.model.labels)
         return tuple(label for label in self.fit.model.labels if label not in first)
 
@@ -172,6 +236,11 @@ class Diagnosis:
         """The fit with what was found."""
         return self.ladder[-1].fit
 
+    @functools.cached_property
+    def comparison(self) -> Comparison:
+        """The last model against measurement: what is left. Computed when it is first asked for."""
+        return compare_fit(self.fit, missing=self.still_missing)
+
     def candidate(self, effect: str) -> Candidate:
         """One candidate by name.
 
@@ -179,36 +248,53 @@ class Diagnosis:
         """
         return {c.effect: c for c in self.candidates}[effect]
 
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The verdict in a few sentences."""
+        from ..report._diagnosis_text import verdict_words
+
+        return verdict_words(self)
+
     def to_dict(self) -> dict[str, Any]:
         """The JSON of `residyn diagnose`."""
+        from .compare import summary
+
         return {
             "verdict": self.verdict,
+            "verdict_probability": number(self.verdict_probability),
             "words": list(self.words),
             "added": list(self.added),
             "ladder": [rung.to_dict() for rung in self.ladder],
             "candidates": [c.to_dict() for c in self.candidates],
+            "families": [f.to_dict() for f in self.families],
             "lookalikes": [list(group) for group in self.lookalikes],
             "next_experiment": None
             if self.next_experiment is None
             else self.next_experiment.to_dict(),
             "missing_torque": summary(self.missing),
+            "random_torque": {r.joint: r.to_dict() for r in self.random_torque},
+            "budget": {
+                "models": self.budget.models,
+                "candidates": self.budget.candidates,
+                "stopped": self.budget.stopped,
+            },
             "fit": self.fit.to_dict(),
             "seconds": number(self.seconds),
         }
 
     def to_latex(self) -> str:
-        """Two tables for a paper (package booktabs): the ladder, and the suspects."""
-        from .publish import latex
+        """Two tables for a paper (package booktabs): the errors falling, and the candidates."""
+        from ..report._diagnosis_tables import latex
 
         return latex(self)
 
     def to_csv(self) -> str:
-        """The ladder and all candidates, a line each: table, model, name, value, std, unit."""
-        from .publish import comma_separated
+        """Models and candidates, a line each: table, model, name, value, std, unit."""
+        from ..report._diagnosis_tables import comma_separated
 
         return comma_separated(self)
 
     def __str__(self) -> str:
-        from .printed import lines
+        from ..report._diagnosis_text import lines
 
         return "\n".join(lines(self))

@@ -20,7 +20,6 @@ from ..filtering.trajectory import Scene, Trajectory
 from .columns import Columns, Screened, candidates, extended, pairs, spectral_lines
 from .evidence import (
     CORRELATION,
-    EXPLAINS_NOTHING,
     INTENSITIES,
     NEGLIGIBLE,
     log_evidence,
@@ -32,7 +31,8 @@ from .evidence import (
 
 CONTENDERS = 8
 """Candidates of each screen that are iterated, and as many pairs whose members are."""
-_ITERATIONS = 4  # at one intensity, at the most
+_ITERATIONS = 8  # at one intensity, at the most
+_LED = 0.01  # random torque from which contenders are iterated, at least: the readings lead
 _SETTLED = 0.1  # nats
 _HOPELESS = 30.0  # nats behind the best on the way
 
@@ -82,11 +82,16 @@ class Tried:
         """The likeliest random torque."""
         return self.intensities[int(np.argmax(self.weights))]
 
+    @property
+    def silent(self) -> Trajectory:
+        """The trajectory at the smallest random torque that it was iterated to."""
+        return next(t for t in reversed(self.trajectories) if t is not None)
+
     def loud(self) -> tuple[Trajectory, float]:
         """A trajectory that the readings still lead, to look for more along: at the likeliest random
-        torque, but not none."""
+        torque, or a louder one."""
         k = int(np.argmax(self.weights))
-        while k > 0 and (self.intensities[k] == 0 or self.trajectories[k] is None):
+        while k > 0 and (self.intensities[k] < _LED or self.trajectories[k] is None):
             k -= 1
         found = self.trajectories[k]
         assert found is not None
@@ -94,7 +99,10 @@ class Tried:
 
 
 def anneal(
-    scene: Scene, starts: Sequence[Trajectory], intensities: Sequence[float]
+    scene: Scene,
+    starts: Sequence[Trajectory],
+    intensities: Sequence[float],
+    deadline: float = math.inf,
 ) -> list[tuple[np.ndarray, tuple[Trajectory | None, ...]]]:
     """Iterate models from loud random torques to silent ones, each from where the louder one ended.
 
@@ -107,12 +115,18 @@ def anneal(
         before = np.full(len(live), -np.inf)
         moving = [i for i, t in enumerate(live) if t is not None]
         for _ in range(_ITERATIONS):
+            if time.perf_counter() > deadline:
+                raise _OutOfTime
             for i, t in zip(
-                moving, scene.iterate([live[i] for i in moving], intensity, CORRELATION), strict=True
+                moving,
+                scene.iterate([live[i] for i in moving], intensity, CORRELATION),
+                strict=True,
             ):
                 live[i] = t
             now = np.array([-np.inf if t is None else log_evidence(t) for t in live])
-            moving = [i for i in moving if live[i] is not None and abs(now[i] - before[i]) > _SETTLED]
+            moving = [
+                i for i in moving if live[i] is not None and abs(now[i] - before[i]) > _SETTLED
+            ]
             before = now
             if not moving:
                 break
@@ -126,6 +140,17 @@ def anneal(
                 for i, t in enumerate(live)
             ]
     return [(e, tuple(f)) for e, f in zip(evidences, found, strict=True)]
+
+
+class _OutOfTime(Exception):
+    pass
+
+
+def tried_alone(scene: Scene, effects: Sequence[AbstractEffect]) -> Tried:
+    """A model by itself, iterated over all random torques."""
+    start = scene.start(effects, prior_of(scene, effects))
+    ((evidences, trajectories),) = anneal(scene, [start], INTENSITIES)
+    return Tried((), INTENSITIES, evidences, trajectories, 0.0)
 
 
 class Search:
@@ -143,11 +168,12 @@ class Search:
         self.fixed = tuple(e.label for e in base)
         self.candidates = candidates(scene, self.fixed)
         self.tried: dict[frozenset[str], Tried] = {}
+        self.stopped: str | None = None
+        """Why the search ended early, if it did: "interrupted" or "budget"."""
         self.screens: dict[frozenset[str], list[Screened]] = {}
         say("smoothing the motion with the model")
-        start = scene.start(base, prior_of(scene, base))
-        ((evidences, trajectories),) = anneal(scene, [start], INTENSITIES)
-        self._keep((), INTENSITIES, evidences, trajectories)
+        alone = tried_alone(scene, base)
+        self._keep((), INTENSITIES, alone.evidences, alone.trajectories)
 
     @property
     def base(self) -> Tried:
@@ -157,11 +183,6 @@ class Search:
     def best(self) -> Tried:
         """The model with the highest posterior."""
         return max(self.tried.values(), key=lambda t: t.log_posterior)
-
-    @property
-    def explains_nothing(self) -> bool:
-        """Whether the base model is none of this motion."""
-        return self.base.intensity >= EXPLAINS_NOTHING
 
     def _keep(self, added, intensities, evidences, trajectories) -> None:
         if not np.isfinite(evidences).any():
@@ -173,15 +194,26 @@ class Search:
             self.tried[frozenset(added)] = found
 
     def run(self, most: int) -> None:
-        """Add effects, `most` at most, until no model beats the one that there is."""
-        for _ in range(most):
-            before = self.best
-            if self.explains_nothing or len(before.added) >= most or time.time() > self.deadline:
-                break
-            self.extend(before)
-            if self.best is before:
-                break
-            self.reduce(self.best)
+        """Add effects, `most` at most, until no model beats the one that there is. Ctrl-C and the
+        deadline end it with what there is."""
+        try:
+            extended: set[frozenset[str]] = set()
+            while True:
+                best = frozenset(self.best.added)
+                if best in extended or len(best) >= most:
+                    # Each effect in turn might have another in its place.
+                    rest = [best - {x} for x in self.best.added[:-1]]
+                    todo = [s for s in rest if s in self.tried and s not in extended]
+                    if not todo:
+                        break
+                    best = todo[0]
+                self.extend(self.tried[best])
+                extended.add(best)
+                self.reduce(self.best)
+        except KeyboardInterrupt:
+            self.stopped = "interrupted"
+        except _OutOfTime:
+            self.stopped = "budget"
 
     def extend(self, parent: Tried) -> None:
         """Try a model with one more effect, each contender in turn."""
@@ -209,14 +241,14 @@ class Search:
             if s.effect.dry:
                 chosen.setdefault(s.effect.label, s)
         self.say(f"weighing {len(chosen)} candidates")
-        starts = [trajectory]
-        starts += [extended(self.scene, trajectory, prior_of, s) for s in chosen.values()]
-        used = tuple(x for x in INTENSITIES if x <= max(intensity, 0.1))
-        results = anneal(self.scene, starts, used)
-        for added, (evidences, trajectories) in zip(
-            [parent.added, *((*parent.added, label) for label in chosen)], results, strict=True
-        ):
-            self._keep(added, used, evidences, trajectories)
+        starts, added = [trajectory], [parent.added]
+        for label, s in chosen.items():
+            starts.append(extended(self.scene, trajectory, prior_of, s))
+            added.append((*parent.added, label))
+        used = tuple(x for x in INTENSITIES if x <= intensity)
+        results = anneal(self.scene, starts, used, self.deadline)
+        for labels, (evidences, trajectories) in zip(added, results, strict=True):
+            self._keep(labels, used, evidences, trajectories)
 
     def _may_join(self, effect: AbstractEffect, trajectory: Trajectory) -> bool:
         """Whether an effect is not there, nor a law that it contains or that contains it."""
@@ -237,9 +269,9 @@ class Search:
             if frozenset(rest) in self.tried:
                 continue
             trajectory, intensity = model.loud()
-            used = tuple(x for x in INTENSITIES if x <= max(intensity, 0.1))
+            used = tuple(x for x in INTENSITIES if x <= intensity)
             ((evidences, trajectories),) = anneal(
-                self.scene, [without(self.scene, trajectory, label)], used
+                self.scene, [without(self.scene, trajectory, label)], used, self.deadline
             )
             self._keep(rest, used, evidences, trajectories)
 

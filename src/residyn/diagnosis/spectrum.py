@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..fitting.result import RecordingFit
-from .linear import Tangent
+from .linearised_fit import Tangent
 
 _EVENLY = 1e-9  # rad, over the highest cosine: this far off even counts as even
 _MOST = 4096  # rows; a longer recording is averaged in blocks, which keeps white noise white

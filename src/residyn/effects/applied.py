@@ -14,6 +14,8 @@ class ConstantTorque(JointEffect):
     """A constant pull: a cable's, a spring's whose rest is elsewhere."""
 
     name = "constant_torque"
+    title = "Constant torque"
+    family = "offset"
     equation = "T"
     looks_like = "rings about a shifted rest, from the first cycle to the last"
     source = "Lagrange, with V = T q"
@@ -32,6 +34,7 @@ class PeriodicDisturbance(JointEffect):
     """
 
     name = "periodic_disturbance"
+    title = "Periodic disturbance"
     equation = "A sin(2 pi f t + phase)"
     looks_like = "a ringing that never dies, at a frequency that need not be a mode's"
     source = "forced vibration: den Hartog, Mechanical Vibrations, 1934"

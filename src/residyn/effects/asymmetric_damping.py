@@ -11,6 +11,8 @@ class AsymmetricDamping(JointEffect):
     """A damper that is stronger one way: c + d where q' > 0, c - d where q' < 0."""
 
     name = "asymmetric_damping"
+    title = "Asymmetric damping"
+    family = "damping law"
     equation = "d |q'|"
     looks_like = "rings about a rest that is shifted while the swing is large, and returns with it"
     source = "Wallaschek, Int. J. Non-Linear Mechanics 25, 1990 (shock absorbers)"

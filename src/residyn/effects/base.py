@@ -24,6 +24,8 @@ class AbstractEffect(eqx.Module):
     """A physical effect. Its numbers are declared with `residyn.param`; its words sit on the class.
 
     - `name`: what users call it.
+    - `title`: its name in words, wherever people read ("Coulomb friction"); that of `name` if empty.
+    - `family`: laws of one kind have one ("dry friction"); the title if empty.
     - `equation`, `looks_like`, `source`: one line each, for the catalogue.
     - `dissipates`: True if its power `torque . v` is never negative while its numbers have the sign
       that physics allows.
@@ -42,6 +44,8 @@ class AbstractEffect(eqx.Module):
     """
 
     name: ClassVar[str]
+    title: ClassVar[str] = ""
+    family: ClassVar[str] = ""
     equation: ClassVar[str] = ""
     looks_like: ClassVar[str] = ""
     source: ClassVar[str] = ""
@@ -69,6 +73,16 @@ class AbstractEffect(eqx.Module):
     def label(self) -> str:
         """`name`, or `name:place`."""
         return self.name
+
+    @classmethod
+    def titled(cls) -> str:
+        """`title`, or the name without underscores."""
+        return cls.title or cls.name.replace("_", " ").capitalize()
+
+    @classmethod
+    def kind(cls) -> str:
+        """`family`, or the title."""
+        return cls.family or cls.titled().lower()
 
     @property
     def place(self) -> str | None:

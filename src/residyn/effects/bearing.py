@@ -56,6 +56,8 @@ class BearingDrag(_BearingEffect):
     """Viscous drag of the air film, in proportion to each bearing's velocity in the plane."""
 
     name = "bearing_drag"
+    title = "Drag of the air bearings"
+    family = "damping law"
     equation = "sum over bearings of J' d u"
     looks_like = "as joint dampers, but its share of each mode turns with the elbow angle"
     source = "paper, section 4 (left open there); Newtonian shear of the air film"
@@ -74,6 +76,8 @@ class BearingQuadraticDrag(_BearingEffect):
     """Drag in proportion to the square of each bearing's speed: of hoses, cables, moving air."""
 
     name = "bearing_quadratic_drag"
+    title = "Quadratic drag of the air bearings"
+    family = "damping law"
     equation = "sum over bearings of J' c |u| u"
     looks_like = "large swings fall quickly, small ones hardly, both joints together"
     source = "Rayleigh, Theory of Sound, 1877"
@@ -98,6 +102,8 @@ class BearingFriction(_BearingEffect):
     """
 
     name = "bearing_friction"
+    title = "Friction of the air bearings"
+    family = "dry friction"
     equation = "sum over bearings of J' f u/|u|"
     looks_like = "amplitude falls by the same amount every cycle, both joints; they stop together"
     source = "Coulomb 1785, for a point that slides in a plane"

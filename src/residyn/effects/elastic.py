@@ -16,6 +16,7 @@ class Spring(JointEffect):
     """Equivalent stiffness of a braked joint, Eq. 4 (Eq. 24: gearbox and brake in series)."""
 
     name = "spring"
+    title = "Spring"
     equation = "k q"
     looks_like = "the ringing itself: sets the frequencies"
     source = "paper, Eq. 4 and 24"
@@ -30,6 +31,8 @@ class CubicStiffness(JointEffect):
     """A spring that stiffens with deflection, as gearboxes do, or softens if negative."""
 
     name = "cubic_stiffness"
+    title = "Cubic stiffness"
+    family = "spring shape"
     equation = "k3 q^3"
     looks_like = "frequency changes with amplitude, and settles as the swing dies away"
     source = "Duffing 1918; Nayfeh and Mook, Nonlinear Oscillations, 1979, ch. 2"
@@ -44,6 +47,8 @@ class AsymmetricStiffness(JointEffect):
     """A spring that is stiffer to one side: k + s where q > 0, k - s where q < 0."""
 
     name = "asymmetric_stiffness"
+    title = "Asymmetric stiffness"
+    family = "spring shape"
     equation = "s |q|"
     looks_like = "swings wider and longer to one side, at every amplitude"
     source = "bilinear oscillator: Shaw and Holmes, J. Sound Vib. 90, 1983"
@@ -63,6 +68,8 @@ class DeadZone(JointEffect):
     """
 
     name = "dead_zone"
+    title = "Dead zone (backlash)"
+    family = "spring shape"
     equation = "-s clip(q, -g, g)"
     looks_like = "frequency falls as the swing becomes as small as the gap"
     source = "Nordin and Gutman, Automatica 38, 2002 (backlash as a dead zone)"
@@ -87,6 +94,7 @@ class StiffnessDrift(JointEffect):
     """A spring that changes slowly, as a brake or gearbox does when it warms up."""
 
     name = "stiffness_drift"
+    title = "Stiffness drift"
     equation = "r t q, t from the recording's first sample"
     looks_like = "frequency changes with time, whatever the amplitude"
     source = "linear in time, the first term of any slow change"
@@ -101,6 +109,7 @@ class CouplingStiffness(AbstractEffect):
     """A spring between neighbouring joints (a cable, a belt), off the stiffness diagonal."""
 
     name = "coupling_stiffness"
+    title = "Stiffness between joints"
     equation = "k12 q2 at joint 1, k12 q1 at joint 2"
     looks_like = "mode shapes off: one joint's deflection pushes the other"
     source = "linear theory: a full symmetric stiffness matrix"

@@ -16,6 +16,8 @@ class CoulombFriction(JointEffect):
     """Coulomb friction: constant torque against the direction of sliding, holding up to it."""
 
     name = "coulomb_friction"
+    title = "Coulomb friction"
+    family = "dry friction"
     equation = "F sign(q')"
     looks_like = "amplitude falls by the same amount every cycle; rest comes early and off centre"
     source = "Coulomb 1785; paper, Eq. 10-11 (constant part of the friction)"
@@ -32,6 +34,8 @@ class StribeckFriction(JointEffect):
     """Coulomb friction that is higher near rest, as of a lubricated or a well-worn contact."""
 
     name = "stribeck_friction"
+    title = "Stribeck friction"
+    family = "dry friction"
     equation = "(F + E exp(-(q'/w)^2)) sign(q')"
     looks_like = "as Coulomb friction, and the last swings stop short and stick farther off centre"
     source = "Stribeck 1902; Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30, 1994"

@@ -19,6 +19,7 @@ class Gravity(AbstractEffect):
     """
 
     name = "gravity"
+    title = "Gravity"
     equation = "sum of M_i sin(phi_i) + L_i cos(phi_i), phi_i the links' absolute angles"
     looks_like = "frequency falls with amplitude; rest shifts on a tilted table"
     source = "Lagrange, with V = sum of -M_i cos(phi_i) + L_i sin(phi_i)"

@@ -22,6 +22,7 @@ class PrintedInertiaTorque(AbstractEffect):
     """
 
     name = "printed_inertia_torque"
+    title = "Inertia torque as printed (Eq. 3)"
     equation = "f^w as printed in Eq. 3 - energy-conserving f^w"
     looks_like = "large swings that gain or lose energy for no reason; nothing at small ones"
     source = "paper, Eq. 3"
@@ -47,6 +48,7 @@ class InertiaError(AbstractEffect):
     """One of the arm's three inertias is off by a share: true = given (1 + share)."""
 
     name = "inertia_error"
+    title = "Wrong inertia"
     equation = "Z(q) with shoulder, elbow or coupling times (1 + e)"
     looks_like = "modes and mode shapes off together; free motion shows only ratios (Eq. 9)"
     source = "paper, Eq. 9 and section 2.2"

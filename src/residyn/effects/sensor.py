@@ -26,6 +26,8 @@ class SensorOffset(_SensorEffect):
     """The sensor's zero is not the spring's."""
 
     name = "sensor_offset"
+    title = "Sensor offset"
+    family = "offset"
     equation = "reading = q + o"
     looks_like = "rings about a shifted zero; nothing else changes"
     source = "encoder zeroing error"
@@ -41,6 +43,7 @@ class SensorScale(_SensorEffect):
     """The sensor reads a share too much."""
 
     name = "sensor_scale"
+    title = "Sensor scale"
     equation = "reading = (1 + e) q"
     looks_like = "one joint's amplitude off against the other's, the same share in every mode"
     source = "gain or gear-ratio error"
@@ -55,6 +58,7 @@ class SensorDelay(_SensorEffect):
     """The reading is late."""
 
     name = "sensor_delay"
+    title = "Sensor delay"
     equation = "reading(t) = q(t - d)"
     looks_like = "one joint behind the other, by more of a cycle the faster the mode"
     source = "filters and buses: a pure delay to first order"

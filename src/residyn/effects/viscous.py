@@ -11,6 +11,7 @@ class Damper(JointEffect):
     """Equivalent viscous damping of a braked joint, Eq. 4."""
 
     name = "damper"
+    title = "Viscous damper"
     equation = "c q'"
     looks_like = "amplitude falls by the same share every cycle"
     source = "paper, Eq. 4"
@@ -26,6 +27,8 @@ class QuadraticDrag(JointEffect):
     """Drag that grows as the square of the rate: air around a wide link, turbulent oil."""
 
     name = "quadratic_drag"
+    title = "Quadratic drag"
+    family = "damping law"
     equation = "c2 q' |q'|"
     looks_like = "large swings fall quickly, small ones hardly"
     source = "Rayleigh, Theory of Sound, 1877"
@@ -41,6 +44,8 @@ class CouplingDamping(AbstractEffect):
     """Damping between neighbouring joints: off the damping matrix's diagonal."""
 
     name = "coupling_damping"
+    title = "Damping between joints"
+    family = "damping law"
     equation = "c12 q2' at joint 1, c12 q1' at joint 2"
     looks_like = "the modes' damping ratios do not fit any two joint dampers"
     source = "linear theory: a full symmetric damping matrix"

@@ -24,6 +24,7 @@ class WristFlexibility(AbstractEffect):
     """
 
     name = "wrist_flexibility"
+    title = "Flexible wrist"
     equation = "-I3 (w^2 d + 2 zeta w d') at both joints, d the hand's deflection"
     looks_like = "a third frequency, mostly at the elbow"
     source = "paper, section 2.1 (J3, neglected there)"

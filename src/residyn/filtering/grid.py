@@ -17,7 +17,10 @@ import numpy as np
 from ..recording import Recording
 
 STEP = 0.3
-"""Step times the fastest angular frequency: the fourth-order step is then good to 1e-5 a radian."""
+"""Readings are averaged up to this step times the fastest angular frequency, and ..."""
+LONGEST = 0.45
+"""... steps are divided from this one on: the phase of a fourth-order step is good to 3e-4."""
+_MINOR = 1e-3  # of the acceleration's power: harmonics with less need no step of their own
 _LEAST = 512
 _SURE = 20.0  # times its mean that a periodogram's line of noise exceeds once in e^20
 
@@ -56,7 +59,8 @@ def bucket(count: int) -> int:
 
 
 def fastest_frequency(recording: Recording, wild: np.ndarray) -> float:
-    """Highest angular frequency, rad/s, at which the readings' spectrum stands out of the noise."""
+    """Angular frequency, rad/s, below which all but a minor part of the acceleration lies, of what
+    stands out of the noise in the readings' spectrum."""
     time = recording.time - recording.time[0]
     dt = float(np.median(np.diff(time)))
     even = np.arange(0.0, time[-1], dt)
@@ -70,14 +74,16 @@ def fastest_frequency(recording: Recording, wild: np.ndarray) -> float:
         power = np.abs(np.fft.rfft((x - x.mean()) * window)) ** 2
         loud = power > _SURE * noise**2 * np.sum(window**2)
         if loud.any():
-            top = max(top, 2 * math.pi * np.fft.rfftfreq(len(even), dt)[np.flatnonzero(loud)[-1]])
+            pace = 2 * math.pi * np.fft.rfftfreq(len(even), dt)
+            above = np.cumsum((power * loud * pace**4)[::-1])[::-1]
+            top = max(top, float(pace[np.flatnonzero(above > _MINOR * above[0])[-1]]))
     return top
 
 
 def lay_out(recordings: Sequence[Recording], wild: Sequence[np.ndarray]) -> Grid:
     """The grid of some recordings; `wild` (N, n) of each marks readings that do not count."""
     fast = max(fastest_frequency(r, w) for r, w in zip(recordings, wild, strict=True))
-    parts = [_one(r, w, STEP / fast) for r, w in zip(recordings, wild, strict=True)]
+    parts = [_one(r, w, fast) for r, w in zip(recordings, wild, strict=True)]
     run = np.concatenate([np.full(len(p[0]), i) for i, p in enumerate(parts)])
     ends = np.zeros(len(run), bool)
     ends[np.cumsum([len(p[0]) for p in parts])[:-1] - 1] = True
@@ -103,14 +109,14 @@ def lay_out(recordings: Sequence[Recording], wild: Sequence[np.ndarray]) -> Grid
     )
 
 
-def _one(recording: Recording, wild: np.ndarray, longest: float):
-    """One recording's columns, with steps of at most about `longest` s."""
+def _one(recording: Recording, wild: np.ndarray, fast: float):
+    """One recording's columns, for motions up to `fast` rad/s."""
     time = recording.time - recording.time[0]
     seen = np.isfinite(recording.angle) & ~wild
     angle = np.where(seen, recording.angle, 0.0)
     gap = float(np.median(np.diff(time)))
     drive = np.zeros_like(angle) if recording.drive is None else np.asarray(recording.drive)
-    size = max(1, int(longest / gap))
+    size = max(1, int(STEP / fast / gap))
     even = np.ptp(np.diff(time)) < 0.1 * gap
     if size > 1 and even:
         count = len(time) // size
@@ -125,7 +131,7 @@ def _one(recording: Recording, wild: np.ndarray, longest: float):
     else:
         size, spread = 1, np.zeros(len(time))
     variance = np.tile(recording.noise**2 / size, (len(time), 1))
-    pieces = np.maximum(1, np.ceil(np.diff(time) / max(longest, 1e-12) - 1e-6)).astype(int)
+    pieces = np.maximum(1, np.ceil(np.diff(time) * fast / LONGEST - 1e-6)).astype(int)
     if pieces.max(initial=1) > 1:
         at = np.concatenate([[0], np.cumsum(pieces)])
         index = np.arange(at[-1] + 1)
@@ -144,3 +150,19 @@ def _one(recording: Recording, wild: np.ndarray, longest: float):
     after = np.concatenate([drive[1:], drive[-1:]])
     three = np.stack([drive, 0.5 * (drive + after), after], axis=1)
     return time, step, three, angle, seen, variance, spread
+
+
+def local_amplitude(time: np.ndarray, angle: np.ndarray, period: float) -> np.ndarray:
+    """(N, n) local amplitude of each joint about where it rests: sqrt(2) times the standard
+    deviation over one `period` (s) around each instant."""
+    half = 0.5 * min(period, time[-1] - time[0])
+    # The window slides, but not beyond the recording.
+    middle = np.clip(time, time[0] + half, time[-1] - half)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        area = np.append(0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time)))
+        ends = (np.interp(middle + side * half, time, area) for side in (1.0, -1.0))
+        return (next(ends) - next(ends)) / (2 * half)
+
+    centred = (angle - angle.mean(axis=0)).T
+    return np.stack([np.sqrt(2 * np.maximum(mean(q**2) - mean(q) ** 2, 0.0)) for q in centred], 1)

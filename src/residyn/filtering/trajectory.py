@@ -458,10 +458,12 @@ class Scene:
         n, X = self.n, t.path.shape[1]
         if not (np.isfinite(evidence) and np.isfinite(mean).all()):
             return None
+        # Where a joint sticks or slides turns on the motion itself: whole steps swing to and fro.
+        share = 0.5 if any(e.dry for e in t.effects) else 1.0
         return dataclasses.replace(
             t,
-            u=u,
-            path=mean[:, :X],
+            u=t.u + share * (u - t.u),
+            path=t.path + share * (mean[:, :X] - t.path),
             spread=np.sqrt(np.maximum(variance[:, n : 2 * n], 1e-18)),
             log_evidence=float(evidence),
             covariance=covariance,

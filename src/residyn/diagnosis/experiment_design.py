@@ -16,16 +16,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._units import amount, plain
-from ..fitting.identify import information
 from ..fitting.layout import bucket
 from ..fitting.problem import posed
+from ..fitting.result import Fit
 from ..fitting.setup import Ready, mechanism_of
 from ..model import Model
 from ..nodes import read
 from ..recording import ArmTable, Experiment, InertiaTable, Recording
 from ..simulation import march
 from .result import NextExperiment
-from .rung import Refit, Step
 
 _SAMPLES = 256
 _STEP = 0.3  # of an integration step, times the fastest angular frequency
@@ -41,13 +40,15 @@ class Scene(NamedTuple):
     release: np.ndarray
 
 
-def advise(step: Step, experiment: Experiment, accepted: Refit, rival: Refit) -> NextExperiment:
-    """The release that tells two fitted candidates of a rung apart best."""
-    first = step.near.fitted[0]
+def advise(
+    experiment: Experiment, accepted: Fit, rival: Fit, names: tuple[str, str]
+) -> NextExperiment:
+    """The release that tells two fitted models apart best."""
+    first = accepted.recordings[0]
     scenes = _scenes(experiment, first.recording, first.state[: len(experiment.joints)])
     mechanisms = [mechanism_of(experiment, s.recording) for s in scenes]
     ready = Ready(accepted.model, (first.recording,), tuple(mechanisms))
-    fast = max(ready.frequency(r.model) for r in (accepted, rival))
+    fast = max(ready.frequency(f.model) for f in (accepted, rival))
     duration = first.recording.duration
     steps = bucket(max(16, math.ceil(duration * fast / _STEP)))
     readings = int(first.used.sum())
@@ -57,7 +58,7 @@ def advise(step: Step, experiment: Experiment, accepted: Refit, rival: Refit) ->
     times = jnp.linspace(0.0, duration, _SAMPLES)
     one = _predict(accepted.model, stacked, releases, times, steps)
     other, slopes = _sloped(rival.model, stacked, releases, times, steps)
-    known = _known(rival)
+    known = np.linalg.pinv(np.where(np.isfinite(rival.covariance), rival.covariance, 0.0))
     apart = []
     for a, b, slope in zip(*jax.device_get((one, other, slopes)), strict=True):
         d = ((a - b) * weight).reshape(-1)
@@ -68,8 +69,17 @@ def advise(step: Step, experiment: Experiment, accepted: Refit, rival: Refit) ->
         bend = np.linalg.lstsq(j.T @ j + known, j.T @ d, rcond=1e-12)[0]
         apart.append(math.sqrt(max(0.0, float(d @ d - (j.T @ d) @ bend))))
     best = int(np.argmax(apart))
-    now = math.sqrt(abs(rival.cost - accepted.cost))
-    return _told(experiment, scenes[best], (accepted.label, rival.label), apart[best], now)
+    now = math.sqrt(abs(_chi2(rival) - _chi2(accepted)))
+    return _told(experiment, scenes[best], names, apart[best], now)
+
+
+def _chi2(fitted: Fit) -> float:
+    """Squared residuals of the fitted recordings in units of the noise."""
+    return sum(
+        float(np.sum((np.where(r.used, r.residual, 0.0) / r.recording.noise) ** 2))
+        for r in fitted.recordings
+        if r.recording.role != "check"
+    )
 
 
 def _scenes(experiment: Experiment, like: Recording, state: np.ndarray) -> list[Scene]:
@@ -120,13 +130,6 @@ def _sloped(model: Model, mechanisms, releases, times, steps: int):
 def _readings(model: Model, release, times, steps: int):
     nodes = march(model, times[0], times[-1], release, 0.0 * release, steps=steps)
     return read(model, nodes, times).readings
-
-
-def _known(rival: Refit) -> np.ndarray:
-    """(P, P) what the present recordings say of the rival's numbers, in their own units."""
-    scale = np.asarray(rival.descent.problem.scale.numbers)
-    square = information(np.asarray(rival.descent.compressed.factor), len(scale))
-    return square / scale / scale[:, None]
 
 
 def _told(

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import betainc
 
 from .bands import Band
-from .linear import Near, Tangent
+from .linearised_fit import LinearisedFit, Tangent
 from .rounding import Grid, hangs
 from .spectrum import Spectrum, Strip, spectrum, strips, whitened
 
@@ -37,7 +37,7 @@ class White(NamedTuple):
 
 
 def white(
-    near: Near,
+    near: LinearisedFit,
     slopes: Sequence[np.ndarray],
     cells: Sequence[Band],
     spectra: Sequence[Sequence[Spectrum | None]],
@@ -94,7 +94,7 @@ def _narrow(cells: Sequence[Band], duration: float) -> list[Band]:
     return found
 
 
-def _grids(near: Near) -> dict[tuple[int, int], Grid]:
+def _grids(near: LinearisedFit) -> dict[tuple[int, int], Grid]:
     """The encoder's grid by recording and joint, where the residual must have its pattern."""
     found = {}
     for i, (r, left) in enumerate(zip(near.fitted, near.left(), strict=True)):
@@ -108,7 +108,7 @@ def _grids(near: Near) -> dict[tuple[int, int], Grid]:
 
 
 def _without_rounding(
-    near: Near, slopes: Sequence[np.ndarray], grids: Mapping[tuple[int, int], Grid]
+    near: LinearisedFit, slopes: Sequence[np.ndarray], grids: Mapping[tuple[int, int], Grid]
 ) -> list[list[Strip]]:
     """The residual with the pattern of the encoder's steps taken out, per joint and recording."""
     weights, left = near.weights(), near.left()

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..fitting.result import RecordingFit
-from .linear import Near, spread
-from .where import number
+from .linearised_fit import LinearisedFit, spread
+from .residuals import number
 
 _HORIZONS = 8
 _LEAST = 20  # readings of each joint to fit to
@@ -109,7 +109,7 @@ class _Run(NamedTuple):
         )
 
 
-def _run(near: Near, share: float) -> _Run | None:
+def _run(near: LinearisedFit, share: float) -> _Run | None:
     """Fit the first `share` of each recording and run on; None if that is not possible."""
     ends = [r.recording.time[0] + share * r.recording.duration for r in near.fitted]
     since = [r.recording.time - end for r, end in zip(near.fitted, ends, strict=True)]
@@ -131,7 +131,7 @@ def _run(near: Near, share: float) -> _Run | None:
     return _Run(since, left, spread(slopes, weights, near.numbers, near.memories()), noise)
 
 
-def held_out(near: Near) -> HeldOut | None:
+def held_out(near: LinearisedFit) -> HeldOut | None:
     """Errors on the check recordings, or on the last third; None if that fit did not settle."""
     check = [r for r in near.fit.recordings if r.recording.role == "check"]
     if check:
@@ -149,7 +149,7 @@ def _beside(fits: Sequence[RecordingFit]) -> Error:
     return _Run(since, left, none, [r.recording.noise for r in fits]).error(-1.0, 0.0)
 
 
-def horizon(near: Near) -> Horizon | None:
+def horizon(near: LinearisedFit) -> Horizon | None:
     """Growth of the error after the first third; None if its fit did not settle."""
     run = _run(near, 1 / 3)
     if run is None:

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..fitting.result import Fit, RecordingFit
-from .adequacy import White, spectrum_of, white
 from .bands import Band, bands
-from .linear import Near, Tangent
+from .linearised_fit import LinearisedFit, Tangent
 from .spectrum import Spectrum, energies, strips
+from .whiteness import White, spectrum_of, white
 
 WINDOWS = 8
 _HALVINGS = 3  # amplitudes: above 1/2, 1/4, 1/8 of the largest, and the rest
@@ -114,7 +114,7 @@ def number(x: float) -> float | None:
     return float(x) if np.isfinite(x) else None
 
 
-def where(near: Near, slopes: Sequence[np.ndarray]) -> Where:
+def where(near: LinearisedFit, slopes: Sequence[np.ndarray]) -> Where:
     """Divide up the residual of a fit; `slopes` (N, n, L) per recording from `near.look`."""
     weights = near.weights()
     tangent = Tangent.of(slopes, weights, near.numbers)

@@ -7,8 +7,6 @@ test of the residual must know that. And a prediction beyond the fitted readings
 in them, carried over by the same columns: a prediction is bad only if it is off by more than that.
 """
 
-import dataclasses
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -21,17 +19,12 @@ from ..fitting.problem import Problem, Unknowns, predict, tight
 from ..fitting.result import Fit, RecordingFit
 from ..fitting.setup import Ready, mechanism_of, reweighted
 from ..kept import kept
-from ..modal import at_rest
-from ..model import Model
 
 # A direction of the tangent this much shorter than the longest is rounding, or undetermined.
 _BLIND = 1e-5
-# Stiffness and damping below which a model is led with other ones, and those, in typical sizes (of
-# a damping: critical).
-_LED = {"spring": (1e-3, 1.0), "damper": (1e-3, 1e-2)}
 
 
-class Near(NamedTuple):
+class LinearisedFit(NamedTuple):
     """A fit's problem again, with the shapes that the fit had: its compiled programs serve."""
 
     fit: Fit
@@ -41,7 +34,7 @@ class Near(NamedTuple):
     ready: Ready
 
     @classmethod
-    def of(cls, fit: Fit) -> "Near":
+    def of(cls, fit: Fit) -> "LinearisedFit":
         """Around the end of a fit. Call it, and its methods, in float64."""
         fitted = tuple(r for r in fit.recordings if r.recording.role != "check")
         recordings = tuple(r.recording for r in fitted)
@@ -107,50 +100,6 @@ class Near(NamedTuple):
 
     def _pairs(self, kept: Sequence[np.ndarray]):
         return zip(kept, self.fitted, strict=True)
-
-
-def steadied(near: Near) -> Near:
-    """The same, with a spring and some damping at every joint, as something to lead.
-
-    A model that misses much may be fitted best without them. Led along the motion, any numbers do,
-    since those of springs and dampers enter linearly there; but what answers to a small torque must
-    not run away, and the integration step must follow the motion, not what the fit made of it.
-    """
-    model = near.fit.model
-    values, typical = np.array(model.vector()), near.ready.typical()
-    *at_work, inertia = _at_work(model)
-    at_work = dict(zip(_LED, at_work, strict=True))
-    slow = 2.0 * math.pi / max(r.recording.duration for r in near.fitted)
-    for i, number in enumerate(model.fitted):
-        kind = number.name.partition(":")[0]
-        if kind not in _LED:
-            continue
-        least, instead = _LED[kind]
-        floor = least * typical[i]
-        if kind == "spring":  # one that swings less than once is none
-            floor = max(floor, slow**2 * inertia[number.joint])
-        # Gravity, say, holds a joint as well as a spring does.
-        if max(values[i], at_work[kind][number.joint]) < floor:
-            values[i] = instead * max(typical[i], floor)
-    if np.array_equal(values, np.asarray(model.vector())):
-        return near
-    model = model.with_vector(jnp.asarray(values))
-    problem, _ = near.ready.problem(model, [r.wild for r in near.fitted], near.problem)
-    at = problem.scaled(model.vector(), near.problem.states(near.at))
-    fit = dataclasses.replace(near.fit, model=model)
-    return near._replace(fit=fit, problem=problem, at=at)
-
-
-def _at_work(model: Model) -> np.ndarray:
-    """(3, n): how stiff each joint is where it rests, whatever makes it so, how damped, and its
-    inertia."""
-    n = len(model.mechanism.joints)
-    q, matrix = at_rest(model)
-    rows = model.bodies.mass_matrix(tuple(q))
-    square = np.array([[float(x) for x in row] for row in rows])
-    below = matrix[n : 2 * n]
-    parts = -square @ below[:, :n], -square @ below[:, n : 2 * n], square
-    return np.stack([np.diagonal(part) for part in parts])
 
 
 @kept(like=(0, 0))

@@ -1,0 +1,162 @@
+"""A fitted model against measurement: where it fails, and what torque it lacks."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from ..effects import AbstractEffect
+from ..fitting import DEFAULT_STARTS, fit
+from ..fitting.result import Fit
+from ..recording import Experiment
+from .evidence import NOISE
+from .forecast import HeldOut, Horizon, held_out, horizon
+from .linearised_fit import LinearisedFit
+from .missing_torque import Missing, missing_of, scene_of
+from .residuals import Where, where
+from .search import Search
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A fitted model against measurement. Print it; or `to_dict()` for the JSON."""
+
+    fit: Fit
+    where: Where
+    held_out: HeldOut | None
+    """None if the fit of the first two thirds did not settle."""
+    horizon: Horizon | None
+    """None if the fit of the first third did not settle."""
+    missing_torque: tuple[Missing, ...]
+    """One per fitted recording."""
+
+    @property
+    def p(self) -> float:
+        """Probability that noise alone leaves a residual so far from white, all joints together;
+        1 where no joint has enough readings to tell."""
+        each = [w.p for w in self.where.white.values() if np.isfinite(w.p)]
+        return float(-np.expm1(len(each) * np.log1p(-min(each)))) if each and min(each) < 1 else 1.0
+
+    @property
+    def explained(self) -> bool:
+        """Whether what is left is as white as noise is."""
+        return self.p >= NOISE
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The verdict: where the model fails, or that it does not, in a few sentences."""
+        from ..report._compare_words import sentences
+
+        return sentences(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON of `residyn compare`: that of `fit`, and
+
+        - `words`: the verdict, a sentence each;
+        - `where`: see `Where.to_dict`; `white` in it has the p-value of each joint;
+        - `held_out`: null, or `what` ("check recordings" or "last third"), and under `joints` and
+          `fitted` the errors of each joint there and in the fitted part: `rmse` (rad or m), `ratio`
+          (in times the noise), `expected` (the ratio that a right model would leave, or null);
+        - `horizon`: null, or `seconds` (of the fitted third), `fitted`, and `ahead`, a list of
+          `start`, `stop` (s after the last fitted reading) and `joints`, with errors as above;
+        - `missing_torque`: per joint its `rms` (in `unit`) and `share_of_spring`, the share of the
+          spring torque's rms.
+        """
+        joints = self.fit.joints
+        return {
+            **self.fit.to_dict(),
+            "words": list(self.words),
+            "where": self.where.to_dict(),
+            "held_out": None if self.held_out is None else self.held_out.to_dict(joints),
+            "horizon": None if self.horizon is None else self.horizon.to_dict(joints),
+            "missing_torque": summary(self.missing_torque),
+        }
+
+    def __str__(self) -> str:
+        from ..report._compare_tables import lines
+
+        return "\n".join(lines(self))
+
+
+def compare(
+    experiment: Experiment,
+    *,
+    effects: Sequence[str | AbstractEffect] = (),
+    starts: int = DEFAULT_STARTS,
+    progress: Callable[[str], None] | None = None,
+) -> Comparison:
+    """Fit a model, and say where it fails: at which joint, when, at what swing and frequency.
+
+    The torque that it lacks is drawn beside what the likeliest effects would draw, by the evidence
+    of `diagnose`. Runs in float64 whatever JAX's setting.
+
+    **Arguments:**
+
+    - `experiment`: from `residyn.load`, or made of arrays.
+    - `effects`: what to add to the springs and dampers: `name`, `name:joint`, or an effect.
+    - `starts`: how many starts the fit tries, at least 1.
+    - `progress`: called with a few words as each phase begins.
+
+    **Returns:** a `Comparison`: print it, or `to_dict()`.
+
+    **Raises:** `FitError` if no start led to finite numbers; `ValueError` for an effect that does
+    not exist or does not go with this experiment.
+    """
+    say = progress or (lambda words: None)
+    return compare_fit(fit(experiment, effects=effects, starts=starts, progress=say), say)
+
+
+def compare_fit(
+    fitted: Fit,
+    progress: Callable[[str], None] | None = None,
+    missing: tuple[Missing, ...] | None = None,
+) -> Comparison:
+    """The comparison of a fit that is there already; see `compare`. `missing`: the torque that its
+    model lacks, if that is known."""
+    say = progress or (lambda words: None)
+    with jax.enable_x64(True):
+        say("looking where the residual is")
+        near = LinearisedFit.of(fitted)
+        _, slopes = near.look(near.at)
+        found = where(near, slopes)
+        say("predicting what was held out")
+        ahead = held_out(near), horizon(near)
+        if missing is None:
+            say("smoothing the missing torque")
+            missing = _missing(fitted, say)
+        return Comparison(fitted, found, *ahead, missing)
+
+
+_CURVES = 2  # drawn beside a missing torque
+
+
+def _missing(fitted: Fit, say: Callable[[str], None]) -> tuple[Missing, ...]:
+    """The torque that a fit's model lacks, and what the likeliest single effects would draw."""
+    own = [e for e in fitted.model.effects if e.name not in ("spring", "damper")]
+    scene, effects, _ = scene_of(fitted.experiment, own)
+    search = Search(scene, effects, say=say)
+    if search.base.intensity > 0:
+        search.extend(search.base)
+    singles = [t for t in search.tried.values() if len(t.added) == 1]
+    singles = [t for t in singles if t.log_posterior > search.base.log_posterior]
+    singles.sort(key=lambda t: -t.log_posterior)
+    return missing_of(scene, search.base, [(t, t.added[0]) for t in singles[:_CURVES]])
+
+
+def summary(found: tuple[Missing, ...]) -> dict[str, Any] | None:
+    """Per joint the rms over all recordings, N m or N, and its share of the spring torque's."""
+    if not found:
+        return None
+    joints = {}
+    for j, joint in enumerate(found[0].joints):
+        rms = math.sqrt(np.mean([m.torque.rms[j] ** 2 for m in found]))
+        share = math.sqrt(np.mean([m.torque.share_of_spring[j] ** 2 for m in found]))
+        joints[joint] = {
+            "rms": rms,
+            "share_of_spring": None if math.isnan(share) else share,
+            "unit": found[0].units[j],
+        }
+    return joints

@@ -1,0 +1,363 @@
+"""From an experiment to the name of what is missing.
+
+The search leaves models with their evidences; all that is said here is a sum over them. Least
+squares then gives the numbers of the models on the way, their standard errors, and the falling
+error on readings that were fitted and on readings that were not.
+"""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+
+import jax
+import numpy as np
+from scipy.special import logsumexp
+
+from ..effects import AbstractEffect
+from ..filtering.law import numbers_of
+from ..filtering.trajectory import Scene, Trajectory, number_slices
+from ..fitting import DEFAULT_STARTS, FitError, fit
+from ..fitting.drifting import without_drift
+from ..fitting.pipeline import finish, refit
+from ..fitting.result import Fit
+from ..fitting.setup import ready
+from ..motion import Motion
+from ..recording import Experiment
+from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE
+from .experiment_design import advise
+from .forecast import held_out
+from .linearised_fit import LinearisedFit
+from .missing_torque import missing_of, scene_of
+from .result import (
+    Budget,
+    Candidate,
+    Diagnosis,
+    Family,
+    NextExperiment,
+    RandomTorque,
+    Rung,
+    Value,
+    Verdict,
+)
+from .search import Search, Tried
+
+MOST_EFFECTS = 3
+"""How many effects are added unless it is told otherwise."""
+_CURVES = 2  # rivals whose curves are drawn beside the missing torque
+
+
+def diagnose(
+    experiment: Experiment,
+    *,
+    effects: Sequence[str | AbstractEffect] = (),
+    max_effects: int = MOST_EFFECTS,
+    starts: int = DEFAULT_STARTS,
+    budget: float | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Diagnosis:
+    """Which physical effect is missing from springs and dampers, how probable that is, what else it
+    might be, and how far the error falls with it.
+
+    Effects join the model one by one, as long as the evidence for the model rises. Runs in float64
+    whatever JAX's setting. Ctrl-C ends the search with the best so far.
+
+    **Arguments:**
+
+    - `experiment`: from `residyn.load`, or made of arrays.
+    - `effects`: what is in the model from the start, beside springs and dampers: `name`,
+      `name:joint`, or an effect.
+    - `max_effects`: how many may be added, at least 0.
+    - `starts`: how many starts a fit tries where the smoothed motion leads it nowhere, at least 1.
+    - `budget`: seconds after which the search ends with the best so far; None: when it is done.
+    - `progress`: called with a few words as each phase begins.
+
+    **Returns:** a `Diagnosis`: print it, or `to_dict()`.
+
+    **Raises:** `FitError` if no start led to finite numbers; `ValueError` for an effect that does
+    not exist or does not go with this experiment, a negative `max_effects`, or a `budget` that is
+    not positive.
+    """
+    if max_effects < 0:
+        raise ValueError(f"max_effects = {max_effects}: it cannot be negative")
+    if starts < 1:
+        raise ValueError(f"starts = {starts}: at least one start is needed")
+    if budget is not None and not budget > 0:
+        raise ValueError(f"budget = {budget}: it must be positive (seconds)")
+    if not experiment.fit_recordings:
+        raise ValueError('no recording has role = "fit": there is nothing to fit to')
+    began, say = time.perf_counter(), progress or (lambda words: None)
+    with jax.enable_x64(True):
+        deadline = math.inf if budget is None else time.perf_counter() + budget
+        scene, base, wild = scene_of(experiment, effects)
+        search = Search(scene, base, deadline=deadline, say=say)
+        search.run(max_effects)
+        say("fitting the models on the way")
+        fits = _Fits(experiment, scene, wild, starts)
+        return _concluded(search, fits, began, say)
+
+
+class _Fits:
+    """Least-squares fits of tried models, each from its smoothed motion."""
+
+    def __init__(self, experiment: Experiment, scene: Scene, wild, starts: int):
+        self.scene, self.starts, self.whole = scene, starts, experiment
+        self.experiment, self.wild, self.cut = experiment, wild, False
+
+    def of(self, model: Tried) -> Fit:
+        """The fit of one model.
+
+        **Raises:** `FitError` if nothing finite comes of it.
+        """
+        began = time.perf_counter()
+        t = model.silent
+        own = [e for e in t.valued() if e.name not in ("spring", "damper")]
+        if not self.cut:  # whatever drives a joint that nothing pulls back is fitted in segments
+            here = ready(self.whole, self.whole.fit_recordings, own)
+            self.experiment = without_drift(self.whole, here.model.with_vector(t.numbers))
+            self.cut = True
+        try:
+            here = ready(self.experiment, self.experiment.fit_recordings, own)
+            numbers = t.numbers
+            states = np.stack([self._state(t, r) for r in here.recordings])
+            wild = self._wild(here.recordings)
+            found, descent = refit(self.experiment, own, numbers[None], states[None], wild)
+            return finish(self.experiment, found, numbers, descent, began)
+        except FitError:
+            return fit(self.experiment, effects=own, starts=self.starts)
+
+    def _index(self, recording) -> tuple[int, int]:
+        """Which recording of the scene one (or a segment) is of, and where it begins there."""
+        whole = recording.whole or recording
+        run = next(
+            i for i, r in enumerate(self.scene.recordings) if r is whole or (r.name == whole.name
+            and np.array_equal(r.time, whole.time))
+        )  # fmt: skip
+        g = self.scene.grid
+        own = np.flatnonzero((g.run == run) & (np.arange(self.scene.K) < g.real))
+        since = recording.time[0] - self.scene.recordings[run].time[0]
+        return run, int(own[np.argmin(np.abs(g.time[own] - since))])
+
+    def _wild(self, recordings) -> list[np.ndarray]:
+        found = []
+        for recording in recordings:
+            run, _ = self._index(recording)
+            whole = self.scene.recordings[run]
+            first = int(np.searchsorted(whole.time, recording.time[0]))
+            found.append(self.wild[run][first : first + len(recording.time)])
+        return found
+
+    def _state(self, t: Trajectory, recording) -> np.ndarray:
+        """Initial state (q0, v0, and internal states beyond what the effects begin with)."""
+        run, k = self._index(recording)
+        n, scene = self.scene.n, self.scene
+        own = slice(2 * n, 2 * n + sum(len(e.memory) for e in t.effects))
+        state = np.array(t.path[k])
+        # The first instant of averaged readings comes after the first reading.
+        early = scene.grid.time[k] - (recording.time[0] - scene.recordings[run].time[0])
+        state[:n] -= early * state[n : 2 * n]
+        motion = Motion.at(0.0, tuple(state[:n]), tuple(state[n : 2 * n]))
+        begin = [float(z) for e in t.valued() for z in e.begin(motion, scene.mechanisms[run])]
+        return np.concatenate([state[: 2 * n], state[own] - np.array(begin, float)])
+
+
+def _concluded(search: Search, fits: _Fits, began: float, say: Callable[[str], None]) -> Diagnosis:
+    scene, best = search.scene, search.best
+    posterior = Posterior(search)
+    rungs = _rungs(search, fits, posterior)
+    lookalikes = posterior.lookalikes()
+    advice = None
+    if lookalikes:
+        say("looking for the experiment that would tell them apart")
+        advice = _advice(search, fits, lookalikes)
+    drawn = [best] if best.added else []
+    shown = [(search.tried.get(frozenset([x]), best), x) for x in best.added]
+    rivals = [
+        (search.tried[frozenset([x])], x)
+        for group in lookalikes
+        for x in group[1:]
+        if frozenset([x]) in search.tried
+    ]
+    missing = missing_of(scene, search.base, [*shown, *rivals[:_CURVES]])
+    still = missing_of(scene, best) if drawn else missing
+    verdict, probability = posterior.verdict()
+    return Diagnosis(
+        verdict=verdict,
+        verdict_probability=probability,
+        ladder=rungs,
+        candidates=posterior.candidates(),
+        families=posterior.families(),
+        lookalikes=lookalikes,
+        next_experiment=advice,
+        missing=missing,
+        still_missing=still,
+        random_torque=_random_torque(scene, best),
+        intensity=float(np.dot(best.weights, best.intensities)),
+        explains_nothing=best.intensity >= EXPLAINS_NOTHING,
+        budget=Budget(len(search.tried), len(search.candidates), search.stopped),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _rungs(search: Search, fits: _Fits, posterior: "Posterior") -> tuple[Rung, ...]:
+    """The models on the way to the best one: each of its effects joins in turn."""
+    found = []
+    for k in range(len(search.best.added) + 1):
+        labels = search.best.added[:k]
+        model = search.tried.get(frozenset(labels))
+        if model is None:  # another order was tried
+            continue
+        result = fits.of(model)
+        held = held_out(LinearisedFit.of(result))
+        relative = model.log_evidence - search.best.log_evidence
+        found.append(Rung(labels[-1] if labels else None, (), result, held, relative))
+    return tuple(found)
+
+
+class Posterior:
+    """Sums over the models that were tried."""
+
+    def __init__(self, search: Search):
+        self.search, self.best = search, search.best
+        self.models = list(search.tried.values())
+        logs = np.array([m.log_posterior for m in self.models])
+        self.total = float(logsumexp(logs))
+        self.each = np.exp(logs - self.total)
+
+    def of(self, chosen: Callable[[frozenset[str]], bool]) -> float:
+        """Probability of all models whose set of added effects is chosen."""
+        sets = (frozenset(m.added) for m in self.models)
+        return float(sum(p for p, s in zip(self.each, sets, strict=True) if chosen(s)))
+
+    def verdict(self) -> tuple[Verdict, float]:
+        """The likeliest of the three, and its probability."""
+        sums = {"adequate": 0.0, "missing": 0.0, "unexplained": 0.0}
+        for model, p in zip(self.models, self.each, strict=True):
+            complete = model.complete
+            sums["missing" if model.added else "adequate"] += p * complete
+            sums["unexplained"] += p * (1.0 - complete)
+        best: Verdict = max(sums, key=lambda v: sums[v])  # pyright: ignore
+        if best == "adequate" and self.best.added:
+            best = "missing"
+        return best, sums[best]
+
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Every effect and place."""
+        found = []
+        screens = {s.effect.label: s for s in self.search.screens.get(frozenset(), ())}
+        for effect in self.search.candidates:
+            label = effect.label
+            alone = self.search.tried.get(frozenset([label]))
+            parameters: dict[str, Value] = {}
+            iterated = alone is not None
+            if alone is not None:
+                evidence, parameters = alone.log_evidence, self._values(alone, label)
+            elif label in screens:
+                evidence = self.search.base.log_evidence + screens[label].gain
+            else:
+                continue
+            found.append(
+                Candidate(
+                    effect=label,
+                    probability=self.of(lambda s, label=label: label in s),
+                    log_evidence=evidence - self.best.log_evidence,
+                    iterated=iterated,
+                    parameters=parameters,
+                )
+            )
+        order = lambda c: (-c.probability, -c.log_evidence)  # noqa: E731
+        return tuple(sorted(found, key=order))
+
+    def _values(self, model: Tried, label: str) -> dict[str, Value]:
+        t, scene = model.best, self.search.scene
+        index = t.labels.index(label)
+        effect, own = t.effects[index], number_slices(t.effects)[index]
+        assert t.covariance is not None
+        slopes = t.prior.slopes(t.u)
+        spread = np.sqrt(np.maximum(np.diag(t.covariance)[: len(slopes)], 0.0)) * np.abs(slopes)
+        units = scene.mechanisms[0].units
+        unit = units[scene.joint_of(effect)] if units else None
+        return {
+            f"{label}.{n.name}": Value(float(x), float(s), n.dimension.unit(unit))
+            for n, x, s in zip(numbers_of(effect), t.numbers[own], spread[own], strict=True)
+        }
+
+    def families(self) -> tuple[Family, ...]:
+        """Kinds of law and their places."""
+        groups: dict[tuple[str, str | None], list[AbstractEffect]] = {}
+        for effect in self.search.candidates:
+            groups.setdefault((effect.kind(), effect.place), []).append(effect)
+        found = []
+        for (name, place), effects in groups.items():
+            labels = {e.label for e in effects}
+            p = self.of(lambda s, labels=labels: bool(labels & s))
+            members = sorted(
+                ((x, self.of(lambda s, x=x: x in s)) for x in labels), key=lambda m: -m[1]
+            )
+            found.append(Family(name, place, p, tuple(members)))
+        return tuple(sorted(found, key=lambda f: -f.probability))
+
+    def lookalikes(self) -> tuple[tuple[str, ...], ...]:
+        """For each added effect, those that could stand in its place with odds of at least 1 to 20,
+        the likeliest first."""
+        found = []
+        for label in self.best.added:
+            rest = frozenset(self.best.added) - {label}
+            others = []
+            for model in self.models:
+                new = frozenset(model.added) - rest
+                if rest <= frozenset(model.added) and len(new) == 1 and label not in new:
+                    behind = self.best.log_posterior - model.log_posterior
+                    if behind < INDISTINGUISHABLE:
+                        others.append((behind, next(iter(new))))
+            if others:
+                found.append((label, *(x for _, x in sorted(others))))
+        return tuple(found)
+
+
+def _random_torque(scene: Scene, model: Tried) -> tuple[RandomTorque, ...]:
+    """Per joint, what the model still lacks: its rms over the recordings, summed over intensities."""
+    units = scene.mechanisms[0].units or ("rad",) * scene.n
+    real = np.arange(scene.K) < scene.grid.real
+    pairs = [
+        (w, t) for w, t in zip(model.weights, model.trajectories, strict=True) if t is not None
+    ]
+    sizes = np.array([np.sqrt(np.mean((t.torque**2 + t.torque_variance)[real], axis=0))
+                      for _, t in pairs])  # fmt: skip
+    weights = np.array([w for w, _ in pairs]) / sum(w for w, _ in pairs)
+    spring = _spring_rms(scene, model.best, real)
+    found = []
+    for j, joint in enumerate(scene.joints):
+        order = np.argsort(sizes[:, j])
+        cumulated = np.cumsum(weights[order])
+        low, high = (
+            float(sizes[order, j][min(int(np.searchsorted(cumulated, p)), len(order) - 1)])
+            for p in (0.025, 0.975)
+        )
+        mean = float(weights @ sizes[:, j])
+        share = mean / spring[j] if spring[j] > 0 else math.nan
+        unit = "N" if units[j] == "m" else "N m"
+        found.append(RandomTorque(joint, unit, mean, low, high, share))
+    return tuple(found)
+
+
+def _spring_rms(scene: Scene, t: Trajectory, real: np.ndarray) -> np.ndarray:
+    rms = np.zeros(scene.n)
+    for effect, own in zip(t.effects, number_slices(t.effects), strict=True):
+        if effect.name == "spring":
+            j = scene.joint_of(effect)
+            rms[j] = abs(t.numbers[own][0]) * np.sqrt(np.mean(t.path[real, j] ** 2))
+    return rms
+
+
+def _advice(search: Search, fits: _Fits, groups) -> NextExperiment | None:
+    """The release that would tell the first accepted name from its likeliest rival."""
+    for group in groups:
+        accepted, rival = group[0], group[1]
+        rest = frozenset(search.best.added) - {accepted}
+        other = search.tried[rest | {rival}]
+        kinds = {e.name: e for e in search.candidates}
+        a, b = (kinds[x.partition(":")[0]] for x in (accepted, rival))
+        if a.extends == b.name or b.extends == a.name:
+            continue  # a law that contains the other one can always mimic it
+        return advise(fits.experiment, fits.of(search.best), fits.of(other), (accepted, rival))
+    return None
