@@ -14,15 +14,22 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import erf
-from scipy.stats import norm
+from scipy.special import erf, logsumexp
 
 from ..effects import AbstractEffect, catalogue
 from ..filtering.kalman import Noise, System, innovations
 from ..filtering.law import changes_bodies, law, numbers_of, of_one_joint, reading, with_numbers
 from ..filtering.linearised import nodes, transition
-from ..filtering.trajectory import REGRESSORS, Along, Scene, Trajectory
-from .evidence import CORRELATION, conditional, signed, subset, width_of
+from ..filtering.trajectory import Along, Scene, Trajectory
+from .evidence import (
+    CORRELATION,
+    conditional,
+    half_normal,
+    log_prior_intensity,
+    signed,
+    subset,
+    width_of,
+)
 
 _BLOCK = 32  # columns in one call of the filter
 
@@ -155,9 +162,9 @@ def columns_of(
         found = law(effect, silent, bodies, time, q, v, z, step, spread)
         direction = erf(v / (math.sqrt(2) * spread))
         for (i, width), inertial in zip(own, body, strict=True):
-            torque = found.torque.by_number[..., i]
+            torque = found.whole(found.torque.by_number[..., i], n)
             if found.level is not None:
-                torque = torque + found.level.by_number[..., i] * direction
+                torque = torque + found.whole(found.level.by_number[..., i], n) * direction
             out.append((width * (torque.reshape(K, 3, n) + inertial), None))
     return out
 
@@ -207,65 +214,80 @@ class Columns:
         B[scene.grid.last] = 0.0
         return B, read
 
-    def gram(self, intensity: float) -> np.ndarray:
-        """(1 + REGRESSORS + C)^2 Gram matrix of whitened innovations of readings, of the model's own
-        regressors and of all columns, under a random torque."""
+    def gram(self, intensity: float) -> tuple[float, np.ndarray]:
+        """Log normaliser, and the (1 + P + C)^2 Gram matrix of whitened innovations of readings, of
+        the model's own regressors and of all columns, under a random torque."""
         scene, s = self.scene, self.system
         noise: Noise = scene.noise(self.trajectory, intensity, CORRELATION)
-        parts = []
+        parts, total = [], 0.0
         for B, read in self._blocks:
             wide = System(
                 s.A, np.concatenate([s.B, B], -1), s.T, s.c, s.Hx,
                 np.concatenate([s.Hu, read], -1), s.hc,
             )  # fmt: skip
-            _, white = innovations(wide, scene.readings, noise)
+            total, white = innovations(wide, scene.readings, noise)
             white = np.asarray(white)
-            parts.append(white if not parts else white[:, 1 + REGRESSORS :])
-        white = np.concatenate(parts, axis=1)[:, : 1 + REGRESSORS + self.count]
-        return white.T @ white
+            parts.append(white if not parts else white[:, 1 + len(self.trajectory.u) :])
+        white = np.concatenate(parts, axis=1)[:, : 1 + len(self.trajectory.u) + self.count]
+        return float(total), white.T @ white
 
-    def screen(self, intensity: float) -> tuple[list[Screened], np.ndarray]:
-        """Every candidate's gain to first order, best first, and the Gram matrix of all columns with
-        the model's own numbers integrated out."""
-        _, rest = conditional(self.gram(intensity), REGRESSORS)
+    def screen(self, intensities: Sequence[float]) -> "Screen":
+        """Every candidate's first-order evidence, random torques summed over."""
+        evidences, grams = [], []
+        for intensity in intensities:
+            total, gram = self.gram(intensity)
+            base, rest = conditional(gram, len(self.trajectory.u))
+            evidences.append(total + base)
+            grams.append(rest)
+        known = np.array(evidences) + log_prior_intensity(intensities)
+        return Screen(self.rows, known - logsumexp(known), grams)
+
+
+class Screen:
+    """The first-order evidence of any set of candidates, relative to none of them."""
+
+    def __init__(self, rows: Sequence[Column], weights: np.ndarray, grams: Sequence[np.ndarray]):
+        """`weights` (I,) log posterior of each random torque without candidates, `grams` (1 + C)^2
+        for each."""
+        self.weights, self.grams = weights, grams
         best: dict[str, list[Screened]] = {}
-        for row in self.rows:
-            gain, u, covariance = subset(rest, row.which)
-            spread = np.sqrt(np.diag(covariance))
-            if not row.effect.oscillates:
-                for i, number in enumerate(strengths(row.effect)):
-                    if signed(row.effect, number):
-                        gain += _half(u[i] / spread[i])
-            found = Screened(row.effect, gain, row.shape, u, row.which)
-            best.setdefault(row.effect.label, []).append(found)
-        out = []
+        for row in rows:
+            gain, u = self._gain([row])
+            best.setdefault(row.effect.label, []).append(
+                Screened(row.effect, gain, row.shape, u, row.which)
+            )
+        found = []
         for each in best.values():
             gains = np.array([s.gain for s in each])
             top = each[int(np.argmax(gains))]
-            mean = gains.max() + math.log(np.mean(np.exp(gains - gains.max())))
-            out.append(top._replace(gain=float(mean)))
-        return sorted(out, key=lambda s: -s.gain), rest
+            found.append(top._replace(gain=float(logsumexp(gains) - math.log(len(gains)))))
+        self.ranked = sorted(found, key=lambda s: -s.gain)
+        """Each candidate at its likeliest shape, the best first."""
 
+    def _gain(self, rows: Sequence[Column] | Sequence[Screened]) -> tuple[float, np.ndarray]:
+        """Gain of some columns together, and their regressors at the likeliest random torque."""
+        which = [i for row in rows for i in row.which]
+        gains, means = [], []
+        for rest in self.grams:
+            gain, u, covariance = subset(rest, which)
+            spread, first = np.sqrt(np.diag(covariance)), 0
+            for row in rows:
+                if not row.effect.oscillates:
+                    for i, number in enumerate(strengths(row.effect), first):
+                        if signed(row.effect, number):
+                            gain += half_normal(u[i] / spread[i])
+                first += len(row.which)
+            gains.append(gain)
+            means.append(u)
+        each = np.array(gains) + self.weights
+        return float(logsumexp(each)), means[int(np.argmax(each))]
 
-def _half(x: float) -> float:
-    return math.log(2.0) + float(norm.logcdf(x))
-
-
-def pairs(screened: Sequence[Screened], rest: np.ndarray) -> list[tuple[float, Screened, Screened]]:
-    """Every two candidates' gain to first order, best first."""
-    found = []
-    for a, b in itertools.combinations(screened, 2):
-        gain, u, covariance = subset(rest, (*a.which, *b.which))
-        spread = np.sqrt(np.diag(covariance))
-        first = 0
-        for s in (a, b):
-            if not s.effect.oscillates:
-                for i, number in enumerate(strengths(s.effect)):
-                    if signed(s.effect, number):
-                        gain += _half(u[first + i] / spread[first + i])
-            first += len(s.which)
-        found.append((gain, a, b))
-    return sorted(found, key=lambda f: -f[0])
+    def pairs(self, most: int) -> list[tuple[float, Screened, Screened]]:
+        """Every two of the best candidates, the best pair first."""
+        found = []
+        for a, b in itertools.combinations(self.ranked[:most], 2):
+            found.append((self._gain([a, b])[0], a, b))
+        return sorted(found, key=lambda f: -f[0])
 
 
 def spectral_lines(scene: Scene, trajectory: Trajectory, count: int = 5) -> list[list[float]]:
@@ -299,7 +321,7 @@ def extended(scene: Scene, trajectory: Trajectory, prior_of, found: Screened) ->
     effects = (*trajectory.effects, begun)
     prior = prior_of(scene, effects)
     P0 = len(trajectory.prior.mean)
-    u = np.zeros(REGRESSORS)
+    u = np.zeros(scene.regressors(effects))
     u[:P0] = trajectory.u[:P0]
     phase = 0.0
     values = list(found.regressors)

@@ -169,9 +169,9 @@ def torque_along(scene: Scene, t: Trajectory) -> dict[str, np.ndarray]:
             bodies = along.bodies
             each = law(effect, t.numbers[own], bodies, along.time[:, 0], q, v,
                        along.z[:, 0, states], step, t.spread)  # fmt: skip
-            torque = each.torque.value
+            torque = each.whole(each.torque.value, scene.n)
             if each.level is not None:
-                torque = torque + each.level.value * direction
+                torque = torque + each.whole(each.level.value, scene.n) * direction
         found[effect.label] = torque
     return found
 

@@ -16,10 +16,11 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ..effects import AbstractEffect
-from ..filtering.trajectory import Scene, Trajectory
-from .columns import Columns, Screened, candidates, extended, pairs, spectral_lines
+from ..filtering.trajectory import Scene, Trajectory, number_slices, state_slices
+from .columns import Columns, Screened, candidates, extended, spectral_lines
 from .evidence import (
     CORRELATION,
+    INDISTINGUISHABLE,
     INTENSITIES,
     NEGLIGIBLE,
     log_evidence,
@@ -29,7 +30,7 @@ from .evidence import (
     prior_of,
 )
 
-CONTENDERS = 8
+CONTENDERS = 6
 """Candidates of each screen that are iterated, and as many pairs whose members are."""
 _ITERATIONS = 8  # at one intensity, at the most
 _LED = 0.01  # random torque from which contenders are iterated, at least: the readings lead
@@ -222,16 +223,11 @@ class Search:
         lines = spectral_lines(self.scene, trajectory)
         effects = [e for e in self.candidates if self._may_join(e, trajectory)]
         columns = Columns(self.scene, trajectory, effects, lines)
-        found: dict[str, Screened] = {}
-        likeliest: list[tuple[float, Screened, Screened]] = []
-        for scale in (3.0, 1.0, 0.1):
-            screened, rest = columns.screen(min(scale * intensity, 1.0))
-            for s in screened:
-                if s.effect.label not in found or s.gain > found[s.effect.label].gain:
-                    found[s.effect.label] = s
-            if scale == 1.0:
-                likeliest = pairs(screened[: 3 * CONTENDERS], rest)[:CONTENDERS]
-        ranked = sorted(found.values(), key=lambda s: -s.gain)
+        # The likeliest random torque, one a decade below it, and none.
+        screen = columns.screen(sorted({intensity, 0.1 * intensity, 0.0}, reverse=True))
+        ranked = screen.ranked
+        found = {s.effect.label: s for s in ranked}
+        likeliest = screen.pairs(3 * CONTENDERS)[:CONTENDERS]
         self.screens[frozenset(parent.added)] = ranked
         chosen = {s.effect.label: s for s in ranked[:CONTENDERS]}
         for _, a, b in likeliest:
@@ -240,6 +236,14 @@ class Search:
         for s in ranked:  # linear nowhere: the first order cannot see it
             if s.effect.dry:
                 chosen.setdefault(s.effect.label, s)
+        if parent.complete > 0.5:
+            # What is left is small, and the first order right: most cannot be worth their prior.
+            n = len(self.candidates)
+            price = log_prior_model(len(parent.added), n) - log_prior_model(len(parent.added) + 1, n)
+            worth = price - 2 * INDISTINGUISHABLE
+            chosen = {k: s for k, s in chosen.items() if s.gain > worth}
+        if not chosen:
+            return
         self.say(f"weighing {len(chosen)} candidates")
         starts, added = [trajectory], [parent.added]
         for label, s in chosen.items():
@@ -278,14 +282,12 @@ class Search:
 
 def without(scene: Scene, trajectory: Trajectory, label: str) -> Trajectory:
     """A model without one of its effects, from where it is."""
-    from ..filtering.trajectory import number_slices, state_slices
-
     effects = trajectory.effects
     gone = [e.label for e in effects].index(label)
     numbers, states = number_slices(effects), state_slices(effects)
     kept = [i for i in range(len(effects)) if i != gone]
     rest = tuple(effects[i] for i in kept)
-    u = np.zeros_like(trajectory.u)
+    u = np.zeros(scene.regressors(rest))
     own = np.concatenate([trajectory.u[numbers[i]] for i in kept])
     u[: len(own)] = own
     n, room = scene.n, scene.room(rest)

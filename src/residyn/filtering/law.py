@@ -40,11 +40,21 @@ class Law(NamedTuple):
     """An effect along a motion."""
 
     torque: Slopes
-    """r = n: N m (or N), positive where it resists; of dry friction, without the level."""
+    """N m (or N), positive where it resists; of dry friction, without the level."""
     level: Slopes | None
-    """r = n: level of dry friction, N m; None where there is none."""
+    """Level of dry friction, N m; None where there is none."""
     rate: Slopes | None
     """r = m: d/dt of the internal states; None where there are none."""
+    joint: int | None
+    """The joint that all this is about, r = n = 1 then; None: the whole mechanism, r = n."""
+
+    def whole(self, x: np.ndarray, n: int) -> np.ndarray:
+        """(K, n) of (K, r): what is not of the effect's joint is 0."""
+        if self.joint is None:
+            return x
+        out = np.zeros((len(x), n))
+        out[:, self.joint] = x[:, 0]
+        return out
 
 
 _NONE = Slopes(0, 0, 0, 0, 0)
@@ -94,35 +104,22 @@ def law(
     own internal states; `step` (K,) s and `spread` (K, n) the standard deviation of what is known of
     the rates, over which the friction of a point is smoothed.
     """
-    n, m = q.shape[1], z.shape[1]
-    if not of_one_joint(effect):
-        found = _whole_law(effect, numbers, mechanism, t, q, v, z, step, spread)
-        value, by_q, by_v, by_z, by_u = (np.asarray(x) for x in found)
-        parts = [
-            Slopes(value[:, rows], by_q[:, rows], by_v[:, rows], by_z[:, rows], by_u[:, rows])
-            for rows in (slice(0, n), slice(n, 2 * n), slice(2 * n, None))
-        ]
-    else:
+    joint = None
+    if of_one_joint(effect):
         joint = mechanism.joints.index(effect.joint)  # pyright: ignore
         alone = dataclasses.replace(effect, joint="")  # one program for all joints
         found = _joint_law(alone, numbers, t, q[:, joint], v[:, joint], z)
-        value, by_q, by_v, by_z, by_u = (np.asarray(x) for x in found)
-        parts = []
-        for rows, tall in ((slice(0, 1), n), (slice(1, 2), n), (slice(2, None), m)):
-            own = slice(joint, joint + 1) if rows.stop is not None else slice(None)
-            out = Slopes(
-                np.zeros((len(t), tall)),
-                np.zeros((len(t), tall, n)),
-                np.zeros((len(t), tall, n)),
-                np.zeros((len(t), tall, m)),
-                np.zeros((len(t), tall, len(numbers))),
-            )
-            out.value[:, own] = value[:, rows]
-            out.by_q[:, own, joint], out.by_v[:, own, joint] = by_q[:, rows], by_v[:, rows]
-            out.by_z[:, own], out.by_number[:, own] = by_z[:, rows], by_u[:, rows]
-            parts.append(out)
-    torque, level, rate = parts
-    return Law(torque, level if effect.dry else None, rate if m else None)
+    else:
+        found = _whole_law(effect, numbers, mechanism, t, q, v, z, step, spread)
+    r = q.shape[1] if joint is None else 1
+    value, by_q, by_v, by_z, by_u = (np.asarray(x) for x in found)
+    if joint is not None:
+        by_q, by_v = by_q[..., None], by_v[..., None]
+    torque, level, rate = (
+        Slopes(value[:, rows], by_q[:, rows], by_v[:, rows], by_z[:, rows], by_u[:, rows])
+        for rows in (slice(0, r), slice(r, 2 * r), slice(2 * r, None))
+    )
+    return Law(torque, level if effect.dry else None, rate if effect.memory else None, joint)
 
 
 @kept(like=_NONE)

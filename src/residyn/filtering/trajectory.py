@@ -31,6 +31,7 @@ from ..recording import Recording
 from .grid import Grid, lay_out
 from .kalman import Noise, Readings, System, smooth
 from .law import (
+    Law,
     along_instants,
     changes_bodies,
     first_states,
@@ -52,8 +53,8 @@ from .linearised import (
     transition,
 )
 
-REGRESSORS = 16
-"""Room for a model's numbers."""
+REGRESSORS = 8
+"""Room for a model's numbers comes in multiples of this."""
 STATES = 2
 """Room for internal states comes in multiples of this."""
 SQRT2 = math.sqrt(2.0)
@@ -94,7 +95,7 @@ class Trajectory:
     effects: tuple[AbstractEffect, ...]
     prior: Prior
     u: np.ndarray
-    """(REGRESSORS,) regressors, 0 where the model has no number."""
+    """(P,) regressors, filled up: 0 where the model has no number."""
     path: np.ndarray
     """(K, 2n + M) smoothed angles, rates and internal states."""
     spread: np.ndarray
@@ -103,7 +104,7 @@ class Trajectory:
     """(M,) internal states at the beginning of each recording, as known beforehand."""
     log_evidence: float = -math.inf
     covariance: np.ndarray | None = None
-    """(REGRESSORS, REGRESSORS) of u."""
+    """(P, P) of u."""
     torque: np.ndarray | None = None
     """(K, n) the random torque, on the drive's side of Eq. 1."""
     torque_variance: np.ndarray | None = None
@@ -221,7 +222,14 @@ class Scene:
         room = self.room(effects)
         path = np.concatenate([self.q, self.v, np.zeros((self.K, room))], axis=1)
         spread = np.tile([0.1 * s.amplitude * s.frequency for s in self.scales], (self.K, 1))
-        return Trajectory(tuple(effects), prior, np.zeros(REGRESSORS), path, spread, np.zeros(room))
+        u = np.zeros(self.regressors(effects))
+        return Trajectory(tuple(effects), prior, u, path, spread, np.zeros(room))
+
+    def regressors(self, effects: Sequence[AbstractEffect]) -> int:
+        """Room for a model's numbers, and for the recordings' own rests."""
+        count = sum(len(numbers_of(e)) for e in effects)
+        count += len(self.recordings) * self.n if self.rest else 0
+        return REGRESSORS * math.ceil(count / REGRESSORS)
 
     @staticmethod
     def room(effects: Sequence[AbstractEffect]) -> int:
@@ -272,7 +280,7 @@ class Scene:
         spread[:, 1] = 0.5 * (spread[:, 0] + spread[:, 2])
         spread = spread + 1e-12
         slopes, numbers = t.prior.slopes(t.u), t.numbers
-        sums = Sums.zeros(K, n, M, REGRESSORS)
+        sums = Sums.zeros(K, n, M, len(t.u))
         step = np.where(g.step > 0, g.step, np.median(g.step[g.step > 0]))
 
         def flat(x):
@@ -296,27 +304,7 @@ class Scene:
                 np.repeat(step, 3),
                 flat(spread),
             )
-            add = lambda to, x: np.add(to, x.reshape(K, 3, *x.shape[1:]), out=to)  # noqa: E731
-            s = found.torque
-            add(sums.torque, s.value)
-            add(sums.torque_q, s.by_q)
-            add(sums.torque_v, s.by_v)
-            add(sums.torque_z[..., states], s.by_z)
-            add(sums.torque_u[..., own], s.by_number * slopes[own])
-            if found.level is not None:
-                s = found.level
-                add(sums.level, s.value)
-                add(sums.level_q, s.by_q)
-                add(sums.level_v, s.by_v)
-                add(sums.level_u[..., own], s.by_number * slopes[own])
-            if found.rate is not None and not effect.follows:
-                s = found.rate
-                sums.rate[:, :, states] += s.value.reshape(K, 3, -1)
-                rows = lambda x: x.reshape(K, 3, *x.shape[1:])  # noqa: E731
-                sums.rate_q[:, :, states] += rows(s.by_q)
-                sums.rate_v[:, :, states] += rows(s.by_v)
-                sums.rate_z[:, :, states, states] += rows(s.by_z)
-                sums.rate_u[:, :, states, own] += rows(s.by_number * slopes[own])
+            _add(sums, found, own, states, slopes[own], effect.follows)
         for i, (effect, own) in enumerate(zip(effects, number_slices(effects), strict=True)):
             if changes_bodies(effect):
                 # Torque that the change of bodies amounts to; friction held apart.
@@ -348,7 +336,8 @@ class Scene:
         f = along.field
         x = np.concatenate([along.q, along.v, along.z], axis=-1)
         found = transition(g.step, f.f, f.by_x, f.by_u, f.by_torque, x)
-        A, B, T, c = (np.array(part) for part in found)
+        changes = g.last.any() or any(e.follows for e in along.effects)
+        A, B, T, c = (np.array(x) if changes else np.asarray(x) for x in found)
         slopes, numbers = t.prior.slopes(t.u), t.numbers
         parts = zip(along.effects, number_slices(along.effects), state_slices(along.effects),
                     strict=True)  # fmt: skip
@@ -371,7 +360,7 @@ class Scene:
         if self.rest:
             for i in range(len(self.recordings)):
                 for j in range(n):
-                    at = REGRESSORS - 1 - i * n - j
+                    at = len(u) - 1 - i * n - j
                     Hu[self.grid.run == i, j, at] = self.rest * self.scales[j].amplitude
         last = g.last
         if last.any():
@@ -390,7 +379,7 @@ class Scene:
         K, X = self.K, 2 * n + along.z.shape[-1]
         a, by_x = along.field.f[:, 0, n : 2 * n], along.field.by_x[:, 0, n : 2 * n]
         delay, slopes, numbers = np.zeros(n), t.prior.slopes(t.u), t.numbers
-        sensors, delay_u = [], np.zeros((n, REGRESSORS))
+        sensors, delay_u = [], np.zeros((n, len(t.u)))
         for effect, own in zip(along.effects, number_slices(along.effects), strict=True):
             if effect.senses:
                 sensors.append((effect, own))
@@ -404,7 +393,7 @@ class Scene:
         Hx[:, range(n), range(n)] += 1.0
         Hx[:, range(n), range(n, 2 * n)] -= delay
         Hu = (w[..., None] * along.field.by_u[:, 0, n : 2 * n]) if w.any() else np.zeros(
-            (K, n, REGRESSORS))  # fmt: skip
+            (K, n, len(t.u)))  # fmt: skip
         Hu = Hu + (-v + delay * a)[..., None] * delay_u
         for effect, own in sensors:
             seen = reading(effect, numbers[own], self.mechanisms[0], value)
@@ -458,8 +447,8 @@ class Scene:
         n, X = self.n, t.path.shape[1]
         if not (np.isfinite(evidence) and np.isfinite(mean).all()):
             return None
-        # Where a joint sticks or slides turns on the motion itself: whole steps swing to and fro.
-        share = 0.5 if any(e.dry for e in t.effects) else 1.0
+        # Where a joint or a brake sticks turns on the motion itself: whole steps swing to and fro.
+        share = 0.5 if any(e.dry or e.follows for e in t.effects) else 1.0
         return dataclasses.replace(
             t,
             u=t.u + share * (u - t.u),
@@ -502,3 +491,32 @@ class Along:
         """(K, 3, n) what accelerates the bodies: drive less all torques."""
         friction = self.sums.level * self.field.direction
         return self.scene.grid.drive - self.sums.torque - friction
+
+
+def _add(sums: Sums, found: Law, own: slice, states: slice, slopes: np.ndarray, follows: bool):
+    """Add an effect along its motion to the sums; `slopes` (p,) turn its numbers into regressors."""
+    K = len(sums.torque)
+
+    def rows(x: np.ndarray) -> np.ndarray:
+        return x.reshape(K, 3, *x.shape[1:])
+
+    j = slice(None) if found.joint is None else slice(found.joint, found.joint + 1)
+    s = found.torque
+    sums.torque[..., j] += rows(s.value)
+    sums.torque_q[..., j, j] += rows(s.by_q)
+    sums.torque_v[..., j, j] += rows(s.by_v)
+    sums.torque_z[..., j, states] += rows(s.by_z)
+    sums.torque_u[..., j, own] += rows(s.by_number * slopes)
+    if found.level is not None:
+        s = found.level
+        sums.level[..., j] += rows(s.value)
+        sums.level_q[..., j, j] += rows(s.by_q)
+        sums.level_v[..., j, j] += rows(s.by_v)
+        sums.level_u[..., j, own] += rows(s.by_number * slopes)
+    if found.rate is not None and not follows:
+        s = found.rate
+        sums.rate[..., states] += rows(s.value)
+        sums.rate_q[..., states, j] += rows(s.by_q)
+        sums.rate_v[..., states, j] += rows(s.by_v)
+        sums.rate_z[..., states, states] += rows(s.by_z)
+        sums.rate_u[..., states, own] += rows(s.by_number * slopes)
