@@ -22,7 +22,9 @@ LONGEST = 0.45
 """... steps are divided from this one on: the phase of a fourth-order step is good to 3e-4."""
 _MINOR = 1e-3  # of the acceleration's power: harmonics with less need no step of their own
 _LEAST = 512
-_SURE = 20.0  # times its mean that a periodogram's line of noise exceeds once in e^20
+_WIDE = 15  # lines of a periodogram that are averaged ...
+_SURE = 2.6  # ... of which noise alone exceeds so many times its mean once in 10^6
+_ENOUGH = 4096  # instants: fewer are not averaged at all
 
 
 class Grid(NamedTuple):
@@ -72,10 +74,12 @@ def fastest_frequency(recording: Recording, wild: np.ndarray) -> float:
             continue
         x = np.interp(even, time[use], angle[use])
         power = np.abs(np.fft.rfft((x - x.mean()) * window)) ** 2
-        loud = power > _SURE * noise**2 * np.sum(window**2)
+        unit = noise**2 * np.sum(window**2)  # what noise leaves of a line
+        wide = np.convolve(power, np.ones(_WIDE) / _WIDE, "same")
+        loud = wide > _SURE * unit
         if loud.any():
             pace = 2 * math.pi * np.fft.rfftfreq(len(even), dt)
-            above = np.cumsum((power * loud * pace**4)[::-1])[::-1]
+            above = np.cumsum((np.maximum(wide - unit, 0.0) * loud * pace**4)[::-1])[::-1]
             top = max(top, float(pace[np.flatnonzero(above > _MINOR * above[0])[-1]]))
     return top
 
@@ -83,7 +87,8 @@ def fastest_frequency(recording: Recording, wild: np.ndarray) -> float:
 def lay_out(recordings: Sequence[Recording], wild: Sequence[np.ndarray]) -> Grid:
     """The grid of some recordings; `wild` (N, n) of each marks readings that do not count."""
     fast = max(fastest_frequency(r, w) for r, w in zip(recordings, wild, strict=True))
-    parts = [_one(r, w, fast) for r, w in zip(recordings, wild, strict=True)]
+    most = sum(len(r.time) for r in recordings) / _ENOUGH  # readings in an average
+    parts = [_one(r, w, fast, most) for r, w in zip(recordings, wild, strict=True)]
     run = np.concatenate([np.full(len(p[0]), i) for i, p in enumerate(parts)])
     ends = np.zeros(len(run), bool)
     ends[np.cumsum([len(p[0]) for p in parts])[:-1] - 1] = True
@@ -109,14 +114,14 @@ def lay_out(recordings: Sequence[Recording], wild: Sequence[np.ndarray]) -> Grid
     )
 
 
-def _one(recording: Recording, wild: np.ndarray, fast: float):
-    """One recording's columns, for motions up to `fast` rad/s."""
+def _one(recording: Recording, wild: np.ndarray, fast: float, most: float):
+    """One recording's columns, for motions up to `fast` rad/s, with averages of `most` readings."""
     time = recording.time - recording.time[0]
     seen = np.isfinite(recording.angle) & ~wild
     angle = np.where(seen, recording.angle, 0.0)
     gap = float(np.median(np.diff(time)))
     drive = np.zeros_like(angle) if recording.drive is None else np.asarray(recording.drive)
-    size = max(1, int(STEP / fast / gap))
+    size = max(1, min(math.ceil(most), int(STEP / fast / gap)))
     even = np.ptp(np.diff(time)) < 0.1 * gap
     if size > 1 and even:
         count = len(time) // size

@@ -1,0 +1,304 @@
+"""The Kalman filter under a random torque: its likelihood, its smoother, and the linear steps of a
+model, each held against a closed form or another way to the same number."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from residyn import ConstantInertia, PlanarArm, Recording, Spring
+from residyn.effects import CoulombFriction, CubicStiffness, Damper, Gravity, Hysteresis
+from residyn.filtering.grid import bucket, fastest_frequency, lay_out
+from residyn.filtering.kalman import Noise, Readings, System, innovations, smooth
+from residyn.filtering.linearised import nodes
+from residyn.filtering.trajectory import Prior, Scene
+from residyn.simulation import simulate
+
+
+@pytest.fixture(autouse=True)
+def float64():
+    with jax.enable_x64(True):
+        yield
+
+
+def a_system(K=12, X=3, n=2, P=3, seed=0):
+    """A random stable system, its readings (one lost), and its noise."""
+    rng = np.random.default_rng(seed)
+    A = np.eye(X) * 0.9 + 0.05 * rng.standard_normal((K, X, X))
+    system = System(
+        A,
+        rng.standard_normal((K, X, P)),
+        rng.standard_normal((K, X, n)),
+        rng.standard_normal((K, X)),
+        rng.standard_normal((K, n, X)),
+        rng.standard_normal((K, n, P)),
+        rng.standard_normal((K, n)),
+    )
+    seen = np.ones((K, n), bool)
+    seen[4, 1] = False
+    readings = Readings(rng.standard_normal((K, n)), seen, rng.uniform(0.5, 2.0, (K, n)))
+    decay = np.full((K, n), 0.8)
+    growth = np.concatenate([np.zeros((K, X)), np.full((K, n), 0.3)], axis=1)
+    noise = Noise(rng.standard_normal(X), rng.uniform(0.5, 1.0, X + n), decay, growth)
+    return system, readings, noise
+
+
+def joint_gaussian(system, readings, noise):
+    """Mean and covariance of all readings at once, regressors included, written out densely; and
+    the covariance of the states with them."""
+    K, X = system.c.shape
+    n, P = system.T.shape[-1], system.B.shape[-1]
+    D = X + n
+    # Unknowns: first state, regressors, torque increments; each normal.
+    size = D + P + K * n
+    means = np.zeros(size)
+    means[:X] = noise.mean
+    variances = np.concatenate([noise.variance, np.ones(P), noise.growth[:, X:].reshape(-1)])
+    state, const = np.zeros((D, size)), np.zeros(D)
+    state[:, :D] = np.eye(D)
+    rows, constants, states, state_constants = [], [], [], []
+    for k in range(K):
+        states.append(state)
+        state_constants.append(const)
+        read = system.Hx[k] @ state[:X]
+        read[:, D : D + P] += system.Hu[k]
+        rows.append(read)
+        constants.append(system.Hx[k] @ const[:X] + system.hc[k])
+        F = np.block(
+            [[system.A[k], system.T[k]], [np.zeros((n, X)), np.diag(noise.decay[k])]]
+        )
+        state, const = F @ state, F @ const
+        state[:X, D : D + P] += system.B[k]
+        const[:X] += system.c[k]
+        for j in range(n):
+            state[X + j, D + P + k * n + j] += 1.0
+    keep = np.asarray(readings.seen).reshape(-1)
+    H = np.concatenate(rows)[keep]
+    mean = (np.concatenate(constants) + np.concatenate(rows) @ means)[keep]
+    noise_of = np.asarray(readings.variance).reshape(-1)[keep]
+    covariance = H * variances @ H.T + np.diag(noise_of)
+    y = np.asarray(readings.y).reshape(-1)[keep]
+    return y, mean, covariance, H, means, variances, states, state_constants
+
+
+def test_marginal_likelihood_and_smoother_equal_the_dense_gaussian():
+    system, readings, noise = a_system()
+    y, mean, covariance, H, means, variances, states, constants = joint_gaussian(
+        system, readings, noise
+    )
+    off = y - mean
+    sign, logdet = np.linalg.slogdet(2 * np.pi * covariance)
+    exact = -0.5 * (off @ np.linalg.solve(covariance, off) + logdet)
+    found = smooth(system, readings, noise)
+    assert sign > 0
+    assert float(found.log_evidence) == pytest.approx(exact, abs=1e-8)
+    gain = (variances[:, None] * H.T) @ np.linalg.inv(covariance)
+    after = means + gain @ off
+    D, P = noise.variance.shape[0], system.B.shape[-1]
+    np.testing.assert_allclose(found.regressors, after[D : D + P], atol=1e-9)
+    for k in (0, 5, 11):
+        np.testing.assert_allclose(found.mean[k], states[k] @ after + constants[k], atol=1e-8)
+
+
+def test_smoothed_variances_are_those_given_the_regressors():
+    system, readings, noise = a_system()
+    none = system._replace(B=0 * system.B, Hu=0 * system.Hu)
+    _, _, covariance, H, _, variances, states, _ = joint_gaussian(none, readings, noise)
+    gain = (variances[:, None] * H.T) @ np.linalg.inv(covariance)
+    left = np.diag(variances) - gain @ (H * variances)
+    found = smooth(none, readings, noise)
+    for k in (0, 6, 11):
+        exact = np.diag(states[k] @ left @ states[k].T)
+        np.testing.assert_allclose(found.variance[k], exact, atol=1e-9)
+
+
+def test_the_evidence_has_the_derivative_of_its_finite_differences():
+    system, readings, noise = a_system()
+
+    def evidence(scale):
+        return smooth(system._replace(A=scale * jnp.asarray(system.A)), readings, noise)[0]
+
+    slope = float(jax.grad(evidence)(1.0))
+    eps = 1e-5
+    difference = (evidence(1.0 + eps) - evidence(1.0 - eps)) / (2 * eps)
+    assert slope == pytest.approx(float(difference), rel=1e-7)
+
+
+def test_one_gram_matrix_holds_the_evidence_of_every_subset():
+    from residyn.diagnosis.evidence import conditional, subset
+
+    system, readings, noise = a_system(P=4)
+    total, white = innovations(system, readings, noise)
+    gram = np.asarray(white).T @ np.asarray(white)
+    base, rest = conditional(gram, 1)
+    for chosen in ((), (0,), (2,), (0, 1), (0, 1, 2)):
+        of = [0, *(i + 1 for i in chosen)]
+        alone = system._replace(B=system.B[..., of], Hu=system.Hu[..., of])
+        exact = float(smooth(alone, readings, noise).log_evidence)
+        gain = subset(rest, chosen)[0] if chosen else 0.0
+        assert float(total) + base + gain == pytest.approx(exact, abs=1e-8)
+
+
+# -- a model along its motion ---------------------------------------------------------------------
+
+ARM = PlanarArm([0.4, 0.4], 1.1, 0.58, 1.4, 0.3, [1.0, 1.0])
+
+
+def a_recording(model, q0=(0.2, -0.1), seconds=6.0, rate=100.0, noise=1e-4, seed=0, **given):
+    time = np.arange(round(seconds * rate) + 1) / rate
+    path = simulate(model, time, list(q0), steps=4 * len(time))
+    rng = np.random.default_rng(seed)
+    q = np.asarray(path.q) + noise * rng.standard_normal(path.q.shape)
+    return Recording.from_arrays(time, q, noise=noise, theta2=0.3, **given), path
+
+
+def base_of(scene):
+    effects = [e(j) for e in (Spring, Damper) for j in scene.joints]
+    sizes = [s.inertia * s.frequency**2 for s in scene.scales]
+    dampers = [0.3 * s.inertia * s.frequency for s in scene.scales]
+    n = scene.n
+    prior = Prior(np.array([*sizes, *[0.0] * n]), np.array([*sizes, *dampers]), np.zeros(2 * n, bool))
+    return effects, prior
+
+
+def settled(scene, t, intensities=(1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 0.0)):
+    for intensity in intensities:
+        for _ in range(3):
+            (t,) = scene.iterate([t], intensity, 1.0)
+    return t
+
+
+def test_without_a_random_torque_it_is_the_fit_by_least_squares():
+    truth = ARM + Spring("shoulder", 17.0) + Spring("elbow", 12.0)
+    truth = truth + Damper("shoulder", 0.1) + Damper("elbow", 0.05)
+    recording, path = a_recording(truth)
+    scene = Scene([recording], [ARM], [np.zeros(recording.angle.shape, bool)])
+    effects, prior = base_of(scene)
+    t = settled(scene, scene.start(effects, prior))
+    np.testing.assert_allclose(t.numbers, [17.0, 12.0, 0.1, 0.05], rtol=2e-3)
+    own = t.path[: scene.grid.real, :2]
+    assert np.sqrt(np.mean((own - np.asarray(path.q)) ** 2)) < 2e-5
+
+
+def test_a_step_of_the_linear_system_is_a_step_of_the_simulation():
+    """Along a simulated motion, A x + B u + c is where the simulation goes, numbers moved too."""
+    model = ARM + Spring("shoulder", 17.0) + Spring("elbow", 12.0) + Gravity(2.0, 0.5, 0.3, 0.1)
+    model = model + CubicStiffness("elbow", 30.0) + Damper("elbow", 0.05)
+    recording, path = a_recording(model, q0=(0.4, -0.3))
+    scene = Scene([recording], [ARM], [np.zeros(recording.angle.shape, bool)])
+    count = len(model.vector())
+    values = np.asarray(model.vector())
+    prior = Prior(values, np.maximum(np.abs(values), 0.1), np.zeros(count, bool))
+    t = scene.start(model.effects, prior)
+    motion = np.concatenate([np.asarray(path.q), np.asarray(path.v)], axis=1)
+    real = scene.grid.real
+    t.path[:real, :4], t.path[real:, :4] = motion[:real], motion[real - 1]
+    system = scene.system(scene.along(t))
+    k = np.arange(real - 1)
+    moved = np.einsum("kij,kj->ki", system.A[k], t.path[k]) + system.c[k]
+    np.testing.assert_allclose(moved[:, :4], motion[1:real], atol=1e-5)
+    # ... and B is how the end of a step moves with each number.
+    step, eps = 1 / 100, 1e-4
+    for i in range(count):
+        ends = []
+        for side in (1, -1):
+            numbers = values.copy()
+            numbers[i] += side * eps
+            start = motion[50]
+            end = simulate(
+                model.with_vector(jnp.asarray(numbers)),
+                np.array([0.0, step]),
+                start[:2],
+                v0=start[2:],
+                steps=4,
+            )
+            ends.append(np.concatenate([end.q[-1], end.v[-1]]))
+        slope = (ends[0] - ends[1]) / (2 * eps) * prior.width[i]
+        np.testing.assert_allclose(system.B[50, :4, i], slope, atol=2e-6)
+
+
+def test_expected_friction_is_the_level_far_from_rest_and_holds_at_rest():
+    from residyn.filtering.linearised import _expected_direction as direction
+
+    slides = direction(1.0, 0.3, 1.0, 1e-6, 1e-3)
+    rests = direction(0.0, 0.3, 1.0, 1e-9, 1e-3)
+    breaks = direction(0.0, 3.0, 1.0, 1e-9, 1e-3)
+    unsure = direction(0.0, 0.0, 1.0, 1.0, 1e-3)
+    assert float(slides) == pytest.approx(1.0, abs=1e-6)
+    assert float(rests) == pytest.approx(0.3, abs=1e-6)  # just the torque that is needed
+    assert 0 < float(breaks) < 1  # more than friction can give: not held
+    assert float(unsure) == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("effect", [CoulombFriction("elbow", 0.2), Hysteresis("elbow", 0.5, 0.1)])
+def test_strengths_of_laws_with_jumps_or_memory_are_found(effect):
+    truth = ARM + Spring("shoulder", 17.0) + Spring("elbow", 12.0)
+    truth = truth + Damper("shoulder", 0.05) + Damper("elbow", 0.05) + effect
+    recording, _ = a_recording(truth, q0=(0.2, -0.3), seconds=10.0)
+    scene = Scene([recording], [ARM], [np.zeros(recording.angle.shape, bool)])
+    from residyn.diagnosis.columns import Columns, extended, spectral_lines
+    from residyn.diagnosis.evidence import prior_of
+
+    effects, prior = base_of(scene)
+    t = settled(scene, scene.start(effects, prior), (1.0, 0.3, 0.1, 0.03))
+    columns = Columns(scene, t, [type(effect)("elbow")], spectral_lines(scene, t))
+    (found,) = columns.screen([0.03]).ranked
+    t = extended(scene, t, prior_of, found)
+    for intensity in (0.03, 0.01, 1e-3, 0.0):
+        for _ in range(8):
+            (t,) = scene.iterate([t], intensity, 1.0)
+    assert t.numbers[4] == pytest.approx(float(effect.level), rel=0.02)
+
+
+# -- recordings on the grid -----------------------------------------------------------------------
+
+
+def test_fast_readings_are_averaged_and_lose_nothing():
+    """Averages of 1 kHz readings find stiffness and damping as all readings do: the curvature
+    within an average is accounted for."""
+    cart = ConstantInertia([[2.0]], joints=("cart",), units=("m",))
+    truth = cart + Spring("cart", 200.0) + Damper("cart", 0.4)
+    time = np.arange(10000) / 1000
+    path = simulate(truth, time, [0.05], steps=10000)
+    rng = np.random.default_rng(1)
+    q = np.asarray(path.q) + 1e-5 * rng.standard_normal(path.q.shape)
+    recording = Recording.from_arrays(time, q, noise=1e-5)
+    scene = Scene([recording], [cart], [np.zeros(q.shape, bool)])
+    assert scene.grid.real < 4096
+    effects, prior = base_of(scene)
+    t = settled(scene, scene.start(effects, prior))
+    assert t.numbers[0] == pytest.approx(200.0, rel=1e-4)
+    assert t.numbers[1] == pytest.approx(0.4, rel=2e-3)
+
+
+def test_lost_and_uneven_readings_keep_their_times():
+    rng = np.random.default_rng(2)
+    time = np.sort(rng.uniform(0, 10, 400))
+    angle = np.stack([np.sin(3 * time), np.cos(2 * time)], axis=1)
+    angle[100:120] = np.nan
+    recording = Recording.from_arrays(time, angle, noise=1e-3)
+    grid = lay_out([recording, recording], [np.zeros(angle.shape, bool)] * 2)
+    at = np.flatnonzero(grid.seen[:, 0] & (grid.run == 0))
+    np.testing.assert_allclose(grid.angle[at, 0], np.sin(3 * (grid.time[at] + time[0])), atol=1e-12)
+    assert grid.seen[:, 0].sum() == 2 * (400 - 20)
+    assert grid.last.sum() == 1
+    assert len(grid.time) == bucket(grid.real)
+
+
+def test_the_fastest_frequency_is_that_of_the_motion_not_of_the_noise():
+    time = np.arange(2000) / 100
+    rng = np.random.default_rng(3)
+    angle = 0.2 * np.sin(2 * np.pi * 0.5 * time) + 0.02 * np.sin(2 * np.pi * 4 * time)
+    angle = (angle + 1e-3 * rng.standard_normal(len(time)))[:, None]
+    recording = Recording.from_arrays(time, angle, noise=1e-3)
+    fast = fastest_frequency(recording, np.zeros(angle.shape, bool))
+    assert 1.0 < fast / (2 * np.pi * 4) < 1.15
+
+
+def test_nodes_are_those_of_a_cubic():
+    h = np.array([0.1, 0.0])
+    t0 = np.array([0.3, 0.4])
+    path = np.stack([t0**3, 3 * t0**2, t0], axis=1)
+    q, v, _ = nodes(h, path, 1)
+    np.testing.assert_allclose(q[0, :, 0], [0.3**3, 0.35**3, 0.4**3])
+    np.testing.assert_allclose(v[0, :, 0], [3 * 0.3**2, 3 * 0.35**2, 3 * 0.4**2])
