@@ -8,7 +8,7 @@ import pytest
 
 from residyn import ConstantInertia, PlanarArm, Recording, Spring
 from residyn.effects import CoulombFriction, CubicStiffness, Damper, Gravity, Hysteresis
-from residyn.filtering.grid import bucket, fastest_frequency, lay_out
+from residyn.filtering.grid import Spectrum, bucket, lay_out
 from residyn.filtering.kalman import Noise, Readings, System, innovations, smooth
 from residyn.filtering.linearised import nodes
 from residyn.filtering.trajectory import Prior, Scene
@@ -291,7 +291,7 @@ def test_the_fastest_frequency_is_that_of_the_motion_not_of_the_noise():
     angle = 0.2 * np.sin(2 * np.pi * 0.5 * time) + 0.02 * np.sin(2 * np.pi * 4 * time)
     angle = (angle + 1e-3 * rng.standard_normal(len(time)))[:, None]
     recording = Recording.from_arrays(time, angle, noise=1e-3)
-    fast = fastest_frequency(recording, np.zeros(angle.shape, bool))
+    fast = Spectrum.of(recording, np.zeros(angle.shape, bool)).fastest
     assert 1.0 < fast / (2 * np.pi * 4) < 1.15
 
 
@@ -302,3 +302,12 @@ def test_nodes_are_those_of_a_cubic():
     q, v, _ = nodes(h, path, 1)
     np.testing.assert_allclose(q[0, :, 0], [0.3**3, 0.35**3, 0.4**3])
     np.testing.assert_allclose(v[0, :, 0], [3 * 0.3**2, 3 * 0.35**2, 3 * 0.4**2])
+
+
+def test_typical_stiffness_is_that_of_the_springs():
+    truth = ARM + Spring("shoulder", 30.0) + Spring("elbow", 8.0)
+    recording, _ = a_recording(truth, seconds=20.0)
+    rows = ARM.mass_matrix((0.0, 0.0))
+    inertia = np.array([[float(x) for x in row] for row in rows])
+    found = Spectrum.of(recording, np.zeros(recording.angle.shape, bool)).stiffness(inertia)
+    np.testing.assert_allclose(found, [30.0, 8.0], rtol=0.15)

@@ -60,33 +60,57 @@ def bucket(count: int) -> int:
     return size
 
 
-def fastest_frequency(recording: Recording, wild: np.ndarray) -> float:
-    """Angular frequency, rad/s, below which all but a minor part of the acceleration lies, of what
-    stands out of the noise in the readings' spectrum."""
-    time = recording.time - recording.time[0]
-    dt = float(np.median(np.diff(time)))
-    even = np.arange(0.0, time[-1], dt)
-    window = np.hanning(len(even))
-    top = 2 * math.pi / time[-1]
-    for angle, bad, noise in zip(recording.angle.T, wild.T, recording.noise, strict=True):
-        use = np.isfinite(angle) & ~bad
-        if use.sum() < 8:
-            continue
-        x = np.interp(even, time[use], angle[use])
-        power = np.abs(np.fft.rfft((x - x.mean()) * window)) ** 2
-        unit = noise**2 * np.sum(window**2)  # what noise leaves of a line
-        wide = np.convolve(power, np.ones(_WIDE) / _WIDE, "same")
-        loud = wide > _SURE * unit
-        if loud.any():
-            pace = 2 * math.pi * np.fft.rfftfreq(len(even), dt)
-            above = np.cumsum((np.maximum(wide - unit, 0.0) * loud * pace**4)[::-1])[::-1]
-            top = max(top, float(pace[np.flatnonzero(above > _MINOR * above[0])[-1]]))
-    return top
+class Spectrum(NamedTuple):
+    """The readings of one recording, one spectrum a joint."""
+
+    pace: np.ndarray
+    """(F,) angular frequencies, rad/s."""
+    lines: np.ndarray
+    """(n, F) Fourier coefficients of the windowed angles about their mean, rad or m."""
+    signal: np.ndarray
+    """(n, F) power beyond the noise, 0 where nothing stands out of it."""
+
+    @classmethod
+    def of(cls, recording: Recording, wild: np.ndarray) -> "Spectrum":
+        """The spectrum of a recording; lost and wild readings are bridged."""
+        time = recording.time - recording.time[0]
+        dt = float(np.median(np.diff(time)))
+        even = np.arange(0.0, time[-1], dt)
+        window = np.hanning(len(even))
+        lines, signal = [], []
+        for angle, bad, noise in zip(recording.angle.T, wild.T, recording.noise, strict=True):
+            use = np.isfinite(angle) & ~bad
+            x = np.interp(even, time[use], angle[use]) if use.any() else 0 * even
+            found = np.fft.rfft((x - x.mean()) * window)
+            unit = noise**2 * np.sum(window**2)  # what noise leaves of a line
+            wide = np.convolve(np.abs(found) ** 2, np.ones(_WIDE) / _WIDE, "same")
+            lines.append(found)
+            signal.append(np.where(wide > _SURE * unit, np.maximum(wide - unit, 0.0), 0.0))
+        pace = 2 * math.pi * np.fft.rfftfreq(len(even), dt)
+        return cls(pace, np.stack(lines), np.stack(signal))
+
+    @property
+    def fastest(self) -> float:
+        """Angular frequency, rad/s, below which all but a minor part of the acceleration lies."""
+        top = self.pace[1]
+        for power in self.signal:
+            above = np.cumsum((power * self.pace**4)[::-1])[::-1]
+            if above[0] > 0:
+                top = max(top, self.pace[np.flatnonzero(above > _MINOR * above[0])[-1]])
+        return float(top)
+
+    def stiffness(self, inertia: np.ndarray) -> np.ndarray:
+        """(n,) rms of the torque Z q'' that moves each joint over the rms of its angle, N m/rad;
+        `inertia` (n, n) is Z."""
+        kept = np.where((self.signal > 0) & (self.pace <= self.fastest), self.lines, 0.0)
+        torque = inertia @ (self.pace**2 * kept)
+        sizes = [np.sqrt(np.sum(np.abs(x) ** 2, axis=1)) for x in (torque, self.lines)]
+        return sizes[0] / np.maximum(sizes[1], 1e-300)
 
 
 def lay_out(recordings: Sequence[Recording], wild: Sequence[np.ndarray]) -> Grid:
     """The grid of some recordings; `wild` (N, n) of each marks readings that do not count."""
-    fast = max(fastest_frequency(r, w) for r, w in zip(recordings, wild, strict=True))
+    fast = max(Spectrum.of(r, w).fastest for r, w in zip(recordings, wild, strict=True))
     most = sum(len(r.time) for r in recordings) / _ENOUGH  # readings in an average
     parts = [_one(r, w, fast, most) for r, w in zip(recordings, wild, strict=True)]
     run = np.concatenate([np.full(len(p[0]), i) for i, p in enumerate(parts)])

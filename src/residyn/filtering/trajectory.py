@@ -28,7 +28,7 @@ from ..mechanism import AbstractMechanism
 from ..model import Model
 from ..parameter import Parameter, Scales
 from ..recording import Recording
-from .grid import Grid, lay_out
+from .grid import Grid, Spectrum, lay_out
 from .kalman import Noise, Readings, System, smooth
 from .law import (
     Law,
@@ -168,41 +168,19 @@ class Scene:
         q[g.real :], v[g.real :] = q[g.real - 1], 0.0
         self.q, self.v = q, v
         seen = np.arange(self.K) < g.real
-        inertia = mechanisms[0].mass_matrix((0.0,) * n)
+        rows = mechanisms[0].mass_matrix((0.0,) * n)
+        inertia = np.array([[float(x) for x in row] for row in rows])
         amplitude = np.maximum(np.std(q[seen], axis=0), 3 * np.sqrt(g.variance[0]))
-        rate = self._smooth_rate(q, seen)
-        longest = max(r.duration for r in recordings)
-        pace = np.clip(rate / amplitude, 2 * math.pi / longest, None)
+        long = int(np.argmax([r.duration for r in recordings]))
+        stiffness = Spectrum.of(recordings[long], wild[long]).stiffness(inertia)
+        slowest = 2 * math.pi / recordings[long].duration
+        pace = np.maximum(np.sqrt(stiffness / np.diag(inertia)), slowest)
         self.scales = [
-            Scales(float(inertia[j][j]), float(pace[j]), float(math.sqrt(2) * amplitude[j]))
+            Scales(float(inertia[j, j]), float(pace[j]), float(math.sqrt(2) * amplitude[j]))
             for j in range(n)
         ]
         self.torque = np.array([s.inertia * s.frequency**2 * s.amplitude for s in self.scales])
         self.readings = Readings(jnp.asarray(g.angle), jnp.asarray(g.seen), jnp.asarray(g.variance))
-
-    def _smooth_rate(self, q: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        """(n,) rms rate, noise apart: its share in differences is known."""
-        g = self.grid
-        within = seen[1:] & seen[:-1] & (g.step[:-1] > 0) & ~g.last[:-1]
-        lag = 1
-        while True:  # the shortest lag over which the motion exceeds the noise tenfold
-            ok = within.copy()
-            for k in range(1, lag):
-                ok[:-k] &= within[k:]
-            index = np.flatnonzero(ok)
-            index = index[index + lag < self.K]
-            if len(index) < 8:
-                break
-            moved = q[index + lag] - q[index]
-            noise = 2 * g.variance[index]
-            power = np.mean(moved**2 - noise, axis=0)
-            if np.all(power > 10 * np.mean(noise, axis=0)) or lag >= 16:
-                break
-            lag *= 2
-        if len(index) < 8:
-            return np.std(self.v[seen], axis=0)
-        taken = np.mean(g.step[index]) * lag
-        return np.sqrt(np.maximum(power, np.mean(noise, axis=0))) / taken
 
     @property
     def length(self) -> int:
