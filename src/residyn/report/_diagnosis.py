@@ -23,6 +23,7 @@ from ._words import (
     times,
     times_noise,
     title,
+    unbroken,
     upper,
     value_words,
     worth_showing,
@@ -48,7 +49,7 @@ def diagnosed(found: Diagnosis) -> dict[str, Any]:
         "verdict": found.verdict,
         "probability": percent(found.verdict_probability),
         "added": listed(names) if names else "",
-        "words": [words.replace(" +/- ", " ±\u00a0") for words in found.words],
+        "words": [unbroken(words) for words in found.words],
         "joints": found.fit.joints,
         "held_out": held,
         "falling": picture(
