@@ -159,7 +159,7 @@ def _families(found: "Diagnosis") -> list[str]:
                 f"Something is missing that the catalogue has ({percent(sure)}), most likely "
                 f"{first}."
             ]
-    groups: dict[str, list["Family"]] = {}
+    groups: dict[str, list[Family]] = {}
     for family in accepted:
         groups.setdefault(modal(family.probability), []).append(family)
     told = []
@@ -332,8 +332,8 @@ def _left(found: "Diagnosis") -> Iterator[str]:
         yield f"{words}{': ' if found.added else ' '}a torque of {sizes}."
         yield from _matters(found)
         return
-    if sure < SURE:
-        yield f"That nothing {'else ' if found.added else ''}is missing is not sure ({percent(sure)})."
+    if sure < SURE and found.added:
+        yield f"That nothing else is missing is not sure ({percent(sure)})."
     if known:
         most = max(known, key=lambda r: r.high / _spring(r) if _known(r) else r.high)
         if most.high > 0:
