@@ -115,7 +115,7 @@ def test_what_nothing_explains_is_measured_beside_spring_and_damper(found):
     rate = found["unexplained"].still_missing[0].torque.rate[:, 1]
     damper = next(n for n in found["unexplained"].fit.numbers if n.name.startswith("damper:elbow"))
     ratio = 0.1 / (damper.value * np.sqrt(np.mean(rate**2)))
-    assert f"its damping by {words_of.share_words(ratio)}" in words
+    assert f"the damping by {words_of.share_words(ratio)}" in words
 
 
 def test_nothing_found_and_yet_something_missing():

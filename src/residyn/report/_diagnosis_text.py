@@ -52,7 +52,7 @@ _SIGNIFICANT = 2.0  # standard errors
 def lines(found: "Diagnosis") -> list[str]:
     """The whole printout, a string per line."""
     return [
-        *_wrapped("", " ".join(found.words)),
+        *wrapped("", " ".join(found.words)),
         "",
         *models(found),
         *candidates(found),
@@ -219,7 +219,7 @@ def _laws(found: "Diagnosis") -> Iterator[str]:
                     f"Within {family.name}, the law is most likely {lower(name)} ({inside}); "
                     f"{listed(rivals)} {'is' if len(rivals) == 1 else 'are'} possible too."
                 )
-            elif further:
+            elif further and found.verdict != "unexplained":
                 yield f"{name}{told} is enough; {listed([_would_add(c, label) for c in further])}."
             elif numbers:
                 yield f"{name}: {numbers}."
@@ -232,8 +232,8 @@ def _numbers(found: "Diagnosis", label: str) -> str:
     beside = found.candidate(label).parameters
     if found.verdict == "unexplained" and len(found.added) == 1 and beside:
         told = [f"{n.rpartition('.')[2]} {value_words(v)}" for n, v in beside.items()]
-        fitted = [f"{n.name.rpartition('.')[2]} {plain(n.value)}" for n in own]
-        return f"{', '.join(told)}; fitted as if nothing else were missing, {', '.join(fitted)}"
+        fitted = ", ".join(plain(n.value) for n in own)
+        return f"{', '.join(told)} ({fitted} if nothing else were missing)"
     told = []
     for n in own:
         value = value_words(Value(n.value, n.std, n.unit)) if n.determined else "not determined"
@@ -373,7 +373,7 @@ def _matters(found: "Diagnosis") -> Iterator[str]:
         damper, where = _damper(found, j), f" at the {r.joint}" if len(found.fit.joints) > 1 else ""
         words = f"the stiffness{where} by {share_words(r.share_of_spring)}"
         if damper > 0:
-            words += f" or its damping by {share_words(r.rms / damper)}"
+            words += f" or the damping by {share_words(r.rms / damper)}"
         told.append(words)
     if told:
         yield f"At most, if it all went with the angle or the rate, it changes {listed(told)}."
@@ -441,7 +441,7 @@ def candidates(found: "Diagnosis") -> list[str]:
     """What might be missing in the base model, the likeliest first."""
     if not found.candidates:
         return []
-    out = _wrapped(
+    out = wrapped(
         "[[Candidates]]  ",
         "probability of being part of the model, and log evidence (nats) of the base model with it "
         "alone, relative to the best model",
@@ -457,7 +457,7 @@ def candidates(found: "Diagnosis") -> list[str]:
             name = ""
         out.append(f"{name:<{_LABEL}}{cells}")
         numbers = [f"{n.rpartition('.')[2]} {value_words(v)}" for n, v in c.parameters.items()]
-        out += _wrapped("        ", ", ".join(numbers)) if numbers else []
+        out += wrapped("        ", ", ".join(numbers)) if numbers else []
     rest = len(found.candidates) - len(shown)
     if rest:
         out.append(f"    and {rest} more that {'is' if rest == 1 else 'are'} less likely")
@@ -471,7 +471,7 @@ def lookalikes(found: "Diagnosis") -> list[str]:
         return []
     out = ["[[Look-alikes]]"]
     for group in groups:
-        out += _wrapped("    ", alike(group))
+        out += wrapped("    ", alike(group))
     return out
 
 
@@ -485,18 +485,20 @@ def next_experiment(found: "Diagnosis") -> list[str]:
     """What to record to tell look-alikes apart."""
     if found.next_experiment is None:
         return []
-    return ["[[Next experiment]]", *_wrapped("    ", found.next_experiment.words)]
+    return ["[[Next experiment]]", *wrapped("    ", found.next_experiment.words)]
 
 
 def _cut(words: str, most: int) -> str:
     return words if len(words) <= most else f"{words[: most - 3]}..."
 
 
-def _wrapped(head: str, words: str) -> list[str]:
-    return textwrap.wrap(
-        words,
+def wrapped(head: str, words: str) -> list[str]:
+    kept = words.replace(" %", "\u00a0%").replace(" +/- ", "\u00a0+/-\u00a0")
+    out = textwrap.wrap(
+        kept,
         _WIDTH,
         initial_indent=head,
         subsequent_indent=" " * len(head),
         break_on_hyphens=False,
     )
+    return [line.replace("\u00a0", " ") for line in out]
