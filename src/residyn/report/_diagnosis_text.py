@@ -194,10 +194,15 @@ def _none_named(found: "Diagnosis") -> str:
         if found.verdict_probability >= SURE:
             return f"Nothing is missing that these recordings could show {sure}."
         return f"Probably nothing is missing {sure}."
-    return (
-        f"Something {modal(found.verdict_probability)} missing that no effect of the catalogue "
-        f"explains {sure}."
-    )
+    verb = modal(found.verdict_probability)
+    return f"Something {verb} missing that {unnamed(found)} explains {sure}."
+
+
+def unnamed(found: "Diagnosis") -> str:
+    """What does not explain the rest: the whole catalogue, or what there was time for."""
+    if found.budget.stopped is not None:
+        return "no effect that was tried"
+    return "no effect of the catalogue"
 
 
 def _laws(found: "Diagnosis") -> Iterator[str]:
@@ -327,7 +332,7 @@ def _left(found: "Diagnosis") -> Iterator[str]:
     sure = found.verdict_probability
     if found.verdict == "unexplained":
         sizes = listed([_size(r, found) for r in known]) if known else "unknown size"
-        more = f"Something more {modal(sure)} missing that no effect of the catalogue explains"
+        more = f"Something more {modal(sure)} missing that {unnamed(found)} explains"
         words = f"{more} ({percent(sure)})" if found.added else "What is missing is"
         yield f"{words}{': ' if found.added else ' '}a torque of {sizes}."
         yield from _matters(found)
@@ -357,10 +362,11 @@ def _spring(r: "RandomTorque") -> float:
 
 def _size(r: "RandomTorque", found: "Diagnosis") -> str:
     where = f" at the {r.joint}" if len(found.fit.joints) > 1 else ""
-    share = f", {share_words(r.share_of_spring)} of the spring's" if _known(r) else ""
     low, high = plain(r.low, 2), plain(r.high, 2)
-    band = f" (95 % band {low} to {high})" if low != high else ""
-    return f"{plain(r.rms, 2)} {r.unit} rms{where}{band}{share}"
+    band = f"95 % band {low} to {high}" if low != high else ""
+    share = f"{share_words(r.share_of_spring)} of the spring's" if _known(r) else ""
+    more = "; ".join(filter(None, [band, share]))
+    return f"{plain(r.rms, 2)} {r.unit} rms{where}" + (f" ({more})" if more else "")
 
 
 def _matters(found: "Diagnosis") -> Iterator[str]:
@@ -376,7 +382,7 @@ def _matters(found: "Diagnosis") -> Iterator[str]:
             words += f" or the damping by {share_words(r.rms / damper)}"
         told.append(words)
     if told:
-        yield f"At most, if it all went with the angle or the rate, it changes {listed(told)}."
+        yield f"At most, if it all went with the angle or the rate, it changes {'; '.join(told)}."
 
 
 def _damper(found: "Diagnosis", joint: int) -> float:
