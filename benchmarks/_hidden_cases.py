@@ -2,8 +2,8 @@
 
 A case is one release of one random arm with something hidden in it, and everything random about it
 follows from its *seed*, its labels and its noise: so a case needs no file, and the same name means
-the same recording to every method. The lists of seeds are frozen. Whatever was tuned, a threshold or
-a line of code, was tuned on `TUNING`; `EVIDENCE` was committed before the diagnosis by marginal
+the same recording to every method. The lists of seeds are frozen. Whatever was tuned, a threshold
+or a line of code, was tuned on `TUNING`; `EVIDENCE` was committed before the diagnosis by marginal
 likelihood was written, and `REPORT` before the diagnosis that it replaced.
 """
 
@@ -130,4 +130,3 @@ def _pair(rng: np.random.Generator) -> tuple[str, str]:
 def _place(rng: np.random.Generator, name: str) -> str:
     places = [x for x in rig.NAMES if x.partition(":")[0] == name]
     return places[rng.integers(len(places))]
-

@@ -7,9 +7,9 @@ fit.
 
 *Class.* A name is in the truth's equivalence class if, in the truth's place, it leaves the same to
 within noise: its chi-square is at most `TIE` above the truth's, each plus the one for every fitted
-number by which a fit follows the noise. Class first: the likeliest name is of the class. By name: it
-is the hidden effect itself, where its class has no other member. The log probability is that of the
-sum over the class, at least `FLOOR`.
+number by which a fit follows the noise. Class first: the likeliest name is of the class. By name:
+it is the hidden effect itself, where its class has no other member. The log probability is that of
+the sum over the class, at least `FLOOR`.
 
 *Calibration* takes every name of every case, counted or not: a probability has to be honest about
 faint effects too. A name is right there if it is physically there, and also if its class is.
@@ -125,7 +125,9 @@ def by_name(row: Row, s: Seen) -> bool | None:
 
 def verdict(wanted: str) -> Callable[[Row, Seen], bool | None]:
     """Whether that is the verdict; None for methods without one."""
-    return lambda r, s: r["verdict"] == wanted if "verdict" in r else (False if "error" in r else None)
+    return lambda r, s: (
+        r["verdict"] == wanted if "verdict" in r else (False if "error" in r else None)
+    )
 
 
 def left_over(row: Row, s: Seen) -> bool | None:
@@ -168,7 +170,9 @@ def summary(columns: Mapping[str, Sequence[Row]], told: Mapping[str, Seen]) -> s
         some = [[told[r["key"]].tellable for r in rows if r["what"] == what]
                 for rows in columns.values()]  # fmt: skip
         if any(some):
-            lines.append([f"{what}: the oracle could not tell", *(share([not x for x in s]) for s in some)])
+            lines.append(
+                [f"{what}: the oracle could not tell", *(share([not x for x in s]) for s in some)]
+            )
     for what, words, ask in QUESTIONS:
         cells = []
         for rows in columns.values():
@@ -213,7 +217,13 @@ def calibration(names: Sequence[tuple[float, bool, bool, str]]):
             mean, there, either = np.mean([g[:3] for g in some], axis=0)
             points.append((float(mean), float(there), len(some)))
             lines.append(
-                [f"{low:g} to {high:g}", f"{mean:.3f}", f"{there:.3f}", f"{either:.3f}", f"{len(some)}"]
+                [
+                    f"{low:g} to {high:g}",
+                    f"{mean:.3f}",
+                    f"{there:.3f}",
+                    f"{either:.3f}",
+                    f"{len(some)}",
+                ]
             )
     head = ["probability given", "its mean", "share there", "there, or of the class", "names"]
     return table(head, lines), points
@@ -251,12 +261,14 @@ def by_label(rows: Sequence[Row], told: Mapping[str, Seen]) -> str:
     lines = []
     for label, some in own.items():
         good = [_as_hoped(r, told[r["key"]]) for r in some]
-        cells = [share([g for g, r in zip(good, some, strict=True) if r["noise"] == n]) for n in noises]
+        cells = [
+            share([g for g, r in zip(good, some, strict=True) if r["noise"] == n]) for n in noises
+        ]
         logs = [log_probability(r, told[r["key"]]) for r in some]
         logs = [x for x in logs if x is not None] if some[0]["what"] == "single" else []
         instead = Counter(
             "+".join(named(r, 1)) or r.get("verdict", "error")
-            for r in some if named(r, 1) != r["hidden"] and (r["what"] == "single")
+            for r in some if named(r, 1) != r["hidden"] and (r["what"] == "single" or not _as_hoped(r, told[r["key"]]))
         )  # fmt: skip
         cells += [f"{np.mean(logs):.2f}" if logs else "-"]
         cells += [", ".join(f"{k} ({n})" if n > 1 else k for k, n in instead.most_common())]
@@ -284,13 +296,15 @@ def misses(rows: Sequence[Row], told: Mapping[str, Seen]) -> list[str]:
                 continue
             top = ", ".join(f"{c[0]} {c[1]:.2g}" for c in r["candidates"][:3])
             left = f"chi2 {r['chi2']['last']:.0f}, of the truth {r['chi2']['truth']:.0f}"
-            out.append(f"- {r['key']}: {'+'.join(r['added']) or 'nothing'}, {r['verdict']}; {top}; {left}")
+            out.append(
+                f"- {r['key']}: {'+'.join(r['added']) or 'nothing'}, {r['verdict']}; {top}; {left}"
+            )
     return out
 
 
 def bic(row: Row) -> Row | None:
-    """The plain rival's answer: the least chi-square + (numbers) ln (readings) of all effects fitted
-    alone, and none; from an oracle's line that has them all."""
+    """The plain rival's answer: the least chi-square + (numbers) ln (readings) of every effect
+    fitted alone, and of none; from an oracle's line that has them all."""
     if not set(rig.NAMES) <= set(row["fits"]) or row["what"] == "pairs":
         return None
     scores = {
@@ -299,11 +313,16 @@ def bic(row: Row) -> Row | None:
         if chi2 is not None
     }
     best = min(scores, key=lambda k: scores[k])
-    return {k: row[k] for k in ("key", "what", "hidden", "noise")} | {"named": [best] if best else []}
+    return {k: row[k] for k in ("key", "what", "hidden", "noise")} | {
+        "named": [best] if best else []
+    }
 
 
 def report(
-    rows: Sequence[Row], oracle: Sequence[Row], others: Mapping[str, Sequence[Row]], picture: Path | None
+    rows: Sequence[Row],
+    oracle: Sequence[Row],
+    others: Mapping[str, Sequence[Row]],
+    picture: Path | None,
 ) -> str:
     """All of it, in Markdown."""
     told = {r["key"]: seen(r) for r in oracle if not r.get("error")}
@@ -316,14 +335,17 @@ def report(
     parts = [
         f"{len(known)} cases, {sum('error' in r for r in known)} broken; "
         f"{len(rows) - len(known)} that the oracle has not seen are left out.",
-        summary({f"noise {100 * n:g} %": [r for r in known if r["noise"] == n] for n in noises}, told),
+        summary(
+            {f"noise {100 * n:g} %": [r for r in known if r["noise"] == n] for n in noises}, told
+        ),
         by_label(known, told),
         "What came out otherwise (of cases that the oracle could tell):",
         "\n".join(misses(known, told)) or "- nothing",
         "Calibration:",
         lists,
         "The most confident names that are not physically there:",
-        "\n".join(f"- {g[0]:.3f} {g[3]}{', of its class' if g[2] else ''}" for g in worst) or "- none",
+        "\n".join(f"- {g[0]:.3f} {g[3]}{', of its class' if g[2] else ''}" for g in worst)
+        or "- none",
     ]
     methods = {}
     for name, theirs in others.items():

@@ -1,20 +1,21 @@
 """One case of the hidden-effect benchmark: diagnosed, or held against what was possible.
 
-No method can name what the readings do not show. So an *oracle*, which knows what is hidden and fits
-it, says what they show: it fits springs and dampers alone, with the truth, and with its rivals.
-Chi-square of these fits, and of the true motion, is all that the scores need (`_hidden_report`).
+No method can name what the readings do not show. So an *oracle*, which knows what is hidden and
+fits it, says what they show: it fits springs and dampers alone, with the truth, and with its
+rivals. Chi-square of these fits, and of the true motion, is all that the scores need
+(`_hidden_report`).
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import residyn
+from benchmarks._fresh import memory_mb
 from benchmarks._hidden_cases import Spec
 from benchmarks.effects import experiment_of
 from tests import rig
@@ -32,15 +33,6 @@ def about(spec: Spec) -> dict[str, Any]:
         "noise": spec.noise,
         "seed": spec.seed,
     }
-
-
-def peak_mb() -> float:
-    """The largest resident memory of this process so far, MB (Linux; NaN elsewhere)."""
-    try:
-        lines = Path("/proc/self/status").read_text().splitlines()
-    except OSError:
-        return float("nan")
-    return next(float(x.split()[1]) for x in lines if x.startswith("VmHWM")) * 1024 / 1e6
 
 
 def chi2_of(fit) -> float:
@@ -87,7 +79,7 @@ def diagnosed(spec: Spec) -> dict[str, Any]:
         "models": found.budget.models,
         "stopped": found.budget.stopped,
         **took,
-        "peak_mb": peak_mb(),
+        "peak_mb": memory_mb(),
     }
 
 

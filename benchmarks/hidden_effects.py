@@ -7,34 +7,40 @@
 
 Random arms, releases and strengths; one recording each, 20 s at 100 Hz. Hidden are: one effect of
 the catalogue at one place (`single`), nothing (`none`), something that no catalogue has (`outside`:
-a ripple in the angle, a burst in time, drag with the fifth power of the rate, a magnet, a spring that
-comes loose), and two effects of different physical kinds at once, 2 to 10 % of the spring's torque
-each (`pairs`). Nothing of the rig shares code with the package. Noise is a share of the amplitude
-(of both joints' largest swings, root mean square).
+a ripple in the angle, a burst in time, drag with the fifth power of the rate, a magnet, a spring
+that comes loose), and two effects of different physical kinds at once, 2 to 10 % of the spring's
+torque each (`pairs`). Nothing of the rig shares code with the package. Noise is a share of the
+amplitude (of both joints' largest swings, root mean square).
 
 `run` appends one JSON line a case to its file and skips what is there already, so it may be stopped
-and gone on with. Each case is a process of its own: its CPU time and peak memory are those of a first
-diagnosis whose programs may be in the cache. `--shuffle` takes the cases in a fixed random order, so
-that a partial run is a fair sample; `--seconds` begins no case after that long. Without `--what` the
-cases are those of the published table (`PLAN` in `_hidden_cases`).
+and gone on with. Each case is a process of its own: its times and peak memory are those of a first
+diagnosis whose programs may be in the cache; MuJoCo, which makes the recording, takes part in the
+memory. `--batch 10` is quicker (programs are compiled once in ten cases). `--shuffle` takes the
+cases in a fixed random order, so that a partial run is a fair sample; `--seconds` begins no case
+after that long. Without `--what` the cases are those of the published table (`PLAN` in
+`_hidden_cases`).
 
-`oracle` fits by name: springs and dampers, the truth, and whatever the given files named or gave 1 %
-or more instead of it. `--every` fits all effects of the catalogue to cases with one effect or none,
-and their BIC joins the methods of the report.
+`oracle` fits by name: springs and dampers, the truth, and whatever the given files named or gave 1
+% or more instead of it. `--every` fits all effects of the catalogue to cases with one effect or
+none, and their BIC joins the methods of the report.
 
-`report` prints the scores; `_hidden_report` says what each is. `--beside` sets other files beside the
-first on the cases that all have.
+`report` prints the scores; `_hidden_report` says what each is. `--beside` sets other files beside
+the first on the cases that all have.
 """
 
 import argparse
+import itertools
 import json
 import os
 import random
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor, as_completed
+import traceback
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 from benchmarks._hidden_cases import NOISE, PLAN, SEEDS, Spec, specs
@@ -55,61 +61,89 @@ def read(path: Path) -> list[dict[str, Any]]:
     return list({(row["key"], row.get("method")): row for row in rows}.values())
 
 
-def one(command: str, key: str, more: list[str]) -> list[dict[str, Any]]:
-    """One case, in this process."""
-    spec = Spec.of(key)
-    if command == "sindy":
-        from benchmarks._hidden_sindy import sindy
-
-        return sindy(spec, tune="tune" in more)
+def here(command: str) -> None:
+    """The cases on standard input, in this process, a line of answers each."""
     import residyn
 
     residyn.set_up()
     from benchmarks._hidden_run import diagnosed, oracle
 
-    if command == "run":
-        return [diagnosed(spec)]
-    return [oracle(spec, [x for x in more if x != "every"], "every" in more)]
+    for key, more in json.load(sys.stdin):
+        try:
+            if command == "run":
+                rows = [diagnosed(Spec.of(key))]
+            else:
+                rows = [oracle(Spec.of(key), [x for x in more if x != "every"], "every" in more)]
+        except Exception as error:
+            rows = [_failed(key, f"{type(error).__name__}: {error}", traceback.format_exc())]
+        print(json.dumps(rows), flush=True)
 
 
-def _apart(command: str, key: str, more: list[str]) -> list[dict[str, Any]]:
-    """One case, in a process of its own; `error` in place of what could not be had."""
-    words = [sys.executable, "-m", "benchmarks.hidden_effects", "one", command, key, *more]
-    done = subprocess.run(words, capture_output=True, text=True, env=_ONE_THREAD | os.environ)
-    try:
-        return json.loads(done.stdout.splitlines()[-1])
-    except (IndexError, json.JSONDecodeError):
-        spec = Spec.of(key)
-        last = (done.stderr.strip().splitlines() or [f"exit {done.returncode}"])[-1]
-        row = {"key": key, "what": spec.what, "hidden": list(spec.labels), "noise": spec.noise}
-        return [row | {"error": last, "trace": done.stderr[-4000:]}]
+def _sindy(key: str, more: list[str]) -> list[dict[str, Any]]:
+    from benchmarks._hidden_sindy import sindy
+
+    return sindy(Spec.of(key), tune="tune" in more)
+
+
+def _apart(command: str, cases: list[tuple[str, list[str]]]) -> Iterator[list[dict[str, Any]]]:
+    """Cases in a process of their own; `error` in place of what could not be had."""
+    if command == "sindy":
+        yield from (_sindy(*case) for case in cases)
+        return
+    words = [sys.executable, "-m", "benchmarks.hidden_effects", "here", command]
+    left = dict(cases)
+    with subprocess.Popen(
+        words,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=_ONE_THREAD | os.environ,
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write(json.dumps(cases))
+        process.stdin.close()
+        for line in process.stdout:
+            rows = json.loads(line)
+            left.pop(rows[0]["key"])
+            yield rows
+    for key in left:
+        yield [_failed(key, f"the process ended with {process.returncode} (memory?)", "")]
+
+
+def _failed(key: str, error: str, trace: str) -> dict[str, Any]:
+    spec = Spec.of(key)
+    row = {"key": key, "what": spec.what, "hidden": list(spec.labels), "noise": spec.noise}
+    return row | {"error": error, "trace": trace}
 
 
 def work_through(command: str, todo: dict[str, list[str]], options: argparse.Namespace) -> None:
-    """Do the cases that the file lacks, each with its further words, and append them as they come."""
+    """Do the cases that the file lacks, each with its words, and append them as they come."""
     out: Path = options.out
     out.parent.mkdir(parents=True, exist_ok=True)
     done = {r["key"] for r in (read(out) if out.exists() else []) if not r.get("error")}
-    left = [key for key in todo if key not in done]
+    left = [(key, more) for key, more in todo.items() if key not in done]
     if options.shuffle:
-        random.Random(0).shuffle(left)  # noqa: S311
+        random.Random(0).shuffle(left)
     print(f"{len(left)} cases to do, {len(todo) - len(left)} done before", flush=True)
-    began = time.perf_counter()
+    began, lock, count = time.perf_counter(), Lock(), itertools.count(1)
 
-    def work(key: str) -> list[dict[str, Any]]:
+    def work(cases: list[tuple[str, list[str]]]) -> None:
         if options.seconds and time.perf_counter() - began > options.seconds:
-            return []
-        return _apart(command, key, todo[key])
-
-    with ThreadPoolExecutor(options.jobs) as pool:
-        count = 0
-        for each in as_completed([pool.submit(work, key) for key in left]):
-            if rows := each.result():
-                count += 1
+            return
+        for rows in _apart(command, cases):
+            with lock:
                 with out.open("a") as file:
                     file.writelines(json.dumps(row) + "\n" for row in rows)
                 since = time.perf_counter() - began
-                print(f"{count}/{len(left)} {since:.0f} s {_line(rows[0])}", flush=True)
+                print(f"{next(count)}/{len(left)} {since:.0f} s {_line(rows[0])}", flush=True)
+
+    with ThreadPoolExecutor(options.jobs) as pool:
+        list(
+            pool.map(
+                work, (left[i : i + options.batch] for i in range(0, len(left), options.batch))
+            )
+        )
 
 
 def _line(row: dict[str, Any]) -> str:
@@ -119,7 +153,9 @@ def _line(row: dict[str, Any]) -> str:
         return f"{row['key']}: {len(row['fits'])} fits"
     names = row["named"][:3] if "named" in row else row["added"]
     told = f"{row['seconds']:.1f} s, {row.get('peak_mb', 0):.0f} MB"
-    return f"{row['key']}: {'+'.join(names) or '-'}, {row.get('verdict', row.get('method'))}, {told}"
+    return (
+        f"{row['key']}: {'+'.join(names) or '-'}, {row.get('verdict', row.get('method'))}, {told}"
+    )
 
 
 def _planned(o: argparse.Namespace) -> list[Spec]:
@@ -143,8 +179,8 @@ def _rivals(files: list[Path], every: bool) -> dict[str, list[str]]:
 
 def main() -> None:
     """The command."""
-    if sys.argv[1:2] == ["one"]:
-        print(json.dumps(one(sys.argv[2], sys.argv[3], sys.argv[4:])))
+    if sys.argv[1:2] == ["here"]:
+        here(sys.argv[2])
         return
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -160,11 +196,14 @@ def main() -> None:
             own.add_argument("--what", nargs="+", choices=WHAT, help="instead of the whole plan")
             own.add_argument("--noise", nargs="+", type=float, default=list(NOISE))
             own.add_argument("--count", type=int, default=1, help="of each label at each noise")
-            own.add_argument("--skip", type=int, default=0, help="of these seeds, the first so many")
+            own.add_argument(
+                "--skip", type=int, default=0, help="of these seeds, the first so many"
+            )
             own.add_argument("--only", nargs="+", default=[], metavar="LABEL")
         if name == "sindy":
             own.add_argument("--tune", action="store_true", help="every setting, tuning seeds only")
         own.add_argument("--jobs", type=int, default=1)
+        own.add_argument("--batch", type=int, default=1, help="cases of one process")
         own.add_argument("--shuffle", action="store_true")
         own.add_argument("--seconds", type=float)
         own.add_argument("--out", type=Path, required=True, help="JSON lines; not for git")
