@@ -266,10 +266,12 @@ def by_label(rows: Sequence[Row], told: Mapping[str, Seen]) -> str:
         ]
         logs = [log_probability(r, told[r["key"]]) for r in some]
         logs = [x for x in logs if x is not None] if some[0]["what"] == "single" else []
-        instead = Counter(
-            "+".join(named(r, 1)) or r.get("verdict", "error")
-            for r in some if named(r, 1) != r["hidden"] and (r["what"] == "single" or not _as_hoped(r, told[r["key"]]))
-        )  # fmt: skip
+        wrong = [
+            r
+            for r, g in zip(some, good, strict=True)
+            if not g or (r["what"] == "single" and named(r, 1) != r["hidden"])
+        ]
+        instead = Counter("+".join(named(r, 1)) or r.get("verdict", "error") for r in wrong)
         cells += [f"{np.mean(logs):.2f}" if logs else "-"]
         cells += [", ".join(f"{k} ({n})" if n > 1 else k for k, n in instead.most_common())]
         lines.append([label, *cells])

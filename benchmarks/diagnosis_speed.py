@@ -2,9 +2,9 @@
 
     python -m benchmarks.diagnosis_speed [cold] [filled] [samples] [many] [--arms 20]
 
-Twenty MuJoCo arms with twenty different things hidden, pairs among them; 20 s at 100 Hz, noise 1 % of
-the amplitude. A process reads one recording, diagnoses it and ends; its wall and CPU time include
-Python's imports, and all that is compiled.
+Twenty MuJoCo arms with twenty different things hidden, pairs among them; 20 s at 100 Hz, noise 1 %
+of the amplitude. A process reads one recording, diagnoses it and ends; its wall and CPU time
+include Python's imports, and all that is compiled.
 
 `cold`     each arm in a fresh process with an empty cache.
 `filled`   each in a fresh process, the cache filled by three other arms before; and, in the same

@@ -185,7 +185,9 @@ def _magnet(bench: Bench, joint: int, values: Values) -> None:
 def _loosening(bench: Bench, joint: int, values: Values) -> None:
     """Within a moment the spring loses some of its stiffness, for good."""
     stiffness, time, width = values["stiffness"], values["time"], values["width"]
-    bench.joint_law(joint, lambda t, q, v: -0.5 * stiffness * q * (1 + math.tanh((t - time) / width)))
+    bench.joint_law(
+        joint, lambda t, q, v: -0.5 * stiffness * q * (1 + math.tanh((t - time) / width))
+    )
     bench.joint_limit(joint, lambda q, v, a: SMOOTH * width)
 
 
