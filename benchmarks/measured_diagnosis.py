@@ -8,8 +8,9 @@ row's name: `high_spring`, `pendulum`, `air`, `emps`; all if not given. A row is
 (`three`: of a cart's three runs together). `--empty` gives each process an empty cache.
 
 Errors are rms over all joints, of springs and dampers alone and of the last model: fitted, and on
-readings that were not (the last third, predicted from a fit of the rest, or EMPS' other file). "Left"
-is the random torque of the last model, as a share of the spring's torque; EMPS has no spring.
+readings that were not (the last third, predicted from a fit of the rest, or EMPS' other file).
+"Left" is the random torque of the last model, as a share of the spring's torque; EMPS has no spring
+worth the name.
 """
 
 import argparse
