@@ -52,8 +52,8 @@ LAYERS = [
 ]
 PHYSICS = ["parameter", "motion", "mechanism", "bearings", "effects", "model"]
 PHYSICS_MAY = {"jax", "equinox", "jaxtyping"}
-# Steps upwards, taken when they are called: `mechanism + effect` builds a Model, and a result prints
-# itself in words that stand in `report`.
+# Steps upwards, taken when they are called: `mechanism + effect` builds a Model, and a result
+# prints itself in words that stand in `report`.
 UPWARDS = {("mechanism", "model"), ("diagnosis", "report")}
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
 

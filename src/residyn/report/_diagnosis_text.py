@@ -214,10 +214,10 @@ def _laws(found: "Diagnosis") -> Iterator[str]:
                 if x not in found.added and p >= _ALSO
             ]
             if rivals:
+                inside = "; ".join(filter(None, [percent(members[label]), numbers]))
                 yield (
-                    f"Within {family.name}, the law is most likely {lower(name)} ({percent(members[label])}"
-                    f"{'; ' + numbers if numbers else ''}); {listed(rivals)} "
-                    f"{'is' if len(rivals) == 1 else 'are'} possible too."
+                    f"Within {family.name}, the law is most likely {lower(name)} ({inside}); "
+                    f"{listed(rivals)} {'is' if len(rivals) == 1 else 'are'} possible too."
                 )
             elif further:
                 yield f"{name}{told} is enough; {listed([_would_add(c, label) for c in further])}."
@@ -226,8 +226,8 @@ def _laws(found: "Diagnosis") -> Iterator[str]:
 
 
 def _numbers(found: "Diagnosis", label: str) -> str:
-    """The numbers of an effect that was added: as fitted if nothing is left, else as they are beside
-    the random torque, since a fit's errors then are too small."""
+    """The numbers of an effect that was added: as fitted if nothing is left, else as they are
+    beside the random torque, since a fit's errors then are too small."""
     own = [n for n in found.fit.numbers if n.name.rpartition(".")[0] == label]
     beside = found.candidate(label).parameters
     if found.verdict == "unexplained" and len(found.added) == 1 and beside:

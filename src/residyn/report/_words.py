@@ -35,9 +35,9 @@ def lower(words: str) -> str:
 
 def unbroken(words: str) -> str:
     """For a page: numbers stay with their signs and units."""
-    for bare, kept in ((" +/- ", " ± "), (" ± ", "\u00a0±\u00a0"), (" %", "\u00a0%"), ("N m", "N\u00a0m"),
-                       ("> ", ">\u00a0"), ("< ", "<\u00a0")):  # fmt: skip
-        words = words.replace(bare, kept)
+    words = words.replace(" +/- ", " ± ")
+    for bare in (" ± ", " %", "N m", "> ", "< "):
+        words = words.replace(bare, bare.replace(" ", "\u00a0"))
     return words
 
 
