@@ -48,11 +48,6 @@ from benchmarks._hidden_cases import NOISE, PLAN, SEEDS, Spec, specs
 WHAT = ("single", "none", "outside", "pairs")
 LIKELY = 0.01
 """Names with this probability or more are the oracle's rivals."""
-_ONE_THREAD = {
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-}
 
 
 def read(path: Path) -> list[dict[str, Any]]:
@@ -85,7 +80,16 @@ def _sindy(key: str, more: list[str]) -> list[dict[str, Any]]:
     return sindy(Spec.of(key), tune="tune" in more)
 
 
-def _apart(command: str, cases: list[tuple[str, list[str]]]) -> Iterator[list[dict[str, Any]]]:
+def _one_thread() -> dict[str, str]:
+    """The environment of a process that shares the machine with others like it."""
+    flags = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+    flags = f"{os.environ.get('XLA_FLAGS', '')} {flags}".strip()
+    return os.environ | {"XLA_FLAGS": flags, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def _apart(
+    command: str, cases: list[tuple[str, list[str]]], alone: bool
+) -> Iterator[list[dict[str, Any]]]:
     """Cases in a process of their own; `error` in place of what could not be had."""
     if command == "sindy":
         yield from (_sindy(*case) for case in cases)
@@ -97,7 +101,7 @@ def _apart(command: str, cases: list[tuple[str, list[str]]]) -> Iterator[list[di
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        env=_ONE_THREAD | os.environ,
+        env=None if alone else _one_thread(),
     ) as process:
         assert process.stdin is not None
         assert process.stdout is not None
@@ -131,7 +135,7 @@ def work_through(command: str, todo: dict[str, list[str]], options: argparse.Nam
     def work(cases: list[tuple[str, list[str]]]) -> None:
         if options.seconds and time.perf_counter() - began > options.seconds:
             return
-        for rows in _apart(command, cases):
+        for rows in _apart(command, cases, options.jobs == 1):
             with lock:
                 with out.open("a") as file:
                     file.writelines(json.dumps(row) + "\n" for row in rows)
