@@ -77,7 +77,7 @@ def test_another_function_and_other_sources_are_other_programs(folder, monkeypat
     assert float(other(np.asarray(1.0))) == 3.0
     seen = []
     watched(seen)(arm(), np.arange(3.0))
-    monkeypatch.setattr(kept, "_sources", lambda: "edited")
+    monkeypatch.setattr(kept, "_made_of", lambda: "edited")
     watched(seen)(arm(), np.arange(3.0))
     assert len(seen) == 2
 

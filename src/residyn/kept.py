@@ -78,7 +78,7 @@ class Kept:
         words = _words(key[0], [x for x in key[1] if not isinstance(x, tuple)])
         if words is None:
             return plain
-        name = "\n".join([self._name, _sources(), words, repr(key[1:])])
+        name = "\n".join([self._name, _made_of(), words, repr(key[1:])])
         file = folder / f"{hashlib.sha256(name.encode()).hexdigest()}.stablehlo"
         try:
             exported = jax.export.deserialize(bytearray(file.read_bytes()))
@@ -139,12 +139,18 @@ def _words(structure, others) -> str | None:
 
 
 @functools.cache
-def _sources() -> str:
-    """What this package and those it is built on are, in few words."""
+def sources() -> str:
+    """SHA-256 of this package's sources."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(path.read_bytes())
-    return " ".join([digest.hexdigest(), *(f"{name} {version(name)}" for name in _MADE_OF)])
+    return digest.hexdigest()
+
+
+@functools.cache
+def _made_of() -> str:
+    """What this package and those it is built on are, in few words."""
+    return " ".join([sources(), *(f"{name} {version(name)}" for name in _MADE_OF)])
 
 
 def _write(file: Path, content: bytes | bytearray) -> None:
