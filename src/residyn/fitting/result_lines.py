@@ -148,7 +148,7 @@ class ResultLines:
     def _hold(self) -> IO[bytes]:
         """Open the file and lock it; again, if it was replaced in between."""
         while True:
-            file = self._held.enter_context(open(self.path, "ab", buffering=0))
+            file = self._held.enter_context(open(self.path, "ab", buffering=0))  # noqa: SIM115
             self._lock(file)
             if os.path.samestat(os.fstat(file.fileno()), os.stat(self.path)):
                 return file
@@ -194,7 +194,7 @@ class ResultLines:
         """All at once, and the new file is held before it has the name of the old one."""
         handle, name = tempfile.mkstemp(dir=self.path.parent, prefix=f".{self.path.name}.")
         try:
-            self._file = self._held.enter_context(open(handle, "ab", buffering=0))
+            self._file = self._held.enter_context(open(handle, "ab", buffering=0))  # noqa: SIM115
             self._lock(self._file)
             self._file.write(b"".join(lines))
             os.chmod(name, os.stat(self.path).st_mode & 0o777)
