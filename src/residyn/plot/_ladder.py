@@ -11,9 +11,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
 from .._units import amount, plain, ratio
-from ..diagnosis.printed import at_place, rung_name, times_noise
 from ..diagnosis.result import Diagnosis
-from ..diagnosis.words import listed
+from ..report._words import at_place, listed, lower, model_name, times_noise
 from ._labels import LINE, beside, gathered
 from ._style import BAND, DASHED, FAINT, INK, JOINTS, NARROW, SOFT, WIDE, shortened, styled
 
@@ -88,11 +87,11 @@ def _name(found: Diagnosis, i: int, beneath: bool) -> str:
     """A rung's name; under its dot, with the place on a line of its own."""
     rung, joints = found.ladder[i], found.fit.joints
     if rung.added is None:
-        name = rung_name(rung)
+        name = model_name(rung)
         return name if beneath else name.replace(" + ", "\n+ ")
-    name = f"+ {at_place(rung.added, joints)}"
+    name = f"+ {lower(at_place(rung.added, joints))}"
     if rung.dropped:
-        name += f"\nwithout {listed([at_place(name, joints) for name in rung.dropped])}"
+        name += f"\nwithout {listed([lower(at_place(x, joints)) for x in rung.dropped])}"
     return name.replace("\n", ", ") if beneath else name.replace(" at the", "\nat the")
 
 
