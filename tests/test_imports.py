@@ -23,6 +23,7 @@ LAYERS = [
     [
         "recording",
         "_arrays",
+        "_columns",
         "_csv",
         "_doubts",
         "_lab_files",
