@@ -35,6 +35,7 @@ LAYERS = [
         "_release",
         "_rest",
         "_rigid",
+        "_sanity",
         "_spectrum",
         "_stretches",
         "_tables",

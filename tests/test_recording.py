@@ -523,11 +523,19 @@ def test_warns_of_a_clock_that_does_not_count_seconds(scale, word):
     assert "must be in s" in warning
 
 
-def test_warns_of_degrees(folder):
+def test_refuses_degrees_and_warns_of_them_in_python(folder):
     t, q, _ = ringing(np.random.default_rng(0), modes=(1.0, 2.0))
     table = [np.degrees(0.3 * q), np.degrees(0.2 * q)]
     write_csv(folder / "degrees.csv", t, np.stack(table, axis=1))
-    lines = experiment(folder, ARM, entry("theta2 = 17", file="degrees.csv")).warnings
+    line = refusal(folder, ARM, entry("theta2 = 17", file="degrees.csv"))
+    assert "theta2 = 17: in degrees? it must be in rad" in line
+    line = refusal(folder, ARM, entry("theta2 = 0.3", file="degrees.csv"))
+    assert "degrees.csv: q1 reaches" in line
+    assert 'units = { q1 = "deg" }' in line
+    units = 'units = { q1 = "deg", q2 = "deg" }'
+    assert experiment(folder, ARM, entry("theta2 = 0.3", units, file="degrees.csv")).warnings == ()
+    made = Recording.from_arrays(t, np.stack(table, axis=1), theta2=17, name="degrees.csv")
+    lines = Experiment(ArmTable((0.4, 0.4), 1.1662, 0.579, 1.4384), (made,)).warnings
     assert len(lines) == 3
     assert all("degrees.csv" in line and "must be in rad" in line for line in lines)
     # The same numbers may be millimetres where nothing says they are angles.

@@ -93,6 +93,8 @@ class Column(NamedTuple):
     unit: str
     factor: float
     """What turns its numbers into s, rad, m, N m or N."""
+    stated: bool = False
+    """Whether its unit is said, by a key or in the file."""
 
 
 class Joints(NamedTuple):
@@ -195,8 +197,7 @@ def columns_of(
     for name, (index, *_) in found.items():
         cell = header[index].strip()
         own = below[index].strip() if index < len(below) else ""
-        unit, factor = _unit(name, cell, own, joints, layout)
-        columns.append(Column(name, index, cell, unit, factor))
+        columns.append(Column(name, index, cell, *_unit(name, cell, own, joints, layout)))
     return columns
 
 
@@ -226,7 +227,9 @@ def is_unit_row(cells: Sequence[str]) -> bool:
     return bool(known) and len(known) * 2 > len(words)
 
 
-def _unit(name: str, header: str, below: str, joints: Joints, layout: Layout) -> tuple[str, float]:
+def _unit(
+    name: str, header: str, below: str, joints: Joints, layout: Layout
+) -> tuple[str, float, bool]:
     kinds = joints.quantities(name)
     allowed = ", ".join(unit for kind in kinds for unit in _UNITS[kind])
     own = (layout.units or {}).get(name)
@@ -236,11 +239,11 @@ def _unit(name: str, header: str, below: str, joints: Joints, layout: Layout) ->
         word = _bare_unit(below) if below else _parts(header)[1]
         where = f"column {quote(header)} is in {quote(word)}"
     if not word:
-        return (kinds[0] if len(kinds) == 1 else ""), 1.0
+        return (kinds[0] if len(kinds) == 1 else ""), 1.0, False
     for kind in kinds:
         unit = _known(word, kind)
         if unit is not None:
-            return unit, _UNITS[kind][unit][0]
+            return unit, _UNITS[kind][unit][0], True
     hint = (
         "" if own is not None else f', or units = {{ {name} = "{allowed.split(",")[0]}" }} says it'
     )

@@ -44,6 +44,8 @@ class Table(NamedTuple):
     """(N, n) N m or N, zero for a joint without its own column; None if no joint has one."""
     line: np.ndarray
     """(N,) the line number of each sample."""
+    stated: frozenset[str]
+    """The columns whose unit is stated, by a key or the file itself."""
     understood: str = ""
     """What was made of the header, in one line; empty if there is nothing to say."""
 
@@ -111,7 +113,8 @@ def read_lab_csv(path: str | os.PathLike[str], joints: Joints, layout: Layout) -
     if any(name in by_name for name in joints.drives):
         still = np.zeros_like(time)
         drive = np.stack([by_name.get(name, still) for name in joints.drives], axis=1)
-    return Table(time, angle, drive, number, understood(columns, header, joints, more))
+    stated = frozenset(column.name for column in columns if column.stated)
+    return Table(time, angle, drive, number, stated, understood(columns, header, joints, more))
 
 
 def write_csv(

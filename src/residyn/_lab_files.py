@@ -135,4 +135,5 @@ def _table(content: Mapping[str, Any], joints: Joints, layout: Layout) -> Table:
     used = [header[column.at] for column in columns]
     columns = [column._replace(at=i) for i, column in enumerate(columns)]
     said = understood(columns, used, joints)
-    return Table(found["t"], angle, drive, np.arange(count), said)
+    stated = frozenset(column.name for column in columns if column.stated)
+    return Table(found["t"], angle, drive, np.arange(count), stated, said)

@@ -58,6 +58,17 @@ def rest_angles(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return rest
 
 
+def thinned(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Means of so many samples after each other that 40 or more are left of the slowest period: all
+    that a rest needs. Times (N,) s at equal steps and angles (N, n), as they come back."""
+    many = int(slowest_period(angle - angle.mean(axis=0)) / 40)
+    if many < 2:
+        return time, angle
+    whole = len(time) // many * many
+    mean = lambda x: x[:whole].reshape(-1, many, *x.shape[1:]).mean(axis=1)  # noqa: E731
+    return mean(time), mean(angle)
+
+
 def swings(time: np.ndarray, angle: np.ndarray) -> float:
     """How many swings of its slowest mode a ring-down has."""
     _clock, motion = _even(time, angle)

@@ -31,8 +31,9 @@ from ._doubts import in_degrees, not_held_out
 from ._input import InputError, decode, flag, inside, number, quote, read_text
 from ._lab_files import has_markers, read_table
 from ._noise import estimate_noise, noise_and_doubts
-from ._release import release_time, window
-from ._rest import SWINGS, rest_angles, swings
+from ._release import _even, release_time, window
+from ._rest import SWINGS, rest_angles, swings, thinned
+from ._sanity import not_free
 from ._tables import ArmTable, Bearing, InertiaTable, check_bearings
 from ._toml import check_role, parse
 from ._wild import wild_samples
@@ -275,12 +276,14 @@ def _read(
                 )
         with inside(file):
             layout = Layout(**given)
-        time, angle, drive, _, understood = read_table(
-            path, Joints(inertia.joints, inertia.units), layout
-        )
+        table = read_table(path, Joints(inertia.joints, inertia.units), layout)
+        time, angle, drive = table.time, table.angle, table.drive
         recording = Recording.from_arrays(time, angle, drive=drive, name=file, **options)
-        said = "; ".join(filter(None, [understood, recording.understood]))
+        said = "; ".join(filter(None, [table.understood, recording.understood]))
         recording = dataclasses.replace(recording, understood=said)
+        odd = not_free(recording, inertia.units, table.stated, options)
+        if odd is not None and recording.role != "inertia":
+            raise InputError(f"{file}: {odd}")
     if recording.role == "inertia" and drive is None:
         columns = ", ".join(f"u{j + 1}" for j in range(recording.joints))
         raise InputError(f'{file}: role = "inertia" needs the drive that moved it, as {columns}')
@@ -307,7 +310,7 @@ def _rest(rest: Any, time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, l
         f"with {count:.2g} swings of the slowest mode its rest is known roughly: if the residual "
         "has an offset, fit sensor_offset too"
     )
-    return rest_angles(time, angle), [doubt] if count < SWINGS else []
+    return rest_angles(*thinned(*_even(time, angle))), [doubt] if count < SWINGS else []
 
 
 def _from_markers(

@@ -1,0 +1,113 @@
+"""What a recording of free motion shows before any model is fitted to it, and no ringing arm does.
+
+Free motion follows from the angles and rates alone. So an arm that stands still stays where it is:
+one that stands still away from rest and then moves was held. It rings about its rest: angles that
+ring about another value are not counted from there. And units show in sizes: no braked joint turns
+by five radians, and no arm on a table takes minutes for a swing.
+
+Each finding is one line that says what is seen and which key of the experiment file settles it.
+The limits are wide apart from what arms do: over the hidden effects of the test rig, from 1.2
+swings on, a rest is within 0.28 of the amplitude (a slipping brake apart), and an arm that is let
+go leaves `_STILL` within 0.10 of a period. Limits are 0.5 and 0.2.
+"""
+
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ._arrays import doubtful_clock
+from ._release import _even
+from ._rest import rest_angles, slowest_period, thinned
+
+if TYPE_CHECKING:
+    from .recording import Recording
+
+_OFF = 0.5
+"""Of the amplitude about rest: a larger distance of rest from zero is no effect's."""
+_SLIPPED = 10.0
+"""The same where a brake may have slipped: towards the side that the joint was released from."""
+_FEWEST = 1.2
+"""Swings of the slowest mode from which rest can be told from the rest of a swing."""
+_STILL = 0.1
+"""Of the largest excursion: a released arm covers it in 0.07 of a period, if one mode rings."""
+_HELD = 0.2
+"""Of the slowest period: no free arm stays within `_STILL` of where it begins for so long."""
+_TURN = 5.0
+"""rad, which no braked joint turns."""
+_SLOW = 300.0
+"""s, which no swing takes."""
+
+
+def not_free(
+    recording: "Recording",
+    units: tuple[str, ...] | None,
+    said: Collection[str],
+    keys: Mapping[str, Any],
+) -> str | None:
+    """What is not as the free motion of an arm, in one line; None if nothing is.
+
+    **Arguments:** `units` of the joints; `said`: the columns whose unit the file states; `keys`:
+    those of its `[[recordings]]` table, which settle things.
+    """
+    time, angle = recording.time, recording.angle
+    if abs(recording.theta2) > 2 * np.pi:
+        return f"theta2 = {recording.theta2:g}: in degrees? it must be in rad"
+    if "t" not in said and (doubts := doubtful_clock(time)):
+        return f'{doubts[0]}; units = {{ t = "ms" }} says so, or "s" if it is'
+    for j, size in enumerate(np.nanquantile(np.abs(angle), 0.99, axis=0)):
+        if units and units[j] == "rad" and f"q{j + 1}" not in said and size > _TURN:
+            return (
+                f"q{j + 1} reaches {size:.3g} rad, more than a braked joint turns: in degrees? "
+                f'units = {{ q{j + 1} = "deg" }} says so, or "rad" if it is'
+            )
+    if recording.drive is not None or not (np.nanmax(angle, 0) > np.nanmin(angle, 0)).any():
+        return None
+    clock, motion = _even(time, angle)
+    step = clock[1] - clock[0]
+    period = slowest_period(motion - motion.mean(axis=0))
+    if "t" not in said and period * step > _SLOW:
+        return (
+            f"one swing takes {period * step:.3g} s: is t in milliseconds or samples? "
+            'units = { t = "ms" } says so, or "s" if it is'
+        )
+    if "start" not in keys and (until := _held_until(motion, period)) is not None:
+        return (
+            f"stands still for the first {until * step:.3g} s and then moves, as no free arm does "
+            '(held, or not yet pushed): start = "release" finds where it is let go, start = '
+            f"{time[0]:g} keeps all of it"
+        )
+    if "rest" not in keys and len(motion) >= _FEWEST * period:
+        return _off_rest(clock, motion, units)
+    return None
+
+
+def _held_until(motion: np.ndarray, period: float) -> float | None:
+    """How many samples of (N, n) angles stand still, if they move afterwards as no free arm does;
+    `period` of the slowest mode in samples."""
+    size = np.abs(motion - np.median(motion[-max(1, len(motion) // 4) :], axis=0)).max(axis=0)
+    width = max(1, min(int(period / 40), len(motion)))
+    total = np.cumsum(np.pad(motion, ((1, 0), (0, 0))), axis=0)
+    smooth = (total[width:] - total[:-width]) / width
+    first = np.median(smooth[:width], axis=0)
+    away = (np.abs(smooth - first) > _STILL * size).any(axis=1)
+    moves = int(np.argmax(away)) + width // 2
+    return moves if away.any() and moves > _HELD * period else None
+
+
+def _off_rest(clock: np.ndarray, motion: np.ndarray, units: tuple[str, ...] | None) -> str | None:
+    """That angles (N, n) are not counted from rest, if so."""
+    rest = rest_angles(*thinned(clock, motion))
+    size = np.abs(motion - rest).max(axis=0)
+    off = np.abs(rest) > _OFF * size
+    # A brake that slips takes its joint's rest along, towards where it was released.
+    slipped = off & (rest * (motion[0] - rest) > 0) & (np.abs(rest) < _SLIPPED * size)
+    if not off.any() or ((off == slipped).all() and off.sum() == 1):
+        return None
+    j = int(np.argmax(np.where(off & ~slipped, 2, off)))
+    unit = f" {units[j]}" if units else ""
+    none = ", ".join(["0"] * len(rest))
+    return (
+        f"q{j + 1} rings about {rest[j]:.4g}{unit}, not about 0 (amplitude {size[j]:.2g}{unit}): "
+        f'angles are counted from rest; rest = "estimate" takes it off, rest = [{none}] leaves it'
+    )
