@@ -30,6 +30,7 @@ LAYERS = [
         "_labels",
         "_marker_checks",
         "_mended",
+        "_new",
         "_noise",
         "_plane",
         "_release",

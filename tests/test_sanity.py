@@ -19,7 +19,8 @@ UNITS = ("rad", "rad")
 
 def seen(time, angle, units=UNITS, said=(), **keys):
     recording = Recording.from_arrays(time, angle, noise=1e-3)
-    return not_free(recording, units, said, keys)
+    found = not_free(recording, units, said, keys)
+    return None if found is None else found.words
 
 
 @pytest.mark.parametrize("label", [*draw.JOINT, *draw.ARM])

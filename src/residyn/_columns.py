@@ -227,6 +227,27 @@ def is_unit_row(cells: Sequence[str]) -> bool:
     return bool(known) and len(known) * 2 > len(words)
 
 
+def guessed(
+    header: Sequence[str], below: Sequence[str], numeric: Sequence[bool]
+) -> tuple[dict[str, int], dict[str, str]]:
+    """Which columns may be t and the angles, and their units, where the file says them."""
+    words = [_bare_unit(c) for c in below] or [_parts(cell)[1] for cell in header]
+    bare = [_parts(cell)[0].casefold() for cell in header]
+    plain = [i for i, ok in enumerate(numeric) if ok]
+    time = next((i for i in plain if bare[i] in _TIMES), plain[0])
+    rest = [i for i in plain if i != time]
+    called = [i for i in rest if re.fullmatch(r"q[1-9][0-9]*", bare[i])]
+    sized = [i for i in rest if any(_known(words[i], kind) for kind in ("rad", "m"))]
+    at = {"t": time} | {f"q{j + 1}": i for j, i in enumerate(called or sized or rest)}
+    kinds = {name: ("s",) if name == "t" else ("rad", "m") for name in at}
+    return at, {
+        name: unit
+        for name, i in at.items()
+        for kind in kinds[name]
+        if (unit := _known(words[i], kind)) is not None
+    }
+
+
 def _unit(
     name: str, header: str, below: str, joints: Joints, layout: Layout
 ) -> tuple[str, float, bool]:

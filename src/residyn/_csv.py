@@ -19,7 +19,16 @@ from typing import NamedTuple, TextIO
 
 import numpy as np
 
-from ._columns import Column, Joints, Layout, columns_of, is_unit_row, matched, understood
+from ._columns import (
+    Column,
+    Joints,
+    Layout,
+    columns_of,
+    guessed,
+    is_unit_row,
+    matched,
+    understood,
+)
 from ._input import InputError, inside, quote, read_table_text
 
 _EMPTY_CELL = re.compile(r"(?<![^,\n])[ \t]*(?![^,\n])")
@@ -115,6 +124,31 @@ def read_lab_csv(path: str | os.PathLike[str], joints: Joints, layout: Layout) -
         drive = np.stack([by_name.get(name, still) for name in joints.drives], axis=1)
     stated = frozenset(column.name for column in columns if column.stated)
     return Table(time, angle, drive, number, stated, understood(columns, header, joints, more))
+
+
+def guessed_columns(path: str | os.PathLike[str]) -> tuple[dict[str, str], dict[str, str]]:
+    """What a file's columns may be, for a person to check: t is the one called so or the first, the
+    angles are those in units of angle or length, or else all others that have numbers.
+
+    **Returns:** header names and units by t, q1, ...
+
+    **Raises:** `InputError` if no line is a header above numbers.
+    """
+    rows = [r for r in re.split(r"\r\n|\r|\n", read_table_text(path)) if r.strip()][:_HEAD]
+    for i, row in enumerate(rows):
+        for separator in _SEPARATORS:
+            header = _cells(_COMMENT.sub("", row, count=1), separator)
+            below = _cells(rows[i + 1], separator) if i + 1 < len(rows) else []
+            named = is_unit_row(below)
+            numbers = _cells(rows[i + 2], separator) if named and i + 2 < len(rows) else below
+            ok = [bool(_NUMBER.fullmatch(cell.replace(",", "."))) for cell in numbers]
+            if len(header) < 2 or len(numbers) != len(header) or sum(ok) < 2:
+                continue
+            if any(_NUMBER.fullmatch(cell.replace(",", ".")) for cell in header):
+                continue
+            at, units = guessed(header, below if named else [], ok)
+            return {name: header[k] for name, k in at.items()}, units
+    raise InputError(f"{os.fspath(path)}: has no line of names above columns of numbers")
 
 
 def write_csv(

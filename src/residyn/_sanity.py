@@ -12,7 +12,7 @@ go leaves `_STILL` within 0.10 of a period. Limits are 0.5 and 0.2.
 """
 
 from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -39,44 +39,57 @@ _SLOW = 300.0
 """s, which no swing takes."""
 
 
+class Finding(NamedTuple):
+    """What is seen, in one line, and the key of `[[recordings]]` that settles it most likely."""
+
+    words: str
+    key: str
+    value: Any
+
+
 def not_free(
     recording: "Recording",
     units: tuple[str, ...] | None,
     said: Collection[str],
     keys: Mapping[str, Any],
-) -> str | None:
-    """What is not as the free motion of an arm, in one line; None if nothing is.
+) -> Finding | None:
+    """What is not as the free motion of an arm; None if nothing is.
 
     **Arguments:** `units` of the joints; `said`: the columns whose unit the file states; `keys`:
     those of its `[[recordings]]` table, which settle things.
     """
     time, angle = recording.time, recording.angle
     if abs(recording.theta2) > 2 * np.pi:
-        return f"theta2 = {recording.theta2:g}: in degrees? it must be in rad"
+        words = f"theta2 = {recording.theta2:g}: in degrees? it must be in rad"
+        return Finding(words, "theta2", float(np.radians(recording.theta2)))
     if "t" not in said and (doubts := doubtful_clock(time)):
-        return f'{doubts[0]}; units = {{ t = "ms" }} says so, or "s" if it is'
+        words = f'{doubts[0]}; units = {{ t = "ms" }} says so, or "s" if it is'
+        return Finding(words, "units", {"t": "ms"})
     for j, size in enumerate(np.nanquantile(np.abs(angle), 0.99, axis=0)):
         if units and units[j] == "rad" and f"q{j + 1}" not in said and size > _TURN:
-            return (
+            words = (
                 f"q{j + 1} reaches {size:.3g} rad, more than a braked joint turns: in degrees? "
                 f'units = {{ q{j + 1} = "deg" }} says so, or "rad" if it is'
             )
+            return Finding(words, "units", {f"q{j + 1}": "deg"})
     if recording.drive is not None or not (np.nanmax(angle, 0) > np.nanmin(angle, 0)).any():
         return None
     clock, motion = _even(time, angle)
     step = clock[1] - clock[0]
     period = slowest_period(motion - motion.mean(axis=0))
     if "t" not in said and period * step > _SLOW:
-        return (
+        words = (
             f"one swing takes {period * step:.3g} s: is t in milliseconds or samples? "
             'units = { t = "ms" } says so, or "s" if it is'
         )
+        return Finding(words, "units", {"t": "ms"})
     if "start" not in keys and (until := _held_until(motion, period)) is not None:
-        return (
+        words = (
             f"stands still for the first {until * step:.3g} s and then moves, as no free arm does "
             '(held, or not yet pushed): start = "release" finds where it is let go, start = '
             f"{time[0]:g} keeps all of it"
         )
+        return Finding(words, "start", "release")
     if "rest" not in keys and len(motion) >= _FEWEST * period:
         return _off_rest(clock, motion, units)
     return None
@@ -95,7 +108,9 @@ def _held_until(motion: np.ndarray, period: float) -> float | None:
     return moves if away.any() and moves > _HELD * period else None
 
 
-def _off_rest(clock: np.ndarray, motion: np.ndarray, units: tuple[str, ...] | None) -> str | None:
+def _off_rest(
+    clock: np.ndarray, motion: np.ndarray, units: tuple[str, ...] | None
+) -> Finding | None:
     """That angles (N, n) are not counted from rest, if so."""
     rest = rest_angles(*thinned(clock, motion))
     size = np.abs(motion - rest).max(axis=0)
@@ -107,7 +122,8 @@ def _off_rest(clock: np.ndarray, motion: np.ndarray, units: tuple[str, ...] | No
     j = int(np.argmax(np.where(off & ~slipped, 2, off)))
     unit = f" {units[j]}" if units else ""
     none = ", ".join(["0"] * len(rest))
-    return (
+    words = (
         f"q{j + 1} rings about {rest[j]:.4g}{unit}, not about 0 (amplitude {size[j]:.2g}{unit}): "
         f'angles are counted from rest; rest = "estimate" takes it off, rest = [{none}] leaves it'
     )
+    return Finding(words, "rest", "estimate")

@@ -283,7 +283,7 @@ def _read(
         recording = dataclasses.replace(recording, understood=said)
         odd = not_free(recording, inertia.units, table.stated, options)
         if odd is not None and recording.role != "inertia":
-            raise InputError(f"{file}: {odd}")
+            raise InputError(f"{file}: {odd.words}")
     if recording.role == "inertia" and drive is None:
         columns = ", ".join(f"u{j + 1}" for j in range(recording.joints))
         raise InputError(f'{file}: role = "inertia" needs the drive that moved it, as {columns}')
