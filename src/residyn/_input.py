@@ -12,6 +12,9 @@ import stat
 from collections.abc import Iterator
 from typing import Any
 
+_LINE = 900
+"""Characters of a line that anybody reads."""
+
 
 class InputError(ValueError):
     """Wrong user input: one line naming file, line or key, and what would be right."""
@@ -19,7 +22,8 @@ class InputError(ValueError):
     def __init__(self, message: str):
         # Names and cells come from files: they must not break the line, nor steer a terminal.
         line = " ".join(str(message).split())
-        super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in line))
+        line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+        super().__init__(line if len(line) <= _LINE else f"{line[: _LINE // 2]} ... {line[-300:]}")
 
 
 @contextlib.contextmanager

@@ -102,7 +102,7 @@ def bearings(folder: Path) -> None:
         text += BEARING.format(joint=joint, mass=MASS, inertia=INERTIA)
     cases = releases(list(ON_AND_OFF.values()), drag=DRAG, friction=FRICTION)
     for (name, how), case in zip(ON_AND_OFF.items(), cases, strict=True):
-        _write(folder / name, case.t[::2], case.q[::2])
+        _write(folder / name, case.t, case.q)
         text += f'\n[[recordings]]\nfile = "{name}"\ntheta2 = {how.theta2!r}\nnoise = 0.001\n'
         if not how.bearings:
             text += 'air_bearings = false\nrole = "check"         # never fitted: it judges\n'
