@@ -106,6 +106,16 @@ def test_a_hold_before_the_release(good, hold):
     assert seen(clock, held, start=0.0) is None
 
 
+def test_a_piece_of_a_swing_or_an_oscillation_that_grows_was_not_held(good):
+    time, angle = good
+    for count in (25, 60, 150):
+        for first in (0, 200):
+            line = seen(time[:count], angle[first : first + count])
+            assert line is None or "stands still" not in line
+    grows = 1e-3 * np.exp(time / 3)[:, None] * np.cos(5 * time)[:, None] * [1.0, 0.5]
+    assert seen(time, grows) is None
+
+
 def test_an_arm_that_moves_not_at_all_or_is_driven_is_no_ringing_arm(good):
     time, angle = good
     assert seen(time, 0 * angle) is None

@@ -54,7 +54,7 @@ def rest_angles(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
         # How far squares pull aside is known beforehand to its typical size.
         ridge = np.diag([0.0] + [_ASIDE**-2] * (causes.shape[1] - 1))
         right = causes.T @ (means[:, :n] / off[:, None])
-        rest = rest + np.linalg.solve(causes.T @ causes + ridge, right)[0]
+        rest = rest + np.linalg.lstsq(causes.T @ causes + ridge, right, rcond=None)[0][0]
     return rest
 
 

@@ -31,6 +31,8 @@ _FEWEST = 1.2
 """Swings of the slowest mode from which rest can be told from the rest of a swing."""
 _STILL = 0.1
 """Of the largest excursion: a released arm covers it in 0.07 of a period, if one mode rings."""
+_QUITE = 0.03
+"""The same for the first 0.8 of that time: what swings up moves more."""
 _HELD = 0.2
 """Of the slowest period: no free arm stays within `_STILL` of where it begins for so long."""
 _TURN = 5.0
@@ -103,9 +105,18 @@ def _held_until(motion: np.ndarray, period: float) -> float | None:
     total = np.cumsum(np.pad(motion, ((1, 0), (0, 0))), axis=0)
     smooth = (total[width:] - total[:-width]) / width
     first = np.median(smooth[:width], axis=0)
-    away = (np.abs(smooth - first) > _STILL * size).any(axis=1)
-    moves = int(np.argmax(away)) + width // 2
-    return moves if away.any() and moves > _HELD * period else None
+    each = np.abs(smooth - first) / np.where(size > 0, size, np.inf)
+    largest = each[:, int(np.argmax(each.max(axis=0)))]
+    if largest[int(np.argmax(largest)) :].min() > 0.7 * largest.max():
+        return None  # it has not turned back: a piece of one swing
+    off = each.max(axis=1)
+    moves = int(np.argmax(off > _STILL))
+    if not off.max() > _STILL or moves + width // 2 <= _HELD * period:
+        return None
+    quite = off[: max(1, int(0.8 * moves))]
+    noise = np.abs(np.diff(motion[:moves], axis=0)) if moves > 1 else np.zeros((1, len(size)))
+    noise = (np.median(noise, axis=0) / np.where(size > 0, size, np.inf)).max() / width**0.5
+    return moves + width // 2 if quite.max() < _QUITE + 4 * noise else None
 
 
 def _off_rest(

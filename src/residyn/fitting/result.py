@@ -17,6 +17,8 @@ from ..recording import Experiment, Recording
 from .history import History
 
 STRONG = 0.9
+STRUCTURE = 1.2
+"""Reduced chi-square beyond which the residual is more than noise."""
 NEGATIVE = 2.0
 """Standard errors below zero that make a sign more than chance."""
 """Correlations beyond this are named."""
@@ -118,6 +120,11 @@ class Fit:
         spread = np.sqrt(np.diag(self.covariance))
         with np.errstate(invalid="ignore", divide="ignore"):
             return self.covariance / spread / spread[:, None]
+
+    @property
+    def misses(self) -> bool:
+        """Whether the residual is more than noise."""
+        return self.reduced_chi2 > STRUCTURE
 
     @property
     def unphysical(self) -> tuple[Number, ...]:

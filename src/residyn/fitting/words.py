@@ -7,7 +7,6 @@ import numpy as np
 from .identify import in_words
 from .result import NEGATIVE, Fit, RecordingFit
 
-_STRUCTURE = 1.2  # reduced chi-square beyond which the residual is more than noise
 _SMALL = 0.85  # and below which the noise must have been overstated
 _STILL = 2.0  # times the noise: a joint that moves less than this hardly moves
 _NAMED = 3  # wild readings whose times are given
@@ -83,7 +82,7 @@ def _signs(fit: Fit) -> list[str]:
 
 def _misfit(fit: Fit) -> list[str]:
     units = fit.experiment.units
-    if fit.reduced_chi2 > _STRUCTURE:
+    if fit.misses:
         worst = int(np.argmax(fit.rmse / fit.noise))
         unit = f" {units[worst]}" if units else ""
         return [
