@@ -302,6 +302,7 @@ def test_a_bug_is_one_line_too(command, monkeypatch):
 
 def test_a_fit_that_did_not_settle_prints_and_is_exit_status_1(command, monkeypatch):
     class Rough:
+        misses = False
         converged, reason = False, "step limit reached"
         to_dict = staticmethod(dict)
 

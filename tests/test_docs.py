@@ -44,26 +44,14 @@ def short_search(monkeypatch):
     monkeypatch.setattr(genetic, "Genetic", short)
 
 
-@pytest.fixture
-def files(request, tmp_path):
-    """What a page takes for granted: for the README a driven test, which the page on the paper's
-    steps makes up."""
-    if request.param.name == "README.md":
-        page = (ROOT / "docs" / "steps.md").read_text()
-        until = next(b for b in blocks.blocks(page) if b.title == "driven.toml").span[1]
-        blocks.run(page[:until], "docs/steps.md", tmp_path)
-    return request.param, tmp_path
-
-
 @pytest.mark.pages
-@pytest.mark.parametrize("files", PAGES, ids=name_of, indirect=True)
-def test_every_block_of_a_page_runs(files, one_cache, short_search):
-    path, folder = files
-    blocks.run(path.read_text(), name_of(path), folder)
+@pytest.mark.parametrize("path", PAGES, ids=name_of)
+def test_every_block_of_a_page_runs(path, tmp_path, one_cache, short_search):
+    blocks.run(path.read_text(), name_of(path), tmp_path)
     if path.name == "index.md":
         shown = re.findall(r"\(made/index/([\w.]+)\)", path.read_text())
         assert shown
-        assert set(shown) <= {p.name for p in blocks.made_in(folder)}
+        assert set(shown) <= {p.name for p in blocks.made_in(tmp_path)}
 
 
 @pytest.mark.parametrize("path", PAGES, ids=name_of)

@@ -494,3 +494,23 @@ def test_starts_of_which_no_two_agree_are_followed_by_more(case, fit, monkeypatc
     assert (fit.starts, found.starts) == (6, 24)
     assert found.agreeing_starts > 1
     assert found.reduced_chi2 == pytest.approx(fit.reduced_chi2, rel=1e-5)
+
+
+def test_a_base_that_no_arm_has_is_said_first():
+    """A growing oscillation, and a spring that pushes: seen beyond their errors, and said first."""
+    t = np.arange(400) / 50.0
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(len(t))
+    table = InertiaTable(("cart",), ((2.0,),), ("m",))
+
+    def fitted(q):
+        recording = residyn.Recording.from_arrays(t, q + noise, noise=1e-3)
+        return residyn.fit(residyn.Experiment(table, (recording,)))
+
+    grows = fitted(0.02 * np.exp(0.2 * t) * np.cos(5 * t))
+    assert [n.name for n in grows.unphysical] == ["damper:cart.damping"]
+    assert grows.warnings[0].startswith("damper:cart.damping = -0.798 +/- ")
+    assert "negative beyond its error" in grows.warnings[0]
+    falls = fitted(0.1 * np.exp(-0.2 * t) * np.cos(5 * t))
+    assert falls.unphysical == ()
+    undamped = fitted(0.1 * np.cos(5 * t))  # its sign is chance
+    assert undamped.unphysical == ()

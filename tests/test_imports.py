@@ -11,7 +11,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "residyn"
 
 # Each layer may import from those before it, and from within itself.
 LAYERS = [
-    ["ahead", "kept", "_input", "_json", "_units", "parameter", "motion"],
+    ["ahead", "kept", "_cache", "_input", "_json", "_units", "parameter", "motion"],
     ["mechanism", "bearings"],
     ["effects"],
     ["model"],
@@ -23,17 +23,20 @@ LAYERS = [
     [
         "recording",
         "_arrays",
+        "_columns",
         "_csv",
         "_doubts",
         "_lab_files",
         "_labels",
         "_marker_checks",
         "_mended",
+        "_new",
         "_noise",
         "_plane",
         "_release",
         "_rest",
         "_rigid",
+        "_sanity",
         "_spectrum",
         "_stretches",
         "_tables",

@@ -1,8 +1,10 @@
 """Traced programs that are kept: found again, never taken for others, and nothing without them."""
 
 import os
+import stat
 import subprocess
 import sys
+import time
 
 import equinox as eqx
 import jax
@@ -10,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from residyn import PlanarArm, Spring, kept
+from residyn import PlanarArm, Spring, _cache, kept
 from residyn.kept import keep_in
 from residyn.parameter import all_floating
 from rig import paper_twin, record
@@ -77,7 +79,7 @@ def test_another_function_and_other_sources_are_other_programs(folder, monkeypat
     assert float(other(np.asarray(1.0))) == 3.0
     seen = []
     watched(seen)(arm(), np.arange(3.0))
-    monkeypatch.setattr(kept, "_sources", lambda: "edited")
+    monkeypatch.setattr(kept, "_made_of", lambda: "edited")
     watched(seen)(arm(), np.arange(3.0))
     assert len(seen) == 2
 
@@ -112,6 +114,99 @@ def test_a_broken_file_is_written_again(folder):
     assert len(seen) == 2
     watched(seen)(arm(), np.arange(3.0))
     assert len(seen) == 2
+
+
+DAMAGES = 600
+
+
+def damaged(content, i):
+    """The i-th of many ways in which a disk, or a copy that was interrupted, damages a file."""
+    rng = np.random.default_rng(i)
+    data = bytearray(content)
+    at = int(rng.integers(len(data)))
+    if i % 4 == 0:
+        data[at] ^= 1 << int(rng.integers(8))
+    elif i % 4 == 1:
+        del data[at:]
+    elif i % 4 == 2:
+        end = min(len(data), at + 1 + int(rng.integers(4096)))
+        data[at:end] = bytes(end - at)
+        data[at] ^= data[at] == content[at]
+    else:
+        data += b"\0"
+    assert data != content
+    return bytes(data)
+
+
+def test_no_damaged_file_is_read():
+    content = np.random.default_rng(0).bytes(20_000)
+    file = _cache.packed("name", content)
+    assert _cache.unpacked(file, "name") == content
+    for i in range(DAMAGES):
+        assert _cache.unpacked(damaged(file, i), "name") is None
+    assert _cache.unpacked(file, "nam") is None
+    assert _cache.unpacked(file, "name\0") is None
+    assert _cache.unpacked(b"", "name") is None
+    assert _cache.unpacked(_cache.packed("", b""), "") == b""
+
+
+def test_a_file_of_another_name_is_not_read(tmp_path):
+    cache = _cache.Cache(tmp_path / "new")
+    cache.put("one", b"1")
+    (file,) = cache.folder.iterdir()
+    cache.put("other", b"2")
+    (theirs,) = set(cache.folder.iterdir()) - {file}
+    file.replace(theirs)
+    assert cache.get("other") is None
+    cache.put("other", b"2")
+    assert cache.get("other") == b"2"
+
+
+@pytest.mark.parametrize("i", range(8))
+def test_a_damaged_program_is_traced_anew_and_replaced(i, folder):
+    seen = []
+    watched(seen)(arm(), np.arange(3.0))
+    (file,) = folder.iterdir()
+    good = file.read_bytes()
+    file.write_bytes(damaged(good, i))
+    for count in (2, 2):
+        out, total = watched(seen)(arm(), np.arange(3.0))
+        np.testing.assert_array_equal(out["twice"], [0.0, 2.0, 4.0])
+        assert (float(total), len(seen)) == (5.0, count)
+    assert file.read_bytes()[:16] == good[:16]
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no modes of files here")
+def test_the_cache_is_its_owners_alone(tmp_path):
+    (tmp_path / "mine").mkdir(mode=0o755)
+    for folder in (tmp_path / "new" / "deep", tmp_path / "mine"):
+        cache = _cache.Cache(folder)
+        cache.put("name", b"content")
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+        assert [stat.S_IMODE(f.stat().st_mode) for f in folder.iterdir()] == [0o600]
+    for mode in (0o770, 0o707, 0o777):
+        (tmp_path / "mine").chmod(mode)
+        with pytest.warns(UserWarning, match="mine: others may write to it, so no compiled"):
+            assert keep_in(tmp_path / "mine") is None
+        assert float(watched([])(arm(), np.arange(3.0))[1]) == 5.0
+        assert len(list((tmp_path / "mine").iterdir())) == 1
+
+
+def test_a_cache_is_pruned_by_age_and_size(tmp_path):
+    cache = _cache.Cache(tmp_path)
+    now = time.time()
+    for i in range(10):
+        cache.put(f"{i}", bytes(1000))
+        file = cache._file(f"{i}")
+        os.utime(file, (now, now - 100 * i))
+    cache.prune(oldest=450)
+    assert [cache.get(f"{i}") is not None for i in range(10)] == [True] * 5 + [False] * 5
+    for i in range(5):
+        os.utime(cache._file(f"{i}"), (now, now - 100 * i))
+    assert cache.get("4") is not None  # used again: now it is the youngest
+    size = cache._file("0").stat().st_size
+    cache.prune(largest=4 * size)
+    assert [cache.get(f"{i}") is not None for i in range(5)] == [True, True, False, False, True]
 
 
 def test_inside_a_larger_program_it_is_a_function_like_any_other(folder):
@@ -165,3 +260,12 @@ print(len(traced), *(n.value for n in fit.numbers))
     count, numbers = told("one", 1)
     assert count == 0
     np.testing.assert_array_equal(numbers, told("other", 1)[1])
+    # Every file of it damaged, the numbers are the same: those that JAX compiled are checked too.
+    files = sorted((tmp_path / "one").iterdir())
+    assert len(files) > 10
+    for i, file in enumerate(files):
+        file.write_bytes(damaged(file.read_bytes(), i))
+    count, numbers = told("one", 1)
+    assert count > 0
+    np.testing.assert_array_equal(numbers, told("other", 1)[1])
+    assert told("one", 1)[0] == 0

@@ -288,9 +288,9 @@ def test_reads_parquet(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"t": None}, "there is no t; must have t, q1, q2, and u1, u2 if driven"),
-        ({"q2": None}, "there is no q2"),
-        ({"q3": np.zeros(100)}, "has q3, but the experiment has 2 joints"),
+        ({"t": None}, "no column t; must have the columns t,q1,q2, and u1,u2 if driven"),
+        ({"q2": None}, "there is no column q2"),
+        ({"q3": np.zeros(100)}, 'has 3 q columns, up to "q3", but the experiment has 2 joints'),
         ({"q1": np.zeros(99)}, "q1 has shape (99,): must be (100,), as long as t"),
         ({"q1": "zeros"}, "q1 must have numbers"),
         ({"t": np.zeros(100)}, "time must increase"),

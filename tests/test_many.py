@@ -5,6 +5,7 @@ import json
 import subprocess
 import sys
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 import residyn
 from residyn import cli
 from residyn.fitting import many
+from residyn.fitting.result_lines import ResultLines
 from residyn.recording import InertiaTable
 
 TABLE = InertiaTable(("cart",), ((2.0,),), ("m",))
@@ -220,6 +222,109 @@ def test_a_killed_run_goes_on(folder):
     assert len(out.read_text().splitlines()) == 3
     again = list(residyn.fit_many(files, starts=1, out=out))
     assert all(each.before for each in again)
+
+
+def lines_of(out):
+    return [json.loads(line) for line in out.read_text().splitlines()]
+
+
+def test_what_differs_is_done_anew(folder):
+    """TOML, data, effects, their source and options: a line of something else never counts."""
+    file, out, own = str(folder / "a.toml"), folder / "all.jsonl", folder / "own.py"
+    text = (
+        "from residyn.effects.friction import CoulombFriction\n\n\n"
+        "class Rubbing(CoulombFriction):\n"
+        '    """Dry friction by another name."""\n\n    name = "rubbing"\n'
+    )
+    own.write_text(text)
+    residyn.effects.load_effects(own)
+
+    def run(**options):
+        (each,) = residyn.fit_many([file], out=out, **({"starts": 1} | options))
+        assert len(lines_of(out)) == 1
+        assert lines_of(out)[0] == json.loads(json.dumps(each.told))
+        return each
+
+    assert not run().before
+    assert run().before
+    with_friction = run(effects=["rubbing:cart"])
+    assert not with_friction.before
+    assert "rubbing:cart.torque" in with_friction.told["parameters"]
+    assert run(effects=["rubbing:cart"]).before
+    own.write_text(text + "# edited\n")
+    assert not run(effects=["rubbing:cart"]).before
+    assert not run(starts=2).before
+    (folder / "a.csv").write_bytes((folder / "b.csv").read_bytes())
+    other = run(starts=2)
+    assert not other.before
+    assert other.told["parameters"]["spring:cart.stiffness"]["value"] == pytest.approx(60, rel=1e-2)
+    toml = (folder / "a.toml").read_text().replace("2.0", "4.0")
+    (folder / "a.toml").write_text(toml)
+    heavy = run(starts=2)
+    assert heavy.told["parameters"]["spring:cart.stiffness"]["value"] == pytest.approx(
+        120, rel=1e-2
+    )
+
+
+def test_an_old_error_does_not_stay_beside_a_success(folder):
+    out = folder / "all.jsonl"
+    good = (folder / "a.csv").read_text()
+    (folder / "a.csv").write_text("t,q1\n")
+    files = [str(folder / f"{n}.toml") for n in "ac"]
+    list(residyn.fit_many(files, starts=1, out=out))
+    assert ["error" in told for told in lines_of(out)] == [True, True]
+    (folder / "a.csv").write_text(good)
+    list(residyn.fit_many(files[:1], starts=1, out=out))
+    assert [(Path(t["name"]).stem, "error" in t) for t in lines_of(out)] == [("c", 1), ("a", 0)]
+
+
+def test_experiments_without_a_file_are_told_apart_by_their_numbers(folder):
+    out = folder / "all.jsonl"
+    run = lambda *given: list(residyn.fit_many(given, starts=1, out=out))  # noqa: E731
+    assert [each.before for each in run(experiment())] == [False]
+    assert [each.before for each in run(experiment())] == [True]
+    assert [each.before for each in run(experiment(seed=1))] == [False]
+
+
+def test_a_file_cut_anywhere_loses_no_whole_line_and_has_none_twice(tmp_path):
+    names = ["one", "two", "drei \u00e4"]
+    digests = {name: f"{i}" * 8 for i, name in enumerate(names)}
+    out = tmp_path / "all.jsonl"
+    with closing(ResultLines(out, digests)) as lines:
+        for name in names:
+            lines.add({"name": name, "digest": digests[name], "value": float("inf")})
+    whole = out.read_bytes()
+    ends = [i for i, byte in enumerate(whole) if byte == ord("\n")]
+    for cut in range(len(whole) + 1):
+        out.write_bytes(whole[:cut])
+        with closing(ResultLines(out, digests)) as lines:
+            # The newline alone may be lost: the line is whole without it.
+            assert list(lines.done) == names[: sum(end <= cut for end in ends)]
+            for name in names:
+                if name not in lines.done:
+                    lines.add({"name": name, "digest": digests[name], "value": None})
+        assert [told["name"] for told in lines_of(out)] == names
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_two_runs_do_not_write_into_one_file(tmp_path, capsys):
+    out = tmp_path / "all.jsonl"
+    out.write_text('{"name": "x", "error": "old"}\n')
+    with closing(ResultLines(out, {"x": "1"})) as first:  # which has replaced the file
+        with pytest.raises(residyn.InputError, match=r"all\.jsonl: another run writes into it"):
+            ResultLines(out, {"x": "1"})
+        first.add({"name": "x", "digest": "1"})
+    with closing(ResultLines(out, {"x": "1"})) as second:
+        assert list(second.done) == ["x"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full disk here")
+def test_a_full_disk_is_one_line():
+    with (
+        closing(ResultLines("/dev/full", {})) as lines,
+        pytest.raises(residyn.InputError, match=r"/dev/full: cannot be written .No space left"),
+    ):
+        lines.add({"name": "x"})
 
 
 def test_other_files_are_not_written_into(folder):

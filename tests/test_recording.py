@@ -147,11 +147,13 @@ def test_tolerates(tmp_path, text):
         ("", 1, ["is empty"]),
         ("\n\n", 1, ["is empty"]),
         ("t,q1\n", 1, ["no data rows"]),
-        ("time,q1\n0,1\n", 1, ["line 1", "no column t"]),
+        ("when,q1\n0,1\n", 1, ["line 1", "no column t", 'has "when", "q1"', "columns = {"]),
         ("0,1\n1,2\n", 1, ["line 1", "names of the columns"]),
-        ("t;q1\n0;1\n", 1, ["line 1", "separated by commas"]),
-        ("t,q1,temperature\n0,1,2\n", 1, ["line 1", '"temperature"']),
-        ("t,q1,\n0,1,\n", 1, ["line 1", '""']),
+        ("t|q1\n0|1\n", 1, ["line 1", "no column t", 'has "t|q1"']),
+        ("t;q1\n0;1,5\n1;1.5\n2;1,5\n", 1, ["line 2", "1,5", "decimal sign is", "decimal says"]),
+        ("t,q1\n0,0,1,5\n", 1, ["line 2", "4 cells", "decimal commas need another separator"]),
+        ("t [h],q1\n0,1\n", 1, ["line 1", '"t [h]"', '"h"', "must be s, ms, us, ns"]),
+        ("t,q1 (turns)\n0,1\n", 1, ["line 1", '"turns"', 'units = { q1 = "rad" }']),
         ("t,q1,q1\n0,1,2\n", 1, ["line 1", '"q1"', "twice"]),
         ("t,q1,q2\n0,1,2\n", 1, ["line 1", "2 q columns", "1 joint"]),
         ("t,q1\n0,1\n", 2, ["line 1", "no column q2"]),
@@ -166,8 +168,8 @@ def test_tolerates(tmp_path, text):
         ("t,q1\n0,1\n,2\n", 1, ["line 3", "no time"]),
         ("t,q1\n0,1\n2,2\n2,3\n", 1, ["line 4", "t = 2"]),
         ("t,q1\n0,1\n2,2\n1,3\n", 1, ["line 4", "t = 1", "t = 2"]),
-        (b"t,q1\n0,1\n1,\xff\n", 1, ["line 3", "UTF-8"]),
-        (b"t,q1\n0,\x00\n", 1, ["line 2", "UTF-8"]),
+        (b"t,q1\n0,1\n1,\xff\n", 1, ["line 3", "no number"]),
+        (b"t,q1\n0,\x00\n", 1, ["line 2", "not text"]),
     ],
 )
 def test_refuses(tmp_path, text, joints, words):
@@ -521,11 +523,19 @@ def test_warns_of_a_clock_that_does_not_count_seconds(scale, word):
     assert "must be in s" in warning
 
 
-def test_warns_of_degrees(folder):
+def test_refuses_degrees_and_warns_of_them_in_python(folder):
     t, q, _ = ringing(np.random.default_rng(0), modes=(1.0, 2.0))
     table = [np.degrees(0.3 * q), np.degrees(0.2 * q)]
     write_csv(folder / "degrees.csv", t, np.stack(table, axis=1))
-    lines = experiment(folder, ARM, entry("theta2 = 17", file="degrees.csv")).warnings
+    line = refusal(folder, ARM, entry("theta2 = 17", file="degrees.csv"))
+    assert "theta2 = 17: in degrees? it must be in rad" in line
+    line = refusal(folder, ARM, entry("theta2 = 0.3", file="degrees.csv"))
+    assert "degrees.csv: q1 reaches" in line
+    assert 'units = { q1 = "deg" }' in line
+    units = 'units = { q1 = "deg", q2 = "deg" }'
+    assert experiment(folder, ARM, entry("theta2 = 0.3", units, file="degrees.csv")).warnings == ()
+    made = Recording.from_arrays(t, np.stack(table, axis=1), theta2=17, name="degrees.csv")
+    lines = Experiment(ArmTable((0.4, 0.4), 1.1662, 0.579, 1.4384), (made,)).warnings
     assert len(lines) == 3
     assert all("degrees.csv" in line and "must be in rad" in line for line in lines)
     # The same numbers may be millimetres where nothing says they are angles.

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from residyn import _csv
+from residyn import _columns, _csv
 from residyn.recording import (
     InputError,
     Recording,
@@ -99,10 +99,14 @@ def test_a_spoilt_csv(text):
 @relaxed
 def test_the_fast_way_reads_as_the_slow_one(cells):
     rows = [f"{i},{cell}" for i, cell in enumerate(cells)]
-    fast = _csv._fast(rows, 2)
-    if fast is not None and not np.isinf(fast).any():
-        slow = _csv._slow(rows, np.arange(len(rows)), ["t", "q1"], "")
-        np.testing.assert_array_equal(fast, slow)
+    columns = [_columns.Column("t", 0, "t", "s", 1.0), _columns.Column("q1", 1, "q1", "rad", 1.0)]
+    for separator, decimal in ((",", "."), (";", "."), ("\t", "."), (";", ",")):
+        own = [row.replace(",", separator) for row in rows]
+        own = [row.replace(".", ",") for row in own] if decimal == "," else own
+        fast = _csv._fast(own, 2, separator, decimal, columns)
+        if fast is not None and not np.isinf(fast).any():
+            slow = _csv._slow(own, np.arange(len(rows)), 2, separator, decimal, columns, "")
+            np.testing.assert_array_equal(fast, slow)
 
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)

@@ -9,8 +9,10 @@ import numpy as np
 
 from ._input import InputError, number
 
-_LARGEST = 1e100
-"""Beyond this a number is no reading, and its square no number."""
+_LARGEST = 1e30
+"""Beyond this a number is no reading."""
+_SHORTEST = 1e-9
+"""s, which nothing reads an arm in."""
 
 LEAST = 20
 """Readings per joint below which there is nothing to fit."""
@@ -35,6 +37,8 @@ def check_table(time: Any, angle: Any, what: str = "angle") -> tuple[np.ndarray,
             f"sample {i}: t = {time[i]:.12g} does not come after the t = {time[i - 1]:.12g} "
             "before it; time must increase"
         )
+    if len(time) > 1 and (step := float(np.median(np.diff(time)))) < _SHORTEST:
+        raise InputError(f"t goes up by {step:.3g} s, too short a step for a reading; is it in s?")
     return time, angle
 
 

@@ -1,8 +1,8 @@
 """Recordings in the formats that a lab already has: MATLAB's and Parquet, beside CSV.
 
-The same table in other clothes. Columns are called as in the CSV file, `t`, `q1`, `q2`, ... and,
-for a driven recording, `u1`, `u2`, ..., in the same units. MATLAB keeps them as variables or as the
-fields of one struct, where `q` and `u` may also be matrices with a column per joint.
+The same table in other clothes. Columns are found and their units read as in a CSV file. MATLAB
+keeps them as variables or as the fields of one struct, where `q` and `u` may also be matrices with
+a column per joint.
 """
 
 import os
@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from ._csv import read_csv
-from ._input import InputError, inside, quote, read_text
+from ._columns import Joints, Layout, columns_of, understood
+from ._csv import Table, read_lab_csv
+from ._input import InputError, inside, read_table_text
 from ._trajectories import is_vicon
-
-Table = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 
 
 def has_markers(path: str | os.PathLike[str]) -> bool:
@@ -25,25 +24,26 @@ def has_markers(path: str | os.PathLike[str]) -> bool:
     suffix = Path(path).suffix.lower()
     if suffix == ".c3d":
         return True
-    return suffix not in _READERS and is_vicon(read_text(path, "CSV file"))
+    return suffix not in _READERS and is_vicon(read_table_text(path))
 
 
-def read_table(path: str | os.PathLike[str], joints: int) -> Table:
-    """Read a recording of `joints` joints, in the format that its name ends in; else it is CSV.
-
-    **Returns:** time (N,) s; angle (N, joints) rad or m, NaN where lost; drive (N, joints) or None.
+def read_table(path: str | os.PathLike[str], joints: Joints, layout: Layout) -> Table:
+    """Read a recording, in the format that its name ends in; else it is CSV.
 
     **Raises:** `InputError`.
     """
     reader = _READERS.get(Path(path).suffix.lower())
     if reader is None:
-        return read_csv(path, joints)[:3]
+        return read_lab_csv(path, joints, layout)
     where = os.fspath(path)
+    for key in ("separator", "decimal"):
+        if getattr(layout, key) is not None:
+            raise InputError(f"{where}: {key} is for CSV files; leave it out")
     if not Path(path).is_file():
         what = "is a folder" if Path(path).is_dir() else "there is no such file"
         raise InputError(f"{where}: {what}; a recording was expected")
     with inside(where):
-        return _table(reader(where), joints)
+        return _table(reader(where), joints, layout)
 
 
 def _mat(path: str) -> Mapping[str, Any]:
@@ -74,8 +74,7 @@ def _mat(path: str) -> Mapping[str, Any]:
             if matrix.ndim != 2:
                 raise InputError(f"{name} has shape {matrix.shape}: must be a row per time")
             wide |= {f"{name}{j + 1}": column for j, column in enumerate(matrix.T)}
-    # A workspace has other variables too; only those that could be meant are looked at.
-    return wide | {n: v for n, v in columns.items() if re.fullmatch(r"t|[qu][1-9][0-9]*", n)}
+    return wide | {n: v for n, v in columns.items() if n not in ("q", "u")}
 
 
 def _parquet(path: str) -> Mapping[str, Any]:
@@ -91,16 +90,14 @@ def _parquet(path: str) -> Mapping[str, Any]:
         table = parquet.ParquetFile(path).read()
     except (arrow.ArrowException, OSError) as error:
         raise InputError(f"is no Parquet file that can be read: {error}") from None
-    columns = {}
-    for name in table.column_names:
-        if re.fullmatch(r"__.*__", name):  # an index that pandas wrote
-            continue
-        if not re.fullmatch(r"t|[qu][1-9][0-9]*", name):
-            raise InputError(f"unknown column {quote(name)}: must be t, q1, ... and u1, ...")
+    # An index that pandas wrote is no column.
+    names = [name for name in table.column_names if not re.fullmatch(r"__.*__", name)]
+    columns: dict[str, Any] = {}
+    for name in names:
         try:
             columns[name] = table.column(name).cast(arrow.float64()).to_numpy()
         except arrow.ArrowException:
-            raise InputError(f"column {name} must have numbers") from None
+            columns[name] = None
     return columns
 
 
@@ -111,33 +108,32 @@ _READERS: dict[str, Callable[[str], Mapping[str, Any]]] = {
 }
 
 
-def _table(columns: Mapping[str, Any], joints: int) -> Table:
+def _table(content: Mapping[str, Any], joints: Joints, layout: Layout) -> Table:
     """The recording in these columns."""
-    angles = [f"q{j + 1}" for j in range(joints)]
-    drives = [f"u{j + 1}" for j in range(joints)]
-    right = f"must have {', '.join(['t', *angles])}, and {', '.join(drives)} if driven"
-    for name in ("t", *angles):
-        if name not in columns:
-            raise InputError(f"there is no {name}; {right}")
-    for name in columns:
-        if name not in ("t", *angles, *drives):
-            raise InputError(
-                f"has {name}, but the experiment has {joints} joint{'s' * (joints > 1)}; {right}"
-            )
+    header = list(content)
+    columns = columns_of(header, joints, layout)
     found: dict[str, np.ndarray] = {}
-    for name, value in columns.items():
+    for column in columns:
+        value = content[header[column.at]]
         try:
-            if np.iscomplexobj(value):
+            if value is None or np.iscomplexobj(value):
                 raise TypeError
-            found[name] = np.atleast_1d(np.asarray(value, dtype=float).squeeze())
+            found[column.name] = np.atleast_1d(np.asarray(value, dtype=float).squeeze())
         except (TypeError, ValueError):
-            raise InputError(f"{name} must have numbers") from None
+            raise InputError(f"{column.header} must have numbers") from None
     count = len(found["t"])
-    for name, column in found.items():
-        if column.shape != (count,):
-            raise InputError(f"{name} has shape {column.shape}: must be ({count},), as long as t")
+    for column in columns:
+        if (shape := found[column.name].shape) != (count,):
+            raise InputError(f"{column.header} has shape {shape}: must be ({count},), as long as t")
+        found[column.name] = found[column.name] * column.factor
     drive = None
-    if any(name in found for name in drives):
+    if any(name in found for name in joints.drives):
         still = np.zeros_like(found["t"])
-        drive = np.stack([found.get(name, still) for name in drives], axis=1)
-    return found["t"], np.stack([found[name] for name in angles], axis=1), drive
+        drive = np.stack([found.get(name, still) for name in joints.drives], axis=1)
+    angle = np.stack([found[name] for name in joints.angles], axis=1)
+    # What a workspace has besides is nothing to speak of.
+    used = [header[column.at] for column in columns]
+    columns = [column._replace(at=i) for i, column in enumerate(columns)]
+    said = understood(columns, used, joints)
+    stated = frozenset(column.name for column in columns if column.stated)
+    return Table(found["t"], angle, drive, np.arange(count), stated, said)

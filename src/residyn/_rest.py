@@ -54,8 +54,19 @@ def rest_angles(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
         # How far squares pull aside is known beforehand to its typical size.
         ridge = np.diag([0.0] + [_ASIDE**-2] * (causes.shape[1] - 1))
         right = causes.T @ (means[:, :n] / off[:, None])
-        rest = rest + np.linalg.solve(causes.T @ causes + ridge, right)[0]
+        rest = rest + np.linalg.lstsq(causes.T @ causes + ridge, right, rcond=None)[0][0]
     return rest
+
+
+def thinned(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Means of so many samples after each other that 40 or more are left of the slowest period: all
+    that a rest needs. Times (N,) s at equal steps and angles (N, n), as they come back."""
+    many = int(slowest_period(angle - angle.mean(axis=0)) / 40)
+    if many < 2:
+        return time, angle
+    whole = len(time) // many * many
+    mean = lambda x: x[:whole].reshape(-1, many, *x.shape[1:]).mean(axis=1)  # noqa: E731
+    return mean(time), mean(angle)
 
 
 def swings(time: np.ndarray, angle: np.ndarray) -> float:

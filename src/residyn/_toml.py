@@ -24,6 +24,11 @@ _KEYS = {
     "air_bearings": ("joint", "mass", "inertia"),
     "recordings": (
         "file",
+        "columns",
+        "units",
+        "separator",
+        "decimal",
+        "rest",
         "theta2",
         "noise",
         "start",

@@ -26,17 +26,18 @@ def set_up(*, cache: bool | str | Path = True) -> None:
     **Arguments:**
 
     - `cache`: where compiled programs are kept: a folder, True for `residyn` in the user's cache
-      folder (none if that cannot be written), False for nowhere.
+      folder (none if that cannot be written), False for nowhere. The folder is made private (mode
+      0700), and one that others may write to is not used, with a `UserWarning`.
     """
     quick_loops()
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    from .kept import keep_in
+    from .kept import check_compiled, keep_in
 
     folder = cache_folder() if cache is True else None if cache is False else Path(cache)
-    keep_in(None if folder is None else folder / "traced")
-    if folder is not None:
+    folder = keep_in(folder)
+    if folder is not None and check_compiled():
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
@@ -51,13 +52,11 @@ def quick_loops() -> None:
 
 
 def cache_folder() -> Path | None:
-    """The user's cache folder, or None if it cannot be written."""
+    """Where a user's caches are, or None if that cannot be known."""
     base = os.environ.get("XDG_CACHE_HOME", "")
     try:
         # A relative XDG_CACHE_HOME is invalid, says its specification, and must be ignored.
         home = Path(base) if os.path.isabs(base) else Path.home() / ".cache"
-        folder = home / "residyn"
-        folder.mkdir(parents=True, exist_ok=True)
-        return folder if os.access(folder, os.W_OK | os.X_OK) else None
-    except (OSError, RuntimeError):
+        return home / "residyn"
+    except RuntimeError:
         return None

@@ -7,15 +7,51 @@ leaves 1 everywhere.
 
 import contextlib
 import importlib.resources
+import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .fitting.result import RecordingFit
+from ._input import InputError
+
+if TYPE_CHECKING:
+    from .fitting.result import RecordingFit
 
 HIDDEN = "coulomb_friction:elbow"
 """The effect that the recording was made with, beside springs and dampers."""
+
+
+EXAMPLES = {
+    "release": ("demo", "experiment.toml", "residyn diagnose"),
+    "driven": ("driven", "driven.toml", "residyn inertia"),
+    "bearings": ("bearings", "bearings.toml", "residyn unload"),
+    "pendulum": ("pendulum", "pendulum.toml", "residyn diagnose"),
+}
+"""By name: the folder of the package's data, the experiment, the command for it."""
+
+
+def write_example(name: str, folder: Path) -> list[Path]:
+    """Write a shipped example into a folder, which is made if need be.
+
+    **Returns:** the files, the experiment first.
+
+    **Raises:** `InputError` for a file that is there already, or cannot be written.
+    """
+    home, experiment, _ = EXAMPLES[name]
+    source = importlib.resources.files("residyn") / "data" / home
+    files = sorted((f.name for f in source.iterdir() if f.is_file()), key=lambda f: f != experiment)
+    for file in files:
+        if os.path.lexists(folder / file):
+            raise InputError(f"{folder / file}: is there already; choose another folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for file in files:
+            (folder / file).write_bytes((source / file).read_bytes())
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror or error})") from None
+    return [folder / file for file in files]
 
 
 @contextlib.contextmanager
@@ -26,7 +62,7 @@ def experiment_file() -> Iterator[Path]:
         yield here / "experiment.toml"
 
 
-def by_window(beside: RecordingFit, count: int = 8) -> tuple[np.ndarray, np.ndarray]:
+def by_window(beside: "RecordingFit", count: int = 8) -> tuple[np.ndarray, np.ndarray]:
     """The residual over equal windows of time, in units of the noise.
 
     **Returns:** the windows' edges, (count + 1,) s; the rms residual over the noise, (count, n),

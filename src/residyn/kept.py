@@ -4,17 +4,16 @@ JAX keeps what XLA has compiled, but asks for it with the whole traced program i
 a fit takes a second of Python each time. So a function marked `kept` is exported, once, as the
 program that XLA is given, and a later process that calls it with inputs of the same structure and
 shapes reads that instead. `residyn.set_up` says where; without it, `kept` is `equinox.filter_jit`.
+JAX's own compiled programs go into the same cache, which checks every file that it reads.
 
 A program must never be taken for another one. It is named by everything that made it: the sources
 of this package, the versions of what it is built on, and the structure of what was put in. What
 cannot be told by its text (a class or a function of somebody else's) is traced, as ever.
 """
 
-import contextlib
 import functools
 import hashlib
-import os
-import tempfile
+import warnings
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
@@ -26,18 +25,66 @@ import jax.export
 import numpy as np
 from jax.core import Tracer
 
+from ._cache import Cache, UnsafeFolder
+
 _MADE_OF = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax")
 _TOLD = (int, float, bool, str, type(None))
 # Calls into LAPACK for which JAX promises nothing to later versions; a later one traces anew.
 _LAPACK = ("dgeqrf", "dormqr", "dorgqr", "dtrsm", "dpotrf", "dgetrf", "dgesdd", "dsyevd")
 
-_folder: Path | None = None
+_cache: Cache | None = None
 
 
-def keep_in(folder: Path | None) -> None:
-    """Keep traced programs in this folder from now on; None: nowhere."""
-    global _folder
-    _folder = folder
+def keep_in(folder: Path | None) -> Path | None:
+    """Keep traced programs in this folder from now on; None: nowhere.
+
+    **Returns:** the folder, or None if it cannot be used. A folder that others may write to is a
+    `UserWarning`.
+    """
+    global _cache
+    _cache = None
+    if folder is not None:
+        try:
+            _cache = Cache(folder)
+        except UnsafeFolder as error:
+            warnings.warn(f"{error}, so no compiled programs are kept there", stacklevel=3)
+        except OSError:  # nothing is wrong without a cache; it is only slower
+            pass
+    return None if _cache is None else folder
+
+
+def check_compiled() -> bool:
+    """Have JAX keep what it compiles in our cache, if told to keep it in the same folder: JAX's own
+    files have no checksum, and a damaged one may crash or compute something else.
+
+    **Returns:** whether that could be had; it is no public function of JAX.
+    """
+    try:
+        from jax._src import compilation_cache
+        from jax._src.compilation_cache_interface import CacheInterface
+
+        original = compilation_cache.get_file_cache
+    except (ImportError, AttributeError):
+        return False
+
+    class Compiled(CacheInterface):
+        def __init__(self, cache: Cache):
+            self.cache, self._path = cache, cache.folder
+
+        def get(self, key: str) -> bytes | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+            return self.cache.get(f"compiled {key}")
+
+        def put(self, key: str, value: bytes) -> None:
+            self.cache.put(f"compiled {key}", value)
+
+    def file_cache(path: str):
+        if _cache is not None and Path(path) == _cache.folder:
+            return Compiled(_cache), path
+        return original(path)
+
+    if original.__module__ != __name__:
+        compilation_cache.get_file_cache = file_cache
+    return True
 
 
 def kept(like: Any) -> Callable[[Callable], "Kept"]:
@@ -61,7 +108,7 @@ class Kept:
 
     def __call__(self, *args):
         leaves, structure = jax.tree.flatten(args)
-        if _folder is None or any(isinstance(x, Tracer) for x in leaves):
+        if _cache is None or any(isinstance(x, Tracer) for x in leaves):
             return self._plain(*args)
         arrays = [x for x in leaves if eqx.is_array(x)]
         if any(isinstance(x, jax.Array) and len(x.devices()) > 1 for x in arrays):
@@ -69,27 +116,24 @@ class Kept:
         key = _key(leaves, structure)
         program = self._programs.get(key)
         if program is None:
-            program = self._programs[key] = self._found(_folder, args, arrays, key)
+            program = self._programs[key] = self._found(_cache, args, arrays, key)
         return program(args, arrays)
 
-    def _found(self, folder: Path, args, arrays, key) -> Callable:
+    def _found(self, cache: Cache, args, arrays, key) -> Callable:
         """The program for these inputs, as it was kept, or traced and kept now."""
         plain = lambda args, arrays: self._plain(*args)  # noqa: E731
         words = _words(key[0], [x for x in key[1] if not isinstance(x, tuple)])
         if words is None:
             return plain
-        name = "\n".join([self._name, _sources(), words, repr(key[1:])])
-        file = folder / f"{hashlib.sha256(name.encode()).hexdigest()}.stablehlo"
+        name = "\n".join([self._name, _made_of(), words, repr(key[1:])])
         try:
-            exported = jax.export.deserialize(bytearray(file.read_bytes()))
-        except Exception:  # not there, or broken: what is wrong with it does not matter
+            exported = jax.export.deserialize(bytearray(cache.get(name) or b""))
+        except Exception:  # not there, or of no use: why does not matter
             try:
                 exported = self._traced(args, arrays)
-                content = exported.serialize()
+                cache.put(name, exported.serialize())
             except (ImportError, ValueError, NotImplementedError):  # not everything can be exported
                 return plain
-            with contextlib.suppress(OSError):  # a cache that cannot be written is only slower
-                _write(file, content)
         call, out = jax.jit(exported.call), self._out
         return lambda args, arrays: jax.tree.unflatten(out, call(*arrays))
 
@@ -139,18 +183,15 @@ def _words(structure, others) -> str | None:
 
 
 @functools.cache
-def _sources() -> str:
-    """What this package and those it is built on are, in few words."""
+def sources() -> str:
+    """SHA-256 of this package's sources."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(path.read_bytes())
-    return " ".join([digest.hexdigest(), *(f"{name} {version(name)}" for name in _MADE_OF)])
+    return digest.hexdigest()
 
 
-def _write(file: Path, content: bytes | bytearray) -> None:
-    """All at once: another process may be reading."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=file.parent)
-    with os.fdopen(handle, "wb") as out:
-        out.write(content)
-    os.replace(name, file)
+@functools.cache
+def _made_of() -> str:
+    """What this package and those it is built on are, in few words."""
+    return " ".join([sources(), *(f"{name} {version(name)}" for name in _MADE_OF)])

@@ -25,12 +25,15 @@ from ._arrays import (
     check_table,
     doubtful_clock,
 )
+from ._columns import Joints, Layout
 from ._csv import read_csv, write_csv
 from ._doubts import in_degrees, not_held_out
-from ._input import InputError, decode, flag, inside, number, read_text
+from ._input import InputError, decode, flag, inside, number, quote, read_text
 from ._lab_files import has_markers, read_table
 from ._noise import estimate_noise, noise_and_doubts
-from ._release import release_time, window
+from ._release import _even, release_time, window
+from ._rest import SWINGS, rest_angles, swings, thinned
+from ._sanity import not_free
 from ._tables import ArmTable, Bearing, InertiaTable, check_bearings
 from ._toml import check_role, parse
 from ._wild import wild_samples
@@ -82,6 +85,8 @@ class Recording:
     """What is doubtful, a line each that names the recording."""
     whole: "Recording | None" = None
     """What this is a stretch of, if it is one."""
+    understood: str = ""
+    """What was made of a file that is not written as this package writes it, in one line."""
 
     @classmethod
     def from_arrays(
@@ -98,6 +103,7 @@ class Recording:
         stop: float | None = None,
         air_bearings: bool = True,
         extra_mass: float = 0.0,
+        rest: Any = None,
     ) -> "Recording":
         """Check a recording, cut it from `start` to `stop`, estimate its noise if not given.
 
@@ -109,6 +115,8 @@ class Recording:
         - `noise`: sigma of one reading, a number or one per joint.
         - `start`, `stop`: s on the recording's own clock; `start` may be "release", the instant
           from which the motion is free.
+        - `rest`: where the joints rest, (n,) rad or m, which is taken off; "estimate" finds it in
+          the ringing. None is zero.
         - the others: the fields of the same name.
         """
         name = str(name)
@@ -120,6 +128,12 @@ class Recording:
             force = None if force is None else force[part]
             check_enough(angle, part=start is not None or stop is not None)
             warnings += doubtful_clock(time)
+            understood = ""
+            if rest is not None:
+                off, doubts = _rest(rest, time, angle)
+                angle, warnings = angle - off, warnings + doubts
+                each = ", ".join(f"q{j + 1} {x:.5g}" for j, x in enumerate(off))
+                understood = f"rest at {each}, taken off" if off.any() else ""
             if noise is None:
                 sigma, doubts = noise_and_doubts(time, angle)
             else:
@@ -144,6 +158,7 @@ class Recording:
                 air_bearings=flag("air_bearings", air_bearings),
                 extra_mass=number("extra_mass", extra_mass, "kg", least=0),
                 warnings=tuple(f"{name}: {warning}" for warning in [*warnings, *doubts]),
+                understood=understood,
             )
 
     def saying(self, doubts: Iterable[str]) -> "Recording":
@@ -245,8 +260,12 @@ def _read(
 ) -> Recording:
     """One `[[recordings]]` table's recording."""
     path, drive = folder / file, None
+    given = {key: options.pop(key, None) for key in ("columns", "units", "separator", "decimal")}
     marked = has_markers(path)
     if marked:
+        for key, value in (given | {"rest": options.get("rest")}).items():
+            if value is not None:
+                raise InputError(f"{file}: {key} does not go with markers; leave it out")
         recording = _from_markers(path, inertia, name=file, **options)
     else:
         for key in ("markers", "normal"):
@@ -255,8 +274,16 @@ def _read(
                     f"{file}: {key} is for files of markers, C3D or what Vicon exports as CSV; "
                     "this is neither"
                 )
-        time, angle, drive = read_table(path, len(inertia.joints))
+        with inside(file):
+            layout = Layout(**given)
+        table = read_table(path, Joints(inertia.joints, inertia.units), layout)
+        time, angle, drive = table.time, table.angle, table.drive
         recording = Recording.from_arrays(time, angle, drive=drive, name=file, **options)
+        said = "; ".join(filter(None, [table.understood, recording.understood]))
+        recording = dataclasses.replace(recording, understood=said)
+        odd = not_free(recording, inertia.units, table.stated, options)
+        if odd is not None and recording.role != "inertia":
+            raise InputError(f"{file}: {odd.words}")
     if recording.role == "inertia" and drive is None:
         columns = ", ".join(f"u{j + 1}" for j in range(recording.joints))
         raise InputError(f'{file}: role = "inertia" needs the drive that moved it, as {columns}')
@@ -264,6 +291,26 @@ def _read(
         doubt = "theta2, the elbow's angle at rest, is not given; 0 rad is taken"
         recording = recording.saying([doubt])
     return recording
+
+
+def _rest(rest: Any, time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """(n,) angles at rest, given or found, and what is doubtful of them."""
+    n = angle.shape[1]
+    if rest != "estimate" or not isinstance(rest, str):
+        values = rest.tolist() if hasattr(rest, "tolist") else rest
+        if not isinstance(values, list | tuple) or len(values) != n:
+            raise InputError(
+                f'rest = {quote(rest)}: must be "estimate", or {n} number{"s" * (n > 1)} (rad or '
+                "m), one for each joint, in a list"
+            )
+        return np.array([number("rest", x, "rad or m") for x in values]), []
+    check_enough(angle, part=False)
+    count = swings(time, angle)
+    doubt = (
+        f"with {count:.2g} swings of the slowest mode its rest is known roughly: if the residual "
+        "has an offset, fit sensor_offset too"
+    )
+    return rest_angles(*thinned(*_even(time, angle))), [doubt] if count < SWINGS else []
 
 
 def _from_markers(

@@ -8,7 +8,7 @@ line that says what would be right, never a traceback (`_shell`).
 
 import typer
 
-from . import _compare, _demo, _diagnose, _effects, _fit, _inertia, _simulate, _unload
+from . import _compare, _demo, _diagnose, _effects, _example, _fit, _inertia, _simulate, _unload
 from ._shell import run
 
 app = typer.Typer(
@@ -45,6 +45,8 @@ app.command("unload")(_unload.unload)
 app.command("simulate")(_simulate.simulate)
 app.command("effects")(_effects.effects)
 app.command("demo")(_demo.demo)
+app.command("example")(_example.example)
+app.command("new")(_example.new)
 
 
 def main(args: list[str] | None = None) -> int:

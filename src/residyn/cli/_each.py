@@ -2,6 +2,7 @@
 
 import contextlib
 import json as json_
+import math
 import multiprocessing
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -12,6 +13,7 @@ import typer
 
 from .._input import InputError
 from .._json import finite
+from .._units import plain, with_error
 from ._shell import DONE, NO_NUMBERS, Outputs, complain, progress, set_up_jax
 
 if TYPE_CHECKING:
@@ -97,7 +99,14 @@ def _line(each: "Each") -> str:
     name, told = Path(each.name).name, each.told
     if "error" in told:
         return f"{name}: {told['error']}"
-    numbers = ", ".join(f"{k} = {v['value']:.5g}" for k, v in told["parameters"].items())
+    numbers = ", ".join(f"{k} = {_number(v)}" for k, v in told["parameters"].items())
     before = " (done before)" if each.before else ""
     settled = "" if told["converged"] else ", not settled"
     return f"{name}: {numbers}; reduced chi2 {told['reduced_chi2']:.3g}{settled}{before}"
+
+
+def _number(number: dict[str, float | None]) -> str:
+    value, std = number["value"], number["std"]
+    if value is None or std is None:
+        return f"{plain(math.nan if value is None else value, 5)} (not determined)"
+    return " +/- ".join(with_error(value, std))

@@ -1,6 +1,7 @@
 """From an EXPERIMENT on the command line to a fit."""
 
 import contextlib
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def load(path: str) -> "Experiment":
-    """Read the experiment.
+    """Read the experiment, and say on standard error what was made of a lab's own files.
 
     **Raises:** `InputError`.
     """
@@ -24,7 +25,11 @@ def load(path: str) -> "Experiment":
         say("reading")
         from .. import recording
 
-        return recording.load(path)
+        loaded = recording.load(path)
+    for each in loaded.recordings:
+        if each.understood:
+            print(f"residyn: {each.name}: {each.understood}", file=sys.stderr)
+    return loaded
 
 
 def bring(files: Sequence[str] | None) -> None:

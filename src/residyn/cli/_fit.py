@@ -46,6 +46,10 @@ def fit(
     out.spare(input_files(experiment, loaded))
     result = fitted(loaded, effects or [], starts, method)
     out.words.print(str(result), soft_wrap=True)
+    if result.misses:
+        out.words.print(
+            f"the model misses something: residyn diagnose {experiment}", soft_wrap=True
+        )
     out.write_json(result.to_dict())
     out.write_table(result)
     if report is not None:

@@ -3,8 +3,10 @@
 import contextlib
 import itertools
 import json
+import multiprocessing
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -251,4 +253,9 @@ def set_up_jax(cache: bool) -> None:
     """JAX as a command wants it; importing the package sets nothing."""
     # A recording is a chain of small steps, which is what a CPU does best; the user may disagree.
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
-    set_up(cache=cache)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", UserWarning)
+        set_up(cache=cache)
+    if multiprocessing.parent_process() is None:  # else it has said so
+        for each in said:
+            print(f"residyn: {each.message}", file=sys.stderr)

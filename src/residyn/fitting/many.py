@@ -3,25 +3,24 @@
 Compiled programs serve every experiment of the same model whose recordings have about the same
 length, so all but the first fits are quick. Where JAX has several devices, or one that is no CPU,
 fits run in batches that share a program and all devices. Results are written as they come, a line
-each; a run that was killed goes on where it stopped; one broken recording costs its own line and no
-other. With an executor of `concurrent.futures`, or anything that looks like one, such as a Dask
-cluster's, processes and machines share the work.
+each (`result_lines`); a run that was killed goes on where it stopped; one broken recording costs
+its own line and no other. With an executor of `concurrent.futures`, or anything that looks like
+one, such as a Dask cluster's, processes and machines share the work.
 """
 
-import json
+import contextlib
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
-from .._json import finite
 from ..effects import AbstractEffect
 from ..recording import Experiment, InputError, load
 from .abreast import lanes, together
 from .pipeline import DEFAULT_STARTS, fit
 from .result import Fit, FitError
+from .result_lines import ResultLines, digest
 
 _ABREAST = 16  # fits on each device that is no CPU
 _AHEAD = 64  # fits that an executor holds: enough for many workers, little memory
@@ -34,7 +33,7 @@ class Each(NamedTuple):
     fit: Fit | None
     """None where there is none, where it was done before, or where another process did it."""
     told: dict[str, Any]
-    """`name`, and the fit's `to_dict()` or, in one line, `error`."""
+    """`name`, `digest` of all it depends on, and the fit's `to_dict()` or, in one line, `error`."""
     before: bool = False
     """Whether it was read from the file of an earlier run."""
 
@@ -55,8 +54,9 @@ def fit_many(
 
     - `experiments`: TOML files, or experiments (told apart by their `path`, else their number).
     - `effects`, `starts`, `progress`: as of `residyn.fit`.
-    - `out`: a file of JSON lines to add to. What stands in it already is not fitted again; what
-      ended in an error there is. A last line that was cut short is taken out.
+    - `out`: a file of JSON lines to add to. What stands in it already is not fitted again. What
+      ended in an error there, or was made of other files, effects, options or another version, is
+      fitted again and its old line is taken out, and so is a last line that was cut short.
     - `executor`: where to fit, such as a `ProcessPoolExecutor` (with the start method "spawn": JAX
       does not outlive a fork) or `dask.distributed.Client(...).get_executor()`. Its workers read
       files by the same names, and know the effects of packages but none that were adopted here.
@@ -67,7 +67,8 @@ def fit_many(
     input and fits that led nowhere are lines with an `error`, not exceptions.
 
     **Raises:** `ValueError` for an empty batch, or one beside an executor, whose workers fit one at
-    a time; `InputError` if two experiments have the same name, or `out` holds something else.
+    a time; `InputError` if two experiments have the same name, or `out` holds something
+      else, cannot be written, or is written by another run.
     """
     if batch is not None and (batch < 1 or executor is not None):
         raise ValueError(f"batch = {batch}: must be at least 1, and not beside an executor")
@@ -78,19 +79,27 @@ def fit_many(
             raise InputError(f"{name} is there twice: results could not be told apart")
         seen.add(name)
         named.append((name, one))
-    done = {} if out is None else _done(Path(out))
-    left = [(name, one) for name, one in named if name not in done]
     say = progress or (lambda words: None)
-    if executor is None:
-        width = lanes(batch, _ABREAST)
-        fresh = _in_batches(left, effects, starts, say, width)
-    else:
-        fresh = _abreast(left, effects, starts, say, executor)
-    for each in _in_order(named, done, fresh) if executor is None else _first(done, fresh):
-        if out is not None and not each.before:
-            with open(out, "a", encoding="utf-8") as file:
-                file.write(json.dumps(finite(each.told)) + "\n")
-        yield each
+    with contextlib.ExitStack() as opened:
+        if out is None:
+            lines, done, digests = None, {}, {}
+        else:
+            digests = {name: digest(one, effects, starts) for name, one in named}
+            lines = opened.enter_context(contextlib.closing(ResultLines(out, digests)))
+            done = lines.done
+        left = [(name, one) for name, one in named if name not in done]
+        if executor is None:
+            width = lanes(batch, _ABREAST)
+            fresh = _in_batches(left, effects, starts, say, width)
+            every = _in_order(named, done, fresh)
+        else:
+            every = _first(done, _abreast(left, effects, starts, say, executor))
+        for each in every:
+            if lines is not None and not each.before:
+                told = {"name": each.name, "digest": digests[each.name]} | each.told
+                each = each._replace(told=told)
+                lines.add(told)
+            yield each
 
 
 def _in_order(named, done: dict[str, dict[str, Any]], fresh: Iterator[Each]) -> Iterator[Each]:
@@ -159,28 +168,3 @@ def _fitted(
     except (InputError, FitError, ValueError) as error:
         told["error"] = str(error)
     return Each(name, found, told)
-
-
-def _done(path: Path) -> dict[str, dict[str, Any]]:
-    """The results that a file holds, by name; an unfinished last line is cut off."""
-    if not path.exists():
-        return {}
-    found, good = {}, 0
-    data = path.read_bytes()
-    for number, line in enumerate(data.splitlines(keepends=True), start=1):
-        try:
-            told = json.loads(line)
-            name = told["name"]
-        except (ValueError, KeyError, TypeError):
-            if number == data.count(b"\n") + 1:  # no newline: the run was killed while it wrote
-                with path.open("r+b") as file:
-                    file.truncate(good)
-                break
-            raise InputError(
-                f"{path}: line {number}: no result of a fit; must be a file that an earlier run "
-                "wrote, or a new one"
-            ) from None
-        good += len(line)
-        if "error" not in told:
-            found[name] = told
-    return found

@@ -17,6 +17,10 @@ from ..recording import Experiment, Recording
 from .history import History
 
 STRONG = 0.9
+STRUCTURE = 1.2
+"""Reduced chi-square beyond which the residual is more than noise."""
+NEGATIVE = 2.0
+"""Standard errors below zero that make a sign more than chance."""
 """Correlations beyond this are named."""
 
 
@@ -116,6 +120,25 @@ class Fit:
         spread = np.sqrt(np.diag(self.covariance))
         with np.errstate(invalid="ignore", divide="ignore"):
             return self.covariance / spread / spread[:, None]
+
+    @property
+    def misses(self) -> bool:
+        """Whether the residual is more than noise."""
+        return self.reduced_chi2 > STRUCTURE
+
+    @property
+    def unphysical(self) -> tuple[Number, ...]:
+        """Stiffness and damping of springs and dampers that are negative beyond their error, which
+        grows with the residual: a base model that no braked arm has."""
+        grown = max(1.0, self.reduced_chi2) ** 0.5
+        return tuple(
+            n
+            for n in self.numbers
+            if n.name.startswith(("spring", "damper"))
+            and n.sign == "positive"
+            and n.determined
+            and -n.value > NEGATIVE * n.std * grown
+        )
 
     @property
     def rmse(self) -> np.ndarray:

@@ -5,11 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from .identify import in_words
-from .result import Fit, RecordingFit
+from .result import NEGATIVE, Fit, RecordingFit
 
-_STRUCTURE = 1.2  # reduced chi-square beyond which the residual is more than noise
 _SMALL = 0.85  # and below which the noise must have been overstated
-_NEGATIVE = 2.0  # standard errors below zero that make a sign more than chance
 _STILL = 2.0  # times the noise: a joint that moves less than this hardly moves
 _NAMED = 3  # wild readings whose times are given
 
@@ -17,6 +15,7 @@ _NAMED = 3  # wild readings whose times are given
 def warnings_for(fit: Fit, open_groups: Sequence[tuple[int, ...]]) -> tuple[str, ...]:
     """All warnings of a fit: the recordings' own, then the fit's."""
     return (
+        *_unphysical(fit),
         *fit.experiment.warnings,
         *in_words(fit.model, open_groups),
         *_still(fit),
@@ -53,16 +52,28 @@ def _wild(recordings: Sequence[RecordingFit]) -> list[str]:
     return said
 
 
+def _unphysical(fit: Fit) -> list[str]:
+    """Said first: whatever else is read from such a fit rests on a base that no arm has."""
+    return [
+        f"{n.name} = {n.value:.3g} +/- {n.std:.2g} {n.unit} is negative beyond its error, which no "
+        "braked arm has: the recordings are not of an arm that rings down, or an input is wrong "
+        "(inertia, the order or sign of the angles, their rest)"
+        for n in fit.unphysical
+    ]
+
+
 def _signs(fit: Fit) -> list[str]:
-    said = []
+    said, sure = [], {n.name for n in fit.unphysical}
     for number in fit.numbers:
-        if number.sign == "positive" and number.value < 0 and number.determined:
-            sure = -number.value > _NEGATIVE * number.std
+        if number.sign != "positive" or number.value >= 0 or not number.determined:
+            continue
+        if number.name not in sure:
+            beyond = -number.value > NEGATIVE * number.std
             said.append(
                 f"{number.name} is negative, which physics does not allow"
                 + (
                     ": the model lacks something, or an input is wrong"
-                    if sure
+                    if beyond
                     else ", but no more than its error: these data cannot tell it from zero"
                 )
             )
@@ -71,7 +82,7 @@ def _signs(fit: Fit) -> list[str]:
 
 def _misfit(fit: Fit) -> list[str]:
     units = fit.experiment.units
-    if fit.reduced_chi2 > _STRUCTURE:
+    if fit.misses:
         worst = int(np.argmax(fit.rmse / fit.noise))
         unit = f" {units[worst]}" if units else ""
         return [

@@ -1,0 +1,64 @@
+"""`residyn example` and `residyn new`: a first experiment, shipped or from one's own recordings."""
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .._input import InputError, quote
+from ._shell import DONE, console
+
+_NAMES = ("release", "driven", "bearings", "pendulum")
+
+
+def example(
+    folder: Annotated[str, typer.Argument(metavar="FOLDER", help="Where to write it.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="[NAME]",
+            help="release (a hidden effect), driven (step 1), bearings (step 3) or pendulum "
+            "(measured).",
+        ),
+    ] = _NAMES[0],
+) -> None:
+    """Write a shipped example, ready to run."""
+    if name not in _NAMES:
+        raise InputError(f"{quote(name)}: there is no such example; it is {', '.join(_NAMES)}")
+    from ..demo import EXAMPLES, write_example
+
+    files = write_example(name, Path(folder))
+    words = console()
+    for file in files:
+        words.print(str(file), soft_wrap=True)
+    words.print(f"next: {EXAMPLES[name][2]} {files[0]}", soft_wrap=True)
+    raise typer.Exit(DONE)
+
+
+def new(
+    experiment: Annotated[
+        str, typer.Argument(metavar="EXPERIMENT.toml", help="The file to write.")
+    ],
+    recordings: Annotated[
+        list[str], typer.Argument(metavar="RECORDING.csv...", help="What was recorded.")
+    ],
+) -> None:
+    """Write a first experiment file from recordings; what they cannot tell is marked "?"."""
+    path = Path(experiment)
+    if path.suffix != ".toml":
+        raise InputError(f"{experiment}: the experiment comes first, and must end in .toml")
+    if os.path.lexists(path):
+        raise InputError(f"{experiment}: is there already; choose another name")
+    from .._new import experiment_text
+
+    text = experiment_text([Path(file) for file in recordings], path.parent)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        why = error.strerror or error
+        raise InputError(f"{experiment}: cannot be written ({why})") from None
+    words = console()
+    words.print(text, soft_wrap=True, end="")
+    words.print(f'\nnext: fill in each "?" in {experiment}, then residyn diagnose {experiment}')
+    raise typer.Exit(DONE)

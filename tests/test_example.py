@@ -1,0 +1,107 @@
+"""`residyn example` and `residyn new`: what they write is ready to run, or says what is missing."""
+
+import numpy as np
+import pytest
+
+from residyn.cli import main
+from residyn.demo import EXAMPLES
+from residyn.recording import InputError, load
+from tests.test_dialects import COLUMNS, DIALECTS, T, table
+
+Q = np.stack([0.2 * np.cos(40 * T), -0.1 * np.cos(70 * T)], axis=1)
+FILLED = {"link_lengths": "[0.4, 0.4]", "shoulder": "1.2", "elbow": "0.6", "coupling": "1.4"}
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_is_written_whole_and_once(name, tmp_path, capsys):
+    folder = tmp_path / "new" / "folder"
+    assert main(["example", str(folder), name]) == 0
+    out = capsys.readouterr().out
+    assert f"next: {EXAMPLES[name][2]} {folder / EXAMPLES[name][1]}" in out
+    experiment = load(folder / EXAMPLES[name][1])
+    assert {r.name for r in experiment.recordings} <= {f.name for f in folder.iterdir()}
+    assert all(r.understood == "" for r in experiment.recordings)
+    assert (folder / "pendulum-LICENSE.txt").exists() == (name == "pendulum")
+    assert main(["example", str(folder), name]) == 2
+    assert "is there already" in capsys.readouterr().err
+
+
+def test_all_examples_go_into_one_folder(tmp_path):
+    assert {main(["example", str(tmp_path), name]) for name in EXAMPLES} == {0}
+
+
+def test_examples_that_are_none(tmp_path, capsys):
+    assert main(["example", str(tmp_path), "nothing"]) == 2
+    assert "it is release, driven, bearings, pendulum" in capsys.readouterr().err
+    (tmp_path / "file").write_text("")
+    assert main(["example", str(tmp_path / "file" / "folder")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_the_inertias_of_the_driven_example(tmp_path, capsys):
+    main(["example", str(tmp_path), "driven"])
+    assert main(["inertia", str(tmp_path / "driven.toml"), "--no-cache"]) == 0
+    line = next(x for x in capsys.readouterr().out.splitlines() if x.startswith("shoulder = "))
+    assert float(line.split()[2]) == pytest.approx(2.9640 - 0.5920 - 0.8 * 1.4384, rel=0.01)
+
+
+def made(folder, *files):
+    """The text that `residyn new` writes, and the experiment once each "?" is filled in."""
+    path = folder / "new.toml"
+    assert main(["new", str(path), *map(str, files)]) == 0
+    text = path.read_text()
+    lines = []
+    for line in text.splitlines():
+        key = line.split(" = ")[0]
+        value = FILLED.get(key, "0.3" if key == "theta2" else None)
+        lines.append(f"{key} = {value}" if "?" in line and value else line)
+    (folder / "filled.toml").write_text("\n".join(lines))
+    return text, load(folder / "filled.toml")
+
+
+def test_new_from_a_german_file(tmp_path, capsys):
+    header = "Zeit [ms];Schulter (Grad);Ellbogen (Grad);Bemerkung"
+    content = table(
+        header, 1e3 * T, np.degrees(Q), sep=";", point=",", more=lambda i: ["gut"], above="Labor\n"
+    )
+    (tmp_path / "x.csv").write_bytes(content.encode("latin-1"))
+    text, experiment = made(tmp_path, tmp_path / "x.csv")
+    assert COLUMNS in text
+    assert 'file = "x.csv"' in text
+    np.testing.assert_allclose(experiment.recordings[0].angle, Q, atol=1e-9)
+    assert 'next: fill in each "?"' in capsys.readouterr().out
+    with pytest.raises(InputError, match="link_lengths"):
+        load(tmp_path / "new.toml")
+    assert main(["new", str(tmp_path / "new.toml"), str(tmp_path / "x.csv")]) == 2
+
+
+def test_new_says_what_it_has_seen(tmp_path):
+    time = np.arange(1500) / 100
+    ring = np.stack([0.2 * np.cos(3 * time), -0.1 * np.cos(7 * time)], axis=1)
+    ring = np.exp(-0.1 * time)[:, None] * ring
+    held = np.concatenate([np.tile(ring[0], (200, 1)), ring]) + np.array([0.5, -0.6])
+    rows = np.column_stack([10.0 * np.arange(len(held)), np.degrees(held)])
+    np.savetxt(tmp_path / "x.csv", rows, delimiter=",", header="t,q1,q2", comments="")
+    text, experiment = made(tmp_path, tmp_path / "x.csv")
+    assert 'units = { t = "ms", q1 = "deg", q2 = "deg" }' in text
+    assert 'start = "release"' in text
+    assert 'rest = "estimate"' in text
+    assert text.count("# seen: ") == 3
+    np.testing.assert_allclose(
+        np.nanmax(np.abs(experiment.recordings[0].angle), axis=0), [0.2, 0.1], rtol=0.1
+    )
+
+
+def test_new_for_one_sliding_joint_and_for_what_is_no_table(tmp_path, capsys):
+    lines = [f"{t},{100 * q}" for t, q in zip(T, Q[:, 0], strict=True)]
+    (tmp_path / "x.csv").write_text("\n".join(["Time (s),Cart (mm)", *lines]))
+    text, _ = main(["new", str(tmp_path / "a.toml"), str(tmp_path / "x.csv")]), None
+    text = (tmp_path / "a.toml").read_text()
+    assert 'units = ["m"]' in text
+    assert 'columns = { t = "Time (s)", q1 = "Cart (mm)" }' in text
+    for name, content in (("y.csv", "nothing\nof use\n"), ("z.csv", "1,2\n3,4\n")):
+        (tmp_path / name).write_text(content)
+        assert main(["new", str(tmp_path / "b.toml"), str(tmp_path / name)]) == 2
+        assert "no line of names above columns of numbers" in capsys.readouterr().err
+    assert main(["new", str(tmp_path / "x.csv"), "b.toml"]) == 2
+    assert len(DIALECTS) >= 30

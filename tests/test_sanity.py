@@ -1,0 +1,142 @@
+"""What is seen before a fit: said of recordings that no ringing arm makes, and of no others."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from residyn import demo
+from residyn._sanity import not_free
+from residyn.recording import InputError, Recording, load, read_csv, write_csv
+from rig import draw
+from rig.cases import clean_cases
+from rig.hidden import hidden_cases
+from tests.test_recording import DATA, measured
+
+ALONE = ("bearing", "wrist_flexibility", "coupling", "gravity")
+UNITS = ("rad", "rad")
+
+
+def seen(time, angle, units=UNITS, said=(), **keys):
+    recording = Recording.from_arrays(time, angle, noise=1e-3)
+    found = not_free(recording, units, said, keys)
+    return None if found is None else found.words
+
+
+@pytest.mark.parametrize("label", [*draw.JOINT, *draw.ARM])
+def test_nothing_is_said_of_an_arm_with_something_hidden_in_it(label):
+    rng = np.random.default_rng(len(label))
+    own = label if label.startswith(ALONE) else f"{label}:{rng.choice(['shoulder', 'elbow'])}"
+    for noise in (0.0025, 0.05):
+        (case,) = hidden_cases(rng, own, 1, seconds=6.0, noise_share=noise)
+        assert seen(case.t, case.q) is None
+
+
+def test_nothing_is_said_of_clean_arms_and_of_the_demo():
+    for case in clean_cases(np.random.default_rng(0), 10, seconds=8.0):
+        assert seen(case.t, case.q) is None
+    with demo.experiment_file() as path:
+        assert len(load(path).recordings) == 2
+
+
+@measured
+def test_what_is_said_of_measured_recordings():
+    for path in sorted(DATA.glob("carts/*.csv")):
+        time, angle, _, _ = read_csv(path, 1)
+        assert "stands still" in seen(time, angle, ("m",))  # and is pulled by hand
+        free = Recording.from_arrays(time, angle, start="release")
+        assert not_free(free, ("m",), (), {}) is None
+    time, angle, _, _ = read_csv(DATA / "double_pendulum" / "free_swing.csv", 2)
+    assert seen(time, angle) is None
+    time, angle, _, _ = read_csv(DATA / "air_track" / "one_mass_1.csv", 1)
+    assert seen(time, angle, ("m",)) is None
+
+
+@pytest.fixture(scope="module")
+def good():
+    (case,) = clean_cases(np.random.default_rng(4), 1, seconds=20.0, amplitude=(0.1, 0.3))
+    return case.t, case.q
+
+
+def test_angles_of_an_encoder_with_its_own_zero(good):
+    time, angle = good
+    for degrees in ((12.3, 28.6), (-12.3, -28.6), (0.0, 40.0), (-40.0, 0.0)):
+        off = np.radians(degrees)
+        line = seen(time, angle + off)
+        if sum(x != 0 for x in degrees) == 1 and line is None:
+            continue  # as if that brake had slipped
+        assert "rings about" in line
+        assert 'rest = "estimate"' in line
+        assert seen(time, angle + off, rest=[0, 0]) is None
+        found = Recording.from_arrays(time, angle + off, rest="estimate", noise=1e-3)
+        assert not_free(found, UNITS, (), {}) is None
+        np.testing.assert_allclose(found.angle, angle, atol=2e-3)
+
+
+def test_a_joint_that_stands_still_away_from_zero_is_not_counted_from_rest(good):
+    time, angle = good
+    line = seen(time, np.column_stack([angle[:, 0], 0.5 + 1e-3 * np.sin(50 * time)]))
+    assert "q2 rings about 0.5 rad" in line
+
+
+def test_degrees_and_milliseconds(good):
+    time, angle = good
+    line = seen(time, np.degrees(angle))
+    assert "in degrees?" in line
+    assert 'units = { q1 = "deg" }' in line
+    assert seen(time, np.degrees(angle), said=("q1", "q2")) is None
+    for factor in (1e3, 1e4, 1e6):
+        line = seen(factor * time, angle)
+        assert "is" in line
+        assert 'units = { t = "ms" }' in line
+        assert seen(factor * time, angle, said=("t",)) is None
+
+
+@pytest.mark.parametrize("hold", [0.6, 2.0, 10.0])
+def test_a_hold_before_the_release(good, hold):
+    time, angle = good
+    count = round(hold / (time[1] - time[0]))
+    noise = 1e-3 * np.random.default_rng(0).standard_normal((count, 2))
+    held = np.concatenate([angle[0] + noise, angle])
+    clock = np.arange(len(held)) * (time[1] - time[0])
+    line = seen(clock, held)
+    assert "stands still for the first" in line
+    assert 'start = "release"' in line
+    assert float(line.split("first ")[1].split()[0]) == pytest.approx(hold, abs=0.25)
+    assert seen(clock, held, start=0.0) is None
+
+
+def test_a_piece_of_a_swing_or_an_oscillation_that_grows_was_not_held(good):
+    time, angle = good
+    for count in (25, 60, 150):
+        for first in (0, 200):
+            line = seen(time[:count], angle[first : first + count])
+            assert line is None or "stands still" not in line
+    grows = 1e-3 * np.exp(time / 3)[:, None] * np.cos(5 * time)[:, None] * [1.0, 0.5]
+    assert seen(time, grows) is None
+
+
+def test_an_arm_that_moves_not_at_all_or_is_driven_is_no_ringing_arm(good):
+    time, angle = good
+    assert seen(time, 0 * angle) is None
+    recording = Recording.from_arrays(time, angle + 3.0, drive=0 * angle, noise=1e-3)
+    assert not_free(recording, UNITS, (), {}) is None
+
+
+def test_the_file_says_how_or_the_line_names_the_key(good, tmp_path):
+    time, angle = good
+    write_csv(tmp_path / "x.csv", time, angle + np.array([0.4, -0.5]))
+    arm = "link_lengths = [0.4, 0.4]\nshoulder = 1.2\nelbow = 0.6\ncoupling = 1.4\n"
+    toml = f'[arm]\n{arm}[[recordings]]\nfile = "x.csv"\ntheta2 = 0\n'
+    path = tmp_path / "x.toml"
+    path.write_text(toml)
+    with pytest.raises(InputError, match=r"x\.toml: \[\[recordings\]\] 1: x\.csv: q\d rings about"):
+        load(path)
+    path.write_text(toml + 'rest = "estimate"\n')
+    (recording,) = load(path).recordings
+    np.testing.assert_allclose(recording.angle, angle, atol=2e-3)
+    assert recording.understood.startswith("rest at q1 0.")
+    path.write_text(toml + 'role = "check"\n')
+    with pytest.raises(InputError, match="every recording"):
+        load(path)
+    assert dataclasses.is_dataclass(recording)
