@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from .fitting import embed as embed
     from .fitting import fit as fit
     from .fitting import fit_many as fit_many
+    from .integrators import Integrator as Integrator
     from .mechanism import AbstractMechanism as AbstractMechanism
     from .mechanism import ConstantInertia as ConstantInertia
     from .mechanism import PlanarArm as PlanarArm
@@ -127,6 +128,7 @@ _PUBLIC = {
         "fit",
         "fit_many",
     ),
+    "integrators": ("Integrator",),
     "mechanism": ("AbstractMechanism", "ConstantInertia", "PlanarArm"),
     "model": ("Model",),
     "modal": ("Modes", "modes"),

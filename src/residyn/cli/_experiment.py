@@ -1,11 +1,12 @@
 """From an EXPERIMENT on the command line to a fit."""
 
 import contextlib
+import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .._input import InputError
+from .._input import InputError, inside
 from ._shell import NoNumbers, progress
 
 if TYPE_CHECKING:
@@ -25,6 +26,19 @@ def load(path: str) -> "Experiment":
         from .. import recording
 
         return recording.load(path)
+
+
+def integrated_by(experiment: "Experiment", name: str | None) -> "Experiment":
+    """The experiment with the integrator that the command line names, if it names one.
+
+    **Raises:** `InputError` for one that does not exist.
+    """
+    if name is None:
+        return experiment
+    from ..integrators import Integrator
+
+    with inside("--integrator"):
+        return dataclasses.replace(experiment, integrator=Integrator(name))
 
 
 def bring(files: Sequence[str] | None) -> None:
@@ -54,7 +68,11 @@ def title(path: str) -> str:
 
 
 def fitted(
-    experiment: "Experiment", effects: Sequence[str], starts: int, method: str = "levenberg"
+    experiment: "Experiment",
+    effects: Sequence[str],
+    starts: int,
+    method: str = "levenberg",
+    check_integration: bool = False,
 ) -> "Fit":
     """Fit, and show on the way what is being done.
 
@@ -66,7 +84,14 @@ def fitted(
         from ..fitting import fit
 
         with _in_one_line():
-            return fit(experiment, effects=effects, starts=starts, progress=say, method=method)
+            return fit(
+                experiment,
+                effects=effects,
+                starts=starts,
+                progress=say,
+                method=method,
+                check_integration=check_integration,
+            )
 
 
 def diagnosed(

@@ -5,7 +5,7 @@ import typer
 from .._input import InputError
 from . import _options
 from ._each import fit_each
-from ._experiment import bring, fitted, input_files, load, title
+from ._experiment import bring, fitted, input_files, integrated_by, load, title
 from ._shell import DONE, NO_NUMBERS, Outputs, complain, set_up_jax
 
 
@@ -17,6 +17,8 @@ def fit(
     own: _options.Effects = None,
     starts: _options.Starts = _options.STARTS,
     method: _options.Method = _options.METHODS[0],
+    integrator: _options.Integrator = None,
+    check_integration: _options.CheckIntegration = False,
     json: _options.Json = None,
     report: _options.Report = None,
     table: _options.Table = None,
@@ -33,6 +35,11 @@ def fit(
             raise InputError(f"--each {each}: takes the place of EXPERIMENT; leave one of them out")
         if report is not None or table is not None or method != _options.METHODS[0]:
             raise InputError("--each goes with none of --report, --table and --method genetic")
+        if integrator is not None or check_integration:
+            raise InputError(
+                "--each goes with neither --integrator nor --check-integration; [integrator] in "
+                "an experiment's file says what integrates it"
+            )
         bring(own)
         fit_each(each, effects or [], own, starts, json, no_cache, jobs)
     if jobs != 1:
@@ -42,9 +49,9 @@ def fit(
     out = Outputs(json, report, table)
     set_up_jax(not no_cache)
     bring(own)
-    loaded = load(experiment)
+    loaded = integrated_by(load(experiment), integrator)
     out.spare(input_files(experiment, loaded))
-    result = fitted(loaded, effects or [], starts, method)
+    result = fitted(loaded, effects or [], starts, method, check_integration)
     out.words.print(str(result), soft_wrap=True)
     out.write_json(result.to_dict())
     out.write_table(result)

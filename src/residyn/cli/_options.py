@@ -61,6 +61,23 @@ MaxEffects = Annotated[
 Method = Annotated[
     str, typer.Option("--method", metavar="METHOD", help="How to search: levenberg or genetic.")
 ]
+Integrator = Annotated[
+    str | None,
+    typer.Option(
+        "--integrator",
+        metavar="NAME",
+        help="What integrates: fixed steps, or a solver of diffrax such as Tsit5, Dopri8 or, for "
+        "a stiff effect, Kvaerno5; before [integrator] in the file.",
+        show_default=False,
+    ),
+]
+CheckIntegration = Annotated[
+    bool,
+    typer.Option(
+        "--check-integration",
+        help="Integrate the fitted motion again with Dopri8 at rtol = 1e-10, and state the error.",
+    ),
+]
 Json = Annotated[
     str | None,
     typer.Option(

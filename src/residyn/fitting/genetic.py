@@ -22,8 +22,9 @@ from .descent import Descent, wild_beside
 from .evolution import evolve
 from .genes import GENES, Genome, box, genome
 from .history import History, relative_error
+from .integration import integration_error
 from .pipeline import DEFAULT_STARTS, finish
-from .problem import Compressed, Problem, compressed
+from .problem import Compressed, Problem, Unknowns, compressed
 from .result import Fit, FitError
 from .setup import Ready, ready
 from .starts import beginning, resolving
@@ -125,7 +126,8 @@ def fit_genetic(
     descent = Descent(
         problem, wild, at, squeezed, cost, how.generations, settled, starts=1, agreeing=1
     )
-    fit = finish(experiment, model, found.first, descent, began)
+    error = integration_error(problem, at, squeezed.predicted, here.recordings, wild, _predicted_at)
+    fit = finish(experiment, model, found.first, descent, began, error)
     reason = (
         f"{how.generations} generations of {how.population} individuals ({how.strategy}); "
         f"objective of Eq. 17: {found.history.objective[-1]:.4g}, "
@@ -133,6 +135,10 @@ def fit_genetic(
     )
     fit = dataclasses.replace(fit, reason=reason, history=found.history)
     return fit.saying((*fit.warnings, *_far(fit, squeezed, np.asarray(problem.scale.numbers))))
+
+
+def _predicted_at(problem: Problem, y: Unknowns) -> np.ndarray:
+    return np.asarray(compressed(problem, y).predicted)  # compiled already
 
 
 def search_of(here: Ready, wild: Sequence[np.ndarray], how: Genetic) -> Search:

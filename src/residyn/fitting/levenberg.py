@@ -179,6 +179,16 @@ def _alone(
     return end
 
 
+def predicted_at(problem: Problem, y: Unknowns) -> Float[Array | np.ndarray, "R N n"]:
+    """Readings predicted at these unknowns, by the program of the descents: nothing else need be
+    compiled. Without weights there is nowhere to descend to, so it evaluates them once."""
+    recorded = problem.recorded
+    nothing = dataclasses.replace(recorded, weights=np.zeros(np.shape(recorded.weights)))
+    blind = dataclasses.replace(problem, recorded=nothing)
+    out = asked(_one_stretch, _stretch, blind, y, np.asarray(1.0), np.asarray(1.0))
+    return out[1].predicted
+
+
 def _polished(out, start: Polished) -> Polished:
     y, squeezed, cost, steps, good = out
     return Polished(y, squeezed, float(cost), start.steps + int(steps), bool(good), start.agreeing)
