@@ -34,7 +34,7 @@ def demo(
         say("loading")
         from .. import demo as shipped
         from .. import recording
-        from ..diagnosis import printed
+        from ..report import _diagnosis_text as text
 
         with shipped.experiment_file() as path:
             experiment = recording.load(path)
@@ -55,7 +55,7 @@ def demo(
     words.print("2. What is missing?\n", style="bold")
     found = diagnosed(experiment, (), _options.MAX_EFFECTS, _options.STARTS)
     _say(words, " ".join(found.words) + "\n")
-    parts = printed.suspects(found), printed.lookalikes(found), printed.next_experiment(found)
+    parts = text.candidates(found), text.lookalikes(found), text.next_experiment(found)
     _lines(words, [line for part in parts for line in part])
 
     if found.added:
@@ -63,7 +63,7 @@ def demo(
         words.print(str(found.fit), soft_wrap=True)
 
     words.print("\n4. The error falling\n", style="bold")
-    _lines(words, printed.ladder(found))
+    _lines(words, text.models(found))
     _answer(words, found, shipped.HIDDEN)
     out.write_json(found.to_dict())
     out.write_report(models(found), diagnosis=found)

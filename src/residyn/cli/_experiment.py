@@ -95,7 +95,11 @@ def fitted(
 
 
 def diagnosed(
-    experiment: "Experiment", effects: Sequence[str], most: int, starts: int
+    experiment: "Experiment",
+    effects: Sequence[str],
+    most: int,
+    starts: int,
+    budget: float | None = None,
 ) -> "Diagnosis":
     """Diagnose, and show on the way what is being done.
 
@@ -107,7 +111,12 @@ def diagnosed(
 
         with _in_one_line():
             return diagnose(
-                experiment, effects=effects, max_effects=most, starts=starts, progress=say
+                experiment,
+                effects=effects,
+                max_effects=most,
+                starts=starts,
+                budget=budget,
+                progress=say,
             )
 
 
@@ -132,8 +141,8 @@ def unloaded(
 
 
 def models(found: "Diagnosis", title: str = "") -> "list[tuple[str, Fit]]":
-    """The first and the last model of a ladder, each with a heading for the report."""
-    from ..diagnosis.printed import base_name
+    """The first and the last model of a diagnosis, each with a heading for the report."""
+    from ..report._words import base_name
 
     fits = [found.base, found.fit] if found.added else [found.fit]
     return [(": ".join(filter(None, [title, base_name(fit)])), fit) for fit in fits]

@@ -58,6 +58,16 @@ MaxEffects = Annotated[
         "--max-effects", metavar="N", min=0, help="How many effects to add at most; 0 only names."
     ),
 ]
+Budget = Annotated[
+    float | None,
+    typer.Option(
+        "--budget",
+        metavar="SECONDS",
+        help="End the search after so long, with the best so far. Ctrl-C does the same at any "
+        "time. Without it the search ends when nothing more is gained.",
+        show_default=False,
+    ),
+]
 Method = Annotated[
     str, typer.Option("--method", metavar="METHOD", help="How to search: levenberg or genetic.")
 ]

@@ -1,4 +1,4 @@
-"""The error falling, rung by rung."""
+"""The error falling, model by model."""
 
 import math
 import textwrap
@@ -11,23 +11,22 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
 from .._units import amount, plain, ratio
-from ..diagnosis.printed import at_place, rung_name, times_noise
 from ..diagnosis.result import Diagnosis
-from ..diagnosis.words import listed
+from ..report._words import at_place, listed, lower, model_name, times_noise
 from ._labels import LINE, beside, gathered
 from ._style import BAND, DASHED, FAINT, INK, JOINTS, NARROW, SOFT, WIDE, shortened, styled
 
 _LOG = 4.0  # from this fall on the scale is logarithmic
 _PANEL, _AXIS = 2.2, 0.42  # inches: height of the panel, room for the numbers of its axis
 _STRIP = 0.13  # of the scale lies below the least error: room for the name of the noise
-_ABREAST = 4  # rungs whose names have room under the axis
+_ABREAST = 4  # models whose names have room under the axis
 _Line = tuple[int, bool, list[float]]
 
 
 @styled
 def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
-    """The error of each rung in times the noise, per joint: what was fitted (solid) and what was
-    held out (hollow).
+    """The error of each model on the way in times the noise, per joint: what was fitted (solid)
+    and what was held out (hollow).
 
     At the line of the noise nothing is left that the recordings could still show.
     """
@@ -43,7 +42,7 @@ def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
     across = width - _AXIS - 0.1
     ax = figure.add_axes((_AXIS / width, foot / high, across / width, _PANEL / high))
     before, after = (0.72, 0.86) if narrow else (1.95, 0.9)
-    each = (count - 1) / (across - before - after) or 1.0  # rungs an inch
+    each = (count - 1) / (across - before - after) or 1.0  # models an inch
     end = count - 1 + after * each if count > 1 else across - before
     ax.set_xlim(-before * each, end)
     _scale(ax, [value for _, _, values in lines for value in values])
@@ -72,7 +71,7 @@ def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
 
 
 def _lines(found: Diagnosis) -> list[_Line]:
-    """(joint, whether held out, error of each rung); joints without a number are left out."""
+    """(joint, whether held out, error of each model); joints without a number are left out."""
     each = [times_noise(rung) for rung in found.ladder]
     lines = []
     for joint in range(len(found.fit.joints)):
@@ -85,14 +84,14 @@ def _lines(found: Diagnosis) -> list[_Line]:
 
 
 def _name(found: Diagnosis, i: int, beneath: bool) -> str:
-    """A rung's name; under its dot, with the place on a line of its own."""
+    """A model's name; under its dot, with the place on a line of its own."""
     rung, joints = found.ladder[i], found.fit.joints
     if rung.added is None:
-        name = rung_name(rung)
+        name = model_name(rung)
         return name if beneath else name.replace(" + ", "\n+ ")
-    name = f"+ {at_place(rung.added, joints)}"
+    name = f"+ {lower(at_place(rung.added, joints))}"
     if rung.dropped:
-        name += f"\nwithout {listed([at_place(name, joints) for name in rung.dropped])}"
+        name += f"\nwithout {listed([lower(at_place(x, joints)) for x in rung.dropped])}"
     return name.replace("\n", ", ") if beneath else name.replace(" at the", "\nat the")
 
 
@@ -101,7 +100,7 @@ def _rows(name: str) -> int:
 
 
 def _item(i: int, name: str, narrow: bool) -> list[str]:
-    """A rung in the list beneath the picture."""
+    """A model in the list beneath the picture."""
     most = 46 if narrow else 110
     return textwrap.wrap(name, most, initial_indent=f"{i}  ", subsequent_indent=" " * 5)
 

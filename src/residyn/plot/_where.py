@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from .._units import plain, prefixed
 from ..diagnosis import Comparison
-from ..diagnosis.where import Part
+from ..diagnosis.residuals import Part
 from ._style import DASHED, INK, JOINTS, NARROW, WIDE, styled
 
 _LOG = 4.0  # from this range on the errors ahead are on a logarithmic scale

@@ -5,20 +5,22 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from .._units import amount, plain, prefixed
-from .horizon import Error
-from .where import Cell, Part
-from .words import chance, ratio
+from ..diagnosis.forecast import Error
+from ..diagnosis.residuals import Cell, Part
+from ._compare_words import chance
+from ._words import times as ratio
 
 if TYPE_CHECKING:
-    from .comparison import Comparison
+    from ..diagnosis.compare import Comparison
 
 _LABEL, _COLUMN = 32, 16
 _MOST = (80 - _LABEL) // _COLUMN
 
 
-def tables(found: "Comparison") -> list[str]:
-    """All tables, a string per line."""
-    return [*_where(found), *_held_out(found), *_horizon(found)]
+def lines(found: "Comparison") -> list[str]:
+    """The whole printout, a string per line: the verdict, the fit, and all tables."""
+    verdict = textwrap.wrap(" ".join(found.words), 80, break_on_hyphens=False)
+    return [*verdict, "", str(found.fit), *_where(found), *_held_out(found), *_horizon(found)]
 
 
 def _where(found: "Comparison") -> list[str]:
@@ -31,17 +33,17 @@ def _where(found: "Comparison") -> list[str]:
     def rows(parts: Sequence[Part]) -> list[str]:
         return [_row(_range(p), [cell(c) for c in p.cells]) for p in parts]
 
-    lines = ["[[Where]]  share of the squared residual, and rms in times the noise"]
-    lines += [_row("", at.joints), _row("all", [cell(c) for c in at.joint])]
+    out = ["[[Where]]  share of the squared residual, and rms in times the noise"]
+    out += [_row("", at.joints), _row("all", [cell(c) for c in at.joint])]
     chances = [chance(w.p) if w.p == w.p else "-" for w in at.white.values()]
-    lines.append(_row("white noise?", chances))
-    lines += ["  by time since the start, s", *rows(at.time)]
+    out.append(_row("white noise?", chances))
+    out += ["  by time since the start, s", *rows(at.time)]
     for joint, unit, parts in zip(at.joints, at.units, at.amplitude, strict=True):
         size, name = prefixed(unit, parts[0].stop if parts else 1.0)
         scaled = [p._replace(start=p.start / size, stop=p.stop / size) for p in parts]
-        lines.append(f"  by amplitude of the swing at the {joint}, {name}".rstrip(", "))
-        lines += rows(scaled)
-    return [*lines, "  by frequency, Hz", *rows(at.frequency)]
+        out.append(f"  by amplitude of the swing at the {joint}, {name}".rstrip(", "))
+        out += rows(scaled)
+    return [*out, "  by frequency, Hz", *rows(at.frequency)]
 
 
 def _range(part: Part) -> str:
@@ -72,14 +74,14 @@ def _held_out(found: "Comparison") -> list[str]:
         "last third": "[[Held out]]  the last third, predicted from a fit of the first two",
     }
     errors = {"held out": held.held_out, "where it was fitted": held.fitted}
-    lines = [head[held.what], _row("", found.fit.joints)]
+    out = [head[held.what], _row("", found.fit.joints)]
     for label, error in errors.items():
-        lines.append(_row(label, _sizes(error, found)))
-        lines.append(_row("", [_times(x) for x in error.ratio]))
+        out.append(_row(label, _sizes(error, found)))
+        out.append(_row("", [_times(x) for x in error.ratio]))
     if held.held_out.expected is not None:
         expected = [_times(x) for x in held.held_out.expected]
-        lines.append(_row("a right model would leave", expected))
-    return lines
+        out.append(_row("a right model would leave", expected))
+    return out
 
 
 def _sizes(error: Error, found: "Comparison") -> list[str]:
@@ -95,14 +97,14 @@ def _horizon(found: "Comparison") -> list[str]:
         "error of predictions against the time ahead, from a fit of the first "
         f"{plain(horizon.seconds)} s; in brackets what a right model would leave"
     )
-    lines = textwrap.wrap(head, 80, initial_indent="[[Horizon]]  ", subsequent_indent=" " * 13)
-    lines += [_row("s ahead", found.fit.joints)]
-    lines.append(_row("0 (where it was fitted)", [_times(x) for x in horizon.fitted.ratio]))
+    out = textwrap.wrap(head, 80, initial_indent="[[Horizon]]  ", subsequent_indent=" " * 13)
+    out += [_row("s ahead", found.fit.joints)]
+    out.append(_row("0 (where it was fitted)", [_times(x) for x in horizon.fitted.ratio]))
     for a in horizon.ahead:
         expected = a.error.expected
         cells = [
             _times(x) + ("" if expected is None else f" ({ratio(expected[j])})")
             for j, x in enumerate(a.error.ratio)
         ]
-        lines.append(_row(f"{plain(a.start)} - {plain(a.stop)}", cells))
-    return lines
+        out.append(_row(f"{plain(a.start)} - {plain(a.stop)}", cells))
+    return out

@@ -10,16 +10,15 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from .._units import amount, plain
-from .._units import ratio as _ratio
-from .horizon import HeldOut
-from .where import Cell, Part, Where
+from ..diagnosis.evidence import NOISE
+from ..diagnosis.forecast import HeldOut
+from ..diagnosis.residuals import Cell, Part, Where
+from ._words import listed
+from ._words import times as ratio
 
 if TYPE_CHECKING:
-    from .comparison import Comparison
+    from ..diagnosis.compare import Comparison
 
-SURE = 1e-3
-"""Probability below which what is left is taken not to be noise: rarely enough that nobody is sent
-after an effect that is not there."""
 _LARGER = 1.2  # reduced chi-square beyond which more is left than the noise stated
 _SMALLER = 0.8
 _TELLS = 4.0  # standard deviations of chance by which a part must exceed the noise to be named
@@ -34,7 +33,7 @@ _WORSE = 1.15  # of what three standard errors of the prediction allow
 
 def sentences(found: "Comparison") -> tuple[str, ...]:
     """The words of a comparison."""
-    sure, chi2 = found.p < SURE, found.fit.reduced_chi2
+    sure, chi2 = found.p < NOISE, found.fit.reduced_chi2
     held, left, chances = _held_out(found), _left(found), _chances(found)
     if not sure and chi2 > _LARGER:
         first = (
@@ -85,11 +84,6 @@ def _chances(found: "Comparison") -> str:
         words.append(f"{said} at the {joint}" if many else said)
     alike = {w.partition(" at the ")[0] for w in words}
     return f"{alike.pop()} at every joint" if many and len(alike) == 1 else ", ".join(words)
-
-
-def ratio(times: float) -> str:
-    """How many times the noise, to two digits."""
-    return _ratio(times) if not times >= 1e4 else f"{times:.1e}"
 
 
 def chance(p: float) -> str:
@@ -208,7 +202,7 @@ def _held_out(found: "Comparison") -> list[str]:
     if worse(held):
         fitted = listed([ratio(x) for x in held.fitted.ratio if math.isfinite(x)])
         return [f"{words}: worse than where it was fitted ({fitted} times)."]
-    return [f"{words}{', as it should be' if found.p >= SURE else ''}."]
+    return [f"{words}{', as it should be' if found.p >= NOISE else ''}."]
 
 
 def worse(held: HeldOut) -> bool:
@@ -219,8 +213,3 @@ def worse(held: HeldOut) -> bool:
         if now > _WORSE * bound and now > _WORSE * then:
             return True
     return False
-
-
-def listed(words: Sequence[str]) -> str:
-    """ "a, b and c"."""
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

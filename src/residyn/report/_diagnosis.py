@@ -6,80 +6,94 @@ from typing import Any
 import numpy as np
 
 from .. import plot
-from .._units import amount, plain, ratio
+from .._units import amount, plain
 from ..diagnosis import Missing
-from ..diagnosis.missing import summary
-from ..diagnosis.printed import (
-    alike,
+from ..diagnosis.result import Candidate, Diagnosis, Family, Rung
+from ._diagnosis_text import alike
+from ._failing import clearest, failing
+from ._picture import picture
+from ._words import (
     at_place,
-    fall,
+    listed,
+    lower,
+    model_name,
+    nats,
     percent,
-    rung_name,
+    placed,
+    times,
     times_noise,
+    title,
+    unbroken,
+    upper,
     value_words,
     worth_showing,
 )
-from ..diagnosis.result import Candidate, Diagnosis, Rung
-from ..diagnosis.words import listed
-from ._failing import clearest, failing
-from ._picture import picture
 
 _MOST = 4
 """Pictures of missing torques in one place; `residyn compare` draws them all."""
+_FAMILIES = 5
+_SHOWN = 0.005  # probability from which a family has a line
 
 
 def diagnosed(found: Diagnosis) -> dict[str, Any]:
     """All that the template says of it."""
     experiment, shown = found.fit.experiment, worth_showing(found)
-    names = [at_place(name, found.fit.joints) for name in found.added]
+    names = [lower(at_place(name, found.fit.joints)) for name in found.added]
     held = next((r.held_out.what for r in found.ladder if r.held_out is not None), None)
     unexplained = found.verdict == "unexplained"
     before = clearest(experiment, _evidence(found), _MOST)
-    after = clearest(
-        experiment, _each(found.comparison.missing_torque) if unexplained else (), _MOST
-    )
+    after = clearest(experiment, _each(found.still_missing) if unexplained else (), _MOST)
+    families = [f for f in found.families if f.probability >= _SHOWN][:_FAMILIES]
     return {
         "title": _title(found),
         "verdict": found.verdict,
+        "probability": percent(found.verdict_probability),
         "added": listed(names) if names else "",
-        "words": [words.replace(" +/- ", " ±\u00a0") for words in found.words],
+        "words": [unbroken(words) for words in found.words],
         "joints": found.fit.joints,
         "held_out": held,
         "falling": picture(
-            "The error in times the noise, per joint, falling from rung to rung",
+            "The error in times the noise, per joint, of each model on the way",
             plot.ladder(found),
             plot.ladder(found, narrow=True),
         ),
-        "ladder": [_rung(rung) for rung in found.ladder],
-        "suspects": [_suspect(c, found) for c in shown],
+        "models": [_model(rung) for rung in found.ladder],
+        "families": [_family(f, found.fit.joints) for f in families],
+        "candidates": [_candidate(c, found) for c in shown],
         "others": len(found.candidates) - len(shown),
         "chances": None
         if not shown
         else picture(
-            "Bars: how likely each suspect is, and by how much chi-square falls with it",
-            plot.suspects(found),
-            plot.suspects(found, narrow=True),
+            "Bars: how probable each candidate is, and how far its evidence is behind the best",
+            plot.candidates(found),
+            plot.candidates(found, narrow=True),
         ),
         "evidence": before[0],
         "more_evidence": before[1],
         "still": after[0],
         "more_still": after[1],
-        "remainder": _remainder(found),
+        "remainder": [_remainder(r) for r in found.random_torque],
         "alike": [alike(group) for group in found.lookalikes if len(group) > 1],
         "next": None if found.next_experiment is None else found.next_experiment.words,
         "left": failing(found.comparison, ()),
+        "budget": found.budget,
     }
 
 
 def _title(found: Diagnosis) -> str:
-    names = [at_place(name, found.fit.joints) for name in found.added]
+    if found.explains_nothing:
+        return "The model explains nothing of this motion"
     if found.verdict == "adequate":
         return "Nothing is missing"
-    if not names:
+    if not found.added:
         return "Something is missing that no effect of the catalogue explains"
-    if found.verdict == "missing":
-        return f"What is missing: {listed(names)}"
-    return f"What is missing: {listed([*names, 'something that no effect explains'])}"
+    words = []
+    for family in found.families:
+        if any(label in found.added for label, _ in family.members):
+            words.append(placed(family.name, family.place, found.fit.joints))
+    if found.verdict == "unexplained":
+        words.append("something that no effect of the catalogue explains")
+    return f"What is missing: {listed(words)}"
 
 
 def _each(missing: Sequence[Missing]) -> list[tuple[Missing, int]]:
@@ -87,8 +101,8 @@ def _each(missing: Sequence[Missing]) -> list[tuple[Missing, int]]:
 
 
 def _evidence(found: Diagnosis) -> list[tuple[Missing, int]]:
-    """The torque that the base model lacks, with the curve of what the ladder accepted before
-    those that merely fit it well, where the accepted acts; everywhere, if it acts on no joint."""
+    """The torque that the base model lacks, with the curve of what was added before its rivals',
+    where what was added acts; everywhere, if it acts on no joint."""
     if not found.added:
         return []
 
@@ -107,23 +121,23 @@ def _evidence(found: Diagnosis) -> list[tuple[Missing, int]]:
     return acting or _each(ordered)
 
 
-def _remainder(found: Diagnosis) -> str:
-    """How large the torque is that the last model still lacks."""
-    rest = summary(found.comparison.missing_torque) or {}
-    words = []
-    for joint, each in rest.items():
-        size = f"{plain(each['rms'], 2)} {each['unit']} rms at the {joint}"
-        share = 100 * each["share_of_spring"]
-        words.append(f"{size} ({plain(share, 2)} % of the spring's)" if share == share else size)
-    return f"The torque that it still lacks is estimated as {listed(words)}." if words else ""
+def _remainder(r) -> dict[str, str]:
+    """How large the torque is that the last model still lacks, at one joint."""
+    share = 100 * r.share_of_spring
+    return {
+        "joint": r.joint,
+        "rms": f"{plain(r.rms, 2)} {r.unit}",
+        "band": f"{plain(r.low, 2)} to {plain(r.high, 2)} {r.unit}",
+        "share": f"{plain(share, 2)} %" if share == share else "",
+    }
 
 
-def _rung(rung: Rung) -> dict[str, Any]:
+def _model(rung: Rung) -> dict[str, Any]:
     fit, held = rung.fit, rung.held_out
     units = fit.experiment.units or (None,) * len(fit.joints)
 
-    def cell(j: int, rmse: np.ndarray, times: float | None) -> str:
-        return "" if times is None else f"{amount(float(rmse[j]), units[j])} ({ratio(times)} ×)"
+    def cell(j: int, rmse: np.ndarray, ratio: float | None) -> str:
+        return "" if ratio is None else f"{amount(float(rmse[j]), units[j])} ({times(ratio)} ×)"
 
     outside = fit.rmse if held is None else held.held_out.rmse
     errors = [
@@ -131,23 +145,32 @@ def _rung(rung: Rung) -> dict[str, Any]:
         for j, (fitted, checked) in enumerate(times_noise(rung))
     ]
     return {
-        "name": rung_name(rung),
+        "name": model_name(rung),
         "errors": dict(zip(fit.joints, errors, strict=True)),
         "chi2": plain(fit.reduced_chi2),
+        "log_evidence": nats(rung.log_evidence),
     }
 
 
-def _suspect(candidate: Candidate, found: Diagnosis) -> dict[str, Any]:
-    tried = candidate.chi2_drop_refit is not None
+def _family(family: Family, joints: Sequence[str]) -> dict[str, str]:
+    members = [f"{lower(title(x))} {percent(p)}" for x, p in family.members]
+    return {
+        "name": upper(placed(family.name, family.place, joints)),
+        "probability": percent(family.probability),
+        "members": ", ".join(members),
+    }
+
+
+def _candidate(candidate: Candidate, found: Diagnosis) -> dict[str, Any]:
     return {
         "effect": candidate.effect,
+        "title": at_place(candidate.effect, found.fit.joints),
         "accepted": candidate.effect in found.added,
         "probability": percent(candidate.probability),
-        "screened": fall(candidate.chi2_drop_screened),
-        "refit": fall(candidate.chi2_drop_refit) if tried else "not tried",
+        "log_evidence": nats(candidate.log_evidence)
+        + ("" if candidate.iterated else " (first order)"),
         "numbers": [
             (name.rpartition(".")[2], value_words(value).replace("+/-", "±"))
             for name, value in candidate.parameters.items()
-            if tried
         ],
     }

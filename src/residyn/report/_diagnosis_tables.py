@@ -16,19 +16,18 @@ from ..fitting.publish import (
     table,
     unit,
 )
-from .printed import percent, rung_name, worth_showing
-from .words import listed
+from ._words import base_name, listed, nats, percent, worth_showing
 
 if TYPE_CHECKING:
-    from .result import Diagnosis, Rung
+    from ..diagnosis.result import Diagnosis, Rung
 
 
 def latex(found: "Diagnosis") -> str:
-    """Two tables: the ladder, and the suspects that are worth a line."""
-    return f"{_ladder(found)}\n{_suspects(found).removeprefix(NEEDS).lstrip()}"
+    """Two tables: the models on the way, and the candidates that are worth a line."""
+    return f"{_models(found)}\n{_candidates(found).removeprefix(NEEDS).lstrip()}"
 
 
-def _ladder(found: "Diagnosis") -> str:
+def _models(found: "Diagnosis") -> str:
     joints, held = found.fit.joints, any(r.held_out is not None for r in found.ladder)
     units = found.fit.experiment.units or ("",) * len(joints)
     scales = [
@@ -61,7 +60,7 @@ def _ladder(found: "Diagnosis") -> str:
 def _model(rung: "Rung") -> str:
     """What joined, with its place in words."""
     if rung.added is None:
-        return escaped(rung_name(rung).replace("_", " "))
+        return escaped(base_name(rung.fit))
     gone = [_placed(x) for x in rung.dropped]
     return f"+ {_placed(rung.added)}" + (f" without {listed(gone)}" if gone else "")
 
@@ -72,19 +71,16 @@ def _placed(label: str) -> str:
     return escaped(name.replace("_", " ") + (f" ({place})" if place else ""))
 
 
-def _suspects(found: "Diagnosis") -> str:
-    head = ["Effect", "Probability", r"Fall of $\chi^2$", "Value", "Unit"]
+def _candidates(found: "Diagnosis") -> str:
+    head = ["Effect", "Probability", r"$\Delta\log$ evidence", "Value", "Unit"]
     rows = []
     for c in worth_showing(found):
-        fall = c.chi2_drop_screened if c.chi2_drop_refit is None else c.chi2_drop_refit
         sure = escaped(percent(c.probability)).replace("<", "$<$").replace(">", "$>$")
-        # What was only screened is a first guess, and no number to print.
-        values = list(c.parameters.items()) if c.chi2_drop_refit is not None else []
-        first = [effect(c.effect), sure, _size(fall)]
-        if not values:
+        first = [effect(c.effect), sure, f"${nats(c.log_evidence)}$"]
+        if not c.parameters:
             rows.append([*first, "--", ""])
-        for i, (name, v) in enumerate(values):
-            own = f"{escaped(name.rpartition('.')[2])} " if len(values) > 1 else ""
+        for i, (name, v) in enumerate(c.parameters.items()):
+            own = f"{escaped(name.rpartition('.')[2])} " if len(c.parameters) > 1 else ""
             begin = first if i == 0 else ["", "", ""]
             rows.append([*begin, own + measured(v.value, v.std), unit(v.unit)])
     return table("lrrrl", head, [rows])
@@ -95,7 +91,7 @@ def comma_separated(found: "Diagnosis") -> str:
     rows: list[tuple[object, ...]] = []
     units = found.fit.experiment.units or ("",) * len(found.fit.joints)
     for rung in found.ladder:
-        own = "ladder", rung_name(rung)
+        own = "ladder", base_name(rung.fit) if rung.added is None else f"+ {rung.added}"
         for name, joint, x, u in residuals(rung.fit):
             if name != "check_rmse":
                 rows.append((*own, f"{name}:{joint}", x, None, u))
@@ -103,11 +99,11 @@ def comma_separated(found: "Diagnosis") -> str:
             for joint, x, u in zip(found.fit.joints, _held_out(rung), units, strict=True):
                 rows.append((*own, f"check_rmse:{joint}", x, None, u))
         rows.append((*own, "reduced_chi2", rung.fit.reduced_chi2, None, "1"))
+        rows.append((*own, "log_evidence", rung.log_evidence, None, "1"))
     for c in found.candidates:
         own = "candidate", c.effect
         rows.append((*own, "probability", c.probability, None, "1"))
-        rows.append((*own, "chi2_drop_screened", c.chi2_drop_screened, None, "1"))
-        rows.append((*own, "chi2_drop_refit", c.chi2_drop_refit, None, "1"))
+        rows.append((*own, "log_evidence", c.log_evidence, None, "1"))
         rows += [(*own, name, v.value, v.std, v.unit) for name, v in c.parameters.items()]
     return lines(("table", "model", "name", "value", "std", "unit"), rows)
 

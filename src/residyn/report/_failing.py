@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 
 from .. import plot
+from .._units import plain
 from ..diagnosis import Comparison, Missing
 from ..recording import Experiment
 from ._picture import picture
+from ._words import at_place, lower
 
 
 def failing(compared: Comparison, drawn: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -45,10 +47,10 @@ def torques(experiment: Experiment, missing: Sequence[Missing]) -> list[dict[str
 def clearest(
     experiment: Experiment, pairs: Sequence[tuple[Missing, int]], most: int
 ) -> tuple[list[dict[str, Any]], int]:
-    """Of missing torques, each of a recording and a joint, those that stand out of their bands:
-    the clearest first, at most so many; and how many more there are."""
+    """Of missing torques, each of a recording and a joint, those that are larger than what is not
+    known of them: the clearest first, at most so many; and how many more there are."""
     seen = sorted(
-        ((found, joint) for found, joint in pairs if found.stands_out(joint)),
+        ((found, joint) for found, joint in pairs if found.significant(joint)),
         key=lambda pair: -_clarity(*pair),
     )
     return [torque(experiment, *pair) for pair in seen[:most]], max(0, len(seen) - most)
@@ -70,10 +72,34 @@ def torque(experiment: Experiment, found: Missing, joint: int) -> dict[str, Any]
         "link_angle": None if found.link_angle is None else found.link_angle[:, joint],
     }
     return {
-        "words": found.words(joint),
+        "words": torque_words(found, joint),
         "picture": picture(
             f"Missing torque at the {name} in {found.recording}",
             plot.missing_torque(found.torque, joint, **words),
             plot.missing_torque(found.torque, joint, **words, narrow=True),
         ),
     }
+
+
+def torque_words(found: Missing, joint: int) -> str:
+    """What to say beside the picture of a missing torque at one joint."""
+    name, unit = found.joints[joint], found.units[joint]
+    size = f"{plain(float(found.torque.rms[joint]))} {unit}"
+    share = float(found.torque.share_of_spring[joint])
+    words = f"{found.recording}, {name}: {size} rms is missing"
+    words += f", {plain(100 * share, 2)} % of the spring's torque. " if share == share else ". "
+    if not found.significant(joint):
+        return words + "It is smaller than its own band: nothing is seen to be missing here."
+    drawn = found.curves_at(joint)
+    if not drawn:
+        return words + "No single effect of the catalogue draws it."
+    first, *others = drawn
+    words += (
+        f"Blue: {lower(at_place(first.effect, found.joints))}, "
+        f"{plain(100 * first.share, 3)} % of its square. Against angle, rate and amplitude it is "
+        "shown less the change of springs and dampers that goes with the blue line."
+    )
+    if others:
+        other = lower(at_place(others[0].effect, found.joints))
+        words += f" Next: {other}, {plain(100 * others[0].share, 3)} %."
+    return words
