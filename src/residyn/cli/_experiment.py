@@ -73,6 +73,7 @@ def fitted(
     starts: int,
     method: str = "levenberg",
     check_integration: bool = False,
+    seed: int = 0,
 ) -> "Fit":
     """Fit, and show on the way what is being done.
 
@@ -83,7 +84,7 @@ def fitted(
         say("loading")
         from ..fitting import fit
 
-        with _in_one_line():
+        with in_one_line():
             return fit(
                 experiment,
                 effects=effects,
@@ -91,6 +92,7 @@ def fitted(
                 progress=say,
                 method=method,
                 check_integration=check_integration,
+                **({"seed": seed} if seed else {}),
             )
 
 
@@ -109,7 +111,7 @@ def diagnosed(
         say("loading")
         from ..diagnosis import diagnose
 
-        with _in_one_line():
+        with in_one_line():
             return diagnose(
                 experiment,
                 effects=effects,
@@ -134,7 +136,7 @@ def unloaded(
         say("loading")
         from ..procedure import unload
 
-        with _in_one_line():
+        with in_one_line():
             return unload(
                 experiment, effects=effects, starts=starts, inertia_std=inertia_std, progress=say
             )
@@ -149,7 +151,7 @@ def models(found: "Diagnosis", title: str = "") -> "list[tuple[str, Fit]]":
 
 
 @contextlib.contextmanager
-def _in_one_line() -> Iterator[None]:
+def in_one_line() -> Iterator[None]:
     """What a fit cannot do, as the complaint that the user reads."""
     from ..fitting import FitError, MissingExtra
 

@@ -19,22 +19,30 @@ def fit(
     method: _options.Method = _options.METHODS[0],
     integrator: _options.Integrator = None,
     check_integration: _options.CheckIntegration = False,
+    seed: _options.Seed = 0,
     json: _options.Json = None,
     report: _options.Report = None,
     table: _options.Table = None,
     no_cache: _options.NoCache = False,
 ) -> None:
     """Fit springs, dampers and other effects to recordings."""
-    if method not in _options.METHODS:
-        known = " or ".join(_options.METHODS)
-        raise InputError(f'--method "{method}": there is no such method; it must be {known}')
-    if method == "genetic" and starts != _options.STARTS:
-        raise InputError("--starts goes with --method levenberg; the genetic algorithm has none")
+    if method not in _options.METHODS and "." not in method:
+        known = ", ".join(_options.METHODS)
+        raise InputError(
+            f'--method "{method}": there is no such method; it must be one of {known}, or a '
+            "minimiser such as optimistix.BFGS"
+        )
+    if method not in _options.DESCENTS and starts != _options.STARTS:
+        raise InputError(
+            "--starts goes with --method levenberg or random; what else there is has no starts"
+        )
+    if method not in _options.SEEDED and seed != 0:
+        raise InputError(f"--seed goes with a --method that draws; {method} does not")
     if each is not None:
         if experiment is not None:
             raise InputError(f"--each {each}: takes the place of EXPERIMENT; leave one of them out")
         if report is not None or table is not None or method != _options.METHODS[0]:
-            raise InputError("--each goes with none of --report, --table and --method genetic")
+            raise InputError("--each goes with none of --report, --table and --method")
         if integrator is not None or check_integration:
             raise InputError(
                 "--each goes with neither --integrator nor --check-integration; [integrator] in "
@@ -51,7 +59,7 @@ def fit(
     bring(own)
     loaded = integrated_by(load(experiment), integrator)
     out.spare(input_files(experiment, loaded))
-    result = fitted(loaded, effects or [], starts, method, check_integration)
+    result = fitted(loaded, effects or [], starts, method, check_integration, seed)
     out.words.print(str(result), soft_wrap=True)
     out.write_json(result.to_dict())
     out.write_table(result)

@@ -38,7 +38,7 @@ def fit(
     effects: Sequence[str | AbstractEffect] = (),
     starts: int = DEFAULT_STARTS,
     progress: Callable[[str], None] | None = None,
-    method: str = "levenberg",
+    method: Any = "levenberg",
     integrator: Any = None,
     check_integration: bool = False,
     **search: Any,
@@ -57,11 +57,14 @@ def fit(
       other one ends where the best does, above the noise, four times as many.
     - `progress`: called with a few words as each phase begins.
     - `method`: "levenberg", or "genetic" for the paper's genetic algorithm on Eq. 17, which knows
-      no `starts` and takes further arguments: those of `residyn.fitting.Genetic`.
+      no `starts` and takes further arguments: those of `residyn.fitting.Genetic`. Others are
+      "cma_es", "differential_evolution" and "particle_swarm", which take the same ones, "random"
+      (Levenberg-Marquardt from random starts, with a `seed`), and any minimiser of optax or
+      optimistix, by name ("optimistix.BFGS") or itself.
     - `integrator`: "fixed" steps, or a solver of diffrax: a name such as "Tsit5", an instance, or
       a `residyn.Integrator`; every simulation of the fit and every Jacobian is then a
       `diffrax.diffeqsolve`. None is the experiment's own, fixed steps unless it names one.
-    - `check_integration`: integrate once more with Dopri8 at rtol = 1e-10 and state that error, too.
+    - `check_integration`: integrate once more, with Dopri8 at rtol = 1e-10, and state that error.
 
     **Returns:** a `Fit`.
 
@@ -80,15 +83,25 @@ def fit(
         return found
 
 
-def _by(method: str, experiment, effects, starts: int, say, search: dict[str, Any]) -> Fit:
-    if method == "genetic":
-        from .genetic import Genetic, fit_genetic
+def _by(method: Any, experiment, effects, starts: int, say, search: dict[str, Any]) -> Fit:
+    from .methods import GENETIC, RANDOM, check_method
 
-        return fit_genetic(experiment, effects, Genetic(**search), say)
+    check_method(method)
+    if method == RANDOM:
+        from .random_starts import fit_random
+
+        return fit_random(experiment, effects, starts, progress=say, **search)
+    if isinstance(method, str) and method in GENETIC:
+        from .genetic import fit_genetic
+
+        how = dataclasses.replace(GENETIC[method], **search)
+        return fit_genetic(experiment, effects, how, say)
     if method != "levenberg":
-        raise ValueError(f'method = "{method}": must be "levenberg" or "genetic"')
+        from .minimise import fit_minimised
+
+        return fit_minimised(experiment, effects, method, say, **search)
     if search:
-        raise TypeError(f'{next(iter(search))} is an argument of method="genetic" only')
+        raise TypeError(f'{next(iter(search))} is no argument of method="levenberg"')
     try:
         return _fit(experiment, effects, starts, say)
     except FitError:

@@ -134,6 +134,16 @@ class Fit:
         return _rms(held_out) if held_out else None
 
     @property
+    def objective(self) -> float:
+        """Eq. 17 over the fitted recordings: |predicted - measured| / |measured| of every joint's
+        series of readings, one recording after the other, summed over the joints."""
+        fitted = [r for r in self.recordings if r.recording.role != "check"]
+        angles = [np.where(r.used, r.recording.angle, 0.0) for r in fitted]
+        size = sum((x**2).sum(axis=0) for x in angles)
+        off = sum((np.where(r.used, r.residual, 0.0) ** 2).sum(axis=0) for r in fitted)
+        return float(np.sum(np.sqrt(off / np.where(size > 0, size, 1.0))))
+
+    @property
     def noise(self) -> np.ndarray:
         """(n,) standard deviation of one reading, rms over the fitted recordings."""
         fitted = [r for r in self.recordings if r.recording.role != "check"]
@@ -180,6 +190,7 @@ class Fit:
                 }
                 for m in self.modes
             ],
+            "objective": _number(self.objective),
             "integrator": self.integrator,
             "integration_error": _number(self.integration_error),
             "integration_error_checked": (
