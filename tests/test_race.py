@@ -11,6 +11,7 @@ import pytest
 
 import residyn
 from residyn.cli import main
+from residyn.demo import experiment_file
 from residyn.fitting import METHODS, MissingExtra, Race
 from residyn.fitting.race import ONE, TEN
 from residyn.fitting.watch import Watch
@@ -35,6 +36,12 @@ def experiment():
 @pytest.fixture(scope="module")
 def raced(experiment) -> Race:
     return residyn.race(experiment, methods=CHEAP, simulations=1000)
+
+
+@pytest.fixture(scope="module")
+def demo():
+    with experiment_file() as file:
+        yield file
 
 
 def test_every_objective_is_that_of_a_fit_by_the_same_method(experiment, raced):
@@ -137,7 +144,15 @@ def test_budgets_and_methods_that_cannot_be(experiment, monkeypatch):
 
 def test_the_command_writes_what_it_found(demo, tmp_path, capsys):
     out = {name: tmp_path / name for name in ("race.json", "race.html", "race.csv")}
-    words = ["race", str(demo), "--methods", "levenberg,cma_es", "--simulations", "400"]
+    words = [
+        "race",
+        str(demo),
+        "--methods",
+        "levenberg,cma_es",
+        "--simulations",
+        "400",
+        "--no-cache",
+    ]
     words += ["--json", str(out["race.json"]), "--report", str(out["race.html"])]
     assert main([*words, "--table", str(out["race.csv"])]) == 0
     told = json.loads(out["race.json"].read_text())
@@ -167,7 +182,7 @@ def test_the_command_writes_what_it_found(demo, tmp_path, capsys):
     ],
 )
 def test_bad_input_is_one_line(demo, words, said, capsys):
-    assert main(["race", str(demo), *words]) == 2
+    assert main(["race", str(demo), "--no-cache", *words]) == 2
     error = capsys.readouterr().err.strip()
     assert said in error
     assert len(error.splitlines()) == 1
@@ -176,4 +191,4 @@ def test_bad_input_is_one_line(demo, words, said, capsys):
 def test_the_command_knows_the_methods_of_the_library():
     from residyn.cli import _options
 
-    assert _options.METHODS == tuple(METHODS)
+    assert tuple(METHODS) == _options.METHODS

@@ -22,11 +22,9 @@ def text(race: "Race") -> str:
     wide = [max(len(str(row[i])) for row in rows) for i in range(len(HEAD))]
     out = [f"[[Race]]  {' + '.join(race.model)}; budget: {race.budget}"]
     for row in rows:
-        cells = [
-            f"{x:<{w}}" if i == 0 else f"{x:>{w}}"
-            for i, (x, w) in enumerate(zip(row, wide, strict=True))
-        ]
-        out.append("  " + "  ".join(cells).rstrip())
+        pairs = list(zip(row, wide, strict=True))
+        padded = [f"{pairs[0][0]:<{wide[0]}}", *(f"{x:>{w}}" for x, w in pairs[1:])]
+        out.append("  " + "  ".join(padded).rstrip())
     best = race.best
     if best is not None:
         out.append(f"least objective (Eq. 17): {best.objective:.6g}, of {best.name}")
@@ -55,12 +53,12 @@ def cells(race: "Race", each: "Raced") -> list[str]:
     ratio = _short(run.objective / race.least) if math.isfinite(run.objective) else "--"
     if race.repeats > 1 and math.isfinite(each.worst.objective):
         ratio += f" ({_short(each.worst.objective / race.least)})"
-    cells = [ratio]
+    found = [ratio]
     for target in (TEN, ONE):
         spent = each.within(target * race.least)
         known = math.isfinite(spent.simulations)
-        cells.append(f"{spent.simulations:.0f}, {spent.seconds:.2g} s" if known else "--")
-    return [*cells, *off(race, each)]
+        found.append(f"{spent.simulations:.0f}, {spent.seconds:.2g} s" if known else "--")
+    return [*found, *off(race, each)]
 
 
 def off(race: "Race", each: "Raced") -> list[str]:
