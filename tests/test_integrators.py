@@ -163,7 +163,7 @@ def test_a_drive_that_jumps_is_followed(smooth):
     np.testing.assert_allclose(found[0][:400], found[1][:400], atol=2e-6)
 
 
-def test_an_embedded_fit_integrates_as_its_fit_did_and_in_reverse(smooth):
+def test_an_embedded_fit_takes_an_integrator(smooth):
     short = dataclasses.replace(
         smooth.recordings[0], time=TIME[:60], angle=smooth.recordings[0].angle[:60]
     )
@@ -174,8 +174,9 @@ def test_an_embedded_fit_integrates_as_its_fit_did_and_in_reverse(smooth):
         other = residyn.embed(fit, integrator="Tsit5")
         assert other.problem.integrator.name == "Tsit5"
         numbers = jnp.asarray(fit.model.vector())
-        slope = jax.grad(plain.chi2)(numbers)
-        np.testing.assert_allclose(jax.grad(other.chi2)(numbers), slope, atol=0.05, rtol=1e-3)
+        # Away from the minimum, where the slope is 0.
+        slope = jax.jacfwd(plain.chi2)(1.1 * numbers)
+        np.testing.assert_allclose(jax.jacfwd(other.chi2)(1.1 * numbers), slope, rtol=1e-3)
 
 
 # -- what a solver cannot do -----------------------------------------------------------------

@@ -48,8 +48,7 @@ ADAPTIVE = (
 """Solvers of diffrax for ordinary differential equations that estimate their own error."""
 
 _FORWARD = (diffrax.ForwardMode, diffrax.DirectAdjoint)
-BOTH_MODES = diffrax.DirectAdjoint()
-"""An adjoint that both forward and reverse mode can pass."""
+_STEPS_EACH = 4  # between two nodes, at most, in the mean
 
 
 class UnrolledTsit5(diffrax.AbstractSolver):
@@ -99,8 +98,9 @@ class Integrator:
     - `rtol`, `atol`: relative and absolute tolerance of one step (absolute: rad, rad/s; m, m/s).
     - `controller`: a step-size controller of diffrax that adapts; None is `PIDController(rtol,
       atol)`.
-    - `adjoint`: how diffrax differentiates; None is what suits the use: `ForwardMode` in a fit,
-      `DirectAdjoint` in an embedded one, `RecursiveCheckpointAdjoint` in `simulate`.
+    - `adjoint`: how diffrax differentiates; None is what suits the use: `ForwardMode` in a fit and
+      in an embedded one, which then has no reverse mode (`DirectAdjoint` has both, but takes
+      minutes to compile), `RecursiveCheckpointAdjoint` in `simulate`.
     - `max_steps`: steps after which an integration is given up.
 
     **Raises:** `InputError` for a name that is no solver's, a tolerance that is no positive number,
@@ -235,6 +235,10 @@ def at_nodes(
             rtol=integrator.rtol / tighter, atol=integrator.atol / tighter
         )
         controller = _UpToNodes(inner, nodes, jumps)
+    # What reverse mode may have to go back over is compiled in, so it must be no more than is needed.
+    most = integrator.max_steps
+    if isinstance(adjoint, diffrax.DirectAdjoint):
+        most = min(most, _STEPS_EACH * nodes.shape[0])
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(vector_field),  # pyright: ignore[reportArgumentType]
         solver,
@@ -246,7 +250,7 @@ def at_nodes(
         saveat=diffrax.SaveAt(ts=nodes),
         stepsize_controller=controller,
         adjoint=adjoint,
-        max_steps=integrator.max_steps,
+        max_steps=most,
         throw=False,
     )
     assert solution.ys is not None

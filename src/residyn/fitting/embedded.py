@@ -184,7 +184,8 @@ def embed(fit: Fit, *, integrator: Any = None) -> Embedded:
 
     **Arguments:**
 
-    - `integrator`: as of `residyn.fit`; None is that of the fit.
+    - `integrator`: as of `residyn.fit`; None is that of the fit. With a solver of diffrax, take
+      derivatives in forward mode.
 
     **Raises:** `ValueError` in single precision, in which no fit can settle; `InputError` for an
     integrator that does not exist or cannot integrate an effect of the model.

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..integrators import BOTH_MODES, Integrator
+from ..integrators import Integrator
 from ..mechanism import AbstractMechanism
 from ..model import Model
 from ..motion import Scalar
@@ -109,8 +109,6 @@ def _simulated(problem: Problem, one: Recorded, numbers, state, only=None) -> tu
     model = posed(problem.model.with_vector(numbers), one.mechanism)
     integrator = problem.integrator
     adjoint = integrator and integrator.adjoint
-    if integrator is not None and problem.fixed and adjoint is None:
-        adjoint = BOTH_MODES
     return model, march(
         model,
         0.0,
