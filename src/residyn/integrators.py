@@ -235,7 +235,7 @@ def at_nodes(
             rtol=integrator.rtol / tighter, atol=integrator.atol / tighter
         )
         controller = _UpToNodes(inner, nodes, jumps)
-    # What reverse mode may have to go back over is compiled in, so it must be no more than is needed.
+    # What reverse mode goes back over is compiled in: it must be no more than is needed.
     most = integrator.max_steps
     if isinstance(adjoint, diffrax.DirectAdjoint):
         most = min(most, _STEPS_EACH * nodes.shape[0])
