@@ -234,7 +234,7 @@ def at_nodes(
         inner = integrator.controller or diffrax.PIDController(
             rtol=integrator.rtol / tighter, atol=integrator.atol / tighter
         )
-        controller = _UpToNodes(inner, nodes, jumps)
+        controller = _UpToNodes(inner, nodes, jumps)  # pyright: ignore[reportCallIssue]
     # What reverse mode goes back over is compiled in: it must be no more than is needed.
     most = integrator.max_steps
     if isinstance(adjoint, diffrax.DirectAdjoint):
@@ -307,7 +307,9 @@ class _OneStepEach(diffrax.AbstractStepSizeController):
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
         return _next_node(self.nodes, t0), None
 
-    def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, state):
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
         there = _next_node(self.nodes, t1)
         return True, t1, there, False, None, diffrax.RESULTS.successful
 
@@ -323,28 +325,30 @@ class _UpToNodes(diffrax.AbstractAdaptiveStepSizeController):
     jumps: bool = eqx.field(static=True)
 
     @property
-    def rtol(self):
+    def rtol(self):  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.controller.rtol
 
     @property
-    def atol(self):
+    def atol(self):  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.controller.atol
 
     @property
-    def norm(self):
+    def norm(self):  # pyright: ignore[reportIncompatibleMethodOverride]
         return self.controller.norm  # pyright: ignore[reportAttributeAccessIssue]
 
     def wrap(self, direction):
         inner = self.controller.wrap(direction)
-        return _UpToNodes(inner, self.nodes, self.jumps)  # pyright: ignore[reportArgumentType]
+        return _UpToNodes(inner, self.nodes, self.jumps)  # pyright: ignore
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
         given = terms, t0, t1, y0, dt0, args, func, error_order
         end, state = self.controller.init(*given)
         return self._clipped(t0, end), state
 
-    def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, state):
-        given = t0, t1, y0, y1_candidate, args, y_error, error_order, state
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
+        given = t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
         keep, begin, end, jump, state, result = self.controller.adapt_step_size(*given)
         if self.jumps:
             # A step that ended just before a node goes on just after it.
