@@ -314,16 +314,22 @@ def test_an_error_that_stays_large_is_warned_of(usual):
     assert not [w for w in usual.warnings if "integration" in w]
 
 
-def test_a_stiff_effect_is_told_and_fitted_by_an_implicit_solver():
-    time = TIME[:100]
-    drag = residyn.QuadraticDrag("tip", 0.4)  # what the lag of 0.1 ms is too short to change
-    made = experiment(arm(drag), EXACT, time=time)
-    effect = LaggingDrag("tip")
+@pytest.fixture(scope="module")
+def stiff():
+    # The lag of 0.1 ms is too short to change anything.
+    return experiment(arm(residyn.QuadraticDrag("tip", 0.4)), EXACT, time=TIME[:100])
+
+
+def test_steps_that_are_too_coarse_for_a_stiff_effect_are_named(stiff):
     with pytest.raises(FitError, match=r"too coarse .* Kvaerno5"):
-        residyn.fit(made, effects=[effect], starts=1)
-    stiff = residyn.Integrator("Kvaerno5", rtol=1e-6, atol=1e-8)
-    fit = residyn.fit(made, effects=[effect], starts=1, integrator=stiff)
-    plain = residyn.fit(made, effects=["quadratic_drag:tip"], starts=1)
+        residyn.fit(stiff, effects=[LaggingDrag("tip")], starts=1)
+
+
+@pytest.mark.slow  # an implicit solver and its derivatives compile for half a minute
+def test_a_stiff_effect_is_fitted_by_an_implicit_solver(stiff):
+    implicit = residyn.Integrator("Kvaerno5", rtol=1e-6, atol=1e-8)
+    fit = residyn.fit(stiff, effects=[LaggingDrag("tip")], starts=1, integrator=implicit)
+    plain = residyn.fit(stiff, effects=["quadratic_drag:tip"], starts=1)
     assert fit.converged
     assert off(fit, plain) < 0.1
 
