@@ -4,7 +4,7 @@
 
 Three recordings of 8 s at 50 Hz with 1 mrad of noise, made by Dopri8 at rtol = 1e-12: a smooth arm
 (cubic spring), one with dry friction, and a stiff one (drag that follows the motion with a lag of
-0.1 ms; 1 s of it). Seconds are those of the processor, so that other programs on the machine do not
+0.1 ms; 2 s of it). Seconds are those of the processor, so that other programs on the machine do not
 count. "first" is the first fit of a model by an integrator, whose programs are compiled.
 """
 

@@ -331,7 +331,7 @@ def test_a_stiff_effect_is_fitted_by_an_implicit_solver(stiff):
     fit = residyn.fit(stiff, effects=[LaggingDrag("tip")], starts=1, integrator=implicit)
     plain = residyn.fit(stiff, effects=["quadratic_drag:tip"], starts=1)
     assert fit.converged
-    assert off(fit, plain) < 0.1
+    assert off(fit, plain) < 0.2
 
 
 # -- the command and the file ----------------------------------------------------------------
