@@ -1,6 +1,6 @@
 """Every block of code in the documentation runs, and the site builds without a warning."""
 
-import functools
+import dataclasses
 import importlib.util
 import os
 import re
@@ -12,7 +12,7 @@ import jax
 import pytest
 
 from residyn.cli import _shell
-from residyn.fitting import genetic
+from residyn.fitting import methods
 
 ROOT = Path(__file__).parents[1]
 
@@ -40,8 +40,9 @@ def one_cache(monkeypatch):
 @pytest.fixture
 def short_search(monkeypatch):
     """The paper's 500 generations are not what is tested here."""
-    short = functools.partial(genetic.Genetic, generations=20)
-    monkeypatch.setattr(genetic, "Genetic", short)
+    for name, how in methods.GENETIC.items():
+        short = dataclasses.replace(how, generations=20)
+        monkeypatch.setitem(methods.GENETIC, name, short)
 
 
 @pytest.mark.pages

@@ -177,7 +177,7 @@ def test_what_does_not_go_is_said(experiment, more, error, words):
 def test_method_and_its_arguments_go_together(experiment):
     with pytest.raises(ValueError, match='method = "magic"'):
         residyn.fit(experiment, method="magic")
-    with pytest.raises(TypeError, match='population is an argument of method="genetic"'):
+    with pytest.raises(TypeError, match='population is no argument of method="levenberg"'):
         residyn.fit(experiment, population=10)
 
 

@@ -50,11 +50,14 @@ if TYPE_CHECKING:
     from .fitting import Embedded as Embedded
     from .fitting import Fit as Fit
     from .fitting import FitError as FitError
+    from .fitting import Race as Race
     from .fitting import Solution as Solution
     from .fitting import bootstrap as bootstrap
     from .fitting import embed as embed
     from .fitting import fit as fit
     from .fitting import fit_many as fit_many
+    from .fitting import race as race
+    from .integrators import Integrator as Integrator
     from .mechanism import AbstractMechanism as AbstractMechanism
     from .mechanism import ConstantInertia as ConstantInertia
     from .mechanism import PlanarArm as PlanarArm
@@ -121,12 +124,15 @@ _PUBLIC = {
         "Embedded",
         "Fit",
         "FitError",
+        "Race",
         "Solution",
         "bootstrap",
         "embed",
         "fit",
         "fit_many",
+        "race",
     ),
+    "integrators": ("Integrator",),
     "mechanism": ("AbstractMechanism", "ConstantInertia", "PlanarArm"),
     "model": ("Model",),
     "modal": ("Modes", "modes"),

@@ -14,11 +14,13 @@ from typing import Any
 
 from ._input import InputError, flag, inside, quote
 from ._tables import ArmTable, Bearing, InertiaTable, check_bearings
+from .integrators import Integrator
 
 ROLES = ("fit", "check", "inertia")
 
 _KEYS = {
-    "": ("arm", "inertia", "air_bearings", "recordings"),
+    "": ("arm", "inertia", "air_bearings", "recordings", "integrator"),
+    "integrator": ("solver", "rtol", "atol"),
     "arm": ("link_lengths", "shoulder", "elbow", "coupling"),
     "inertia": ("joints", "matrix", "units"),
     "air_bearings": ("joint", "mass", "inertia"),
@@ -49,6 +51,7 @@ class Contents:
     inertia: ArmTable | InertiaTable
     bearings: tuple[Bearing, ...]
     recordings: tuple[dict[str, Any], ...]
+    integrator: Integrator | None = None
 
 
 def parse(text: str, where: str) -> Contents:
@@ -77,7 +80,7 @@ def parse(text: str, where: str) -> Contents:
                     f"[[recordings]] {i + 1}: air_bearings = false, but there is no "
                     "[[air_bearings]] table to say what was taken off"
                 )
-        return Contents(inertia, bearings, tuple(recordings))
+        return Contents(inertia, bearings, tuple(recordings), _integrator(tables))
 
 
 def _tables(text: str) -> dict[str, Any]:
@@ -148,6 +151,17 @@ def _inertia(tables: Mapping[str, Any], only_inertia: bool) -> ArmTable | Inerti
                 "file of their own"
             )
         return arm
+
+
+def _integrator(tables: Mapping[str, Any]) -> Integrator | None:
+    if "integrator" not in tables:
+        return None
+    keys = _one(tables, "integrator")
+    with inside("[integrator]"):
+        if not isinstance(keys.get("solver"), str):
+            have = f"solver = {quote(keys['solver'])}" if "solver" in keys else "solver is missing"
+            raise InputError(f'{have}: must be the name of a solver, such as "Tsit5"')
+        return Integrator(**keys)
 
 
 def _bearings(entries: Iterable[dict[str, Any]]) -> Iterable[Bearing]:

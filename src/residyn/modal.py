@@ -60,6 +60,15 @@ def fastest(model: Model) -> float:
     return float(paces(model, np.asarray(model.vector())[None]).max())
 
 
+def ringing(model: Model) -> float:
+    """Largest angular frequency of a mode of the linearised model that rings, rad/s, 0 if none does
+    (concrete numbers only). What only fades, however fast, is left out: a solver that chooses its
+    steps follows it where it must."""
+    values = np.linalg.eigvals(_finite(concrete_state_matrix(model)))
+    rings = np.abs(values.imag) > 1e-9 * np.abs(values)
+    return float(np.abs(values[rings]).max(initial=0.0))
+
+
 def paces(model: Model, numbers: Float[np.ndarray, "K P"]) -> Float[np.ndarray, "K s"]:
     """Sizes of the state matrix' eigenvalues with each row of concrete numbers, smallest first,
     rad/s, or those without effects that have corners, where these are larger: outside of its gap a

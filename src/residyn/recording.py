@@ -37,6 +37,7 @@ from ._sanity import not_free
 from ._tables import ArmTable, Bearing, InertiaTable, check_bearings
 from ._toml import check_role, parse
 from ._wild import wild_samples
+from .integrators import integrator_of
 
 if TYPE_CHECKING:
     from .mechanism import AbstractMechanism
@@ -191,8 +192,11 @@ class Experiment:
     recordings: tuple[Recording, ...]
     bearings: tuple[Bearing, ...] = ()
     path: str = ""
+    integrator: Any = None
+    """What integrates in every fit: a `residyn.Integrator` or what makes one; None: fixed steps."""
 
     def __post_init__(self):
+        object.__setattr__(self, "integrator", integrator_of(self.integrator))
         object.__setattr__(self, "recordings", tuple(self.recordings))
         object.__setattr__(self, "bearings", tuple(self.bearings))
         check_bearings(self.inertia, self.bearings)
@@ -252,7 +256,13 @@ def load(path: str | os.PathLike[str]) -> Experiment:
         for i, entry in enumerate(contents.recordings):
             with inside(f"[[recordings]] {i + 1}"):
                 recordings.append(_read(folder, contents.inertia, **entry))
-        return Experiment(contents.inertia, tuple(recordings), contents.bearings, os.fspath(path))
+        return Experiment(
+            contents.inertia,
+            tuple(recordings),
+            contents.bearings,
+            os.fspath(path),
+            contents.integrator,
+        )
 
 
 def _read(

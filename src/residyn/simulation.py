@@ -14,7 +14,6 @@ exact to the order that matters, costs nearly what a smooth step costs, and diff
 
 import math
 from collections.abc import Sequence
-from typing import ClassVar
 
 import diffrax
 import jax
@@ -22,9 +21,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from .equation import Args, Drive, Piecewise, rates
-from .modal import fastest
+from .integrators import (
+    Integrator,
+    StickSlip,
+    UnrolledTsit5,
+    at_nodes,
+    integrator_of,
+    stopped,
+    tuples_of,
+)
+from .modal import fastest, ringing
 from .model import Model
-from .motion import Joints, Scalar, split, stack
+from .motion import Joints, Scalar, split
 from .nodes import Nodes, Trajectory, read
 from .stepping import State, dry_step, smooth_step
 from .stick_slip import sliding
@@ -32,48 +40,6 @@ from .stick_slip import sliding
 # Largest step times fastest angular frequency: within 1e-5 rad of MuJoCo over 20 s (tests).
 SMOOTH_STEP = 0.3
 ROUGH_STEP = 0.2
-
-
-class UnrolledTsit5(diffrax.AbstractSolver):
-    """Tsitouras 5(4) with its stages written out and no error estimate, for fixed steps.
-
-    For diffrax: `y = (q, v, z)`, and the args of the solve are what `march` passes.
-    """
-
-    term_structure: ClassVar = diffrax.AbstractTerm
-    interpolation_cls: ClassVar = diffrax.LocalLinearInterpolation
-
-    def order(self, terms):
-        return 5
-
-    def init(self, terms, t0, t1, y0, args):
-        return None
-
-    def func(self, terms, t0, y0, args):
-        return terms.vf(t0, y0, args)
-
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        y1 = _arrays(self.advance(args, t0, t1 - t0, _tuples(y0))[0])
-        return y1, None, {"y0": y0, "y1": y1}, None, diffrax.RESULTS.successful
-
-    def advance(self, args, t, h, y: State) -> tuple[State, Joints]:
-        """One step: its end, and the acceleration at its beginning."""
-        return smooth_step(args, t, h, y)
-
-
-class StickSlip(UnrolledTsit5):
-    """`UnrolledTsit5` for joints with dry friction: see the module's first words."""
-
-    def advance(self, args, t, h, y):
-        return dry_step(args, t, h, y)
-
-
-def _arrays(y: State) -> tuple[Array, Array, Array]:
-    return stack(y.q), stack(y.v), stack(y.z) if y.z else jnp.zeros(0)
-
-
-def _tuples(y) -> State:
-    return State(*map(split, y))
 
 
 def march(
@@ -89,20 +55,22 @@ def march(
     adjoint: diffrax.AbstractAdjoint | None = None,
     room: int | None = None,
     only: Scalar | None = None,
+    integrator: Integrator | None = None,
+    tighter: Scalar = 1.0,
 ) -> Nodes:
     """Integrate Eq. 1 over `steps` equal steps. Any number here may be traced, but, without `room`,
     not the steps.
 
-    `z0` is what the internal states hold beyond what their effects begin with. `adjoint` None steps
-    the solver in a plain `lax.scan`, which both forward and reverse mode can differentiate, and
-    which compiles and runs quickest. A diffrax adjoint instead integrates with
-    `diffrax.diffeqsolve` and differentiates as that adjoint says. With `room` for that many steps,
-    their number may be traced, too, and `only` so many of them are taken; zeros are left behind.
-    That excludes reverse mode.
+    `z0` is what the internal states hold beyond what their effects begin with. Without `adjoint`
+    and `integrator` a plain loop takes the steps, which both forward and reverse mode can
+    differentiate, and which compiles and runs quickest. An `integrator` instead integrates with
+    `diffrax.diffeqsolve`, its tolerances divided by `tighter`, and the steps are what it leaves
+    behind; `adjoint` alone does so with the same steps, and differentiates as that adjoint says.
+    With `room` for that many steps, their number may be traced, too, and `only` so many of them are
+    taken; what is left behind after them means nothing. That excludes reverse mode.
     """
     start, stop = jnp.asarray(start, float), jnp.asarray(stop, float)
     h = (stop - start) / steps
-    solver = StickSlip() if model.dry else UnrolledTsit5()
     y = State(split(jnp.asarray(q0, float)), split(jnp.asarray(v0, float)))
     begin = model.memory_begin(y.motion(start))
     more = (0.0,) * len(begin) if z0 is None else split(z0)
@@ -114,10 +82,11 @@ def march(
     def row(y: State, a: Joints):
         return jnp.stack([*y.q, *(h * x for x in y.v), *(h**2 * x for x in a)])
 
-    if adjoint is None:
+    if adjoint is None and integrator is None:
+        step = dry_step if model.dry else smooth_step
 
         def advance(index, y):
-            return solver.advance(during(index), start + index * h, h, y)
+            return step(during(index), start + index * h, h, y)
 
         if room is None:
 
@@ -140,36 +109,23 @@ def march(
         last, ends = jax.lax.fori_loop(0, stop_at, fill, (y, empty))
         rest = _acceleration_at(during(stop_at - 1), start + stop_at * h, last)
         return Nodes(start, h, steps, ends.at[stop_at].set(row(last, rest)))
-    assert isinstance(steps, int), "diffrax compiles the number of steps in"
-    args = during(0)
-    nodes = start + h * jnp.arange(steps + 1)
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(_vector_field),  # pyright: ignore[reportArgumentType]
-        solver,
-        nodes[0],
-        nodes[-1],
-        None,
-        _arrays(y),
-        args=args,
-        saveat=diffrax.SaveAt(t0=True, steps=True),
-        stepsize_controller=diffrax.StepTo(ts=nodes),
-        adjoint=adjoint,
-        max_steps=steps,
-        throw=False,
-    )
-    assert solution.ys is not None
+    size = steps if room is None else room
+    assert isinstance(size, int), "the number of nodes is compiled in"
+    index = jnp.arange(size + 1)
+    last = steps if only is None else jnp.minimum(only, steps)
+    nodes = stopped(start + h * index, last)
+    if integrator is None:
+        integrator = Integrator(StickSlip() if model.dry else UnrolledTsit5())
+    integrator.check(model)
+    if adjoint is None:
+        adjoint = integrator.adjoint or diffrax.ForwardMode()
+    found = at_nodes(integrator, Args(model, drive), y, nodes, adjoint, tighter)  # pyright: ignore
 
-    def told(t, *arrays):
-        here = _tuples(arrays)
-        return row(here, _acceleration_at(args, t, here))
+    def told(index, t, *arrays):
+        here = tuples_of(arrays)
+        return row(here, _acceleration_at(during(jnp.minimum(index, last - 1)), t, here))
 
-    return Nodes(start, h, steps, jax.vmap(told)(nodes, *solution.ys))
-
-
-def _vector_field(t, y, args: Args):
-    motion = _tuples(y).motion(t)
-    a, z = rates(args, motion)
-    return _arrays(State(motion.v, a, z))
+    return Nodes(start, h, steps, jax.vmap(told)(index, nodes, *found))
 
 
 def _acceleration_at(args: Args, t, y: State) -> Joints:
@@ -198,6 +154,7 @@ def simulate(
     drive: Drive | None = None,
     steps: int | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
+    integrator: Integrator | diffrax.AbstractSolver | str | None = None,
 ) -> Trajectory:
     """Motion of a model from the state (q0, v0) at `times[0]`.
 
@@ -210,19 +167,30 @@ def simulate(
     - `drive`: external torque on the joints.
     - `steps`: number of integration steps; None chooses from the fastest mode, which needs concrete
       numbers: give it inside `jax.jit`, `grad` or `vmap` of the model's numbers.
-    - `adjoint`: how to differentiate. None: forward and reverse mode both work. Or a diffrax
-      adjoint, such as `diffrax.RecursiveCheckpointAdjoint()` for the least memory in reverse mode.
+    - `adjoint`: how to differentiate. None: with fixed steps, forward and reverse mode both work.
+      Or a diffrax adjoint, such as `diffrax.RecursiveCheckpointAdjoint()` for the least memory in
+      reverse mode.
+    - `integrator`: "fixed" steps (None); or a solver of diffrax, by name ("Tsit5", "Dopri8",
+      "Kvaerno5"), as an instance, or as an `Integrator` with tolerances of its own. `steps` is then
+      how many nodes the curve goes through from which readings are taken; between two nodes the
+      solver steps as it needs.
 
     **Returns:** a `Trajectory`.
 
-    **Raises:** `ValueError` if `steps` is needed and cannot be chosen.
+    **Raises:** `ValueError` if `steps` is needed and cannot be chosen; `InputError` for an
+    integrator that does not exist or cannot integrate an effect of the model.
     """
     times = jnp.asarray(times, float)
     q0 = jnp.asarray(q0, float)
     v0 = jnp.zeros_like(q0) if v0 is None else jnp.asarray(v0, float)
+    chosen = integrator_of(integrator)
+    if chosen is not None:
+        adjoint = adjoint or chosen.adjoint or diffrax.RecursiveCheckpointAdjoint()
     if steps is None:
         try:
-            steps = steps_for(model, float(times[-1] - times[0]))
+            duration = float(times[-1] - times[0])
+            fast = ringing(model) if chosen is not None and chosen.adapts else None
+            steps = steps_for(model, duration, fast)
         except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError):
             raise ValueError(
                 "the number of steps cannot depend on traced numbers: give steps=, "
@@ -232,6 +200,15 @@ def simulate(
             steps = max(steps, math.ceil(float((times[-1] - times[0]) / drive.spacing)))
     z0 = None if z0 is None else jnp.asarray(z0, float)
     nodes = march(
-        model, times[0], times[-1], q0, v0, steps=steps, z0=z0, drive=drive, adjoint=adjoint
+        model,
+        times[0],
+        times[-1],
+        q0,
+        v0,
+        steps=steps,
+        z0=z0,
+        drive=drive,
+        adjoint=adjoint,
+        integrator=chosen,
     )
     return read(model, nodes, times)

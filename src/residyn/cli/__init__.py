@@ -8,7 +8,18 @@ line that says what would be right, never a traceback (`_shell`).
 
 import typer
 
-from . import _compare, _demo, _diagnose, _effects, _example, _fit, _inertia, _simulate, _unload
+from . import (
+    _compare,
+    _demo,
+    _diagnose,
+    _effects,
+    _example,
+    _fit,
+    _inertia,
+    _race,
+    _simulate,
+    _unload,
+)
 from ._shell import run
 
 app = typer.Typer(
@@ -42,6 +53,7 @@ app.command("compare")(_compare.compare)
 app.command("diagnose")(_diagnose.diagnose)
 app.command("inertia")(_inertia.inertia)
 app.command("unload")(_unload.unload)
+app.command("race")(_race.race)
 app.command("simulate")(_simulate.simulate)
 app.command("effects")(_effects.effects)
 app.command("demo")(_demo.demo)

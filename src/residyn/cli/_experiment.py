@@ -1,12 +1,13 @@
 """From an EXPERIMENT on the command line to a fit."""
 
 import contextlib
+import dataclasses
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .._input import InputError
+from .._input import InputError, inside
 from ._shell import NoNumbers, progress
 
 if TYPE_CHECKING:
@@ -30,6 +31,19 @@ def load(path: str) -> "Experiment":
         if each.understood:
             print(f"residyn: {each.name}: {each.understood}", file=sys.stderr)
     return loaded
+
+
+def integrated_by(experiment: "Experiment", name: str | None) -> "Experiment":
+    """The experiment with the integrator that the command line names, if it names one.
+
+    **Raises:** `InputError` for one that does not exist.
+    """
+    if name is None:
+        return experiment
+    from ..integrators import Integrator
+
+    with inside("--integrator"):
+        return dataclasses.replace(experiment, integrator=Integrator(name))
 
 
 def bring(files: Sequence[str] | None) -> None:
@@ -59,7 +73,12 @@ def title(path: str) -> str:
 
 
 def fitted(
-    experiment: "Experiment", effects: Sequence[str], starts: int, method: str = "levenberg"
+    experiment: "Experiment",
+    effects: Sequence[str],
+    starts: int,
+    method: str = "levenberg",
+    check_integration: bool = False,
+    seed: int = 0,
 ) -> "Fit":
     """Fit, and show on the way what is being done.
 
@@ -70,8 +89,16 @@ def fitted(
         say("loading")
         from ..fitting import fit
 
-        with _in_one_line():
-            return fit(experiment, effects=effects, starts=starts, progress=say, method=method)
+        with in_one_line():
+            return fit(
+                experiment,
+                effects=effects,
+                starts=starts,
+                progress=say,
+                method=method,
+                check_integration=check_integration,
+                **({"seed": seed} if seed else {}),
+            )
 
 
 def diagnosed(
@@ -89,7 +116,7 @@ def diagnosed(
         say("loading")
         from ..diagnosis import diagnose
 
-        with _in_one_line():
+        with in_one_line():
             return diagnose(
                 experiment,
                 effects=effects,
@@ -114,7 +141,7 @@ def unloaded(
         say("loading")
         from ..procedure import unload
 
-        with _in_one_line():
+        with in_one_line():
             return unload(
                 experiment, effects=effects, starts=starts, inertia_std=inertia_std, progress=say
             )
@@ -129,7 +156,7 @@ def models(found: "Diagnosis", title: str = "") -> "list[tuple[str, Fit]]":
 
 
 @contextlib.contextmanager
-def _in_one_line() -> Iterator[None]:
+def in_one_line() -> Iterator[None]:
     """What a fit cannot do, as the complaint that the user reads."""
     from ..fitting import FitError, MissingExtra
 

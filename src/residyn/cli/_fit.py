@@ -5,7 +5,7 @@ import typer
 from .._input import InputError
 from . import _options
 from ._each import fit_each
-from ._experiment import bring, fitted, input_files, load, title
+from ._experiment import bring, fitted, input_files, integrated_by, load, title
 from ._shell import DONE, NO_NUMBERS, Outputs, complain, set_up_jax
 
 
@@ -17,22 +17,37 @@ def fit(
     own: _options.Effects = None,
     starts: _options.Starts = _options.STARTS,
     method: _options.Method = _options.METHODS[0],
+    integrator: _options.Integrator = None,
+    check_integration: _options.CheckIntegration = False,
+    seed: _options.Seed = 0,
     json: _options.Json = None,
     report: _options.Report = None,
     table: _options.Table = None,
     no_cache: _options.NoCache = False,
 ) -> None:
     """Fit springs, dampers and other effects to recordings."""
-    if method not in _options.METHODS:
-        known = " or ".join(_options.METHODS)
-        raise InputError(f'--method "{method}": there is no such method; it must be {known}')
-    if method == "genetic" and starts != _options.STARTS:
-        raise InputError("--starts goes with --method levenberg; the genetic algorithm has none")
+    if method not in _options.METHODS and "." not in method:
+        known = ", ".join(_options.METHODS)
+        raise InputError(
+            f'--method "{method}": there is no such method; it must be one of {known}, or a '
+            "minimiser such as optimistix.BFGS"
+        )
+    if method not in _options.DESCENTS and starts != _options.STARTS:
+        raise InputError(
+            "--starts goes with --method levenberg or random; what else there is has no starts"
+        )
+    if method not in _options.SEEDED and seed != 0:
+        raise InputError(f"--seed goes with a --method that draws; {method} does not")
     if each is not None:
         if experiment is not None:
             raise InputError(f"--each {each}: takes the place of EXPERIMENT; leave one of them out")
         if report is not None or table is not None or method != _options.METHODS[0]:
-            raise InputError("--each goes with none of --report, --table and --method genetic")
+            raise InputError("--each goes with none of --report, --table and --method")
+        if integrator is not None or check_integration:
+            raise InputError(
+                "--each goes with neither --integrator nor --check-integration; [integrator] in "
+                "an experiment's file says what integrates it"
+            )
         bring(own)
         fit_each(each, effects or [], own, starts, json, no_cache, jobs)
     if jobs != 1:
@@ -42,9 +57,9 @@ def fit(
     out = Outputs(json, report, table)
     set_up_jax(not no_cache)
     bring(own)
-    loaded = load(experiment)
+    loaded = integrated_by(load(experiment), integrator)
     out.spare(input_files(experiment, loaded))
-    result = fitted(loaded, effects or [], starts, method)
+    result = fitted(loaded, effects or [], starts, method, check_integration, seed)
     out.words.print(str(result), soft_wrap=True)
     if result.misses:
         out.words.print(

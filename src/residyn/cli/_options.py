@@ -69,7 +69,33 @@ Budget = Annotated[
     ),
 ]
 Method = Annotated[
-    str, typer.Option("--method", metavar="METHOD", help="How to search: levenberg or genetic.")
+    str,
+    typer.Option(
+        "--method",
+        metavar="METHOD",
+        help="How to search: levenberg, random (starts), genetic, genetic_release_told, cma_es, "
+        "differential_evolution, particle_swarm, or a minimiser such as optimistix.BFGS.",
+    ),
+]
+Seed = Annotated[
+    int, typer.Option("--seed", metavar="N", min=0, help="Of a --method that draws: which draw.")
+]
+Integrator = Annotated[
+    str | None,
+    typer.Option(
+        "--integrator",
+        metavar="NAME",
+        help="What integrates: fixed steps, or a solver of diffrax such as Tsit5, Dopri8 or, for "
+        "a stiff effect, Kvaerno5; before [integrator] in the file.",
+        show_default=False,
+    ),
+]
+CheckIntegration = Annotated[
+    bool,
+    typer.Option(
+        "--check-integration",
+        help="Integrate the fitted motion again with Dopri8 at rtol = 1e-10, and state the error.",
+    ),
 ]
 Json = Annotated[
     str | None,
@@ -107,6 +133,15 @@ NoCache = Annotated[
     ),
 ]
 
-METHODS = ("levenberg", "genetic")
+METHODS = (
+    "levenberg",
+    "random",
+    "genetic",
+    "genetic_release_told",
+    "cma_es",
+    "differential_evolution",
+    "particle_swarm",
+)
+DESCENTS, SEEDED = METHODS[:2], METHODS[1:]
 STARTS = 6
 MAX_EFFECTS = 3

@@ -24,6 +24,8 @@ def model_with(
 
     try:
         model = model_for(mechanism_of(experiment, experiment.recordings[0]), effects)
+        if experiment.integrator is not None:
+            experiment.integrator.check(model)
     except ValueError as error:
         raise InputError(str(error)) from None
     known = [n.name for n in model.numbers]
@@ -84,7 +86,14 @@ def motion(
         drive = Drive(grid[0], grid[1] - grid[0], jnp.asarray(values))
     here = _posed(model, experiment, recording)
     begin = jnp.asarray(angles), jnp.asarray(rates)
-    path = simulate(here, jnp.asarray(time), *begin, z0=memory, drive=drive)
+    path = simulate(
+        here,
+        jnp.asarray(time),
+        *begin,
+        z0=memory,
+        drive=drive,
+        integrator=experiment.integrator,
+    )
     found = np.asarray(path.readings)
     if not np.isfinite(found).all():
         raise NoNumbers(f"{recording.name}: with these numbers the motion runs away")

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from ..diagnosis import Comparison
     from ..diagnosis.result import Diagnosis
+    from ..fitting.race import Race
     from ..fitting.result import Fit
 
 DONE, NO_NUMBERS, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
@@ -195,7 +196,7 @@ class Outputs:
         except OSError as error:
             raise _unwritable("--json", self.json_file, error) from None
 
-    def write_table(self, result: "Fit | Diagnosis") -> None:
+    def write_table(self, result: "Fit | Diagnosis | Race") -> None:
         """Write the table, if it was asked for."""
         if self.table is None:
             return

@@ -8,7 +8,7 @@ import typer
 
 from .._input import InputError, number
 from . import _options
-from ._experiment import bring, fitted, input_files, load
+from ._experiment import bring, fitted, input_files, integrated_by, load
 from ._shell import DONE, NO_NUMBERS, complain, console, progress, set_up_jax
 
 if TYPE_CHECKING:
@@ -62,6 +62,7 @@ def simulate(
     q0: _Q0 = None,
     v0: _V0 = None,
     starts: _options.Starts = _options.STARTS,
+    integrator: _options.Integrator = None,
     no_cache: _options.NoCache = False,
 ) -> None:
     """Write predicted recordings, one CSV file each."""
@@ -70,7 +71,7 @@ def simulate(
     numbers = _numbers(values or [])
     set_up_jax(not no_cache)
     bring(own)
-    loaded = load(experiment)
+    loaded = integrated_by(load(experiment), integrator)
     angles, rates = _per_joint("--q0", q0, loaded), _per_joint("--v0", v0, loaded)
     # Driven recordings of step 1 have their brakes off: springs and dampers say nothing of them.
     shown = [r for r in loaded.recordings if r.role != "inertia"]

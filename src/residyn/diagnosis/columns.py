@@ -37,11 +37,10 @@ def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
     """Effects of the catalogue that could be missing from a model, at every place where they can
     act, less those `present` and those that such recordings cannot show.
 
-    With one joint that rings freely, a sensor's scale is a choice of unit, and its delay one of the
-    first state.
+    With one joint, a sensor's scale is a choice of unit, which the inertia has to bear; its delay
+    is one of the first state, or of the drive.
     """
     found: list[AbstractEffect] = []
-    driven = bool(np.any(scene.grid.drive))
     mechanism = scene.mechanisms[0]
     for kind in catalogue().values():
         if kind.name in ("spring", "damper"):
@@ -52,7 +51,7 @@ def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
             continue
         each = [kind(p) for p in places] if places else [kind()]  # pyright: ignore
         found += [e for e in each if e.label not in present and numbers_of(e)]
-    if scene.n == 1 and not driven:
+    if scene.n == 1:
         found = [e for e in found if not (e.senses and _not_an_offset(e))]
     return found
 
@@ -108,17 +107,9 @@ def shapes(
     ]
 
 
-def shaped_numbers(effect: AbstractEffect, shape: dict[str, float], scene: Scene | None, one=None):
-    """(p,) numbers of an effect: shapes as given, strengths silent but `one`, at its prior
-    width."""
-    values = []
-    for number in numbers_of(effect):
-        value = shape.get(number.field, number.silent)
-        if one is not None and number.field == one:
-            assert scene is not None
-            value = number.silent + width_of(scene, effect, number)
-        values.append(value)
-    return np.array(values, float)
+def shaped_numbers(effect: AbstractEffect, shape: dict[str, float]) -> np.ndarray:
+    """(p,) numbers of an effect: shapes as given, strengths silent."""
+    return np.array([shape.get(x.field, x.silent) for x in numbers_of(effect)], float)
 
 
 def columns_of(
@@ -131,7 +122,7 @@ def columns_of(
     """
     scene = along.scene
     n, K, g = scene.n, scene.K, scene.grid
-    silent = shaped_numbers(effect, shape, scene)
+    silent = shaped_numbers(effect, shape)
     fields = [x.field for x in numbers_of(effect)]
     own = [(fields.index(x.field), width_of(scene, effect, x)) for x in strengths(effect)]
     if effect.senses:
@@ -315,7 +306,7 @@ def spectral_lines(scene: Scene, trajectory: Trajectory, count: int = 5) -> list
 def extended(scene: Scene, trajectory: Trajectory, prior_of, found: Screened) -> Trajectory:
     """A model with one more effect, from the screen's answer."""
     effect, shape = found.effect, found.shape
-    begun = with_numbers(effect, shaped_numbers(effect, shape, scene))
+    begun = with_numbers(effect, shaped_numbers(effect, shape))
     effects = (*trajectory.effects, begun)
     prior = prior_of(scene, effects)
     P0 = len(trajectory.prior.mean)
@@ -350,13 +341,17 @@ def extended(scene: Scene, trajectory: Trajectory, prior_of, found: Screened) ->
     first = np.zeros(room)
     first[:m0] = trajectory.first[:m0]
     if m:
-        own = shaped_numbers(effect, shape, scene)
+        own = shaped_numbers(effect, shape)
         begin = scene.begin_states(begun, path) + phase
         q, v, _ = nodes(scene.grid.step, path, n)
         z = scene.states(effect, own, q, v, scene.times(), begin)
         path[:, 2 * n + m0 : 2 * n + m0 + m] = z[:, 0]
         first[m0 : m0 + m] = begin
     return dataclasses.replace(
-        trajectory, effects=effects, prior=prior, u=u, path=path, first=first,
-        covariance=None, torque=None,
-    )  # fmt: skip
+        trajectory,
+        effects=effects,
+        prior=prior,
+        u=u,
+        path=path,
+        first=first,
+    )

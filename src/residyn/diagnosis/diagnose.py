@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from scipy.special import logsumexp
 
@@ -113,7 +114,8 @@ class _Fits:
         own = [e for e in t.valued() if e.name not in ("spring", "damper")]
         if not self.cut:  # whatever drives a joint that nothing pulls back is fitted in segments
             here = ready(self.whole, self.whole.fit_recordings, own)
-            self.experiment = without_drift(self.whole, here.model.with_vector(t.numbers))
+            settled = here.model.with_vector(jnp.asarray(t.numbers))
+            self.experiment = without_drift(self.whole, settled)
             self.cut = True
         try:
             here = ready(self.experiment, self.experiment.fit_recordings, own)
@@ -271,7 +273,6 @@ class Posterior:
         t, scene = model.best, self.search.scene
         index = t.labels.index(label)
         effect, own = t.effects[index], number_slices(t.effects)[index]
-        assert t.covariance is not None
         slopes = t.prior.slopes(t.u)
         spread = np.sqrt(np.maximum(np.diag(t.covariance)[: len(slopes)], 0.0)) * np.abs(slopes)
         units = scene.mechanisms[0].units

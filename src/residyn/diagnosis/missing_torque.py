@@ -117,8 +117,11 @@ def torques_of(scene: Scene, model: Tried) -> list[MissingTorque]:
     """The missing torque of each recording of a scene: averaged over the random torque's
     intensities, each by its posterior."""
     pairs, best = model.over_torques(scene), model.best
-    mean = -sum(w * t.torque for w, t in pairs)
-    square = sum(w * (t.torque_variance + t.torque**2) for w, t in pairs)
+    weights = np.array([w for w, _ in pairs])
+    torques = np.stack([t.torque for _, t in pairs])
+    variances = np.stack([t.torque_variance for _, t in pairs])
+    mean = -np.tensordot(weights, torques, 1)
+    square = np.tensordot(weights, variances + torques**2, 1)
     std = np.sqrt(np.maximum(square - mean**2, 0.0))
     spring = _spring(scene, best)
     g, n, found = scene.grid, scene.n, []
@@ -180,8 +183,8 @@ def curve(scene: Scene, base: Tried, model: Tried, label: str) -> Curve:
     recordings of the scene."""
     before, after = (torque_along(scene, m.best) for m in (base, model))
     own = after.pop(label)
-    changed = sum(after.values()) - sum(before.values())
-    missing = -sum(w * t.torque for w, t in base.over_torques(scene))
+    changed = np.sum([*after.values()], axis=0) - np.sum([*before.values()], axis=0)
+    missing = -np.sum([w * t.torque for w, t in base.over_torques(scene)], axis=0)
     real = np.arange(scene.K) < scene.grid.real
     left = np.sum((missing - own - changed)[real] ** 2) / max(np.sum(missing[real] ** 2), 1e-300)
     t = model.best

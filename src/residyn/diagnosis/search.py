@@ -122,7 +122,7 @@ def settle(
             if result is None:
                 continue
             each, new = result
-            free, tried = new.descent <= 0, new.count > 2
+            free, tried = new.descent <= 0, new.settling > 2
             if free and tried and each.max() < best - _HOPELESS:
                 continue
             settled = abs(each[new.level] - before) < _SETTLED * step.share
@@ -142,7 +142,7 @@ class _Step(NamedTuple):
     """Index of the random torque of the last smoothing."""
     descent: int
     """How many louder torques are still to go through."""
-    count: int = 0
+    settling: int = 0
     """Iterations since."""
 
     @classmethod
@@ -158,7 +158,7 @@ class _Step(NamedTuple):
         itself, and whole steps swing to and fro: successive averages converge (Robbins and Monro,
         Annals of Mathematical Statistics 22, 1951)."""
         rough = any(e.dry or e.follows for e in self.trajectory.effects)
-        return 2.0 / (4.0 + self.count) if rough else 1.0
+        return 2.0 / (4.0 + self.settling) if rough else 1.0
 
     def next(self, scene: Scene) -> "tuple[np.ndarray, _Step] | None":
         """One Gauss-Newton step: the evidences of the model where it is, and where they lead."""
@@ -170,14 +170,14 @@ class _Step(NamedTuple):
         if not np.isfinite(known).any():
             return None
         if self.descent > 0:
-            level, count = self.level + 1, 0
+            level, settling = self.level + 1, 0
         else:
             likeliest = int(np.argmax(known + log_prior_intensity(INTENSITIES)))
-            level, count = min(likeliest, max(self.level, 0) + _FALL), self.count + 1
+            level, settling = min(likeliest, max(self.level, 0) + _FALL), self.settling + 1
         moved = scene.smoothed(t, system, INTENSITIES[level], self.share)
         if moved is None:
             return None
-        return known, _Step(moved, level, max(self.descent - 1, 0), count)
+        return known, _Step(moved, level, max(self.descent - 1, 0), settling)
 
 
 def _side_by_side(work: Sequence[Callable[[], Any]]) -> list[Any]:

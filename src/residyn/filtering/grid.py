@@ -20,7 +20,7 @@ STEP = 0.3
 """Readings are averaged up to this step times the fastest angular frequency, and ..."""
 LONGEST = 0.45
 """... steps are divided from this one on: the phase of a fourth-order step is good to 3e-4."""
-_MINOR = 1e-3  # of the acceleration's power: harmonics with less need no step of their own
+_MINOR = 1e-2  # of the acceleration's power: harmonics with less need no step of their own
 _LEAST = 512
 _WIDE = 31  # lines of a periodogram that are averaged, at least, ...
 _SHARE = 0.05  # ... and to either side this share of a line's own frequency ...

@@ -9,7 +9,7 @@ Dry friction jumps with the direction of sliding. It is split into the torque wi
 """
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard, TypeVar
 
 import equinox as eqx
 import jax
@@ -21,6 +21,8 @@ from ..kept import kept
 from ..mechanism import AbstractMechanism
 from ..motion import JointMotion, Motion, split, stack
 from ..parameter import Parameter, parameters_of
+
+_Effect = TypeVar("_Effect", bound=AbstractEffect)
 
 RAMP = 0.4
 """Half-width of dry friction's ramp in steps: the Runge-Kutta step is stable above 1 / 2.78."""
@@ -65,13 +67,13 @@ def numbers_of(effect: AbstractEffect) -> list[Parameter]:
     return [each for each in parameters_of(effect) if each.fitted]
 
 
-def with_numbers(effect: AbstractEffect, values) -> AbstractEffect:
+def with_numbers(effect: _Effect, values) -> _Effect:
     """The effect with its p fitted numbers replaced."""
     fields = [each.field for each in numbers_of(effect)]
     return dataclasses.replace(effect, **dict(zip(fields, split(values), strict=True)))
 
 
-def of_one_joint(effect: AbstractEffect) -> bool:
+def of_one_joint(effect: AbstractEffect) -> TypeGuard[JointEffect]:
     """Whether the effect's torque and states depend on the motion of its own joint alone."""
     kind = type(effect)
     return (
@@ -106,7 +108,7 @@ def law(
     """
     joint = None
     if of_one_joint(effect):
-        joint = mechanism.joints.index(effect.joint)  # pyright: ignore
+        joint = mechanism.joints.index(effect.joint)
         alone = dataclasses.replace(effect, joint="")  # one program for all joints
         found = _joint_law(alone, numbers, t, q[:, joint], v[:, joint], z)
     else:
@@ -123,7 +125,7 @@ def law(
 
 
 @kept(like=_NONE)
-def _joint_law(effect, numbers, t, q, v, z):
+def _joint_law(effect: JointEffect, numbers, t, q, v, z):
     """Torque, level and rates of the internal states, stacked, of an effect at one joint."""
 
     def at(q, v, z, u, t):
@@ -220,8 +222,10 @@ def reading(effect, numbers, mechanism, angle) -> Reading:
     def late(u):
         return stack(with_numbers(effect, u).delays(mechanism))
 
-    each = jax.vmap(lambda a: (at(a, numbers), *jax.jacfwd(at, argnums=(0, 1))(a, numbers)))
-    return Reading(*each(angle), late(numbers), jax.jacfwd(late)(numbers))
+    value = jax.vmap(lambda a: at(a, numbers))(angle)
+    slopes = jax.vmap(lambda a: jax.jacfwd(at, argnums=(0, 1))(a, numbers))
+    by_angle, by_number = slopes(angle)
+    return Reading(value, by_angle, by_number, late(numbers), jax.jacfwd(late)(numbers))
 
 
 @kept(like=0)

@@ -61,6 +61,10 @@ _MEMORY = 0.5  # typical sizes that an internal state may be off at first
 _TINY = 1e-6  # relative step of a difference in the bodies
 
 
+def _not_yet() -> np.ndarray:
+    return np.zeros((0, 0))
+
+
 class Prior(NamedTuple):
     """How P regressors become numbers."""
 
@@ -101,11 +105,12 @@ class Trajectory:
     first: np.ndarray
     """(M,) internal states at the beginning of each recording, as known beforehand."""
     log_evidence: float = -math.inf
-    covariance: np.ndarray | None = None
-    """(P, P) of u."""
-    torque: np.ndarray | None = None
+    covariance: np.ndarray = dataclasses.field(default_factory=_not_yet)
+    """(P, P) of u; this and the next two are empty until the model is smoothed."""
+    torque: np.ndarray = dataclasses.field(default_factory=_not_yet)
     """(K, n) the random torque, on the drive's side of Eq. 1."""
-    torque_variance: np.ndarray | None = None
+    torque_variance: np.ndarray = dataclasses.field(default_factory=_not_yet)
+    """(K, n)"""
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -10,8 +10,11 @@ from .genetic import Genetic as Genetic
 from .history import History as History
 from .many import Each as Each
 from .many import fit_many as fit_many
+from .methods import METHODS as METHODS
 from .pipeline import DEFAULT_STARTS as DEFAULT_STARTS
 from .pipeline import fit as fit
+from .race import Race as Race
+from .race import race as race
 from .result import Fit as Fit
 from .result import FitError as FitError
 from .result import Mode as Mode

@@ -38,6 +38,8 @@ class Descent(NamedTuple):
     converged: bool
     starts: int
     agreeing: int
+    finer: int = 1
+    """How many times as many integration steps were taken as usual."""
 
     def beside(self, recordings: Sequence[Recording]) -> list[RecordingFit]:
         """Each recording beside the model."""
@@ -117,6 +119,7 @@ def descend(
         out.converged,
         starts,
         agreeing,
+        here.finer,
     )
 
 

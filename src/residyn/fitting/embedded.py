@@ -9,6 +9,9 @@ gradient g(y, p) of the cost vanishes, whatever the problem p; so dy/dp = -(dg/d
 takes no memory of the steps (the implicit function theorem).
 """
 
+import dataclasses
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.flatten_util
@@ -172,14 +175,20 @@ class Embedded(eqx.Module):
         return [x[: len(own)] for x, own in pairs]
 
 
-def embed(fit: Fit) -> Embedded:
+def embed(fit: Fit, *, integrator: Any = None) -> Embedded:
     """A finished fit as a function of its readings and bodies, for use inside `jax.jit`, `vmap` and
     `grad`.
 
     Step, wild readings and start are that fit's. Use it in float64: `jax.config.update(
     "jax_enable_x64", True)`, or inside `with jax.enable_x64(True)`.
 
-    **Raises:** `ValueError` in single precision, in which no fit can settle.
+    **Arguments:**
+
+    - `integrator`: as of `residyn.fit`; None is that of the fit. With a solver of diffrax, take
+      derivatives in forward mode.
+
+    **Raises:** `ValueError` in single precision, in which no fit can settle; `InputError` for an
+    integrator that does not exist or cannot integrate an effect of the model.
     """
     if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         raise ValueError(
@@ -188,7 +197,10 @@ def embed(fit: Fit) -> Embedded:
         )
     fitted = [r for r in fit.recordings if r.recording.role != "check"]
     effects = [e for e in fit.model.effects if e.name not in ("spring", "damper")]
-    here = ready(fit.experiment, [r.recording for r in fitted], effects)
+    experiment = fit.experiment
+    if integrator is not None:
+        experiment = dataclasses.replace(experiment, integrator=integrator)
+    here = ready(experiment, [r.recording for r in fitted], effects)
     problem, _ = here.problem(fit.model, [r.wild for r in fitted], fixed=True)
     start = problem.scaled(fit.model.vector(), jnp.asarray(np.stack([r.state for r in fitted])))
     return Embedded(

@@ -63,6 +63,8 @@ def evolve(
     seed: int,
     one_by_one: bool = False,
     told: Callable[[int, float], None] = lambda done, best: None,
+    stop: Callable[[], bool] = lambda: False,
+    compiled: Callable[[], None] | None = None,
 ) -> Evolved:
     """Minimise `objective(given, genes)` over `size` genes from 0 to 1.
 
@@ -73,16 +75,24 @@ def evolve(
     - `strategy`, `settings`: a name of `evosax.algorithms`, and what it takes beside `USUAL`.
     - `one_by_one`: one individual after the other instead of abreast.
     - `told`: called now and then with the generations done and the best objective.
+    - `stop`: asked as often whether to end before all generations are done.
+    - `compiled`: if given, both programs are run once before the search, and then this is called.
 
     **Raises:** `MissingExtra` without evosax; `ValueError` for a strategy or a setting that it does
     not have.
     """
     algorithm = _algorithm(strategy, population, generations, size, tuple(sorted(settings.items())))
     static = (algorithm.strategy, algorithm.keeps_population, objective, one_by_one, population)
+    if compiled is not None:
+        begun, _, fell = _begin(static, algorithm.params, given, size, jax.random.key(seed))
+        for _ in range(2):  # of its own output, whose types JAX may take for others
+            begun, fell = _go_on(static, algorithm.params, given, begun, jnp.asarray(0))
+        jax.block_until_ready(fell)
+        compiled()
     begun, first, least = _begin(static, algorithm.params, given, size, jax.random.key(seed))
     history = [float(least)]
     told(1, history[-1])
-    while len(history) < generations:
+    while len(history) < generations and not stop():
         more = min(_CHUNK, generations - len(history))
         begun, fell = _go_on(static, algorithm.params, given, begun, jnp.asarray(more))
         history += np.asarray(fell)[:more].tolist()
@@ -149,10 +159,11 @@ def _generation(static, params, given, carry):
     return (key, state), state.best_fitness
 
 
-@functools.lru_cache(maxsize=64)  # evosax compiles anew for every object
-def _algorithm(
-    name: str, population: int, generations: int, size: int, settings: tuple[tuple[str, float], ...]
-) -> _Algorithm:
+def evosax_or_missing() -> tuple[dict[str, Any], dict[str, Any]]:
+    """All of evosax's algorithms by name, and those that keep a population.
+
+    **Raises:** `MissingExtra` without it.
+    """
     try:
         known: dict[str, Any] = importlib.import_module("evosax.algorithms").algorithms
         kept: dict[str, Any] = importlib.import_module(
@@ -164,6 +175,14 @@ def _algorithm(
         raise MissingExtra(
             "the genetic algorithm needs evosax: pip install 'residyn[ga]'"
         ) from None
+    return known, kept
+
+
+@functools.lru_cache(maxsize=64)  # evosax compiles anew for every object
+def _algorithm(
+    name: str, population: int, generations: int, size: int, settings: tuple[tuple[str, float], ...]
+) -> _Algorithm:
+    known, kept = evosax_or_missing()
     if name not in known:
         raise ValueError(f'strategy = "{name}": evosax has {", ".join(sorted(known))}')
     chosen = {**USUAL.get(name, {}), **dict(settings)}

@@ -22,11 +22,13 @@ from .descent import Descent, wild_beside
 from .evolution import evolve
 from .genes import GENES, Genome, box, genome
 from .history import History, relative_error
+from .integration import integration_error
 from .pipeline import DEFAULT_STARTS, finish
-from .problem import Compressed, Problem, compressed
+from .problem import Compressed, Problem, Unknowns, compressed
 from .result import Fit, FitError
 from .setup import Ready, ready
 from .starts import beginning, resolving
+from .watch import watching
 
 _LAST, _FALL = 0.1, 0.01  # settled: the last tenth of the generations gained less than 1 %
 _FAR = 1.0  # standard errors that least squares would still go
@@ -113,6 +115,27 @@ def fit_genetic(
     found = run(look, how, progress)
 
     progress("errors, modes and held-out recordings")
+    settled = _settled(found.history)
+    done = len(found.history.objective)
+    reason = (
+        f"{done} generations of {how.population} individuals ({how.strategy}); "
+        f"objective of Eq. 17: {found.history.objective[-1]:.4g}, "
+        + ("settled" if settled else "still falling")
+    )
+    return concluded(experiment, here, wild, found, done, settled, reason, began)
+
+
+def concluded(
+    experiment: Experiment,
+    here: Ready,
+    wild: list[np.ndarray],
+    found: "Found",
+    steps: int,
+    settled: bool,
+    reason: str,
+    began: float,
+) -> Fit:
+    """The fit of what a search has found, which did not end in a least-squares minimum."""
     model = here.model.with_vector(jnp.asarray(found.numbers))
     # Once more with the step that these numbers ask for.
     problem, _ = here.problem(model, wild)
@@ -121,18 +144,15 @@ def fit_genetic(
     cost = float(np.sum(squeezed.along**2) + np.sum(squeezed.beside**2))
     if not np.isfinite(cost):
         raise FitError("no individual led to finite numbers: is this the arm that was recorded?")
-    settled = _settled(found.history)
-    descent = Descent(
-        problem, wild, at, squeezed, cost, how.generations, settled, starts=1, agreeing=1
-    )
-    fit = finish(experiment, model, found.first, descent, began)
-    reason = (
-        f"{how.generations} generations of {how.population} individuals ({how.strategy}); "
-        f"objective of Eq. 17: {found.history.objective[-1]:.4g}, "
-        + ("settled" if settled else "still falling")
-    )
+    descent = Descent(problem, wild, at, squeezed, cost, steps, settled, starts=1, agreeing=1)
+    error = integration_error(problem, at, squeezed.predicted, here.recordings, wild, _predicted_at)
+    fit = finish(experiment, model, found.first, descent, began, error)
     fit = dataclasses.replace(fit, reason=reason, history=found.history)
     return fit.saying((*fit.warnings, *_far(fit, squeezed, np.asarray(problem.scale.numbers))))
+
+
+def _predicted_at(problem: Problem, y: Unknowns) -> np.ndarray:
+    return np.asarray(compressed(problem, y).predicted)  # compiled already
 
 
 def search_of(here: Ready, wild: Sequence[np.ndarray], how: Genetic) -> Search:
@@ -148,9 +168,15 @@ def search_of(here: Ready, wild: Sequence[np.ndarray], how: Genetic) -> Search:
 def run(look: Search, how: Genetic, progress: Callable[[str], None] = lambda words: None) -> Found:
     """Search."""
 
+    watch, before = watching(), 0
+
     def told(done: int, best: float) -> None:
+        nonlocal before
         words = f"generation {done} of {how.generations}, objective {best:.4g}"
         progress(Part(words, done / how.generations))
+        if watch is not None:
+            watch.add(how.population * (done - before), best)
+        before = done
 
     progress(Part("the first generation", 0.0))
     out = evolve(
@@ -164,12 +190,18 @@ def run(look: Search, how: Genetic, progress: Callable[[str], None] = lambda wor
         seed=how.seed,
         one_by_one=look.problem.model.dry,
         told=told,
+        stop=(lambda: False) if watch is None else watch.over,
+        compiled=None if watch is None else watch.restart,
     )
     y = look.genome.unknowns(jnp.asarray(out.genes), look.problem)
     numbers, states = look.problem.numbers(y), look.problem.states(y)
     first = look.genome.box.at(jnp.asarray(out.first)[: len(look.genome.box.low)])
-    simulations = how.population * np.arange(1, how.generations + 1)
-    history = History(simulations, out.objective)
+    simulations = how.population * np.arange(1, len(out.objective) + 1)
+    seconds = None
+    if watch is not None:  # kept every few generations, and even in between
+        at, clock, _ = np.asarray(watch.rows).T
+        seconds = np.interp(simulations, at, clock)
+    history = History(simulations, out.objective, seconds)
     return Found(np.asarray(numbers), np.asarray(states), np.asarray(first), history)
 
 
@@ -198,7 +230,7 @@ def _far(fit: Fit, squeezed: Compressed, sizes: np.ndarray) -> list[str]:
         return []
     worst = int(np.argmax(far))
     return [
-        f"the genetic algorithm ended short of the least-squares minimum: from here it is about "
+        f"the search ended short of the least-squares minimum: from here it is about "
         f"{far[worst]:.2g} standard errors away in {fit.numbers[worst].name}, which the errors "
         "above do not hold; --method levenberg goes there"
     ]

@@ -14,11 +14,19 @@ class History(NamedTuple):
 
     simulations: np.ndarray  # (K,), growing
     objective: np.ndarray  # (K,), never growing
+    seconds: np.ndarray | None = None  # (K,), growing, if they were kept
 
     def until(self, objective: float) -> float:
         """Simulations spent until this objective was reached; inf if it was not."""
         reached = np.flatnonzero(self.objective <= objective)
         return float(self.simulations[reached[0]]) if len(reached) else float("inf")
+
+    def seconds_until(self, objective: float) -> float:
+        """The same in seconds; inf, too, if they were not kept."""
+        reached = np.flatnonzero(self.objective <= objective)
+        if self.seconds is None or not len(reached):
+            return float("inf")
+        return float(self.seconds[reached[0]])
 
 
 def relative_error(problem: Problem, y: Unknowns) -> Float[Array, ""]:

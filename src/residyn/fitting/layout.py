@@ -81,11 +81,11 @@ def lay_out(
         weights=weights,
         count=np.array([len(r.time) for r in recordings]),
         mechanism=stacked(mechanisms),
-        drive=_drives(recordings, steps, room),
+        drive=drives(recordings, steps, room),
     )
 
 
-def _drives(recordings: Sequence[Recording], steps: int, room: int) -> Piecewise | None:
+def drives(recordings: Sequence[Recording], steps: int, room: int) -> Piecewise | None:
     """Drive torques as one straight line a step, with the readings' own impulse and moment.
 
     The integrator follows a straight line exactly, but a kink inside a step would cost it its

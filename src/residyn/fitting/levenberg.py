@@ -29,6 +29,7 @@ from .abreast import asked, gathered
 from .arrowhead import Arrowhead
 from .layout import read_of
 from .problem import Compressed, Problem, Unknowns, compressed
+from .watch import watching
 
 STEPS = 20  # of one call: between calls, the hopeless can be left
 _CALLS = 4
@@ -171,12 +172,27 @@ def _alone(
     for _ in range(calls):
         here = problem, end.unknowns, np.asarray(float(share)), np.asarray(unit)
         out = asked(_one_stretch, _stretch, *here)
+        before, watch = end.steps, watching()
         end = _polished(jax.device_get(out), end)
+        if watch is not None:
+            watch.descended(problem, end.unknowns, end.steps - before)
         if np.isfinite(end.cost):
             unit = max(unit, math.sqrt(end.cost / readings))
         if end.converged or (share == 1.0 and hopeless(end.cost)):
             break
+        if watch is not None and watch.over():
+            break
     return end
+
+
+def predicted_at(problem: Problem, y: Unknowns) -> Float[Array | np.ndarray, "R N n"]:
+    """Readings predicted at these unknowns, by the program of the descents: nothing else need be
+    compiled. Without weights there is nowhere to descend to, so it evaluates them once."""
+    recorded = problem.recorded
+    nothing = dataclasses.replace(recorded, weights=np.zeros(np.shape(recorded.weights)))
+    blind = dataclasses.replace(problem, recorded=nothing)
+    out = asked(_one_stretch, _stretch, blind, y, np.asarray(1.0), np.asarray(1.0))
+    return out[1].predicted
 
 
 def _polished(out, start: Polished) -> Polished:
@@ -194,6 +210,9 @@ def _abreast(problem: Problem, starts: Unknowns, share: float, size: float) -> l
         y = jax.tree.map(lambda *x: np.stack(x), *(each.unknowns for each in filled))
         out = _stretches(head, y, np.asarray(float(share)), np.asarray(size))
         out = jax.device_get(out)
+        if (watch := watching()) is not None:
+            steps, best = int(np.sum(out[3][: len(some)])), int(np.argmin(out[2]))
+            watch.descended(problem, _row(out[0], best), steps)
         found += [_polished(_row(out, i), start) for i, start in enumerate(some)]
     return found
 

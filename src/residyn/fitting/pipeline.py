@@ -4,6 +4,7 @@ Everything numerical lives in the neighbours of this file; here is their order.
 """
 
 import contextlib
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -15,13 +16,14 @@ import numpy as np
 from ..effects import AbstractEffect
 from ..modal import modes_of, state_matrices
 from ..model import Model
-from ..recording import Experiment
+from ..recording import Experiment, Recording
 from .base_first import from_the_base, led_astray, lonely
 from .descent import Descent, descend, wild_beside
 from .drifting import without_drift
 from .identify import Spread, spread_of
+from .integration import TENTH, checked, integration_error, refined, stable
 from .result import Fit, FitError, Mode, Number, RecordingFit
-from .setup import ready
+from .setup import Ready, ready
 from .starts import beginning, resolving
 from .words import warnings_for
 
@@ -36,7 +38,9 @@ def fit(
     effects: Sequence[str | AbstractEffect] = (),
     starts: int = DEFAULT_STARTS,
     progress: Callable[[str], None] | None = None,
-    method: str = "levenberg",
+    method: Any = "levenberg",
+    integrator: Any = None,
+    check_integration: bool = False,
     **search: Any,
 ) -> Fit:
     """Fit springs, dampers and any `effects` to the recordings of an experiment.
@@ -53,31 +57,59 @@ def fit(
       other one ends where the best does, above the noise, four times as many.
     - `progress`: called with a few words as each phase begins.
     - `method`: "levenberg", or "genetic" for the paper's genetic algorithm on Eq. 17, which knows
-      no `starts` and takes further arguments: those of `residyn.fitting.Genetic`.
+      no `starts` and takes further arguments: those of `residyn.fitting.Genetic`. Others are
+      "cma_es", "differential_evolution" and "particle_swarm", which take the same ones, "random"
+      (Levenberg-Marquardt from random starts, with a `seed`), and any minimiser of optax or
+      optimistix, by name ("optimistix.BFGS") or itself.
+    - `integrator`: "fixed" steps, or a solver of diffrax: a name such as "Tsit5", an instance, or
+      a `residyn.Integrator`; every simulation of the fit and every Jacobian is then a
+      `diffrax.diffeqsolve`. None is the experiment's own, fixed steps unless it names one.
+    - `check_integration`: integrate once more, with Dopri8 at rtol = 1e-10, and state that error.
 
     **Returns:** a `Fit`.
 
     **Raises:** `FitError` if no start led to finite numbers; `ValueError` for an effect that does
-    not exist or does not go with this experiment; with "genetic", `MissingExtra` without evosax.
+    not exist or does not go with this experiment or this integrator; with "genetic",
+    `MissingExtra` without evosax.
     """
     say = progress or (lambda words: None)
+    if integrator is not None:
+        experiment = dataclasses.replace(experiment, integrator=integrator)
     with jax.enable_x64(True):
-        if method == "genetic":
-            from .genetic import Genetic, fit_genetic
+        found = _by(method, experiment, effects, starts, say, search)
+        if check_integration:
+            say("checking the integration")
+            found = dataclasses.replace(found, integration_checked=checked(found))
+        return found
 
-            return fit_genetic(experiment, effects, Genetic(**search), say)
-        if method != "levenberg":
-            raise ValueError(f'method = "{method}": must be "levenberg" or "genetic"')
-        if search:
-            raise TypeError(f'{next(iter(search))} is an argument of method="genetic" only')
-        try:
-            return _fit(experiment, effects, starts, say)
-        except FitError:
-            if starts >= DEFAULT_STARTS:
-                raise
-            # The first start in closed form may be a bad one: others from it seldom are, too.
-            say(f"no start led anywhere: fitting from {DEFAULT_STARTS}")
-            return _fit(experiment, effects, DEFAULT_STARTS, say)
+
+def _by(method: Any, experiment, effects, starts: int, say, search: dict[str, Any]) -> Fit:
+    from .methods import GENETIC, RANDOM, check_method
+
+    check_method(method)
+    if method == RANDOM:
+        from .random_starts import fit_random
+
+        return fit_random(experiment, effects, starts, progress=say, **search)
+    if isinstance(method, str) and method in GENETIC:
+        from .genetic import fit_genetic
+
+        how = dataclasses.replace(GENETIC[method], **search)
+        return fit_genetic(experiment, effects, how, say)
+    if method != "levenberg":
+        from .minimise import fit_minimised
+
+        return fit_minimised(experiment, effects, method, say, **search)
+    if search:
+        raise TypeError(f'{next(iter(search))} is no argument of method="levenberg"')
+    try:
+        return _fit(experiment, effects, starts, say)
+    except FitError:
+        if starts >= DEFAULT_STARTS:
+            raise
+        # The first start in closed form may be a bad one: others from it seldom are, too.
+        say(f"no start led anywhere: fitting from {DEFAULT_STARTS}")
+        return _fit(experiment, effects, DEFAULT_STARTS, say)
 
 
 def _fit(experiment, effects, starts, progress) -> Fit:
@@ -122,11 +154,60 @@ def _fit(experiment, effects, starts, progress) -> Fit:
                 begin, descent = afresh, again
     if descent is None:
         assert failed is not None
-        raise failed
-
+        again = stable(here, begin)
+        if again is None:
+            raise failed
+        progress("fitting with steps that are short enough")
+        here = again
+        descent = descend(here, begin, numbers, wild, progress, memory)
     progress("errors, modes and held-out recordings")
+    start = np.asarray(begin.vector())
+    found = _finished(experiment, here, start, descent, began)
+    adapts = here.integrator is not None and here.integrator.adapts
+    if found.integration_error > TENTH and not adapts:
+        progress("fitting again with shorter integration steps")
+        again = _refined(here, descent, found.integration_error)
+        if again is not None:
+            words = (
+                f"the usual {found.integration_steps} integration steps left an error of "
+                f"{found.integration_error:.2g} times the noise: the fit went on with "
+                f"{int(again.problem.steps)}"
+            )
+            found = _finished(experiment, here, start, again, began)
+            found = found.saying((*found.warnings, words))
+    return found
+
+
+def _finished(experiment, here: Ready, start: np.ndarray, descent: Descent, began: float) -> Fit:
     model = here.model.with_vector(jnp.asarray(descent.problem.numbers(descent.unknowns)))
-    return finish(experiment, model, np.asarray(begin.vector()), descent, began)
+    return finish(experiment, model, start, descent, began)
+
+
+def _integration_error(recordings: Sequence[Recording], descent: Descent) -> Callable[[], float]:
+    return integration_error(
+        descent.problem,
+        descent.unknowns,
+        np.asarray(descent.compressed.predicted),
+        recordings,
+        descent.wild,
+    )
+
+
+def _refined(here: Ready, descent: Descent, error: float) -> Descent | None:
+    """The descent from where it ended, with shorter steps; None if that leads nowhere."""
+    numbers = np.asarray(descent.problem.numbers(descent.unknowns))
+    states = np.asarray(descent.problem.states(descent.unknowns))
+    begin = here.model.with_vector(jnp.asarray(numbers))
+    quiet = lambda words: None  # noqa: E731
+    try:
+        again = descend(
+            refined(here, error), begin, numbers[None], descent.wild, quiet, near=states[None]
+        )
+    except FitError:
+        return None
+    return again._replace(
+        steps=descent.steps + again.steps, starts=descent.starts, agreeing=descent.agreeing
+    )
 
 
 def refit(
@@ -177,8 +258,11 @@ def finish(
     start: np.ndarray,
     descent: Descent,
     began: float,
+    error: Callable[[], float] | None = None,
 ) -> Fit:
-    """What a fit returns, from where a descent ended; `start` (P,) is where it began."""
+    """What a fit returns, from where a descent ended; `start` (P,) is where it began, and `error`
+    awaits its integration error, if that has begun."""
+    error = error or _integration_error(experiment.fit_recordings, descent)
     fitted = descent.beside(experiment.fit_recordings)
     unknown = len(start) + sum(f.state.size for f in fitted)
     readings = sum(int(f.used.sum()) for f in fitted)
@@ -200,8 +284,10 @@ def finish(
         converged=descent.converged,
         reason=_reason(descent.converged),
         steps=descent.steps,
+        integration_error=error(),
         seconds=time.perf_counter() - began,
         warnings=(),
+        integration_steps=int(descent.problem.steps),
     )
     return result.saying(warnings_for(result, spread.open_groups))
 
@@ -216,7 +302,7 @@ def _held_out(experiment: Experiment, model: Model, descent: Descent) -> list[Re
         # As many at a time as were fitted, so that no other program need be compiled.
         some = experiment.check_recordings[first : first + group]
         filled = [*some, *[some[-1]] * (group - len(some))]
-        here = ready(experiment, filled, effects)
+        here = ready(experiment, filled, effects)._replace(finer=descent.finer)
         begin = here.model.with_vector(model.vector())
         wild = wild_beside(here, [r.angle for r in here.recordings])
         end = descend(here, begin, numbers, wild, lambda words: None, like=descent.problem)

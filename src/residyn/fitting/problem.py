@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..integrators import Integrator
 from ..mechanism import AbstractMechanism
 from ..model import Model
 from ..motion import Scalar
@@ -56,6 +57,10 @@ class Problem(eqx.Module):
     room: int = eqx.field(static=True)  # at least M
     fixed: bool = eqx.field(static=True, default=False)
     """Whether M is `room`, compiled in: what reverse mode asks for."""
+    integrator: Integrator | None = eqx.field(static=True, default=None)
+    """What integrates instead of fixed steps; M are then the nodes that it leaves behind."""
+    tighter: Float[AnyArray, ""] | None = None
+    """What its tolerances are divided by."""
 
     def numbers(self, y: Unknowns) -> Float[AnyArray, " P"]:
         """The model's numbers, in their own units, at scaled unknowns."""
@@ -102,6 +107,8 @@ def _simulated(problem: Problem, one: Recorded, numbers, state, only=None) -> tu
     first so many steps are taken, if that is given."""
     n = one.angles.shape[-1]
     model = posed(problem.model.with_vector(numbers), one.mechanism)
+    integrator = problem.integrator
+    adjoint = integrator and integrator.adjoint
     return model, march(
         model,
         0.0,
@@ -113,6 +120,9 @@ def _simulated(problem: Problem, one: Recorded, numbers, state, only=None) -> tu
         drive=one.drive,
         room=None if problem.fixed else problem.room,
         only=only,
+        adjoint=adjoint,
+        integrator=integrator,
+        tighter=1.0 if problem.tighter is None else jnp.asarray(problem.tighter),
     )
 
 

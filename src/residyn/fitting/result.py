@@ -96,6 +96,11 @@ class Fit:
     steps: int
     seconds: float
     warnings: tuple[str, ...]
+    integration_error: float = float("nan")
+    """Of the predicted readings, in times the noise: see `fitting.integration`."""
+    integration_steps: int = 0
+    integration_checked: tuple[float, str] | None = None
+    """The same against a reference, and its name, if that was asked for."""
     history: History | None = None  # of a genetic algorithm: how Eq. 17 fell
 
     @property
@@ -152,10 +157,26 @@ class Fit:
         return _rms(held_out) if held_out else None
 
     @property
+    def objective(self) -> float:
+        """Eq. 17 over the fitted recordings: |predicted - measured| / |measured| of every joint's
+        series of readings, one recording after the other, summed over the joints."""
+        fitted = [r for r in self.recordings if r.recording.role != "check"]
+        angles = [np.where(r.used, r.recording.angle, 0.0) for r in fitted]
+        size = sum((x**2).sum(axis=0) for x in angles)
+        off = sum((np.where(r.used, r.residual, 0.0) ** 2).sum(axis=0) for r in fitted)
+        return float(np.sum(np.sqrt(off / np.where(size > 0, size, 1.0))))
+
+    @property
     def noise(self) -> np.ndarray:
         """(n,) standard deviation of one reading, rms over the fitted recordings."""
         fitted = [r for r in self.recordings if r.recording.role != "check"]
         return np.sqrt(np.mean([r.recording.noise**2 for r in fitted], axis=0))
+
+    @property
+    def integrator(self) -> str:
+        """The name of what integrated."""
+        chosen = self.experiment.integrator
+        return "fixed" if chosen is None else chosen.name
 
     def saying(self, warnings: tuple[str, ...]) -> "Fit":
         """The same fit with other warnings."""
@@ -192,6 +213,12 @@ class Fit:
                 }
                 for m in self.modes
             ],
+            "objective": _number(self.objective),
+            "integrator": self.integrator,
+            "integration_error": _number(self.integration_error),
+            "integration_error_checked": (
+                None if self.integration_checked is None else _number(self.integration_checked[0])
+            ),
             "starts": self.starts,
             "agreeing_starts": self.agreeing_starts,
             "converged": self.converged,
@@ -254,6 +281,7 @@ def _lines(fit: Fit) -> list[str]:
         if check is not None:
             line += f"; held out: {check[i]:.4g} {units[i]}"
         lines += _wrapped("    rms         ", line)
+    lines += _wrapped("    integrated  ", _integrated(fit))
     lines.append("[[Parameters]]  value +/- standard error (error in %)")
     starts: list[str] = []
     for n in fit.numbers:
@@ -278,6 +306,18 @@ def _lines(fit: Fit) -> list[str]:
         for warning in fit.warnings:
             lines += _wrapped("    - ", warning)
     return lines
+
+
+def _integrated(fit: Fit) -> str:
+    chosen = fit.experiment.integrator
+    if chosen is None or not chosen.adapts:
+        how = f"{fit.integration_steps} steps" + ("" if chosen is None else f" of {chosen.name}")
+    else:
+        how = f"by {chosen.name}"
+    words = f"{how}; error {fit.integration_error:.2g} of the noise"
+    if fit.integration_checked is not None:
+        words += " ({:.2g} against {})".format(*fit.integration_checked)
+    return words
 
 
 def _with_error(x: float, std: float, digits: int) -> str:

@@ -10,9 +10,10 @@ import numpy as np
 
 from ..bearings import AirBearing, without_bearings
 from ..effects import AbstractEffect, effects_named
+from ..integrators import Integrator, integrator_of
 from ..kept import kept
 from ..mechanism import AbstractMechanism, ConstantInertia, PlanarArm
-from ..modal import fastest
+from ..modal import fastest, ringing
 from ..model import Model
 from ..motion import split
 from ..parameter import Scales, all_floating
@@ -27,7 +28,7 @@ _ROUGH_STEP = 0.2
 _SAMPLES_DRIVEN = 5
 # Room for steps comes in powers of this, from this up, and room for readings: few compilations;
 # what is not used costs little.
-_ROOMS = 4, 1024
+_ROOMS = 4, 2048
 _INSTANTS = 8, 4096
 _MANY = 32
 
@@ -81,6 +82,10 @@ class Ready(NamedTuple):
     model: Model
     recordings: tuple[Recording, ...]
     mechanisms: tuple[AbstractMechanism, ...]
+    integrator: Integrator | None = None
+    """What integrates instead of fixed steps."""
+    finer: int = 1
+    """How many times as many steps are taken as usual."""
 
     def posed(self, model: Model | None = None) -> list[Model]:
         """The model as each recording saw it."""
@@ -100,11 +105,11 @@ class Ready(NamedTuple):
         `fixed` compiles the number of steps in; `frequency` is `begin`'s, if that is known.
         """
         frequency = self.frequency(begin) if frequency is None else frequency
-        steps = self._steps(begin, frequency)
+        steps = self.steps(begin, frequency)
         readings = max(len(r.time) for r in self.recordings)
         room, instants = steps, readings
         if not fixed:
-            room = bucket(steps, *_ROOMS)
+            room = bucket(2 * steps, *_ROOMS)  # twice the steps tell how exact they are
             # What is not there costs little but the room for it, which many recordings lack.
             many = len(self.recordings) > _MANY
             instants = bucket(readings) if many else bucket(readings, *_INSTANTS)
@@ -126,7 +131,18 @@ class Ready(NamedTuple):
             np.tile(np.concatenate([size, size * frequency, memory]), (len(states), 1)),
         )
         active = np.ones(len(begin.fitted))
-        problem = Problem(begin, recorded, scale, active, np.asarray(steps), room, fixed)
+        tighter = None if self.integrator is None else np.asarray(1.0)
+        problem = Problem(
+            begin,
+            recorded,
+            scale,
+            active,
+            np.asarray(steps),
+            room,
+            fixed,
+            self.integrator,
+            tighter,
+        )
         return problem, states
 
     @property
@@ -136,7 +152,8 @@ class Ready(NamedTuple):
 
     def frequency(self, begin: Model) -> float:
         """Fastest angular frequency that the integration must follow, rad/s."""
-        fast = max(fastest(m) for m in self.posed(begin))
+        adapts = self.integrator is not None and self.integrator.adapts
+        fast = max((ringing if adapts else fastest)(m) for m in self.posed(begin))
         # No mode above the sampling's own limit can have been seen, none below one cycle matters.
         least = max(2 * math.pi / r.duration for r in self.recordings)
         most = max(math.pi / float(np.median(np.diff(r.time))) for r in self.recordings)
@@ -147,14 +164,15 @@ class Ready(NamedTuple):
         fast = math.hypot(fast, turning) if math.isfinite(fast) else most
         return min(max(fast, least), most)
 
-    def _steps(self, begin: Model, frequency: float) -> int:
-        """How many integration steps the longest recording needs."""
+    def steps(self, begin: Model, frequency: float | None = None) -> int:
+        """How many integration steps the longest recording needs; `frequency` is `begin`'s."""
+        frequency = self.frequency(begin) if frequency is None else frequency
         longest = max(r.duration for r in self.recordings)
         steps = longest * frequency / (_ROUGH_STEP if begin.rough else _STEP)
         for r in self.recordings:
             if r.drive is not None:
                 steps = max(steps, len(r.time) * longest / r.duration / _SAMPLES_DRIVEN)
-        return max(16, math.ceil(steps))
+        return self.finer * max(16, math.ceil(steps))
 
     def typical(self) -> np.ndarray:
         """(P,) numbers of typical size, from the amplitudes and rates of the readings alone."""
@@ -182,7 +200,11 @@ def ready(
         mechanisms, key=lambda m: float(m.bearings.sum()) if isinstance(m, PlanarArm) else 0.0
     )
     model = posed(model_for(richest, effects), mechanisms[0])
-    return Ready(model, tuple(recordings), mechanisms)
+    integrator = integrator_of(experiment.integrator)
+    if integrator is not None:
+        integrator.check(model)
+        integrator.check_forward()
+    return Ready(model, tuple(recordings), mechanisms, integrator)
 
 
 def reweighted(problem: Problem, wild: Sequence[np.ndarray]) -> Problem:

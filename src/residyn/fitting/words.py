@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .identify import in_words
+from .integration import TENTH
 from .result import NEGATIVE, Fit, RecordingFit
 
 _SMALL = 0.85  # and below which the noise must have been overstated
@@ -22,6 +23,7 @@ def warnings_for(fit: Fit, open_groups: Sequence[tuple[int, ...]]) -> tuple[str,
         *_wild(fit.recordings),
         *_signs(fit),
         *_misfit(fit),
+        *_integration(fit),
         *_search(fit),
     )
 
@@ -96,6 +98,25 @@ def _misfit(fit: Fit) -> list[str]:
             "the noise is overstated, and the errors above are too large"
         ]
     return []
+
+
+def _integration(fit: Fit) -> list[str]:
+    if not fit.integration_error > TENTH:
+        return []
+    chosen = fit.experiment.integrator
+    if chosen is not None and chosen.adapts:
+        what = "give it smaller tolerances (rtol, atol), or Kvaerno5 where an effect is stiff"
+    elif fit.model.dry or fit.model.follows:
+        what = "a recording that is cut shorter (stop) lets less of it add up"
+    else:
+        what = (
+            "--integrator Tsit5 chooses its steps itself, and Kvaerno5 those of an effect that is "
+            "much faster than the arm"
+        )
+    return [
+        f"the integration is not exact enough: its error is {fit.integration_error:.2g} of the "
+        f"noise, where a tenth is hardly seen in the numbers; {what}"
+    ]
 
 
 def _search(fit: Fit) -> list[str]:

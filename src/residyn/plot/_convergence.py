@@ -22,9 +22,11 @@ def convergence(
     *,
     floor: float | None = None,
     label: str = "objective of Eq. 17 (relative error, 1)",
+    against: str = "simulations",
     narrow: bool = False,
 ) -> Figure:
-    """The best objective against the simulations spent, both on logarithmic scales.
+    """The best objective `against` the "simulations" or the "seconds" spent, both on logarithmic
+    scales.
 
     A genetic algorithm's history is that of its fit (`Fit.history`), Levenberg-Marquardt's comes
     from `residyn.fitting.levenberg_history`. `floor` is an objective to draw a line at, such as
@@ -37,12 +39,17 @@ def convergence(
     values = []
     for i, (history, name) in enumerate(zip(histories, names, strict=True)):
         style = {"color": _COLOURS[i % len(_COLOURS)], "ls": _DASHES[i % len(_DASHES)]}
-        x, y = np.asarray(history.simulations, float), np.asarray(history.objective, float)
-        use = np.isfinite(y) & (y > 0)
+        spent = history.simulations if against == "simulations" else history.seconds
+        y = np.asarray(history.objective, float)
+        x = np.full(y.shape, np.nan) if spent is None else np.asarray(spent, float)
+        use = np.isfinite(y) & (y > 0) & (x > 0)
         values += [y[use].min(), y[use].max()] if use.any() else []
-        ax.step(x[use], y[use], where="post", lw=1.8, label=name, **style)
+        # Named in the SVG, so that a page can hide it.
+        mark = f"{against}-curve-{i}"
+        ax.step(x[use], y[use], where="post", lw=1.8, label=name, gid=mark, **style)
         if use.any():
-            ax.plot(x[use][-1], y[use][-1], "o", ms=5, color=style["color"], clip_on=False)
+            end = {"color": style["color"], "clip_on": False, "gid": f"{against}-end-curve-{i}"}
+            ax.plot(x[use][-1], y[use][-1], "o", ms=5, **end)
     ax.set_xscale("log")
     ax.set_yscale("log")
     if floor is not None:
@@ -64,8 +71,12 @@ def convergence(
         ax.yaxis.set_major_locator(LogLocator(subs=(1.0,) if few else (1.0, 2.0, 5.0)))
     ax.yaxis.set_major_formatter(lambda y, _: plain(y, 1))
     ax.yaxis.set_minor_formatter(NullFormatter())
-    ax.xaxis.set_major_formatter(lambda x, _: f"{x:,.0f}".replace(",", "\u202f"))
-    ax.set_xlabel("simulations of the recordings")
+    if against == "simulations":
+        ax.xaxis.set_major_formatter(lambda x, _: f"{x:,.0f}".replace(",", "\u202f"))
+        ax.set_xlabel("simulations of the recordings")
+    else:
+        ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
+        ax.set_xlabel("seconds")
     ax.set_ylabel(label)
     figure.legend(loc="outside upper left", ncols=1 if narrow else 2)
     return figure

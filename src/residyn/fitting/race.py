@@ -1,0 +1,309 @@
+"""Gradients against evolutionary search on one's own recordings.
+
+Every method gets the same model, the same readings, the same compiled simulation and the same
+objective, the relative error of Eq. 17. What is its own is how it searches, and what it is given
+beforehand; `GIVEN` says that of each. A method in a race is the same as `residyn.fit(...,
+method=NAME)` with the same seed.
+
+*Simulations* are those of all fitted recordings; a step of a descent counts as one and one more for
+each direction of its Jacobian. *Seconds* are those of the search, its programs compiled beforehand;
+of a descent, those of the whole fit: start, errors of the numbers and modes are among them.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from ..effects import AbstractEffect
+from ..recording import Experiment
+from .evolution import evosax_or_missing
+from .history import History
+from .methods import DEFAULT_METHODS, GENETIC, GIVEN, LEVENBERG, RANDOM, title_of
+from .pipeline import fit
+from .result import Fit, FitError
+from .watch import Watch, watched
+
+TEN, ONE = 1.1, 1.01
+"""Times the best objective: within 10 % and within 1 %."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Run:
+    """One method with one seed. `fit` is None where it failed, and `error` says why."""
+
+    name: str
+    seed: int
+    fit: Fit | None
+    history: History
+    seconds: float
+    error: str = ""
+
+    @property
+    def objective(self) -> float:
+        """Eq. 17 in the end; inf where it failed."""
+        return math.inf if self.fit is None else self.fit.objective
+
+    @property
+    def simulations(self) -> float:
+        """Simulations run."""
+        return float(self.history.simulations[-1]) if len(self.history.simulations) else 0.0
+
+
+class Spent(NamedTuple):
+    """What a method spent until its objective was small enough: medians over its repeats, inf where
+    most of them did not get there."""
+
+    simulations: float
+    seconds: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Raced:
+    """A method: its runs, one for each seed."""
+
+    name: str
+    title: str
+    given: str
+    runs: tuple[Run, ...]
+
+    @property
+    def median(self) -> Run:
+        """The run with the median objective (of two in the middle, the worse)."""
+        return sorted(self.runs, key=lambda run: run.objective)[len(self.runs) // 2]
+
+    @property
+    def worst(self) -> Run:
+        """The run with the largest objective."""
+        return max(self.runs, key=lambda run: run.objective)
+
+    def within(self, objective: float) -> Spent:
+        """What was spent until this objective."""
+        simulations = [run.history.until(objective) for run in self.runs]
+        seconds = [run.history.seconds_until(objective) for run in self.runs]
+        return Spent(_median(simulations), _median(seconds))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Race:
+    """A race. Print it; `to_dict()` is the JSON, `to_latex()` and `to_csv()` are tables."""
+
+    experiment: Experiment
+    model: tuple[str, ...]
+    methods: tuple[Raced, ...]
+    repeats: int
+    budget: str
+    interrupted: str = ""
+    """The method that was running when the race was ended; empty if it came to its end."""
+
+    @property
+    def best(self) -> Run | None:
+        """The run with the least objective."""
+        runs = [run for each in self.methods for run in each.runs if run.fit is not None]
+        return min(runs, key=lambda run: run.objective, default=None)
+
+    @property
+    def least(self) -> float:
+        """The least objective; inf if nothing was found."""
+        return math.inf if self.best is None else self.best.objective
+
+    def off(self, run: Run) -> np.ndarray:
+        """(P,) how far a run's numbers are from the best run's, in its standard errors."""
+        best = self.best and self.best.fit
+        if run.fit is None or best is None:
+            return np.zeros(0)
+        return np.array(
+            [
+                abs(a.value - b.value) / b.std
+                for a, b in zip(run.fit.numbers, best.numbers, strict=True)
+            ]
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON of `residyn race`."""
+        return {
+            "model": list(self.model),
+            "budget": self.budget,
+            "repeats": self.repeats,
+            "interrupted": self.interrupted or None,
+            "best": None if self.best is None else self.best.name,
+            "methods": [self._told(each) for each in self.methods],
+        }
+
+    def _told(self, each: Raced) -> dict[str, Any]:
+        run = each.median
+        found: dict[str, Any] = {
+            "name": each.name,
+            "title": each.title,
+            "given": each.given,
+            "objective": _number(run.objective),
+            "objective_worst": _number(each.worst.objective),
+            "simulations": run.simulations,
+            "seconds": run.seconds,
+            "parameters": None,
+            "standard_errors_off": None,
+            "within_10_percent": _spent(each.within(TEN * self.least)),
+            "within_1_percent": _spent(each.within(ONE * self.least)),
+            "seeds": [
+                {
+                    "seed": r.seed,
+                    "objective": _number(r.objective),
+                    "simulations": r.simulations,
+                    "seconds": r.seconds,
+                }
+                for r in each.runs
+            ],
+            "error": run.error or None,
+        }
+        if run.fit is not None:
+            numbers = run.fit.numbers
+            found["parameters"] = {
+                n.name: {"value": _number(n.value), "std": _number(n.std), "unit": n.unit}
+                for n in numbers
+            }
+            off = {n.name: _number(x) for n, x in zip(numbers, self.off(run), strict=True)}
+            found["standard_errors_off"] = off
+        return found
+
+    def to_latex(self) -> str:
+        """A table for a paper (package booktabs)."""
+        from .race_tables import latex
+
+        return latex(self)
+
+    def to_csv(self) -> str:
+        """A line for each method."""
+        from .race_tables import comma_separated
+
+        return comma_separated(self)
+
+    def __str__(self) -> str:
+        from .race_tables import text
+
+        return text(self)
+
+
+def race(
+    experiment: Experiment,
+    *,
+    effects: Sequence[str | AbstractEffect] = (),
+    methods: Sequence[Any] | None = None,
+    repeats: int = 1,
+    seconds: float | None = None,
+    simulations: int | None = None,
+    integrator: Any = None,
+    progress: Callable[[str], None] | None = None,
+    news: Callable[[str, int, Watch], None] | None = None,
+) -> Race:
+    """Let methods race to the least objective (Eq. 17) on the recordings of an experiment.
+
+    **Arguments:**
+
+    - `effects`, `integrator`: as of `residyn.fit`.
+    - `methods`: names out of `residyn.fitting.methods.METHODS`; `"optax.adam"`, `"optimistix.BFGS"`
+      or any other minimiser of theirs; or such a minimiser itself. None are all of `METHODS`.
+    - `repeats`: how often each method runs, with the seeds 0, 1, ...
+    - `seconds`, `simulations`: the most that one run of one method may spend; it is asked between
+      generations and between descents. Neither: the paper's 500 generations.
+    - `progress`: called with a few words as each run begins.
+    - `news`: called with method, seed and watch whenever a run has news of its objective.
+
+    Ctrl-C ends the race with the runs that were done.
+
+    **Returns:** a `Race`.
+
+    **Raises:** `ValueError` for a method, a number of repeats or a budget that cannot be;
+    `MissingExtra` without evosax where a method needs it. A method that finds nothing says so in
+    its run.
+    """
+    if repeats < 1:
+        raise ValueError(f"repeats = {repeats}: at least one is needed")
+    for key, value in (("seconds", seconds), ("simulations", simulations)):
+        if value is not None and not (value > 0 and math.isfinite(value)):
+            raise ValueError(f"{key} = {value}: must be a number above 0")
+    named = [title_of(each) for each in (DEFAULT_METHODS if methods is None else methods)]
+    if not named:
+        raise ValueError("no method is named: nothing can race")
+    names = [name for name, _, _ in named]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"method {name} is there twice")
+    if any(name in GENETIC for name in names):
+        evosax_or_missing()
+    if integrator is not None:
+        experiment = dataclasses.replace(experiment, integrator=integrator)
+    most = (
+        math.inf if simulations is None else simulations,
+        math.inf if seconds is None else seconds,
+    )
+    say, hear = progress or (lambda words: None), news or (lambda name, seed, watch: None)
+    done: dict[str, list[Run]] = {name: [] for name in names}
+    interrupted, known = "", ()
+    for name, title, method in named:
+        try:
+            for seed in range(repeats):
+                again = f", seed {seed}" if repeats > 1 else ""
+                say(f"{title}{again}")
+                run = _run(experiment, effects, name, method, seed, most, hear)
+                done[name].append(run)
+                if run.fit is not None:
+                    known = run.fit.model.labels
+        except KeyboardInterrupt:
+            interrupted = name
+            break
+    raced = tuple(
+        Raced(name, title, GIVEN.get(name, GIVEN["optimistix"]), tuple(done[name]))
+        for name, title, _ in named
+        if done[name]
+    )
+    limits = [f"{simulations} simulations"] if simulations is not None else []
+    limits += [f"{seconds:g} s"] if seconds is not None else []
+    budget = " and ".join(limits) or "each method's own: 500 generations, or until it has settled"
+    return Race(experiment, known, raced, repeats, budget, interrupted)
+
+
+def _run(experiment, effects, name: str, method, seed: int, most, hear) -> Run:
+    # What draws nothing has no seed.
+    seeded = {"seed": seed} if name in GENETIC or name == RANDOM else {}
+    if name in GENETIC and math.isfinite(most[0]):
+        # A search that narrows its steps narrows them over the generations that it has.
+        own = GENETIC[name]
+        least = max(1, min(own.generations, int(most[0]) // own.population))
+        seeded["generations"] = least
+    how = {"effects": effects, "method": method, **seeded}
+    try:
+        if name in (LEVENBERG, RANDOM):
+            fit(experiment, **how)  # compiles
+        with jax.enable_x64(True), watched(Watch(lambda w: hear(name, seed, w), *most)) as watch:
+            found = fit(experiment, **how)
+    except FitError as error:
+        empty = History(np.zeros(0), np.zeros(0), np.zeros(0))
+        return Run(name, seed, None, empty, 0.0, str(error))
+    history, seconds = watch.history, watch.rows[-1][1]
+    if name in (LEVENBERG, RANDOM):
+        seconds = found.seconds - watch.paused_for
+        history = history._replace(
+            seconds=np.append(np.asarray(history.seconds)[:-1], seconds),
+            objective=np.append(
+                history.objective[:-1], min(found.objective, history.objective[-1])
+            ),
+        )
+    return Run(name, seed, found, history, seconds)
+
+
+def _median(values: list[float]) -> float:
+    """The middle one; of two, the worse."""
+    return sorted(values)[len(values) // 2] if values else math.inf
+
+
+def _spent(spent: Spent) -> dict[str, float] | None:
+    if not math.isfinite(spent.simulations):
+        return None
+    return {"simulations": spent.simulations, "seconds": spent.seconds}
+
+
+def _number(x: float) -> float | None:
+    return float(x) if math.isfinite(x) else None

@@ -1,0 +1,67 @@
+"""A race as one page: the table, and curves that can be switched on and off.
+
+The pictures are part of the page and not images in it, so that a style sheet can hide a curve:
+unchecking a method hides whatever carries its mark. The page has no scripts.
+"""
+
+import os
+from datetime import date
+from pathlib import Path
+
+import jinja2
+
+from .. import __version__, plot
+from .._input import InputError
+from ..fitting.race import Race
+from ..fitting.race_tables import HEAD, cells
+from ._picture import svg
+
+
+def write_race(path: str | os.PathLike[str], race: Race, title: str) -> None:
+    """Write a race as one self-contained page.
+
+    **Raises:** `InputError` if the file cannot be written.
+    """
+    try:
+        Path(path).write_text(render_race(race, title), encoding="utf-8")
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"{os.fspath(path)}: cannot be written ({why})") from None
+
+
+def render_race(race: Race, title: str) -> str:
+    """The page as text."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("residyn", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    drawn = [each for each in race.methods if len(each.median.history.objective)]
+    names = [each.title for each in drawn]
+    histories = [each.median.history for each in drawn]
+    pictures = [
+        (words, _inline(plot.convergence(histories, names, against=against)))
+        for against, words in (
+            ("simulations", "Objective against simulations"),
+            ("seconds", "Objective against seconds"),
+        )
+        if drawn
+    ]
+    return environment.get_template("race.html.j2").render(
+        title=title,
+        race=race,
+        head=HEAD,
+        rows=[(each, [each.title, *cells(race, each)]) for each in race.methods],
+        names=names,
+        pictures=pictures,
+        version=__version__,
+        date=date.today().isoformat(),
+    )
+
+
+def _inline(figure) -> str:
+    """A picture as an element of a page."""
+    text = svg(figure)
+    return text[text.index("<svg") :]

@@ -1,0 +1,389 @@
+"""Integrators of the user's own, and how exact the default's steps were."""
+
+import dataclasses
+import json
+import math
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import residyn
+from residyn.cli import main
+from residyn.fitting import FitError
+from residyn.fitting.integration import checked
+from residyn.fitting.setup import Ready, ready
+from residyn.parameter import QUADRATIC, RATIO, Memory, param
+from residyn.recording import InertiaTable
+
+MATRIX, JOINTS, UNITS = [[1.0, 0.3], [0.3, 0.5]], ("base", "tip"), ("rad", "rad")
+TIME = np.arange(400) / 50
+NOISE = 1e-3
+EXACT = residyn.Integrator("Dopri8", rtol=1e-12, atol=1e-14)
+
+
+class LaggingDrag(residyn.JointEffect):
+    """Quadratic drag that follows the motion with a lag of 0.1 ms."""
+
+    name = "lagging_drag"
+    title = "Drag with a lag"
+    equation = "c z, tau z' = q' |q'| - z"
+    looks_like = "quadratic drag"
+    source = "first-order lag"
+    memory = (Memory("z", RATIO),)
+
+    coefficient: float = param("drag", QUADRATIC)
+    lag: float = param("lag, s", RATIO, silent=None, default=1e-4, fitted=False, grid=(1.0,))
+
+    def joint_torque(self, motion):
+        return self.coefficient * motion.memory[0]
+
+    def joint_rate(self, motion):
+        return ((motion.v * jnp.abs(motion.v) - motion.memory[0]) / self.lag,)
+
+
+def arm(*effects, numbers=None):
+    """A model of two joints with effects, and the experiment that it gives."""
+    mechanism = residyn.ConstantInertia(MATRIX, JOINTS, UNITS)
+    model = mechanism + residyn.Spring("base", 20.0) + residyn.Spring("tip", 12.0)
+    model = model + residyn.Damper("base", 0.15) + residyn.Damper("tip", 0.05)
+    for effect in effects:
+        model = model + effect
+    return model
+
+
+def experiment(model, integrator=None, steps=None, time=TIME):
+    with jax.enable_x64(True):
+        path = residyn.simulate(model, time, [0.2, -0.1], integrator=integrator, steps=steps)
+        q = np.asarray(path.readings)
+    q = q + NOISE * np.random.default_rng(1).standard_normal(q.shape)
+    recording = residyn.Recording.from_arrays(time, q, noise=NOISE)
+    return residyn.Experiment(InertiaTable(JOINTS, MATRIX, UNITS), (recording,))
+
+
+def off(one, other):
+    """Between the numbers of two fits, in standard errors."""
+    pairs = zip(one.numbers, other.numbers, strict=True)
+    return max(abs(a.value - b.value) / b.std for a, b in pairs)
+
+
+@pytest.fixture(scope="module")
+def smooth():
+    return experiment(arm(residyn.CubicStiffness("tip", 30.0)), EXACT)
+
+
+@pytest.fixture(scope="module")
+def usual(smooth):
+    return residyn.fit(smooth, effects=["cubic_stiffness:tip"], starts=1)
+
+
+# -- the user's integrator -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("solver", ["Tsit5", diffrax.Dopri8(), "StickSlip"])
+def test_another_solver_gives_the_same_fit(smooth, usual, solver):
+    fit = residyn.fit(smooth, effects=["cubic_stiffness:tip"], starts=1, integrator=solver)
+    assert off(fit, usual) < 0.01
+    name = solver if isinstance(solver, str) else "Dopri8"
+    assert fit.integrator == name
+    assert name in str(fit)
+    assert usual.integrator == "fixed"
+
+
+def test_every_simulation_of_a_fit_goes_through_diffrax(smooth, monkeypatch):
+    asked = []
+    solve = diffrax.diffeqsolve
+
+    def watched(terms, solver, *args, **more):
+        asked.append(type(solver).__name__)
+        return solve(terms, solver, *args, **more)
+
+    monkeypatch.setattr(diffrax, "diffeqsolve", watched)
+    jax.clear_caches()
+    residyn.fit(smooth, starts=1)
+    assert asked == []
+    # Of tolerances that no other test has, so that it is traced here.
+    residyn.fit(smooth, starts=1, integrator=residyn.Integrator("Bosh3", rtol=3e-5, atol=1e-7))
+    assert set(asked) == {"Bosh3"}
+
+
+def test_smaller_tolerances_come_nearer_to_the_truth(smooth):
+    loose, fine = (
+        residyn.fit(
+            smooth,
+            effects=["cubic_stiffness:tip"],
+            starts=1,
+            integrator=residyn.Integrator("Bosh3", rtol=rtol, atol=1e-3 * rtol),
+        )
+        for rtol in (1e-4, 1e-7)
+    )
+    with jax.enable_x64(True):
+        errors = [checked(fit)[0] for fit in (loose, fine)]
+    assert errors[1] < errors[0]
+
+
+def test_simulate_takes_any_integrator():
+    with jax.enable_x64(True):
+        model = arm()
+        paths = [
+            residyn.simulate(model, TIME, [0.2, -0.1], integrator=i).q
+            for i in (None, "Tsit5", "Dopri8", EXACT, diffrax.Dopri5())
+        ]
+    for path in paths:
+        np.testing.assert_allclose(path, paths[3], atol=2e-5)
+    np.testing.assert_allclose(paths[2], paths[3], atol=1e-7)
+
+
+def test_a_drive_that_jumps_is_followed(smooth):
+    recording = smooth.recordings[0]
+    drive = np.zeros_like(recording.angle)
+    drive[100:200, 0] = 1.0
+    driven = dataclasses.replace(recording, drive=drive)
+    made = dataclasses.replace(smooth, recordings=(driven,))
+    with jax.enable_x64(True):
+        from residyn.fitting.problem import predict
+
+        model = arm()
+        found = []
+        for integrator in (None, "Tsit5"):
+            own = dataclasses.replace(made, integrator=integrator)
+            here = ready(own, own.fit_recordings, ())
+            wild = [np.zeros(recording.angle.shape, bool)]
+            problem, _ = here._replace(finer=2).problem(
+                here.model.with_vector(model.vector()), wild
+            )
+            one = jax.tree.map(lambda x: jnp.asarray(x)[0], problem.recorded)
+            state = jnp.array([0.2, -0.1, 0.0, 0.0])
+            found.append(
+                jax.jit(lambda v, p=problem, o=one, s=state: predict(p, o, v, s))(model.vector())
+            )
+    np.testing.assert_allclose(found[0][:400], found[1][:400], atol=2e-6)
+
+
+def test_an_embedded_fit_takes_an_integrator(smooth):
+    short = dataclasses.replace(
+        smooth.recordings[0], time=TIME[:60], angle=smooth.recordings[0].angle[:60]
+    )
+    made = dataclasses.replace(smooth, recordings=(short,))
+    fit = residyn.fit(made, starts=1)
+    with jax.enable_x64(True):
+        plain = residyn.embed(fit)
+        other = residyn.embed(fit, integrator="Tsit5")
+        assert other.problem.integrator.name == "Tsit5"
+        numbers = jnp.asarray(fit.model.vector())
+        # Away from the minimum, where the slope is 0.
+        slope = jax.jacfwd(plain.chi2)(1.1 * numbers)
+        np.testing.assert_allclose(jax.jacfwd(other.chi2)(1.1 * numbers), slope, rtol=1e-3)
+
+
+# -- what a solver cannot do -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("effect", ["coulomb_friction:tip", "brake_slip:base"])
+def test_a_solver_that_cannot_stick_is_refused_in_one_line(smooth, effect):
+    with pytest.raises(residyn.InputError, match=f"Tsit5 cannot integrate {effect}") as raised:
+        residyn.fit(smooth, effects=[effect], integrator="Tsit5")
+    assert "StickSlip" in str(raised.value)
+    assert len(str(raised.value).splitlines()) == 1
+
+
+def test_stick_slip_steps_are_handed_to_diffrax():
+    model = arm(residyn.CoulombFriction("tip", 0.1))
+    with jax.enable_x64(True):
+        own, handed = (
+            residyn.simulate(model, TIME, [0.2, -0.1], steps=600, integrator=i).q
+            for i in (None, "StickSlip")
+        )
+    np.testing.assert_allclose(own, handed, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"solver": "Euler99"}, "there is no such solver"),
+        ({"solver": diffrax.Euler()}, "estimates no error"),
+        ({"solver": 3}, "must be a name or a diffrax solver"),
+        ({"rtol": -1.0}, "rtol = -1"),
+        ({"atol": "x"}, "atol"),
+        ({"controller": diffrax.ConstantStepSize()}, "must adapt the step"),
+        ({"adjoint": "backward"}, "must be an adjoint"),
+        ({"max_steps": 0}, "max_steps = 0"),
+        ({"controller": diffrax.PIDController(jnp.ones(1), jnp.ones(1))}, "plain numbers"),
+    ],
+)
+def test_integrators_that_cannot_be(given, said):
+    with pytest.raises(residyn.InputError, match=said):
+        residyn.Integrator(**given)
+
+
+def test_a_fit_needs_an_adjoint_in_forward_mode(smooth):
+    backward = residyn.Integrator(adjoint=diffrax.RecursiveCheckpointAdjoint())
+    with pytest.raises(residyn.InputError, match="forward mode"):
+        residyn.fit(smooth, integrator=backward)
+
+
+# -- how exact the steps were ----------------------------------------------------------------
+
+
+def test_the_stated_error_is_the_true_one(usual):
+    with jax.enable_x64(True):
+        state = usual.recordings[0].state
+        true = residyn.simulate(
+            usual.model, TIME, state[:2], state[2:4], integrator=EXACT, steps=4000
+        ).readings
+    error = (usual.recordings[0].predicted - np.asarray(true)) / NOISE
+    error = np.sqrt(np.mean(error**2, axis=0)).max()
+    assert 0.5 < usual.integration_error / error < 2.0
+    with jax.enable_x64(True):
+        assert 0.5 < checked(usual)[0] / error < 2.0
+
+
+def dry_truth(stiffness, damping, friction, q0, v0, time):
+    """A cart on a spring with Coulomb friction, from event to event by DOP853."""
+    t, y, found = time[0], np.array([q0, v0]), np.empty(len(time))
+    while True:
+        push = -stiffness * y[0]
+        if y[1] == 0.0 and abs(push) <= friction:
+            found[time >= t] = y[0]
+            return found
+        direction = np.sign(y[1]) or np.sign(push)
+
+        def rate(_, y, direction=direction):
+            return [y[1], -stiffness * y[0] - damping * y[1] - direction * friction]
+
+        def stops(_, y):
+            return y[1]
+
+        stops.terminal, stops.direction = True, -direction
+        part = solve_ivp(
+            rate,
+            (t, time[-1]),
+            y,
+            method="DOP853",
+            rtol=1e-12,
+            atol=1e-14,
+            events=stops,
+            dense_output=True,
+        )
+        here = (time >= t) & (time <= part.t[-1])
+        found[here] = part.sol(time[here])[0]
+        if not len(part.t_events[0]):
+            return found
+        t, y = part.t[-1], np.array([part.y[0, -1], 0.0])
+
+
+def test_the_stated_error_is_the_true_one_with_dry_friction():
+    time, k, c, f = np.arange(500) / 50, 40.0, 0.1, 0.3
+    q = dry_truth(k, c, f, 0.2, 0.0, time)
+    q = q + 1e-4 * np.random.default_rng(0).standard_normal(q.shape)
+    recording = residyn.Recording.from_arrays(time, q[:, None], noise=1e-4)
+    made = residyn.Experiment(InertiaTable(("cart",), [[1.0]], ("m",)), (recording,))
+    fit = residyn.fit(made, effects=["coulomb_friction"], starts=2)
+    (beside,) = fit.recordings
+    numbers = [n.value for n in fit.numbers]
+    true = dry_truth(*numbers, *beside.state[:2], time)
+    error = np.sqrt(np.mean((beside.predicted[:, 0] - true) ** 2)) / 1e-4
+    assert 0.5 < fit.integration_error / error < 2.0
+
+
+def test_steps_that_are_too_coarse_are_refined_once_and_that_is_said(smooth, monkeypatch):
+    steps = Ready.steps
+    coarse = lambda self, *given: max(16, math.ceil(steps(self, *given) * 0.2))  # noqa: E731
+    usual = residyn.fit(smooth, effects=["cubic_stiffness:tip"], starts=1)
+    monkeypatch.setattr(
+        Ready, "steps", lambda self, *given: self.finer * coarse(self._replace(finer=1), *given)
+    )
+    fit = residyn.fit(smooth, effects=["cubic_stiffness:tip"], starts=1)
+    (said,) = [w for w in fit.warnings if "integration steps left an error" in w]
+    assert str(fit.integration_steps) in said
+    assert fit.integration_steps < usual.integration_steps * 2
+    assert fit.integration_error < 0.1
+    assert off(fit, usual) < 0.1
+
+
+def test_an_error_that_stays_large_is_warned_of(usual):
+    from residyn.fitting.words import warnings_for
+
+    bad = dataclasses.replace(usual, integration_error=0.3)
+    (said,) = [w for w in warnings_for(bad, ()) if "integration" in w]
+    assert "0.3 of the noise" in said
+    assert "Kvaerno5" in said
+    assert not [w for w in usual.warnings if "integration" in w]
+
+
+@pytest.fixture(scope="module")
+def stiff():
+    # The lag of 0.1 ms is too short to change anything.
+    return experiment(arm(residyn.QuadraticDrag("tip", 0.4)), EXACT, time=TIME[:100])
+
+
+def test_steps_that_are_too_coarse_for_a_stiff_effect_are_named(stiff):
+    with pytest.raises(FitError, match=r"too coarse .* Kvaerno5"):
+        residyn.fit(stiff, effects=[LaggingDrag("tip")], starts=1)
+
+
+@pytest.mark.slow  # an implicit solver and its derivatives compile for half a minute
+def test_a_stiff_effect_is_fitted_by_an_implicit_solver(stiff):
+    implicit = residyn.Integrator("Kvaerno5", rtol=1e-6, atol=1e-8)
+    fit = residyn.fit(stiff, effects=[LaggingDrag("tip")], starts=1, integrator=implicit)
+    plain = residyn.fit(stiff, effects=["quadratic_drag:tip"], starts=1)
+    assert fit.converged
+    assert off(fit, plain) < 0.2
+
+
+# -- the command and the file ----------------------------------------------------------------
+
+
+@pytest.fixture
+def file(tmp_path, smooth):
+    residyn.recording.write_csv(tmp_path / "free.csv", TIME, smooth.recordings[0].angle)
+    text = (
+        '[inertia]\njoints = ["base", "tip"]\nunits = ["rad", "rad"]\n'
+        "matrix = [[1.0, 0.3], [0.3, 0.5]]\n[[recordings]]\n"
+        'file = "free.csv"\nnoise = 1e-3\n'
+    )
+
+    def write(more=""):
+        path = tmp_path / "arm.toml"
+        path.write_text(text + more)
+        return str(path)
+
+    return write
+
+
+def test_the_file_names_an_integrator_and_the_command_line_goes_before_it(file, capsys):
+    path = file('[integrator]\nsolver = "Tsit5"\nrtol = 1e-7\natol = 1e-9\n')
+    assert residyn.load(path).integrator == residyn.Integrator("Tsit5", 1e-7, 1e-9)
+    assert main(["fit", path, "--integrator", "fixed", "--no-cache", "--json", "-"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["integrator"] == "fixed"
+    assert 0 < told["integration_error"] < 0.1
+
+
+def test_the_error_is_checked_where_that_is_asked(file, capsys):
+    assert main(["fit", file(), "--check-integration", "--no-cache", "--json", "-"]) == 0
+    got = capsys.readouterr()
+    told = json.loads(got.out)
+    assert told["integration_error_checked"] == pytest.approx(told["integration_error"], rel=0.5)
+    assert "against Dopri8" in got.err
+
+
+@pytest.mark.parametrize(
+    ("more", "words", "said"),
+    [
+        ('[integrator]\nsolver = "Euler99"\n', [], "arm.toml: [integrator]: solver"),
+        ("[integrator]\nrtol = 1e-8\n", [], "[integrator]: solver is missing"),
+        ('[integrator]\nsolver = "Tsit5"\nrtol = -1\n', [], "[integrator]: rtol = -1"),
+        ('[integrator]\nsolvr = "Tsit5"\n', [], "did you mean solver"),
+        ("", ["--integrator", "Euler99"], "--integrator: solver"),
+        ("", ["--integrator", "Tsit5", "--with", "coulomb_friction:tip"], "cannot integrate"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_two(file, more, words, said, capsys):
+    assert main(["fit", file(more), "--no-cache", *words]) == 2
+    error = capsys.readouterr().err.strip()
+    assert said in error
+    assert len(error.splitlines()) == 1

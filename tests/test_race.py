@@ -1,0 +1,194 @@
+"""The race: what is counted, what is the same for all, and what cannot be asked."""
+
+import json
+import math
+import re
+import sys
+
+import jax
+import numpy as np
+import pytest
+
+import residyn
+from residyn.cli import main
+from residyn.demo import experiment_file
+from residyn.fitting import METHODS, MissingExtra, Race
+from residyn.fitting.race import ONE, TEN
+from residyn.fitting.watch import Watch
+
+CHEAP = ["levenberg", "cma_es", "optimistix.BFGS"]
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    model = residyn.PlanarArm([0.4, 0.4], 1.1662, 0.5790, 1.4384, theta2=0.3)
+    model = model + residyn.Spring("shoulder", 16.7) + residyn.Spring("elbow", 16.7)
+    model = model + residyn.Damper("shoulder", 0.1) + residyn.Damper("elbow", 0.1)
+    time = np.arange(200) / 50
+    with jax.enable_x64(True):
+        angle = np.asarray(residyn.simulate(model, time, [0.25, -0.15]).q)
+    angle = angle + 1e-3 * np.random.default_rng(0).standard_normal(angle.shape)
+    recording = residyn.Recording.from_arrays(time, angle, noise=1e-3, theta2=0.3)
+    table = residyn.recording.ArmTable((0.4, 0.4), 1.1662, 0.5790, 1.4384)
+    return residyn.Experiment(table, (recording,))
+
+
+@pytest.fixture(scope="module")
+def raced(experiment) -> Race:
+    return residyn.race(experiment, methods=CHEAP, simulations=1000)
+
+
+@pytest.fixture(scope="module")
+def demo():
+    with experiment_file() as file:
+        yield file
+
+
+def test_every_objective_is_that_of_a_fit_by_the_same_method(experiment, raced):
+    own = {"cma_es": {"generations": 50, "seed": 0}}
+    for each in raced.methods:
+        fit = residyn.fit(experiment, method=each.name, **own.get(each.name, {}))
+        assert each.median.objective == pytest.approx(fit.objective, rel=1e-9)
+
+
+def test_simulations_are_those_that_were_run(raced):
+    by = {each.name: each.median for each in raced.methods}
+    assert by["cma_es"].simulations == 1000
+    # Four numbers and four initial states: eight directions, and the motion itself.
+    assert by["optimistix.BFGS"].simulations % 9 == 0
+    assert by["levenberg"].simulations % 9 == 0
+    for run in by.values():
+        history = run.history
+        assert np.all(np.diff(history.simulations) >= 0)
+        assert np.all(np.diff(history.objective) <= 0)
+        assert np.all(np.diff(history.seconds) >= 0)
+
+
+def test_what_was_spent_until_an_objective_is_read_off_the_history(raced):
+    for each in raced.methods:
+        ten, one = (each.within(x * raced.least) for x in (TEN, ONE))
+        assert ten.simulations <= one.simulations
+        reached = each.median.history.objective[-1] <= ONE * raced.least
+        assert math.isfinite(one.simulations) == reached
+
+
+def test_gradients_need_fewer_simulations_than_a_search(raced):
+    by = {each.name: each for each in raced.methods}
+    descent = by["levenberg"].within(ONE * raced.least).simulations
+    assert descent < by["cma_es"].within(ONE * raced.least).simulations
+
+
+def test_numbers_are_measured_in_standard_errors_of_the_best(raced):
+    assert raced.best is not None
+    assert np.all(raced.off(raced.best) == 0)
+    by = {each.name: each.median for each in raced.methods}
+    # Both minima are nearly the same, if not quite: Eq. 17 weighs the joints otherwise.
+    assert np.max(raced.off(by["levenberg"])) < 3.0
+
+
+def test_seeds_differ_and_are_told(experiment):
+    found = residyn.race(experiment, methods=["cma_es"], repeats=2, simulations=200)
+    (each,) = found.methods
+    assert [run.seed for run in each.runs] == [0, 1]
+    assert each.runs[0].objective != each.runs[1].objective
+    assert each.worst.objective >= each.median.objective
+    assert len(found.to_dict()["methods"][0]["seeds"]) == 2
+    assert "the worst" in str(found)
+
+
+def test_a_method_may_be_handed_over(experiment):
+    optimistix = pytest.importorskip("optimistix")
+    found = residyn.race(
+        experiment, methods=["levenberg", optimistix.LevenbergMarquardt(1e-6, 1e-6)]
+    )
+    own, other = (each.median.objective for each in found.methods)
+    assert own == pytest.approx(other, rel=1e-3)
+
+
+def test_an_interrupted_race_keeps_what_is_done(experiment):
+    def news(name, seed, watch):
+        if name == "cma_es":
+            raise KeyboardInterrupt
+
+    found = residyn.race(experiment, methods=["levenberg", "cma_es"], simulations=200, news=news)
+    assert [each.name for each in found.methods] == ["levenberg"]
+    assert found.interrupted == "cma_es"
+    assert "interrupted while cma_es" in str(found)
+
+
+def test_a_watch_stops_where_nothing_is_counted(monkeypatch):
+    clock = iter(np.arange(100.0))
+    monkeypatch.setattr("residyn.fitting.watch.time.perf_counter", lambda: next(clock))
+    watch = Watch(most_seconds=3.0)  # at 0
+    with watch.paused():  # from 1 to 2
+        pass
+    assert watch.seconds == 2.0  # at 3, less 1
+    assert watch.over()
+
+
+def test_budgets_and_methods_that_cannot_be(experiment, monkeypatch):
+    with pytest.raises(ValueError, match="did you mean genetic"):
+        residyn.race(experiment, methods=["genetics"])
+    with pytest.raises(ValueError, match="is there twice"):
+        residyn.race(experiment, methods=["levenberg", "levenberg"])
+    with pytest.raises(ValueError, match="optimistix has no such"):
+        residyn.race(experiment, methods=["optimistix.Nonsense"])
+    with pytest.raises(ValueError, match="seconds = -1"):
+        residyn.race(experiment, methods=["levenberg"], seconds=-1)
+    with pytest.raises(ValueError, match="repeats = 0"):
+        residyn.race(experiment, methods=["levenberg"], repeats=0)
+    monkeypatch.setitem(sys.modules, "evosax.algorithms", None)
+    with pytest.raises(MissingExtra, match=r"residyn\[ga\]"):
+        residyn.race(experiment, methods=["levenberg", "cma_es"])
+
+
+def test_the_command_writes_what_it_found(demo, tmp_path, capsys):
+    out = {name: tmp_path / name for name in ("race.json", "race.html", "race.csv")}
+    words = [
+        "race",
+        str(demo),
+        "--methods",
+        "levenberg,cma_es",
+        "--simulations",
+        "400",
+        "--no-cache",
+    ]
+    words += ["--json", str(out["race.json"]), "--report", str(out["race.html"])]
+    assert main([*words, "--table", str(out["race.csv"])]) == 0
+    told = json.loads(out["race.json"].read_text())
+    assert [m["name"] for m in told["methods"]] == ["levenberg", "cma_es"]
+    keys = {"objective", "simulations", "seconds", "parameters"}
+    keys |= {"within_10_percent", "within_1_percent"}
+    assert all(keys <= set(m) for m in told["methods"])
+    page = out["race.html"].read_text()
+    assert page.count('type="checkbox"') == 2
+    for i in range(2):  # each switch hides a curve of both pictures
+        assert f'#switch-{i}:not(:checked)) [id$="-curve-{i}"]' in page
+        assert len(re.findall(rf'id="(?:simulations|seconds)-curve-{i}"', page)) == 2
+    assert "<script" not in page
+    assert len(out["race.csv"].read_text().splitlines()) == 3
+    assert "least objective (Eq. 17)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--methods", "nonsense"], "no such method"),
+        (["--methods", "optax.nonsense"], "optax has no such"),
+        (["--seconds", "-3"], "--seconds -3"),
+        (["--simulations", "0"], "--simulations 0"),
+        (["--seconds", "1", "--simulations", "9"], "give one of them"),
+        (["--integrator", "Euler99"], "no such solver"),
+    ],
+)
+def test_bad_input_is_one_line(demo, words, said, capsys):
+    assert main(["race", str(demo), "--no-cache", *words]) == 2
+    error = capsys.readouterr().err.strip()
+    assert said in error
+    assert len(error.splitlines()) == 1
+
+
+def test_the_command_knows_the_methods_of_the_library():
+    from residyn.cli import _options
+
+    assert tuple(METHODS) == _options.METHODS
