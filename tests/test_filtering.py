@@ -302,7 +302,8 @@ def test_the_fastest_frequency_is_that_of_the_motion_not_of_the_noise():
     angle = (angle + 1e-3 * rng.standard_normal(len(time)))[:, None]
     recording = Recording.from_arrays(time, angle, noise=1e-3)
     fast = Spectrum.of(recording, np.zeros(angle.shape, bool)).fastest
-    assert 1.0 < fast / (2 * np.pi * 4) < 1.15
+    # Averaged over 15 lines of 0.05 Hz to either side.
+    assert 1.0 < fast / (2 * np.pi * 4) < 1.25
 
 
 def test_nodes_are_those_of_a_cubic():
