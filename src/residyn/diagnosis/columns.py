@@ -214,7 +214,7 @@ class Columns:
                 s.A, np.concatenate([s.B, B], -1), s.T, s.c, s.Hx,
                 np.concatenate([s.Hu, read], -1), s.hc,
             )  # fmt: skip
-            total, white = innovations(wide, scene.readings, noise, float(intensity))
+            total, white = innovations(wide, scene.readings, noise, np.asarray(intensity, float))
             white = np.asarray(white)
             parts.append(white if not parts else white[:, 1 + len(self.trajectory.u) :])
         white = np.concatenate(parts, axis=1)[:, : 1 + len(self.trajectory.u) + self.count]

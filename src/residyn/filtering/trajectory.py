@@ -423,7 +423,7 @@ class Scene:
         """A model's motion and numbers given the readings and a random torque: one Gauss-Newton
         step from where it is, or a share of it; None where the model runs away."""
         n, X = self.n, t.path.shape[1]
-        found = smooth(system, self.readings, self.noise(t), float(intensity))
+        found = smooth(system, self.readings, self.noise(t), np.asarray(intensity, float))
         evidence, u, covariance, mean, variance = map(np.asarray, found)
         if not (np.isfinite(evidence) and np.isfinite(mean).all()):
             return None
