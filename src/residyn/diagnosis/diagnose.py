@@ -195,6 +195,7 @@ def _concluded(search: Search, fits: _Fits, began: float, say: Callable[[str], N
         explains_nothing=best.intensity >= EXPLAINS_NOTHING,
         budget=Budget(len(search.tried), len(search.candidates), search.stopped),
         seconds=time.perf_counter() - began,
+        search=search,
     )
 
 
@@ -243,7 +244,8 @@ class Posterior:
     def candidates(self) -> tuple[Candidate, ...]:
         """Every effect and place."""
         found = []
-        screens = {s.effect.label: s for s in self.search.screens.get(frozenset(), ())}
+        first = self.search.screens.get(frozenset())
+        screens = {s.effect.label: s for s in (first.ranked if first else ())}
         for effect in self.search.candidates:
             label = effect.label
             alone = self.search.tried.get(frozenset([label]))

@@ -17,7 +17,7 @@ from scipy.special import logsumexp
 
 from ..effects import AbstractEffect
 from ..filtering.trajectory import Scene, Trajectory, number_slices, state_slices
-from .columns import Columns, Screened, candidates, extended, spectral_lines
+from .columns import Columns, Screen, candidates, extended, spectral_lines
 from .evidence import (
     CORRELATION,
     INDISTINGUISHABLE,
@@ -171,7 +171,8 @@ class Search:
         self.tried: dict[frozenset[str], Tried] = {}
         self.stopped: str | None = None
         """Why the search ended early, if it did: "interrupted" or "budget"."""
-        self.screens: dict[frozenset[str], list[Screened]] = {}
+        self.screens: dict[frozenset[str], Screen] = {}
+        """First-order evidence of all candidates beside the models that were extended."""
         say("smoothing the motion with the model")
         alone = tried_alone(scene, base)
         self._keep((), INTENSITIES, alone.evidences, alone.trajectories)
@@ -216,19 +217,27 @@ class Search:
         except _OutOfTime:
             self.stopped = "budget"
 
+    def screen(self, parent: Tried) -> Screen:
+        """The first-order evidence of all candidates beside a model."""
+        key = frozenset(parent.added)
+        if key not in self.screens:
+            trajectory, intensity = parent.loud()
+            self.say(f"screening {len(self.candidates)} candidates")
+            lines = spectral_lines(self.scene, trajectory)
+            effects = [e for e in self.candidates if self._may_join(e, trajectory)]
+            columns = Columns(self.scene, trajectory, effects, lines)
+            # The likeliest random torque, one a decade below it, and none.
+            used = sorted({intensity, 0.1 * intensity, 0.0}, reverse=True)
+            self.screens[key] = columns.screen(used)
+        return self.screens[key]
+
     def extend(self, parent: Tried) -> None:
         """Try a model with one more effect, each contender in turn."""
         trajectory, intensity = parent.loud()
-        self.say(f"screening {len(self.candidates)} candidates")
-        lines = spectral_lines(self.scene, trajectory)
-        effects = [e for e in self.candidates if self._may_join(e, trajectory)]
-        columns = Columns(self.scene, trajectory, effects, lines)
-        # The likeliest random torque, one a decade below it, and none.
-        screen = columns.screen(sorted({intensity, 0.1 * intensity, 0.0}, reverse=True))
+        screen = self.screen(parent)
         ranked = screen.ranked
         found = {s.effect.label: s for s in ranked}
         likeliest = screen.pairs(3 * CONTENDERS)[:CONTENDERS]
-        self.screens[frozenset(parent.added)] = ranked
         chosen = {s.effect.label: s for s in ranked[:CONTENDERS]}
         for _, a, b in likeliest:
             for s in (a, b):
