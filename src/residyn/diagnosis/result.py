@@ -221,7 +221,9 @@ class Diagnosis:
     budget: Budget
     seconds: float
     search: Search | None = None
-    """The models that were tried, with their smoothed motions."""
+    """The models that were tried, with their smoothed motions; None if it was not kept."""
+    fits: Any = None
+    """`diagnose.Fits`, which fits any of them."""
 
     @property
     def added(self) -> tuple[str, ...]:

@@ -55,40 +55,42 @@ class FirstOrder(NamedTuple):
     """The first order of all candidates about one motion."""
 
     fitted: ErrorGram
-    held_out: ErrorGram | None
+    held_out: ErrorGram
     residual: list[np.ndarray]
-    """Per recording of the scene (N, n, 1 + C): measured less predicted, rad or m, of the base model
+    """Per recording (N, n, 1 + C): measured less predicted, rad or m, of the base model
     and what a unit of each column adds to it."""
     time: list[np.ndarray]
     """(N,) s from the first sample of each."""
 
 
-def first_order(
-    scene: Scene, columns: Columns, fitted: Sequence[bool], noise: np.ndarray
-) -> FirstOrder | None:
-    """The first order about a motion of `columns`, whose recordings are `fitted` or held out; if all
-    are fitted, the last third of each is predicted from the rest. `noise` (R, n) of one reading.
+def first_order(fitted: Columns, held_out: Columns | None, noise: np.ndarray) -> FirstOrder | None:
+    """The first order about the motion of the fitted recordings, and of those held out; without
+    these, the last third of each recording is predicted from the rest.
+
+    `noise` (R, n) of one reading, of all recordings one after the other; all columns are of the
+    same candidates, in the same widths.
 
     **Returns:** None where the linear motion runs away.
     """
-    parts = _rolled_out(scene, columns)
+    groups = [fitted] if held_out is None else [fitted, held_out]
+    parts = [part for columns in groups for part in _rolled_out(columns)]
     if not all(np.isfinite(e).all() and np.abs(e).max() < _RUNAWAY for e, *_ in parts):
         return None
-    R, P = len(parts), len(columns.trajectory.u)
-    g = scene.grid
-    rows = [np.flatnonzero((g.run == i) & (np.arange(scene.K) < g.real)) for i in range(R)]
-    weight = [np.where(g.seen[r], 1 / np.sqrt(g.variance[r]), 0.0) for r in rows]
-    time = [g.time[r] for r in rows]
-    last = None
-    if all(fitted):
-        last = [(t <= 2 / 3 * t[-1])[:, None] for t in time]
+    P, n = len(fitted.trajectory.u), fitted.scene.n
+    weight, time = [], []
+    for columns in groups:
+        g = columns.scene.grid
+        for rows in _rows(columns.scene):
+            weight.append(np.where(g.seen[rows], 1 / np.sqrt(g.variance[rows]), 0.0))
+            time.append(g.time[rows])
+    mine = [i < len(fitted.scene.recordings) for i in range(len(parts))]
 
     def solved(used):
         """Residuals (N, n, 1 + C) with first states and numbers from the weights `used`."""
         beyond = [_without_states(e, x, w) for (e, x), w in zip(parts, used, strict=True)]
         white = [
             (e * w[..., None]).reshape(-1, e.shape[-1])
-            for e, w, own in zip(beyond, used, fitted, strict=True)
+            for e, w, own in zip(beyond, used, mine, strict=True)
             if own
         ]
         gram = sum(w.T @ w for w in white)
@@ -100,9 +102,9 @@ def first_order(
         return left, gram[np.ix_(keep, keep)] + across.T @ numbers
 
     def energies(left, used, solve, chosen):
-        total, beyond, count = 0.0, np.zeros(scene.n), np.zeros(scene.n)
-        for i, (e, w, mine) in enumerate(zip(left, used, chosen, strict=True)):
-            if mine:
+        total, beyond, count = 0.0, np.zeros(n), np.zeros(n)
+        for i, (e, w, counts) in enumerate(zip(left, used, chosen, strict=True)):
+            if counts:
                 white = e * w[..., None]
                 total = total + np.einsum("tja,tjb->jab", white, white)
                 # An average of m readings stands for m - 1 more of pure noise.
@@ -111,19 +113,25 @@ def first_order(
         return ErrorGram(solve, np.asarray(total), beyond, count)
 
     left, solve = solved(weight)
-    inside = energies(left, weight, solve, fitted)
-    if last is None:
-        beside = energies(left, weight, solve, [not f for f in fitted])
+    inside = energies(left, weight, solve, mine)
+    if held_out is not None:
+        beside = energies(left, weight, solve, [not own for own in mine])
     else:
-        first = [w * m for w, m in zip(weight, last, strict=True)]
-        rest = [w * ~m for w, m in zip(weight, last, strict=True)]
-        beside = energies(*_swap(solved(first), rest), fitted)
+        early = [(t <= 2 / 3 * t[-1])[:, None] for t in time]
+        first = [w * e for w, e in zip(weight, early, strict=True)]
+        last = [w * ~e for w, e in zip(weight, early, strict=True)]
+        ahead, solve = solved(first)
+        beside = energies(ahead, last, solve, mine)
     return FirstOrder(inside, beside, left, time)
 
 
-def _swap(found, used):
-    left, solve = found
-    return left, used, solve
+def _rows(scene: Scene) -> list[np.ndarray]:
+    """Which instants each recording has."""
+    g = scene.grid
+    return [
+        np.flatnonzero((g.run == i) & (np.arange(scene.K) < g.real))
+        for i in range(len(scene.recordings))
+    ]
 
 
 def _without_states(e: np.ndarray, x: np.ndarray, w: np.ndarray) -> np.ndarray:
@@ -136,20 +144,20 @@ def _without_states(e: np.ndarray, x: np.ndarray, w: np.ndarray) -> np.ndarray:
     return e - x @ (np.linalg.solve(scaled, (xs.T @ es) / size[:, None]) / size[:, None])
 
 
-def _rolled_out(scene: Scene, columns: Columns) -> list[tuple[np.ndarray, np.ndarray]]:
+def _rolled_out(columns: Columns) -> list[tuple[np.ndarray, np.ndarray]]:
     """For each recording (N, n, 1 + P + C): readings less the linear motion from nothing, and less
     what each number and each column adds; (N, n, X): less what each first state adds."""
-    s, t, g = columns.system, columns.trajectory, scene.grid
+    scene, s, t = columns.scene, columns.system, columns.trajectory
+    g = scene.grid
     more, read = columns.inputs()
     X, P = s.A.shape[-1], len(t.u)
     states = 2 * scene.n + sum(x.stop - x.start for x in state_slices(t.effects))
     drive = np.concatenate([s.c[..., None], s.B, more], -1)
     seen = np.concatenate([s.hc[..., None], s.Hu, read], -1)
     found = []
-    for i in range(len(scene.recordings)):
-        rows = np.flatnonzero((g.run == i) & (np.arange(scene.K) < g.real))
+    for rows in _rows(scene):
         M = np.concatenate([np.zeros((X, drive.shape[-1])), np.eye(X, states)], 1)
-        M[2 * scene.n + 0 :, 0] = t.first  # internal states begin where they are known to
+        M[2 * scene.n :, 0] = t.first  # internal states begin where they are known to
         out = np.empty((len(rows), scene.n, M.shape[1]))
         F = drive.shape[-1]
         for k, row in enumerate(rows):
