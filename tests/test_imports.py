@@ -46,6 +46,7 @@ LAYERS = [
     ["diagnosis"],
     ["procedure"],
     ["plot"],
+    ["explorer"],
     ["_verdict", "report"],
     ["demo"],
     ["cli"],

@@ -8,7 +8,17 @@ line that says what would be right, never a traceback (`_shell`).
 
 import typer
 
-from . import _compare, _demo, _diagnose, _effects, _fit, _inertia, _simulate, _unload
+from . import (
+    _compare,
+    _demo,
+    _diagnose,
+    _effects,
+    _explore,
+    _fit,
+    _inertia,
+    _simulate,
+    _unload,
+)
 from ._shell import run
 
 app = typer.Typer(
@@ -40,6 +50,7 @@ def residyn(
 app.command("fit")(_fit.fit)
 app.command("compare")(_compare.compare)
 app.command("diagnose")(_diagnose.diagnose)
+app.command("explore")(_explore.explore)
 app.command("inertia")(_inertia.inertia)
 app.command("unload")(_unload.unload)
 app.command("simulate")(_simulate.simulate)

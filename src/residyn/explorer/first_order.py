@@ -56,9 +56,9 @@ class FirstOrder(NamedTuple):
 
     fitted: ErrorGram
     held_out: ErrorGram
-    residual: list[np.ndarray]
-    """Per recording (N, n, 1 + C): measured less predicted, rad or m, of the base model
-    and what a unit of each column adds to it."""
+    predicted: list[np.ndarray]
+    """Per recording (N, n, 1 + C): readings of the base model, rad or m, and what a unit of each
+    column adds to them, springs and dampers being fitted anew."""
     time: list[np.ndarray]
     """(N,) s from the first sample of each."""
 
@@ -122,7 +122,18 @@ def first_order(fitted: Columns, held_out: Columns | None, noise: np.ndarray) ->
         last = [w * ~e for w, e in zip(weight, early, strict=True)]
         ahead, solve = solved(first)
         beside = energies(ahead, last, solve, mine)
-    return FirstOrder(inside, beside, left, time)
+    predicted = []
+    for e, g, rows in zip(left, *_grids(groups), strict=True):
+        own = -e
+        own[..., 0] += g.angle[rows]
+        predicted.append(own)
+    return FirstOrder(inside, beside, predicted, time)
+
+
+def _grids(groups: Sequence[Columns]):
+    """The grid and the instants of each recording."""
+    each = [(c.scene.grid, rows) for c in groups for rows in _rows(c.scene)]
+    return zip(*each, strict=True)
 
 
 def _rows(scene: Scene) -> list[np.ndarray]:

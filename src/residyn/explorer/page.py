@@ -22,6 +22,7 @@ _STATIC = importlib.resources.files("residyn.explorer") / "static"
 MODULES = (
     "linear_algebra.js",
     "arrays.js",
+    "elements.js",
     "evidence.js",
     "first_order.js",
     "state.js",

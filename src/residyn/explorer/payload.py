@@ -83,8 +83,8 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
         "first": None if first is None else {
             "fitted": _errors(first.fitted),
             "held_out": _errors(first.held_out),
-            "residual": [
-                _response(first.time[i], first.residual[i]) for i in range(len(shown))
+            "predicted": [
+                _response(first.time[i], first.predicted[i]) for i in range(len(shown))
             ],
         },
         "missing": _missing(study),
@@ -270,10 +270,10 @@ def _errors(e: ErrorGram):
     }
 
 
-def _response(time: np.ndarray, residual: np.ndarray):
-    """A recording's residual (N, n, 1 + C), each column in 16 bits of its own."""
+def _response(time: np.ndarray, predicted: np.ndarray):
+    """A recording's predictions (N, n, 1 + C), each column in 16 bits of its own."""
     at = thinned(len(time))
-    base, *columns = np.moveaxis(residual[at], -1, 0)
+    base, *columns = np.moveaxis(predicted[at], -1, 0)
     return {"time": floats(time[at]), "base": shorts(base.T),
             "columns": [shorts(c.T) for c in columns]}  # fmt: skip
 

@@ -216,13 +216,14 @@ class Study:
         with jax.enable_x64(True):
             self.search.say = say
             self.search.run(most)
+            found = concluded(self.search, self.least_squares, began, say)
             with self._lock:
-                self.found = concluded(self.search, self.least_squares, began, say)
-                for rung in self.found.ladder:
-                    added = rung.fit.model.labels[len(self.found.base.model.labels) :]
+                self.found = found
+                for rung in found.ladder:
+                    added = [x for x in rung.fit.model.labels if x not in found.base.model.labels]
                     self.fits.setdefault(frozenset(added), rung.fit)
                     self._held.setdefault(frozenset(added), rung.held_out)
-        return self.found
+        return found
 
     def stop(self) -> None:
         """End a search that runs."""

@@ -40,7 +40,7 @@ class Workbench:
         """The payload as JSON, once it is there."""
         self.version = 0
         """Counts what the search has added."""
-        self.stopped = False
+        self.stopped, self._tried = False, 1
         self.thread = threading.Thread(target=self._work, daemon=True)
         self.thread.start()
 
@@ -66,6 +66,9 @@ class Workbench:
         if self.stopped:
             raise _Stopped
         self.words = words
+        if self.study is not None and len(self.study.search.tried) != self._tried:
+            self._tried = len(self.study.search.tried)
+            self.version += 1
 
     def state(self) -> dict[str, Any]:
         """What a page asks for every second."""
