@@ -15,10 +15,10 @@ from .._json import finite
 from .._stretches import wholes
 from ..diagnosis.columns import columns_of, strengths
 from ..diagnosis.evidence import FURTHER, INDISTINGUISHABLE, signed, width_of
-from ..diagnosis.missing_torque import missing_of
+from ..diagnosis.missing_torque import missing_of, torque_along
 from ..diagnosis.search import Tried
 from ..filtering.law import numbers_of
-from ..filtering.trajectory import number_slices
+from ..filtering.trajectory import Scene, number_slices
 from ..fitting.result import Fit
 from .first_order import ErrorGram
 from .study import Study
@@ -316,6 +316,10 @@ def _torque(study: Study, found: Fit):
     smoothed motion: that of its further effects, and of the change of the others' numbers."""
     search, t = study.search, study.loud
     scene, g = search.scene, search.scene.grid
+    known = search.tried.get(frozenset(found.model.labels) - frozenset(search.base.best.labels))
+    if known is not None:  # along its own smoothed motion, where it sticks as it should
+        own, before = (torque_along(scene, m.best) for m in (known, search.base))
+        return _cut(scene, sum(own.values()) - sum(before.values()))
     along = scene.along(t)
     values = {n.name: n.value for n in found.numbers}
     names = [f"{e.label}.{n.name}" for e in t.effects for n in numbers_of(e)]
@@ -339,8 +343,13 @@ def _torque(study: Study, found: Fit):
             lack = np.concatenate([m.torque.torque for m in lacks]).ravel()
             u = np.linalg.lstsq(columns[: g.real].reshape(len(lack), -1), lack, rcond=None)[0]
         total = total + columns @ u
-    out = []
+    return _cut(scene, total)
+
+
+def _cut(scene: Scene, torque: np.ndarray) -> list[dict[str, Any]]:
+    """A torque (K, n), thinned, for each recording that is drawn."""
+    g, out = scene.grid, []
     for i in range(min(len(scene.recordings), _RECORDINGS)):
         own = np.flatnonzero((g.run == i) & (np.arange(scene.K) < g.real))
-        out.append(shorts(total[own[thinned(len(own))]].T))
+        out.append(shorts(torque[own[thinned(len(own))]].T))
     return out

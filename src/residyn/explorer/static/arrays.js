@@ -4,8 +4,15 @@ function bytes(text) {
   return Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer;
 }
 
-/** A flat array of numbers; what was not finite is NaN. */
+const unpacked = new WeakMap();
+
+/** A flat array of numbers, not to be changed; what was not finite is NaN. */
 export function flat(packed) {
+  if (!unpacked.has(packed)) unpacked.set(packed, unpack(packed));
+  return unpacked.get(packed);
+}
+
+function unpack(packed) {
   if (packed.f8 !== undefined) return new Float64Array(bytes(packed.f8));
   const whole = new Int16Array(bytes(packed.i2));
   return Float64Array.from(whole, (x) => (x === -32768 ? NaN : x * packed.scale));

@@ -21,6 +21,7 @@ export class Evidence {
 
   /** Take in models that were tried. */
   keep(tried) {
+    this.known = new Map();
     for (const model of tried) this.tried.set(keyOf(model.added), model.log_evidence);
   }
 
@@ -93,6 +94,11 @@ export class Evidence {
    */
   probabilities(chosen) {
     const here = keyOf(chosen);
+    if (!this.known.has(here)) this.known.set(here, this.weighed(chosen, here));
+    return this.known.get(here);
+  }
+
+  weighed(chosen, here) {
     const base = this.gain(chosen).gain;
     const known = this.tried.get(here);
     const stay = this.logPrior(chosen.length);

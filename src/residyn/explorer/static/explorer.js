@@ -242,10 +242,9 @@ class Page {
       });
       return [curves, left];
     });
-    const unit = data.missing[0].units[0];
-    const torque = `torque, ${unit}`;
-    const labels = { angle: `angle, ${data.units[0]}`, rate: `rate, ${data.units[0]}/s`,
-      amplitude: `amplitude, ${data.units[0]}` };
+    const of = (words, after = "") => () => `${words}, ${data.units[this.state.get("joint")]}${after}`;
+    const torque = () => `torque, ${data.missing[0].units[this.state.get("joint")]}`;
+    const labels = { angle: of("angle"), rate: of("rate", "/s"), amplitude: of("amplitude") };
     const spot = (title, wide) => {
       const place = element("div", { class: "chart" });
       this.clouds.append(element("div", { class: wide ? "wide" : null }, element("h3", {}, title), place));
@@ -294,7 +293,8 @@ class Page {
     const best = [...this.evidence.probabilities(chosen)]
       .filter(([label]) => !chosen.includes(label))
       .sort((a, b) => b[1].probability - a[1].probability)[0];
-    const likeliest = best && best[1].probability > 0.05 ? { label: best[0], ...best[1] } : null;
+    const weighed = best && (best[1].exact || found); // the first order alone names nobody
+    const likeliest = weighed && best[1].probability > 0.05 ? { label: best[0], ...best[1] } : null;
     const shown = held.size ? { ...model, how: "by hand" } : model;
     const told = verdict({
       model: shown, base: this.base, chosen, candidates: this.evidence.candidates,
@@ -332,6 +332,7 @@ class Page {
       const own = this.evidence.candidates.get(label);
       const { probability, exact } = probabilities.get(label);
       const pressed = chosen.includes(label);
+      const weighed = exact || this.state.get("found") || !this.server || this.stopped;
       const found = element("button", {
         type: "button", class: "chip", "aria-pressed": String(pressed), "data-effect": label,
         title: [own.equation, own.looks_like, exact ? "" : "probability to first order"].filter(Boolean).join("; "),
@@ -339,8 +340,8 @@ class Page {
       },
         element("span", { class: "title" }, own.title,
           own.place ? element("small", {}, ` ${own.place}`) : ""),
-        element("span", { class: "p" }, percent(probability)));
-      found.style.setProperty("--p", `${100 * probability}%`);
+        element("span", { class: "p" }, weighed ? percent(probability) : "being weighed"));
+      found.style.setProperty("--p", `${weighed ? 100 * probability : 0}%`);
       return found;
     };
     fill(this.chips, ...shown.map(chip));
@@ -463,8 +464,11 @@ class Page {
         version = state.version;
         this.keep(news.fits);
         this.evidence.keep(news.tried);
-        this.state.set({ found: news.verdict ?? { lookalikes: [], tried: news.tried.length } });
+        this.drawModel();
+        this.drawChips();
+        this.state.set({ found: news.verdict });
       }
+      this.stopped = !state.words;
       this.news(state, hidden);
     }
   }

@@ -5,6 +5,12 @@ import { measured } from "./words.js";
 
 const STEPS = 400;
 
+/** "spring, elbow: stiffness" of "spring:elbow.stiffness". */
+function spoken(n) {
+  const [label, ...rest] = n.name.split(".");
+  return `${label.replace(":", ", ")}: ${rest.join(".")}`.replaceAll("_", " ");
+}
+
 export class Numbers {
   /** `onMove(name, value)` while a slider moves, `onHold(name, value | null)` when it rests. */
   constructor(place, { live, onMove, onHold }) {
@@ -41,7 +47,7 @@ export class Numbers {
     const rows = model.numbers.map((n) => {
       const value = element("td", { class: "n" });
       const row = { value };
-      const cells = [element("th", { scope: "row" }, n.name.replace(".", ": ").replaceAll("_", " ")), value];
+      const cells = [element("th", { scope: "row" }, spoken(n)), value];
       if (live) {
         const span = Math.max(8 * (n.std ?? 0), 0.6 * Math.abs(n.value), 1e-9);
         const low = n.positive ? Math.max(0, n.value - span) : n.value - span;
