@@ -93,7 +93,7 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
 
 
 def searched(study: Study) -> dict[str, Any]:
-    """What a search and fits have added since: `tried`, `fits`, `verdict`."""
+    """What a search and fits have added since: `tried`, `screened`, `fits`, `verdict`."""
     found = study.found
     tried = list(study.search.tried.values())
     fits = [fitted(study, sorted(k), f) for k, f in list(study.fits.items())]
@@ -107,6 +107,11 @@ def searched(study: Study) -> dict[str, Any]:
                 "complete": t.complete,
             }
             for t in tried
+        ],
+        "screened": [
+            {"added": sorted(key), "gains": {s.effect.label: s.gain for s in screen.ranked}}
+            for key, screen in list(study.search.screens.items())
+            if key
         ],
         "fits": fits,
         "verdict": None if found is None else {

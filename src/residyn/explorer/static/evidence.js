@@ -16,12 +16,14 @@ export class Evidence {
     this.grams = data.screen.grams.map((g) => symmetric(g, data.screen.size));
     this.prior = data.prior;
     this.tried = new Map();
-    this.keep(data.tried);
+    this.screened = new Map();
+    this.keep(data);
   }
 
-  /** Take in models that were tried. */
-  keep(tried) {
+  /** Take in models that were tried, and the first order beside those that were extended. */
+  keep({ tried, screened }) {
     this.known = new Map();
+    for (const beside of screened) this.screened.set(keyOf(beside.added), beside.gains);
     for (const model of tried) this.tried.set(keyOf(model.added), model.log_evidence);
   }
 
@@ -90,12 +92,20 @@ export class Evidence {
 
   /**
    * Label -> { probability, exact }: for each effect outside the chosen set, that it is what is
-   * missing next; for each inside, that it is needed.
+   * missing next; for each inside, that it is needed. What was not tried is known to first order,
+   * about this model if the search has extended it, else about the base model, corrected by what the
+   * search found for the effect alone.
    */
   probabilities(chosen) {
     const here = keyOf(chosen);
     if (!this.known.has(here)) this.known.set(here, this.weighed(chosen, here));
     return this.known.get(here);
+  }
+
+  /** By how much the first order is wrong about an effect alone, as far as the search knows. */
+  correction(label) {
+    const alone = this.tried.get(label);
+    return alone === undefined ? 0 : alone - (this.gainOfOneMore([], label) - this.gain([]).gain);
   }
 
   weighed(chosen, here) {
@@ -104,11 +114,13 @@ export class Evidence {
     const stay = this.logPrior(chosen.length);
     const found = new Map();
     const further = [];
+    const screened = this.screened.get(here);
     for (const label of this.candidates.keys()) {
       if (chosen.includes(label)) continue;
       const rest = chosen.filter((c) => !this.conflict(label, c));
       const exact = known === undefined ? undefined : this.tried.get(keyOf([...rest, label]));
-      const gain = exact === undefined ? this.gainOfOneMore(rest, label) - base : exact - known;
+      let gain = exact === undefined ? this.gainOfOneMore(rest, label) - base : exact - known;
+      if (exact === undefined) gain = screened?.[label] ?? gain + this.correction(label);
       further.push([label, gain + this.logPrior(rest.length + 1), exact !== undefined]);
     }
     const total = logSumExp([stay, ...further.map(([, w]) => w)]);

@@ -48,7 +48,8 @@ class Page {
     this.state.on(["model", "working", "error"], () => this.drawStatus());
     this.state.on(["chosen", "found"], () => this.drawChips());
     this.state.on(["recording", "joint", "stretch"], () => this.drawControls());
-    this.choose(data.live || !data.verdict ? [] : data.verdict.added, true);
+    const way = data.live || !data.verdict ? [] : data.verdict.added;
+    for (let k = 0; k <= way.length; k++) this.choose(way.slice(0, k), true);
     this.drawChips();
     this.drawControls();
   }
@@ -447,9 +448,9 @@ class Page {
   /** News of the search and of files, now and then. */
   async follow(hidden) {
     let version = 0;
-    while (!this.gone) {
-      await new Promise((resolve) => setTimeout(resolve, 1000));
-      if (this.gone || document.hidden) continue;
+    for (let rounds = 0; !this.gone; rounds++) {
+      if (rounds) await new Promise((resolve) => setTimeout(resolve, 1000));
+      if (this.gone || (rounds && document.hidden)) continue;
       let state;
       try {
         state = await this.server.get("state");
@@ -463,7 +464,7 @@ class Page {
         if (this.gone) return;
         version = state.version;
         this.keep(news.fits);
-        this.evidence.keep(news.tried);
+        this.evidence.keep(news);
         this.drawModel();
         this.drawChips();
         this.state.set({ found: news.verdict });
