@@ -5,9 +5,11 @@ Everything that decides is in full double precision (Gram matrices); what is onl
 """
 
 import base64
-from collections.abc import Sequence
-from typing import Any
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, ParamSpec, TypeVar
 
+import jax
 import numpy as np
 
 from .. import __version__
@@ -26,6 +28,20 @@ from .study import Study
 POINTS = 1000
 """Instants of a recording that are drawn."""
 _RECORDINGS = 8  # that are drawn, at most
+
+
+_P, _R = ParamSpec("_P"), TypeVar("_R")
+
+
+def _in_double(work: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Runs in float64 whatever JAX's setting."""
+
+    @functools.wraps(work)
+    def wrapped(*args: _P.args, **named: _P.kwargs) -> _R:
+        with jax.enable_x64(True):
+            return work(*args, **named)
+
+    return wrapped
 
 
 def floats(x) -> dict[str, Any]:
@@ -52,6 +68,7 @@ def thinned(count: int) -> np.ndarray:
     return np.unique(np.linspace(0, count - 1, min(count, POINTS)).round().astype(int))
 
 
+@_in_double
 def payload(study: Study, *, live: bool = False, name: str = "", toml: str | None = None):
     """All that a page shows of a study before anybody touches it.
 
@@ -92,6 +109,7 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
     })  # fmt: skip
 
 
+@_in_double
 def searched(study: Study) -> dict[str, Any]:
     """What a search and fits have added since: `tried`, `screened`, `fits`, `verdict`."""
     found = study.found
@@ -124,6 +142,7 @@ def searched(study: Study) -> dict[str, Any]:
     })  # fmt: skip
 
 
+@_in_double
 def fitted(study: Study, added: Sequence[str], found: Fit, held: Sequence[str] = ()):
     """One least-squares fit; numbers by the names in `held` were not fitted."""
     beside = study.held_out(added, found)
@@ -149,6 +168,7 @@ def fitted(study: Study, added: Sequence[str], found: Fit, held: Sequence[str] =
     })  # fmt: skip
 
 
+@_in_double
 def smoothed(study: Study, t: Tried) -> dict[str, Any] | None:
     """A tried model without a random torque, which is least squares too: where it was fitted only.
     None for one that was given up before."""
