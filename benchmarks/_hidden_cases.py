@@ -2,16 +2,15 @@
 
 A case is one release of one random arm with something hidden in it, and everything random about it
 follows from its *seed*, its labels and its noise: so a case needs no file, and the same name means
-the same recording to every method. There are two lists of seeds. Whatever was tuned, a threshold or
-a line of code, was tuned on `TUNING`; only `REPORT` makes the published table. Both lists were
-written down, and committed, before `residyn.diagnose` existed.
+the same recording to every method. The lists of seeds are frozen. Whatever was tuned, a threshold
+or a line of code, was tuned on `TUNING`; `EVIDENCE` was committed before the diagnosis by marginal
+likelihood was written, and `REPORT` before the diagnosis that it replaced.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -20,12 +19,21 @@ from tests import rig
 TUNING = tuple(range(7001, 7201))
 REPORT = tuple(range(20261121, 20261321))
 EVIDENCE = tuple(range(883001, 883201))
-"""Committed before the diagnosis by marginal likelihood was written; for one final run of it."""
+"""For one final run."""
 SEEDS = {"tuning": TUNING, "report": REPORT, "evidence": EVIDENCE}
 """A case of index i takes the i-th seed of a list. Frozen."""
 
 NOISE = (0.0025, 0.01, 0.05)
 """Shares of the amplitude: of the largest swings of both joints, in the mean (root of squares)."""
+PLAN = (
+    ("single", NOISE, 3),
+    ("none", NOISE[:1], 33),
+    ("none", NOISE[1:2], 34),
+    ("none", NOISE[2:], 33),
+    ("outside", NOISE[1:2], 4),
+    ("pairs", NOISE[1:2], 40),
+)
+"""The published table: what, at which noise, from how many seeds: 540 cases."""
 FAIR = (0.02, 0.1)
 """Strength of each of two effects at once: the share of their torque in the spring's."""
 
@@ -41,8 +49,7 @@ _KINDS = (
     ("sensor_offset", "sensor_scale", "sensor_delay"),
     ("inertia_error", "wrist_flexibility"),
 )
-KIND = {name: kind for kind, names in enumerate(_KINDS) for name in names}
-"""Physical kind by name: two effects at once are never of one kind."""
+"""Physical kinds: two effects at once are never of one kind."""
 
 
 @dataclass(frozen=True)
@@ -55,14 +62,17 @@ class Spec:
     """What is hidden: nothing, one effect, or two."""
     noise: float
     seed: int
-    of: str = "amplitude"
-    """What the noise is a share of: "rms" (of the motion about its mean, 20 s) is the easier."""
 
     @property
     def key(self) -> str:
         """Its name: the same everywhere."""
-        of = "" if self.of == "amplitude" else f"/{self.of}"
-        return f"{self.what}/{'+'.join(self.labels) or '-'}/{self.noise:g}/{self.seed}{of}"
+        return f"{self.what}/{'+'.join(self.labels) or '-'}/{self.noise:g}/{self.seed}"
+
+    @classmethod
+    def of(cls, key: str) -> Spec:
+        """The case of that name."""
+        what, labels, noise, seed = key.split("/")
+        return cls(what, () if labels == "-" else tuple(labels.split("+")), float(noise), int(seed))
 
     def make(self) -> rig.HiddenCase:
         """The recording, and its truth."""
@@ -72,8 +82,6 @@ class Spec:
         if self.what == "pairs":
             strength = float(np.exp(rng.uniform(*np.log(FAIR))))
         (case,) = rig.hidden_cases(rng, self.labels, 1, noise_share=self.noise, strength=strength)
-        if self.of == "rms":
-            return case
         swings = np.abs(case.motion[0]).max(axis=0)
         noise = self.noise * float(np.sqrt(np.mean(swings**2)))
         readings = case.truth + noise / case.noise * (case.q - case.truth)
@@ -86,7 +94,6 @@ def specs(
     count: int = 1,
     seeds: str = "tuning",
     only: Sequence[str] = (),
-    of: str = "amplitude",
     skip: int = 0,
 ) -> Iterator[Spec]:
     """Cases of every label: `count` of each at each noise ("none" and "pairs" are one label), of
@@ -101,7 +108,7 @@ def specs(
                 for labels in _labels(kind, seed, share):
                     names = {x for label in labels for x in (label, label.partition(":")[0])}
                     if not only or names & set(only):
-                        yield Spec(kind, labels, share, seed, of)
+                        yield Spec(kind, labels, share, seed)
 
 
 def _labels(what: str, seed: int, noise: float) -> list[tuple[str, ...]]:
@@ -123,17 +130,3 @@ def _pair(rng: np.random.Generator) -> tuple[str, str]:
 def _place(rng: np.random.Generator, name: str) -> str:
     places = [x for x in rig.NAMES if x.partition(":")[0] == name]
     return places[rng.integers(len(places))]
-
-
-def named_row(spec: Spec, method: str, named: Sequence[str], seconds: float) -> dict[str, Any]:
-    """One line: the effects named, the largest first."""
-    return {
-        "key": spec.key,
-        "method": method,
-        "what": spec.what,
-        "hidden": list(spec.labels),
-        "noise": spec.noise,
-        "seed": spec.seed,
-        "named": list(named),
-        "seconds": seconds,
-    }

@@ -1,6 +1,7 @@
 """Fits of measured recordings, beside the published figures.
 
-    python -m benchmarks.measured FOLDER
+    python -m benchmarks.measured FOLDER            fits
+    python -m benchmarks.measured FOLDER predict    loaded carts fitted, bare ones predicted
 
 FOLDER holds `carts/` and `double_pendulum/` (see the docs for where they come from); neither is
 part of this repository.
@@ -12,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 import residyn
-from residyn.recording import ArmTable, InertiaTable
+from benchmarks.measured_diagnosis import cart, carts_of
+from residyn.recording import ArmTable
 
-LOAD = 0.986  # kg
 SPRINGS = {"high": 712.6, "low": 175.3}  # N/m, published
 
 
@@ -26,11 +27,7 @@ def carts(folder: Path) -> None:
     with_friction: dict[tuple[str, str], list[float]] = {}
     for path in sorted(folder.glob("*.csv")):
         spring, _, load, _ = path.stem.split("_")
-        mass = 0.5685 + (LOAD if load == "loaded" else 0.0)
-        time, angle, _, _ = residyn.recording.read_csv(path, 1)
-        recording = residyn.Recording.from_arrays(time, angle, start="release", name=path.name)
-        table = InertiaTable(("cart",), ((mass,),), ("m",))
-        experiment = residyn.Experiment(table, (recording,))
+        experiment = carts_of(cart(path))
         base = residyn.fit(experiment)
         mended = residyn.fit(experiment, effects=["coulomb_friction:cart"])
         k, c, level = (n.value for n in mended.numbers)
@@ -73,7 +70,41 @@ def double_pendulum(path: Path) -> None:
         print()
 
 
+def predict(folder: Path) -> None:
+    """The paper's third step with carts: the loaded runs fitted, the load taken off, the bare runs
+    predicted from their first readings."""
+    for spring in ("low", "high"):
+        loaded = [cart(p) for p in sorted(folder.glob(f"{spring}_spring_loaded_*.csv"))]
+        bare = [cart(p, "check") for p in sorted(folder.glob(f"{spring}_spring_bare_*.csv"))]
+        for effects in ([], ["coulomb_friction"], ["coulomb_friction", "hysteresis"]):
+            fit = residyn.fit(carts_of(*loaded, *bare), effects=effects)
+            swings = []
+            for r in fit.recordings:
+                if r.recording.role == "check":
+                    ends = [
+                        _last_swing(r.recording.time, x[:, 0])
+                        for x in (r.recording.angle, r.predicted)
+                    ]
+                    swings.append(ends[1] - ends[0])
+            assert fit.check_rmse is not None
+            print(
+                f"| {spring} | {' + '.join(['spring, damper', *effects])} "
+                f"| {1e3 * fit.rmse[0]:.3f} | {1e3 * fit.check_rmse[0]:.3f} "
+                f"| {', '.join(f'{s:+.2f}' for s in swings)} |",
+                flush=True,
+            )
+
+
+def _last_swing(time: np.ndarray, x: np.ndarray) -> float:
+    """When the swing last exceeds a tenth of the first one, s after the release."""
+    about = np.abs(x - np.nanmedian(x[-len(x) // 10 :]))
+    return float(time[np.flatnonzero(about > 0.1 * np.nanmax(about))[-1]] - time[0])
+
+
 if __name__ == "__main__":
     data = Path(sys.argv[1])
+    if sys.argv[2:] == ["predict"]:
+        predict(data / "carts")
+        sys.exit()
     carts(data / "carts")
     double_pendulum(data / "double_pendulum" / "free_swing.csv")

@@ -3,7 +3,6 @@
     python -m benchmarks.speed
     python -m benchmarks.speed evaluations      one evaluation of the model and its derivatives
     python -m benchmarks.speed parts            what a warm fit spends its time on
-    python -m benchmarks.speed diagnosis        a diagnosis, cold and warm, in warm fits
     python -m benchmarks.speed many             fits a second of a bootstrap
     python -m benchmarks.speed scaling          how a fit grows with its data; a picture
 
@@ -90,25 +89,6 @@ def parts(experiment) -> None:
     for name, each in took.items():
         ms = np.median(each)
         print(f"| {name} | {ms:.1f} | {100 * ms / total:.0f} % |")
-
-
-def diagnosis(experiment) -> None:
-    """Seconds of a diagnosis of a hidden friction, and how many warm fits that is."""
-    began = time.perf_counter()
-    found = residyn.diagnose(experiment)
-    print(f"{found.verdict}: {', '.join(found.added)}; first {time.perf_counter() - began:.1f} s")
-    seconds = {1: [], 6: [], 0: []}
-    for _ in range(7):
-        for starts, each in seconds.items():
-            began = time.perf_counter()
-            if starts:
-                residyn.fit(experiment, starts=starts)
-            else:
-                residyn.diagnose(experiment)
-            each.append(time.perf_counter() - began)
-    one, six, whole = (np.median(each[1:]) for each in seconds.values())
-    print(f"warm: {whole:.2f} s; a fit from one start {one:.3f} s, from six {six:.3f} s")
-    print(f"ratio: {whole / one:.1f} fits from one start, {whole / six:.1f} from six")
 
 
 def many(case, noise: float) -> None:
@@ -203,11 +183,6 @@ def main() -> None:
     case = rig.Case(arm, q0, (0.0, 0.0), noise, t, q, truth)
     experiment = experiment_of(case, noise)
     words = sys.argv[1:]
-    if words == ["diagnosis"]:
-        hidden = rig.Hidden("coulomb_friction:elbow", {"torque": 0.05})
-        case = rig.record(rng, arm, q0, [hidden], seconds=20.0, rate=100.0, noise=noise)
-        diagnosis(experiment_of(case, noise))
-        return
     if words:
         some = {
             "evaluations": evaluations,

@@ -18,8 +18,8 @@ import numpy as np
 from scipy.stats import kstest
 
 import residyn
-from residyn.diagnosis.linear import Near
-from residyn.diagnosis.where import where
+from residyn.diagnosis.linearised_fit import LinearisedFit
+from residyn.diagnosis.residuals import where
 from residyn.recording import ArmTable
 from tests import rig
 
@@ -73,7 +73,7 @@ def chances(experiment: residyn.Experiment) -> tuple[list[float], float]:
     """The p-value of each joint, and of both together."""
     fit = residyn.fit(experiment, starts=2)
     with jax.enable_x64(True):
-        near = Near.of(fit)
+        near = LinearisedFit.of(fit)
         found = where(near, near.look(near.at)[1])
     each = [w.p for w in found.white.values()]
     return each, 1 - (1 - np.nanmin(each)) ** len(each)

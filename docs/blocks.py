@@ -207,7 +207,8 @@ def _shared_results() -> Iterator[None]:
     def shared(name):
         def same(experiment, **named):
             # The defaults that a command spells out, and Python need not.
-            said = {"effects": (), "starts": 6, "max_effects": 3, "method": "levenberg", **named}
+            said = {"effects": (), "starts": 6, "max_effects": 3, "method": "levenberg"}
+            said |= {"budget": None, **named}
             said.pop("progress", None)
             said["effects"] = tuple(said["effects"])
             if not all(isinstance(e, str) for e in said["effects"]):

@@ -4,10 +4,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from residyn.diagnosis import Comparison, Curve, Missing, MissingTorque
-from residyn.diagnosis.adequacy import White
-from residyn.diagnosis.horizon import Ahead, Error, HeldOut, Horizon
-from residyn.diagnosis.result import Candidate, Diagnosis, NextExperiment, Rung, Value
-from residyn.diagnosis.where import Cell, Part, Where
+from residyn.diagnosis.forecast import Ahead, Error, HeldOut, Horizon
+from residyn.diagnosis.residuals import Cell, Part, Where
+from residyn.diagnosis.result import (
+    Budget,
+    Candidate,
+    Diagnosis,
+    Family,
+    NextExperiment,
+    RandomTorque,
+    Rung,
+    Value,
+)
+from residyn.diagnosis.whiteness import White
 from residyn.fitting import Fit, Mode, Number, RecordingFit, mechanism_of, model_for
 from residyn.recording import ArmTable, Experiment, Recording
 
@@ -98,9 +107,6 @@ def a_missing_torque(fit, size):
         torque=friction + 0.01 * np.sin(run.time)[:, None],
         std=np.full_like(angle, 0.02),
         amplitude=np.abs(angle) + 0.01,
-        intensity=np.array([0.1, 0.1]),
-        log_likelihood=-10.0,
-        log_likelihood_without=-1000.0,
         rms=np.sqrt(np.mean(friction**2, axis=0)),
         share_of_spring=np.array([0.01, 0.2]),
     )
@@ -142,24 +148,42 @@ def an_error(*times):
 # -- diagnoses -------------------------------------------------------------------------------
 
 
-def a_candidate(effect, probability, screened, refit=None):
-    values = {f"{effect}.torque": Value(0.2001, 0.0006, "N m")}
-    return Candidate(effect, probability, screened, refit, values)
+def a_candidate(effect, probability, log_evidence, iterated=True):
+    value = Value(0.2001, 0.0006, "N m")
+    values = {f"{effect}.torque": value} if iterated else {}
+    if effect == RIVAL:
+        values |= {
+            f"{effect}.excess": Value(0.0008, 0.0005, "N m"),
+            f"{effect}.velocity": Value(0.05, 0.03, "rad/s"),
+        }
+    return Candidate(effect, probability, log_evidence, iterated, values)
 
 
-def a_rung(fit, added=None, dropped=(), held=(46.0, 24.0)):
-    """A rung with these held-out errors, in times the noise."""
+def a_rung(fit, added=None, dropped=(), held=(46.0, 24.0), log_evidence=0.0):
+    """A model on the way with these held-out errors, in times the noise."""
     check = HeldOut("check recordings", an_error(*held), an_error(7.1, 11.0))
-    return Rung(added, tuple(dropped), fit, check, 1e-13 if held[0] > 2 else 0.4)
+    return Rung(added, tuple(dropped), fit, check, log_evidence)
+
+
+def torques(size, band=0.5):
+    """What is still missing at the two joints, so large, N m."""
+    return tuple(
+        RandomTorque(j, "N m", x, (1 - band) * x, (1 + band) * x, x / 2.0 if x else np.nan)
+        for j, x in zip(JOINTS, (0.5 * size, size), strict=True)
+    )
 
 
 CANDIDATES = (
-    a_candidate(FOUND, 0.93, 243101.0, 248905.0),
-    a_candidate(RIVAL, 0.06, 243180.0, 248906.0),
-    a_candidate("hysteresis:elbow", 0.004, 200000.0, 230000.0),
-    a_candidate("bearing_quadratic_drag", 0.0, 70000.0, -12.0),
-    a_candidate("asymmetric_stiffness:shoulder", 0.0, 500.0),
-    a_candidate("gravity", 0.0, float("nan")),
+    a_candidate(FOUND, 0.93, 0.0),
+    a_candidate(RIVAL, 0.06, -2.7),
+    a_candidate("hysteresis:elbow", 0.004, -5.4),
+    a_candidate("bearing_quadratic_drag", 0.0, -120.0),
+    a_candidate("asymmetric_stiffness:shoulder", 0.0, -690.0, iterated=False),
+    a_candidate("gravity", 0.0, float("nan"), iterated=False),
+)
+FAMILIES = (
+    Family("dry friction", "elbow", 0.99, ((FOUND, 0.93), (RIVAL, 0.06))),
+    Family("hysteresis", "elbow", 0.004, (("hysteresis:elbow", 0.004),)),
 )
 NEXT = NextExperiment(
     (FOUND, RIVAL), {"shoulder": 0.3, "elbow": -0.1}, 0.3, True, None, 12.3, 2.0,
@@ -167,42 +191,66 @@ NEXT = NextExperiment(
 )  # fmt: skip
 
 
-def missing():
+def a_diagnosis(verdict, ladder, **changed):
+    """A diagnosis of these models; nothing else was found unless it is given."""
+    settings = {
+        "verdict": verdict,
+        "verdict_probability": 0.999,
+        "ladder": tuple(ladder),
+        "candidates": CANDIDATES,
+        "families": FAMILIES,
+        "lookalikes": (),
+        "next_experiment": None,
+        "missing": (a_missing_torque(ladder[0].fit, 0.2),),
+        "still_missing": (a_missing_torque(ladder[-1].fit, 0.0),),
+        "random_torque": torques(1e-3),
+        "intensity": 1e-4,
+        "explains_nothing": False,
+        "budget": Budget(13, 40, None),
+        "seconds": 31.0,
+    } | changed
+    found = Diagnosis(**settings)
+    left = (6.0, 1e-13) if verdict == "unexplained" else (1.0, 0.4)
+    found.__dict__["comparison"] = a_comparison(found.fit, *left)
+    return found
+
+
+def missing(**changed):
     """Something was found, and nothing is left."""
-    before = a_fit()
-    after = a_fit((FOUND,), SLIP, 0.98)
-    return Diagnosis(
-        verdict="missing",
-        ladder=(a_rung(before), a_rung(after, FOUND, held=(1.0, 1.0))),
-        candidates=CANDIDATES,
-        lookalikes=((FOUND, RIVAL),),
-        next_experiment=NEXT,
-        missing=(a_missing_torque(before, 0.2),),
-        comparison=a_comparison(after, 1.0, 0.4),
-        words=(f"{FOUND} is missing (93 %): 0.2001 +/- 0.0006 N m.", "Nothing is left."),
-        seconds=31.0,
+    ladder = (
+        a_rung(a_fit(), log_evidence=-692.0),
+        a_rung(a_fit((FOUND,), SLIP, 0.98), FOUND, held=(1.0, 1.0)),
     )
+    settings = {"lookalikes": ((FOUND, RIVAL),), "next_experiment": NEXT} | changed
+    return a_diagnosis("missing", ladder, **settings)
 
 
-def adequate():
+def adequate(**changed):
     """Nothing was missing."""
     fit = a_fit((), SLIP, 1.02)
-    return Diagnosis(
-        "adequate", (a_rung(fit, held=(1.0, 1.0)),), CANDIDATES[4:], (), None,
-        (a_missing_torque(fit, 0.0),), a_comparison(fit, 1.0, 0.4), ("Nothing is missing.",), 12.0,
-    )  # fmt: skip
+    settings = {
+        "candidates": CANDIDATES[4:],
+        "families": (),
+        "missing": (a_missing_torque(fit, 0.0),),
+    }
+    return a_diagnosis("adequate", (a_rung(fit, held=(1.0, 1.0)),), **(settings | changed))
 
 
-def unexplained():
-    """Something is left, whatever was tried: two rungs up, one of them given up again."""
+def unexplained(**changed):
+    """Something is left, whatever was tried; one effect left again when a better one had joined."""
     labels = "quadratic_drag:elbow", "asymmetric_stiffness:shoulder"
-    fits = a_fit(), a_fit(labels[:1]), a_fit(labels[1:], 0.5 * SLIP)
+    fits = a_fit(), a_fit(labels[:1]), a_fit(labels[1:], 0.5 * SLIP, 4.1)
     ladder = (
-        a_rung(fits[0]),
-        a_rung(fits[1], labels[0], held=(20.0, 12.0)),
+        a_rung(fits[0], log_evidence=-900.0),
+        a_rung(fits[1], labels[0], held=(20.0, 12.0), log_evidence=-300.0),
         a_rung(fits[2], labels[1], labels[:1], held=(15.0, 2.0)),
     )
-    return Diagnosis(
-        "unexplained", ladder, CANDIDATES, (), None, (a_missing_torque(fits[0], 0.2),),
-        a_comparison(fits[2], 6.0, 1e-13), ("Something real is left.",), 40.0,
-    )  # fmt: skip
+    family = Family("spring shape", "shoulder", 0.97, ((labels[1], 0.97),))
+    settings = {
+        "candidates": (a_candidate(labels[1], 0.97, 0.0), *CANDIDATES[:4], CANDIDATES[5]),
+        "families": (family, *FAMILIES[1:]),
+        "still_missing": (a_missing_torque(fits[2], 0.2),),
+        "random_torque": torques(0.1),
+        "intensity": 0.05,
+    }
+    return a_diagnosis("unexplained", ladder, **(settings | changed))

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import sys
 
 import jax
 import numpy as np
@@ -11,11 +12,11 @@ from scipy.stats import kstest
 import residyn
 from residyn.cli import main
 from residyn.diagnosis import compare_fit
-from residyn.diagnosis.adequacy import _narrow, _test
 from residyn.diagnosis.bands import bands
-from residyn.diagnosis.linear import Tangent, spread
+from residyn.diagnosis.linearised_fit import Tangent, spread
 from residyn.diagnosis.rounding import Grid, hangs
 from residyn.diagnosis.spectrum import energies, spectrum, strips
+from residyn.diagnosis.whiteness import _narrow, _test
 from residyn.fitting import Mode, RecordingFit
 from residyn.recording import ArmTable, InertiaTable
 
@@ -58,7 +59,8 @@ def wrong():
 @pytest.fixture
 def quick(monkeypatch):
     """Without following the missing torque, which has tests of its own."""
-    monkeypatch.setattr("residyn.diagnosis.pipeline.missing_of", lambda fit: ())
+    module = sys.modules["residyn.diagnosis.compare"]
+    monkeypatch.setattr(module, "_missing", lambda fit, say: ())
 
 
 def cart_motion(friction):
@@ -208,7 +210,7 @@ def test_several_recordings_and_checks(clean, quick):
     assert [p.stop for p in found.where.time] == [p.stop for p in clean.where.time]
 
 
-def test_it_costs_two_short_fits_and_compiles_one_program(clean, monkeypatch):
+def test_looking_again_compiles_nothing(clean, monkeypatch):
     compiled = []
     original = jax._src.compiler.compile_or_get_cached
 
@@ -217,14 +219,14 @@ def test_it_costs_two_short_fits_and_compiles_one_program(clean, monkeypatch):
         return original(*args, **kwargs)
 
     monkeypatch.setattr(jax._src.compiler, "compile_or_get_cached", counting)
-    again = compare_fit(clean.fit)
+    again = compare_fit(clean.fit, missing=())
     assert again.p == clean.p
     assert not any("polish" in name or "look" in name for name in compiled), compiled
 
 
 def test_a_recording_too_short_to_cut_still_compares(clean, monkeypatch):
-    monkeypatch.setattr("residyn.diagnosis.horizon._LEAST", 10_000)
-    found = compare_fit(clean.fit)
+    monkeypatch.setattr("residyn.diagnosis.forecast._LEAST", 10_000)
+    found = compare_fit(clean.fit, missing=())
     assert found.horizon is None
     assert found.held_out is None
     assert found.to_dict()["horizon"] is None

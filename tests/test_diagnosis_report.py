@@ -1,18 +1,21 @@
-"""What a user sees of a diagnosis: the printout, the pictures, the page, the command."""
+"""What a user sees of a diagnosis: its sentences, the printout, the pictures, the page, the
+command."""
 
 import dataclasses
 import json
 import math
 import re
 
+import numpy as np
 import pytest
 
 import residyn.diagnosis
 from residyn import plot, report
 from residyn.cli import main
-from residyn.diagnosis import printed
-from residyn.diagnosis.result import Value
+from residyn.diagnosis.result import Budget, Family, Value
 from residyn.fitting import FitError
+from residyn.report import _diagnosis_text as text
+from residyn.report import _words as words_of
 from tests import by_hand
 from tests.by_hand import FOUND, NEXT, RIVAL, a_candidate, a_rung
 from tests.legible import legible
@@ -21,12 +24,17 @@ KINDS = {"missing": by_hand.missing, "adequate": by_hand.adequate}
 KINDS["unexplained"] = by_hand.unexplained
 CONTRACT = {
     "verdict",
+    "verdict_probability",
+    "words",
     "added",
     "ladder",
     "candidates",
+    "families",
     "lookalikes",
     "next_experiment",
     "missing_torque",
+    "random_torque",
+    "budget",
 }
 
 
@@ -35,63 +43,211 @@ def found():
     return {name: make() for name, make in KINDS.items()}
 
 
+# -- the sentences ---------------------------------------------------------------------------
+
+
+def family(probability, name="dry friction", effect=FOUND):
+    return Family(name, "elbow", probability, ((effect, probability),))
+
+
+def test_family_and_place_come_first_then_the_law_with_its_numbers(found):
+    words = found["missing"].words
+    assert words[0] == "Dry friction at the elbow is missing (99 %)."
+    assert words[1] == (
+        "Within dry friction, the law is most likely Coulomb friction (93 %; torque 0.2000 +/- "
+        "0.0010 N m); Stribeck friction (6 %) is possible too."
+    )
+
+
+def test_a_law_that_is_enough_says_what_the_next_one_would_add():
+    sure = Family("dry friction", "elbow", 1.0, ((FOUND, 0.999), (RIVAL, 0.001)))
+    candidates = a_candidate(FOUND, 0.999, 0.0), a_candidate(RIVAL, 0.001, -7.4)
+    alone = by_hand.missing(families=(sure,), candidates=candidates, lookalikes=())
+    assert alone.words[0] == "Dry friction at the elbow is missing (> 99 %)."
+    assert (
+        "is enough; Stribeck friction (< 1 %) would add excess 0.00080 +/- 0.00050 N m."
+        in (alone.words[1])
+    )
+    assert "possible" not in " ".join(alone.words)
+
+
+@pytest.mark.parametrize(
+    ("probability", "says"),
+    [
+        (0.9999, "Dry friction at the elbow is missing (> 99 %)."),
+        (0.95, "Dry friction at the elbow is missing (95 %)."),
+        (0.7, "Dry friction at the elbow is probably missing (70 %)."),
+        (0.3, "Dry friction at the elbow may be missing (30 %)."),
+    ],
+)
+def test_no_sentence_is_surer_than_its_probability(probability, says):
+    made = by_hand.missing(families=(family(probability),), verdict_probability=0.8)
+    assert made.words[0] == says
+
+
+def test_what_is_sure_is_not_hedged_though_its_name_is_not():
+    """Something is missing for sure; which of three it is, is not."""
+    others = (family(0.3, "hysteresis", "hysteresis:elbow"), family(0.29, "gravity", "gravity"))
+    made = by_hand.missing(families=(family(0.4), *others), lookalikes=())
+    assert made.words[0] == (
+        "Something is missing that the catalogue has (> 99 %), most likely dry friction at the "
+        "elbow (40 %)."
+    )
+    said = "Also possible: hysteresis at the elbow (30 %) and gravity at the elbow (29 %)."
+    assert said in made.words
+
+
+def test_how_far_the_error_falls_and_how_small_the_rest_is(found):
+    words = " ".join(found["missing"].words)
+    assert re.search(r"With it the error at the shoulder falls from 3\.\d to 1\.0 times", words)
+    assert "(held out: from 46 to 1.0)" in words
+    assert "no more than 0.0015 N m rms at the elbow" in words
+    assert "0.075 % of the spring's torque (95 % band)." in words
+
+
+def test_what_nothing_explains_is_measured_beside_spring_and_damper(found):
+    words = " ".join(found["unexplained"].words)
+    share = text.explained_share(found["unexplained"])
+    assert share == pytest.approx(1 - (4.1 - 1) / (12.3 - 1))
+    assert "that explains 73 % of the squared error above the noise" in words
+    assert "Something more is missing that no effect of the catalogue explains (> 99 %)" in words
+    assert "0.10 N m rms at the elbow (95 % band 0.050 to 0.15; 5.0 % of the spring's)" in words
+    rate = found["unexplained"].still_missing[0].torque.rate[:, 1]
+    damper = next(n for n in found["unexplained"].fit.numbers if n.name.startswith("damper:elbow"))
+    ratio = 0.1 / (damper.value * np.sqrt(np.mean(rate**2)))
+    assert f"the damping by {words_of.share_words(ratio)}" in words
+
+
+def test_nothing_found_and_yet_something_missing():
+    made = by_hand.unexplained()
+    bare = dataclasses.replace(made, ladder=made.ladder[:1])
+    words = " ".join(bare.words)
+    assert words.startswith(
+        "Something is missing that no effect of the catalogue explains (> 99 %)."
+    )
+    assert "What is missing is a torque of" in words
+    assert "explains 0 %" not in words
+
+
+def test_a_search_cut_short_does_not_blame_the_catalogue():
+    made = by_hand.unexplained(budget=Budget(1, 40, "budget"))
+    bare = dataclasses.replace(made, ladder=made.ladder[:1])
+    words = " ".join(bare.words)
+    assert "after one model" in words
+    assert "that no effect that was tried explains" in words
+    assert "catalogue" not in words
+
+
+def test_nothing_missing(found):
+    words = found["adequate"].words
+    assert words[0] == "Nothing is missing that these recordings could show (> 99 %)."
+    unsure = by_hand.adequate(verdict_probability=0.6).words
+    assert unsure[0] == "Probably nothing is missing (60 %)."
+
+
+def test_what_may_still_be_missing_is_no_secret():
+    words = by_hand.missing(verdict_probability=0.7).words
+    assert "That nothing else is missing is not sure (70 %)." in words
+
+
+def test_a_model_of_nothing_says_what_to_check():
+    made = by_hand.unexplained(explains_nothing=True)
+    words = " ".join(made.words)
+    assert words.startswith("The model explains nothing of this motion, so no effect can be named")
+    for check in ("units", "rest", "column", "inertias"):
+        assert check in words
+    assert "is missing" not in words
+
+
+def test_numbers_that_cannot_be_are_said_first():
+    made = by_hand.missing()
+    fit = made.fit
+    numbers = tuple(
+        dataclasses.replace(n, value=-0.5, std=0.01) if n.name.startswith("damper:elbow") else n
+        for n in fit.numbers
+    )
+    last = dataclasses.replace(made.ladder[-1], fit=dataclasses.replace(fit, numbers=numbers))
+    wrong = dataclasses.replace(made, ladder=(made.ladder[0], last))
+    assert wrong.words[0].startswith("This model cannot be right: damper:elbow.damping is -0.500")
+    within = tuple(dataclasses.replace(n, std=1.0) for n in numbers)
+    last = dataclasses.replace(last, fit=dataclasses.replace(fit, numbers=within))
+    unsure = dataclasses.replace(made, ladder=(made.ladder[0], last))
+    assert unsure.words[0].startswith("Dry friction")
+
+
+@pytest.mark.parametrize(("why", "says"), [("interrupted", "Ctrl-C"), ("budget", "budget")])
+def test_a_search_that_was_ended_says_so(why, says):
+    made = by_hand.missing(budget=Budget(7, 40, why))
+    assert says in made.words[0]
+    assert "after 7 models" in made.words[0]
+    assert "best so far" in made.words[0]
+    assert made.to_dict()["budget"] == {"models": 7, "candidates": 40, "stopped": why}
+
+
 # -- the printout ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_it_begins_with_the_verdict_and_fits_80_columns(found, kind):
-    text = str(found[kind])
-    assert text.startswith(found[kind].words[0][:40])
-    assert max(map(len, text.splitlines())) <= 80
-    assert text.endswith(str(found[kind].fit))
+    printed = str(found[kind])
+    assert printed.startswith(found[kind].words[0][:40])
+    assert max(map(len, printed.splitlines())) <= 80
+    assert printed.endswith(str(found[kind].fit))
 
 
-def test_it_shows_the_ladder_and_the_suspects(found):
-    text = str(found["missing"])
+def test_it_shows_the_models_and_the_candidates(found):
+    printed = str(found["missing"])
     for line in (
         r"springs and dampers +3\.\d x +46 x",
-        r"\+ coulomb_friction:elbow +1\.0 x +1\.0 x +1\.0 x +1\.0 x +0\.980",
-        r"coulomb_friction:elbow +93 % +243101 +248905\n +torque 0\.20010 \+/- 0\.00060 N m",
-        r"hysteresis:elbow +< 1 %",
-        r"bearing_quadratic_drag +< 1 % +70000 +-12",
-        r"and 2 more that were screened",
+        r"\+ Coulomb friction at the elbow +1\.0 x +1\.0 x +1\.0 x +1\.0 x +0\.980",
+        r"coulomb_friction:elbow +93 % +0\n +torque 0\.20010 \+/- 0\.00060 N m",
+        r"hysteresis:elbow +< 1 % +-5\.4",
         r"cannot be told from stribeck_friction:elbow",
         NEXT.words[:40],
     ):
-        assert re.search(line, text), line
+        assert re.search(line, printed), line
+
+
+def test_what_is_known_to_first_order_only_is_marked(found):
+    printed = "\n".join(text.candidates(found["adequate"]))
+    assert re.search(r"asymmetric_stiffness:shoulder +< 1 % +-690 \(1st order\)", printed)
 
 
 def test_what_was_dropped_is_said(found):
-    text = str(found["unexplained"])
-    assert "+ asymmetric_stiffness:shoulder" in text
-    assert "without quadratic_drag:elbow" in text
+    printed = str(found["unexplained"])
+    assert "+ asymmetric stiffness at the" in printed
+    assert "without quadratic drag at the elbow" in " ".join(printed.split())
     assert found["unexplained"].added == ("asymmetric_stiffness:shoulder",)
 
 
 def test_more_joints_than_columns_stand_under_each_other(found):
     rung = found["missing"].ladder[0]
-    lines = printed._stacked(rung, rung.fit.joints)
+    lines = text._stacked(rung, rung.fit.joints)
     assert "springs and dampers" in lines[0]
     assert [line.split()[0] for line in lines[1:]] == ["shoulder", "elbow"]
     assert all("x fitted" in line and "x held out" in line for line in lines[1:])
 
 
 def test_the_users_own_effects_are_part_of_the_base():
-    assert printed.base_name(by_hand.a_fit()) == "springs and dampers"
-    assert printed.base_name(by_hand.a_fit(("gravity",))) == "springs and dampers + gravity"
+    assert words_of.base_name(by_hand.a_fit()) == "springs and dampers"
+    assert words_of.base_name(by_hand.a_fit(("gravity",))) == "springs and dampers + gravity"
 
 
 @pytest.mark.parametrize(
     ("label", "words"),
     [
-        (FOUND, "coulomb_friction at the elbow"),
-        ("gravity", "gravity"),
-        ("inertia_error:elbow", "inertia_error:elbow"),
-        ("inertia_error:coupling", "inertia_error:coupling"),
+        (FOUND, "Coulomb friction at the elbow"),
+        ("gravity", "Gravity"),
+        ("inertia_error:coupling", "Wrong inertia (coupling)"),
+        ("my_own_law:elbow", "My own law at the elbow"),
     ],
 )
 def test_names_with_their_places(label, words):
-    assert printed.at_place(label, by_hand.JOINTS) == words
+    assert words_of.at_place(label, by_hand.JOINTS) == words
+
+
+def test_one_joint_goes_without_saying():
+    assert words_of.at_place("coulomb_friction:cart", ("cart",)) == "Coulomb friction"
 
 
 @pytest.mark.parametrize(
@@ -99,23 +255,27 @@ def test_names_with_their_places(label, words):
     [(0.934, "93 %"), (1.0, "> 99 %"), (0.0, "< 1 %"), (0.5, "50 %"), (math.nan, "?")],
 )
 def test_nothing_is_certain(probability, words):
-    assert printed.percent(probability) == words
+    assert words_of.percent(probability) == words
 
 
 def test_an_unknown_error_is_left_out():
-    assert printed.value_words(Value(0.25, math.nan, "rad/s")) == "0.2500 rad/s"
-    assert printed.value_words(Value(0.25, 0.01, "1")) == "0.250 +/- 0.010"
+    assert words_of.value_words(Value(0.25, math.nan, "rad/s")) == "0.2500 rad/s"
+    assert words_of.value_words(Value(0.25, 0.01, "1")) == "0.250 +/- 0.010"
 
 
 def test_the_dictionary_keeps_the_contract(found):
+    rung_keys = {"model", "rmse", "check_rmse", "reduced_chi2", "log_evidence"}
     for diagnosis in found.values():
         result = diagnosis.to_dict()
         assert set(result) >= CONTRACT
-        assert set(result["ladder"][0]) == {"model", "rmse", "check_rmse", "reduced_chi2"}
+        assert set(result["ladder"][0]) == rung_keys
+        torque = result["random_torque"]["elbow"]
+        assert set(torque) == {"rms", "low", "high", "unit", "share_of_spring"}
         json.dumps(result, allow_nan=False)
     first = found["missing"].to_dict()["candidates"][0]
-    keys = {"effect", "probability", "chi2_drop_screened", "chi2_drop_refit", "parameters"}
-    assert set(first) == keys
+    assert set(first) == {"effect", "probability", "log_evidence", "parameters"}
+    kind = found["missing"].to_dict()["families"][0]
+    assert set(kind) == {"name", "place", "probability", "members"}
 
 
 # -- the pictures ----------------------------------------------------------------------------
@@ -123,7 +283,7 @@ def test_the_dictionary_keeps_the_contract(found):
 
 @pytest.mark.parametrize("narrow", [False, True], ids=["wide", "narrow"])
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("draw", ["ladder", "suspects"])
+@pytest.mark.parametrize("draw", ["ladder", "candidates"])
 def test_no_word_of_a_picture_is_cut_or_covered(found, kind, draw, narrow, monkeypatch):
     words = legible(getattr(plot, draw)(found[kind], narrow=narrow), monkeypatch)
     if draw == "ladder":
@@ -132,12 +292,12 @@ def test_no_word_of_a_picture_is_cut_or_covered(found, kind, draw, narrow, monke
 
 
 @pytest.mark.parametrize("narrow", [False, True], ids=["wide", "narrow"])
-def test_many_rungs_are_listed_beneath(found, narrow, monkeypatch):
+def test_many_models_are_listed_beneath(found, narrow, monkeypatch):
     ladder = found["missing"].ladder
     each = [a_rung(ladder[0].fit, f"quadratic_drag:{j}", held=(9, 7)) for j in by_hand.JOINTS]
     many = dataclasses.replace(found["missing"], ladder=(*ladder[:1], *each, *each, *ladder[1:]))
     words = legible(plot.ladder(many, narrow=narrow), monkeypatch)
-    assert "5  + coulomb_friction at the elbow" in words
+    assert "5  + Coulomb friction at the elbow" in words
 
 
 def test_a_ladder_without_held_out_errors_can_be_drawn(found, monkeypatch):
@@ -145,15 +305,16 @@ def test_a_ladder_without_held_out_errors_can_be_drawn(found, monkeypatch):
     bare = dataclasses.replace(found["missing"], ladder=tuple(ladder))
     words = legible(plot.ladder(bare), monkeypatch)
     assert not [w for w in words if "held out" in w]
-    assert "held out" not in str(bare).partition("[[Suspects]]")[0]
+    assert "held out" not in "\n".join(text.models(bare))
 
 
-def test_all_suspects_screened_only(found, monkeypatch):
-    few = tuple(a_candidate(name, 0.0, 3.0) for name in (FOUND, RIVAL))
-    words = legible(
-        plot.suspects(dataclasses.replace(found["adequate"], candidates=few)), monkeypatch
-    )
-    assert words.count("not tried") == 2
+def test_candidates_known_to_first_order_have_their_own_colour(found, monkeypatch):
+    few = tuple(a_candidate(name, 0.0, -3.0, iterated=False) for name in (FOUND, RIVAL))
+    made = dataclasses.replace(found["adequate"], candidates=few)
+    assert "to first order only" in legible(plot.candidates(made), monkeypatch)
+    tried = tuple(a_candidate(name, 0.0, -3.0) for name in (FOUND, RIVAL))
+    made = dataclasses.replace(found["adequate"], candidates=tried)
+    assert "to first order only" not in legible(plot.candidates(made), monkeypatch)
 
 
 # -- the page --------------------------------------------------------------------------------
@@ -177,32 +338,41 @@ def headings(page):
 def test_the_page_begins_with_the_verdict_and_the_falling_error(pages, found):
     page = pages["missing"]
     assert headings(page) == [
-        "What is missing: coulomb_friction at the elbow",
-        "The suspects",
+        "What is missing: dry friction at the elbow",
+        "What it might be",
         "What cannot be told apart",
         "What to measure next",
         "What is left",
         "1. first",
         "2. last",
+        "Words on this page",
     ]
     head = page[: page.index("<h2>")]
     assert head.count("<figure>") == 1
-    assert "0.2001 ±" in head
-    for words in ("46 ×", "0.980", "hysteresis", NEXT.words, "(accepted)"):
+    assert "±\u00a00.0010" in head
+    for words in (
+        "46 ×",
+        "0.980",
+        "hysteresis",
+        NEXT.words,
+        "(added)",
+        "Dry friction at the elbow",
+    ):
         assert words in page or words.replace(":", ":<wbr>") in page
-    assert "The torque that it still lacks is estimated as" in page
+    assert "The torque that this model still lacks" in page
+    assert "<dt>evidence</dt>" in page
 
 
-def test_the_accepted_effect_is_drawn_over_the_torque_of_the_first_model(pages):
+def test_the_added_effect_is_drawn_over_the_torque_of_the_first_model(pages):
     words = pages["missing"].partition("The torque that the first model lacks")[2]
-    assert f"Blue: what {FOUND} would draw" in words
+    assert "Blue: Coulomb friction at the elbow" in words
     assert "shoulder: " not in words.partition("<h2>")[0]  # it does not act there
 
 
 def test_what_nothing_explains_is_shown_first(pages):
     first = headings(pages["unexplained"])[:3]
-    assert first[0].endswith("and something that no effect explains")
-    assert first[1:] == ["The torque that is still missing", "The suspects"]
+    assert first[0].endswith("and something that no effect of the catalogue explains")
+    assert first[1:] == ["The torque that is still missing", "What it might be"]
 
 
 def test_a_page_of_nothing_missing(pages):
@@ -256,11 +426,17 @@ def command(tmp_path, monkeypatch, capsys):
 
 def test_the_command_passes_everything_on(command, found):
     words = ["--with", "gravity", "--with", "wind", "--max-effects", "2", "--starts", "4"]
+    words += ["--budget", "12.5"]
     status, out, err, asked = command(*words, result=found["missing"])
     assert (status, err) == (0, "")
     assert out == f"{found['missing']}\n"
     del asked["progress"]
-    assert asked == {"effects": ["gravity", "wind"], "max_effects": 2, "starts": 4}
+    assert asked == {
+        "effects": ["gravity", "wind"],
+        "max_effects": 2,
+        "starts": 4,
+        "budget": 12.5,
+    }
 
 
 def test_the_command_writes_json_and_a_report(command, found, tmp_path):
@@ -269,7 +445,7 @@ def test_the_command_writes_json_and_a_report(command, found, tmp_path):
     assert json.loads(out)["verdict"] == "adequate"
     assert err.endswith("report: d.html\n")
     page = (tmp_path / "d.html").read_text()
-    assert headings(page)[-1] == "cart.toml: springs and dampers"
+    assert headings(page)[-2] == "cart.toml: springs and dampers"
 
 
 @pytest.mark.parametrize(
@@ -277,6 +453,10 @@ def test_the_command_writes_json_and_a_report(command, found, tmp_path):
     [
         (["--max-effects", "-1"], None, 2, "--max-effects"),
         (["--max-effects", "some"], None, 2, "--max-effects"),
+        (["--budget", "0"], None, 2, "--budget 0: must be a number of seconds above 0"),
+        (["--budget", "-3"], None, 2, "--budget -3"),
+        (["--budget", "nan"], None, 2, "--budget nan"),
+        (["--budget", "soon"], None, 2, "--budget"),
         (["--json", "one.csv"], None, 2, "input"),
         ([], ValueError('there is no effect "wind"'), 2, "wind"),
         ([], FitError("no start led to finite numbers"), 1, "no start"),
@@ -296,5 +476,23 @@ def test_numbers_that_did_not_settle_are_exit_status_1(command, found):
     rung = dataclasses.replace(d.ladder[0], fit=rough)
     status, out, err, _ = command(result=dataclasses.replace(d, ladder=(rung,)))
     assert status == 1
-    assert "[[Ladder]]" in out
+    assert "[[Models]]" in out
     assert err == "residyn: step limit reached\n"
+
+
+def test_ctrl_c_in_the_search_prints_the_best_so_far(command):
+    stopped = by_hand.missing(budget=Budget(4, 40, "interrupted"))
+    status, out, err, _ = command(result=stopped)
+    assert status == 130
+    assert out.startswith("The search was stopped by Ctrl-C")
+    assert "[[Models]]" in out
+    assert err == "residyn: interrupted: the best so far is above\n"
+
+
+def test_ctrl_c_before_there_is_anything_says_so(command, monkeypatch):
+    def interrupted(*words):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("residyn.cli._diagnose.load", interrupted)
+    status, out, err, _ = command()
+    assert (status, out, err) == (130, "", "residyn: interrupted\n")

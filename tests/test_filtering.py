@@ -9,7 +9,7 @@ import pytest
 from residyn import ConstantInertia, PlanarArm, Recording, Spring
 from residyn.effects import CoulombFriction, CubicStiffness, Damper, Gravity, Hysteresis
 from residyn.filtering.grid import Spectrum, bucket, lay_out
-from residyn.filtering.kalman import Noise, Readings, System, innovations, smooth
+from residyn.filtering.kalman import Noise, Readings, System, evidences, innovations, smooth
 from residyn.filtering.linearised import nodes
 from residyn.filtering.trajectory import Prior, Scene
 from residyn.simulation import simulate
@@ -64,9 +64,7 @@ def joint_gaussian(system, readings, noise):
         read[:, D : D + P] += system.Hu[k]
         rows.append(read)
         constants.append(system.Hx[k] @ const[:X] + system.hc[k])
-        F = np.block(
-            [[system.A[k], system.T[k]], [np.zeros((n, X)), np.diag(noise.decay[k])]]
-        )
+        F = np.block([[system.A[k], system.T[k]], [np.zeros((n, X)), np.diag(noise.decay[k])]])
         state, const = F @ state, F @ const
         state[:X, D : D + P] += system.B[k]
         const[:X] += system.c[k]
@@ -89,7 +87,7 @@ def test_marginal_likelihood_and_smoother_equal_the_dense_gaussian():
     off = y - mean
     sign, logdet = np.linalg.slogdet(2 * np.pi * covariance)
     exact = -0.5 * (off @ np.linalg.solve(covariance, off) + logdet)
-    found = smooth(system, readings, noise)
+    found = smooth(system, readings, noise, 1.0)
     assert sign > 0
     assert float(found.log_evidence) == pytest.approx(exact, abs=1e-8)
     gain = (variances[:, None] * H.T) @ np.linalg.inv(covariance)
@@ -100,13 +98,23 @@ def test_marginal_likelihood_and_smoother_equal_the_dense_gaussian():
         np.testing.assert_allclose(found.mean[k], states[k] @ after + constants[k], atol=1e-8)
 
 
+def test_evidences_under_several_random_torques_are_those_of_each_alone():
+    system, readings, noise = a_system()
+    found = evidences(system, readings, noise, np.array([2.0, 0.5, 0.0]))
+    for i, intensity in enumerate((2.0, 0.5, 0.0)):
+        alone = smooth(system, readings, noise, intensity)
+        assert float(found.log_evidence[i]) == pytest.approx(float(alone.log_evidence), abs=1e-9)
+        np.testing.assert_allclose(found.regressors[i], alone.regressors, atol=1e-9)
+        np.testing.assert_allclose(found.std[i] ** 2, np.diag(alone.covariance), atol=1e-9)
+
+
 def test_smoothed_variances_are_those_given_the_regressors():
     system, readings, noise = a_system()
     none = system._replace(B=0 * system.B, Hu=0 * system.Hu)
     _, _, covariance, H, _, variances, states, _ = joint_gaussian(none, readings, noise)
     gain = (variances[:, None] * H.T) @ np.linalg.inv(covariance)
     left = np.diag(variances) - gain @ (H * variances)
-    found = smooth(none, readings, noise)
+    found = smooth(none, readings, noise, 1.0)
     for k in (0, 6, 11):
         exact = np.diag(states[k] @ left @ states[k].T)
         np.testing.assert_allclose(found.variance[k], exact, atol=1e-9)
@@ -116,7 +124,7 @@ def test_the_evidence_has_the_derivative_of_its_finite_differences():
     system, readings, noise = a_system()
 
     def evidence(scale):
-        return smooth(system._replace(A=scale * jnp.asarray(system.A)), readings, noise)[0]
+        return smooth(system._replace(A=scale * jnp.asarray(system.A)), readings, noise, 1.0)[0]
 
     slope = float(jax.grad(evidence)(1.0))
     eps = 1e-5
@@ -128,13 +136,13 @@ def test_one_gram_matrix_holds_the_evidence_of_every_subset():
     from residyn.diagnosis.evidence import conditional, subset
 
     system, readings, noise = a_system(P=4)
-    total, white = innovations(system, readings, noise)
+    total, white = innovations(system, readings, noise, 1.0)
     gram = np.asarray(white).T @ np.asarray(white)
     base, rest = conditional(gram, 1)
     for chosen in ((), (0,), (2,), (0, 1), (0, 1, 2)):
         of = [0, *(i + 1 for i in chosen)]
         alone = system._replace(B=system.B[..., of], Hu=system.Hu[..., of])
-        exact = float(smooth(alone, readings, noise).log_evidence)
+        exact = float(smooth(alone, readings, noise, 1.0).log_evidence)
         gain = subset(rest, chosen)[0] if chosen else 0.0
         assert float(total) + base + gain == pytest.approx(exact, abs=1e-8)
 
@@ -157,14 +165,16 @@ def base_of(scene):
     sizes = [s.inertia * s.frequency**2 for s in scene.scales]
     dampers = [0.3 * s.inertia * s.frequency for s in scene.scales]
     n = scene.n
-    prior = Prior(np.array([*sizes, *[0.0] * n]), np.array([*sizes, *dampers]), np.zeros(2 * n, bool))
+    prior = Prior(
+        np.array([*sizes, *[0.0] * n]), np.array([*sizes, *dampers]), np.zeros(2 * n, bool)
+    )
     return effects, prior
 
 
 def settled(scene, t, intensities=(1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 0.0)):
     for intensity in intensities:
         for _ in range(3):
-            (t,) = scene.iterate([t], intensity, 1.0)
+            t = scene.smoothed(t, scene.linearised(t), intensity)
     return t
 
 
@@ -246,7 +256,7 @@ def test_strengths_of_laws_with_jumps_or_memory_are_found(effect):
     t = extended(scene, t, prior_of, found)
     for intensity in (0.03, 0.01, 1e-3, 0.0):
         for _ in range(8):
-            (t,) = scene.iterate([t], intensity, 1.0)
+            t = scene.smoothed(t, scene.linearised(t), intensity, share=0.5)
     assert t.numbers[4] == pytest.approx(float(effect.level), rel=0.02)
 
 

@@ -43,16 +43,19 @@ LAYERS = [
         "motion_capture",
     ],
     ["fitting"],
+    ["filtering"],
     ["diagnosis"],
     ["procedure"],
-    ["plot"],
     ["explorer"],
-    ["_verdict", "report"],
+    ["_verdict", "plot", "report"],
     ["demo"],
     ["cli"],
 ]
 PHYSICS = ["parameter", "motion", "mechanism", "bearings", "effects", "model"]
 PHYSICS_MAY = {"jax", "equinox", "jaxtyping"}
+# Steps upwards, taken when they are called: `mechanism + effect` builds a Model, and a result
+# prints itself in words that stand in `report`.
+UPWARDS = {("mechanism", "model"), ("diagnosis", "report")}
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
 
 
@@ -89,8 +92,7 @@ def test_imports_run_one_way(path, parts):
     me = parts[0]
     for ours, outside in imported(path, parts):
         if ours is not None and ours != me and ours != "__version__":
-            # `mechanism + effect` builds a Model: the one step upwards, taken when it is called.
-            if (me, ours) == ("mechanism", "model"):
+            if (me, ours) in UPWARDS:
                 continue
             assert RANK[ours] <= RANK[me], f"{me} imports {ours}"
         if me in PHYSICS and outside is not None:
@@ -98,6 +100,37 @@ def test_imports_run_one_way(path, parts):
             assert known, f"{me} is physics and imports {outside}"
         if me != "simulation" and outside == "diffrax":
             pytest.fail(f"{me} imports diffrax: only simulation does")
+
+
+def module_imports():
+    """Per module, the modules of this package that it imports when it is imported itself."""
+    known = {".".join(parts): path for path, parts in modules()}
+    found = {}
+    for path, parts in modules():
+        name = ".".join(parts)
+        found[name] = set()
+        for node in ast.parse(path.read_text()).body:
+            if not (isinstance(node, ast.ImportFrom) and node.level):
+                continue
+            package = parts[:-1]  # of an `__init__` too: its name is the last part
+            base = package[: len(package) - node.level + 1]
+            base = (*base, *(node.module or "").split(".")) if node.module else base
+            for alias in node.names:
+                for each in ((*base, alias.name), base, (*base, "__init__")):
+                    if ".".join(each) in known:
+                        found[name].add(".".join(each))
+                        break
+    return found
+
+
+@pytest.mark.parametrize("folder", ["filtering", "diagnosis", "report", "plot"])
+def test_no_cycle_inside_a_folder(folder):
+    graph = {a: {b for b in to if b != a} for a, to in module_imports().items()}
+    inside = {a for a in graph if a.startswith(f"{folder}.") and not a.endswith("__init__")}
+    while inside:  # take away what imports nothing of the rest, until nothing is left
+        free = {a for a in inside if not graph[a] & inside}
+        assert free, f"a cycle among {sorted(inside)}"
+        inside -= free
 
 
 def test_every_module_has_a_place():

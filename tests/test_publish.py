@@ -207,16 +207,17 @@ def test_a_diagnosis_in_latex(which):
     found = getattr(by_hand, which)()
     latex = found.to_latex()
     well_formed(latex)
-    ladder, suspects = latex.split("\n\n")
+    ladder, candidates = latex.split("\n\n")
     above, *rows = rows_of(ladder)
     assert above[1] == r"\multicolumn{2}{c}{shoulder (mrad)}"
     assert {len(row) for row in rows} == {6}
-    assert {len(row) for row in rows_of(suspects)} == {5}
+    assert {len(row) for row in rows_of(candidates)} == {5}
     assert len(rows_of(ladder)) == 2 + len(found.ladder)
     if which == "missing":
         assert rows_of(ladder)[-1][0] == "+ coulomb friction (elbow)"
-        assert rows_of(suspects)[1][0] == "coulomb friction, elbow"
-        assert rows_of(suspects)[1][3:] == [r"$0.2001 \pm 0.0006$", r"N\,m"]
+        assert rows_of(candidates)[1][0] == "coulomb friction, elbow"
+        assert rows_of(candidates)[1][2] == "$0$"
+        assert rows_of(candidates)[1][3:] == [r"$0.2001 \pm 0.0006$", r"N\,m"]
 
 
 def test_a_diagnosis_without_anything_held_out():
@@ -238,7 +239,11 @@ def test_a_diagnosis_in_csv():
     ]
     check = next(r for r in ladder if r["name"] == "check_rmse:shoulder")
     assert float(check["value"]) == found.ladder[0].held_out.held_out.rmse[0]
-    told = {row["model"] for row in rows if row["table"] == "candidate"}
+    candidates = [row for row in rows if row["table"] == "candidate"]
+    own = [r for r in candidates if r["model"] == by_hand.RIVAL]
+    assert [r["name"] for r in own][:2] == ["probability", "log_evidence"]
+    assert float(own[1]["value"]) == -2.7
+    told = {row["model"] for row in candidates}
     assert told == {c.effect for c in found.candidates}
 
 

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 import residyn
 from residyn import _units, _verdict, plot, report
 from residyn.demo import by_window
+from residyn.report import _picture
 from tests.by_hand import NASTY, WILD, a_fit
 from tests.legible import legible
 
@@ -105,7 +106,7 @@ def test_page_of_one_fit_has_no_comparison(fit):
 
 
 def test_a_picture_is_the_same_each_time(fit):
-    assert report.svg(plot.spectrum(fit)) == report.svg(plot.spectrum(fit))
+    assert _picture.svg(plot.spectrum(fit)) == _picture.svg(plot.spectrum(fit))
 
 
 def test_an_unwritable_path_is_said(fit, tmp_path, monkeypatch):

@@ -90,6 +90,9 @@ SINGLE: dict[str, Callable[[dict[str, float], float, float, float], float]] = {
     "angle_ripple": lambda n, t, q, v: n["torque"] * math.sin(n["waves"] * q + n["phase"]),
     "burst": lambda n, t, q, v: n["torque"] * math.exp(-(((t - n["time"]) / n["width"]) ** 2)),
     "fifth_power_drag": lambda n, t, q, v: n["coefficient"] * v**5,
+    "loosening": lambda n, t, q, v: (
+        -0.5 * n["stiffness"] * q * (1 + math.tanh((t - n["time"]) / n["width"]))
+    ),
     "magnet": lambda n, t, q, v: (
         n["torque"]
         * (q - n["angle"])

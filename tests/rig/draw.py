@@ -83,6 +83,11 @@ def _magnet(s: Scene) -> Values:
     return {"torque": s.torque / height, "angle": angle, "width": width}
 
 
+def _loosening(s: Scene) -> Values:
+    time = s.between(0.1, 0.6) * s.seconds
+    return {"stiffness": s.torque / s.angle, "time": time, "width": s.between(0.1, 0.5)}
+
+
 def _coupling_stiffness(s: Scene) -> Values:
     return {"stiffness": s.sign() * min(s.share, MOST) * math.sqrt(math.prod(s.arm.stiffness))}
 
@@ -168,6 +173,7 @@ JOINT: dict[str, Callable[[Scene], Values]] = {
     "burst": _burst,
     "fifth_power_drag": lambda s: {"coefficient": s.torque / s.rate**5},
     "magnet": _magnet,
+    "loosening": _loosening,
 }
 ARM: dict[str, Callable[[Scene], Values]] = {
     "coupling_stiffness": _coupling_stiffness,

@@ -182,6 +182,15 @@ def _magnet(bench: Bench, joint: int, values: Values) -> None:
     bench.joint_limit(joint, limit)
 
 
+def _loosening(bench: Bench, joint: int, values: Values) -> None:
+    """Within a moment the spring loses some of its stiffness, for good."""
+    stiffness, time, width = values["stiffness"], values["time"], values["width"]
+    bench.joint_law(
+        joint, lambda t, q, v: -0.5 * stiffness * q * (1 + math.tanh((t - time) / width))
+    )
+    bench.joint_limit(joint, lambda q, v, a: SMOOTH * width)
+
+
 IN_CATALOGUE: dict[str, JointEffect] = {
     "coulomb_friction": _coulomb_friction,
     "stribeck_friction": _stribeck_friction,
@@ -204,4 +213,5 @@ OUTSIDE_CATALOGUE: dict[str, JointEffect] = {
     "burst": _burst,
     "fifth_power_drag": _fifth_power_drag,
     "magnet": _magnet,
+    "loosening": _loosening,
 }

@@ -54,7 +54,7 @@ def demo(
 
     words.print("2. What is missing?\n", style="bold")
     found = diagnosed(experiment, (), _options.MAX_EFFECTS, _options.STARTS)
-    _say(words, " ".join(found.words) + "\n")
+    _lines(words, [*text.wrapped("", " ".join(found.words)), ""])
     parts = text.candidates(found), text.lookalikes(found), text.next_experiment(found)
     _lines(words, [line for part in parts for line in part])
 

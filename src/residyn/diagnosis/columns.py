@@ -17,12 +17,11 @@ import numpy as np
 from scipy.special import erf, logsumexp
 
 from ..effects import AbstractEffect, catalogue
-from ..filtering.kalman import Noise, System, innovations
+from ..filtering.kalman import System, innovations
 from ..filtering.law import changes_bodies, law, numbers_of, of_one_joint, reading, with_numbers
 from ..filtering.linearised import nodes, transition
 from ..filtering.trajectory import Along, Scene, Trajectory
 from .evidence import (
-    CORRELATION,
     conditional,
     half_normal,
     log_prior_intensity,
@@ -110,10 +109,9 @@ def shapes(
     ]
 
 
-def numberswith_numbers(
-    effect: AbstractEffect, shape: dict[str, float], scene: Scene | None, one=None
-):
-    """(p,) numbers of an effect: shapes as given, strengths silent but `one`, at its prior width."""
+def shaped_numbers(effect: AbstractEffect, shape: dict[str, float], scene: Scene | None, one=None):
+    """(p,) numbers of an effect: shapes as given, strengths silent but `one`, at its prior
+    width."""
     values = []
     for number in numbers_of(effect):
         value = shape.get(number.field, number.silent)
@@ -134,7 +132,7 @@ def columns_of(
     """
     scene = along.scene
     n, K, g = scene.n, scene.K, scene.grid
-    silent = numberswith_numbers(effect, shape, scene)
+    silent = shaped_numbers(effect, shape, scene)
     fields = [x.field for x in numbers_of(effect)]
     own = [(fields.index(x.field), width_of(scene, effect, x)) for x in strengths(effect)]
     if effect.senses:
@@ -145,8 +143,8 @@ def columns_of(
     out: list[tuple[Any, Any]] = []
     if changes_bodies(effect):
         effects = [*along.effects, effect]
-        body = [scene.body_column(effects, len(effects) - 1, silent, i, along.q, along.v, along.push)
-                for i, _ in own]  # fmt: skip
+        motion = along.q, along.v, along.push
+        body = [scene.body_column(effects, len(effects) - 1, silent, i, *motion) for i, _ in own]
     else:
         body = [0.0] * len(own)
     q, v, time = (x.reshape(3 * K, *x.shape[2:]) for x in (along.q, along.v, along.time))
@@ -209,11 +207,11 @@ class Columns:
         scene = self.scene
         K, n, X = scene.K, scene.n, along.field.by_x.shape[-1]
         push, read = np.zeros((K, 3, X, _BLOCK)), np.zeros((K, n, _BLOCK))
-        for i, (torque, reading) in enumerate(zip(torques, readings, strict=True)):
+        for i, (torque, seen) in enumerate(zip(torques, readings, strict=True)):
             if torque is not None:
                 push[..., i] = -np.einsum("kaij,kaj->kai", along.field.by_torque, torque)
-            if reading is not None:
-                read[..., i] = reading
+            if seen is not None:
+                read[..., i] = seen
         zero = np.zeros((K, 3, X))
         f = along.field
         B = transition(scene.grid.step, zero, f.by_x, push, f.by_torque, zero).B
@@ -230,14 +228,14 @@ class Columns:
         """Log normaliser, and the (1 + P + C)^2 Gram matrix of whitened innovations of readings, of
         the model's own regressors and of all columns, under a random torque."""
         scene, s = self.scene, self.system
-        noise: Noise = scene.noise(self.trajectory, intensity, CORRELATION)
+        noise = scene.noise(self.trajectory)
         parts, total = [], 0.0
         for B, read in self._blocks:
             wide = System(
                 s.A, np.concatenate([s.B, B], -1), s.T, s.c, s.Hx,
                 np.concatenate([s.Hu, read], -1), s.hc,
             )  # fmt: skip
-            total, white = innovations(wide, scene.readings, noise)
+            total, white = innovations(wide, scene.readings, noise, float(intensity))
             white = np.asarray(white)
             parts.append(white if not parts else white[:, 1 + len(self.trajectory.u) :])
         white = np.concatenate(parts, axis=1)[:, : 1 + len(self.trajectory.u) + self.count]
@@ -294,7 +292,7 @@ class Screen:
                 if not row.effect.oscillates:
                     for i, number in enumerate(strengths(row.effect), first):
                         if signed(row.effect, number):
-                            gain += half_normal(u[i] / spread[i])
+                            gain += float(half_normal(u[i] / spread[i]))
                 first += len(row.which)
             gains.append(gain)
             means.append(u)
@@ -336,7 +334,7 @@ def spectral_lines(scene: Scene, trajectory: Trajectory, count: int = 5) -> list
 def extended(scene: Scene, trajectory: Trajectory, prior_of, found: Screened) -> Trajectory:
     """A model with one more effect, from the screen's answer."""
     effect, shape = found.effect, found.shape
-    begun = with_numbers(effect, numberswith_numbers(effect, shape, scene))
+    begun = with_numbers(effect, shaped_numbers(effect, shape, scene))
     effects = (*trajectory.effects, begun)
     prior = prior_of(scene, effects)
     P0 = len(trajectory.prior.mean)
@@ -369,7 +367,7 @@ def extended(scene: Scene, trajectory: Trajectory, prior_of, found: Screened) ->
     first = np.zeros(room)
     first[:m0] = trajectory.first[:m0]
     if m:
-        own = numberswith_numbers(effect, shape, scene)
+        own = shaped_numbers(effect, shape, scene)
         begin = scene.begin_states(begun, path) + phase
         q, v, _ = nodes(scene.grid.step, path, n)
         z = scene.states(effect, own, q, v, scene.times(), begin)

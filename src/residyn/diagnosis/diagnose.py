@@ -23,7 +23,7 @@ from ..fitting.result import Fit
 from ..fitting.setup import ready
 from ..motion import Motion
 from ..recording import Experiment
-from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE
+from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES
 from .experiment_design import advise
 from .forecast import held_out
 from .linearised_fit import LinearisedFit
@@ -39,7 +39,7 @@ from .result import (
     Value,
     Verdict,
 )
-from .search import Search, Tried
+from .search import Search, Tried, silenced
 
 MOST_EFFECTS = 3
 """How many effects are added unless it is told otherwise."""
@@ -109,7 +109,7 @@ class Fits:
         **Raises:** `FitError` if nothing finite comes of it.
         """
         began = time.perf_counter()
-        t = model.silent
+        t = silenced(self.scene, model.best, model.intensity)
         own = [e for e in t.valued() if e.name not in ("spring", "damper")]
         if not self.cut:  # whatever drives a joint that nothing pulls back is fitted in segments
             here = ready(self.whole, self.whole.fit_recordings, own)
@@ -192,7 +192,7 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
         missing=missing,
         still_missing=still,
         random_torque=_random_torque(scene, best),
-        intensity=float(np.dot(best.weights, best.intensities)),
+        intensity=float(np.dot(best.weights, INTENSITIES)),
         explains_nothing=best.intensity >= EXPLAINS_NOTHING,
         budget=Budget(len(search.tried), len(search.candidates), search.stopped),
         seconds=time.perf_counter() - began,
@@ -319,15 +319,14 @@ class Posterior:
 
 
 def _random_torque(scene: Scene, model: Tried) -> tuple[RandomTorque, ...]:
-    """Per joint, what the model still lacks: its rms over the recordings, summed over intensities."""
+    """Per joint, what the model still lacks: its rms over the recordings, summed over
+    intensities."""
     units = scene.mechanisms[0].units or ("rad",) * scene.n
     real = np.arange(scene.K) < scene.grid.real
-    pairs = [
-        (w, t) for w, t in zip(model.weights, model.trajectories, strict=True) if t is not None
-    ]
+    pairs = model.over_torques(scene)
     sizes = np.array([np.sqrt(np.mean((t.torque**2 + t.torque_variance)[real], axis=0))
                       for _, t in pairs])  # fmt: skip
-    weights = np.array([w for w, _ in pairs]) / sum(w for w, _ in pairs)
+    weights = np.array([w for w, _ in pairs])
     spring = _spring_rms(scene, model.best, real)
     found = []
     for j, joint in enumerate(scene.joints):

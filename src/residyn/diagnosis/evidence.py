@@ -1,8 +1,8 @@
 """All that decides: priors, the marginal likelihood, and what follows from it.
 
 A *model* is a set of effects and the intensity of a random torque that stands for whatever the
-effects do not say. Its *evidence* is the marginal likelihood of the readings: everything unknown (the
-numbers, the first states, the random torque) integrated over its prior. Evidence times prior,
+effects do not say. Its *evidence* is the marginal likelihood of the readings: everything unknown
+(the numbers, the first states, the random torque) integrated over its prior. Evidence times prior,
 normalised over the models that were tried, is the posterior; verdict, probabilities of names and
 families, and look-alikes are sums of it (MacKay, Information Theory, Inference and Learning
 Algorithms, 2003, ch. 28). Nothing else in this folder decides.
@@ -15,8 +15,9 @@ import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
 from ..effects import AbstractEffect
+from ..filtering.kalman import Evidences
 from ..filtering.law import numbers_of
-from ..filtering.trajectory import Prior, Scene, Trajectory, number_slices
+from ..filtering.trajectory import Prior, Scene, number_slices
 from ..parameter import Parameter
 
 # -- the numbers that decide ------------------------------------------------------------------
@@ -32,11 +33,12 @@ DELAY = 0.1
 """Prior standard deviation of a sensor's delay, in radians of the slowest joint's ringing: filters
 and buses are late by samples, not by cycles."""
 SHAPE = 1.0
-"""Prior standard deviation of the logarithm of a shape (a gap, a rate, a frequency): an e-fold about
-the middle of its grid."""
+"""Prior standard deviation of the logarithm of a shape (a gap, a rate, a frequency): an e-fold
+about the middle of its grid."""
 INTENSITIES = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4, 0.0)
-"""Random torques (rms, in the spring's torque at full swing) over which the evidence is summed: half
-a decade apart, which no posterior of it is narrower than with a hundred independent instants."""
+"""Random torques (rms, in the spring's torque at full swing) over which the evidence is summed:
+half a decade apart, which no posterior of it is narrower than with a hundred independent
+instants."""
 NO_RANDOM_TORQUE = 0.5
 """Prior probability that the model needs none; the other half is shared by the rest of the grid."""
 CORRELATION = 1.0
@@ -96,21 +98,21 @@ def signed(effect: AbstractEffect, number: Parameter) -> bool:
     return number.sign == "positive" and number.silent is not None and not base
 
 
-def log_evidence(t: Trajectory) -> float:
-    """Log marginal likelihood of a model at its random torque, half-normal priors included:
-    2 Phi(mean / std) for each number whose sign is known."""
-    total, covariance = t.log_evidence, t.covariance
-    for effect, own in zip(t.effects, number_slices(t.effects), strict=True):
+def half_normals(effects: Sequence[AbstractEffect], found: Evidences) -> np.ndarray:
+    """(I,) what the half-normal priors of a model add to its log evidence: log 2 Phi(mean / std)
+    for each number whose sign is known."""
+    total = np.zeros(len(found.log_evidence))
+    for effect, own in zip(effects, number_slices(effects), strict=True):
         for number, i in zip(numbers_of(effect), range(own.start, own.stop), strict=True):
             if signed(effect, number):
-                total += half_normal(t.u[i] / math.sqrt(max(covariance[i, i], 1e-300)))
+                total += half_normal(found.regressors[:, i] / found.std[:, i])
     return total
 
 
-def half_normal(ratio: float) -> float:
+def half_normal(ratio):
     """By how much a half-normal prior raises a log evidence over a normal one, where the posterior
     mean is `ratio` standard deviations on the right side: log 2 Phi."""
-    return math.log(2.0) + float(log_ndtr(ratio))
+    return math.log(2.0) + log_ndtr(ratio)
 
 
 def log_prior_intensity(intensities: Sequence[float]) -> np.ndarray:

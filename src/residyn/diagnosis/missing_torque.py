@@ -24,6 +24,7 @@ from ..fitting.descent import wild_beside
 from ..fitting.setup import ready
 from ..model import Model
 from ..recording import Experiment, Recording
+from .evidence import CORRELATION
 from .search import Tried, tried_alone
 
 
@@ -107,7 +108,7 @@ def missing_torque(
     """
     with jax.enable_x64(True):
         bad = np.zeros(recording.angle.shape, bool) if wild is None else np.asarray(wild, bool)
-        scene = Scene([recording], [model.mechanism], [bad])
+        scene = Scene([recording], [model.mechanism], [bad], correlation=CORRELATION)
         (found,) = torques_of(scene, tried_alone(scene, model.effects))
     return found
 
@@ -115,9 +116,7 @@ def missing_torque(
 def torques_of(scene: Scene, model: Tried) -> list[MissingTorque]:
     """The missing torque of each recording of a scene: averaged over the random torque's
     intensities, each by its posterior."""
-    weights, used = model.weights, [t is not None for t in model.trajectories]
-    pairs = [(w, t) for w, t, u in zip(weights, model.trajectories, used, strict=True) if u]
-    best = model.best
+    pairs, best = model.over_torques(scene), model.best
     mean = -sum(w * t.torque for w, t in pairs)
     square = sum(w * (t.torque_variance + t.torque**2) for w, t in pairs)
     std = np.sqrt(np.maximum(square - mean**2, 0.0))
@@ -182,9 +181,7 @@ def curve(scene: Scene, base: Tried, model: Tried, label: str) -> Curve:
     before, after = (torque_along(scene, m.best) for m in (base, model))
     own = after.pop(label)
     changed = sum(after.values()) - sum(before.values())
-    weights = base.weights
-    pairs = zip(weights, base.trajectories, strict=True)
-    missing = -sum(w * t.torque for w, t in pairs if t is not None)
+    missing = -sum(w * t.torque for w, t in base.over_torques(scene))
     real = np.arange(scene.K) < scene.grid.real
     left = np.sum((missing - own - changed)[real] ** 2) / max(np.sum(missing[real] ** 2), 1e-300)
     t = model.best
@@ -225,4 +222,5 @@ def scene_of(experiment: Experiment, effects: Sequence[str | AbstractEffect]):
     """The fitted recordings of an experiment as a scene, and the base model with some effects."""
     here = ready(experiment, experiment.fit_recordings, effects)
     wild = wild_beside(here, [r.angle for r in here.recordings])
-    return Scene(here.recordings, here.mechanisms, wild), here.model.effects, wild
+    scene = Scene(here.recordings, here.mechanisms, wild, correlation=CORRELATION)
+    return scene, here.model.effects, wild

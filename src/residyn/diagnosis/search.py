@@ -1,29 +1,35 @@
 """Which models are worth their evidence: forward selection, exchange and backward elimination.
 
 From the model as it is, all candidates are screened to first order (`columns`); the contenders, and
-what no first order can see, are iterated to their own nonlinear evidence beside "nothing more", from
-loud random torques to silent ones. The best joins, the motion is smoothed with it, and the next
-round begins, until no model beats the one that there is. The models tried, with their evidences, are
-all that the rest of the diagnosis needs: it can stop at any time with the best so far.
+what no first order can see, are iterated to their own nonlinear evidence beside "nothing more",
+from loud random torques to silent ones. The best joins, the motion is smoothed with it, and the
+next round begins, until no model beats the one that there is. The models tried, with their
+evidences, are all that the rest of the diagnosis needs: it can stop at any time with the best so
+far.
 """
 
 import dataclasses
+import functools
 import math
+import os
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
+import jax
 import numpy as np
 from scipy.special import logsumexp
 
 from ..effects import AbstractEffect
 from ..filtering.trajectory import Scene, Trajectory, number_slices, state_slices
+from ..fitting import FitError
 from .columns import Columns, Screen, candidates, extended, spectral_lines
 from .evidence import (
-    CORRELATION,
     INDISTINGUISHABLE,
     INTENSITIES,
     NEGLIGIBLE,
-    log_evidence,
+    half_normals,
     log_prior_intensity,
     log_prior_model,
     over_intensities,
@@ -32,8 +38,9 @@ from .evidence import (
 
 CONTENDERS = 6
 """Candidates of each screen that are iterated, and as many pairs whose members are."""
-_ITERATIONS = 8  # at one intensity, at the most
-_LED = 0.01  # random torque from which contenders are iterated, at least: the readings lead
+_ITERATIONS = 12  # of one model, at the most
+_FALL = 2  # steps of the grid that the random torque may fall by in an iteration
+_LED = 0.01  # random torque along which candidates are screened, at least: the readings lead
 _SETTLED = 0.1  # nats
 _HOPELESS = 30.0  # nats behind the best on the way
 
@@ -44,16 +51,16 @@ class Tried:
 
     added: tuple[str, ...]
     """Labels beyond the base model, in the order in which they joined."""
-    intensities: tuple[float, ...]
     evidences: np.ndarray
-    """(I,) log evidence at each random torque."""
-    trajectories: tuple[Trajectory | None, ...]
+    """(I,) log evidence at each of `INTENSITIES` of the random torque."""
+    best: Trajectory
+    """At the likeliest of them."""
     log_prior: float
 
     @property
     def log_evidence(self) -> float:
         """The random torque summed over."""
-        return over_intensities(self.evidences, self.intensities)
+        return over_intensities(self.evidences, INTENSITIES)
 
     @property
     def log_posterior(self) -> float:
@@ -63,95 +70,124 @@ class Tried:
     @property
     def weights(self) -> np.ndarray:
         """(I,) posterior of the random torque's intensity, given the model."""
-        each = np.nan_to_num(self.evidences, nan=-np.inf) + log_prior_intensity(self.intensities)
+        each = self.evidences + log_prior_intensity(INTENSITIES)
         return np.exp(each - logsumexp(each))
 
     @property
     def complete(self) -> float:
         """Probability, given the model, that it needs no random torque that matters."""
-        return float(self.weights[np.array(self.intensities) <= NEGLIGIBLE].sum())
-
-    @property
-    def best(self) -> Trajectory:
-        """The trajectory at the likeliest random torque."""
-        found = self.trajectories[int(np.argmax(self.weights))]
-        assert found is not None
-        return found
+        return float(self.weights[np.array(INTENSITIES) <= NEGLIGIBLE].sum())
 
     @property
     def intensity(self) -> float:
         """The likeliest random torque."""
-        return self.intensities[int(np.argmax(self.weights))]
+        return INTENSITIES[int(np.argmax(self.weights))]
 
-    @property
-    def silent(self) -> Trajectory:
-        """The trajectory at the smallest random torque that it was iterated to."""
-        return next(t for t in reversed(self.trajectories) if t is not None)
-
-    def loud(self) -> tuple[Trajectory, float]:
-        """A trajectory that the readings still lead, to look for more along: at the likeliest random
-        torque, or a louder one."""
-        k = int(np.argmax(self.weights))
-        while k > 0 and (self.intensities[k] < _LED or self.trajectories[k] is None):
-            k -= 1
-        found = self.trajectories[k]
-        assert found is not None
-        return found, self.intensities[k]
+    def over_torques(self, scene: Scene) -> list[tuple[float, Trajectory]]:
+        """The motion under each random torque that counts, with its posterior probability."""
+        system = scene.linearised(self.best)
+        found = [
+            (w, scene.smoothed(self.best, system, x))
+            for w, x in zip(self.weights, INTENSITIES, strict=True)
+            if w > 0.01
+        ]
+        kept = [(w, t) for w, t in found if t is not None]
+        return [(w / sum(w for w, _ in kept), t) for w, t in kept]
 
 
-def anneal(
-    scene: Scene,
-    starts: Sequence[Trajectory],
-    intensities: Sequence[float],
-    deadline: float = math.inf,
-) -> list[tuple[np.ndarray, tuple[Trajectory | None, ...]]]:
-    """Iterate models from loud random torques to silent ones, each from where the louder one ended.
+def settle(
+    scene: Scene, starts: Sequence[Trajectory], loudest: float, deadline: float = math.inf
+) -> list[tuple[np.ndarray, Trajectory] | None]:
+    """Iterate models side by side, each to its likeliest random torque and its own motion under it;
+    None for one that ran away, or fell hopelessly behind.
 
-    The first is never given up; others are when they fall hopelessly behind.
+    Linearised along its motion, a model has an evidence under every random torque; the next motion
+    is smoothed under the likeliest one. That falls by a decade an iteration at the most, from
+    `loudest`: the readings lead first, the model last.
     """
-    live: list[Trajectory | None] = list(starts)
-    evidences = np.full((len(live), len(intensities)), -np.inf)
-    found: list[list[Trajectory | None]] = [[None] * len(intensities) for _ in live]
-    for k, intensity in enumerate(intensities):
-        before = np.full(len(live), -np.inf)
-        moving = [i for i, t in enumerate(live) if t is not None]
-        for _ in range(_ITERATIONS):
-            if time.perf_counter() > deadline:
-                raise _OutOfTime
-            for i, t in zip(
-                moving,
-                scene.iterate([live[i] for i in moving], intensity, CORRELATION),
-                strict=True,
-            ):
-                live[i] = t
-            now = np.array([-np.inf if t is None else log_evidence(t) for t in live])
-            moving = [
-                i for i in moving if live[i] is not None and abs(now[i] - before[i]) > _SETTLED
-            ]
-            before = now
-            if not moving:
-                break
-        for i, t in enumerate(live):
-            if t is not None:
-                evidences[i, k], found[i][k] = before[i], t
-        if k:
-            best = evidences.max()
-            live = [
-                t if i == 0 or evidences[i].max() > best - _HOPELESS else None
-                for i, t in enumerate(live)
-            ]
-    return [(e, tuple(f)) for e, f in zip(evidences, found, strict=True)]
+    found: list[tuple[np.ndarray, Trajectory] | None] = [None] * len(starts)
+    first = next(k for k, x in enumerate(INTENSITIES) if x <= loudest)
+    moving = {i: (t, first - _FALL, math.nan) for i, t in enumerate(starts)}
+    for count in range(_ITERATIONS):
+        if time.perf_counter() > deadline:
+            raise OutOfTime
+        work = [functools.partial(_iterated, scene, t, k, count) for t, k, _ in moving.values()]
+        results = _side_by_side(work)
+        best = max((r[0].max() for r in results if r is not None), default=-math.inf)
+        after = {}
+        for (i, (_, known, before)), result in zip(moving.items(), results, strict=True):
+            found[i] = None if result is None else result[:2]
+            if result is None:
+                continue
+            each, t, k = result
+            if count > 2 and each.max() < best - _HOPELESS:
+                continue
+            at_rest = k == known and abs(each[k] - before) < _SETTLED * _share(t, count)
+            if not at_rest:
+                after[i] = t, k, each[k]
+        moving = after
+        if not moving:
+            break
+    return found
 
 
-class _OutOfTime(Exception):
-    pass
+def _share(t: Trajectory, count: int) -> float:
+    """How much of a Gauss-Newton step is taken. Where a joint or a brake sticks turns on the motion
+    itself, and whole steps swing to and fro: successive averages converge (Robbins and Monro,
+    Annals of Mathematical Statistics 22, 1951)."""
+    return 2.0 / (3.0 + count) if any(e.dry or e.follows for e in t.effects) else 1.0
+
+
+def _iterated(scene: Scene, t: Trajectory, before: int, count: int):
+    """One Gauss-Newton step of a model: its evidences, where it leads, and under which torque."""
+    system = scene.linearised(t)
+    each = scene.evidences(t, system, INTENSITIES)
+    known = each.log_evidence + half_normals(t.effects, each)
+    known = np.where(np.isfinite(known), known, -np.inf)
+    if not np.isfinite(known).any():
+        return None
+    likeliest = int(np.argmax(known + log_prior_intensity(INTENSITIES)))
+    k = min(likeliest, before + _FALL)
+    moved = scene.smoothed(t, system, INTENSITIES[k], _share(t, count))
+    return None if moved is None else (known, moved, k)
+
+
+def _side_by_side(work: Sequence[Callable[[], Any]]) -> list[Any]:
+    def one(call):
+        with jax.enable_x64(True):  # JAX's settings are each thread's own
+            return call()
+
+    if len(work) == 1:
+        return [work[0]()]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(one, work))
+
+
+def silenced(scene: Scene, t: Trajectory, intensity: float) -> Trajectory:
+    """A model without a random torque: where a fit by least squares begins. If it runs away on the
+    way there, the last motion that did not."""
+    first = INTENSITIES.index(intensity)
+    for x in (*INTENSITIES[first + 1 :: _FALL], 0.0, 0.0):
+        moved = scene.smoothed(t, scene.linearised(t), x)
+        if moved is None:
+            break
+        t = moved
+    return t
+
+
+class OutOfTime(Exception):
+    """The search's time is over."""
 
 
 def tried_alone(scene: Scene, effects: Sequence[AbstractEffect]) -> Tried:
-    """A model by itself, iterated over all random torques."""
-    start = scene.start(effects, prior_of(scene, effects))
-    ((evidences, trajectories),) = anneal(scene, [start], INTENSITIES)
-    return Tried((), INTENSITIES, evidences, trajectories, 0.0)
+    """A model by itself.
+
+    **Raises:** `FitError` if no motion goes with it.
+    """
+    (found,) = settle(scene, [scene.start(effects, prior_of(scene, effects))], INTENSITIES[0])
+    if found is None:
+        raise FitError("no motion of the model goes with the readings")
+    return Tried((), *found, log_prior=0.0)
 
 
 class Search:
@@ -175,7 +211,7 @@ class Search:
         """First-order evidence of all candidates beside the models that were extended."""
         say("smoothing the motion with the model")
         alone = tried_alone(scene, base)
-        self._keep((), INTENSITIES, alone.evidences, alone.trajectories)
+        self._keep((), alone.evidences, alone.best)
 
     @property
     def base(self) -> Tried:
@@ -186,11 +222,9 @@ class Search:
         """The model with the highest posterior."""
         return max(self.tried.values(), key=lambda t: t.log_posterior)
 
-    def _keep(self, added, intensities, evidences, trajectories) -> None:
-        if not np.isfinite(evidences).any():
-            return
+    def _keep(self, added: Sequence[str], evidences: np.ndarray, best: Trajectory) -> None:
         prior = log_prior_model(len(added), len(self.candidates))
-        found = Tried(tuple(added), tuple(intensities), evidences, tuple(trajectories), prior)
+        found = Tried(tuple(added), evidences, best, prior)
         known = self.tried.get(frozenset(added))
         if known is None or found.log_posterior > known.log_posterior:
             self.tried[frozenset(added)] = found
@@ -214,14 +248,14 @@ class Search:
                 self.reduce(self.best)
         except KeyboardInterrupt:
             self.stopped = "interrupted"
-        except _OutOfTime:
+        except OutOfTime:
             self.stopped = "budget"
 
     def screen(self, parent: Tried) -> Screen:
         """The first-order evidence of all candidates beside a model."""
         key = frozenset(parent.added)
         if key not in self.screens:
-            trajectory, intensity = parent.loud()
+            trajectory, intensity = self.led(parent)
             self.say(f"screening {len(self.candidates)} candidates")
             lines = spectral_lines(self.scene, trajectory)
             effects = [e for e in self.candidates if self._may_join(e, trajectory)]
@@ -233,7 +267,7 @@ class Search:
 
     def extend(self, parent: Tried) -> None:
         """Try a model with one more effect, each contender in turn."""
-        trajectory, intensity = parent.loud()
+        trajectory, intensity = self.led(parent)
         screen = self.screen(parent)
         ranked = screen.ranked
         found = {s.effect.label: s for s in ranked}
@@ -247,21 +281,27 @@ class Search:
                 chosen.setdefault(s.effect.label, s)
         if parent.complete > 0.5:
             # What is left is small, and the first order right: most cannot be worth their prior.
-            n = len(self.candidates)
-            price = log_prior_model(len(parent.added), n) - log_prior_model(len(parent.added) + 1, n)
+            n, m = len(self.candidates), len(parent.added)
+            price = log_prior_model(m, n) - log_prior_model(m + 1, n)
             worth = price - 2 * INDISTINGUISHABLE
             chosen = {k: s for k, s in chosen.items() if s.gain > worth}
         if not chosen:
             return
         self.say(f"weighing {len(chosen)} candidates")
-        starts, added = [trajectory], [parent.added]
-        for label, s in chosen.items():
-            starts.append(extended(self.scene, trajectory, prior_of, s))
-            added.append((*parent.added, label))
-        used = tuple(x for x in INTENSITIES if x <= intensity)
-        results = anneal(self.scene, starts, used, self.deadline)
-        for labels, (evidences, trajectories) in zip(added, results, strict=True):
-            self._keep(labels, used, evidences, trajectories)
+        starts = [extended(self.scene, trajectory, prior_of, s) for s in chosen.values()]
+        results = settle(self.scene, starts, intensity, self.deadline)
+        for label, found in zip(chosen, results, strict=True):
+            if found is not None:
+                self._keep((*parent.added, label), *found)
+
+    def led(self, model: Tried) -> tuple[Trajectory, float]:
+        """The motion that candidates are screened along, and its random torque: the likeliest, or
+        one that still lets the readings lead."""
+        intensity = max(model.intensity, _LED)
+        if intensity == model.intensity:
+            return model.best, intensity
+        system = self.scene.linearised(model.best)
+        return self.scene.smoothed(model.best, system, intensity) or model.best, intensity
 
     def _may_join(self, effect: AbstractEffect, trajectory: Trajectory) -> bool:
         """Whether an effect is not there, nor a law that it contains or that contains it."""
@@ -281,12 +321,11 @@ class Search:
             rest = tuple(x for x in model.added if x != label)
             if frozenset(rest) in self.tried:
                 continue
-            trajectory, intensity = model.loud()
-            used = tuple(x for x in INTENSITIES if x <= intensity)
-            ((evidences, trajectories),) = anneal(
-                self.scene, [without(self.scene, trajectory, label)], used, self.deadline
-            )
-            self._keep(rest, used, evidences, trajectories)
+            trajectory, intensity = self.led(model)
+            start = without(self.scene, trajectory, label)
+            (found,) = settle(self.scene, [start], intensity, self.deadline)
+            if found is not None:
+                self._keep(rest, *found)
 
 
 def without(scene: Scene, trajectory: Trajectory, label: str) -> Trajectory:

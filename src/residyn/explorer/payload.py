@@ -18,7 +18,7 @@ from .._stretches import wholes
 from ..diagnosis.columns import columns_of, strengths
 from ..diagnosis.evidence import FURTHER, INDISTINGUISHABLE, signed, width_of
 from ..diagnosis.missing_torque import missing_of, torque_along
-from ..diagnosis.search import Tried
+from ..diagnosis.search import Tried, silenced
 from ..filtering.law import numbers_of
 from ..filtering.trajectory import Scene, number_slices
 from ..fitting.result import Fit
@@ -171,10 +171,12 @@ def fitted(study: Study, added: Sequence[str], found: Fit, held: Sequence[str] =
 @_in_double
 def smoothed(study: Study, t: Tried) -> dict[str, Any] | None:
     """A tried model without a random torque, which is least squares too: where it was fitted only.
-    None for one that was given up before."""
-    if t.intensities[-1] != 0.0 or t.trajectories[-1] is None:
+    None for one that runs away."""
+    scene = study.search.scene
+    led = silenced(scene, t.best, t.intensity)
+    path = scene.smoothed(led, scene.linearised(led), 0.0)
+    if path is None:
         return None
-    scene, path = study.search.scene, t.trajectories[-1]
     _, _, seen = scene.reading_rows(scene.along(path))
     g = scene.grid
     shown = _shown(study)

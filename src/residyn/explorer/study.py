@@ -22,7 +22,7 @@ from ..diagnosis.forecast import HeldOut, held_out
 from ..diagnosis.linearised_fit import LinearisedFit
 from ..diagnosis.missing_torque import scene_of
 from ..diagnosis.result import Diagnosis
-from ..diagnosis.search import Search, Tried, anneal
+from ..diagnosis.search import Search, Tried, tried_alone
 from ..effects import AbstractEffect
 from ..filtering.trajectory import Scene
 from ..fitting import DEFAULT_STARTS, fit
@@ -90,7 +90,7 @@ class Study:
         self._held: dict[frozenset[str], HeldOut | None] = {}
         self._lock = threading.RLock()
         self.screen = search.screen(search.base)
-        self.loud, self.intensity = search.base.loud()
+        self.loud, self.intensity = search.led(search.base)
         self.shapes = {s.effect.label: s.shape for s in self.screen.ranked}
 
     @property
@@ -117,10 +117,9 @@ class Study:
                 other = Scene(here.recordings, here.mechanisms, wild)
                 other.scales, other.torque = scene.scales, scene.torque  # the same priors
                 base = tuple(self.loud.effects)
-                used = tuple(x for x in INTENSITIES if x >= self.intensity)
-                start = other.start(base, prior_of(other, base))
-                ((_, found),) = anneal(other, [start], used)
-                beside = self.columns(other, found[-1] or start)
+                best = tried_alone(other, base).best
+                led = other.smoothed(best, other.linearised(best), self.intensity)
+                beside = self.columns(other, led or best)
             noise = np.stack([r.noise for r in (*fitted, *held)])
             return first_order(self.columns(), beside, noise)
 
@@ -177,7 +176,8 @@ class Study:
             first += len(s.which)
             s = s._replace(regressors=own)
             trajectory = extended(self.search.scene, trajectory, prior_of, s)
-        return Tried(added, (0.0,), np.zeros(1), (trajectory,), 0.0)
+        here = np.where(np.array(INTENSITIES) == self.intensity, 0.0, -np.inf)
+        return Tried(added, here, trajectory, 0.0)
 
     def _holding(self, found: Fit, held: Mapping[str, float]) -> Fit:
         """A fit again, from where it is, with some numbers kept at given values."""

@@ -22,7 +22,8 @@ LONGEST = 0.45
 """... steps are divided from this one on: the phase of a fourth-order step is good to 3e-4."""
 _MINOR = 1e-3  # of the acceleration's power: harmonics with less need no step of their own
 _LEAST = 512
-_WIDE = 15  # lines of a periodogram that are averaged ...
+_WIDE = 31  # lines of a periodogram that are averaged, at least, ...
+_SHARE = 0.05  # ... and to either side this share of a line's own frequency ...
 _SURE = 2.6  # ... of which noise alone exceeds so many times its mean once in 10^6
 _ENOUGH = 4096  # instants: fewer are not averaged at all
 
@@ -83,7 +84,7 @@ class Spectrum(NamedTuple):
             x = np.interp(even, time[use], angle[use]) if use.any() else 0 * even
             found = np.fft.rfft((x - x.mean()) * window)
             unit = noise**2 * np.sum(window**2)  # what noise leaves of a line
-            wide = np.convolve(np.abs(found) ** 2, np.ones(_WIDE) / _WIDE, "same")
+            wide = _averaged(np.abs(found) ** 2)
             lines.append(found)
             signal.append(np.where(wide > _SURE * unit, np.maximum(wide - unit, 0.0), 0.0))
         pace = 2 * math.pi * np.fft.rfftfreq(len(even), dt)
@@ -106,6 +107,15 @@ class Spectrum(NamedTuple):
         torque = inertia @ (self.pace**2 * kept)
         sizes = [np.sqrt(np.sum(np.abs(x) ** 2, axis=1)) for x in (torque, self.lines)]
         return sizes[0] / np.maximum(sizes[1], 1e-300)
+
+
+def _averaged(power: np.ndarray) -> np.ndarray:
+    """(F,) mean of the lines around each line."""
+    total = np.append(0.0, np.cumsum(power))
+    line = np.arange(len(power))
+    half = np.maximum(_WIDE // 2, (_SHARE * line).astype(int))
+    first, last = np.maximum(line - half, 0), np.minimum(line + half + 1, len(power))
+    return (total[last] - total[first]) / (last - first)
 
 
 def lay_out(recordings: Sequence[Recording], wild: Sequence[np.ndarray]) -> Grid:

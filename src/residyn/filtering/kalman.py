@@ -1,7 +1,7 @@
 """A linear system under a random torque: its Kalman filter, likelihood and smoother.
 
     x_{k+1} = A x_k + B u + T tau_k + c          x: angles, rates, internal states
-    tau_{k+1} = decay tau_k + white noise         the random torque, one a joint (Ornstein-Uhlenbeck)
+    tau_{k+1} = decay tau_k + white noise         random torques, one a joint (Ornstein-Uhlenbeck)
     y_k = Hx x_k + Hu u + hc + noise              readings
 
 The regressors u (numbers of the model, each with a unit normal prior) are constant. The filter's
@@ -40,12 +40,19 @@ class Readings(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """The first state and what drives the system, with D = X + n."""
+    """The first state, and what drives the system where the random torque has intensity 1; with
+    D = X + n. Variances of the random torque go with the square of the intensity."""
 
     mean: Any  # (X,) first state
     variance: Any  # (D,) its variances, and the random torque's
     decay: Any  # (K, n) of the random torque in each step
     growth: Any  # (K, D) variances added in each step
+
+    def at(self, intensity) -> "Noise":
+        """With a random torque of this intensity (rms, in those of intensity 1)."""
+        n = self.decay.shape[-1]
+        own = jnp.concatenate([jnp.ones(self.mean.shape[0]), jnp.full(n, intensity**2)])
+        return self._replace(variance=self.variance * own, growth=self.growth * own)
 
 
 def _times(A, B):
@@ -112,11 +119,44 @@ def _filter(system: System, readings: Readings, noise: Noise):
 
 
 @kept(like=(0, 0))
-def innovations(system: System, readings: Readings, noise: Noise):
+def innovations(system: System, readings: Readings, noise: Noise, intensity):
     """Log normaliser -1/2 sum log 2 pi S, and whitened innovations (K n, 1 + P): the first column
     is w of the readings, the others W of the regressors (e = w + W u)."""
-    L, out = _filter(system, readings, noise)
+    L, out = _filter(system, readings, noise.at(intensity))
     return L, out.white.reshape(-1, out.white.shape[-1])
+
+
+class Evidences(NamedTuple):
+    """A linear system under I random torques, given all readings."""
+
+    log_evidence: Any
+    """(I,) log marginal likelihood of the readings, regressors with unit normal priors."""
+    regressors: Any  # (I, P) posterior means
+    std: Any  # (I, P) posterior standard deviations
+
+
+@kept(like=Evidences(0, 0, 0))
+def evidences(system: System, readings: Readings, noise: Noise, intensities) -> Evidences:
+    """The evidence of a linear system at each of (I,) intensities of the random torque."""
+
+    def at(intensity):
+        L, out = _filter(system, readings, noise.at(intensity))
+        white = out.white.reshape(-1, out.white.shape[-1])
+        evidence, u, factor = _integrated(L, white.T @ white)
+        inverse = jax.scipy.linalg.solve_triangular(factor, jnp.eye(len(u)), lower=True)
+        return Evidences(evidence, u, jnp.sqrt(jnp.sum(inverse**2, axis=0)))
+
+    return jax.vmap(at)(intensities)
+
+
+def _integrated(L, gram):
+    """Log evidence with the regressors integrated out, their posterior mean, and the Cholesky
+    factor of their posterior precision; `gram` (1 + P)^2 of the whitened innovations."""
+    factor = jnp.linalg.cholesky(gram[1:, 1:] + jnp.eye(len(gram) - 1))
+    x = jax.scipy.linalg.solve_triangular(factor, -gram[1:, 0], lower=True)
+    u = jax.scipy.linalg.solve_triangular(factor.T, x, lower=False)
+    evidence = L - 0.5 * gram[0, 0] + 0.5 * x @ x - jnp.log(jnp.diag(factor)).sum()
+    return evidence, u, factor
 
 
 class Smoothed(NamedTuple):
@@ -131,15 +171,12 @@ class Smoothed(NamedTuple):
 
 
 @kept(like=Smoothed(0, 0, 0, 0, 0))
-def smooth(system: System, readings: Readings, noise: Noise) -> Smoothed:
-    """The filter, the regressors' posterior, and Bryson and Frazier's smoother at their mean."""
-    L, out = _filter(system, readings, noise)
+def smooth(system: System, readings: Readings, noise: Noise, intensity) -> Smoothed:
+    """The filter, the regressors' posterior, and Bryson and Frazier's smoother at their mean, under
+    a random torque of one intensity."""
+    L, out = _filter(system, readings, noise.at(intensity))
     white = out.white.reshape(-1, out.white.shape[-1])
-    w, W = white[:, 0], white[:, 1:]
-    factor = jnp.linalg.cholesky(W.T @ W + jnp.eye(W.shape[1]))
-    x = jax.scipy.linalg.solve_triangular(factor, -W.T @ w, lower=True)
-    u = jax.scipy.linalg.solve_triangular(factor.T, x, lower=False)
-    evidence = L - 0.5 * w @ w + 0.5 * x @ x - jnp.log(jnp.diag(factor)).sum()
+    evidence, u, factor = _integrated(L, white.T @ white)
     (K, n), D = readings.y.shape, out.F.shape[-1]
     H = jnp.concatenate([system.Hx, jnp.zeros((K, n, n))], -1)
     known = jnp.concatenate([jnp.ones(1), u])

@@ -101,8 +101,8 @@ def law(
     """The law of an effect with some numbers (p,) at K instants.
 
     **Arguments:** `mechanism` with every leaf (K, ...); `t` (K,) s; `q`, `v` (K, n); `z` (K, m) its
-    own internal states; `step` (K,) s and `spread` (K, n) the standard deviation of what is known of
-    the rates, over which the friction of a point is smoothed.
+    own internal states; `step` (K,) s and `spread` (K, n) the standard deviation of what is known
+    of the rates, over which the friction of a point is smoothed.
     """
     joint = None
     if of_one_joint(effect):

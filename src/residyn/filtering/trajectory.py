@@ -13,9 +13,7 @@ import dataclasses
 import functools
 import itertools
 import math
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
@@ -29,7 +27,7 @@ from ..model import Model
 from ..parameter import Parameter, Scales
 from ..recording import Recording
 from .grid import Grid, Spectrum, lay_out
-from .kalman import Noise, Readings, System, smooth
+from .kalman import Evidences, Noise, Readings, System, evidences, smooth
 from .law import (
     Law,
     along_instants,
@@ -147,15 +145,17 @@ class Scene:
         mechanisms: Sequence[AbstractMechanism],
         wild: Sequence[np.ndarray],
         rest: float = 0.0,
+        correlation: float = 1.0,
     ):
-        """`rest`: standard deviation of each recording's own rest, in amplitudes; 0: it is 0."""
+        """`rest`: standard deviation of each recording's own rest, in amplitudes; 0: it is 0.
+        `correlation`: time of the random torque, in radians of a joint's ringing."""
         self.recordings, self.mechanisms = tuple(recordings), tuple(mechanisms)
         self.grid: Grid = lay_out(recordings, wild)
         g = self.grid
         self.joints = mechanisms[0].joints
         self.n = n = len(self.joints)
         self.K = len(g.time)
-        self.rest = rest
+        self.rest, self.correlation = rest, correlation
         self.begins = [int(np.argmax(g.run == i)) for i in range(len(recordings))]
         q = np.zeros_like(g.angle)
         v = np.zeros_like(g.angle)
@@ -308,8 +308,12 @@ class Scene:
         up, down = (np.asarray(body_torque(own, b, q, v, push)) for b in beside)
         return (up - down) / (2 * size)
 
+    def linearised(self, t: Trajectory) -> System:
+        """A model as a linear system along its own motion."""
+        return self.system(self.along(t))
+
     def system(self, along: "Along") -> System:
-        """The linear system along a motion, regressors counted from those of the motion."""
+        """The linear system along a motion."""
         t, n, g = along.trajectory, self.n, self.grid
         f = along.field
         x = np.concatenate([along.q, along.v, along.z], axis=-1)
@@ -381,9 +385,9 @@ class Scene:
         assert Hx.shape == (K, n, X)
         return Hx, Hu, value
 
-    def noise(self, t: Trajectory, intensity: float, correlation: float) -> Noise:
-        """First state and random torque: `intensity` (rms) in typical torques, correlated over
-        `correlation` radians of a joint's ringing."""
+    def noise(self, t: Trajectory) -> Noise:
+        """First state and random torque: of typical torques (rms) at intensity 1, correlated over
+        the scene's `correlation` in radians of a joint's ringing."""
         n, g = self.n, self.grid
         M = t.path.shape[1] - 2 * n
         mean, variance = np.zeros(2 * n + M), np.zeros(2 * n + M)
@@ -396,37 +400,28 @@ class Scene:
             for i, each in zip(range(own.start, own.stop), effect.memory, strict=True):
                 mean[2 * n + i] = t.first[i]
                 variance[2 * n + i] = (_MEMORY * float(each.dimension.size(scale))) ** 2
-        loud = (intensity * self.torque) ** 2
-        pace = np.array([s.frequency for s in self.scales]) / correlation
+        loud = self.torque**2
+        pace = np.array([s.frequency for s in self.scales]) / self.correlation
         decay = np.where(g.last[:, None], 0.0, np.exp(-g.step[:, None] * pace))
         growth = np.concatenate([np.zeros((self.K, 2 * n + M)), loud * (1 - decay**2)], 1)
         growth[g.last, : 2 * n + M] += variance
         return Noise(mean, np.concatenate([variance, loud]), decay, growth)
 
-    def iterate(
-        self, trajectories: Sequence[Trajectory], intensity: float, correlation: float
-    ) -> list[Trajectory | None]:
-        """One Gauss-Newton iteration of several models, side by side; None for one that ran away."""
+    def evidences(self, t: Trajectory, system: System, intensities: Sequence[float]) -> Evidences:
+        """A model, linearised along its motion, under each of some random torques."""
+        each = np.asarray(intensities, float)
+        return Evidences(*map(np.asarray, evidences(system, self.readings, self.noise(t), each)))
 
-        def one(t: Trajectory) -> Trajectory | None:
-            # JAX's settings are each thread's own.
-            with jax.enable_x64(True):
-                system = self.system(self.along(t))
-                noise = self.noise(t, intensity, correlation)
-                smoothed = smooth(system, self.readings, noise)
-                return self._moved(t, *map(np.asarray, smoothed))
-
-        if len(trajectories) == 1:
-            return [one(trajectories[0])]
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            return list(pool.map(one, trajectories))
-
-    def _moved(self, t: Trajectory, evidence, u, covariance, mean, variance) -> Trajectory | None:
+    def smoothed(
+        self, t: Trajectory, system: System, intensity: float, share: float = 1.0
+    ) -> Trajectory | None:
+        """A model's motion and numbers given the readings and a random torque: one Gauss-Newton
+        step from where it is, or a share of it; None where the model runs away."""
         n, X = self.n, t.path.shape[1]
+        found = smooth(system, self.readings, self.noise(t), float(intensity))
+        evidence, u, covariance, mean, variance = map(np.asarray, found)
         if not (np.isfinite(evidence) and np.isfinite(mean).all()):
             return None
-        # Where a joint or a brake sticks turns on the motion itself: whole steps swing to and fro.
-        share = 0.5 if any(e.dry or e.follows for e in t.effects) else 1.0
         return dataclasses.replace(
             t,
             u=t.u + share * (u - t.u),
@@ -472,7 +467,8 @@ class Along:
 
 
 def _add(sums: Sums, found: Law, own: slice, states: slice, slopes: np.ndarray, follows: bool):
-    """Add an effect along its motion to the sums; `slopes` (p,) turn its numbers into regressors."""
+    """Add an effect along its motion to the sums; `slopes` (p,) turn its numbers into
+    regressors."""
     K = len(sums.torque)
 
     def rows(x: np.ndarray) -> np.ndarray:

@@ -4,8 +4,8 @@ Each shows one thing: `overlay` the motion beside the model and the residual und
 at which frequencies something is left, `errors` how far each of several models is from the noise,
 `convergence` how searches bring the objective down, `where` and `horizon` where a model fails and
 how its predictions do, `missing_torque` the torque that it lacks, `signature` what an effect of the
-catalogue would leave if it were missing; of a diagnosis, `ladder` the error falling and `candidates`
-what might have been missing.
+catalogue would leave if it were missing; of a diagnosis, `ladder` shows the error falling and
+`candidates` what might have been missing.
 All return a matplotlib `Figure` (no pyplot, no window, no global state): save it, show it in a
 notebook, or put it into a page. Saved as PDF its fonts are TrueType, as SVG its letters are paths:
 both print as they look. `narrow=True` lays a picture out for a phone's width.

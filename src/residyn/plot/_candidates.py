@@ -24,8 +24,8 @@ def candidates(found: Diagnosis, *, narrow: bool = False) -> Figure:
     """What might be missing in the base model: probability, and log evidence.
 
     A bar of the second panel is how many nats the base model with this candidate alone is behind
-    the best model of all (of the base model without any, in the last row). Up to the dashed line two
-    models cannot be told apart. What was added is orange.
+    the best model of all (of the base model without any, in the last row). Up to the dashed line
+    two models cannot be told apart. What was added is orange.
     """
     shown = worth_showing(found, _MOST)
     joints, base = found.fit.joints, found.ladder[0]
@@ -63,7 +63,7 @@ def candidates(found: Diagnosis, *, narrow: bool = False) -> Figure:
     behind.xaxis.set_minor_locator(NullLocator())
     behind.xaxis.set_major_formatter(lambda x, _: f"{x:,.0f}".replace(",", "\u202f"))
     behind.axvline(INDISTINGUISHABLE, color=INK, lw=1.0, ls=DASHED, zorder=3)
-    behind.set(xlabel="log evidence behind the best model (nats)", title="how it compares")
+    behind.set(xlabel="nats behind the best model", title="log evidence")
     for ax in (likely, behind):
         words = [*names, f"none: {base_name(base.fit)}"]
         if narrow:

@@ -1,4 +1,4 @@
-"""The error falling, rung by rung."""
+"""The error falling, model by model."""
 
 import math
 import textwrap
@@ -19,14 +19,14 @@ from ._style import BAND, DASHED, FAINT, INK, JOINTS, NARROW, SOFT, WIDE, shorte
 _LOG = 4.0  # from this fall on the scale is logarithmic
 _PANEL, _AXIS = 2.2, 0.42  # inches: height of the panel, room for the numbers of its axis
 _STRIP = 0.13  # of the scale lies below the least error: room for the name of the noise
-_ABREAST = 4  # rungs whose names have room under the axis
+_ABREAST = 4  # models whose names have room under the axis
 _Line = tuple[int, bool, list[float]]
 
 
 @styled
 def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
-    """The error of each rung in times the noise, per joint: what was fitted (solid) and what was
-    held out (hollow).
+    """The error of each model on the way in times the noise, per joint: what was fitted (solid)
+    and what was held out (hollow).
 
     At the line of the noise nothing is left that the recordings could still show.
     """
@@ -42,7 +42,7 @@ def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
     across = width - _AXIS - 0.1
     ax = figure.add_axes((_AXIS / width, foot / high, across / width, _PANEL / high))
     before, after = (0.72, 0.86) if narrow else (1.95, 0.9)
-    each = (count - 1) / (across - before - after) or 1.0  # rungs an inch
+    each = (count - 1) / (across - before - after) or 1.0  # models an inch
     end = count - 1 + after * each if count > 1 else across - before
     ax.set_xlim(-before * each, end)
     _scale(ax, [value for _, _, values in lines for value in values])
@@ -71,7 +71,7 @@ def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
 
 
 def _lines(found: Diagnosis) -> list[_Line]:
-    """(joint, whether held out, error of each rung); joints without a number are left out."""
+    """(joint, whether held out, error of each model); joints without a number are left out."""
     each = [times_noise(rung) for rung in found.ladder]
     lines = []
     for joint in range(len(found.fit.joints)):
@@ -84,7 +84,7 @@ def _lines(found: Diagnosis) -> list[_Line]:
 
 
 def _name(found: Diagnosis, i: int, beneath: bool) -> str:
-    """A rung's name; under its dot, with the place on a line of its own."""
+    """A model's name; under its dot, with the place on a line of its own."""
     rung, joints = found.ladder[i], found.fit.joints
     if rung.added is None:
         name = model_name(rung)
@@ -100,7 +100,7 @@ def _rows(name: str) -> int:
 
 
 def _item(i: int, name: str, narrow: bool) -> list[str]:
-    """A rung in the list beneath the picture."""
+    """A model in the list beneath the picture."""
     most = 46 if narrow else 110
     return textwrap.wrap(name, most, initial_indent=f"{i}  ", subsequent_indent=" " * 5)
 

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from .._units import plain
 from ..diagnosis import Curve, MissingTorque
+from ..report._words import title
 from ._style import BAND, FAINT, INK, MODEL, NARROW, RESIDUAL, WIDE, styled
 
 _WORTH = 0.1  # share from which a curve is drawn
@@ -85,18 +86,18 @@ def _against_time(ax: Axes, t, tau, std, shown: Curve | None, joint: int) -> Non
 
 
 def _words(curve: Curve) -> str:
-    """An effect and its numbers: "coulomb_friction:elbow, torque 0.2 N m"."""
+    """An effect and its numbers: "Coulomb friction: torque 0.2 N m"."""
     numbers = [
         f"{name.rpartition('.')[2]} {plain(value)}{'' if unit == '1' else f' {unit}'}"
         for name, (value, unit) in curve.values.items()
     ]
     more = ", ..." if len(numbers) > _NAMED else ""
-    return f"{curve.effect}: {', '.join(numbers[:_NAMED])}{more}"
+    return f"{title(curve.effect)}: {', '.join(numbers[:_NAMED])}{more}"
 
 
 def _against(ax: Axes, x, tau, own) -> None:
     every = max(1, len(x) // _DOTS)
-    ax.plot(x[::every], tau[::every], ".", color=RESIDUAL, ms=2.0, alpha=0.35, mew=0)
+    ax.plot(x[::every], tau[::every], ".", color=RESIDUAL, ms=2.6, alpha=0.45, mew=0)
     if own is not None:
         ax.plot(x, own, color=MODEL, lw=0.6, alpha=0.7)
     middle = _middle(x, tau)

@@ -9,7 +9,7 @@ from .. import plot
 from .._units import amount, plain
 from ..diagnosis import Missing
 from ..diagnosis.result import Candidate, Diagnosis, Family, Rung
-from ._diagnosis_text import alike
+from ._diagnosis_text import alike, unnamed
 from ._failing import clearest, failing
 from ._picture import picture
 from ._words import (
@@ -23,6 +23,7 @@ from ._words import (
     times,
     times_noise,
     title,
+    unbroken,
     upper,
     value_words,
     worth_showing,
@@ -48,7 +49,7 @@ def diagnosed(found: Diagnosis) -> dict[str, Any]:
         "verdict": found.verdict,
         "probability": percent(found.verdict_probability),
         "added": listed(names) if names else "",
-        "words": [words.replace(" +/- ", " ±\u00a0") for words in found.words],
+        "words": [unbroken(words) for words in found.words],
         "joints": found.fit.joints,
         "held_out": held,
         "falling": picture(
@@ -85,13 +86,13 @@ def _title(found: Diagnosis) -> str:
     if found.verdict == "adequate":
         return "Nothing is missing"
     if not found.added:
-        return "Something is missing that no effect of the catalogue explains"
+        return f"Something is missing that {unnamed(found)} explains"
     words = []
     for family in found.families:
         if any(label in found.added for label, _ in family.members):
             words.append(placed(family.name, family.place, found.fit.joints))
     if found.verdict == "unexplained":
-        words.append("something that no effect of the catalogue explains")
+        words.append(f"something that {unnamed(found)} explains")
     return f"What is missing: {listed(words)}"
 
 

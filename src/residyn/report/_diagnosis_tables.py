@@ -16,7 +16,7 @@ from ..fitting.publish import (
     table,
     unit,
 )
-from ._words import base_name, listed, model_name, nats, percent, worth_showing
+from ._words import base_name, listed, nats, percent, worth_showing
 
 if TYPE_CHECKING:
     from ..diagnosis.result import Diagnosis, Rung
@@ -91,7 +91,7 @@ def comma_separated(found: "Diagnosis") -> str:
     rows: list[tuple[object, ...]] = []
     units = found.fit.experiment.units or ("",) * len(found.fit.joints)
     for rung in found.ladder:
-        own = "ladder", model_name(rung)
+        own = "ladder", base_name(rung.fit) if rung.added is None else f"+ {rung.added}"
         for name, joint, x, u in residuals(rung.fit):
             if name != "check_rmse":
                 rows.append((*own, f"{name}:{joint}", x, None, u))

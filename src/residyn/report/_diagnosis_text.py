@@ -15,9 +15,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._units import plain, with_error
+from ..diagnosis.result import Value
 from ..effects import CATALOGUE
 from ..parameter import parameters_of
 from ._words import (
+    SURE,
     at_place,
     listed,
     lower,
@@ -45,13 +47,12 @@ _PAIRS = (_WIDTH - _LABEL - _CHI2) // _PAIR
 _ALSO = 0.01  # probability from which another family is named
 _NAMED = 3  # other families that are named
 _SIGNIFICANT = 2.0  # standard errors
-_LOST = 1e-3  # of the spring's torque: less changes no stiffness by more than 0.1 %
 
 
 def lines(found: "Diagnosis") -> list[str]:
     """The whole printout, a string per line."""
     return [
-        *_wrapped("", " ".join(found.words)),
+        *wrapped("", " ".join(found.words)),
         "",
         *models(found),
         *candidates(found),
@@ -121,8 +122,8 @@ def _nothing_explained(found: "Diagnosis") -> list[str]:
         for r in found.random_torque
     ]
     words = [
-        "The model explains nothing of this motion, so no effect can be named: it lacks a torque of "
-        f"{listed(sizes)}.",
+        "The model explains nothing of this motion, so no effect can be named: it lacks a torque "
+        f"of {listed(sizes)}.",
         "Check the recordings first: the units (rad or m, s), whether angles are counted from "
         "where the joints rest, whether each column is the joint that it is named after, and "
         "whether the inertias are of this arm.",
@@ -148,21 +149,28 @@ def _rest(found: "Diagnosis") -> list[tuple[int, float]]:
 
 def _families(found: "Diagnosis") -> list[str]:
     """ "Dry friction at the elbow is missing (> 99 %)." """
-    joints, told = found.fit.joints, []
-    groups: dict[str, list[str]] = {}
-    for family in _accepted(found):
-        words = _family(family, joints)
-        groups.setdefault(modal(family.probability), []).append(
-            f"{words} ({percent(family.probability)})"
-        )
-    for verb, names in groups.items():
-        many = len(names) > 1
-        if many:
-            words = f"{listed(names)} {verb.replace('is', 'are')} missing"
+    joints, accepted = found.fit.joints, _accepted(found)
+    sure = found.verdict_probability
+    if found.verdict == "missing" and sure >= SURE and len(accepted) == 1:
+        (family,) = accepted
+        if family.probability < SURE:
+            first = f"{_family(family, joints)} ({percent(family.probability)})"
+            return [
+                f"Something is missing that the catalogue has ({percent(sure)}), most likely "
+                f"{first}."
+            ]
+    groups: dict[str, list[Family]] = {}
+    for family in accepted:
+        groups.setdefault(modal(family.probability), []).append(family)
+    told = []
+    for each in groups.values():
+        names = [f"{_family(f, joints)} ({percent(f.probability)})" for f in each]
+        verb = modal(each[0].probability, many=len(each) > 1)
+        if len(each) == 1:
+            name, chance = _family(each[0], joints), percent(each[0].probability)
+            told.append(f"{upper(name)} {verb} missing ({chance}).")
         else:
-            name, _, chance = names[0].rpartition(" (")
-            words = f"{name} {verb} missing ({chance}"
-        told.append(f"{upper(words)}.")
+            told.append(f"{upper(listed(names))} {verb} missing.")
     return told
 
 
@@ -183,51 +191,59 @@ def _accepted(found: "Diagnosis") -> list["Family"]:
 def _none_named(found: "Diagnosis") -> str:
     sure = f"({percent(found.verdict_probability)})"
     if found.verdict == "adequate":
-        if found.verdict_probability >= 0.9:
+        if found.verdict_probability >= SURE:
             return f"Nothing is missing that these recordings could show {sure}."
         return f"Probably nothing is missing {sure}."
-    return (
-        f"Something {modal(found.verdict_probability)} missing that no effect of the catalogue "
-        f"explains {sure}."
-    )
+    verb = modal(found.verdict_probability)
+    return f"Something {verb} missing that {unnamed(found)} explains {sure}."
+
+
+def unnamed(found: "Diagnosis") -> str:
+    """What does not explain the rest: the whole catalogue, or what there was time for."""
+    if found.budget.stopped is not None:
+        return "no effect that was tried"
+    return "no effect of the catalogue"
 
 
 def _laws(found: "Diagnosis") -> Iterator[str]:
     """What the recordings say of the law within each family."""
     for family in _accepted(found):
-        for label in found.added:
-            members = dict(family.members)
-            if label not in members:
-                continue
-            own = found.candidate(label)
-            yield from _numbers(found, label)
-            extended = [c for c in _members(found, family) if _extends(c.effect, label)]
-            for candidate in extended:
-                yield _would_add(candidate, label)
+        members = dict(family.members)
+        for label in (x for x in found.added if x in members):
+            name, numbers = title(label), _numbers(found, label)
+            told = f" ({numbers})" if numbers else ""
+            further = [c for c in _members(found, family) if _extends(c.effect, label)]
             rivals = [
-                (x, p)
+                f"{lower(title(x))} ({percent(p)})"
                 for x, p in family.members
-                if x not in found.added
-                and p >= _ALSO
-                and x not in {c.effect for c in extended if _strengths(c, label)}
+                if x not in found.added and p >= _ALSO
             ]
             if rivals:
-                rest = [f"{lower(title(x))} {percent(p)}" for x, p in rivals]
-                law = f"{title(label)} has {percent(own.probability)}"
-                yield f"Of the laws of this kind, {lower(law)}, {listed(rest)}."
+                inside = "; ".join(filter(None, [percent(members[label]), numbers]))
+                yield (
+                    f"Within {family.name}, the law is most likely {lower(name)} ({inside}); "
+                    f"{listed(rivals)} {'is' if len(rivals) == 1 else 'are'} possible too."
+                )
+            elif further and found.verdict != "unexplained":
+                yield f"{name}{told} is enough; {listed([_would_add(c, label) for c in further])}."
+            elif numbers:
+                yield f"{name}: {numbers}."
 
 
-def _numbers(found: "Diagnosis", label: str) -> Iterator[str]:
-    """The numbers of an effect that was added, as fitted."""
+def _numbers(found: "Diagnosis", label: str) -> str:
+    """The numbers of an effect that was added: as fitted if nothing is left, else as they are
+    beside the random torque, since a fit's errors then are too small."""
     own = [n for n in found.fit.numbers if n.name.rpartition(".")[0] == label]
+    beside = found.candidate(label).parameters
+    if found.verdict == "unexplained" and len(found.added) == 1 and beside:
+        told = [f"{n.rpartition('.')[2]} {value_words(v)}" for n, v in beside.items()]
+        fitted = ", ".join(plain(n.value) for n in own)
+        return f"{', '.join(told)} ({fitted} if nothing else were missing)"
     told = []
     for n in own:
-        value, error = with_error(n.value, n.std)
-        unit = "" if n.unit == "1" else f" {n.unit}"
-        known = f"{value} +/- {error}{unit}" if n.determined else "not determined"
-        told.append(f"{n.name.rpartition('.')[2]} {known}")
-    if told:
-        yield f"{title(label)}: {', '.join(told)}."
+        value = value_words(Value(n.value, n.std, n.unit)) if n.determined else "not determined"
+        told.append(f"{n.name.rpartition('.')[2]} {value}")
+    return ", ".join(told)
 
 
 def _members(found: "Diagnosis", family: "Family") -> list["Candidate"]:
@@ -242,31 +258,18 @@ def _extends(label: str, simpler: str) -> bool:
     return kind is not None and kind.extends == other and place == at
 
 
-def _strengths(candidate: "Candidate", simpler: str) -> list[str]:
-    """What a law has beyond the one that it extends: "more of it near rest 0.0008 +/- 0.0005 N m"."""
-    kind = CATALOGUE[candidate.effect.partition(":")[0]]
-    other = CATALOGUE[simpler.partition(":")[0]]
-    there = {p.name for p in parameters_of(other)}
-    return [
-        f"{p.words} would be {value_words(candidate.parameters[name])}"
-        for p in parameters_of(kind)
-        if p.name not in there
-        and p.silent is not None
-        and (name := f"{candidate.effect}.{p.name}") in candidate.parameters
-    ]
-
-
 def _would_add(candidate: "Candidate", simpler: str) -> str:
-    """ "Coulomb friction is enough: ..." """
-    more = _strengths(candidate, simpler)
-    sure = f"{percent(candidate.probability)}"
-    if candidate.probability < 0.05:
-        verdict = f"{title(simpler)} is enough"
-    else:
-        verdict = f"{title(simpler)} may not be all"
-    if not more:
-        return f"{verdict}; {lower(title(candidate.effect))} has {sure}."
-    return f"{verdict}; of {lower(title(candidate.effect))} ({sure}), {listed(more)}."
+    """ "Stribeck friction (< 1 %) would add excess 0.0008 +/- 0.0005 N m"."""
+    kind = CATALOGUE[candidate.effect.partition(":")[0]]
+    there = {p.name for p in parameters_of(CATALOGUE[simpler.partition(":")[0]])}
+    values = {n.rpartition(".")[2]: v for n, v in candidate.parameters.items()}
+    more = [
+        f"{p.name} {value_words(values[p.name])}"
+        for p in parameters_of(kind)
+        if p.name not in there and p.silent is not None and p.name in values
+    ]
+    law = f"{lower(title(candidate.effect))} ({percent(candidate.probability)})"
+    return f"{law} would add {listed(more)}" if more else f"{law} adds nothing"
 
 
 def _others(found: "Diagnosis") -> Iterator[str]:
@@ -277,7 +280,7 @@ def _others(found: "Diagnosis") -> Iterator[str]:
     shown = [f"{_family(f, joints)} ({percent(f.probability)})" for f in others[:_NAMED]]
     if shown:
         more = len(others) - len(shown)
-        shown += [f"{more} more"] if more else []
+        shown += [f"{more} more kind{'s' * (more > 1)}"] if more else []
         yield f"Also possible: {listed(shown)}."
     for group in found.lookalikes:
         kinds = {f.name: f for f in accepted}
@@ -309,7 +312,7 @@ def _fall(found: "Diagnosis") -> Iterator[str]:
         f"{plain(after, digits)} times the noise"
     )
     if held_before is not None and held_after is not None:
-        words += f", and where nothing was fitted from {times(held_before)} to {times(held_after)}"
+        words += f" (held out: from {times(held_before)} to {times(held_after)})"
     share = explained_share(found)
     if found.verdict == "unexplained" and math.isfinite(share):
         words += f"; that explains {share_words(share)} of the squared error above the noise"
@@ -326,21 +329,26 @@ def explained_share(found: "Diagnosis") -> float:
 def _left(found: "Diagnosis") -> Iterator[str]:
     """How large what is still missing is, and whether it matters."""
     known = [r for r in found.random_torque if math.isfinite(r.rms)]
-    if not known:
+    sure = found.verdict_probability
+    if found.verdict == "unexplained":
+        sizes = listed([_size(r, found) for r in known]) if known else "unknown size"
+        more = f"Something more {modal(sure)} missing that {unnamed(found)} explains"
+        words = f"{more} ({percent(sure)})" if found.added else "What is missing is"
+        yield f"{words}{': ' if found.added else ' '}a torque of {sizes}."
+        yield from _matters(found)
         return
-    if found.verdict != "unexplained":
+    if sure < SURE and found.added:
+        yield f"That nothing else is missing is not sure ({percent(sure)})."
+    if known:
         most = max(known, key=lambda r: r.high / _spring(r) if _known(r) else r.high)
-        if most.high <= 0:
-            return
-        where = f" at the {most.joint}" if len(found.fit.joints) > 1 else ""
-        size = f"{plain(most.high, 2)} {most.unit}"
-        share = (
-            f" ({share_words(most.high / _spring(most))} of the spring's)" if _known(most) else ""
-        )
-        yield f"Whatever else is missing is less than {size} rms{where}{share}, with 95 % probability."
-        return
-    yield f"Still missing is a torque of {listed([_size(r, found) for r in known])}."
-    yield from _matters(found)
+        if most.high > 0:
+            where = f" at the {most.joint}" if len(found.fit.joints) > 1 else ""
+            size = f"{plain(most.high, 2)} {most.unit} rms{where}"
+            share = f", {share_words(most.high / _spring(most))} of the spring's torque"
+            yield (
+                f"What may still be missing is no more than {size}"
+                f"{share if _known(most) else ''} (95 % band)."
+            )
 
 
 def _known(r: "RandomTorque") -> bool:
@@ -354,10 +362,11 @@ def _spring(r: "RandomTorque") -> float:
 
 def _size(r: "RandomTorque", found: "Diagnosis") -> str:
     where = f" at the {r.joint}" if len(found.fit.joints) > 1 else ""
-    share = f", {share_words(r.share_of_spring)} of the spring's" if _known(r) else ""
     low, high = plain(r.low, 2), plain(r.high, 2)
-    band = f"95 %: {low} to {high}" if low != high else f"95 %: {low}"
-    return f"{plain(r.rms, 2)} {r.unit} rms{where} ({band}{share})"
+    band = f"95 % band {low} to {high}" if low != high else ""
+    share = f"{share_words(r.share_of_spring)} of the spring's" if _known(r) else ""
+    more = "; ".join(filter(None, [band, share]))
+    return f"{plain(r.rms, 2)} {r.unit} rms{where}" + (f" ({more})" if more else "")
 
 
 def _matters(found: "Diagnosis") -> Iterator[str]:
@@ -367,16 +376,13 @@ def _matters(found: "Diagnosis") -> Iterator[str]:
     for j, r in enumerate(found.random_torque):
         if not _known(r):
             continue
-        damper = _damper(found, j)
-        stiffness = f"the stiffness at the {r.joint} by {share_words(r.share_of_spring)}"
-        damping = f"its damping by {share_words(r.rms / damper)}" if damper > 0 else ""
-        told.append(" or ".join(filter(None, [stiffness, damping])))
+        damper, where = _damper(found, j), f" at the {r.joint}" if len(found.fit.joints) > 1 else ""
+        words = f"the stiffness{where} by {share_words(r.share_of_spring)}"
+        if damper > 0:
+            words += f" or the damping by {share_words(r.rms / damper)}"
+        told.append(words)
     if told:
-        small = all(r.share_of_spring < _LOST for r in found.random_torque if _known(r))
-        yield (
-            f"{'At most' if small else 'If all of it went with the angle, or with the rate,'} it "
-            f"would change {listed(told)}."
-        )
+        yield f"At most, if it all went with the angle or the rate, it changes {'; '.join(told)}."
 
 
 def _damper(found: "Diagnosis", joint: int) -> float:
@@ -441,7 +447,7 @@ def candidates(found: "Diagnosis") -> list[str]:
     """What might be missing in the base model, the likeliest first."""
     if not found.candidates:
         return []
-    out = _wrapped(
+    out = wrapped(
         "[[Candidates]]  ",
         "probability of being part of the model, and log evidence (nats) of the base model with it "
         "alone, relative to the best model",
@@ -457,7 +463,7 @@ def candidates(found: "Diagnosis") -> list[str]:
             name = ""
         out.append(f"{name:<{_LABEL}}{cells}")
         numbers = [f"{n.rpartition('.')[2]} {value_words(v)}" for n, v in c.parameters.items()]
-        out += _wrapped("        ", ", ".join(numbers)) if numbers else []
+        out += wrapped("        ", ", ".join(numbers)) if numbers else []
     rest = len(found.candidates) - len(shown)
     if rest:
         out.append(f"    and {rest} more that {'is' if rest == 1 else 'are'} less likely")
@@ -471,7 +477,7 @@ def lookalikes(found: "Diagnosis") -> list[str]:
         return []
     out = ["[[Look-alikes]]"]
     for group in groups:
-        out += _wrapped("    ", alike(group))
+        out += wrapped("    ", alike(group))
     return out
 
 
@@ -485,18 +491,20 @@ def next_experiment(found: "Diagnosis") -> list[str]:
     """What to record to tell look-alikes apart."""
     if found.next_experiment is None:
         return []
-    return ["[[Next experiment]]", *_wrapped("    ", found.next_experiment.words)]
+    return ["[[Next experiment]]", *wrapped("    ", found.next_experiment.words)]
 
 
 def _cut(words: str, most: int) -> str:
     return words if len(words) <= most else f"{words[: most - 3]}..."
 
 
-def _wrapped(head: str, words: str) -> list[str]:
-    return textwrap.wrap(
-        words,
+def wrapped(head: str, words: str) -> list[str]:
+    kept = words.replace(" %", "\u00a0%").replace(" +/- ", "\u00a0+/-\u00a0")
+    out = textwrap.wrap(
+        kept,
         _WIDTH,
         initial_indent=head,
         subsequent_indent=" " * len(head),
         break_on_hyphens=False,
     )
+    return [line.replace("\u00a0", " ") for line in out]

@@ -92,7 +92,7 @@ def torque_words(found: Missing, joint: int) -> str:
         return words + "It is smaller than its own band: nothing is seen to be missing here."
     drawn = found.curves_at(joint)
     if not drawn:
-        return words + "No single effect of the catalogue draws it."
+        return words.strip()
     first, *others = drawn
     words += (
         f"Blue: {lower(at_place(first.effect, found.joints))}, "

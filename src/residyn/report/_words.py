@@ -10,7 +10,8 @@ from ..fitting.result import Fit
 
 PLAIN = "springs and dampers"
 _CERTAIN = 0.995
-_LIKELY = 0.9
+SURE = 0.9
+"""Probability from which a sentence says "is"."""
 _LINE = 0.001  # probability from which a candidate is worth a line
 _MOST = 8
 _FEWEST = 3
@@ -32,6 +33,14 @@ def lower(words: str) -> str:
     return words if named else words[:1].lower() + words[1:]
 
 
+def unbroken(words: str) -> str:
+    """For a page: numbers stay with their signs and units."""
+    words = words.replace(" +/- ", " ± ")
+    for bare in (" ± ", " %", "N m", "> ", "< "):
+        words = words.replace(bare, bare.replace(" ", "\u00a0"))
+    return words
+
+
 # -- names ---------------------------------------------------------------------------------------
 
 
@@ -43,8 +52,8 @@ def title(label: str) -> str:
 
 
 def placed(words: str, place: str | None, joints: Sequence[str]) -> str:
-    """Words with a place: "gravity", "dry friction at the elbow"; of one joint the place goes without
-    saying."""
+    """Words with a place: "gravity", "dry friction at the elbow"; where there is but one
+    joint, without it."""
     if place is None or (place in joints and len(joints) == 1):
         return words
     if place not in joints:
@@ -96,7 +105,7 @@ def share_words(share: float) -> str:
 def modal(probability: float, many: bool = False) -> str:
     """ "is", "is probably" or "may be", as the probability allows."""
     verb = "are" if many else "is"
-    if probability >= _LIKELY:
+    if probability >= SURE:
         return verb
     return f"{verb} probably" if probability >= 0.5 else "may be"
 
