@@ -1,4 +1,4 @@
-"""Chromium for tests of pages: the Debian package, driven by Selenium; skips where it is missing."""
+"""Chromium for tests of pages: the Debian package, driven by Selenium; they skip without it."""
 
 import shutil
 import time

@@ -16,7 +16,6 @@ from residyn.diagnosis.evidence import log_prior_model, subset
 from residyn.explorer import page
 from residyn.explorer.payload import payload
 from residyn.explorer.study import Study
-
 from tests.chromium import complaints, driver, until
 
 FRICTION = "coulomb_friction:elbow"
@@ -56,7 +55,7 @@ def offline(data, tmp_path_factory):
 
 def ask(browser, script, *arguments):
     """Run a script with the page's own modules: `m.name`, imported by the import map."""
-    names = "linear_algebra arrays evidence first_order words".split()
+    names = ["linear_algebra", "arrays", "evidence", "first_order", "words"]
     imports = ", ".join(f'import("explorer/{n}.js")' for n in names)
     body = (
         f"const done = arguments[arguments.length - 1], given = [...arguments].slice(0, -1);"
@@ -130,7 +129,8 @@ def test_evidence_is_pythons(offline, study):
     found = ask(offline, script, [[labels[i] for i in s] for s in sets])
     wanted = [study.screen.gain([ranked[i] for i in s])[0] for s in sets]
     assert found == pytest.approx(wanted, rel=1e-6, abs=1e-6)
-    priors = ask(offline, "const e = new m.Evidence(data); return [0, 1, 3].map((n) => e.logPrior(n));")
+    script = "const e = new m.Evidence(data); return [0, 1, 3].map((n) => e.logPrior(n));"
+    priors = ask(offline, script)
     count = len(study.search.candidates)
     assert priors == pytest.approx([log_prior_model(n, count) for n in (0, 1, 3)], rel=1e-12)
 
@@ -163,7 +163,8 @@ def test_the_first_order_of_nothing_added_is_the_fit(study):
 
 
 def test_words(offline):
-    found = ask(offline, "return [m.command(\"a'b <i>.toml\", ['x:y z']), m.times(10.4), m.times(0.98)];")
+    script = "return [m.command(given[0], ['x:y z']), m.times(10.4), m.times(0.98)];"
+    found = ask(offline, script, "a'b <i>.toml")
     assert found == ["residyn fit 'a'\\''b <i>.toml' --with 'x:y z'", "10", "0.98"]
 
 
@@ -312,5 +313,9 @@ def test_live_a_new_recording_is_offered_and_added_by_a_click(live, address):
     until(lambda: "more.csv" in text(live, ".banner"))
     button = live.find_element("css selector", ".banner button")
     click(live, button)
-    until(lambda: "more.csv" in "".join(e.text for e in live.find_elements("css selector", ".tabs")), 240)
+
+    def tabs():
+        return "".join(e.text for e in live.find_elements("css selector", ".tabs"))
+
+    until(lambda: "more.csv" in tabs(), 240)
     assert complaints(live) == []

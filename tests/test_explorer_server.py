@@ -12,13 +12,13 @@ pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 pytest.importorskip("httpx")
 
-from starlette.testclient import TestClient  # noqa: E402
+from starlette.testclient import TestClient
 
-from residyn import recording  # noqa: E402
-from residyn._input import InputError  # noqa: E402
-from residyn.explorer import page  # noqa: E402
-from residyn.explorer.files import ExperimentFiles  # noqa: E402
-from residyn.explorer.server import Explorer  # noqa: E402
+from residyn import recording
+from residyn._input import InputError
+from residyn.explorer import page
+from residyn.explorer.files import ExperimentFiles
+from residyn.explorer.server import Explorer
 
 PORT = 8000
 OWN = f"http://127.0.0.1:{PORT}"
@@ -146,7 +146,7 @@ def test_a_recording_that_changes_and_one_that_is_new_are_offered(folder):
 
 def test_a_new_file_that_is_no_recording_is_one_line(folder):
     (folder / "notes.csv").write_text("a,b\nnothing,here\n")
-    with pytest.raises(InputError, match="notes.csv"):
+    with pytest.raises(InputError, match=r"notes\.csv"):
         ExperimentFiles(folder / "experiment.toml", ["notes.csv"])
 
 

@@ -48,9 +48,7 @@ def explore(
             from ..explorer.files import ExperimentFiles
             from ..explorer.server import Explorer, serve
         except ModuleNotFoundError as error:
-            raise NoNumbers(
-                f"explore needs {error.name}: pip install 'residyn[explore]'"
-            ) from None
+            raise NoNumbers(f"explore needs {error.name}: pip install 'residyn[explore]'") from None
         path = Path(experiment)
         if experiment == DEMO and not path.exists():
             from ..demo import experiment_file

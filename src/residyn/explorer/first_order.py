@@ -5,11 +5,11 @@ the first states, the model's numbers, and the strengths of further effects,
 
     e = a + X x0 + P u + C s        (e: measured less predicted, over the noise).
 
-For any strengths s the first states and the numbers follow by least squares, linearly; put in, they
-leave e = d + D s. The page then needs the Gram matrices of (d, D) alone: a Cholesky of a few rows
-gives the strengths of any set of effects, and a quadratic form the error of each joint, where it was
-fitted and where it was not. The motion about which all is linear is led by the readings, not by the
-base model, so the answer is good where the effect is the right one.
+For any strengths s the first states and the numbers follow by least squares, linearly; put in,
+they leave e = d + D s. The page then needs the Gram matrices of (d, D) alone: a Cholesky of a few
+rows gives the strengths of any set of effects, and a quadratic form the error of each joint, where
+it was fitted and where it was not. The motion about which all is linear is led by the readings, not
+by the base model. Where a joint sticks, nothing is linear: there the answer is too small a fall.
 """
 
 from collections.abc import Sequence
@@ -93,7 +93,7 @@ def first_order(fitted: Columns, held_out: Columns | None, noise: np.ndarray) ->
             for e, w, own in zip(beyond, used, mine, strict=True)
             if own
         ]
-        gram = sum(w.T @ w for w in white)
+        gram = np.sum([w.T @ w for w in white], axis=0)
         inner = gram[1 : 1 + P, 1 : 1 + P] + np.eye(P)
         keep = np.r_[0, 1 + P : gram.shape[0]]
         across = gram[1 : 1 + P][:, keep]

@@ -9,11 +9,10 @@ import numpy as np
 from ..diagnosis.evidence import signed
 from ..effects import AbstractEffect
 from ..filtering.law import numbers_of, with_numbers
+from ..fitting.problem import posed
 from ..fitting.result import Fit
 from ..fitting.setup import mechanism_of
 from ..model import Model
-from ..fitting.problem import posed
-from ..motion import split
 from ..recording import Experiment, Recording
 from ..simulation import simulate
 from .study import Study

@@ -67,8 +67,8 @@ def live(name: str) -> str:
 
 
 def embedded(found: Diagnosis, name: str = "experiment.toml") -> str:
-    """The explorer of a diagnosis, as a piece of HTML for the body of a page: styles, scripts and data
-    inside, nothing fetched. It shows nothing where scripts do not run, and is not printed.
+    """The explorer of a diagnosis, as a piece of HTML for the body of a page: styles, scripts and
+    data inside, nothing fetched. It shows nothing where scripts do not run, and is not printed.
 
     **Arguments:** `name`: what the experiment is called on a command line.
 
@@ -82,19 +82,25 @@ def embedded(found: Diagnosis, name: str = "experiment.toml") -> str:
 
 def standalone(data: dict[str, Any]) -> str:
     """A whole page around a payload, for a file."""
-    return _templates().get_template("standalone.html.j2").render(
-        name=data["name"], explorer=markupsafe.Markup(_embedded(data))
+    return (
+        _templates()
+        .get_template("standalone.html.j2")
+        .render(name=data["name"], explorer=markupsafe.Markup(_embedded(data)))
     )
 
 
 def _embedded(data: dict[str, Any]) -> str:
     addresses = {f"explorer/{name}": _address(static(name)) for name in MODULES}
-    return _templates().get_template("embedded.html.j2").render(
-        styles=[markupsafe.Markup(static(n)) for n in ("uPlot.min.css", "explorer.css")],
-        licence=static("uPlot.LICENSE.txt").splitlines()[2],
-        uplot=markupsafe.Markup(static("uPlot.iife.min.js")),
-        modules=_json({"imports": addresses}),
-        payload=_json(data),
+    return (
+        _templates()
+        .get_template("embedded.html.j2")
+        .render(
+            styles=[markupsafe.Markup(static(n)) for n in ("uPlot.min.css", "explorer.css")],
+            licence=static("uPlot.LICENSE.txt").splitlines()[2],
+            uplot=markupsafe.Markup(static("uPlot.iife.min.js")),
+            modules=_json({"imports": addresses}),
+            payload=_json(data),
+        )
     )
 
 

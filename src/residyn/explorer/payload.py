@@ -20,7 +20,7 @@ from ..diagnosis.evidence import FURTHER, INDISTINGUISHABLE, signed, width_of
 from ..diagnosis.missing_torque import missing_of, torque_along
 from ..diagnosis.search import Tried, silenced
 from ..filtering.law import numbers_of
-from ..filtering.trajectory import Scene, number_slices
+from ..filtering.trajectory import Scene, Trajectory, number_slices
 from ..fitting.result import Fit
 from .first_order import ErrorGram
 from .study import Study
@@ -28,9 +28,11 @@ from .study import Study
 POINTS = 1000
 """Instants of a recording that are drawn."""
 _RECORDINGS = 8  # that are drawn, at most
+_SETTLED = 0.01  # of the error, in the last step of a smoother
 
 
-_P, _R = ParamSpec("_P"), TypeVar("_R")
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 
 def _in_double(work: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -171,27 +173,22 @@ def fitted(study: Study, added: Sequence[str], found: Fit, held: Sequence[str] =
 @_in_double
 def smoothed(study: Study, t: Tried) -> dict[str, Any] | None:
     """A tried model without a random torque, which is least squares too: where it was fitted only.
-    None for one that runs away."""
-    scene = study.search.scene
+    None for one that runs away or does not settle."""
+    scene, shown = study.search.scene, _shown(study)
     led = silenced(scene, t.best, t.intensity)
-    path = scene.smoothed(led, scene.linearised(led), 0.0)
-    if path is None:
+    before = scene.smoothed(led, scene.linearised(led), 0.0)
+    path = None if before is None else scene.smoothed(before, scene.linearised(before), 0.0)
+    if before is None or path is None:
+        return None
+    errors = _times_noise(scene, path)
+    if not np.allclose(errors, _times_noise(scene, before), rtol=_SETTLED):
         return None
     _, _, seen = scene.reading_rows(scene.along(path))
-    g = scene.grid
-    shown = _shown(study)
     curves: list[Any] = [None] * len(shown)
-    left = (g.angle - seen) * g.seen
-    noise = np.sqrt(np.mean([r.noise**2 for r in scene.recordings], axis=0))
-    energy, count = np.zeros(scene.n), np.zeros(scene.n)
-    for i, r in enumerate(scene.recordings):
-        own = np.flatnonzero((g.run == i) & (np.arange(scene.K) < g.real))
-        each = g.seen[own] * r.noise**2 / g.variance[own]  # readings in an average
-        energy += (left[own] ** 2 * each).sum(0) + ((each - g.seen[own]) * r.noise**2).sum(0)
-        count += each.sum(0)
-        if i < len(shown) and shown[i].role == "fit":
-            at = r.time[thinned(len(r.time))] - r.time[0]
-            curves[i] = shorts([np.interp(at, g.time[own], x) for x in seen[own].T])
+    for i, r in enumerate(scene.recordings[: len(shown)]):
+        own = np.flatnonzero((scene.grid.run == i) & (np.arange(scene.K) < scene.grid.real))
+        at = r.time[thinned(len(r.time))] - r.time[0]
+        curves[i] = shorts([np.interp(at, scene.grid.time[own], x) for x in seen[own].T])
     units = scene.mechanisms[0].units
     numbers = []
     for effect, own in zip(path.effects, number_slices(path.effects), strict=True):
@@ -205,13 +202,25 @@ def smoothed(study: Study, t: Tried) -> dict[str, Any] | None:
     return {
         "added": sorted(t.added),
         "how": "smoothed",
-        "fitted": (np.sqrt(energy / np.maximum(count, 1)) / noise).tolist(),
+        "fitted": errors.tolist(),
         "held_out": None,
         "numbers": numbers,
         "curves": curves,
         "torque": None,
         "seconds": None,
     }
+
+
+def _times_noise(scene: Scene, path: Trajectory) -> np.ndarray:
+    """(n,) rms error over the noise of a motion without a random torque."""
+    g = scene.grid
+    _, _, seen = scene.reading_rows(scene.along(path))
+    left = (g.angle - seen) * g.seen
+    noise = np.stack([r.noise for r in scene.recordings])
+    each = g.seen * noise[g.run] ** 2 / g.variance  # readings in an average
+    energy = left**2 * each + (each - g.seen) * noise[g.run] ** 2
+    typical = np.sqrt(np.mean(noise**2, axis=0))
+    return np.sqrt(energy.sum(0) / np.maximum(each.sum(0), 1)) / typical
 
 
 # -- parts -----------------------------------------------------------------------------------
@@ -346,7 +355,8 @@ def _torque(study: Study, found: Fit):
     known = search.tried.get(frozenset(found.model.labels) - frozenset(search.base.best.labels))
     if known is not None:  # along its own smoothed motion, where it sticks as it should
         own, before = (torque_along(scene, m.best) for m in (known, search.base))
-        return _cut(scene, sum(own.values()) - sum(before.values()))
+        total = np.sum([*own.values()], axis=0) - np.sum([*before.values()], axis=0)
+        return _cut(scene, total)
     along = scene.along(t)
     values = {n.name: n.value for n in found.numbers}
     names = [f"{e.label}.{n.name}" for e in t.effects for n in numbers_of(e)]
@@ -363,7 +373,8 @@ def _torque(study: Study, found: Fit):
         shape = {n.field: value[n.field] for n in own if n.silent is None}
         columns = np.stack([c[:, 0] for c, _ in columns_of(along, effect, shape)], -1)
         u = np.array([
-            (value[n.field] - n.silent) / width_of(scene, effect, n) for n in strengths(effect)
+            (value[n.field] - float(n.silent or 0.0)) / width_of(scene, effect, n)
+            for n in strengths(effect)
         ])  # fmt: skip
         if effect.oscillates:  # the phase is the recording's own: whatever it lacks most
             lacks = missing_of(scene, search.base)

@@ -3,7 +3,8 @@
 What a browser shows from elsewhere must neither read this server nor drive it: it listens on the
 loopback address; its pages lie under a random token; the Host of every request must be its own (a
 foreign name that points here is refused), and the Origin, where there is one, too; what changes
-something must have one. A content security policy lets the page load its own files and nothing else.
+something must have one. A content security policy lets the page load its own files and nothing
+else.
 """
 
 import secrets
