@@ -18,7 +18,6 @@ from .._stretches import wholes
 from ..diagnosis.columns import columns_of, strengths
 from ..diagnosis.evidence import FURTHER, INDISTINGUISHABLE, signed, width_of
 from ..diagnosis.missing_torque import missing_of, torque_along
-from ..diagnosis.search import Tried, silenced
 from ..filtering.law import numbers_of
 from ..filtering.trajectory import Scene, Trajectory, number_slices
 from ..fitting.result import Fit
@@ -28,7 +27,6 @@ from .study import Study
 POINTS = 1000
 """Instants of a recording that are drawn."""
 _RECORDINGS = 8  # that are drawn, at most
-_SETTLED = 0.01  # of the error, in the last step of a smoother
 
 
 _P = ParamSpec("_P")
@@ -118,7 +116,9 @@ def searched(study: Study) -> dict[str, Any]:
     tried = list(study.search.tried.values())
     fits = [fitted(study, sorted(k), f) for k, f in list(study.fits.items())]
     known = {tuple(f["added"]) for f in fits}
-    fits += [f for t in tried if tuple(sorted(t.added)) not in known and (f := smoothed(study, t))]
+    fits += [
+        f for t in tried if tuple(sorted(t.added)) not in known and (f := smoothed(study, t.added))
+    ]
     return finite({
         "tried": [
             {
@@ -171,18 +171,12 @@ def fitted(study: Study, added: Sequence[str], found: Fit, held: Sequence[str] =
 
 
 @_in_double
-def smoothed(study: Study, t: Tried) -> dict[str, Any] | None:
-    """A tried model without a random torque, which is least squares too: where it was fitted only.
-    None for one that runs away or does not settle."""
-    scene, shown = study.search.scene, _shown(study)
-    led = silenced(scene, t.best, t.intensity)
-    before = scene.smoothed(led, scene.linearised(led), 0.0)
-    path = None if before is None else scene.smoothed(before, scene.linearised(before), 0.0)
-    if before is None or path is None:
+def smoothed(study: Study, added: Sequence[str]) -> dict[str, Any] | None:
+    """A fit by the smoother; None if it does not settle."""
+    found = study.quick(added)
+    if found is None:
         return None
-    errors = _times_noise(scene, path)
-    if not np.allclose(errors, _times_noise(scene, before), rtol=_SETTLED):
-        return None
+    scene, path, shown = study.search.scene, found.path, _shown(study)
     _, _, seen = scene.reading_rows(scene.along(path))
     curves: list[Any] = [None] * len(shown)
     for i, r in enumerate(scene.recordings[: len(shown)]):
@@ -190,37 +184,29 @@ def smoothed(study: Study, t: Tried) -> dict[str, Any] | None:
         at = r.time[thinned(len(r.time))] - r.time[0]
         curves[i] = shorts([np.interp(at, scene.grid.time[own], x) for x in seen[own].T])
     units = scene.mechanisms[0].units
-    numbers = []
+    numbers: list[dict[str, Any]] = []
+    assert path.covariance is not None
+    slopes = path.prior.slopes(path.u)
+    grown = np.maximum(1.0, np.max(found.fitted))  # where the residual is no noise
+    spread = grown * np.sqrt(np.diag(path.covariance)[: len(slopes)]) * np.abs(slopes)
     for effect, own in zip(path.effects, number_slices(path.effects), strict=True):
         unit = units[scene.joint_of(effect)] if units else None
-        for n, x in zip(numbers_of(effect), path.numbers[own], strict=True):
+        for n, x, std in zip(numbers_of(effect), path.numbers[own], spread[own], strict=True):
             numbers.append({
                 "name": f"{effect.label}.{n.name}", "words": n.words, "value": float(x),
-                "std": None, "unit": n.dimension.unit(unit), "held": False,
+                "std": float(std), "unit": n.dimension.unit(unit), "held": False,
                 "positive": n.sign == "positive",
             })  # fmt: skip
     return {
-        "added": sorted(t.added),
+        "added": sorted(added),
         "how": "smoothed",
-        "fitted": errors.tolist(),
-        "held_out": None,
+        "fitted": found.fitted.tolist(),
+        "held_out": None if found.held_out is None else found.held_out.tolist(),
         "numbers": numbers,
         "curves": curves,
-        "torque": None,
+        "torque": _along_itself(study, path),
         "seconds": None,
     }
-
-
-def _times_noise(scene: Scene, path: Trajectory) -> np.ndarray:
-    """(n,) rms error over the noise of a motion without a random torque."""
-    g = scene.grid
-    _, _, seen = scene.reading_rows(scene.along(path))
-    left = (g.angle - seen) * g.seen
-    noise = np.stack([r.noise for r in scene.recordings])
-    each = g.seen * noise[g.run] ** 2 / g.variance  # readings in an average
-    energy = left**2 * each + (each - g.seen) * noise[g.run] ** 2
-    typical = np.sqrt(np.mean(noise**2, axis=0))
-    return np.sqrt(energy.sum(0) / np.maximum(each.sum(0), 1)) / typical
 
 
 # -- parts -----------------------------------------------------------------------------------
@@ -354,9 +340,7 @@ def _torque(study: Study, found: Fit):
     scene, g = search.scene, search.scene.grid
     known = search.tried.get(frozenset(found.model.labels) - frozenset(search.base.best.labels))
     if known is not None:  # along its own smoothed motion, where it sticks as it should
-        own, before = (torque_along(scene, m.best) for m in (known, search.base))
-        total = np.sum([*own.values()], axis=0) - np.sum([*before.values()], axis=0)
-        return _cut(scene, total)
+        return _along_itself(study, known.best)
     along = scene.along(t)
     values = {n.name: n.value for n in found.numbers}
     names = [f"{e.label}.{n.name}" for e in t.effects for n in numbers_of(e)]
@@ -381,6 +365,14 @@ def _torque(study: Study, found: Fit):
             lack = np.concatenate([m.torque.torque for m in lacks]).ravel()
             u = np.linalg.lstsq(columns[: g.real].reshape(len(lack), -1), lack, rcond=None)[0]
         total = total + columns @ u
+    return _cut(scene, total)
+
+
+def _along_itself(study: Study, path: Trajectory) -> list[dict[str, Any]]:
+    """The torque that a model has beyond the base model's, each along its own motion."""
+    scene = study.search.scene
+    own, before = (torque_along(scene, t) for t in (path, study.search.base.best))
+    total = np.sum([*own.values()], axis=0) - np.sum([*before.values()], axis=0)
     return _cut(scene, total)
 
 

@@ -57,7 +57,7 @@ class Explorer:
     ):
         """`name` of the experiment on a command line; `files`: where it was read from."""
         self.token, self.name, self.effects = token or secrets.token_urlsafe(24), name, effects
-        self.worker = Worker()
+        self.worker, self.quick_worker = Worker(), Worker()
         self.studies = {0: Workbench(experiment, effects, name, files)}
         self.random = np.random.default_rng()
 
@@ -71,6 +71,7 @@ class Explorer:
             Route(f"{base}/api/{{study:int}}/payload", self._payload),
             Route(f"{base}/api/{{study:int}}/searched", self._searched),
             Route(f"{base}/api/{{study:int}}/fit", self._fit, methods=["POST"]),
+            Route(f"{base}/api/{{study:int}}/quick", self._quick, methods=["POST"]),
             Route(f"{base}/api/{{study:int}}/reload", self._reload, methods=["POST"]),
             Route(f"{base}/api/{{study:int}}/hide", self._hide, methods=["POST"]),
             Route(f"{base}/api/{{study:int}}/reveal", self._reveal, methods=["POST"]),
@@ -117,6 +118,15 @@ class Explorer:
         return JSONResponse(await self.worker.do(bench.searched))
 
     async def _fit(self, request: Request) -> Response:
+        return await self._fitted(request, self.worker, lambda bench: bench.fit)
+
+    async def _quick(self, request: Request) -> Response:
+        def quick(bench: Workbench):
+            return lambda added, held: bench.quick(added)
+
+        return await self._fitted(request, self.quick_worker, quick)
+
+    async def _fitted(self, request: Request, worker: Worker, how) -> Response:
         bench = self._bench(request)
         if bench is None or bench.study is None:
             return _gone()
@@ -127,7 +137,7 @@ class Explorer:
             held = {str(k): float(v) for k, v in asked.get("held", {}).items()}
         except (KeyError, TypeError, ValueError, AttributeError):
             return JSONResponse({"error": "a fit needs window, number and added"}, 400)
-        found = await self.worker.newest(window, number, lambda: bench.fit(added, held))
+        found = await worker.newest(window, number, lambda: how(bench)(added, held))
         return JSONResponse({"superseded": True} if found is None else found)
 
     async def _reload(self, request: Request) -> Response:

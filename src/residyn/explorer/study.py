@@ -5,10 +5,10 @@ order of all candidates; the search adds tried models; and any set of effects th
 is fitted by least squares, from the tried model where there is one, else from the first order.
 """
 
-import dataclasses
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,9 +22,9 @@ from ..diagnosis.forecast import HeldOut, held_out
 from ..diagnosis.linearised_fit import LinearisedFit
 from ..diagnosis.missing_torque import scene_of
 from ..diagnosis.result import Diagnosis
-from ..diagnosis.search import Search, Tried, tried_alone
+from ..diagnosis.search import Search, Tried, settle, silenced, tried_alone
 from ..effects import AbstractEffect
-from ..filtering.trajectory import Scene
+from ..filtering.trajectory import Prior, Scene, Trajectory
 from ..fitting import DEFAULT_STARTS, fit
 from ..fitting.descent import Descent, wild_beside
 from ..fitting.levenberg import polish
@@ -35,7 +35,18 @@ from ..fitting.setup import ready
 from ..recording import Experiment
 from .first_order import FirstOrder, first_order
 
+_STEPS = 8  # of Gauss and Newton, of a quick fit
+_SETTLED = 0.01  # of the error, in its last step
 _WORSE = 1.02  # of chi-square: with an effect more, a minimum above this is another one's
+
+
+class Quick(NamedTuple):
+    """A fit by the smoother."""
+
+    path: Trajectory
+    fitted: np.ndarray
+    """(n,) rms error over the noise."""
+    held_out: np.ndarray | None
 
 
 class Study:
@@ -89,6 +100,8 @@ class Study:
         self.found: Diagnosis | None = None
         self._held: dict[frozenset[str], HeldOut | None] = {}
         self._lock = threading.RLock()
+        self._quick: dict[frozenset[str], Quick | None] = {}
+        self._beside: Scene | None = None
         self.screen = search.screen(search.base)
         self.loud, self.intensity = search.led(search.base)
         self.shapes = {s.effect.label: s.shape for s in self.screen.ranked}
@@ -116,12 +129,66 @@ class Study:
                 wild = wild_beside(here, [r.angle for r in here.recordings])
                 other = Scene(here.recordings, here.mechanisms, wild)
                 other.scales, other.torque = scene.scales, scene.torque  # the same priors
+                self._beside = other
                 base = tuple(self.loud.effects)
                 best = tried_alone(other, base).best
                 led = other.smoothed(best, other.linearised(best), self.intensity)
                 beside = self.columns(other, led or best)
             noise = np.stack([r.noise for r in (*fitted, *held)])
             return first_order(self.columns(), beside, noise)
+
+    # -- without compiling anything -----------------------------------------------------------
+
+    def quick(self, added: Sequence[str]) -> "Quick | None":
+        """The base model and some candidates, fitted by the smoother without a random torque: least
+        squares by Gauss and Newton, with the programs that the screen has used. None if that does
+        not settle.
+
+        **Raises:** `ValueError` for what is no candidate.
+        """
+        key = frozenset(added)
+        self._check(key)
+        if key not in self._quick:
+            known = self.search.tried.get(key)
+            with jax.enable_x64(True):
+                if known is None:  # from the readings' lead to its own, as the search would
+                    guess = self._guessed(tuple(added))
+                    (found,) = settle(self.search.scene, [guess.best], self.intensity)
+                    known = guess if found is None else Tried(guess.added, *found, log_prior=0.0)
+                self._quick[key] = self._quickly(known)
+        return self._quick[key]
+
+    def _quickly(self, model: Tried) -> "Quick | None":
+        scene, before = self.search.scene, None
+        path = silenced(scene, model.best, model.intensity)
+        for _ in range(_STEPS):
+            moved = scene.smoothed(path, scene.linearised(path), 0.0)
+            if moved is None:
+                return None
+            errors, path = times_noise(scene, moved), moved
+            if before is not None and np.allclose(errors, before, rtol=_SETTLED):
+                return Quick(path, errors, self._held_out_by(path))
+            before = errors
+        return None
+
+    def _held_out_by(self, path: Trajectory) -> np.ndarray | None:
+        """(n,) errors on the check recordings, of which only the first states are fitted."""
+        other = self._beside
+        if other is None:
+            return None
+        numbers = path.numbers
+        known = Prior(numbers, np.full(len(numbers), 1e-9), np.zeros(len(numbers), bool))
+        led, loud = other.start(path.effects, known), INTENSITIES[0]
+        if any(e.dry or e.follows for e in path.effects):  # where it sticks takes more steps
+            (found,) = settle(other, [led], loud)
+            led = led if found is None else found[1]
+        led = silenced(other, led, loud)
+        end = other.smoothed(led, other.linearised(led), 0.0)
+        return None if end is None else times_noise(other, end)
+
+    def _check(self, key: frozenset[str]) -> None:
+        for label in key - set(self.labels):
+            raise ValueError(f"{label} is no candidate")
 
     # -- least squares ------------------------------------------------------------------------
 
@@ -132,8 +199,7 @@ class Study:
         **Raises:** `FitError`; `ValueError` for what is no candidate or no number of this model.
         """
         key = frozenset(added)
-        for label in key - set(self.labels):
-            raise ValueError(f"{label} is no candidate")
+        self._check(key)
         with self._lock, jax.enable_x64(True):
             if key not in self.fits:
                 self.fits[key] = self._fitted(tuple(added))
@@ -230,6 +296,13 @@ class Study:
         self.search.deadline = 0.0
 
 
-def with_recording(experiment: Experiment, recording) -> Experiment:
-    """The experiment with one more recording."""
-    return dataclasses.replace(experiment, recordings=(*experiment.recordings, recording))
+def times_noise(scene: Scene, path: Trajectory) -> np.ndarray:
+    """(n,) rms error over the noise of a motion without a random torque."""
+    g = scene.grid
+    _, _, seen = scene.reading_rows(scene.along(path))
+    left = (g.angle - seen) * g.seen
+    noise = np.stack([r.noise for r in scene.recordings])
+    each = g.seen * noise[g.run] ** 2 / g.variance  # readings in an average
+    energy = left**2 * each + (each - g.seen) * noise[g.run] ** 2
+    typical = np.sqrt(np.mean(noise**2, axis=0))
+    return np.sqrt(energy.sum(0) / np.maximum(each.sum(0), 1)) / typical

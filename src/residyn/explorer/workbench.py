@@ -1,8 +1,9 @@
 """A study that goes on in the background while pages look at it.
 
 Each has a thread of its own for the long work (smoothing, screening, the search). Fits that
-somebody waits for run in one more thread, one after the other; of what one window asks for only the
-newest is begun.
+somebody waits for run in one more thread, one after the other, and quick ones in another, which a
+program that is being compiled does not hold up; of what one window asks for only the newest is
+begun.
 """
 
 import asyncio
@@ -16,7 +17,7 @@ from .._input import InputError
 from ..fitting.result import FitError
 from ..recording import Experiment
 from .files import ExperimentFiles
-from .payload import fitted, payload, searched
+from .payload import fitted, payload, searched, smoothed
 from .study import Study
 
 
@@ -92,6 +93,14 @@ class Workbench:
         try:
             return {"fit": fitted(self.study, sorted(added), self.study.fit(added, held), [*held])}
         except (FitError, ValueError) as error:
+            return {"error": " ".join(str(error).split())}
+
+    def quick(self, added: list[str]) -> dict[str, Any]:
+        """The same by the smoother, at once; `fit` is null if that does not settle."""
+        assert self.study is not None
+        try:
+            return {"fit": smoothed(self.study, sorted(added))}
+        except ValueError as error:
             return {"error": " ".join(str(error).split())}
 
     def stop(self) -> None:

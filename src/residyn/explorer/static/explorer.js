@@ -104,17 +104,21 @@ class Page {
   /** Ask the server for the exact fit of what is shown. */
   async refit() {
     const { chosen, held } = this.state.values;
-    this.state.set({ working: "refitting" });
-    let found;
-    try {
-      found = await this.server.fit(chosen, held);
-    } catch {
-      found = { error: "the server does not answer: has it been stopped?" };
+    const known = this.fits.get(keyOf(chosen));
+    for (const quick of held.size || known ? [false] : [true, false]) {
+      this.state.set({ working: quick ? "refitting" : "refining" });
+      let found;
+      try {
+        found = await this.server.fit(chosen, held, quick);
+      } catch {
+        found = { error: "the server does not answer: has it been stopped?" };
+      }
+      if (found === null) return; // something newer is under way
+      if (found.error) return this.state.set({ working: "", error: found.error });
+      if (found.fit === null) continue; // the smoother does not settle
+      if (!held.size) this.keep([found.fit]);
+      this.state.set({ working: quick ? "refining" : "", error: "", model: found.fit });
     }
-    if (found === null) return; // something newer is under way
-    if (found.error) return this.state.set({ working: "", error: found.error });
-    if (!held.size) this.fits.set(keyOf(chosen), found.fit);
-    this.state.set({ working: "", error: "", model: found.fit });
   }
 
   // -- numbers -------------------------------------------------------------------------------
@@ -309,7 +313,7 @@ class Page {
     const { model, working, error } = this.state.values;
     const words = {
       refitted: "refitted: every number of this model by least squares",
-      smoothed: "fitted by the smoother of the search; what is held out was not predicted",
+      smoothed: "refitted: least squares by the smoother",
       "first order": "first order: predicted, nothing fitted yet",
     };
     this.status.className = `status ${error ? "error" : working ? "working" : model.how.replace(" ", "-")}`;

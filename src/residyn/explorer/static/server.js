@@ -23,11 +23,11 @@ export class Server {
     return answer.json();
   }
 
-  /** A fit; null if a newer one was asked for meanwhile. */
-  async fit(added, held) {
+  /** A fit, by the smoother if it is to be quick; null if a newer one was asked for meanwhile. */
+  async fit(added, held, quick) {
     const number = ++this.number;
     const study = this.study;
-    const found = await this.post("fit", {
+    const found = await this.post(quick ? "quick" : "fit", {
       window: WINDOW, number, added, held: Object.fromEntries(held),
     });
     if (number !== this.number || study !== this.study || found.superseded) return null;
