@@ -13,6 +13,7 @@ import { State } from "./state.js";
 import { command, percent, placed, toml, verdict } from "./words.js";
 
 const MOST_CHIPS = 8;
+const IDLE = 1500; // ms
 const root = document.getElementById("residyn-explorer");
 
 /** One experiment on the page. */
@@ -82,6 +83,7 @@ class Page {
 
   /** Show a model. */
   choose(labels, quietly = false) {
+    this.asked = null;
     const known = [...labels].filter((x) => this.evidence.candidates.has(x));
     const model = this.stored(known);
     const steps = this.state.get("steps");
@@ -105,7 +107,13 @@ class Page {
   async refit() {
     const { chosen, held } = this.state.values;
     const known = this.fits.get(keyOf(chosen));
+    const asked = (this.asked = {});
     for (const quick of held.size || known ? [false] : [true, false]) {
+      if (!quick && this.state.get("model").how === "smoothed") {
+        // What is seen is least squares already; the rest waits until nobody clicks.
+        await new Promise((resolve) => setTimeout(resolve, IDLE));
+        if (asked !== this.asked) return;
+      }
       this.state.set({ working: quick ? "refitting" : "refining" });
       let found;
       try {
@@ -117,7 +125,7 @@ class Page {
       if (found.error) return this.state.set({ working: "", error: found.error });
       if (found.fit === null) continue; // the smoother does not settle
       if (!held.size) this.keep([found.fit]);
-      this.state.set({ working: quick ? "refining" : "", error: "", model: found.fit });
+      this.state.set({ working: "", error: "", model: found.fit });
     }
   }
 
