@@ -79,7 +79,9 @@ def click(browser, element):
 
 
 def text(browser, selector):
-    return browser.find_element("css selector", selector).text
+    """What stands in an element; in one go, as the page may draw it anew at any time."""
+    script = "return document.querySelector(arguments[0])?.innerText ?? ''"
+    return browser.execute_script(script, selector)
 
 
 # -- the page's own arithmetic ----------------------------------------------------------------
@@ -313,9 +315,5 @@ def test_live_a_new_recording_is_offered_and_added_by_a_click(live, address):
     until(lambda: "more.csv" in text(live, ".banner"))
     button = live.find_element("css selector", ".banner button")
     click(live, button)
-
-    def tabs():
-        return "".join(e.text for e in live.find_elements("css selector", ".tabs"))
-
-    until(lambda: "more.csv" in tabs(), 240)
+    until(lambda: "more.csv" in text(live, ".tabs"), 240)
     assert complaints(live) == []
