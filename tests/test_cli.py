@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -427,8 +428,17 @@ def test_demo_from_end_to_end(command, folder, monkeypatch):
     found = result["fit"]["parameters"][f"{HIDDEN}.torque"]["value"]
     assert found == pytest.approx(0.2, rel=0.02)
     assert result["ladder"][-1]["reduced_chi2"] < 1.2
-    for said in ("11 x", "1.0 x", "held out", "17.5-20.0 s", f"Hidden was: {HIDDEN}. Right."):
+    first = "Dry friction at the elbow is missing (> 99 %)."
+    for said in (
+        first,
+        "11 x",
+        "1.0 x",
+        "held out",
+        "17.5-20.0 s",
+        f"Hidden was: {HIDDEN}. Right.",
+    ):
         assert said in end.out
+    assert first in (Path(__file__).parents[1] / "README.md").read_text()
 
 
 def test_the_defaults_are_pythons_own():

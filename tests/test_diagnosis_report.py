@@ -202,7 +202,7 @@ def test_it_shows_the_models_and_the_candidates(found):
         r"\+ Coulomb friction at the elbow +1\.0 x +1\.0 x +1\.0 x +1\.0 x +0\.980",
         r"coulomb_friction:elbow +93 % +0\n +torque 0\.20010 \+/- 0\.00060 N m",
         r"hysteresis:elbow +< 1 % +-5\.4",
-        r"cannot be told from stribeck_friction:elbow",
+        r"Coulomb friction at the elbow cannot be told from Stribeck",
         NEXT.words[:40],
     ):
         assert re.search(line, printed), line

@@ -346,13 +346,15 @@ def extended(scene: Scene, trajectory: Trajectory, prior_of, found: Screened) ->
         phase = math.atan2(values[1], values[0])
         values = [math.hypot(*values)]
     values = iter(values)
+    # Dry friction is found from above: where it never holds a joint, no slope says that it might.
+    least = 1.0 if effect.dry else 0.02
     numbers = np.array(prior.mean)
     for i, number in enumerate(numbers_of(effect), P0):
         if number.silent is None:
             numbers[i] = shape[number.field]
         else:
             x = next(values)
-            u[i] = max(x, 0.02) if signed(effect, number) else x
+            u[i] = max(x, least) if signed(effect, number) else x
     shaped = prior.regressors(numbers)
     for i, number in enumerate(numbers_of(effect), P0):
         if number.silent is None:

@@ -15,7 +15,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -38,7 +38,7 @@ from .evidence import (
 
 CONTENDERS = 6
 """Candidates of each screen that are iterated, and as many pairs whose members are."""
-_ITERATIONS = 12  # of one model, at the most
+_ITERATIONS = 16  # of one model, at the most
 _FALL = 2  # steps of the grid that the random torque may fall by in an iteration
 _LED = 0.01  # random torque along which candidates are screened, at least: the readings lead
 _SETTLED = 0.1  # nats
@@ -102,54 +102,82 @@ def settle(
     None for one that ran away, or fell hopelessly behind.
 
     Linearised along its motion, a model has an evidence under every random torque; the next motion
-    is smoothed under the likeliest one. That falls by a decade an iteration at the most, from
-    `loudest`: the readings lead first, the model last.
+    is smoothed under the likeliest one, which falls by a decade an iteration at the most, from
+    `loudest`: the readings lead first, the model last. Where a joint or a brake sticks, loud
+    torques hide it from the model that has it; there, all are gone through down to none, and the
+    likeliest is sought from below.
     """
     found: list[tuple[np.ndarray, Trajectory] | None] = [None] * len(starts)
     first = next(k for k, x in enumerate(INTENSITIES) if x <= loudest)
-    moving = {i: (t, first - _FALL, math.nan) for i, t in enumerate(starts)}
-    for count in range(_ITERATIONS):
+    moving = {i: (_Step.of(t, first), math.nan) for i, t in enumerate(starts)}
+    for _ in range(_ITERATIONS):
         if time.perf_counter() > deadline:
             raise OutOfTime
-        work = [functools.partial(_iterated, scene, t, k, count) for t, k, _ in moving.values()]
+        work = [functools.partial(step.next, scene) for step, _ in moving.values()]
         results = _side_by_side(work)
         best = max((r[0].max() for r in results if r is not None), default=-math.inf)
         after = {}
-        for (i, (_, known, before)), result in zip(moving.items(), results, strict=True):
-            found[i] = None if result is None else result[:2]
+        for (i, (step, before)), result in zip(moving.items(), results, strict=True):
+            found[i] = None if result is None else (result[0], result[1].trajectory)
             if result is None:
                 continue
-            each, t, k = result
-            if count > 2 and each.max() < best - _HOPELESS:
+            each, new = result
+            free, tried = new.descent <= 0, new.count > 2
+            if free and tried and each.max() < best - _HOPELESS:
                 continue
-            at_rest = k == known and abs(each[k] - before) < _SETTLED * _share(t, count)
-            if not at_rest:
-                after[i] = t, k, each[k]
+            settled = abs(each[new.level] - before) < _SETTLED * step.share
+            if not (free and new.level == step.level and settled):
+                after[i] = new, each[new.level]
         moving = after
         if not moving:
             break
     return found
 
 
-def _share(t: Trajectory, count: int) -> float:
-    """How much of a Gauss-Newton step is taken. Where a joint or a brake sticks turns on the motion
-    itself, and whole steps swing to and fro: successive averages converge (Robbins and Monro,
-    Annals of Mathematical Statistics 22, 1951)."""
-    return 2.0 / (3.0 + count) if any(e.dry or e.follows for e in t.effects) else 1.0
+class _Step(NamedTuple):
+    """Where the iteration of a model is."""
 
+    trajectory: Trajectory
+    level: int
+    """Index of the random torque of the last smoothing."""
+    descent: int
+    """How many louder torques are still to go through."""
+    count: int = 0
+    """Iterations since."""
 
-def _iterated(scene: Scene, t: Trajectory, before: int, count: int):
-    """One Gauss-Newton step of a model: its evidences, where it leads, and under which torque."""
-    system = scene.linearised(t)
-    each = scene.evidences(t, system, INTENSITIES)
-    known = each.log_evidence + half_normals(t.effects, each)
-    known = np.where(np.isfinite(known), known, -np.inf)
-    if not np.isfinite(known).any():
-        return None
-    likeliest = int(np.argmax(known + log_prior_intensity(INTENSITIES)))
-    k = min(likeliest, before + _FALL)
-    moved = scene.smoothed(t, system, INTENSITIES[k], _share(t, count))
-    return None if moved is None else (known, moved, k)
+    @classmethod
+    def of(cls, t: Trajectory, first: int) -> "_Step":
+        """The beginning, with the loudest random torque `first`."""
+        if any(e.dry or e.follows for e in t.effects):
+            return cls(t, first, len(INTENSITIES) - 1 - first)
+        return cls(t, first - _FALL, 0)
+
+    @property
+    def share(self) -> float:
+        """How much of a Gauss-Newton step is taken. Where something sticks turns on the motion
+        itself, and whole steps swing to and fro: successive averages converge (Robbins and Monro,
+        Annals of Mathematical Statistics 22, 1951)."""
+        rough = any(e.dry or e.follows for e in self.trajectory.effects)
+        return 2.0 / (4.0 + self.count) if rough else 1.0
+
+    def next(self, scene: Scene) -> "tuple[np.ndarray, _Step] | None":
+        """One Gauss-Newton step: the evidences of the model where it is, and where they lead."""
+        t = self.trajectory
+        system = scene.linearised(t)
+        each = scene.evidences(t, system, INTENSITIES)
+        known = each.log_evidence + half_normals(t.effects, each)
+        known = np.where(np.isfinite(known), known, -np.inf)
+        if not np.isfinite(known).any():
+            return None
+        if self.descent > 0:
+            level, count = self.level + 1, 0
+        else:
+            likeliest = int(np.argmax(known + log_prior_intensity(INTENSITIES)))
+            level, count = min(likeliest, max(self.level, 0) + _FALL), self.count + 1
+        moved = scene.smoothed(t, system, INTENSITIES[level], self.share)
+        if moved is None:
+            return None
+        return known, _Step(moved, level, max(self.descent - 1, 0), count)
 
 
 def _side_by_side(work: Sequence[Callable[[], Any]]) -> list[Any]:

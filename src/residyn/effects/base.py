@@ -24,7 +24,7 @@ class AbstractEffect(eqx.Module):
     """A physical effect. Its numbers are declared with `residyn.param`; its words sit on the class.
 
     - `name`: what users call it.
-    - `title`: its name in words, wherever people read ("Coulomb friction"); that of `name` if empty.
+    - `title`: its name in words, wherever people read ("Coulomb friction"); `name` if empty.
     - `family`: laws of one kind have one ("dry friction"); the title if empty.
     - `equation`, `looks_like`, `source`: one line each, for the catalogue.
     - `dissipates`: True if its power `torque . v` is never negative while its numbers have the sign

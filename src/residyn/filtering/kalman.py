@@ -55,7 +55,7 @@ class Noise(NamedTuple):
         return self._replace(variance=self.variance * own, growth=self.growth * own)
 
 
-def _times(A, B):
+def _times(A, B) -> Any:
     """A B of small matrices, or A x, as a sum of outer products: XLA makes one vectorised kernel of
     it, five times as fast as its own product of so small matrices."""
     columns = range(A.shape[1])

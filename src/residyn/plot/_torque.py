@@ -92,7 +92,8 @@ def _words(curve: Curve) -> str:
         for name, (value, unit) in curve.values.items()
     ]
     more = ", ..." if len(numbers) > _NAMED else ""
-    return f"{title(curve.effect)}: {', '.join(numbers[:_NAMED])}{more}"
+    words = f"{title(curve.effect)}: {', '.join(numbers[:_NAMED])}{more}"
+    return words.replace("^2", "²").replace("^3", "³")
 
 
 def _against(ax: Axes, x, tau, own) -> None:

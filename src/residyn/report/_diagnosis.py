@@ -7,9 +7,9 @@ import numpy as np
 
 from .. import plot
 from .._units import amount, plain
-from ..diagnosis import Missing
+from ..diagnosis import Curve, Missing
 from ..diagnosis.result import Candidate, Diagnosis, Family, Rung
-from ._diagnosis_text import alike, unnamed
+from ._diagnosis_text import accepted, advice, alike, unnamed
 from ._failing import clearest, failing
 from ._picture import picture
 from ._words import (
@@ -73,8 +73,8 @@ def diagnosed(found: Diagnosis) -> dict[str, Any]:
         "still": after[0],
         "more_still": after[1],
         "remainder": [_remainder(r) for r in found.random_torque],
-        "alike": [alike(group) for group in found.lookalikes if len(group) > 1],
-        "next": None if found.next_experiment is None else found.next_experiment.words,
+        "alike": [alike(group, found.fit.joints) for group in found.lookalikes if len(group) > 1],
+        "next": advice(found),
         "left": failing(found.comparison, ()),
         "budget": found.budget,
     }
@@ -87,10 +87,7 @@ def _title(found: Diagnosis) -> str:
         return "Nothing is missing"
     if not found.added:
         return f"Something is missing that {unnamed(found)} explains"
-    words = []
-    for family in found.families:
-        if any(label in found.added for label, _ in family.members):
-            words.append(placed(family.name, family.place, found.fit.joints))
+    words = [placed(f.name, f.place, found.fit.joints) for f in accepted(found)]
     if found.verdict == "unexplained":
         words.append(f"something that {unnamed(found)} explains")
     return f"What is missing: {listed(words)}"
@@ -101,18 +98,15 @@ def _each(missing: Sequence[Missing]) -> list[tuple[Missing, int]]:
 
 
 def _evidence(found: Diagnosis) -> list[tuple[Missing, int]]:
-    """The torque that the base model lacks, with the curve of what was added before its rivals',
-    where what was added acts; everywhere, if it acts on no joint."""
+    """The torque that the base model lacks, with the curves of what was added before their rivals',
+    those that draw most of it first; where what was added acts, or everywhere if on no joint."""
     if not found.added:
         return []
 
-    def rank(label: str) -> int:
-        return found.added.index(label) if label in found.added else len(found.added)
+    def rank(curve: Curve) -> tuple[bool, float]:
+        return curve.effect not in found.added, -curve.share
 
-    ordered = [
-        each._replace(curves=tuple(sorted(each.curves, key=lambda c: rank(c.effect))))
-        for each in found.missing
-    ]
+    ordered = [each._replace(curves=tuple(sorted(each.curves, key=rank))) for each in found.missing]
     acting = [
         (each, joint)
         for each, joint in _each(ordered)

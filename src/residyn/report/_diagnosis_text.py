@@ -149,10 +149,10 @@ def _rest(found: "Diagnosis") -> list[tuple[int, float]]:
 
 def _families(found: "Diagnosis") -> list[str]:
     """ "Dry friction at the elbow is missing (> 99 %)." """
-    joints, accepted = found.fit.joints, _accepted(found)
+    joints, own = found.fit.joints, accepted(found)
     sure = found.verdict_probability
-    if found.verdict == "missing" and sure >= SURE and len(accepted) == 1:
-        (family,) = accepted
+    if found.verdict == "missing" and sure >= SURE and len(own) == 1:
+        (family,) = own
         if family.probability < SURE:
             first = f"{_family(family, joints)} ({percent(family.probability)})"
             return [
@@ -160,7 +160,7 @@ def _families(found: "Diagnosis") -> list[str]:
                 f"{first}."
             ]
     groups: dict[str, list[Family]] = {}
-    for family in accepted:
+    for family in own:
         groups.setdefault(modal(family.probability), []).append(family)
     told = []
     for each in groups.values():
@@ -178,7 +178,7 @@ def _family(family: "Family", joints: Sequence[str]) -> str:
     return placed(family.name, family.place, joints)
 
 
-def _accepted(found: "Diagnosis") -> list["Family"]:
+def accepted(found: "Diagnosis") -> list["Family"]:
     """The families of what was added, in that order."""
     own = []
     for label in found.added:
@@ -207,7 +207,7 @@ def unnamed(found: "Diagnosis") -> str:
 
 def _laws(found: "Diagnosis") -> Iterator[str]:
     """What the recordings say of the law within each family."""
-    for family in _accepted(found):
+    for family in accepted(found):
         members = dict(family.members)
         for label in (x for x in found.added if x in members):
             name, numbers = title(label), _numbers(found, label)
@@ -274,8 +274,8 @@ def _would_add(candidate: "Candidate", simpler: str) -> str:
 
 def _others(found: "Diagnosis") -> Iterator[str]:
     """Where the rest of the probability went."""
-    accepted = _accepted(found) if found.added else []
-    others = [f for f in found.families if f not in accepted and f.probability >= _ALSO]
+    own = accepted(found) if found.added else []
+    others = [f for f in found.families if f not in own and f.probability >= _ALSO]
     joints = found.fit.joints
     shown = [f"{_family(f, joints)} ({percent(f.probability)})" for f in others[:_NAMED]]
     if shown:
@@ -283,7 +283,7 @@ def _others(found: "Diagnosis") -> Iterator[str]:
         shown += [f"{more} more kind{'s' * (more > 1)}"] if more else []
         yield f"Also possible: {listed(shown)}."
     for group in found.lookalikes:
-        kinds = {f.name: f for f in accepted}
+        kinds = {f.name: f for f in own}
         rivals = [x for x in group[1:] if not any(x in dict(f.members) for f in kinds.values())]
         if rivals:
             names = listed([lower(at_place(x, joints)) for x in rivals])
@@ -477,21 +477,30 @@ def lookalikes(found: "Diagnosis") -> list[str]:
         return []
     out = ["[[Look-alikes]]"]
     for group in groups:
-        out += wrapped("    ", alike(group))
+        out += wrapped("    ", alike(group, found.fit.joints))
     return out
 
 
-def alike(group: Sequence[str]) -> str:
+def alike(group: Sequence[str], joints: Sequence[str]) -> str:
     """A group of look-alikes in a sentence."""
-    first, *others = group
-    return f"{first} cannot be told from {listed(others)} by these recordings."
+    first, *others = (at_place(x, joints) for x in group)
+    return f"{first} cannot be told from {listed([lower(x) for x in others])} by these recordings."
+
+
+def advice(found: "Diagnosis") -> str:
+    """What to record next, with effects in words; empty if nothing is advised."""
+    if found.next_experiment is None:
+        return ""
+    words = found.next_experiment.words
+    for label in found.next_experiment.between:
+        words = words.replace(label, lower(at_place(label, found.fit.joints)))
+    return words
 
 
 def next_experiment(found: "Diagnosis") -> list[str]:
     """What to record to tell look-alikes apart."""
-    if found.next_experiment is None:
-        return []
-    return ["[[Next experiment]]", *wrapped("    ", found.next_experiment.words)]
+    words = advice(found)
+    return ["[[Next experiment]]", *wrapped("    ", words)] if words else []
 
 
 def _cut(words: str, most: int) -> str:

@@ -35,7 +35,7 @@ def lower(words: str) -> str:
 
 def unbroken(words: str) -> str:
     """For a page: numbers stay with their signs and units."""
-    words = words.replace(" +/- ", " ± ")
+    words = words.replace(" +/- ", " ± ").replace("^2", "²").replace("^3", "³")
     for bare in (" ± ", " %", "N m", "> ", "< "):
         words = words.replace(bare, bare.replace(" ", "\u00a0"))
     return words
