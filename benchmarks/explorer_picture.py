@@ -38,8 +38,12 @@ class Film:
         self.times.append(milliseconds)
 
     def save(self, path: Path) -> None:
-        """As one animated picture; all frames share the colours of the last."""
-        palette = self.frames[-1].quantize(COLOURS)
+        """As one animated picture; all frames share their colours."""
+        width, height = self.frames[0].size
+        all_of_them = Image.new("RGB", (width, height * len(self.frames)))
+        for i, frame in enumerate(self.frames):
+            all_of_them.paste(frame, (0, i * height))
+        palette = all_of_them.quantize(COLOURS, Image.Quantize.MAXCOVERAGE)
         frames = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in self.frames]
         frames[0].save(
             path,
@@ -80,6 +84,7 @@ def _loop(browser, film: Film) -> None:
 
     until(lambda: find(".chip"), 300)
     until(lambda: not find(".searching") and "Most probable" in find(".verdict")[0].text, 300)
+    browser.execute_script("document.documentElement.style.scrollbarWidth = 'none'")
     film.keep(2600)
     browser.execute_script("arguments[0].focus({focusVisible: true})", chip())
     film.keep(900)

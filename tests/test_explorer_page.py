@@ -276,7 +276,7 @@ def test_live_the_exact_fit_replaces_the_first_order_and_says_so(live):
     until(lambda: refitted(live))
     assert "Coulomb friction at the elbow" in text(live, ".verdict")
     row = next(r for r in text(live, ".numbers").splitlines() if r.startswith("coulomb"))
-    assert abs(float(row.split(": torque ")[1].split()[0]) - 0.2) < 0.01
+    assert abs(float(row.split(": torque")[1].split()[0]) - 0.2) < 0.01
     assert live.switch_to.active_element.get_attribute("data-effect") == FRICTION  # focus stays
     assert complaints(live) == []
 
