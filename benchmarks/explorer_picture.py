@@ -1,6 +1,6 @@
 """The picture that opens the README: the demo's loop by hand on the explorer's page.
 
-    python -m benchmarks.explorer_picture        # writes docs/images/explorer.gif
+    python -m benchmarks.explorer_picture        # writes docs/images/explorer.webp
 
 It starts `residyn explore demo`, does with Chromium what a hand would do, and keeps what is seen.
 """
@@ -16,10 +16,9 @@ from PIL import Image
 
 from tests.chromium import driver, until
 
-OUT = Path(__file__).parents[1] / "docs" / "images" / "explorer.gif"
+OUT = Path(__file__).parents[1] / "docs" / "images" / "explorer.webp"
 SIZE = 1120, 760  # pixels of the window
 WIDTH = 840  # of the picture
-COLOURS = 96
 LABEL = "coulomb_friction:elbow"
 
 
@@ -38,20 +37,16 @@ class Film:
         self.times.append(milliseconds)
 
     def save(self, path: Path) -> None:
-        """As one animated picture; all frames share their colours."""
-        width, height = self.frames[0].size
-        all_of_them = Image.new("RGB", (width, height * len(self.frames)))
-        for i, frame in enumerate(self.frames):
-            all_of_them.paste(frame, (0, i * height))
-        palette = all_of_them.quantize(COLOURS, Image.Quantize.MAXCOVERAGE)
-        frames = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in self.frames]
-        frames[0].save(
+        """As one animated picture."""
+        first, *rest = self.frames
+        first.save(
             path,
             save_all=True,
-            append_images=frames[1:],
+            append_images=rest,
             duration=self.times,
             loop=0,
-            optimize=True,
+            quality=80,
+            method=6,
         )
 
 
