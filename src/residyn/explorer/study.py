@@ -151,12 +151,18 @@ class Study:
         if key not in self._quick:
             known = self.search.tried.get(key)
             with jax.enable_x64(True):
-                if known is None:  # from the readings' lead to its own, as the search would
-                    guess = self._guessed(tuple(added))
-                    (found,) = settle(self.search.scene, [guess.best], self.intensity)
-                    known = guess if found is None else Tried(guess.added, *found, log_prior=0.0)
-                self._quick[key] = self._quickly(known)
+                self._quick[key] = self._quickly(known) if known else self._from_afar(tuple(added))
         return self._quick[key]
+
+    def _from_afar(self, added: tuple[str, ...]) -> "Quick | None":
+        """A model that was not tried: straight from the first order if it is smooth, else from the
+        readings' lead to its own, as the search would."""
+        guess = self._guessed(added)
+        found = None if _sticks(guess.best) else self._quickly(guess)
+        if found is not None:
+            return found
+        (settled,) = settle(self.search.scene, [guess.best], self.intensity)
+        return None if settled is None else self._quickly(Tried(added, *settled, log_prior=0.0))
 
     def _quickly(self, model: Tried) -> "Quick | None":
         scene, before = self.search.scene, None
@@ -179,7 +185,7 @@ class Study:
         numbers = path.numbers
         known = Prior(numbers, np.full(len(numbers), 1e-9), np.zeros(len(numbers), bool))
         led, loud = other.start(path.effects, known), INTENSITIES[0]
-        if any(e.dry or e.follows for e in path.effects):  # where it sticks takes more steps
+        if _sticks(path):  # that takes more steps
             (found,) = settle(other, [led], loud)
             led = led if found is None else found[1]
         led = silenced(other, led, loud)
@@ -294,6 +300,11 @@ class Study:
     def stop(self) -> None:
         """End a search that runs."""
         self.search.deadline = 0.0
+
+
+def _sticks(path: Trajectory) -> bool:
+    """Whether a joint or a brake may stick."""
+    return any(e.dry or e.follows for e in path.effects)
 
 
 def times_noise(scene: Scene, path: Trajectory) -> np.ndarray:
