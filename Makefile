@@ -1,13 +1,17 @@
-# `make demo`, `make test` and `make docs` each set up what they need in .venv, from Python 3.11+ alone.
+# `make demo`, `make explore`, `make test` and `make docs` each set up what they need in .venv, from Python 3.11+ alone.
 PYTHON ?= $(firstword $(foreach p,python3.13 python3.12 python3.11 python3 python,\
   $(if $(shell $(p) -c 'import sys; print(1 if sys.version_info >= (3, 11) else "")' 2>/dev/null),$(p))))
 BIN := .venv/bin
 RUN := $(BIN)/python
 
-.PHONY: demo test slow pages lint docs clean
+.PHONY: demo explore test slow pages lint docs clean
 
 demo: .venv/.demo
 	$(BIN)/residyn demo
+
+# The demo as a page, to add effects by hand; Ctrl-C stops it.
+explore: .venv/.explore
+	$(BIN)/residyn explore demo
 
 test: lint
 	$(RUN) -m pytest -n 2 --dist loadfile --durations=25
@@ -35,10 +39,14 @@ docs: .venv/.docs
 	$(PYTHON) -m venv .venv
 	@touch $@
 
-# Two sets of packages: the demo must not wait for the test tools.
+# Sets of packages: the demo must not wait for the test tools.
 .venv/.demo: .venv/.venv pyproject.toml
 	$(RUN) -m pip install --quiet --disable-pip-version-check --editable .
 	@touch $@
+
+.venv/.explore: .venv/.venv pyproject.toml
+	$(RUN) -m pip install --quiet --disable-pip-version-check --editable ".[explore]"
+	@touch $@ .venv/.demo
 
 .venv/.test: .venv/.venv pyproject.toml
 	$(RUN) -m pip install --quiet --disable-pip-version-check --editable ".[test]"

@@ -50,6 +50,7 @@ LAYERS = [
     ["filtering"],
     ["diagnosis"],
     ["procedure"],
+    ["explorer"],
     ["_verdict", "plot", "report"],
     ["demo"],
     ["cli"],

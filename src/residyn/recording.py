@@ -250,6 +250,15 @@ def load(path: str | os.PathLike[str]) -> Experiment:
     else:
         where, folder = os.fspath(path), Path(path).parent
         text = read_text(path, "TOML file")
+    return from_text(text, folder, where, os.fspath(path))
+
+
+def from_text(text: str, folder: Path, where: str, path: str = "") -> Experiment:
+    """An experiment from the text of its file, `where` being its name; recordings are looked for in
+    `folder`.
+
+    **Raises:** as `load`.
+    """
     contents = parse(text, where)
     with inside(where):
         recordings = []
@@ -260,7 +269,7 @@ def load(path: str | os.PathLike[str]) -> Experiment:
             contents.inertia,
             tuple(recordings),
             contents.bearings,
-            os.fspath(path),
+            path,
             contents.integrator,
         )
 

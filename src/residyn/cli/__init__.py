@@ -14,6 +14,7 @@ from . import (
     _diagnose,
     _effects,
     _example,
+    _explore,
     _fit,
     _inertia,
     _race,
@@ -51,6 +52,7 @@ def residyn(
 app.command("fit")(_fit.fit)
 app.command("compare")(_compare.compare)
 app.command("diagnose")(_diagnose.diagnose)
+app.command("explore")(_explore.explore)
 app.command("inertia")(_inertia.inertia)
 app.command("unload")(_unload.unload)
 app.command("race")(_race.race)

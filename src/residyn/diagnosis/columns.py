@@ -10,7 +10,7 @@ subset of them, to first order.
 import dataclasses
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from .evidence import (
     conditional,
     half_normal,
     log_prior_intensity,
+    means_of_base,
     signed,
     subset,
     width_of,
@@ -167,20 +168,26 @@ class Columns:
         trajectory: Trajectory,
         effects: Sequence[AbstractEffect],
         frequencies: Sequence[Sequence[float]],
+        shape_of: Mapping[str, dict[str, float]] | None = None,
     ):
+        """Effects at every shape of their grids, or at one each, by label."""
         self.scene, self.trajectory = scene, trajectory
         along = scene.along(trajectory)
         self.system = scene.system(along)
         self.rows: list[Column] = []
         torques, readings = [], []
         for effect in effects:
-            for shape in shapes(scene, effect, frequencies):
+            each = [shape_of[effect.label]] if shape_of else shapes(scene, effect, frequencies)
+            for shape in each:
                 new = columns_of(along, effect, shape)
                 first = len(torques)
                 self.rows.append(Column(effect, shape, tuple(range(first, first + len(new)))))
                 torques += [t for t, _ in new]
                 readings += [r for _, r in new]
         self.count = len(torques)
+        none = np.zeros((scene.K, scene.n))
+        self.torque = np.stack([none if t is None else t[:, 0] for t in torques] or [none], -1)
+        """(K, n, C) of each column, at its prior's width, N m."""
         self._blocks = [
             self._block(along, torques[i : i + _BLOCK], readings[i : i + _BLOCK])
             for i in range(0, self.count, _BLOCK)
@@ -203,6 +210,13 @@ class Columns:
         B[scene.grid.last] = 0.0
         return B, read
 
+    def inputs(self) -> tuple[np.ndarray, np.ndarray]:
+        """(K, X, C) what each column adds to the states in a step, and (K, n, C) to the readings."""
+        B, read = (
+            np.concatenate(x, -1)[..., : self.count] for x in zip(*self._blocks, strict=True)
+        )
+        return B, read
+
     def gram(self, intensity: float) -> tuple[float, np.ndarray]:
         """Log normaliser, and the (1 + P + C)^2 Gram matrix of whitened innovations of readings, of
         the model's own regressors and of all columns, under a random torque."""
@@ -222,26 +236,33 @@ class Columns:
 
     def screen(self, intensities: Sequence[float]) -> "Screen":
         """Every candidate's first-order evidence, random torques summed over."""
-        evidences, grams = [], []
+        evidences, grams, base_means, P = [], [], [], len(self.trajectory.u)
         for intensity in intensities:
             total, gram = self.gram(intensity)
-            base, rest = conditional(gram, len(self.trajectory.u))
+            base, rest = conditional(gram, P)
             evidences.append(total + base)
             grams.append(rest)
+            base_means.append(means_of_base(gram, P))
         known = np.array(evidences) + log_prior_intensity(intensities)
-        return Screen(self.rows, known - logsumexp(known), grams)
+        return Screen(self.rows, known - logsumexp(known), grams, base_means)
 
 
 class Screen:
     """The first-order evidence of any set of candidates, relative to none of them."""
 
-    def __init__(self, rows: Sequence[Column], weights: np.ndarray, grams: Sequence[np.ndarray]):
+    def __init__(
+        self,
+        rows: Sequence[Column],
+        weights: np.ndarray,
+        grams: Sequence[np.ndarray],
+        base_means: Sequence[np.ndarray],
+    ):
         """`weights` (I,) log posterior of each random torque without candidates, `grams` (1 + C)^2
-        for each."""
-        self.weights, self.grams = weights, grams
+        for each; `base_means` (P, 1 + C) for each, see `means_of_base`."""
+        self.rows, self.weights, self.grams, self.base_means = rows, weights, grams, base_means
         best: dict[str, list[Screened]] = {}
         for row in rows:
-            gain, u = self._gain([row])
+            gain, u = self.gain([row])
             best.setdefault(row.effect.label, []).append(
                 Screened(row.effect, gain, row.shape, u, row.which)
             )
@@ -253,7 +274,7 @@ class Screen:
         self.ranked = sorted(found, key=lambda s: -s.gain)
         """Each candidate at its likeliest shape, the best first."""
 
-    def _gain(self, rows: Sequence[Column] | Sequence[Screened]) -> tuple[float, np.ndarray]:
+    def gain(self, rows: Sequence[Column] | Sequence[Screened]) -> tuple[float, np.ndarray]:
         """Gain of some columns together, and their regressors at the likeliest random torque."""
         which = [i for row in rows for i in row.which]
         gains, means = [], []
@@ -275,7 +296,7 @@ class Screen:
         """Every two of the best candidates, the best pair first."""
         found = []
         for a, b in itertools.combinations(self.ranked[:most], 2):
-            found.append((self._gain([a, b])[0], a, b))
+            found.append((self.gain([a, b])[0], a, b))
         return sorted(found, key=lambda f: -f[0])
 
 

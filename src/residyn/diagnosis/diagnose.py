@@ -93,11 +93,11 @@ def diagnose(
         search = Search(scene, base, deadline=deadline, say=say)
         search.run(max_effects)
         say("fitting the models on the way")
-        fits = _Fits(experiment, scene, wild, starts)
-        return _concluded(search, fits, began, say)
+        fits = Fits(experiment, scene, wild, starts)
+        return concluded(search, fits, began, say)
 
 
-class _Fits:
+class Fits:
     """Least-squares fits of tried models, each from its smoothed motion."""
 
     def __init__(self, experiment: Experiment, scene: Scene, wild, starts: int):
@@ -162,7 +162,8 @@ class _Fits:
         return np.concatenate([state[: 2 * n], state[own] - np.array(begin, float)])
 
 
-def _concluded(search: Search, fits: _Fits, began: float, say: Callable[[str], None]) -> Diagnosis:
+def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], None]) -> Diagnosis:
+    """What a search has found, in numbers; `began` on `time.perf_counter`."""
     scene, best = search.scene, search.best
     posterior = Posterior(search)
     rungs = _rungs(search, fits, posterior)
@@ -197,10 +198,12 @@ def _concluded(search: Search, fits: _Fits, began: float, say: Callable[[str], N
         explains_nothing=best.intensity >= EXPLAINS_NOTHING,
         budget=Budget(len(search.tried), len(search.candidates), search.stopped),
         seconds=time.perf_counter() - began,
+        search=search,
+        fits=fits,
     )
 
 
-def _rungs(search: Search, fits: _Fits, posterior: "Posterior") -> tuple[Rung, ...]:
+def _rungs(search: Search, fits: Fits, posterior: "Posterior") -> tuple[Rung, ...]:
     """The models on the way to the best one: each of its effects joins in turn."""
     found = []
     for k in range(len(search.best.added) + 1):
@@ -245,7 +248,8 @@ class Posterior:
     def candidates(self) -> tuple[Candidate, ...]:
         """Every effect and place."""
         found = []
-        screens = {s.effect.label: s for s in self.search.screens.get(frozenset(), ())}
+        first = self.search.screens.get(frozenset())
+        screens = {s.effect.label: s for s in (first.ranked if first else ())}
         for effect in self.search.candidates:
             label = effect.label
             alone = self.search.tried.get(frozenset([label]))
@@ -349,7 +353,7 @@ def _spring_rms(scene: Scene, t: Trajectory, real: np.ndarray) -> np.ndarray:
     return rms
 
 
-def _advice(search: Search, fits: _Fits, groups) -> NextExperiment | None:
+def _advice(search: Search, fits: Fits, groups) -> NextExperiment | None:
     """The release that would tell the first accepted name from its likeliest rival."""
     for group in groups:
         accepted, rival = group[0], group[1]

@@ -153,6 +153,15 @@ def conditional(gram: np.ndarray, base: int) -> tuple[float, np.ndarray]:
     return -0.5 * rest[0, 0] - float(np.log(np.diag(factor)).sum()), rest
 
 
+def means_of_base(gram: np.ndarray, base: int) -> np.ndarray:
+    """(base, 1 + C) what the first `base` regressors of a Gram matrix (1 + base + C)^2 are without
+    further columns, and how they change with each: their posterior mean beside columns at s is
+    this times (1, s)."""
+    keep = np.r_[0, 1 + base : len(gram)]
+    inner = gram[1 : 1 + base, 1 : 1 + base] + np.eye(base)
+    return -np.linalg.solve(inner, gram[1 : 1 + base][:, keep])
+
+
 def subset(gram: np.ndarray, columns: Sequence[int]) -> tuple[float, np.ndarray, np.ndarray]:
     """By how much some columns raise the log evidence, their posterior mean and covariance.
 

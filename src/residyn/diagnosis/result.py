@@ -16,6 +16,7 @@ from .compare import Comparison, compare_fit
 from .forecast import HeldOut
 from .missing_torque import Missing
 from .residuals import number
+from .search import Search
 
 Verdict = Literal["adequate", "missing", "unexplained"]
 
@@ -219,6 +220,10 @@ class Diagnosis:
     """Whether even the likeliest model is none of this motion."""
     budget: Budget
     seconds: float
+    search: Search | None = None
+    """The models that were tried, with their smoothed motions; None if it was not kept."""
+    fits: Any = None
+    """`diagnose.Fits`, which fits any of them."""
 
     @property
     def added(self) -> tuple[str, ...]:

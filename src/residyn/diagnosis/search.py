@@ -24,7 +24,7 @@ from scipy.special import logsumexp
 from ..effects import AbstractEffect
 from ..filtering.trajectory import Scene, Trajectory, number_slices, state_slices
 from ..fitting import FitError
-from .columns import Columns, Screened, candidates, extended, spectral_lines
+from .columns import Columns, Screen, candidates, extended, spectral_lines
 from .evidence import (
     INDISTINGUISHABLE,
     INTENSITIES,
@@ -235,7 +235,8 @@ class Search:
         self.tried: dict[frozenset[str], Tried] = {}
         self.stopped: str | None = None
         """Why the search ended early, if it did: "interrupted" or "budget"."""
-        self.screens: dict[frozenset[str], list[Screened]] = {}
+        self.screens: dict[frozenset[str], Screen] = {}
+        """First-order evidence of all candidates beside the models that were extended."""
         say("smoothing the motion with the model")
         alone = tried_alone(scene, base)
         self._keep((), alone.evidences, alone.best)
@@ -278,19 +279,27 @@ class Search:
         except OutOfTime:
             self.stopped = "budget"
 
+    def screen(self, parent: Tried) -> Screen:
+        """The first-order evidence of all candidates beside a model."""
+        key = frozenset(parent.added)
+        if key not in self.screens:
+            trajectory, intensity = self.led(parent)
+            self.say(f"screening {len(self.candidates)} candidates")
+            lines = spectral_lines(self.scene, trajectory)
+            effects = [e for e in self.candidates if self._may_join(e, trajectory)]
+            columns = Columns(self.scene, trajectory, effects, lines)
+            # The likeliest random torque, one a decade below it, and none.
+            used = sorted({intensity, 0.1 * intensity, 0.0}, reverse=True)
+            self.screens[key] = columns.screen(used)
+        return self.screens[key]
+
     def extend(self, parent: Tried) -> None:
         """Try a model with one more effect, each contender in turn."""
-        trajectory, intensity = self._led(parent)
-        self.say(f"screening {len(self.candidates)} candidates")
-        lines = spectral_lines(self.scene, trajectory)
-        effects = [e for e in self.candidates if self._may_join(e, trajectory)]
-        columns = Columns(self.scene, trajectory, effects, lines)
-        # The likeliest random torque, one a decade below it, and none.
-        screen = columns.screen(sorted({intensity, 0.1 * intensity, 0.0}, reverse=True))
+        trajectory, intensity = self.led(parent)
+        screen = self.screen(parent)
         ranked = screen.ranked
         found = {s.effect.label: s for s in ranked}
         likeliest = screen.pairs(3 * CONTENDERS)[:CONTENDERS]
-        self.screens[frozenset(parent.added)] = ranked
         chosen = {s.effect.label: s for s in ranked[:CONTENDERS]}
         for _, a, b in likeliest:
             for s in (a, b):
@@ -313,7 +322,7 @@ class Search:
             if found is not None:
                 self._keep((*parent.added, label), *found)
 
-    def _led(self, model: Tried) -> tuple[Trajectory, float]:
+    def led(self, model: Tried) -> tuple[Trajectory, float]:
         """The motion that candidates are screened along, and its random torque: the likeliest, or
         one that still lets the readings lead."""
         intensity = max(model.intensity, _LED)
@@ -340,7 +349,7 @@ class Search:
             rest = tuple(x for x in model.added if x != label)
             if frozenset(rest) in self.tried:
                 continue
-            trajectory, intensity = self._led(model)
+            trajectory, intensity = self.led(model)
             start = without(self.scene, trajectory, label)
             (found,) = settle(self.scene, [start], intensity, self.deadline)
             if found is not None:

@@ -1,8 +1,9 @@
-"""A fit as one page that can be mailed: HTML with everything inside it, and no scripts.
+"""A fit as one page that can be mailed: HTML with everything inside it.
 
 The page reads from the verdict down to the details. Every picture comes in two layouts, for a
 laptop's width and for a phone's; the browser picks. All words that came from a user's files are
-escaped.
+escaped. Only a diagnosis has scripts, those of the explorer; without them, and on paper, the page
+still says all.
 """
 
 import os
@@ -11,12 +12,14 @@ from datetime import date
 from pathlib import Path
 
 import jinja2
+import markupsafe
 
 from .. import __version__, plot
 from .._input import InputError
 from .._units import amount, plain
 from ..diagnosis import Comparison
 from ..diagnosis.result import Diagnosis
+from ..explorer.page import embedded
 from ..fitting.result import Fit
 from ._diagnosis import diagnosed
 from ._failing import failing, torques
@@ -83,6 +86,7 @@ def render(
         chapters=chapters,
         comparison=comparison,
         diagnosis=None if diagnosis is None else diagnosed(diagnosis),
+        explorer=markupsafe.Markup("" if diagnosis is None else embedded(diagnosis)),
         version=__version__,
         date=date.today().isoformat(),
         narrow=MOST_PIXELS_NARROW,

@@ -1,0 +1,125 @@
+// What effects would do to the error, the curves and the torque, before anything is fitted.
+
+import { at, flat, rows, squares } from "./arrays.js";
+import { quadratic, subset } from "./linear_algebra.js";
+
+class ErrorGram {
+  constructor(packed) {
+    this.solve = squares(packed.solve)[0];
+    this.joints = squares(packed.joints);
+    this.noise = packed.noise;
+    this.readings = packed.readings;
+  }
+
+  /** Strengths of columns, by least squares. */
+  strengths(columns) {
+    return columns.length ? subset(this.solve, columns).mean : [];
+  }
+
+  /** Per joint the rms error over the noise. */
+  timesNoise(columns, strengths = this.strengths(columns)) {
+    return this.joints.map((gram, j) => {
+      const energy = quadratic(gram, columns, strengths) + this.noise[j];
+      return Math.sqrt(Math.max(energy, 0) / Math.max(this.readings[j], 1));
+    });
+  }
+}
+
+export class FirstOrder {
+  constructor(data, evidence) {
+    this.data = data;
+    this.evidence = evidence;
+    this.known = data.first !== null;
+    if (!this.known) return;
+    this.fitted = new ErrorGram(data.first.fitted);
+    this.heldOut = new ErrorGram(data.first.held_out);
+    // Columns of the first order are those of the likeliest shapes, in the order of candidates.
+    this.columns = new Map();
+    let next = 0;
+    for (const c of data.candidates) {
+      const count = c.rows[c.best].length;
+      this.columns.set(c.label, Array.from({ length: count }, (_, i) => next + i));
+      next += count;
+    }
+  }
+
+  which(labels) {
+    return labels.flatMap((label) => this.columns.get(label));
+  }
+
+  /** The model with these effects, as far as the first order knows it; like a stored fit. */
+  model(labels) {
+    const { data } = this;
+    const found = this.evidence.gain(labels);
+    const model = {
+      added: labels,
+      how: "first order",
+      fitted: null,
+      held_out: null,
+      numbers: this.numbers(labels, found),
+      predicted: data.recordings.map(() => null),
+      torque: this.known ? this.torque(labels, found) : null,
+    };
+    if (!this.known) return model;
+    const columns = this.which(labels);
+    const strengths = this.fitted.strengths(columns);
+    model.fitted = this.fitted.timesNoise(columns, strengths);
+    model.held_out = this.heldOut.timesNoise(columns);
+    model.predicted = data.first.predicted.map((one, i) => {
+      const total = rows(one.base).map((row) => Float64Array.from(row));
+      columns.forEach((c, k) => {
+        rows(one.columns[c]).forEach((row, j) => {
+          for (let t = 0; t < row.length; t++) total[j][t] += strengths[k] * row[t];
+        });
+      });
+      const [time, wanted] = [flat(one.time), flat(data.recordings[i].time)];
+      return total.map((row) => at(time, row, wanted));
+    });
+    return model;
+  }
+
+  /** Strengths of effects in their own units. */
+  numbers(labels, found) {
+    const numbers = [];
+    let first = 0;
+    for (const label of labels) {
+      const own = this.evidence.candidates.get(label);
+      const add = (n, value, std) =>
+        numbers.push({ name: `${label}.${n.name}`, words: n.words, unit: n.unit, value, std });
+      own.strengths.forEach((strength, i) => {
+        let u = found.mean[first + i];
+        if (own.oscillates) u = Math.hypot(...found.mean.slice(first, first + 2));
+        add(strength, strength.silent + strength.width * u, strength.width * found.spread[first + i]);
+      });
+      own.shape.forEach((shape) => add(shape, shape.value, null));
+      first += own.rows[own.best].length;
+    }
+    return numbers;
+  }
+
+  /** Per fitted recording and joint, the torque that the base model would lack. */
+  torque(labels, found) {
+    const columns = this.which(labels);
+    const means = this.data.screen.likeliest_base_means[found.likeliest];
+    const shift = flat(means);
+    const width = means.shape[1];
+    const screened = this.evidence.best(labels).flatMap(([, which]) => which);
+    return this.data.missing.map((one) => {
+      const length = one.time.shape[0];
+      const total = this.data.joints.map(() => new Float64Array(length));
+      const add = (sparse, factor) => {
+        for (const [joint, packed] of Object.entries(sparse)) {
+          const values = flat(packed);
+          for (let k = 0; k < length; k++) total[joint][k] += factor * values[k];
+        }
+      };
+      columns.forEach((c, i) => add(one.columns[c], found.mean[i]));
+      one.base.forEach((sparse, p) => {
+        let change = 0;
+        screened.forEach((c, i) => (change += shift[p * width + 1 + c] * found.mean[i]));
+        add(sparse, change);
+      });
+      return total;
+    });
+  }
+}

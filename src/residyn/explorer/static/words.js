@@ -1,0 +1,117 @@
+// Numbers and verdicts in words.
+
+/** Three digits, or two from 10 times on. */
+export function times(x) {
+  if (x === null || !Number.isFinite(x)) return "?";
+  if (x >= 9.95) return x.toFixed(0);
+  return x >= 0.995 ? x.toFixed(1) : x.toFixed(2);
+}
+
+/** A probability: never 100 %, as nothing measured is certain. */
+export function percent(p) {
+  if (p > 0.995) return "> 99 %";
+  return p < 0.005 ? "< 1 %" : `${(100 * p).toFixed(0)} %`;
+}
+
+/** A number with some digits, without an exponent where that can be. */
+export function plain(x, digits = 4) {
+  if (x === null || !Number.isFinite(x)) return "?";
+  if (x === 0) return "0";
+  const size = Math.abs(x);
+  if (size < 1e-4 || size >= 1e6) return x.toExponential(digits - 1);
+  return String(Number(x.toPrecision(digits)));
+}
+
+/** A value with its standard error: digits end where the error begins. */
+export function measured(value, std, unit) {
+  const short = unit === "1" ? "" : ` ${unit.replace(/\^2/g, "²").replace(/\^3/g, "³")}`;
+  if (std === null || std === undefined || !Number.isFinite(std) || std <= 0) {
+    return `${plain(value)}${short}`;
+  }
+  const places = Math.max(0, Math.min(9, 1 - Math.floor(Math.log10(std))));
+  return `${value.toFixed(places)} ± ${std.toFixed(places)}${short}`;
+}
+
+/** "a, b and c". */
+export function listed(words) {
+  if (words.length < 2) return words.join("");
+  return `${words.slice(0, -1).join(", ")} and ${words.at(-1)}`;
+}
+
+/** "Coulomb friction at the elbow". */
+export function placed(candidate, joints) {
+  const { title, place } = candidate;
+  if (place === null) return title;
+  if (joints.length === 1 && joints.includes(place)) return title;
+  return joints.includes(place) ? `${title} at the ${place}` : `${title}, ${place}`;
+}
+
+const NOISE = 1.1; // times the noise: up to here nothing is left that one could see
+
+/** The verdict on the model that is shown: `{ good, words }`. */
+export function verdict({ model, base, chosen, candidates, joints, heldOut, likeliest, found }) {
+  const names = chosen.map((label) => placed(candidates.get(label), joints));
+  if (model.how === "by hand") return { good: false, words: ["Numbers as you set them."] };
+  if (!model.fitted) return { good: false, words: ["Not fitted: nothing is known of the error."] };
+  const top = (errors) => errors.indexOf(Math.max(...errors));
+  const noise = joints.every(
+    (_, j) => model.fitted[j] <= NOISE && (!model.held_out || model.held_out[j] <= NOISE),
+  );
+  const words = [];
+  if (!chosen.length) {
+    const each = joints.map((joint, j) => `${times(model.fitted[j])} times the noise at the ${joint}`);
+    words.push(
+      noise
+        ? "Springs and dampers leave nothing but noise: nothing is missing."
+        : `Springs and dampers leave ${listed(each)}: something is missing.`,
+    );
+  } else {
+    const j = top(base.fitted);
+    let falls = `With ${listed(names)} the error at the ${joints[j]} `;
+    const from = base.fitted[j];
+    const to = model.fitted[j];
+    const verb = to < 0.98 * from ? "falls" : to > 1.02 * from ? "rises" : "stays";
+    falls += verb === "stays"
+      ? `stays at ${times(to)} times the noise`
+      : `${verb} from ${times(from)} to ${times(to)} times the noise`;
+    if (base.held_out && model.held_out) {
+      falls += `, and on ${heldOut === "last third" ? "the last third, held out," : "the held-out recordings"}`;
+      falls += ` from ${times(base.held_out[j])} to ${times(model.held_out[j])}`;
+    }
+    words.push(`${falls}.`);
+    words.push(noise ? "Nothing is left but noise." : "Something is still missing.");
+  }
+  if (!noise && likeliest) {
+    const name = placed(candidates.get(likeliest.label), joints);
+    const sure = likeliest.exact ? "" : ", to first order";
+    words.push(`Most probable next: ${name} (${percent(likeliest.probability)}${sure}).`);
+  }
+  if (noise && found && found.lookalikes.length) {
+    const group = found.lookalikes.find((g) => g.some((x) => chosen.includes(x)));
+    if (group) {
+      const rest = group.filter((x) => !chosen.includes(x) && candidates.has(x));
+      const alike = rest.map((x) => placed(candidates.get(x), joints));
+      if (alike.length) words.push(`These recordings cannot tell it from ${listed(alike)}.`);
+    }
+  }
+  return { good: noise, words };
+}
+
+/** A word as a POSIX shell reads it back. */
+export function quoted(word) {
+  return /^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", `'\\''`)}'`;
+}
+
+/** The command that fits this model. */
+export function command(name, labels) {
+  const effects = labels.map((label) => ` --with ${quoted(label)}`);
+  return `residyn fit ${quoted(name)}${effects.join("")}`;
+}
+
+/** A file that holds the experiment and, as comments, the model. */
+export function toml(text, line, numbers) {
+  const safe = (x) => String(x).replace(/[\u0000-\u001f]/g, " ");
+  const model = numbers.map((n) => `#   ${safe(n.name)} = ${measured(n.value, n.std, n.unit)}`);
+  const head = ["", "# The model that was looked at:", `#   ${safe(line)}`, ...model, ""];
+  return `${(text ?? "").replace(/\n*$/, "\n")}${head.join("\n")}`;
+}

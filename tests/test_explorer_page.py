@@ -1,0 +1,319 @@
+"""The explorer's page: its numbers against Python's, and a real browser, live and from a file."""
+
+import dataclasses
+import json
+import shutil
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+from scipy.special import log_ndtr
+
+from residyn import demo, recording
+from residyn.diagnosis.evidence import log_prior_model, subset
+from residyn.explorer import page
+from residyn.explorer.payload import payload
+from residyn.explorer.study import Study
+from tests.chromium import complaints, driver, until
+
+FRICTION = "coulomb_friction:elbow"
+NASTY = "<img src=x onerror=document.title='out'></script>.csv"
+
+
+@pytest.fixture(scope="module")
+def study():
+    """Two fitted recordings of three seconds, with markup in a file's name."""
+    with demo.experiment_file() as path:
+        whole = recording.load(path)
+    cut = [
+        dataclasses.replace(r, time=r.time[:300], angle=r.angle[:300], role="fit", name=name)
+        for r, name in zip(whole.recordings, (NASTY, "check.csv"), strict=True)
+    ]
+    return Study(dataclasses.replace(whole, recordings=tuple(cut)))
+
+
+@pytest.fixture(scope="module")
+def data(study):
+    return payload(study, name="a'b <i>.toml", toml="# the file\n")
+
+
+@pytest.fixture(scope="module")
+def offline(data, tmp_path_factory):
+    """A browser that shows the page from a file."""
+    path = tmp_path_factory.mktemp("page") / "page.html"
+    path.write_text(page.standalone(data), encoding="utf-8")
+    browser = driver()
+    try:
+        browser.get(path.as_uri())
+        until(lambda: browser.find_elements("css selector", ".chip"), 20)
+        yield browser
+    finally:
+        browser.quit()
+
+
+def ask(browser, script, *arguments):
+    """Run a script with the page's own modules: `m.name`, imported by the import map."""
+    names = ["linear_algebra", "arrays", "evidence", "first_order", "words"]
+    imports = ", ".join(f'import("explorer/{n}.js")' for n in names)
+    body = (
+        f"const done = arguments[arguments.length - 1], given = [...arguments].slice(0, -1);"
+        f"Promise.all([{imports}]).then((all) => {{ const m = Object.assign({{}}, ...all);"
+        "const data = JSON.parse(document.getElementById('residyn-explorer-data').textContent);"
+        f"done((() => {{ {script} }})()); }}).catch((e) => done('failed: ' + e));"
+    )
+    return browser.execute_async_script(body, *arguments)
+
+
+def chip(browser, label):
+    return next(
+        c
+        for c in browser.find_elements("css selector", ".chip")
+        if c.get_attribute("data-effect") == label
+    )
+
+
+def click(browser, element):
+    browser.execute_script("arguments[0].click()", element)
+
+
+def text(browser, selector):
+    """What stands in an element; in one go, as the page may draw it anew at any time."""
+    script = "return document.querySelector(arguments[0])?.innerText ?? ''"
+    return browser.execute_script(script, selector)
+
+
+# -- the page's own arithmetic ----------------------------------------------------------------
+
+
+def test_linear_algebra_against_numpy(offline):
+    random = np.random.default_rng(3)
+    a = random.standard_normal((40, 7)) * [1, 30, 1e-2, 5, 1, 1, 100]
+    gram = a.T @ a
+    gain, mean, covariance = subset(gram, [4, 0, 2])
+    found = ask(
+        offline,
+        "const r = m.subset((i, j) => given[0][i][j], given[1]);"
+        "return [r.gain, [...r.mean], [...r.spread]];",
+        gram.tolist(),
+        [4, 0, 2],
+    )
+    assert found[0] == pytest.approx(gain, rel=1e-10)
+    assert found[1] == pytest.approx(mean, rel=1e-8)
+    assert found[2] == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-9)
+    v = np.array([1.0, 0.3, -2.0])
+    chosen = gram[np.ix_([0, 2, 6], [0, 2, 6])]
+    form = ask(
+        offline,
+        "return m.quadratic((i, j) => given[0][i][j], [1, 5], [0.3, -2]);",
+        gram.tolist(),
+    )
+    assert form == pytest.approx(v @ chosen @ v, rel=1e-12)
+
+
+def test_the_normal_distribution_function_against_scipy(offline):
+    x = [-300.0, -40.0, -5.0, -2.1, -2.0, -1.9, -0.3, 0.0, 0.7, 2.0, 2.9, 3.5, 8.0, 30.0]
+    found = ask(offline, "return given[0].map(m.logNormal);", x)
+    assert found == pytest.approx(log_ndtr(x), rel=1e-9, abs=1e-12)
+
+
+def test_evidence_is_pythons(offline, study):
+    ranked = study.screen.ranked
+    labels = [s.effect.label for s in ranked]
+    script = "const e = new m.Evidence(data); return given[0].map((x) => e.gainOfOneMore([], x));"
+    first = ask(offline, "return new m.Evidence(data).gain([]).gain;")
+    assert first == pytest.approx(0.0, abs=1e-9)
+    found = ask(offline, script, labels)
+    assert found == pytest.approx([s.gain for s in ranked], rel=1e-6, abs=1e-6)
+    sets = [[0, 1], [0, 5, 9], [2, 3, 4, 8]]
+    script = "const e = new m.Evidence(data); return given[0].map((x) => e.gain(x).gain);"
+    found = ask(offline, script, [[labels[i] for i in s] for s in sets])
+    wanted = [study.screen.gain([ranked[i] for i in s])[0] for s in sets]
+    assert found == pytest.approx(wanted, rel=1e-6, abs=1e-6)
+    script = "const e = new m.Evidence(data); return [0, 1, 3].map((n) => e.logPrior(n));"
+    priors = ask(offline, script)
+    count = len(study.search.candidates)
+    assert priors == pytest.approx([log_prior_model(n, count) for n in (0, 1, 3)], rel=1e-12)
+
+
+def test_first_order_errors_are_pythons(offline, study):
+    with jax.enable_x64(True):
+        first = study.first_order()
+    assert first is not None
+    rows = {row.effect.label: row.which for row in study.columns().rows}
+    for labels in ([], [FRICTION], [FRICTION, "gravity"]):
+        which = [i for label in labels for i in rows[label]]
+        found = ask(
+            offline,
+            "const e = new m.Evidence(data), f = new m.FirstOrder(data, e).model(given[0]);"
+            "return [[...f.fitted], [...f.held_out]];",
+            labels,
+        )
+        for errors, gram in zip(found, (first.fitted, first.held_out), strict=True):
+            strengths = gram.strengths(which)
+            assert errors == pytest.approx(gram.times_noise(strengths, which), rel=1e-6)
+
+
+def test_the_first_order_of_nothing_added_is_the_fit(study):
+    with jax.enable_x64(True):
+        first = study.first_order()
+    fit = study.fit(())
+    assert first is not None
+    errors = first.fitted.times_noise(np.zeros(0), [])
+    assert errors == pytest.approx(fit.rmse / fit.noise, rel=0.1)
+
+
+def test_words(offline):
+    script = "return [m.command(given[0], ['x:y z']), m.times(10.4), m.times(0.98)];"
+    found = ask(offline, script, "a'b <i>.toml")
+    assert found == ["residyn fit 'a'\\''b <i>.toml' --with 'x:y z'", "10", "0.98"]
+
+
+# -- the page from a file ---------------------------------------------------------------------
+
+
+def test_a_click_answers_in_every_part_of_the_page(offline):
+    before = text(offline, ".bars"), text(offline, ".verdict")
+    click(offline, chip(offline, FRICTION))
+    assert chip(offline, FRICTION).get_attribute("aria-pressed") == "true"
+    assert "first order" in text(offline, ".status")
+    assert text(offline, ".bars") != before[0]
+    assert "Coulomb friction at the elbow" in text(offline, ".verdict")
+    assert len(offline.find_elements("css selector", ".step")) == 2
+    assert "coulomb friction" in text(offline, ".numbers")
+    click(offline, offline.find_elements("css selector", ".step")[0])  # back down the staircase
+    assert chip(offline, FRICTION).get_attribute("aria-pressed") == "false"
+    assert (text(offline, ".bars"), text(offline, ".verdict")) == before
+    assert complaints(offline) == []
+
+
+def test_markup_in_names_stays_text(offline):
+    assert offline.title == "residyn explore: a'b <i>.toml"
+    assert offline.find_elements("css selector", ".explorer img, .explorer i") == []
+    assert NASTY in text(offline, ".tabs")
+
+
+def test_the_page_asks_for_nothing(offline):
+    asked = offline.execute_script(
+        "return performance.getEntriesByType('resource').map((e) => e.name)"
+        ".filter((n) => !n.startsWith('data:') && !n.startsWith('blob:'))"
+    )
+    assert asked == []
+
+
+def test_a_stretch_of_time_by_keyboard(offline):
+    from selenium.webdriver.common.keys import Keys
+
+    slider = offline.find_element("css selector", ".stretch input")
+    whole = offline.find_element("css selector", ".stretch button")
+    assert not whole.is_enabled()
+    slider.send_keys(*[Keys.PAGE_UP] * 3)
+    assert whole.is_enabled()
+    assert slider.get_attribute("aria-valuetext") == "0.90 s"
+    whole.send_keys(Keys.ENTER)
+    assert not whole.is_enabled()
+
+
+def test_all_fits_at_400_pixels(data, tmp_path):
+    path = tmp_path / "page.html"
+    path.write_text(page.standalone(data), encoding="utf-8")
+    browser = driver(400, 900, dark=True)
+    try:
+        browser.get(path.as_uri())
+        until(lambda: browser.find_elements("css selector", ".chip"), 20)
+        assert browser.execute_script("return document.documentElement.scrollWidth") <= 400
+        assert complaints(browser) == []
+    finally:
+        browser.quit()
+
+
+def test_a_payload_is_small_and_plain(data):
+    assert len(json.dumps(data, allow_nan=False)) < 2_000_000
+
+
+# -- live -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    """The server of two short recordings, one held out."""
+    folder = tmp_path_factory.mktemp("live")
+    with demo.experiment_file() as path:
+        shutil.copy(path, folder / "experiment.toml")
+        for name in ("release.csv", "check.csv"):
+            lines = (path.parent / name).read_text().splitlines()[:301]
+            (folder / name).write_text("\n".join(lines) + "\n")
+    command = [sys.executable, "-m", "residyn", "explore", str(folder / "experiment.toml")]
+    with subprocess.Popen(
+        [*command, "--no-browser"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as running:
+        assert running.stdout is not None
+        yield running.stdout.readline().strip(), folder
+        running.kill()
+
+
+@pytest.fixture(scope="module")
+def live(address):
+    browser = driver()
+    try:
+        browser.get(address[0])
+        until(lambda: browser.find_elements("css selector", ".chip"), 240)
+        yield browser
+    finally:
+        browser.quit()
+
+
+def refitted(browser):
+    status = text(browser, ".status")
+    return status.startswith("refitted") and "..." not in status
+
+
+def test_live_the_exact_fit_replaces_the_first_order_and_says_so(live):
+    from selenium.webdriver.common.keys import Keys
+
+    chip(live, FRICTION).send_keys(Keys.SPACE)  # by keyboard alone
+    until(lambda: refitted(live))
+    assert "Coulomb friction at the elbow" in text(live, ".verdict")
+    row = next(r for r in text(live, ".numbers").splitlines() if r.startswith("coulomb"))
+    assert abs(float(row.split(": torque")[1].split()[0]) - 0.2) < 0.01
+    assert live.switch_to.active_element.get_attribute("data-effect") == FRICTION  # focus stays
+    assert complaints(live) == []
+
+
+def test_live_a_number_that_is_moved_is_held_and_let_go(live):
+    from selenium.webdriver.common.keys import Keys
+
+    until(lambda: refitted(live))
+    slider = live.find_elements("css selector", ".slide input")[-1]
+    before = text(live, ".bars")
+    slider.send_keys(Keys.PAGE_UP)
+    until(lambda: refitted(live) and "held" in text(live, ".numbers"))
+    until(lambda: text(live, ".numbers").count("held") == 1 and text(live, ".bars") != before)
+    holds = live.find_elements("css selector", ".hold input")
+    assert [h.is_selected() for h in holds] == [False] * (len(holds) - 1) + [True]
+    holds[-1].send_keys(Keys.SPACE)
+    until(lambda: refitted(live) and "held" not in text(live, ".numbers"))
+    assert text(live, ".bars") == before
+    assert complaints(live) == []
+
+
+def test_live_a_second_window_is_on_its_own(live, address):
+    other = driver()
+    try:
+        other.get(address[0])
+        until(lambda: other.find_elements("css selector", ".chip"))
+        assert chip(other, FRICTION).get_attribute("aria-pressed") == "false"
+        assert chip(live, FRICTION).get_attribute("aria-pressed") == "true"
+    finally:
+        other.quit()
+
+
+def test_live_a_new_recording_is_offered_and_added_by_a_click(live, address):
+    _, folder = address
+    shutil.copy(folder / "release.csv", folder / "more.csv")
+    until(lambda: "more.csv" in text(live, ".banner"))
+    button = live.find_element("css selector", ".banner button")
+    click(live, button)
+    until(lambda: "more.csv" in text(live, ".tabs"), 240)
+    assert complaints(live) == []
