@@ -43,20 +43,30 @@ def friction():
 
 
 def agreement(found, case, joint):
-    """Correlation with the truth, and the share of instants that the band holds; the instants are
-    those of the filter's own grid."""
+    """Correlation with the truth, and the share of instants at which the 95 % band holds it, of
+    what no spring and damper can say.
+
+    The model's numbers are estimated beside the torque, and its dampers take what goes with the
+    rate: of dry friction under a swing that does not decay, 8 / pi^2 of the power. So parts in
+    proportion to angles and rates are taken off both. The instants are those of the filter's own
+    grid.
+    """
     inside = slice(6, -6)
     true = np.interp(found.time, case.t, case.torque[:, joint])[inside]
     tau, std = found.torque[inside, joint], found.std[inside, joint]
+    linear = np.concatenate([found.angle, found.rate], axis=1)[inside]
+    true, tau = (x - linear @ np.linalg.lstsq(linear, x, rcond=None)[0] for x in (true, tau))
     return np.corrcoef(tau, true)[0, 1], np.mean(np.abs(tau - true) <= 1.96 * std)
 
 
 def test_it_finds_a_step_of_friction_at_its_joint(friction):
     found = missing_torque(base(), as_recording(friction))
     correlation, held = agreement(found, friction, 1)
-    assert correlation > 0.8  # what goes with the rate may be the damper's
-    assert held > 0.8
-    assert found.rms[0] < 0.5 * found.rms[1]
+    # A step is smoothed over the random torque's correlation time, a radian of the ringing.
+    assert correlation > 0.9
+    assert held > 0.95
+    # The shoulder lacks nothing, and its band says so.
+    assert np.mean(np.abs(found.torque[:, 0]) <= 1.96 * found.std[:, 0]) > 0.95
 
 
 def test_a_clean_arm_lacks_next_to_nothing():
@@ -77,8 +87,8 @@ def test_lost_uneven_and_wild_samples_do_not_spoil_it(friction):
     bad = residyn.recording.wild_samples(spoilt.time, spoilt.angle, NOISE)
     found = missing_torque(base(), spoilt, wild=bad)
     correlation, held = agreement(found, friction, 1)
-    assert correlation > 0.8
-    assert held > 0.8
+    assert correlation > 0.9
+    assert held > 0.95
 
 
 def test_springs_and_dampers_are_not_bent_to_stand_in_for_it(friction):

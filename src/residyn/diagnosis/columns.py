@@ -8,6 +8,7 @@ subset of them, to first order.
 """
 
 import dataclasses
+import functools
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -16,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import erf, logsumexp
 
+from .._threads import side_by_side
 from ..effects import AbstractEffect, catalogue
 from ..filtering.kalman import System, innovations
 from ..filtering.law import changes_bodies, law, numbers_of, of_one_joint, reading, with_numbers
@@ -175,15 +177,26 @@ class Columns:
         along = scene.along(trajectory)
         self.system = scene.system(along)
         self.rows: list[Column] = []
-        torques, readings = [], []
+        kinds: dict[type, list[AbstractEffect]] = {}
         for effect in effects:
-            each = [shape_of[effect.label]] if shape_of else shapes(scene, effect, frequencies)
-            for shape in each:
-                new = columns_of(along, effect, shape)
-                first = len(torques)
-                self.rows.append(Column(effect, shape, tuple(range(first, first + len(new)))))
-                torques += [t for t, _ in new]
-                readings += [r for _, r in new]
+            kinds.setdefault(type(effect), []).append(effect)
+
+        def of_kind(members: list[AbstractEffect]):  # one program, so one thread
+            return [
+                (effect, shape, columns_of(along, effect, shape))
+                for effect in members
+                for shape in (
+                    [shape_of[effect.label]] if shape_of else shapes(scene, effect, frequencies)
+                )
+            ]
+
+        calls = [functools.partial(of_kind, members) for members in kinds.values()]
+        torques, readings = [], []
+        for effect, shape, new in itertools.chain.from_iterable(side_by_side(calls)):
+            first = len(torques)
+            self.rows.append(Column(effect, shape, tuple(range(first, first + len(new)))))
+            torques += [t for t, _ in new]
+            readings += [r for _, r in new]
         self.count = len(torques)
         none = np.zeros((scene.K, scene.n))
         self.torque = np.stack([none if t is None else t[:, 0] for t in torques] or [none], -1)
@@ -211,7 +224,8 @@ class Columns:
         return B, read
 
     def inputs(self) -> tuple[np.ndarray, np.ndarray]:
-        """(K, X, C) what each column adds to the states in a step, and (K, n, C) to the readings."""
+        """(K, X, C) what each column adds to the states in a step, and (K, n, C) to the
+        readings."""
         B, read = (
             np.concatenate(x, -1)[..., : self.count] for x in zip(*self._blocks, strict=True)
         )

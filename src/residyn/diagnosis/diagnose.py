@@ -5,7 +5,9 @@ squares then gives the numbers of the models on the way, their standard errors, 
 error on readings that were fitted and on readings that were not.
 """
 
+import functools
 import math
+import threading
 import time
 from collections.abc import Callable, Sequence
 
@@ -14,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import logsumexp
 
+from .._threads import side_by_side
 from ..effects import AbstractEffect
 from ..filtering.law import numbers_of
 from ..filtering.trajectory import Scene, Trajectory, number_slices
@@ -103,6 +106,7 @@ class Fits:
     def __init__(self, experiment: Experiment, scene: Scene, wild, starts: int):
         self.scene, self.starts, self.whole = scene, starts, experiment
         self.experiment, self.wild, self.cut = experiment, wild, False
+        self.lock = threading.Lock()
 
     def of(self, model: Tried) -> Fit:
         """The fit of one model.
@@ -112,11 +116,8 @@ class Fits:
         began = time.perf_counter()
         t = silenced(self.scene, model.best, model.intensity)
         own = [e for e in t.valued() if e.name not in ("spring", "damper")]
-        if not self.cut:  # whatever drives a joint that nothing pulls back is fitted in segments
-            here = ready(self.whole, self.whole.fit_recordings, own)
-            settled = here.model.with_vector(jnp.asarray(t.numbers))
-            self.experiment = without_drift(self.whole, settled)
-            self.cut = True
+        with self.lock:
+            self._cut(t.numbers, own)
         try:
             here = ready(self.experiment, self.experiment.fit_recordings, own)
             numbers = t.numbers
@@ -126,6 +127,14 @@ class Fits:
             return finish(self.experiment, found, numbers, descent, began)
         except FitError:
             return fit(self.experiment, effects=own, starts=self.starts)
+
+    def _cut(self, numbers: np.ndarray, own: Sequence[AbstractEffect]) -> None:
+        """What drives a joint that nothing pulls back is fitted in segments, in all models."""
+        if not self.cut:
+            here = ready(self.whole, self.whole.fit_recordings, own)
+            settled = here.model.with_vector(jnp.asarray(numbers))
+            self.experiment = without_drift(self.whole, settled)
+            self.cut = True
 
     def _index(self, recording) -> tuple[int, int]:
         """Which recording of the scene one (or a segment) is of, and where it begins there."""
@@ -205,17 +214,17 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
 
 def _rungs(search: Search, fits: Fits, posterior: "Posterior") -> tuple[Rung, ...]:
     """The models on the way to the best one: each of its effects joins in turn."""
-    found = []
-    for k in range(len(search.best.added) + 1):
-        labels = search.best.added[:k]
-        model = search.tried.get(frozenset(labels))
-        if model is None:  # another order was tried
-            continue
+    labels = search.best.added
+
+    def rung(k: int, model: Tried) -> Rung:
         result = fits.of(model)
         held = held_out(LinearisedFit.of(result))
         relative = model.log_evidence - search.best.log_evidence
-        found.append(Rung(labels[-1] if labels else None, (), result, held, relative))
-    return tuple(found)
+        return Rung(labels[k - 1] if k else None, (), result, held, relative)
+
+    models = [search.tried.get(frozenset(labels[:k])) for k in range(len(labels) + 1)]
+    calls = [functools.partial(rung, k, m) for k, m in enumerate(models) if m is not None]
+    return tuple(side_by_side(calls))
 
 
 class Posterior:

@@ -11,16 +11,14 @@ far.
 import dataclasses
 import functools
 import math
-import os
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import numpy as np
 from scipy.special import logsumexp
 
+from .._threads import side_by_side
 from ..effects import AbstractEffect
 from ..filtering.trajectory import Scene, Trajectory, number_slices, state_slices
 from ..fitting import FitError
@@ -114,7 +112,7 @@ def settle(
         if time.perf_counter() > deadline:
             raise OutOfTime
         work = [functools.partial(step.next, scene) for step, _ in moving.values()]
-        results = _side_by_side(work)
+        results = side_by_side(work)
         best = max((r[0].max() for r in results if r is not None), default=-math.inf)
         after = {}
         for (i, (step, before)), result in zip(moving.items(), results, strict=True):
@@ -178,17 +176,6 @@ class _Step(NamedTuple):
         if moved is None:
             return None
         return known, _Step(moved, level, max(self.descent - 1, 0), settling)
-
-
-def _side_by_side(work: Sequence[Callable[[], Any]]) -> list[Any]:
-    def one(call):
-        with jax.enable_x64(True):  # JAX's settings are each thread's own
-            return call()
-
-    if len(work) == 1:
-        return [work[0]()]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(one, work))
 
 
 def silenced(scene: Scene, t: Trajectory, intensity: float) -> Trajectory:

@@ -1,0 +1,297 @@
+"""What decides, held against closed forms: priors that normalise, marginal likelihoods of linear
+and of nearly linear models, and the posterior as sums over models."""
+
+import math
+from types import SimpleNamespace
+
+import jax
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal, norm
+
+import residyn
+from residyn.diagnosis.columns import Columns
+from residyn.diagnosis.diagnose import Posterior
+from residyn.diagnosis.evidence import (
+    FURTHER,
+    INTENSITIES,
+    NEGLIGIBLE,
+    WIDTH,
+    conditional,
+    half_normal,
+    log_prior_intensity,
+    log_prior_model,
+    over_intensities,
+    prior_of,
+    subset,
+)
+from residyn.diagnosis.search import Tried, settle, tried_alone
+from residyn.effects import ConstantTorque, CoulombFriction, CubicStiffness, Damper, Spring
+from residyn.effects.base import JointEffect
+from residyn.filtering.trajectory import Scene
+from residyn.parameter import Dimension, param, parameters_of
+
+MASS, NOISE = 2.0, 1e-3
+CART = residyn.ConstantInertia([[MASS]], joints=("cart",), units=("m",))
+RATE = Dimension("N m/s", "N/s", lambda s: s.inertia * s.frequency**3 * s.amplitude)
+
+
+@pytest.fixture(autouse=True)
+def float64():
+    with jax.enable_x64(True):
+        yield
+
+
+class Ramp(JointEffect):
+    """A torque that grows with time: a t."""
+
+    name = "ramp"
+    slope: float = param("slope", RATE)
+
+    def joint_torque(self, motion):
+        return self.slope * motion.t
+
+
+def scene_of_cart(time, reading):
+    recording = residyn.Recording.from_arrays(time, reading[:, None], noise=NOISE)
+    return Scene([recording], [CART], [np.zeros((len(time), 1), bool)])
+
+
+# -- priors ---------------------------------------------------------------------------------------
+
+
+def test_the_prior_of_the_random_torque_sums_to_one():
+    assert np.exp(log_prior_intensity(INTENSITIES)).sum() == pytest.approx(1.0)
+    assert over_intensities(np.full(len(INTENSITIES), -7.0), INTENSITIES) == pytest.approx(-7.0)
+
+
+def test_a_random_torque_under_which_nothing_was_found_adds_nothing():
+    known = np.full(len(INTENSITIES), -3.0)
+    lost = np.where(np.arange(len(known)) == 2, np.nan, known)
+    share = np.exp(log_prior_intensity(INTENSITIES))[2]
+    expected = -3.0 + math.log1p(-share)
+    assert over_intensities(lost, INTENSITIES) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("candidates", [1, 7, 40])
+def test_the_prior_of_all_sets_of_effects_sums_to_one(candidates):
+    """... but for what a geometric number of effects leaves beyond all candidates."""
+    total = sum(
+        math.comb(candidates, m) * math.exp(log_prior_model(m, candidates))
+        for m in range(candidates + 1)
+    )
+    assert total == pytest.approx(1.0 - FURTHER ** (candidates + 1))
+
+
+@given(st.floats(-6, 6), st.floats(0.02, 3))
+def test_a_half_normal_prior_raises_the_evidence_as_its_integral_does(reading, noise):
+    """One number u, read as `reading` with `noise`."""
+
+    def joint(u):
+        return norm.pdf(u) * norm.pdf(reading, u, noise)
+
+    variance = 1 / (1 + 1 / noise**2)
+    mean, std = variance * reading / noise**2, math.sqrt(variance)
+    ends = mean - 12 * std, mean + 12 * std
+    whole = quad(joint, *ends, epsabs=0)[0]
+    if mean / std > -5:
+        half = 2 * quad(joint, max(0.0, ends[0]), max(1e-9, ends[1]), epsabs=0)[0]
+        assert half_normal(mean / std) == pytest.approx(math.log(half / whole), abs=1e-6)
+    assert half_normal(mean / std) <= math.log(2.0)
+
+
+# -- marginal likelihoods -------------------------------------------------------------------------
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 3), st.integers(1, 4))
+@settings(deadline=None)
+def test_one_gram_matrix_holds_the_dense_gaussian_of_every_subset(seed, base, more):
+    """Whitened innovations e = w + W u with e and u standard normal: w ~ N(0, 1 + W W')."""
+    rng = np.random.default_rng(seed)
+    w, W = rng.standard_normal(9), rng.standard_normal((9, base + more))
+    white = np.column_stack([w, W])
+    chosen = sorted(rng.choice(more, rng.integers(1, more + 1), replace=False))
+
+    def dense(columns):
+        covariance = np.eye(9) + W[:, columns] @ W[:, columns].T
+        return multivariate_normal.logpdf(w, np.zeros(9), covariance) + 4.5 * math.log(2 * math.pi)
+
+    known, rest = conditional(white.T @ white, base)
+    gain, mean, covariance = subset(rest, chosen)
+    among = [*range(base), *(base + i for i in chosen)]
+    assert known == pytest.approx(dense(range(base)), abs=1e-9)
+    assert known + gain == pytest.approx(dense(among), abs=1e-9)
+    spread = np.linalg.inv(np.eye(len(among)) + W[:, among].T @ W[:, among])
+    np.testing.assert_allclose(mean, (spread @ W[:, among].T @ -w)[base:], atol=1e-9)
+    np.testing.assert_allclose(covariance, spread[base:, base:], atol=1e-9)
+
+
+def test_evidence_and_gain_of_a_column_are_those_of_a_line_fit_by_hand():
+    """A free mass under a constant force and one that grows with time moves along a cubic in
+    time: its readings are a joint Gaussian that can be written down."""
+    time = np.arange(120) / 40
+    force, slope = 0.3, -0.08
+    rng = np.random.default_rng(0)
+    path = 0.1 + 0.05 * time - force * time**2 / (2 * MASS) - slope * time**3 / (6 * MASS)
+    reading = path + NOISE * rng.standard_normal(len(time))
+    scene = scene_of_cart(time, reading)
+    constant, ramp = ConstantTorque("cart"), Ramp("cart")
+    t = scene.start([constant], prior_of(scene, [constant]))
+    first = scene.noise(t)
+    width = WIDTH * np.array([scene.size(e, parameters_of(e)[0]) for e in (constant, ramp)])
+    columns = np.stack([time**0, time, -(time**2) / (2 * MASS), -(time**3) / (6 * MASS)], axis=1)
+    variances = np.array([first.variance[0], first.variance[1], *width**2])
+
+    def dense(count):
+        H = columns[:, :count]
+        covariance = H * variances[:count] @ H.T + NOISE**2 * np.eye(len(time))
+        return multivariate_normal.logpdf(reading, np.full(len(time), first.mean[0]), covariance)
+
+    found = scene.evidences(t, scene.linearised(t), [0.0])
+    assert float(found.log_evidence[0]) == pytest.approx(dense(3), abs=1e-6)
+    (screened,) = Columns(scene, t, [ramp], [[1.0]]).screen([0.0]).ranked
+    assert screened.gain == pytest.approx(dense(4) - dense(3), abs=1e-6)
+    assert screened.regressors[0] * width[1] == pytest.approx(slope, rel=0.05)
+
+
+@pytest.fixture(scope="module")
+def ringing():
+    """A cart on a spring, simulated by its closed form."""
+    stiffness, damping = 50.0, 0.8
+    time = np.arange(200) / 20
+    rng = np.random.default_rng(1)
+    path = np.array([free(stiffness, damping, x) @ [0.05, 0.0] for x in time])
+    return time, path + NOISE * rng.standard_normal(len(time))
+
+
+def free(stiffness, damping, time):
+    """How the angle goes with the first angle and the first rate: m q'' + c q' + k q = 0."""
+    rate = damping / (2 * MASS)
+    pace = np.sqrt(stiffness / MASS - rate**2)
+    sine, cosine = np.sin(pace * time) / pace, np.cos(pace * time)
+    return np.exp(-rate * time) * np.array([cosine + rate * sine, sine])
+
+
+def test_evidence_of_spring_and_damper_is_the_integral_over_their_numbers(ringing):
+    """Laplace's approximation about the smoothed motion, against a grid over both numbers with
+    the first state integrated in closed form."""
+    time, reading = ringing
+    scene = scene_of_cart(time, reading)
+    effects = [Spring("cart"), Damper("cart")]
+    model = tried_alone(scene, effects)
+    t = model.best
+    for _ in range(4):
+        t = scene.smoothed(t, scene.linearised(t), 0.0)
+    found = float(scene.evidences(t, scene.linearised(t), [0.0]).log_evidence[0])
+    std = np.sqrt(np.diag(t.covariance)[:2]) * t.prior.slopes(t.u)
+    offsets = np.linspace(-6, 6, 41)
+    first = scene.noise(t)
+
+    def log_joint(stiffness, damping):
+        H = np.stack([free(stiffness, damping, x) for x in time])
+        covariance = H * first.variance[:2] @ H.T + NOISE**2 * np.eye(len(time))
+        prior = norm.logpdf([stiffness, damping], t.prior.mean, t.prior.width).sum()
+        return multivariate_normal.logpdf(reading, H @ first.mean[:2], covariance) + prior
+
+    grid = [
+        [log_joint(t.numbers[0] + a * std[0], t.numbers[1] + b * std[1]) for b in offsets]
+        for a in offsets
+    ]
+    cell = np.log(std * (offsets[1] - offsets[0])).sum()
+    assert found == pytest.approx(logsumexp(grid) + cell, abs=0.01)
+    assert model.complete > 0.9
+
+
+def test_an_effect_that_is_not_there_pays_for_its_prior(ringing):
+    """Occam's factor: where the readings hold a number to be nothing, within s, a normal prior of
+    width w costs log w / s."""
+    time, reading = ringing
+    scene = scene_of_cart(time, reading)
+    base = [Spring("cart"), Damper("cart")]
+    richer = [*base, CubicStiffness("cart")]
+    one, two = (
+        settle(scene, [scene.start(e, prior_of(scene, e))], INTENSITIES[0])[0]
+        for e in (base, richer)
+    )
+    cubic = scene.evidences(two[1], scene.linearised(two[1]), [0.0])
+    u, std = cubic.regressors[0, 2], cubic.std[0, 2]
+    price = 0.5 * u**2 / std**2 + math.log(std)
+    assert two[0][-1] - one[0][-1] == pytest.approx(price, abs=0.1)
+    assert price < 0
+
+
+# -- the posterior over models --------------------------------------------------------------------
+
+NAMES = [ConstantTorque("cart"), CoulombFriction("cart"), CubicStiffness("cart")]
+LABELS = [e.label for e in NAMES]
+SETS = [(), *((x,) for x in LABELS), (LABELS[0], LABELS[1]), (LABELS[2], LABELS[1])]
+LOUD = np.array(INTENSITIES) > NEGLIGIBLE
+evidences = st.lists(
+    st.lists(st.floats(-40, 40), min_size=len(INTENSITIES), max_size=len(INTENSITIES)),
+    min_size=len(SETS),
+    max_size=len(SETS),
+)
+
+
+def posterior(each):
+    tried = {
+        frozenset(s): Tried(s, np.array(e), None, log_prior_model(len(s), len(NAMES)))
+        for s, e in zip(SETS, each, strict=True)
+    }
+    best = max(tried.values(), key=lambda m: m.log_posterior)
+    return Posterior(SimpleNamespace(tried=tried, best=best, candidates=NAMES, screens={}))
+
+
+def in_a_complete_model(found, label):
+    pairs = zip(found.models, found.each, strict=True)
+    return sum(p * m.complete for m, p in pairs if label in m.added)
+
+
+@given(evidences, st.lists(st.floats(0, 30), min_size=len(SETS), max_size=len(SETS)))
+def test_evidence_against_the_catalogue_never_makes_a_name_likelier(each, raised):
+    """Whichever models the readings then give a random torque to, and how much of it."""
+    before = posterior(each)
+    after = posterior([np.array(e) + r * LOUD for e, r in zip(each, raised, strict=True)])
+    for label in LABELS:
+        assert in_a_complete_model(after, label) <= in_a_complete_model(before, label) + 1e-12
+    verdict, probability = before.verdict()
+    new, its = after.verdict()
+    if verdict == "unexplained":
+        assert new == "unexplained"
+        assert its >= probability - 1e-12
+    elif new == verdict:
+        assert its <= probability + 1e-12
+
+
+@given(evidences)
+def test_the_three_verdicts_share_all_probability(each):
+    found = posterior(each)
+    assert found.of(lambda s: True) == pytest.approx(1.0)
+    missing = sum(p * m.complete for m, p in zip(found.models, found.each, strict=True) if m.added)
+    adequate = found.each[0] * found.models[0].complete
+    shares = {"adequate": adequate, "missing": missing, "unexplained": 1 - adequate - missing}
+    verdict, probability = found.verdict()
+    assert probability == pytest.approx(shares[verdict], abs=1e-9)
+    assert probability == pytest.approx(max(shares.values()), abs=1e-9)
+
+
+@given(evidences)
+def test_a_family_is_as_likely_as_its_members_together(each):
+    """No more than their sum, for a model may have two of them, and no less than any."""
+    found = posterior(each)
+    for family in found.families():
+        parts = [p for _, p in family.members]
+        assert max(parts) - 1e-12 <= family.probability <= min(1.0, sum(parts)) + 1e-9
+
+
+@given(evidences, st.integers(1, len(SETS) - 1), st.floats(0, 20))
+def test_evidence_for_a_model_raises_its_names(each, which, more):
+    before = posterior(each)
+    after = posterior([np.array(e) + more * (i == which) for i, e in enumerate(each)])
+    for label in SETS[which]:
+        has = lambda s, label=label: label in s  # noqa: E731
+        assert after.of(has) >= before.of(has) - 1e-12
