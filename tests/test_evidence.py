@@ -88,6 +88,7 @@ def test_the_prior_of_all_sets_of_effects_sums_to_one(candidates):
 
 
 @given(st.floats(-6, 6), st.floats(0.02, 3))
+@settings(deadline=None, max_examples=30)
 def test_a_half_normal_prior_raises_the_evidence_as_its_integral_does(reading, noise):
     """One number u, read as `reading` with `noise`."""
 
@@ -162,18 +163,18 @@ def test_evidence_and_gain_of_a_column_are_those_of_a_line_fit_by_hand():
 def ringing():
     """A cart on a spring, simulated by its closed form."""
     stiffness, damping = 50.0, 0.8
-    time = np.arange(200) / 20
+    time = np.arange(120) / 20
     rng = np.random.default_rng(1)
-    path = np.array([free(stiffness, damping, x) @ [0.05, 0.0] for x in time])
+    path = free(stiffness, damping, time) @ [0.05, 0.0]
     return time, path + NOISE * rng.standard_normal(len(time))
 
 
 def free(stiffness, damping, time):
-    """How the angle goes with the first angle and the first rate: m q'' + c q' + k q = 0."""
+    """(N, 2) how angles go with the first angle and the first rate: m q'' + c q' + k q = 0."""
     rate = damping / (2 * MASS)
     pace = np.sqrt(stiffness / MASS - rate**2)
     sine, cosine = np.sin(pace * time) / pace, np.cos(pace * time)
-    return np.exp(-rate * time) * np.array([cosine + rate * sine, sine])
+    return np.exp(-rate * time)[:, None] * np.stack([cosine + rate * sine, sine], axis=1)
 
 
 def test_evidence_of_spring_and_damper_is_the_integral_over_their_numbers(ringing):
@@ -188,11 +189,11 @@ def test_evidence_of_spring_and_damper_is_the_integral_over_their_numbers(ringin
         t = scene.smoothed(t, scene.linearised(t), 0.0)
     found = float(scene.evidences(t, scene.linearised(t), [0.0]).log_evidence[0])
     std = np.sqrt(np.diag(t.covariance)[:2]) * t.prior.slopes(t.u)
-    offsets = np.linspace(-6, 6, 41)
+    offsets = np.linspace(-5, 5, 21)  # the rule of trapezia is exact for a Gaussian
     first = scene.noise(t)
 
     def log_joint(stiffness, damping):
-        H = np.stack([free(stiffness, damping, x) for x in time])
+        H = free(stiffness, damping, time)
         covariance = H * first.variance[:2] @ H.T + NOISE**2 * np.eye(len(time))
         prior = norm.logpdf([stiffness, damping], t.prior.mean, t.prior.width).sum()
         return multivariate_normal.logpdf(reading, H @ first.mean[:2], covariance) + prior
