@@ -242,16 +242,6 @@ def refit(
     return here.model.with_vector(jnp.asarray(descent.problem.numbers(descent.unknowns))), descent
 
 
-def begin_afresh(
-    experiment: Experiment,
-    effects: Sequence[str | AbstractEffect],
-    wild: Sequence[np.ndarray],
-    starts: int = DEFAULT_STARTS,
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Where a fit by name begins: `beginning` of a model that nothing is known of yet."""
-    return beginning(ready(experiment, experiment.fit_recordings, effects), wild, starts)
-
-
 def finish(
     experiment: Experiment,
     model: Model,
