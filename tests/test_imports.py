@@ -11,7 +11,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "residyn"
 
 # Each layer may import from those before it, and from within itself.
 LAYERS = [
-    ["ahead", "kept", "_cache", "_input", "_json", "_units", "parameter", "motion"],
+    ["ahead", "kept", "_cache", "_input", "_json", "_threads", "_units", "parameter", "motion"],
     ["mechanism", "bearings"],
     ["effects"],
     ["model"],
