@@ -149,7 +149,7 @@ def test_two_effects_are_found_one_after_the_other():
     assert set(found.added) == {COULOMB[0], CUBIC[0]}
     likely = {(f.name, f.place) for f in found.families if f.probability > 0.9}
     assert likely == {("dry friction", "elbow"), ("spring shape", "shoulder")}
-    falling = [rung.times_noise.max() for rung in found.ladder]
+    falling = [step.times_noise.max() for step in found.ladder]
     assert falling[0] > falling[-1]
     assert falling[-1] < 1.1
 

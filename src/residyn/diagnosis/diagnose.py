@@ -37,9 +37,9 @@ from .result import (
     Candidate,
     Diagnosis,
     Family,
+    ModelState,
     NextExperiment,
     RandomTorque,
-    Rung,
     Value,
     Verdict,
 )
@@ -175,7 +175,7 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
     """What a search has found, in numbers; `began` on `time.perf_counter`."""
     scene, best = search.scene, search.best
     posterior = Posterior(search)
-    rungs = _rungs(search, fits, posterior)
+    models = _ladder_of(search, fits, posterior)
     lookalikes = posterior.lookalikes()
     advice = None
     if lookalikes:
@@ -195,7 +195,7 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
     return Diagnosis(
         verdict=verdict,
         verdict_probability=probability,
-        ladder=rungs,
+        ladder=models,
         candidates=posterior.candidates(),
         families=posterior.families(),
         lookalikes=lookalikes,
@@ -212,18 +212,18 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
     )
 
 
-def _rungs(search: Search, fits: Fits, posterior: "Posterior") -> tuple[Rung, ...]:
+def _ladder_of(search: Search, fits: Fits, posterior: "Posterior") -> tuple[ModelState, ...]:
     """The models on the way to the best one: each of its effects joins in turn."""
     labels = search.best.added
 
-    def rung(k: int, model: Tried) -> Rung:
+    def step(k: int, model: Tried) -> ModelState:
         result = fits.of(model)
         held = held_out(LinearisedFit.of(result))
         relative = model.log_evidence - search.best.log_evidence
-        return Rung(labels[k - 1] if k else None, (), result, held, relative)
+        return ModelState(labels[k - 1] if k else None, (), result, held, relative)
 
     models = [search.tried.get(frozenset(labels[:k])) for k in range(len(labels) + 1)]
-    calls = [functools.partial(rung, k, m) for k, m in enumerate(models) if m is not None]
+    calls = [functools.partial(step, k, m) for k, m in enumerate(models) if m is not None]
     return tuple(side_by_side(calls))
 
 
