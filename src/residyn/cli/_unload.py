@@ -43,8 +43,11 @@ def unload(
         raise InputError(f"{experiment}: {error}") from None
     out.words.print(f"{found.fit}\n{found}", soft_wrap=True)
     out.write_json(found.to_dict())
-    fit = found.fit
-    raise typer.Exit(DONE if fit.converged else complain(fit.reason, NO_NUMBERS))
+    if not found.fit.converged:
+        raise typer.Exit(complain(found.fit.reason, NO_NUMBERS))
+    if not found.physical:
+        raise typer.Exit(complain(found.unphysical[0], NO_NUMBERS))
+    raise typer.Exit(DONE)
 
 
 def _three(words: str | None) -> list[float] | None:
