@@ -11,24 +11,22 @@ from ..procedure import Unloading
 from ..procedure.ringdown import RingDown
 from ._style import FAINT, MODEL, NARROW, RESIDUAL, WIDE, largest, shortened, styled
 
-_SECONDS = 3.0
-"""Decay times of the slowest mode that are drawn,"""
-_CYCLES = 25
-"""but no more cycles than this, or the lines run together."""
-_POINTS = 40
-"""Of a cycle of the fastest mode."""
 _SIDES = (("on its bearings", MODEL), ("without bearings", RESIDUAL))
 
 
 @styled
-def ring_down(found: Unloading, *, narrow: bool = False) -> Figure:
+def ring_down(
+    found: Unloading, sides: tuple[RingDown, RingDown] | None = None, *, narrow: bool = False
+) -> Figure:
     """How the arm rings after the release of the first fitted recording, on its air bearings and
     without them, each with the band that holds it with 95 %, per joint.
 
-    No band is drawn where the recordings leave a number open, or where it is thinner than the line.
+    No band is drawn where the recordings leave a number open.
+
+    **Arguments:** `sides`: of `found.ring_downs()`, if they are there already.
     """
-    times = _times(found)
-    sides = found.ring_downs(times)
+    sides = sides or found.ring_downs()
+    times = np.asarray(sides[0].path.t)
     joints, units = found.fit.joints, found.fit.experiment.units
     high = 0.62 + 1.75 * len(joints)
     figure = Figure(figsize=(NARROW if narrow else WIDE, high), layout="constrained")
@@ -52,23 +50,6 @@ def ring_down(found: Unloading, *, narrow: bool = False) -> Figure:
         handles.append(Patch(color=FAINT, alpha=0.5, lw=0, label="95 % band"))
     figure.legend(handles=handles, loc="outside upper left", ncols=2 if narrow else 3)
     return figure
-
-
-def _times(found: Unloading) -> np.ndarray:
-    """Until the slowest mode has fallen to 5 %, in steps that show the fastest."""
-    pose = found.poses[0]
-    modes = (*pose.with_bearings, *pose.without_bearings)
-    first = found.fit.recordings[0].recording.time
-    end = float(first[-1] - first[0])
-    if modes:
-        rates = [2 * np.pi * m.frequency_hz * m.damping_ratio for m in modes]
-        slowest = min(m.frequency_hz for m in modes)
-        if min(rates) > 0:
-            end = min(_SECONDS / min(rates), _CYCLES / slowest)
-        end = min(end, _CYCLES / slowest)
-        fastest = max(m.frequency_hz for m in modes)
-        return np.linspace(0.0, end, int(np.clip(_POINTS * end * fastest, 400, 4000)))
-    return np.linspace(0.0, end, 1000)
 
 
 def _draw(ax, times: np.ndarray, side: RingDown, joint: int, factor: float, colour: str) -> None:

@@ -14,6 +14,13 @@ from .carried import NAMES, Carried, inertias
 from .decay import decay_of
 from .ringdown import DRAWS, RingDown, ring_down
 
+_DECAYS = 3.0
+"""Decay times of the slowest mode that a picture shows,"""
+_CYCLES = 25
+"""but no more cycles than this, or its lines run together."""
+_POINTS = 40
+"""Of a cycle of the fastest mode."""
+
 
 @dataclass(frozen=True, eq=False)
 class Pose:
@@ -137,14 +144,26 @@ class Unloading:
         return on.path, off.path
 
     def ring_downs(
-        self, times: np.ndarray, *, draws: int = DRAWS, seed: int = 0
+        self, times: np.ndarray | None = None, *, draws: int = DRAWS, seed: int = 0
     ) -> tuple[RingDown, RingDown]:
-        """The same with the band of 95 %, from so many `draws` of the numbers and inertias."""
+        """The same with the band of 95 %, from so many `draws` of the numbers and inertias; without
+        `times`, until the slowest mode has fallen to 5 %, or for 25 of its cycles."""
         with jax.enable_x64(True):
             q0 = jnp.asarray(self.fit.recordings[0].state[: len(self.fit.joints)])
-            times = np.asarray(times, float)
+            times = self._times() if times is None else np.asarray(times, float)
             told = self.fit.model, self.errors, times, q0, draws, seed
             return ring_down(self.model, *told), ring_down(self.unloaded, *told)
+
+    def _times(self) -> np.ndarray:
+        modes = (*self.with_bearings, *self.without_bearings)
+        time = self.fit.recordings[0].recording.time
+        if not modes:
+            return np.linspace(0.0, time[-1] - time[0], 1000)
+        end = _CYCLES / min(m.frequency_hz for m in modes)
+        decays = [decay_of(mode) for mode in modes]
+        end = min(end, _DECAYS * max(d.value if d else np.inf for d in decays))
+        points = _POINTS * end * max(m.frequency_hz for m in modes)
+        return np.linspace(0.0, end, int(np.clip(points, 400, 4000)))
 
     def saying(self, unphysical: tuple[str, ...], warnings: tuple[str, ...]) -> "Unloading":
         """The same result with other warnings, those of modes that no arm has first."""

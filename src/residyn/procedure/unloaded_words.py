@@ -30,11 +30,11 @@ def report_lines(found: "Unloading") -> list[str]:
         lines += _modes(pose)
         if not pose.physical:
             lines += _wrapped("    ", NOT_PHYSICAL)
-    lines += _wrapped("    ", _exact(found))
+    lines += _wrapped("    ", exact_words(found))
     if found.check:
         lines.append("[[Check]]  recordings without bearings, predicted; the lowest mode's errors")
         for check in found.check:
-            lines += _check(check, found)
+            lines += check_lines(check, found)
     if found.warnings:
         lines.append("[[Warnings of step 3]]")
         for warning in found.warnings:
@@ -90,7 +90,8 @@ def _value(mode: Mode | None, what: str, unit: str) -> str:
     return f"{number} +/- {error}{unit}"
 
 
-def _exact(found: "Unloading") -> str:
+def exact_words(found: "Unloading") -> str:
+    """Which errors are in those of the modes."""
     covariance = found.inertia_covariance
     if covariance is None:
         return "Errors are those of the fit: the inertias are taken for exact."
@@ -101,7 +102,8 @@ def _exact(found: "Unloading") -> str:
     return f"Errors hold those of the inertias from step 1 ({stds})."
 
 
-def _check(check: "BareCheck", found: "Unloading") -> list[str]:
+def check_lines(check: "BareCheck", found: "Unloading") -> list[str]:
+    """A recording without bearings beside what was predicted of it."""
     units = found.fit.experiment.units or ("",) * len(found.fit.joints)
     sizes = zip(found.fit.joints, check.rmse, units, check.beside.recording.noise, strict=True)
     left = "; ".join(
