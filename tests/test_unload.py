@@ -17,7 +17,9 @@ from hypothesis import strategies as st
 
 import residyn
 from residyn.cli import main
-from residyn.fitting import mechanism_of, model_for
+from residyn.fitting import Mode, mechanism_of, model_for
+from residyn.procedure.carried import Carried, modes_with_errors
+from residyn.procedure.decay import decay_of, decay_words, unphysical
 from residyn.procedure.doubts import what_would_tell
 from residyn.procedure.unloading import without_effects_of_bearings
 from residyn.recording import ArmTable, Bearing, Experiment, InertiaTable, Recording, write_csv
@@ -250,6 +252,82 @@ def test_recordings_with_and_without_bearings_fitted_together():
     assert found.without_bearings[0].damping_ratio == pytest.approx(damping[0], rel=0.02)
     assert not found.check
     assert not found.warnings
+
+
+# -- what no arm can do ----------------------------------------------------------------------
+
+GROWS = {**STEP_2, "damper:shoulder.damping": -0.2, "damper:elbow.damping": 0.05}
+"""The lowest mode gains energy."""
+
+
+def test_a_decay_time_is_that_of_the_exponential_with_the_interval_of_its_rate():
+    found = decay_of(Mode(0.5, 0.0, 0.02, 0.002))
+    assert found.value == pytest.approx(1 / (math.pi * 0.02))
+    assert found.low == pytest.approx(1 / (math.pi * (0.02 + 1.96 * 0.002)))
+    assert found.high == pytest.approx(1 / (math.pi * (0.02 - 1.96 * 0.002)))
+    assert decay_words(Mode(0.5, 0.0, 0.02, 0.002)) == "in 15.9 s (13.3 to 19.8)"
+    assert decay_of(Mode(0.5, 0.0, 0.02, 0.02)).high == math.inf
+    assert "or more" in decay_words(Mode(0.5, 0.0, 0.02, 0.02))
+    assert "not known" in decay_words(Mode(0.5, 0.0, 0.02, math.inf))
+    for grows in (Mode(0.5, 0.0, -0.02, 0.002), Mode(0.5, 0.0, -0.02, math.inf)):
+        assert decay_of(grows) is None
+        assert decay_words(grows) == "grows: not physical"
+
+
+@pytest.fixture(scope="module")
+def growing():
+    return residyn.unload(Experiment(PAPER, (from_numbers(GROWS, noise=1e-3),), BOTH))
+
+
+def test_a_mode_that_grows_is_called_that(growing):
+    assert growing.without_bearings[0].damping_ratio < 0 < growing.without_bearings[1].damping_ratio
+    assert not growing.physical
+    assert growing.warnings[: len(growing.unphysical)] == growing.unphysical
+    said = growing.unphysical[0]
+    assert said.startswith("mode 1 without bearings (theta2 = 0 rad) grows")
+    assert "these recordings do not determine" in said
+    text = str(growing)
+    assert "grows: not physical" in text
+    assert "no time" not in text
+    assert max(map(len, text.splitlines())) <= 80
+    assert "grows: not physical" in str(growing.fit)
+    told = growing.to_dict()
+    assert told["physical"] is False
+    assert told["without_bearings"]["decay_time_s"][0] is None
+    second = growing.without_bearings[1]
+    assert told["without_bearings"]["decay_time_s"][1]["value"] == pytest.approx(1 / decay(second))
+    assert said in told["warnings"]
+
+
+def test_an_arm_that_rings_down_is_physical(papers):
+    assert papers.physical
+    assert papers.to_dict()["physical"] is True
+    assert "physical" not in str(papers)
+
+
+def test_a_negative_stiffness_moves_the_arm_away_from_its_rest():
+    nothing = Carried(np.zeros((4, 4)), np.zeros((0, 4)), np.zeros((3, 3)), np.zeros((4, 3)))
+    recording = from_numbers(STEP_2, seconds=2.0)
+    model = model_for(mechanism_of(Experiment(PAPER, (recording,)), recording))
+    for elbow, leaves, count in ((9.0, False, 2), (-3.0, True, 1)):
+        pushed = model.with_values({**STEP_2, "spring:elbow.stiffness": elbow})
+        found = modes_with_errors(pushed, pushed, nothing)
+        assert found.leaves is leaves
+        assert len(found.modes) == count
+    # A damper that keeps it from ringing is no push.
+    stiff = model.with_values({**STEP_2, "damper:elbow.damping": 500.0})
+    found = modes_with_errors(stiff, stiff, nothing)
+    assert (found.leaves, len(found.modes)) == (False, 1)
+
+
+def test_an_arm_that_leaves_its_rest_is_said(papers):
+    pose = dataclasses.replace(papers.poses[0], leaves_without=True, without_bearings=())
+    found = dataclasses.replace(papers, poses=(pose,))
+    assert not pose.physical
+    assert "moves away: not physical" in str(found)
+    (said,) = unphysical(found, "check the inertias")
+    assert "stiffness there is negative" in said
+    assert said.endswith("check the inertias")
 
 
 # -- what cannot be told ---------------------------------------------------------------------
@@ -577,6 +655,17 @@ def test_command(command):
     assert result["inertia_std"]["coupling"] == pytest.approx(1e-3)
     assert "[[Parameters]]" in err
     assert "in orbit" in err
+
+
+def test_command_ends_with_1_where_a_mode_grows(command, tmp_path):
+    text = TOML + BEARING_TABLES + RECORDING.replace("made.csv", "grows.csv")
+    recording = from_numbers(GROWS)
+    write_csv(tmp_path / "grows.csv", recording.time, recording.angle)
+    status, out, err = command(text, "--json", "-")
+    assert status == 1
+    assert json.loads(out)["physical"] is False
+    assert err.splitlines()[-1].startswith("residyn: mode 1 without bearings")
+    assert "Traceback" not in err
 
 
 @pytest.mark.parametrize(

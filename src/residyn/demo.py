@@ -26,7 +26,11 @@ HIDDEN = "coulomb_friction:elbow"
 EXAMPLES = {
     "release": ("demo", "experiment.toml", "residyn diagnose"),
     "driven": ("driven", "driven.toml", "residyn inertia"),
-    "bearings": ("bearings", "bearings.toml", "residyn unload"),
+    "bearings": (
+        "bearings",
+        "bearings.toml",
+        "residyn unload --with bearing_drag --with bearing_friction",
+    ),
     "pendulum": ("pendulum", "pendulum.toml", "residyn diagnose"),
 }
 """By name: the folder of the package's data, the experiment, the command for it."""

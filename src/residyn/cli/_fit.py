@@ -70,4 +70,9 @@ def fit(
     if report is not None:
         out.write_report([(title(experiment), result)])
         out.words.print(f"report: {report}", soft_wrap=True)
-    raise typer.Exit(DONE if result.converged else complain(result.reason, NO_NUMBERS))
+    if not result.converged:
+        raise typer.Exit(complain(result.reason, NO_NUMBERS))
+    if result.unphysical:
+        names = ", ".join(n.name for n in result.unphysical)
+        raise typer.Exit(complain(f"{names}: negative, which is not physical", NO_NUMBERS))
+    raise typer.Exit(DONE)

@@ -6,8 +6,8 @@ import typer
 
 from .._input import InputError
 from . import _options
-from ._experiment import bring, input_files, load, unloaded
-from ._shell import DONE, NO_NUMBERS, Outputs, complain, set_up_jax
+from ._experiment import bring, input_files, load, title, unloaded
+from ._shell import DONE, NO_NUMBERS, Outputs, complain, progress, set_up_jax
 
 _InertiaStd = Annotated[
     str | None,
@@ -28,10 +28,11 @@ def unload(
     starts: _options.Starts = _options.STARTS,
     inertia_std: _InertiaStd = None,
     json: _options.Json = None,
+    report: _options.Report = None,
     no_cache: _options.NoCache = False,
 ) -> None:
     """Take the air bearings off, drag and friction too: how the arm rings in orbit."""
-    out = Outputs(json, None)
+    out = Outputs(json, report)
     std = _three(inertia_std)
     set_up_jax(not no_cache)
     bring(own)
@@ -43,8 +44,18 @@ def unload(
         raise InputError(f"{experiment}: {error}") from None
     out.words.print(f"{found.fit}\n{found}", soft_wrap=True)
     out.write_json(found.to_dict())
-    fit = found.fit
-    raise typer.Exit(DONE if fit.converged else complain(fit.reason, NO_NUMBERS))
+    if report is not None:
+        with progress() as say:
+            say("writing the report")
+            from ..report import write_unload
+
+            write_unload(report, found, title(experiment))
+        out.words.print(f"report: {report}", soft_wrap=True)
+    if not found.fit.converged:
+        raise typer.Exit(complain(found.fit.reason, NO_NUMBERS))
+    if not found.physical:
+        raise typer.Exit(complain(found.unphysical[0], NO_NUMBERS))
+    raise typer.Exit(DONE)
 
 
 def _three(words: str | None) -> list[float] | None:

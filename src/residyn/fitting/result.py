@@ -17,11 +17,11 @@ from ..recording import Experiment, Recording
 from .history import History
 
 STRONG = 0.9
+"""Correlations beyond this are named."""
 STRUCTURE = 1.2
 """Reduced chi-square beyond which the residual is more than noise."""
 NEGATIVE = 2.0
 """Standard errors below zero that make a sign more than chance."""
-"""Correlations beyond this are named."""
 
 
 class FitError(RuntimeError):
@@ -55,6 +55,11 @@ class Mode:
     frequency_hz_std: float
     damping_ratio: float
     damping_ratio_std: float
+
+    @property
+    def grows(self) -> bool:
+        """Whether its damping is negative beyond its error, which no braked arm's is."""
+        return -self.damping_ratio > NEGATIVE * self.damping_ratio_std
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,7 +301,8 @@ def _lines(fit: Fit) -> list[str]:
     for i, m in enumerate(fit.modes, 1):
         frequency = _with_error(m.frequency_hz, m.frequency_hz_std, 6)
         damping = _with_error(m.damping_ratio, m.damping_ratio_std, 4)
-        lines.append(f"    {i}  {frequency} Hz   {damping}")
+        grows = "  grows: not physical" if m.grows else ""
+        lines.append(f"    {i}  {frequency} Hz   {damping}{grows}")
     strong = fit.strong_correlations()
     if strong:
         lines.append(f"[[Correlations]]  beyond {STRONG}")

@@ -58,8 +58,8 @@ def _unphysical(fit: Fit) -> list[str]:
     """Said first: whatever else is read from such a fit rests on a base that no arm has."""
     return [
         f"{n.name} = {n.value:.3g} +/- {n.std:.2g} {n.unit} is negative beyond its error, which no "
-        "braked arm has: the recordings are not of an arm that rings down, or an input is wrong "
-        "(inertia, the order or sign of the angles, their rest)"
+        "braked arm has: the recordings are not of an arm that rings down, an input is wrong "
+        "(inertia, the order or sign of the angles, their rest), or the model lacks an effect"
         for n in fit.unphysical
     ]
 

@@ -4,7 +4,8 @@ Each shows one thing: `overlay` the motion beside the model and the residual und
 at which frequencies something is left, `errors` how far each of several models is from the noise,
 `convergence` how searches bring the objective down, `where` and `horizon` where a model fails and
 how its predictions do, `missing_torque` the torque that it lacks, `signature` what an effect of the
-catalogue would leave if it were missing; of a diagnosis, `ladder` shows the error falling and
+catalogue would leave if it were missing, `ring_down` the same release with and without air
+bearings; of a diagnosis, `ladder` shows the error falling and
 `candidates` what might have been missing.
 All return a matplotlib `Figure` (no pyplot, no window, no global state): save it, show it in a
 notebook, or put it into a page. Saved as PDF its fonts are TrueType, as SVG its letters are paths:
@@ -16,6 +17,7 @@ from ._convergence import convergence as convergence
 from ._errors import errors as errors
 from ._ladder import ladder as ladder
 from ._overlay import overlay as overlay
+from ._ringdown import ring_down as ring_down
 from ._signature import signature as signature
 from ._spectrum import spectrum as spectrum
 from ._torque import missing_torque as missing_torque

@@ -22,7 +22,7 @@ from ..fitting.layout import Recorded
 from ..fitting.problem import Problem, predict, whiten
 from ..fitting.setup import ready
 from ..mechanism import AbstractMechanism, PlanarArm
-from ..modal import modes
+from ..modal import modes, state_matrix
 from ..model import Model
 
 NAMES = ("shoulder", "elbow", "coupling")
@@ -32,6 +32,10 @@ _PART = 1e-3
 """Share of such a combination beyond which a number belongs to it."""
 _MATTERS = 1e-3
 """Share of a quantity by which a combination that is not seen may move it."""
+_REAL = 1e-9
+"""Share of imaginary part up to which an eigenvalue is real."""
+_AWAY = 1e-6
+"""Share of the fastest eigenvalue from which a real one above zero is not rounding."""
 
 
 class Carried(NamedTuple):
@@ -134,15 +138,24 @@ def with_inertias(mechanism: AbstractMechanism, change: Callable) -> AbstractMec
     return eqx.tree_at(lambda a: (a.shoulder, a.elbow, a.coupling), mechanism, tuple(now))
 
 
-def modes_with_errors(model: Model, fitted: Model, errors: Carried) -> tuple[Mode, ...]:
-    """The modes that ring, lowest first; `errors` are those of the model `fitted`, of which `model`
-    may lack some effects."""
+class Rings(NamedTuple):
+    """How a model moves about its rest."""
+
+    modes: tuple[Mode, ...]
+    """Those that ring, lowest first."""
+    leaves: bool
+    """Whether it moves away from rest without ringing, as with a negative stiffness."""
+
+
+def modes_with_errors(model: Model, fitted: Model, errors: Carried) -> Rings:
+    """Modes and their errors; `errors` are those of the model `fitted`, of which `model` may lack
+    some effects."""
     # Friction of a point in the plane is smoothed near rest: that slope is the integrator's.
     for label in [e.label for e in model.effects if e.grips]:
         model = model.without(label)
     names = [n.name for n in fitted.fitted]
     kept = [names.index(n.name) for n in model.fitted]
-    values, by_number, by_inertia = map(np.asarray, _modes_and_slopes(model))
+    matrix, values, by_number, by_inertia = map(np.asarray, _modes_and_slopes(model))
     slopes = np.zeros((*values.shape, len(names)))
     slopes[..., kept] = by_number
     found = []
@@ -152,12 +165,16 @@ def modes_with_errors(model: Model, fitted: Model, errors: Carried) -> tuple[Mod
                 errors.std(float(values[j, i]), slopes[j, i], by_inertia[j, i]) for j in (0, 1)
             ]
             found.append(Mode(float(frequency), spread[0], float(damping), spread[1]))
-    return tuple(found)
+    roots = np.linalg.eigvals(matrix)
+    size = np.abs(roots)
+    away = (np.abs(roots.imag) < _REAL * size) & (roots.real > _AWAY * size.max())
+    return Rings(tuple(found), bool(away.any()))
 
 
 @eqx.filter_jit
 def _modes_and_slopes(model: Model):
-    """(2, n) frequencies and damping ratios, and their slopes (2, n, P) and (2, n, 3)."""
+    """State matrix (s, s), frequencies and damping ratios (2, n), and their slopes (2, n, P) and
+    (2, n, 3)."""
 
     def rings(numbers, added):
         mechanism = with_inertias(model.mechanism, lambda was: was + added)
@@ -165,4 +182,8 @@ def _modes_and_slopes(model: Model):
         return jnp.stack(modes(moved))
 
     numbers, added = model.vector(), jnp.zeros(3)
-    return rings(numbers, added), *jax.jacfwd(rings, argnums=(0, 1))(numbers, added)
+    return (
+        state_matrix(model),
+        rings(numbers, added),
+        *jax.jacfwd(rings, argnums=(0, 1))(numbers, added),
+    )

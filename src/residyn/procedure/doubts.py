@@ -27,6 +27,19 @@ def doubts_about(found: "Unloading") -> tuple[str, ...]:
     return (*_unnamed(found), *_not_told_apart(found), *_checks(found))
 
 
+def against_growth(found: "Unloading") -> str:
+    """What to do about a mode that no arm has."""
+    if found.fit.misses:
+        size = plain(found.fit.reduced_chi2, 2)
+        return (
+            f"the fit misses something (chi-square {size} per degree of freedom): name the effect "
+            "that it lacks (--with), or let residyn diagnose look for it"
+        )
+    if found.left_out:
+        return what_would_tell(found)
+    return "check the inertias, the bearings' masses, and the order and signs of the angles"
+
+
 def what_would_tell(found: "Unloading") -> str:
     """Which recordings would tell the bearings' drag from the joints' damping."""
     fitted, bearings = found.fit.experiment.fit_recordings, found.fit.experiment.bearings
@@ -91,7 +104,8 @@ def _not_told_apart(found: "Unloading") -> Iterable[str]:
     for pose in found.poses:
         for order, mode in enumerate(pose.without_bearings, 1):
             poor = mode.damping_ratio_std > _POOR * abs(mode.damping_ratio)
-            if found.left_out and np.isfinite(mode.damping_ratio_std) and poor:
+            known = np.isfinite(mode.damping_ratio_std) and mode.damping_ratio > 0
+            if found.left_out and known and poor:
                 size = 100 * mode.damping_ratio_std / abs(mode.damping_ratio)
                 yield (
                     f"damping of mode {order} without bearings (theta2 = {pose.theta2:.4g} rad) is "

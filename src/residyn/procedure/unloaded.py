@@ -10,8 +10,16 @@ import numpy as np
 from ..fitting import Fit, Mode, RecordingFit
 from ..model import Model
 from ..nodes import Trajectory
-from ..simulation import simulate
-from .carried import NAMES, inertias
+from .carried import NAMES, Carried, inertias
+from .decay import decay_of
+from .ringdown import DRAWS, RingDown, ring_down
+
+_DECAYS = 3.0
+"""Decay times of the slowest mode that a picture shows,"""
+_CYCLES = 25
+"""but no more cycles than this, or its lines run together."""
+_POINTS = 40
+"""Of a cycle of the fastest mode."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +35,16 @@ class Pose:
     with_bearings: tuple[Mode, ...]
     """The modes that ring, lowest first."""
     without_bearings: tuple[Mode, ...]
+    leaves_with: bool = False
+    """Whether the model on its bearings moves away from its rest: a stiffness is negative."""
+    leaves_without: bool = False
+
+    @property
+    def physical(self) -> bool:
+        """Whether all of its modes are an arm's: none grows, and none moves away from rest."""
+        modes = (*self.with_bearings, *self.without_bearings)
+        leaves = self.leaves_with or self.leaves_without
+        return not leaves and all(decay_of(mode) for mode in modes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +107,15 @@ class Unloading:
     left_out: tuple[str, ...]  # effects that left with the bearings
     check: tuple[BareCheck, ...]
     inertia_covariance: np.ndarray | None  # (3, 3) from step 1; None: taken for exact
+    errors: Carried  # what the numbers and the inertias do not know
     seconds: float
     warnings: tuple[str, ...] = ()  # beside the fit's own
+    unphysical: tuple[str, ...] = ()  # of the warnings, those of modes that no arm has
+
+    @property
+    def physical(self) -> bool:
+        """Whether every frequency, damping ratio and decay time is an arm's."""
+        return not self.unphysical
 
     @property
     def with_bearings(self) -> tuple[Mode, ...]:
@@ -115,14 +140,34 @@ class Unloading:
     def ring_down(self, times: np.ndarray) -> tuple[Trajectory, Trajectory]:
         """How the arm rings at `times` (N,) s with and without bearings, let go at rest from the
         angles in which the first fitted recording begins."""
+        on, off = self.ring_downs(times, draws=0)
+        return on.path, off.path
+
+    def ring_downs(
+        self, times: np.ndarray | None = None, *, draws: int = DRAWS, seed: int = 0
+    ) -> tuple[RingDown, RingDown]:
+        """The same with the band of 95 %, from so many `draws` of the numbers and inertias; without
+        `times`, until the slowest mode has fallen to 5 %, or for 25 of its cycles."""
         with jax.enable_x64(True):
             q0 = jnp.asarray(self.fit.recordings[0].state[: len(self.fit.joints)])
-            times = np.asarray(times, float)
-            return simulate(self.model, times, q0), simulate(self.unloaded, times, q0)
+            times = self._times() if times is None else np.asarray(times, float)
+            told = self.fit.model, self.errors, times, q0, draws, seed
+            return ring_down(self.model, *told), ring_down(self.unloaded, *told)
 
-    def saying(self, warnings: tuple[str, ...]) -> "Unloading":
-        """The same result with other warnings."""
-        return replace(self, warnings=warnings)
+    def _times(self) -> np.ndarray:
+        modes = (*self.with_bearings, *self.without_bearings)
+        time = self.fit.recordings[0].recording.time
+        if not modes:
+            return np.linspace(0.0, time[-1] - time[0], 1000)
+        end = _CYCLES / min(m.frequency_hz for m in modes)
+        decays = [decay_of(mode) for mode in modes]
+        end = min(end, _DECAYS * max(d.value if d else np.inf for d in decays))
+        points = _POINTS * end * max(m.frequency_hz for m in modes)
+        return np.linspace(0.0, end, int(np.clip(points, 400, 4000)))
+
+    def saying(self, unphysical: tuple[str, ...], warnings: tuple[str, ...]) -> "Unloading":
+        """The same result with other warnings, those of modes that no arm has first."""
+        return replace(self, unphysical=unphysical, warnings=(*unphysical, *warnings))
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of `residyn unload`."""
@@ -137,8 +182,9 @@ class Unloading:
             "poses": [
                 {
                     "theta2": p.theta2,
-                    "with_bearings": {"modes": _modes(p.with_bearings)},
-                    "without_bearings": {"modes": _modes(p.without_bearings)},
+                    "with_bearings": _told(p.with_bearings),
+                    "without_bearings": _told(p.without_bearings),
+                    "physical": p.physical,
                 }
                 for p in self.poses
             ],
@@ -146,6 +192,7 @@ class Unloading:
             "inertia_std": None
             if self.inertia_covariance is None
             else dict(zip(NAMES, np.sqrt(np.diag(self.inertia_covariance)).tolist(), strict=True)),
+            "physical": self.physical,
             "seconds": self.seconds,
             "warnings": [*self.fit.warnings, *self.warnings],
         }
@@ -171,9 +218,19 @@ def _side(pose: Pose, model: Model, modes: tuple[Mode, ...]) -> dict[str, Any]:
     values = np.asarray(inertias(model.mechanism)).tolist()
     return {
         "theta2": pose.theta2,
-        "modes": _modes(modes),
+        **_told(modes),
         "arm": dict(zip(NAMES, values, strict=True)),
     }
+
+
+def _told(modes: tuple[Mode, ...]) -> dict[str, Any]:
+    """Modes, and when each has fallen to 1/e (s; None: it does not, or the number is not known)."""
+    times = []
+    for mode in modes:
+        found = decay_of(mode)
+        told = None if found is None else found._asdict().items()
+        times.append(told and {name: x if np.isfinite(x) else None for name, x in told})
+    return {"modes": _modes(modes), "decay_time_s": times}
 
 
 def _modes(modes: tuple[Mode, ...]) -> list[dict[str, float | None]]:

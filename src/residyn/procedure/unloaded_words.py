@@ -9,9 +9,15 @@ import numpy as np
 from .._units import amount, plain, ratio, with_error
 from ..fitting import Mode
 from .carried import NAMES, inertias
+from .decay import decay_words
 
 if TYPE_CHECKING:
     from .unloaded import BareCheck, Pose, Unloading
+
+NOT_PHYSICAL = (
+    "Not physical: nothing drives the arm, so that no mode can grow or leave its rest. These "
+    "recordings do not determine these numbers; see the warnings of step 3."
+)
 
 
 def report_lines(found: "Unloading") -> list[str]:
@@ -22,11 +28,13 @@ def report_lines(found: "Unloading") -> list[str]:
             f"[[Modes]]  elbow at {plain(pose.theta2, 4)} rad: on its bearings -> in orbit"
         )
         lines += _modes(pose)
-    lines += _wrapped("    ", _exact(found))
+        if not pose.physical:
+            lines += _wrapped("    ", NOT_PHYSICAL)
+    lines += _wrapped("    ", exact_words(found))
     if found.check:
         lines.append("[[Check]]  recordings without bearings, predicted; the lowest mode's errors")
         for check in found.check:
-            lines += _check(check, found)
+            lines += check_lines(check, found)
     if found.warnings:
         lines.append("[[Warnings of step 3]]")
         for warning in found.warnings:
@@ -52,6 +60,12 @@ def _taken_off(found: "Unloading") -> list[str]:
 
 def _modes(pose: "Pose") -> list[str]:
     lines, sides = [], (pose.with_bearings, pose.without_bearings)
+    if pose.leaves_with or pose.leaves_without:
+        on, off = (
+            "moves away: not physical" if leaves else "returns"
+            for leaves in (pose.leaves_with, pose.leaves_without)
+        )
+        lines.append(f"       {'from its rest':<14} {on:<26} -> {off}")
     for i in range(max(map(len, sides))):
         pair = [side[i] if i < len(side) else None for side in sides]
         for words, what, unit in (
@@ -61,8 +75,8 @@ def _modes(pose: "Pose") -> list[str]:
             head = f"{i + 1}" if what == "frequency_hz" else " "
             on, off = (_value(mode, what, unit) for mode in pair)
             lines.append(f"    {head}  {words:<14} {on:<26} -> {off}".rstrip())
-        on, off = (_decay(mode) for mode in pair)
-        lines.append(f"       {'falls to 1/e':<14} {f'in {on}':<26} -> in {off}")
+        on, off = ("does not ring" if mode is None else decay_words(mode) for mode in pair)
+        lines.append(f"       {'falls to 1/e':<14} {on:<26} -> {off}")
     return lines
 
 
@@ -76,12 +90,8 @@ def _value(mode: Mode | None, what: str, unit: str) -> str:
     return f"{number} +/- {error}{unit}"
 
 
-def _decay(mode: Mode | None) -> str:
-    rate = 0.0 if mode is None else 2 * math.pi * mode.frequency_hz * mode.damping_ratio
-    return f"{plain(1 / rate, 3)} s" if rate > 0 else "no time"
-
-
-def _exact(found: "Unloading") -> str:
+def exact_words(found: "Unloading") -> str:
+    """Which errors are in those of the modes."""
     covariance = found.inertia_covariance
     if covariance is None:
         return "Errors are those of the fit: the inertias are taken for exact."
@@ -92,7 +102,8 @@ def _exact(found: "Unloading") -> str:
     return f"Errors hold those of the inertias from step 1 ({stds})."
 
 
-def _check(check: "BareCheck", found: "Unloading") -> list[str]:
+def check_lines(check: "BareCheck", found: "Unloading") -> list[str]:
+    """A recording without bearings beside what was predicted of it."""
     units = found.fit.experiment.units or ("",) * len(found.fit.joints)
     sizes = zip(found.fit.joints, check.rmse, units, check.beside.recording.noise, strict=True)
     left = "; ".join(
@@ -101,11 +112,18 @@ def _check(check: "BareCheck", found: "Unloading") -> list[str]:
     )
     lines = _wrapped("    ", f"{check.name}: rms {left}")
     if check.frequency_error is not None and check.damping_error is not None:
-        measured = check.measured[0]
+        measured, predicted = check.measured[0], check.predicted[0].damping_ratio
+        damping = (
+            _percent(check.damping_error)
+            if predicted > 0 and measured.damping_ratio > 0
+            else f"predicted {plain(predicted, 2)}, not physical"
+            if predicted < 0
+            else "measured not physical"
+        )
         lines += _wrapped(
             "        ",
             f"frequency {_percent(check.frequency_error)} (measured "
-            f"{measured.frequency_hz:.5g} Hz), damping ratio {_percent(check.damping_error)} "
+            f"{measured.frequency_hz:.5g} Hz), damping ratio {damping} "
             f"(measured {measured.damping_ratio:.3g})",
         )
     return lines

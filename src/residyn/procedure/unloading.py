@@ -19,7 +19,8 @@ from ..mechanism import AbstractMechanism
 from ..model import Model
 from ..recording import ArmTable, Experiment, Recording
 from .carried import NAMES, Carried, carried, modes_with_errors
-from .doubts import doubts_about
+from .decay import unphysical
+from .doubts import against_growth, doubts_about
 from .inertia import inertia
 from .unloaded import BareCheck, Pose, Unloading
 
@@ -76,9 +77,11 @@ def unload(
         left_out=off,
         check=tuple(checks),
         inertia_covariance=covariance,
+        errors=errors,
         seconds=time.perf_counter() - began,
     )
-    return found.saying((*said, *doubts_about(found)))
+    wrong = tuple(unphysical(found, against_growth(found)))
+    return found.saying(wrong, (*said, *doubts_about(found)))
 
 
 def without_effects_of_bearings(model: Model) -> Model:
@@ -167,12 +170,15 @@ def _models(fitted: Fit, recording: Recording) -> tuple[Model, Model]:
 
 def _pose(fitted: Fit, recording: Recording, errors: Carried) -> Pose:
     on, bare = _models(fitted, recording)
+    loaded, free = (modes_with_errors(model, fitted.model, errors) for model in (on, bare))
     return Pose(
         theta2=recording.theta2,
         model=on,
         unloaded=bare,
-        with_bearings=modes_with_errors(on, fitted.model, errors),
-        without_bearings=modes_with_errors(bare, fitted.model, errors),
+        with_bearings=loaded.modes,
+        without_bearings=free.modes,
+        leaves_with=loaded.leaves,
+        leaves_without=free.leaves,
     )
 
 
@@ -188,4 +194,4 @@ def _check_against(fitted: Fit, beside: RecordingFit, errors: Carried, starts: i
         )
     except FitError:
         free = None
-    return BareCheck(beside, modes_with_errors(bare, fitted.model, errors), free)
+    return BareCheck(beside, modes_with_errors(bare, fitted.model, errors).modes, free)

@@ -4,19 +4,27 @@ Results hold data; here stands what is said of them. Printing a result must not 
 the page, which draws them, is imported when it is asked for.
 """
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ._inertia import write_inertia as write_inertia
     from ._page import render as render
     from ._page import write_report as write_report
     from ._race import write_race as write_race
+    from ._unload import write_unload as write_unload
 
-__all__ = ["render", "write_race", "write_report"]
+_PLACES = {
+    "render": "_page",
+    "write_inertia": "_inertia",
+    "write_race": "_race",
+    "write_report": "_page",
+    "write_unload": "_unload",
+}
+__all__ = ["render", "write_inertia", "write_race", "write_report", "write_unload"]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in __all__:
+    if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from . import _page, _race
-
-    return getattr(_race if name == "write_race" else _page, name)
+    return getattr(importlib.import_module(f"{__name__}.{_PLACES[name]}"), name)

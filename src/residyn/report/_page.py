@@ -8,15 +8,10 @@ still says all.
 
 import os
 from collections.abc import Sequence
-from datetime import date
-from pathlib import Path
 
-import jinja2
 import markupsafe
 
-from .. import __version__, plot
-from .._input import InputError
-from .._units import amount, plain
+from .. import plot
 from ..diagnosis import Comparison
 from ..diagnosis.result import Diagnosis
 from ..explorer.page import embedded
@@ -25,8 +20,7 @@ from ._diagnosis import diagnosed
 from ._failing import failing, torques
 from ._fit import chapter, fall
 from ._picture import picture
-
-MOST_PIXELS_NARROW = 640
+from ._template import filled, written
 
 
 def write_report(
@@ -43,12 +37,7 @@ def write_report(
 
     **Raises:** `InputError` if the file cannot be written.
     """
-    text = render(fits, compared, diagnosis)
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise InputError(f"{os.fspath(path)}: cannot be written ({why})") from None
+    written(path, render(fits, compared, diagnosis))
 
 
 def render(
@@ -57,16 +46,6 @@ def render(
     diagnosis: Diagnosis | None = None,
 ) -> str:
     """The page as text."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("residyn", "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["unit"] = _unit
-    environment.filters["plain"] = plain
-    environment.globals["amount"] = amount
     chapters = [chapter(title, fit) for title, fit in fits]
     if compared is not None:
         drawn = torques(compared.fit.experiment, compared.missing_torque)
@@ -82,17 +61,10 @@ def render(
                 plot.errors(models, names, narrow=True),
             ),
         }
-    return environment.get_template("report.html.j2").render(
+    return filled(
+        "report.html.j2",
         chapters=chapters,
         comparison=comparison,
         diagnosis=None if diagnosis is None else diagnosed(diagnosis),
         explorer=markupsafe.Markup("" if diagnosis is None else embedded(diagnosis)),
-        version=__version__,
-        date=date.today().isoformat(),
-        narrow=MOST_PIXELS_NARROW,
     )
-
-
-def _unit(unit: str) -> str:
-    """A unit as one writes it: m² and not m^2; nothing for a pure number."""
-    return "" if unit == "1" else unit.replace("^2", "²").replace("^3", "³")

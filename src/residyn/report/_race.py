@@ -5,16 +5,12 @@ unchecking a method hides whatever carries its mark. The page has no scripts.
 """
 
 import os
-from datetime import date
-from pathlib import Path
 
-import jinja2
-
-from .. import __version__, plot
-from .._input import InputError
+from .. import plot
 from ..fitting.race import Race
 from ..fitting.race_tables import HEAD, cells
 from ._picture import svg
+from ._template import filled, written
 
 
 def write_race(path: str | os.PathLike[str], race: Race, title: str) -> None:
@@ -22,22 +18,11 @@ def write_race(path: str | os.PathLike[str], race: Race, title: str) -> None:
 
     **Raises:** `InputError` if the file cannot be written.
     """
-    try:
-        Path(path).write_text(render_race(race, title), encoding="utf-8")
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise InputError(f"{os.fspath(path)}: cannot be written ({why})") from None
+    written(path, render_race(race, title))
 
 
 def render_race(race: Race, title: str) -> str:
     """The page as text."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("residyn", "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     drawn = [each for each in race.methods if len(each.median.history.objective)]
     names = [each.title for each in drawn]
     histories = [each.median.history for each in drawn]
@@ -49,15 +34,14 @@ def render_race(race: Race, title: str) -> str:
         )
         if drawn
     ]
-    return environment.get_template("race.html.j2").render(
+    return filled(
+        "race.html.j2",
         title=title,
         race=race,
         head=HEAD,
         rows=[(each, [each.title, *cells(race, each)]) for each in race.methods],
         names=names,
         pictures=pictures,
-        version=__version__,
-        date=date.today().isoformat(),
     )
 
 
