@@ -91,15 +91,15 @@ def strengths(effect: AbstractEffect):
 
 
 def shapes(
-    scene: Scene, effect: AbstractEffect, frequencies: Sequence[Sequence[float]]
+    scene: Scene, effect: AbstractEffect, frequencies: Sequence[float]
 ) -> list[dict[str, float]]:
     """Every combination of an effect's shape numbers on their grids; a frequency takes those of the
-    random torque's spectrum at its joint, Hz."""
+    random torque's spectrum, Hz."""
     own = [n for n in numbers_of(effect) if n.silent is None]
     grids = []
     for number in own:
         if number.field == effect.oscillates:
-            grids.append(list(frequencies[scene.joint_of(effect)]))
+            grids.append(list(frequencies))
         else:
             size = scene.size(effect, number)
             known = [g * size for g in number.grid]
@@ -169,7 +169,7 @@ class Columns:
         scene: Scene,
         trajectory: Trajectory,
         effects: Sequence[AbstractEffect],
-        frequencies: Sequence[Sequence[float]],
+        frequencies: Sequence[float],
         shape_of: Mapping[str, dict[str, float]] | None = None,
     ):
         """Effects at every shape of their grids, or at one each, by label."""
@@ -314,8 +314,9 @@ class Screen:
         return sorted(found, key=lambda f: -f[0])
 
 
-def spectral_lines(scene: Scene, trajectory: Trajectory, count: int = 5) -> list[list[float]]:
-    """Strongest frequencies, Hz, of each joint's random torque in the longest recording."""
+def spectral_lines(scene: Scene, trajectory: Trajectory, count: int = 5) -> list[float]:
+    """Strongest frequencies, Hz, of the joints' random torques in the longest recording: what
+    drives one joint may show at another one."""
     g = scene.grid
     lengths = [np.sum((g.run == i) & (np.arange(scene.K) < g.real))
                for i in range(len(scene.recordings))]  # fmt: skip
@@ -324,17 +325,17 @@ def spectral_lines(scene: Scene, trajectory: Trajectory, count: int = 5) -> list
     dt = float(np.median(g.step[own][:-1]))
     even = np.arange(time[0], time[-1], dt)
     span = even[-1] - even[0]
-    found = []
+    found: list[float] = []
     for x in trajectory.torque[own].T:
         x = np.interp(even, time, x)
         f = np.fft.rfftfreq(4 * len(even), dt)
         power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(len(even)), 4 * len(even)))
         power = power * (f > 1.5 / span)
-        lines = []
         for _ in range(count):
-            lines.append(float(max(f[np.argmax(power)], 0.5 / span)))
-            power[np.abs(f - lines[-1]) < 2.0 / span] = 0
-        found.append(lines)
+            line = float(max(f[np.argmax(power)], 0.5 / span))
+            power[np.abs(f - line) < 2.0 / span] = 0
+            if all(abs(line - known) >= 1.0 / span for known in found):
+                found.append(line)
     return found
 
 
