@@ -16,19 +16,18 @@ def composite_inertia(found: InertiaResult, *, narrow: bool = False) -> Figure:
     """
     figure = Figure(figsize=(NARROW if narrow else WIDE, 2.8), layout="constrained")
     ax = figure.subplots()
-    cosines = np.linspace(-1.05, 1.05, 60)
-    line = [found.composite(float(np.arccos(np.clip(c, -1.0, 1.0)))) for c in cosines]
+    cosines = np.linspace(-1.0, 1.0, 60)
+    line = [found.composite(float(np.arccos(c))) for c in cosines]
     value, std = (np.array(x) for x in zip(*line, strict=True))
-    inside = np.abs(cosines) <= 1.0
     ax.fill_between(
-        cosines[inside],
-        (value - 2 * std)[inside],
-        (value + 2 * std)[inside],
+        cosines,
+        (value - 2 * std),
+        (value + 2 * std),
         color=MODEL,
         alpha=0.3,
         lw=0,
     )
-    ax.plot(cosines[inside], value[inside], color=MODEL, lw=1.2, label="Eq. 14")
+    ax.plot(cosines, value, color=MODEL, lw=1.2, label="Eq. 14")
     shoulder = [t for t in found.tests if t.test.joint == 0 and t.test.recording.air_bearings]
     at = [float(np.cos(t.test.theta2)) for t in shoulder]
     seen = [t.inertia.value for t in shoulder]

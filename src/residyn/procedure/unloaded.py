@@ -18,9 +18,9 @@ _DECAYS = 3.0
 """Decay times of the slowest mode that a picture shows,"""
 _CYCLES = 25
 """but no more cycles than this, or its lines run together."""
-_POINTS = 20
+_POINTS = 14
 """Of a cycle,"""
-_MOST = 1000
+_MOST = 500
 """but no more of a mode than this."""
 
 
@@ -165,7 +165,7 @@ class Unloading:
         decays = [decay_of(mode) for mode in modes]
         spans = [_DECAYS * d.value if d else np.inf for d in decays]
         end = min(end, max(spans))
-        each = [np.linspace(0.0, end, 200)]
+        each = [np.linspace(0.0, end, 100)]
         for mode, span in zip(
             modes, spans, strict=True
         ):  # as dense as each is fast, while it lasts

@@ -75,7 +75,7 @@ def _test(test: TestResult, joints: tuple[str, ...]) -> dict[str, str]:
     return {
         "name": test.name,
         "joint": joints[test.test.joint],
-        "theta2": "" if test.test.joint else f"{plain(test.test.theta2, 4)}",
+        "theta2": "" if test.test.joint else f"{round(test.test.theta2, 4) + 0.0:.4f}",
         "inertia": _words(test.inertia),
         "left": ratio(test.solved.chi2**0.5),
         **friction,
