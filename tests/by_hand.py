@@ -11,9 +11,9 @@ from residyn.diagnosis.result import (
     Candidate,
     Diagnosis,
     Family,
+    ModelState,
     NextExperiment,
     RandomTorque,
-    Rung,
     Value,
 )
 from residyn.diagnosis.whiteness import White
@@ -159,10 +159,10 @@ def a_candidate(effect, probability, log_evidence, iterated=True):
     return Candidate(effect, probability, log_evidence, iterated, values)
 
 
-def a_rung(fit, added=None, dropped=(), held=(46.0, 24.0), log_evidence=0.0):
+def a_model(fit, added=None, dropped=(), held=(46.0, 24.0), log_evidence=0.0):
     """A model on the way with these held-out errors, in times the noise."""
     check = HeldOut("check recordings", an_error(*held), an_error(7.1, 11.0))
-    return Rung(added, tuple(dropped), fit, check, log_evidence)
+    return ModelState(added, tuple(dropped), fit, check, log_evidence)
 
 
 def torques(size, band=0.5):
@@ -218,8 +218,8 @@ def a_diagnosis(verdict, ladder, **changed):
 def missing(**changed):
     """Something was found, and nothing is left."""
     ladder = (
-        a_rung(a_fit(), log_evidence=-692.0),
-        a_rung(a_fit((FOUND,), SLIP, 0.98), FOUND, held=(1.0, 1.0)),
+        a_model(a_fit(), log_evidence=-692.0),
+        a_model(a_fit((FOUND,), SLIP, 0.98), FOUND, held=(1.0, 1.0)),
     )
     settings = {"lookalikes": ((FOUND, RIVAL),), "next_experiment": NEXT} | changed
     return a_diagnosis("missing", ladder, **settings)
@@ -233,7 +233,7 @@ def adequate(**changed):
         "families": (),
         "missing": (a_missing_torque(fit, 0.0),),
     }
-    return a_diagnosis("adequate", (a_rung(fit, held=(1.0, 1.0)),), **(settings | changed))
+    return a_diagnosis("adequate", (a_model(fit, held=(1.0, 1.0)),), **(settings | changed))
 
 
 def unexplained(**changed):
@@ -241,9 +241,9 @@ def unexplained(**changed):
     labels = "quadratic_drag:elbow", "asymmetric_stiffness:shoulder"
     fits = a_fit(), a_fit(labels[:1]), a_fit(labels[1:], 0.5 * SLIP, 4.1)
     ladder = (
-        a_rung(fits[0], log_evidence=-900.0),
-        a_rung(fits[1], labels[0], held=(20.0, 12.0), log_evidence=-300.0),
-        a_rung(fits[2], labels[1], labels[:1], held=(15.0, 2.0)),
+        a_model(fits[0], log_evidence=-900.0),
+        a_model(fits[1], labels[0], held=(20.0, 12.0), log_evidence=-300.0),
+        a_model(fits[2], labels[1], labels[:1], held=(15.0, 2.0)),
     )
     family = Family("spring shape", "shoulder", 0.97, ((labels[1], 0.97),))
     settings = {

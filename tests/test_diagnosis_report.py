@@ -17,7 +17,7 @@ from residyn.fitting import FitError
 from residyn.report import _diagnosis_text as text
 from residyn.report import _words as words_of
 from tests import by_hand
-from tests.by_hand import FOUND, NEXT, RIVAL, a_candidate, a_rung
+from tests.by_hand import FOUND, NEXT, RIVAL, a_candidate, a_model
 from tests.legible import legible
 
 KINDS = {"missing": by_hand.missing, "adequate": by_hand.adequate}
@@ -221,8 +221,8 @@ def test_what_was_dropped_is_said(found):
 
 
 def test_more_joints_than_columns_stand_under_each_other(found):
-    rung = found["missing"].ladder[0]
-    lines = text._stacked(rung, rung.fit.joints)
+    step = found["missing"].ladder[0]
+    lines = text._stacked(step, step.fit.joints)
     assert "springs and dampers" in lines[0]
     assert [line.split()[0] for line in lines[1:]] == ["shoulder", "elbow"]
     assert all("x fitted" in line and "x held out" in line for line in lines[1:])
@@ -264,11 +264,11 @@ def test_an_unknown_error_is_left_out():
 
 
 def test_the_dictionary_keeps_the_contract(found):
-    rung_keys = {"model", "rmse", "check_rmse", "reduced_chi2", "log_evidence"}
+    model_keys = {"model", "rmse", "check_rmse", "reduced_chi2", "log_evidence"}
     for diagnosis in found.values():
         result = diagnosis.to_dict()
         assert set(result) >= CONTRACT
-        assert set(result["ladder"][0]) == rung_keys
+        assert set(result["ladder"][0]) == model_keys
         torque = result["random_torque"]["elbow"]
         assert set(torque) == {"rms", "low", "high", "unit", "share_of_spring"}
         json.dumps(result, allow_nan=False)
@@ -294,14 +294,14 @@ def test_no_word_of_a_picture_is_cut_or_covered(found, kind, draw, narrow, monke
 @pytest.mark.parametrize("narrow", [False, True], ids=["wide", "narrow"])
 def test_many_models_are_listed_beneath(found, narrow, monkeypatch):
     ladder = found["missing"].ladder
-    each = [a_rung(ladder[0].fit, f"quadratic_drag:{j}", held=(9, 7)) for j in by_hand.JOINTS]
+    each = [a_model(ladder[0].fit, f"quadratic_drag:{j}", held=(9, 7)) for j in by_hand.JOINTS]
     many = dataclasses.replace(found["missing"], ladder=(*ladder[:1], *each, *each, *ladder[1:]))
     words = legible(plot.ladder(many, narrow=narrow), monkeypatch)
     assert "5  + Coulomb friction at the elbow" in words
 
 
 def test_a_ladder_without_held_out_errors_can_be_drawn(found, monkeypatch):
-    ladder = [dataclasses.replace(rung, held_out=None) for rung in found["missing"].ladder]
+    ladder = [dataclasses.replace(step, held_out=None) for step in found["missing"].ladder]
     bare = dataclasses.replace(found["missing"], ladder=tuple(ladder))
     words = legible(plot.ladder(bare), monkeypatch)
     assert not [w for w in words if "held out" in w]
@@ -473,8 +473,8 @@ def test_the_command_complains_in_one_line(command, words, result, status, line)
 def test_numbers_that_did_not_settle_are_exit_status_1(command, found):
     d = found["adequate"]
     rough = dataclasses.replace(d.ladder[0].fit, converged=False, reason="step limit reached")
-    rung = dataclasses.replace(d.ladder[0], fit=rough)
-    status, out, err, _ = command(result=dataclasses.replace(d, ladder=(rung,)))
+    step = dataclasses.replace(d.ladder[0], fit=rough)
+    status, out, err, _ = command(result=dataclasses.replace(d, ladder=(step,)))
     assert status == 1
     assert "[[Models]]" in out
     assert err == "residyn: step limit reached\n"

@@ -37,9 +37,9 @@ from .result import (
     Candidate,
     Diagnosis,
     Family,
+    ModelState,
     NextExperiment,
     RandomTorque,
-    Rung,
     Value,
     Verdict,
 )
@@ -126,7 +126,8 @@ class Fits:
             found, descent = refit(self.experiment, own, numbers[None], states[None], wild)
             return finish(self.experiment, found, numbers, descent, began)
         except FitError:
-            return fit(self.experiment, effects=own, starts=self.starts)
+            lost = model.intensity >= EXPLAINS_NOTHING  # no start is better than another one
+            return fit(self.experiment, effects=own, starts=1 if lost else self.starts)
 
     def _cut(self, numbers: np.ndarray, own: Sequence[AbstractEffect]) -> None:
         """What drives a joint that nothing pulls back is fitted in segments, in all models."""
@@ -173,14 +174,14 @@ class Fits:
 
 def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], None]) -> Diagnosis:
     """What a search has found, in numbers; `began` on `time.perf_counter`."""
-    scene, best = search.scene, search.best
     posterior = Posterior(search)
-    rungs = _rungs(search, fits, posterior)
+    scene, best = search.scene, posterior.best
+    models = _ladder_of(search, fits, best)
     lookalikes = posterior.lookalikes()
     advice = None
     if lookalikes:
         say("looking for the experiment that would tell them apart")
-        advice = _advice(search, fits, lookalikes)
+        advice = _advice(search, best, fits, lookalikes)
     drawn = [best] if best.added else []
     shown = [(search.tried.get(frozenset([x]), best), x) for x in best.added]
     rivals = [
@@ -195,7 +196,7 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
     return Diagnosis(
         verdict=verdict,
         verdict_probability=probability,
-        ladder=rungs,
+        ladder=models,
         candidates=posterior.candidates(),
         families=posterior.families(),
         lookalikes=lookalikes,
@@ -212,18 +213,18 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
     )
 
 
-def _rungs(search: Search, fits: Fits, posterior: "Posterior") -> tuple[Rung, ...]:
+def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...]:
     """The models on the way to the best one: each of its effects joins in turn."""
-    labels = search.best.added
+    labels = best.added
 
-    def rung(k: int, model: Tried) -> Rung:
+    def step(k: int, model: Tried) -> ModelState:
         result = fits.of(model)
         held = held_out(LinearisedFit.of(result))
-        relative = model.log_evidence - search.best.log_evidence
-        return Rung(labels[k - 1] if k else None, (), result, held, relative)
+        relative = model.log_evidence - best.log_evidence
+        return ModelState(labels[k - 1] if k else None, (), result, held, relative)
 
     models = [search.tried.get(frozenset(labels[:k])) for k in range(len(labels) + 1)]
-    calls = [functools.partial(rung, k, m) for k, m in enumerate(models) if m is not None]
+    calls = [functools.partial(step, k, m) for k, m in enumerate(models) if m is not None]
     return tuple(side_by_side(calls))
 
 
@@ -231,11 +232,17 @@ class Posterior:
     """Sums over the models that were tried."""
 
     def __init__(self, search: Search):
-        self.search, self.best = search, search.best
+        self.search = search
         self.models = list(search.tried.values())
         logs = np.array([m.log_posterior for m in self.models])
         self.total = float(logsumexp(logs))
         self.each = np.exp(logs - self.total)
+        chosen = {"adequate": False, "missing": True}.get(self.verdict()[0])
+        self.best: Tried = max(
+            (m for m in self.models if chosen is None or bool(m.added) is chosen),
+            key=lambda m: m.log_posterior,
+        )
+        """The likeliest model of those that the verdict speaks of."""
 
     def of(self, chosen: Callable[[frozenset[str]], bool]) -> float:
         """Probability of all models whose set of added effects is chosen."""
@@ -249,10 +256,8 @@ class Posterior:
             complete = model.complete
             sums["missing" if model.added else "adequate"] += p * complete
             sums["unexplained"] += p * (1.0 - complete)
-        best: Verdict = max(sums, key=lambda v: sums[v])  # pyright: ignore
-        if best == "adequate" and self.best.added:
-            best = "missing"
-        return best, sums[best]
+        likeliest: Verdict = max(sums, key=lambda v: sums[v])  # pyright: ignore
+        return likeliest, sums[likeliest]
 
     def candidates(self) -> tuple[Candidate, ...]:
         """Every effect and place."""
@@ -362,15 +367,15 @@ def _spring_rms(scene: Scene, t: Trajectory, real: np.ndarray) -> np.ndarray:
     return rms
 
 
-def _advice(search: Search, fits: Fits, groups) -> NextExperiment | None:
+def _advice(search: Search, best: Tried, fits: Fits, groups) -> NextExperiment | None:
     """The release that would tell the first accepted name from its likeliest rival."""
     for group in groups:
         accepted, rival = group[0], group[1]
-        rest = frozenset(search.best.added) - {accepted}
+        rest = frozenset(best.added) - {accepted}
         other = search.tried[rest | {rival}]
         kinds = {e.name: e for e in search.candidates}
         a, b = (kinds[x.partition(":")[0]] for x in (accepted, rival))
         if a.extends == b.name or b.extends == a.name:
             continue  # a law that contains the other one can always mimic it
-        return advise(fits.experiment, fits.of(search.best), fits.of(other), (accepted, rival))
+        return advise(fits.experiment, fits.of(best), fits.of(other), (accepted, rival))
     return None

@@ -83,7 +83,7 @@ class Family:
 
 
 @dataclass(frozen=True, eq=False)
-class Rung:
+class ModelState:
     """One model on the way, fitted by least squares."""
 
     added: str | None
@@ -102,7 +102,7 @@ class Rung:
         return self.fit.rmse / self.fit.noise
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON of one rung."""
+        """The JSON of one step."""
         joints = self.fit.joints
 
         def each(x: np.ndarray) -> dict[str, float | None]:
@@ -198,7 +198,7 @@ class Diagnosis:
     verdict: Verdict
     verdict_probability: float
     """Posterior probability of the verdict."""
-    ladder: tuple[Rung, ...]
+    ladder: tuple[ModelState, ...]
     """From the base model to the likeliest one, each fitted."""
     candidates: tuple[Candidate, ...]
     """The likeliest first."""
@@ -269,7 +269,7 @@ class Diagnosis:
             "verdict_probability": number(self.verdict_probability),
             "words": list(self.words),
             "added": list(self.added),
-            "ladder": [rung.to_dict() for rung in self.ladder],
+            "ladder": [step.to_dict() for step in self.ladder],
             "candidates": [c.to_dict() for c in self.candidates],
             "families": [f.to_dict() for f in self.families],
             "lookalikes": [list(group) for group in self.lookalikes],

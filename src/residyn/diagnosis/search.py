@@ -24,6 +24,7 @@ from ..filtering.trajectory import Scene, Trajectory, number_slices, state_slice
 from ..fitting import FitError
 from .columns import Columns, Screen, candidates, extended, spectral_lines
 from .evidence import (
+    EXPLAINS_NOTHING,
     INDISTINGUISHABLE,
     INTENSITIES,
     NEGLIGIBLE,
@@ -245,11 +246,13 @@ class Search:
             self.tried[frozenset(added)] = found
 
     def run(self, most: int) -> None:
-        """Add effects, `most` at most, until no model beats the one that there is. Ctrl-C and the
-        deadline end it with what there is."""
+        """Add effects, `most` at most, until no model beats the one that there is, or as long as
+        the likeliest explains anything of the motion. Ctrl-C and the deadline end it with what
+        there is."""
         try:
             extended: set[frozenset[str]] = set()
-            while True:
+            self.screen(self.base)
+            while not extended or self.best.intensity < EXPLAINS_NOTHING:
                 best = frozenset(self.best.added)
                 if best in extended or len(best) >= most:
                     # Each effect in turn might have another in its place.

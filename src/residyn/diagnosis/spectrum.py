@@ -117,7 +117,7 @@ def _middles(count: int) -> np.ndarray:
     return (np.arange(count) + 0.5) * np.pi / count
 
 
-@functools.lru_cache(maxsize=4)  # every joint and rung asks for the same ones
+@functools.lru_cache(maxsize=4)  # every joint and step asks for the same ones
 def _even_cosines(count: int, many: int) -> tuple[np.ndarray, np.ndarray]:
     return _cosines(_middles(count), many)
 

@@ -88,10 +88,10 @@ class Study:
         with jax.enable_x64(True):
             self._keep(found.search, found.fits)
         self.found = found
-        for rung in found.ladder:
-            added = [x for x in rung.fit.model.labels if x not in found.base.model.labels]
-            self.fits[frozenset(added)] = rung.fit
-            self._held[frozenset(added)] = rung.held_out
+        for step in found.ladder:
+            added = [x for x in step.fit.model.labels if x not in found.base.model.labels]
+            self.fits[frozenset(added)] = step.fit
+            self._held[frozenset(added)] = step.held_out
         return self
 
     def _keep(self, search: Search, fits: Fits) -> None:
@@ -291,10 +291,10 @@ class Study:
             found = concluded(self.search, self.least_squares, began, say)
             with self._lock:
                 self.found = found
-                for rung in found.ladder:
-                    added = [x for x in rung.fit.model.labels if x not in found.base.model.labels]
-                    self.fits.setdefault(frozenset(added), rung.fit)
-                    self._held.setdefault(frozenset(added), rung.held_out)
+                for step in found.ladder:
+                    added = [x for x in step.fit.model.labels if x not in found.base.model.labels]
+                    self.fits.setdefault(frozenset(added), step.fit)
+                    self._held.setdefault(frozenset(added), step.held_out)
         return found
 
     def stop(self) -> None:

@@ -72,11 +72,11 @@ def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
 
 def _lines(found: Diagnosis) -> list[_Line]:
     """(joint, whether held out, error of each model); joints without a number are left out."""
-    each = [times_noise(rung) for rung in found.ladder]
+    each = [times_noise(step) for step in found.ladder]
     lines = []
     for joint in range(len(found.fit.joints)):
         for held in (False, True):
-            values = [rung[joint][held] for rung in each]
+            values = [step[joint][held] for step in each]
             values = [math.nan if v is None else v for v in values]
             if np.isfinite(values).any():
                 lines.append((joint, held, values))
@@ -85,13 +85,13 @@ def _lines(found: Diagnosis) -> list[_Line]:
 
 def _name(found: Diagnosis, i: int, beneath: bool) -> str:
     """A model's name; under its dot, with the place on a line of its own."""
-    rung, joints = found.ladder[i], found.fit.joints
-    if rung.added is None:
-        name = model_name(rung)
+    step, joints = found.ladder[i], found.fit.joints
+    if step.added is None:
+        name = model_name(step)
         return name if beneath else name.replace(" + ", "\n+ ")
-    name = f"+ {lower(at_place(rung.added, joints))}"
-    if rung.dropped:
-        name += f"\nwithout {listed([lower(at_place(x, joints)) for x in rung.dropped])}"
+    name = f"+ {lower(at_place(step.added, joints))}"
+    if step.dropped:
+        name += f"\nwithout {listed([lower(at_place(x, joints)) for x in step.dropped])}"
     return name.replace("\n", ", ") if beneath else name.replace(" at the", "\nat the")
 
 

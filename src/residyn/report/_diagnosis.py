@@ -8,7 +8,7 @@ import numpy as np
 from .. import plot
 from .._units import amount, plain
 from ..diagnosis import Curve, Missing
-from ..diagnosis.result import Candidate, Diagnosis, Family, Rung
+from ..diagnosis.result import Candidate, Diagnosis, Family, ModelState
 from ._diagnosis_text import accepted, advice, alike, unnamed
 from ._failing import clearest, failing
 from ._picture import picture
@@ -57,7 +57,7 @@ def diagnosed(found: Diagnosis) -> dict[str, Any]:
             plot.ladder(found),
             plot.ladder(found, narrow=True),
         ),
-        "models": [_model(rung) for rung in found.ladder],
+        "models": [_model(step) for step in found.ladder],
         "families": [_family(f, found.fit.joints) for f in families],
         "candidates": [_candidate(c, found) for c in shown],
         "others": len(found.candidates) - len(shown),
@@ -126,8 +126,8 @@ def _remainder(r) -> dict[str, str]:
     }
 
 
-def _model(rung: Rung) -> dict[str, Any]:
-    fit, held = rung.fit, rung.held_out
+def _model(step: ModelState) -> dict[str, Any]:
+    fit, held = step.fit, step.held_out
     units = fit.experiment.units or (None,) * len(fit.joints)
 
     def cell(j: int, rmse: np.ndarray, ratio: float | None) -> str:
@@ -136,13 +136,13 @@ def _model(rung: Rung) -> dict[str, Any]:
     outside = fit.rmse if held is None else held.held_out.rmse
     errors = [
         (cell(j, fit.rmse, fitted), cell(j, outside, checked))
-        for j, (fitted, checked) in enumerate(times_noise(rung))
+        for j, (fitted, checked) in enumerate(times_noise(step))
     ]
     return {
-        "name": model_name(rung),
+        "name": model_name(step),
         "errors": dict(zip(fit.joints, errors, strict=True)),
         "chi2": plain(fit.reduced_chi2),
-        "log_evidence": nats(rung.log_evidence),
+        "log_evidence": nats(step.log_evidence),
     }
 
 

@@ -19,7 +19,7 @@ from ..fitting.publish import (
 from ._words import base_name, listed, nats, percent, worth_showing
 
 if TYPE_CHECKING:
-    from ..diagnosis.result import Diagnosis, Rung
+    from ..diagnosis.result import Diagnosis, ModelState
 
 
 def latex(found: "Diagnosis") -> str:
@@ -45,24 +45,24 @@ def _models(found: "Diagnosis") -> str:
             below.append(words)
     below.append(r"Reduced $\chi^2$")
     rows = []
-    for rung in found.ladder:
-        cells = [_model(rung)]
-        checks = _held_out(rung)
+    for step in found.ladder:
+        cells = [_model(step)]
+        checks = _held_out(step)
         for j, (factor, _) in enumerate(scales):
-            cells.append(_size(rung.fit.rmse[j] / factor))
+            cells.append(_size(step.fit.rmse[j] / factor))
             if held:
                 cells.append(_size(checks[j] / factor))
-        rows.append([*cells, scientific(plain(rung.fit.reduced_chi2))])
+        rows.append([*cells, scientific(plain(step.fit.reduced_chi2))])
     over = f"{' & '.join([*above, ''])} \\\\\n{' '.join(rules)}\n" if held else ""
     return table("l" + "r" * (len(below) - 1), below, [rows], over)
 
 
-def _model(rung: "Rung") -> str:
+def _model(step: "ModelState") -> str:
     """What joined, with its place in words."""
-    if rung.added is None:
-        return escaped(base_name(rung.fit))
-    gone = [_placed(x) for x in rung.dropped]
-    return f"+ {_placed(rung.added)}" + (f" without {listed(gone)}" if gone else "")
+    if step.added is None:
+        return escaped(base_name(step.fit))
+    gone = [_placed(x) for x in step.dropped]
+    return f"+ {_placed(step.added)}" + (f" without {listed(gone)}" if gone else "")
 
 
 def _placed(label: str) -> str:
@@ -90,16 +90,16 @@ def comma_separated(found: "Diagnosis") -> str:
     """One line for each number: which table and which line of it, name, value, std, unit."""
     rows: list[tuple[object, ...]] = []
     units = found.fit.experiment.units or ("",) * len(found.fit.joints)
-    for rung in found.ladder:
-        own = "ladder", base_name(rung.fit) if rung.added is None else f"+ {rung.added}"
-        for name, joint, x, u in residuals(rung.fit):
+    for step in found.ladder:
+        own = "ladder", base_name(step.fit) if step.added is None else f"+ {step.added}"
+        for name, joint, x, u in residuals(step.fit):
             if name != "check_rmse":
                 rows.append((*own, f"{name}:{joint}", x, None, u))
-        if rung.held_out is not None:
-            for joint, x, u in zip(found.fit.joints, _held_out(rung), units, strict=True):
+        if step.held_out is not None:
+            for joint, x, u in zip(found.fit.joints, _held_out(step), units, strict=True):
                 rows.append((*own, f"check_rmse:{joint}", x, None, u))
-        rows.append((*own, "reduced_chi2", rung.fit.reduced_chi2, None, "1"))
-        rows.append((*own, "log_evidence", rung.log_evidence, None, "1"))
+        rows.append((*own, "reduced_chi2", step.fit.reduced_chi2, None, "1"))
+        rows.append((*own, "log_evidence", step.log_evidence, None, "1"))
     for c in found.candidates:
         own = "candidate", c.effect
         rows.append((*own, "probability", c.probability, None, "1"))
@@ -108,9 +108,9 @@ def comma_separated(found: "Diagnosis") -> str:
     return lines(("table", "model", "name", "value", "std", "unit"), rows)
 
 
-def _held_out(rung: "Rung") -> np.ndarray:
-    held = rung.held_out
-    return np.full(len(rung.fit.joints), np.nan) if held is None else held.held_out.rmse
+def _held_out(step: "ModelState") -> np.ndarray:
+    held = step.held_out
+    return np.full(len(step.fit.joints), np.nan) if held is None else held.held_out.rmse
 
 
 def _size(x: float) -> str:

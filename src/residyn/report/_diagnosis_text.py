@@ -38,7 +38,7 @@ from ._words import (
 )
 
 if TYPE_CHECKING:
-    from ..diagnosis.result import Candidate, Diagnosis, Family, RandomTorque, Rung
+    from ..diagnosis.result import Candidate, Diagnosis, Family, ModelState, RandomTorque
     from ..fitting.result import Fit
 
 _WIDTH = 80
@@ -405,7 +405,7 @@ def models(found: "Diagnosis") -> list[str]:
         head += f"; held out: {'the ' if held == 'last third' else ''}{held}"
     out = [f"[[Models]]  {head}"]
     if len(joints) > _PAIRS:
-        return out + [line for rung in found.ladder for line in _stacked(rung, joints)]
+        return out + [line for step in found.ladder for line in _stacked(step, joints)]
     width, short, long = (_PAIR, 7, 9) if held is not None else (_PAIR // 2, _PAIR // 2, 0)
     names = "".join(f"{_cut(joint, width - 2):>{width}}" for joint in joints)
     out.append(f"{'':{_LABEL}}{names}{'chi-square':>{_CHI2}}")
@@ -413,9 +413,9 @@ def models(found: "Diagnosis") -> list[str]:
         f"{'fitted':>{short}}{'held out':>{long}}" if held is not None else f"{'fitted':>{width}}"
     )
     out.append(f"{'':{_LABEL}}{kinds * len(joints)}{'per reading':>{_CHI2}}")
-    for rung in found.ladder:
+    for step in found.ladder:
         *above, name = textwrap.wrap(
-            model_name(rung),
+            model_name(step),
             _LABEL,
             initial_indent="    ",
             subsequent_indent="      ",
@@ -425,19 +425,19 @@ def models(found: "Diagnosis") -> list[str]:
         if len(name) > _LABEL:
             above, name = [*above, name], ""
         cells = ""
-        for fitted, checked in times_noise(rung):
+        for fitted, checked in times_noise(step):
             cells += f"{f'{times(fitted)} x':>{short}}"
             if held is not None:
                 cells += f"{'-' if checked is None else f'{times(checked)} x':>{long}}"
-        out += [*above, f"{name:<{_LABEL}}{cells}{plain(rung.fit.reduced_chi2):>{_CHI2}}"]
+        out += [*above, f"{name:<{_LABEL}}{cells}{plain(step.fit.reduced_chi2):>{_CHI2}}"]
     return out
 
 
-def _stacked(rung: "Rung", joints: Sequence[str]) -> list[str]:
+def _stacked(step: "ModelState", joints: Sequence[str]) -> list[str]:
     """A model of more joints than stand side by side."""
-    chi2 = f"chi-square {plain(rung.fit.reduced_chi2)} per reading"
-    out = [f"    {model_name(rung)}: {chi2}"]
-    for joint, (fitted, checked) in zip(joints, times_noise(rung), strict=True):
+    chi2 = f"chi-square {plain(step.fit.reduced_chi2)} per reading"
+    out = [f"    {model_name(step)}: {chi2}"]
+    for joint, (fitted, checked) in zip(joints, times_noise(step), strict=True):
         held = "" if checked is None else f"{times(checked):>8} x held out"
         out.append(f"      {_cut(joint, 26):<26}{times(fitted):>6} x fitted{held}")
     return out

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from .._units import plain, ratio, with_error
-from ..diagnosis.result import Candidate, Diagnosis, Rung, Value
+from ..diagnosis.result import Candidate, Diagnosis, ModelState, Value
 from ..effects import CATALOGUE
 from ..fitting.result import Fit
 
@@ -73,13 +73,13 @@ def base_name(fit: Fit) -> str:
     return " + ".join([PLAIN, *more])
 
 
-def model_name(rung: Rung) -> str:
+def model_name(step: ModelState) -> str:
     """What joined the model on the way: "+ gravity"; of the base model, all that it has."""
-    if rung.added is None:
-        return base_name(rung.fit)
-    joints = rung.fit.joints
-    gone = [lower(at_place(x, joints)) for x in rung.dropped]
-    name = f"+ {lower(at_place(rung.added, joints))}"
+    if step.added is None:
+        return base_name(step.fit)
+    joints = step.fit.joints
+    gone = [lower(at_place(x, joints)) for x in step.dropped]
+    name = f"+ {lower(at_place(step.added, joints))}"
     return f"{name} without {listed(gone)}" if gone else name
 
 
@@ -128,12 +128,12 @@ def nats(log_evidence: float) -> str:
     )  # fmt: skip
 
 
-def times_noise(rung: Rung) -> list[tuple[float, float | None]]:
+def times_noise(step: ModelState) -> list[tuple[float, float | None]]:
     """Per joint the error in times the noise, where it was fitted and where it was not."""
-    held = rung.held_out
+    held = step.held_out
     return [
         (float(times), None if held is None else float(held.held_out.ratio[j]))
-        for j, times in enumerate(rung.times_noise)
+        for j, times in enumerate(step.times_noise)
     ]
 
 
