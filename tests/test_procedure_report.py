@@ -140,6 +140,7 @@ def test_the_page_says_what_is_not_physical():
     text = words_of(render_unload(found, "grows"))
     assert "Mode 1 without bearings (theta2 = 0 rad) grows" in text
     assert "grows: not physical" in text
+    assert "mode 1 (grows: not physical)" in text  # in the fit's own chapter
 
 
 def test_the_commands_write_them(tmp_path, capsys):
@@ -181,3 +182,19 @@ def test_the_example_of_step_3_is_what_the_rig_does_in_orbit(tmp_path, capsys):
     first = found.without_bearings[0]
     assert first.frequency_hz == pytest.approx(frequency[0], rel=1e-3)
     assert first.damping_ratio == pytest.approx(damping[0], rel=0.05)
+
+
+def test_a_fit_with_negative_damping_ends_with_1(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    t = np.arange(400) / 50
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(400)
+    toml = '[inertia]\njoints = ["cart"]\nunits = ["m"]\nmatrix = [[2.0]]\n[[recordings]]\n'
+    (tmp_path / "x.toml").write_text(toml + 'file = "x.csv"\nnoise = 1e-3\n')
+    for rate, status in ((0.2, 1), (-0.2, 0)):
+        q = 0.02 * np.exp(rate * t) * np.cos(5 * t) + noise
+        np.savetxt("x.csv", np.column_stack([t, q]), delimiter=",", header="t,q1", comments="")
+        assert main(["fit", "x.toml", "--no-cache", "--json", "x.json"]) == status
+        out, err = capsys.readouterr()
+        assert ("grows: not physical" in out) == (status == 1)
+        assert ("damper:cart.damping: negative, which is not physical" in err) == (status == 1)
+        assert (tmp_path / "x.json").exists()
