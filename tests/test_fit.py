@@ -510,6 +510,7 @@ def test_a_base_that_no_arm_has_is_said_first():
     assert [n.name for n in grows.unphysical] == ["damper:cart.damping"]
     assert grows.warnings[0].startswith("damper:cart.damping = -0.798 +/- ")
     assert "negative beyond its error" in grows.warnings[0]
+    assert "grows: not physical" in str(grows)
     falls = fitted(0.1 * np.exp(-0.2 * t) * np.cos(5 * t))
     assert falls.unphysical == ()
     undamped = fitted(0.1 * np.cos(5 * t))  # its sign is chance

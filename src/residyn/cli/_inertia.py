@@ -4,17 +4,18 @@ import typer
 
 from .._input import InputError
 from . import _options
-from ._experiment import input_files, load
+from ._experiment import input_files, load, title
 from ._shell import DONE, NO_NUMBERS, NoNumbers, Outputs, complain, progress, set_up_jax
 
 
 def inertia(
     experiment: _options.Experiment,
     json: _options.Json = None,
+    report: _options.Report = None,
     no_cache: _options.NoCache = False,
 ) -> None:
     """Find the arm's inertias from driven tests, and print its [arm] table."""
-    out = Outputs(json, None)
+    out = Outputs(json, report)
     set_up_jax(not no_cache)
     loaded = load(experiment)
     out.spare(input_files(experiment, loaded))
@@ -32,6 +33,11 @@ def inertia(
             raise InputError(f"{experiment}: {error}") from None
     out.words.print(str(result), soft_wrap=True)
     out.write_json(result.to_dict())
+    if report is not None:
+        from ..report import write_inertia
+
+        write_inertia(report, result, title(experiment))
+        out.words.print(f"report: {report}", soft_wrap=True)
     if result.problem is not None:
         raise typer.Exit(complain(result.problem, NO_NUMBERS))
     out.words.print(f"\n{result.to_toml()}", soft_wrap=True, end="")

@@ -5,14 +5,15 @@ at which frequencies something is left, `errors` how far each of several models 
 `convergence` how searches bring the objective down, `where` and `horizon` where a model fails and
 how its predictions do, `missing_torque` the torque that it lacks, `signature` what an effect of the
 catalogue would leave if it were missing, `ring_down` the same release with and without air
-bearings; of a diagnosis, `ladder` shows the error falling and
-`candidates` what might have been missing.
+bearings, `composite_inertia` the driven tests of step 1 on their line; of a diagnosis, `ladder`
+shows the error falling and `candidates` what might have been missing.
 All return a matplotlib `Figure` (no pyplot, no window, no global state): save it, show it in a
 notebook, or put it into a page. Saved as PDF its fonts are TrueType, as SVG its letters are paths:
 both print as they look. `narrow=True` lays a picture out for a phone's width.
 """
 
 from ._candidates import candidates as candidates
+from ._composite import composite_inertia as composite_inertia
 from ._convergence import convergence as convergence
 from ._errors import errors as errors
 from ._ladder import ladder as ladder

@@ -81,7 +81,9 @@ def unphysical(found: "Unloading", remedy: str) -> Iterable[str]:
 
 def _grows(mode: Mode) -> str:
     value, std = with_error(mode.damping_ratio, mode.damping_ratio_std)
-    how = "though no more than its error" if not mode.grows else "as nothing drives the arm"
+    how = (
+        "though by less than two standard errors" if not mode.grows else "as nothing drives the arm"
+    )
     return (
         f"grows, with a damping ratio of {value} +/- {std}: not physical, {how}; these recordings "
         "do not determine how it decays"

@@ -19,7 +19,10 @@ def report_lines(result: "InertiaResult") -> list[str]:
     lines = ["[[Tests]]  value +/- standard error [the paper's least squares, Eq. 12, 13]"]
     for test in result.tests:
         lines += _test(test, result.experiment.joints)
-    lines += ["[[Eq. 16]]  are the elbow angles far enough apart?", *_apart(result)]
+    lines += [
+        "[[Eq. 16]]  are the elbow angles far enough apart?",
+        *_wrapped("    ", apart_words(result)),
+    ]
     lines.append("[[Inertia]]  value +/- standard error (error in %) [the paper's, Eq. 12 to 15]")
     names, units = ("shoulder", "elbow", "coupling"), ("kg m^2", "kg m^2", "kg m")
     rows = zip(names, units, result.values, result.std, result.least_squares, strict=True)
@@ -76,15 +79,15 @@ def _row(name: str, unit: str, number: "Number | None", ordinary: "Number | None
     return f"{text} [{plain(ordinary.value, 4)}]" if ordinary else text.rstrip()
 
 
-def _apart(result: "InertiaResult") -> list[str]:
+def apart_words(result: "InertiaResult") -> str:
+    """Whether the elbow angles are far enough apart (Eq. 16)."""
     apart = result.separation
     verdict = "yes" if apart.excess < 4 else "barely" if apart.excess < CLOSE else "hardly"
     cosines = ", ".join(f"{c:.3f}" for c in apart.cosines)
-    return _wrapped(
-        "    ",
+    return (
         f"{verdict}: cosines {cosines} differ by {apart.span:.3g} (2 at most): 1 % of error "
         f"in the composite inertias is {plain(apart.amplification, 2)} % in coupling. Elbow angles "
-        f"of 0 and pi would make it {ratio(apart.excess)} times smaller.",
+        f"of 0 and pi would make it {ratio(apart.excess)} times smaller."
     )
 
 

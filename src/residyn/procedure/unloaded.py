@@ -18,8 +18,10 @@ _DECAYS = 3.0
 """Decay times of the slowest mode that a picture shows,"""
 _CYCLES = 25
 """but no more cycles than this, or its lines run together."""
-_POINTS = 40
-"""Of a cycle of the fastest mode."""
+_POINTS = 14
+"""Of a cycle,"""
+_MOST = 500
+"""but no more of a mode than this."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,9 +163,16 @@ class Unloading:
             return np.linspace(0.0, time[-1] - time[0], 1000)
         end = _CYCLES / min(m.frequency_hz for m in modes)
         decays = [decay_of(mode) for mode in modes]
-        end = min(end, _DECAYS * max(d.value if d else np.inf for d in decays))
-        points = _POINTS * end * max(m.frequency_hz for m in modes)
-        return np.linspace(0.0, end, int(np.clip(points, 400, 4000)))
+        spans = [_DECAYS * d.value if d else np.inf for d in decays]
+        end = min(end, max(spans))
+        each = [np.linspace(0.0, end, 100)]
+        for mode, span in zip(
+            modes, spans, strict=True
+        ):  # as dense as each is fast, while it lasts
+            span = min(span, end)
+            points = min(_MOST, int(_POINTS * span * mode.frequency_hz) + 2)
+            each.append(np.linspace(0.0, span, points))
+        return np.unique(np.concatenate(each))
 
     def saying(self, unphysical: tuple[str, ...], warnings: tuple[str, ...]) -> "Unloading":
         """The same result with other warnings, those of modes that no arm has first."""

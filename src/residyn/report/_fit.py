@@ -59,7 +59,7 @@ def _number_row(number: Any) -> dict[str, str]:
     }
 
 
-def _mode_row(mode: Any) -> dict[str, str]:
+def _mode_row(mode: Any) -> dict[str, Any]:
     frequency, frequency_std = with_error(mode.frequency_hz, mode.frequency_hz_std)
     ratio, ratio_std = with_error(100 * mode.damping_ratio, 100 * mode.damping_ratio_std)
     return {
@@ -67,6 +67,7 @@ def _mode_row(mode: Any) -> dict[str, str]:
         "frequency_std": frequency_std,
         "ratio": ratio,
         "ratio_std": ratio_std,
+        "grows": mode.grows,
         "period": plain(1 / mode.frequency_hz, 3) if mode.frequency_hz > 0 else "",
     }
 

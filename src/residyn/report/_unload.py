@@ -91,7 +91,12 @@ def _band(found: Unloading, sides: tuple[RingDown, RingDown]) -> str:
         unit = units[0] if units else None
         size = amount(width, unit, 2) if np.isfinite(width) else "without bound"
         words.append(f"{where} it is at most {size} wide")
-    return f"The band holds the motion with 95 %, if the model lacks nothing: {', '.join(words)}."
+    lacks = ", and this one does lack something" if found.fit.misses else ""
+    return (
+        f"The band holds the motion with 95 % if the model lacks nothing{lacks}: "
+        f"{', '.join(words)}. "
+        "It is not drawn where it is thinner than the line."
+    )
 
 
 def _rows(pose: Any) -> list[dict[str, str]]:
