@@ -11,7 +11,7 @@ import pytest
 
 import residyn
 from residyn.cli import main
-from residyn.fitting import Genetic, History, MissingExtra, evolution, levenberg_history
+from residyn.fitting import Genetic, History, MissingExtra, evolution, levenberg_history, methods
 from residyn.fitting.descent import wild_beside
 from residyn.fitting.genes import box
 from residyn.fitting.genetic import Part, search_of
@@ -75,7 +75,7 @@ def test_the_same_fit_comes_back(genetic, levenberg):
 
 
 def test_history_is_the_objective_of_equation_17(genetic):
-    spent, objective = genetic.history
+    spent, objective = genetic.history.simulations, genetic.history.objective
     assert (spent[0], spent[-1], len(objective)) == (24, 24 * 160, 160)
     assert (np.diff(objective) <= 0).all()
     beside = genetic.recordings[0]
@@ -224,7 +224,7 @@ def test_the_command_says_what_to_install(folder, without_evosax, capsys):
 
 def test_the_command_fits(folder, monkeypatch, capsys):
     """With fewer individuals than the paper's, to save time."""
-    monkeypatch.setattr("residyn.fitting.genetic.Genetic", lambda: Genetic(20, 40, "CMA_ES"))
+    monkeypatch.setitem(methods.GENETIC, "genetic", Genetic(20, 40, "CMA_ES"))
     status = main(["fit", "arm.toml", "--method", "genetic", "--json", "-", "--no-cache"])
     out, err = capsys.readouterr()
     assert status in (0, 1)  # 1: it was still falling
