@@ -39,7 +39,7 @@ CONTENDERS = 6
 """Candidates of each screen that are iterated, and as many pairs whose members are."""
 _ITERATIONS = 16  # of one model, at the most
 _FALL = 2  # steps of the grid that the random torque may fall by in an iteration
-_LED = 0.01  # random torque along which candidates are screened, at least: the readings lead
+_SCREENED = 0.01  # random torque along which candidates are screened, at least: the readings lead
 _SETTLED = 0.1  # nats
 _HOPELESS = 30.0  # nats behind the best on the way
 
@@ -273,7 +273,7 @@ class Search:
         """The first-order evidence of all candidates beside a model."""
         key = frozenset(parent.added)
         if key not in self.screens:
-            trajectory, intensity = self.led(parent)
+            trajectory, intensity = self.screening_motion(parent)
             self.say(f"screening {len(self.candidates)} candidates")
             lines = spectral_lines(self.scene, trajectory)
             effects = [e for e in self.candidates if self._may_join(e, trajectory)]
@@ -285,7 +285,7 @@ class Search:
 
     def extend(self, parent: Tried) -> None:
         """Try a model with one more effect, each contender in turn."""
-        trajectory, intensity = self.led(parent)
+        trajectory, intensity = self.screening_motion(parent)
         screen = self.screen(parent)
         ranked = screen.ranked
         found = {s.effect.label: s for s in ranked}
@@ -312,10 +312,10 @@ class Search:
             if found is not None:
                 self._keep((*parent.added, label), *found)
 
-    def led(self, model: Tried) -> tuple[Trajectory, float]:
+    def screening_motion(self, model: Tried) -> tuple[Trajectory, float]:
         """The motion that candidates are screened along, and its random torque: the likeliest, or
         one that still lets the readings lead."""
-        intensity = max(model.intensity, _LED)
+        intensity = max(model.intensity, _SCREENED)
         if intensity == model.intensity:
             return model.best, intensity
         system = self.scene.linearised(model.best)
@@ -339,7 +339,7 @@ class Search:
             rest = tuple(x for x in model.added if x != label)
             if frozenset(rest) in self.tried:
                 continue
-            trajectory, intensity = self.led(model)
+            trajectory, intensity = self.screening_motion(model)
             start = without(self.scene, trajectory, label)
             (found,) = settle(self.scene, [start], intensity, self.deadline)
             if found is not None:

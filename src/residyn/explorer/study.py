@@ -103,7 +103,7 @@ class Study:
         self._quick: dict[frozenset[str], Quick | None] = {}
         self._beside: Scene | None = None
         self.screen = search.screen(search.base)
-        self.loud, self.intensity = search.led(search.base)
+        self.loud, self.intensity = search.screening_motion(search.base)
         self.shapes = {s.effect.label: s.shape for s in self.screen.ranked}
 
     @property
