@@ -114,13 +114,13 @@ class Fits:
         self.experiment, self.wild, self.cut = experiment, wild, False
         self.lock = threading.Lock()
 
-    def of(self, model: Tried) -> Fit:
+    def of(self, tried: Tried) -> Fit:
         """The fit of one model.
 
         **Raises:** `FitError` if nothing finite comes of it.
         """
         began = time.perf_counter()
-        t = silenced(self.scene, model.best, model.intensity)
+        t = silenced(self.scene, tried.best, tried.intensity)
         own = [e for e in t.valued() if e.name not in ("spring", "damper")]
         with self.lock:
             self._cut(t.numbers, own)
@@ -134,13 +134,13 @@ class Fits:
             )
             numbers = found.problem.numbers(found.unknowns)
             model = here.model.with_vector(jnp.asarray(numbers))
+            predicted = np.asarray(found.compressed.predicted)
             error = integration_error(
-                found.problem, found.unknowns, found.compressed.predicted, here.recordings,
-                found.wild, predicted_at,
-            )  # fmt: skip
+                found.problem, found.unknowns, predicted, here.recordings, found.wild, predicted_at
+            )
             return finish(self.experiment, model, t.numbers, found, began, error, polish)
         except FitError:
-            lost = model.intensity >= EXPLAINS_NOTHING  # no start is better than another one
+            lost = tried.intensity >= EXPLAINS_NOTHING  # no start is better than another one
             return fit(self.experiment, effects=own, starts=1 if lost else self.starts)
 
     def _cut(self, numbers: np.ndarray, own: Sequence[AbstractEffect]) -> None:

@@ -59,7 +59,8 @@ class Minimum(NamedTuple):
         along = np.linalg.solve(lower, self.slope[..., None])[..., 0]
         total = np.sum(self.residual**2, axis=(1, 2))
         beside = np.sqrt(np.maximum(total - np.sum(along**2, axis=1), 0.0))
-        return Compressed(self.predicted, lower.transpose(0, 2, 1), along, beside)
+        found = self.predicted, lower.transpose(0, 2, 1), along, beside
+        return Compressed(*map(jnp.asarray, found))
 
 
 def minimum(problem: Problem, at: Unknowns, size: float = 1.0) -> Minimum:
@@ -110,13 +111,14 @@ def polish(problem: Problem, starts: Unknowns, shares: Sequence[float], hopeless
     """`fitting.levenberg.polish` of one start by `minimum`: first of the first so many readings
     only, then of all."""
     at, steps = jax.tree.map(lambda x: np.asarray(x)[0], starts), 0
-    recorded = problem.recorded
+    recorded, found = problem.recorded, None
     for share in shares:
         early = np.asarray(recorded.row) < np.ceil(share * problem.steps)
         weights = np.where(early[..., None], recorded.weights, 0.0)
         part = eqx.tree_at(lambda p: p.recorded.weights, problem, weights)
         found = minimum(part, at)
         at, steps = found.at, steps + found.steps
+    assert found is not None
     return Polished(at, found.compressed(), found.cost, steps, found.converged, 1)
 
 
