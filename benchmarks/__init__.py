@@ -3,6 +3,6 @@
 import contextlib
 
 with contextlib.suppress(ImportError):  # PySINDy runs where residyn is not installed
-    from residyn.ahead import quick_loops
+    from residyn.runtime.settings import quick_loops
 
     quick_loops()

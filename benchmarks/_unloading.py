@@ -8,7 +8,9 @@ from dataclasses import replace
 
 import residyn
 from residyn.fitting import Mode
-from residyn.recording import ArmTable, Bearing, Experiment, Recording
+from residyn.recordings.experiment import Experiment
+from residyn.recordings.recording import Recording
+from residyn.recordings.tables import ArmTable, Bearing
 from tests.rig import driven
 from tests.rig.arm import Arm, paper_twin
 from tests.rig.hidden import BEARINGS, HiddenCase

@@ -76,7 +76,7 @@ def recorded(
 def here(paths: Sequence[str]) -> None:
     """Diagnose each recording, and print what it took."""
     import residyn
-    from residyn.recording import ArmTable, Bearing
+    from residyn.recordings.tables import ArmTable, Bearing
 
     residyn.set_up()
     for path in paths:

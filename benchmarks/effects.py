@@ -17,8 +17,8 @@ import numpy as np
 
 import residyn
 from residyn.effects import effects_named
-from residyn.recording import ArmTable, Bearing
-from residyn.simulation import march, steps_for
+from residyn.recordings.tables import ArmTable, Bearing
+from residyn.simulation.simulate import march, steps_for
 from tests import rig
 
 

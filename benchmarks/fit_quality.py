@@ -22,8 +22,8 @@ from scipy.optimize import least_squares
 import residyn
 from benchmarks._hidden_cases import specs
 from benchmarks.effects import experiment_of as on_bearings
-from residyn.fitting.pipeline import refit
-from residyn.recording import ArmTable
+from residyn.fitting.fit import refit
+from residyn.recordings.tables import ArmTable
 from tests import rig
 
 SCIPY_EVERY = 25

@@ -35,7 +35,7 @@ from residyn.fitting.genetic import Genetic, Search, run, search_of
 from residyn.fitting.history import History, relative_error
 from residyn.fitting.setup import Ready, ready
 from residyn.fitting.trace import levenberg_history
-from residyn.plot import convergence
+from residyn.reporting.figures import convergence
 from tests import rig
 
 from .fit_quality import experiment_of, truth_of

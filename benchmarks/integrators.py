@@ -20,8 +20,8 @@ from residyn.fitting import FitError
 from residyn.fitting.integration import checked
 from residyn.fitting.problem import Problem, Unknowns, compressed, predict
 from residyn.fitting.setup import ready
-from residyn.parameter import QUADRATIC, RATIO, Memory, param
-from residyn.recording import InertiaTable
+from residyn.physics.parameter import QUADRATIC, RATIO, Memory, param
+from residyn.recordings.tables import InertiaTable
 
 MATRIX, JOINTS, UNITS = [[1.0, 0.3], [0.3, 0.5]], ("base", "tip"), ("rad", "rad")
 NOISE, REPEATS = 1e-3, 7

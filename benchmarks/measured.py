@@ -14,7 +14,7 @@ import numpy as np
 
 import residyn
 from benchmarks.measured_diagnosis import cart, carts_of
-from residyn.recording import ArmTable
+from residyn.recordings.tables import ArmTable
 
 SPRINGS = {"high": 712.6, "low": 175.3}  # N/m, published
 

@@ -24,7 +24,7 @@ import numpy as np
 
 import residyn
 from benchmarks._fresh import fresh, markdown, memory_mb
-from residyn.recording import ArmTable, InertiaTable
+from residyn.recordings.tables import ArmTable, InertiaTable
 
 BARE, LOAD = 0.5685, 0.986  # kg
 SLIDE = 95.11  # kg
@@ -84,7 +84,7 @@ def _force_left(fit: residyn.Fit, recording: residyn.Recording) -> float:
     import jax
     import jax.numpy as jnp
 
-    from residyn.motion import Motion
+    from residyn.physics.motion import Motion
 
     assert recording.drive is not None
     dt = float(np.median(np.diff(recording.time)))

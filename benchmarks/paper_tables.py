@@ -16,7 +16,7 @@ import numpy as np
 
 import residyn
 from benchmarks import _unloading
-from residyn.recording import ArmTable
+from residyn.recordings.tables import ArmTable
 from tests.rig import driven
 from tests.rig.arm import paper_twin
 

@@ -4,7 +4,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import residyn
-from residyn.plot import ladder
+from residyn.reporting.figures import ladder
 
 
 def main() -> None:

@@ -27,7 +27,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 import residyn
-from residyn.recording import ArmTable
+from residyn.recordings.tables import ArmTable
 
 from ._rivals_problem import Answer, Missing, Problem, TooSlow, cost_of, problem
 

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 import residyn
 from benchmarks import _unloading
-from residyn.plot._style import MEASURED, MODEL, RESIDUAL, WIDE, styled
+from residyn.reporting.figures.style import MEASURED, MODEL, RESIDUAL, WIDE, styled
 from tests.rig.arm import paper_twin
 
 IMAGE = Path(__file__).parents[1] / "docs/images/unload.svg"

@@ -20,7 +20,7 @@ from scipy.stats import kstest
 import residyn
 from residyn.diagnosis.linearised_fit import LinearisedFit
 from residyn.diagnosis.residuals import where
-from residyn.recording import ArmTable
+from residyn.recordings.tables import ArmTable
 from tests import rig
 
 NOISE = 5e-4

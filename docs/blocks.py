@@ -188,9 +188,10 @@ def _shared_results() -> Iterator[None]:
     """A page that shows a command and then the same in Python waits for the answer once: a fit, a
     comparison or a diagnosis of the same recordings with the same arguments is the one that was had
     before, on this page or on another."""
-    from residyn import diagnosis, fitting, recording
+    from residyn import diagnosis, fitting
+    from residyn.recordings import experiment
 
-    homes = {"load": recording, "fit": fitting, "compare_fit": diagnosis, "diagnose": diagnosis}
+    homes = {"load": experiment, "fit": fitting, "compare_fit": diagnosis, "diagnose": diagnosis}
     real = {name: getattr(home, name) for name, home in homes.items()}
 
     def load(path):

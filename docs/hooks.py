@@ -6,9 +6,12 @@ draws is found under `made/PAGE/`. Everything is kept in `.cache/docs` until the
 changes. `RESIDYN_DOCS=words` leaves out what takes time, for a look at words and links alone.
 """
 
+import ast
 import hashlib
 import html
+import importlib
 import inspect
+import itertools
 import os
 import pkgutil
 import re
@@ -194,8 +197,9 @@ def _pictures() -> dict[str, bytes]:
     def make(folder: Path) -> None:
         import functools
 
-        from residyn import plot
-        from residyn.plot import _signature
+        from residyn.reporting import figures as plot
+
+        _signature = importlib.import_module("residyn.reporting.figures.signature")
 
         # At the strength that it would have, the arm gains energy and flies apart.
         motions = functools.cache(_signature._motions)
@@ -215,7 +219,7 @@ def _overview(kinds, motions):
     import numpy as np
     from matplotlib.figure import Figure
 
-    from residyn.plot._style import FAINT, RESIDUAL, WIDE, styled
+    from residyn.reporting.figures.style import FAINT, RESIDUAL, WIDE, styled
 
     @styled
     def draw() -> Figure:
@@ -299,7 +303,7 @@ def _catalogue(stem: str) -> str:
 
 
 def _effect(kind, stem: str) -> str:
-    from residyn.parameter import parameters_of
+    from residyn.physics.parameter import parameters_of
 
     lines = [f"### {kind.name}", ""]
     lines += [
@@ -351,15 +355,17 @@ def _plain(words: str) -> str:
 def _public_names() -> str:
     """Headings and directives for mkdocstrings: every name of the package, then what its
     subpackages offer beside."""
-    import importlib
 
     import residyn
 
     parts, told = [], set()
-    for module, names in residyn._PUBLIC.items():
+    stub = ast.parse(Path(residyn.__file__).with_suffix(".pyi").read_text())
+    homes = [node for node in stub.body if isinstance(node, ast.ImportFrom) and node.module]
+    for home, names in itertools.groupby(homes, key=lambda node: node.module):
+        names = [alias.name for node in names for alias in node.names]
         told |= set(names)
-        words = _first(importlib.import_module(f"residyn.{module}"))
-        parts.append(f"## residyn: {module}\n\n{words}\n")
+        words = _first(importlib.import_module(f"residyn.{home}"))
+        parts.append(f"## residyn: {home}\n\n{words}\n")
         parts += [f"::: {_home(residyn, name)}\n" for name in names]
     for info in pkgutil.iter_modules(residyn.__path__):
         if not info.ispkg or info.name.startswith("_") or info.name == "cli":

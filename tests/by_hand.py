@@ -18,7 +18,9 @@ from residyn.diagnosis.result import (
 )
 from residyn.diagnosis.whiteness import White
 from residyn.fitting import Fit, Mode, Number, RecordingFit, mechanism_of, model_for
-from residyn.recording import ArmTable, Experiment, Recording
+from residyn.recordings.experiment import Experiment
+from residyn.recordings.recording import Recording
+from residyn.recordings.tables import ArmTable
 
 NASTY = "<script>alert('x')</script> & \"q\" $a$ {{ 7*7 }}.csv"
 WILD, LOST = 120, slice(200, 240)

@@ -6,7 +6,7 @@ from pathlib import Path
 import jax
 import pytest
 
-from residyn.ahead import quick_loops
+from residyn.runtime.settings import quick_loops
 
 quick_loops()  # the rest of `set_up` would switch float64 on, for which tests ask one by one
 CACHE = Path(__file__).parents[1] / ".pytest_cache" / "jax"

@@ -6,7 +6,7 @@ import lineax as lx
 import numpy as np
 import pytest
 
-from residyn.fitting.arrowhead import Arrowhead
+from residyn.fitting.linalg import Arrowhead
 from residyn.fitting.problem import Unknowns
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import residyn
-from residyn.recording import ArmTable
+from residyn.recordings.tables import ArmTable
 from tests import rig
 
 numpyro = pytest.importorskip("numpyro", reason="needs the extra bayes")

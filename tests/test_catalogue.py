@@ -12,8 +12,8 @@ import pytest
 import residyn
 from residyn.diagnosis.columns import candidates
 from residyn.effects import CATALOGUE, effects_named
-from residyn.motion import Motion
-from residyn.parameter import Scales, parameters_of
+from residyn.physics.motion import Motion
+from residyn.physics.parameter import Scales, parameters_of
 
 with jax.enable_x64(True):
     ARM = residyn.PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.3, bearings=[1, 1])

@@ -18,7 +18,7 @@ from residyn.diagnosis.rounding import Grid, hangs
 from residyn.diagnosis.spectrum import energies, spectrum, strips
 from residyn.diagnosis.whiteness import _narrow, _test
 from residyn.fitting import Mode, RecordingFit
-from residyn.recording import ArmTable, InertiaTable
+from residyn.recordings.tables import ArmTable, InertiaTable
 
 rig = pytest.importorskip("tests.rig")
 

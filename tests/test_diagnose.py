@@ -10,9 +10,9 @@ import pytest
 
 import residyn
 from residyn import effects
-from residyn.effects.base import JointEffect
-from residyn.parameter import Dimension, param
-from residyn.recording import ArmTable
+from residyn.physics.effect import JointEffect
+from residyn.physics.parameter import Dimension, param
+from residyn.recordings.tables import ArmTable
 from tests import rig
 
 ARM = rig.paper_twin(0.3)

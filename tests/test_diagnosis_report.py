@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 import residyn.diagnosis
-from residyn import plot, report
+from residyn import reporting as report
 from residyn.cli import main
 from residyn.diagnosis.result import Budget, Family, Value
 from residyn.fitting import FitError
-from residyn.report import _diagnosis_text as text
-from residyn.report import _words as words_of
+from residyn.reporting import diagnosis_text as text
+from residyn.reporting import figures as plot
+from residyn.reporting import words as words_of
 from tests import by_hand
 from tests.by_hand import FOUND, NEXT, RIVAL, a_candidate, a_model
 from tests.legible import legible

@@ -5,7 +5,8 @@ import pytest
 from scipy.io import savemat
 
 from residyn.cli._experiment import load as cli_load
-from residyn.recording import InputError, load
+from residyn.errors import InputError
+from residyn.recordings.experiment import load
 
 ARM = """[arm]
 link_lengths = [0.4, 0.3]

@@ -33,7 +33,7 @@ def name_of(path):
 def one_cache(monkeypatch):
     """The commands keep their compiled programs where the other tests do."""
     folder = Path(jax.config.values["jax_compilation_cache_dir"])
-    monkeypatch.setattr("residyn.ahead.cache_folder", lambda: folder)
+    monkeypatch.setattr("residyn.runtime.settings.cache_folder", lambda: folder)
     monkeypatch.setenv(_shell.TRACEBACK, "1")
 
 

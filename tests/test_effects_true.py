@@ -11,7 +11,7 @@ import pytest
 
 import residyn
 from residyn.effects import effects_named
-from residyn.modal import fastest
+from residyn.physics.modal import fastest
 from tests.rig import NAMES, Arm, Hidden, hidden_cases, record
 
 # Largest error as a share of the amplitude: twenty times below the noise of a good recording

@@ -8,7 +8,7 @@ import pytest
 
 import residyn
 from residyn import AirBearing, PlanarArm, modes, without_bearings
-from residyn.recording import ArmTable
+from residyn.recordings.tables import ArmTable
 from tests import rig
 
 ARM, SECONDS, NOISE = rig.paper_twin(0.3), 6.0, 1e-3

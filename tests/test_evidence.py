@@ -32,9 +32,9 @@ from residyn.diagnosis.evidence import (
 )
 from residyn.diagnosis.search import Tried, settle, tried_alone
 from residyn.effects import ConstantTorque, CoulombFriction, CubicStiffness, Damper, Spring
-from residyn.effects.base import JointEffect
 from residyn.filtering.trajectory import Scene
-from residyn.parameter import Dimension, param, parameters_of
+from residyn.physics.effect import JointEffect
+from residyn.physics.parameter import Dimension, param, parameters_of
 
 MASS, NOISE = 2.0, 1e-3
 CART = residyn.ConstantInertia([[MASS]], joints=("cart",), units=("m",))

@@ -5,7 +5,8 @@ import pytest
 
 from residyn.cli import main
 from residyn.demo import EXAMPLES
-from residyn.recording import InputError, load
+from residyn.errors import InputError
+from residyn.recordings.experiment import load
 from tests.test_dialects import COLUMNS, DIALECTS, T, table
 
 Q = np.stack([0.2 * np.cos(40 * T), -0.1 * np.cos(70 * T)], axis=1)

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from scipy.special import log_ndtr
 
-from residyn import demo, recording
+from residyn import demo
 from residyn.diagnosis.evidence import log_prior_model, subset
-from residyn.explorer import page
-from residyn.explorer.payload import payload
-from residyn.explorer.study import Study
+from residyn.recordings import recording
+from residyn.reporting.explorer import page
+from residyn.reporting.explorer.payload import payload
+from residyn.reporting.explorer.study import Study
 from tests.chromium import complaints, driver, until
 
 FRICTION = "coulomb_friction:elbow"

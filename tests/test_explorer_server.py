@@ -14,11 +14,11 @@ pytest.importorskip("httpx")
 
 from starlette.testclient import TestClient
 
-from residyn import recording
-from residyn._input import InputError
-from residyn.explorer import page
-from residyn.explorer.files import ExperimentFiles
-from residyn.explorer.server import Explorer
+from residyn.errors import InputError
+from residyn.recordings import recording
+from residyn.reporting.explorer import page
+from residyn.reporting.explorer.files import ExperimentFiles
+from residyn.reporting.explorer.server import Explorer
 
 PORT = 8000
 OWN = f"http://127.0.0.1:{PORT}"
@@ -38,7 +38,7 @@ class Idle:
 
 @pytest.fixture
 def client(monkeypatch):
-    monkeypatch.setattr("residyn.explorer.server.Workbench", lambda *a, **k: Idle())
+    monkeypatch.setattr("residyn.reporting.explorer.server.Workbench", lambda *a, **k: Idle())
     with demo.experiment_file() as path:
         experiment = recording.load(path)
     explorer = Explorer(experiment, name="<b>bold</b>.toml", token="secret")
@@ -157,7 +157,7 @@ def test_of_one_window_only_the_newest_is_begun_and_two_do_not_disturb_each_othe
     import asyncio
     import threading
 
-    from residyn.explorer.workbench import Worker
+    from residyn.reporting.explorer.workbench import Worker
 
     begun, gate = [], threading.Event()
 

@@ -12,7 +12,7 @@ from residyn.filtering.grid import Spectrum, bucket, lay_out
 from residyn.filtering.kalman import Noise, Readings, System, evidences, innovations, smooth
 from residyn.filtering.linearised import nodes
 from residyn.filtering.trajectory import Prior, Scene
-from residyn.simulation import simulate
+from residyn.simulation.simulate import simulate
 
 
 @pytest.fixture(autouse=True)

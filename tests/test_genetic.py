@@ -17,8 +17,8 @@ from residyn.fitting.genes import box
 from residyn.fitting.genetic import Part, search_of
 from residyn.fitting.history import relative_error
 from residyn.fitting.setup import ready
-from residyn.plot import convergence
-from residyn.recording import ArmTable
+from residyn.recordings.tables import ArmTable
+from residyn.reporting.figures import convergence
 from tests.legible import legible
 
 rig = pytest.importorskip("tests.rig")

@@ -15,7 +15,10 @@ from hypothesis import strategies as st
 
 import residyn
 from residyn.cli import main
-from residyn.recording import ArmTable, Bearing, Experiment, Recording, write_csv
+from residyn.recordings.csv import write_csv
+from residyn.recordings.experiment import Experiment
+from residyn.recordings.recording import Recording
+from residyn.recordings.tables import ArmTable, Bearing
 from tests.rig import random_arm
 from tests.rig.driven import ELBOW, SHOULDER, drive, paper_tests, sines
 

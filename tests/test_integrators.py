@@ -16,8 +16,8 @@ from residyn.cli import main
 from residyn.fitting import FitError
 from residyn.fitting.integration import checked
 from residyn.fitting.setup import Ready, ready
-from residyn.parameter import QUADRATIC, RATIO, Memory, param
-from residyn.recording import InertiaTable
+from residyn.physics.parameter import QUADRATIC, RATIO, Memory, param
+from residyn.recordings.tables import InertiaTable
 
 MATRIX, JOINTS, UNITS = [[1.0, 0.3], [0.3, 0.5]], ("base", "tip"), ("rad", "rad")
 TIME = np.arange(400) / 50

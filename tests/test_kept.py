@@ -12,9 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from residyn import PlanarArm, Spring, _cache, kept
-from residyn.kept import keep_in
-from residyn.parameter import all_floating
+from residyn import PlanarArm, Spring
+from residyn.physics.parameter import all_floating
+from residyn.runtime import cache_files as _cache
+from residyn.runtime import export_cache as kept
+from residyn.runtime.export_cache import keep_in
 from rig import paper_twin, record
 
 
@@ -243,7 +245,7 @@ def test_a_second_command_traces_no_fit_and_answers_the_same(tmp_path):
 import sys
 import residyn
 residyn.set_up(cache=sys.argv[1])
-from residyn.kept import Kept
+from residyn.runtime.export_cache import Kept
 traced, own = [], Kept._traced
 Kept._traced = lambda self, *given: traced.append(self) or own(self, *given)
 fit = residyn.fit(residyn.load(sys.argv[2]))

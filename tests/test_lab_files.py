@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from residyn import motion_capture
-from residyn._trajectories import read_trajectories
 from residyn.cli import main
-from residyn.recording import InputError, load, write_csv
+from residyn.errors import InputError
+from residyn.recordings.csv import write_csv
+from residyn.recordings.experiment import load
+from residyn.recordings.motion_capture import angles as motion_capture
+from residyn.recordings.motion_capture.trajectories import read_trajectories
 from tests.marker_files import placed, swinging, vicon
 
 NAMES = ["Shoulder", "Elbow", "Wrist"]

@@ -223,7 +223,7 @@ def test_keys(refused, key):
 
 def test_the_good_ones_are_good(tmp_path, monkeypatch):
     """Else nothing above is due to what it names."""
-    from residyn.recording import load
+    from residyn.recordings.experiment import load
 
     monkeypatch.chdir(tmp_path)
     write("x.csv", GOOD)

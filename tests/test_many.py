@@ -13,9 +13,9 @@ import pytest
 
 import residyn
 from residyn import cli
-from residyn.fitting import many
+from residyn.fitting import batch as many
 from residyn.fitting.result_lines import ResultLines
-from residyn.recording import InertiaTable
+from residyn.recordings.tables import InertiaTable
 
 TABLE = InertiaTable(("cart",), ((2.0,),), ("m",))
 T = np.arange(300) / 50.0

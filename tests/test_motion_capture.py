@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from residyn import motion_capture
-from residyn.recording import InputError
+from residyn.errors import InputError
+from residyn.recordings.motion_capture import angles as motion_capture
 from tests.marker_files import placed, swinging, table, vicon
 
 NAMES = ["Base", "Knee", "Tip"]

@@ -11,8 +11,8 @@ import pytest
 
 import residyn
 from residyn import Damper, PlanarArm, Spring, param, simulate, steps_for
-from residyn.parameter import RATIO
-from residyn.recording import ArmTable
+from residyn.physics.parameter import RATIO
+from residyn.recordings.tables import ArmTable
 from tests import rig
 
 ARM, NOISE, CUBIC = rig.paper_twin(0.3), 1e-3, 150.0  # rad; N m/rad^3

@@ -11,9 +11,9 @@ import pytest
 import residyn
 from residyn import ConstantInertia, CoulombFriction, Damper, Gravity, PlanarArm, Spring
 from residyn.effects import PrintedInertiaTorque
-from residyn.modal import at_rest, equilibrium, fastest, state_matrices, state_matrix
-from residyn.motion import Motion
-from residyn.simulation import march
+from residyn.physics.modal import at_rest, equilibrium, fastest, state_matrices, state_matrix
+from residyn.physics.motion import Motion
+from residyn.simulation.simulate import march
 
 rig = pytest.importorskip("tests.rig")
 

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 import residyn
-from residyn import demo, plot
+from residyn import demo
 from residyn.cli import main
 from residyn.procedure.carried import Carried
-from residyn.recording import Experiment
-from residyn.report._inertia import render_inertia
-from residyn.report._unload import render_unload
+from residyn.recordings.experiment import Experiment
+from residyn.reporting import figures as plot
+from residyn.reporting.inertia import render_inertia
+from residyn.reporting.unload import render_unload
 from tests.legible import legible
 from tests.test_unload import BOTH, GROWS, PAPER, STEP_2, from_numbers
 

@@ -11,11 +11,11 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from residyn import plot
 from residyn.cli import main
 from residyn.fitting import MissingExtra, Number
 from residyn.fitting.posterior import gaussian
 from residyn.fitting.publish import escaped, measured, scientific, unit
+from residyn.reporting import figures as plot
 from tests import by_hand
 
 NUMBER = re.compile(r"-?\d+(\.\d+)?")

@@ -10,20 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from residyn.recording import (
-    ArmTable,
-    Bearing,
-    Experiment,
-    InertiaTable,
-    InputError,
-    Recording,
-    estimate_noise,
-    load,
-    read_csv,
-    release_time,
-    wild_samples,
-    write_csv,
-)
+from residyn.errors import InputError
+from residyn.recordings.csv import read_csv, write_csv
+from residyn.recordings.experiment import Experiment, load
+from residyn.recordings.noise import estimate_noise
+from residyn.recordings.outliers import wild_samples
+from residyn.recordings.recording import Recording
+from residyn.recordings.release import release_time
+from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 measured = pytest.mark.skipif(not DATA.is_dir(), reason="no measured recordings here")

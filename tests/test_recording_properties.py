@@ -11,16 +11,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from residyn import _columns, _csv
-from residyn.recording import (
-    InputError,
-    Recording,
-    estimate_noise,
-    load,
-    read_csv,
-    wild_samples,
-    write_csv,
-)
+from residyn.errors import InputError
+from residyn.recordings import columns as _columns
+from residyn.recordings import csv as _csv
+from residyn.recordings.csv import read_csv, write_csv
+from residyn.recordings.experiment import load
+from residyn.recordings.noise import estimate_noise
+from residyn.recordings.outliers import wild_samples
+from residyn.recordings.recording import Recording
 
 relaxed = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 FOLDER = tempfile.TemporaryDirectory()

@@ -11,9 +11,12 @@ import pytest
 from matplotlib.figure import Figure
 
 import residyn
-from residyn import _units, _verdict, plot, report
+from residyn import reporting as report
 from residyn.demo import by_window
-from residyn.report import _picture
+from residyn.reporting import figures as plot
+from residyn.reporting import numbers as _units
+from residyn.reporting import picture as _picture
+from residyn.reporting import verdict as _verdict
 from tests.by_hand import NASTY, WILD, a_fit
 from tests.legible import legible
 
@@ -149,7 +152,7 @@ def test_lost_readings_are_gaps_and_wild_ones_are_marked(fit):
 
 
 def test_long_recordings_are_thinned_and_look_the_same():
-    from residyn.plot._overlay import _axes, _thinned
+    from residyn.reporting.figures.overlay import _axes, _thinned
 
     figure = Figure(figsize=(5, 2))
     axes = _axes(figure, 0.5, 0.5, 4.0, 1.0)

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from residyn import demo
-from residyn._sanity import not_free
-from residyn.recording import InputError, Recording, load, read_csv, write_csv
+from residyn.errors import InputError
+from residyn.recordings.csv import read_csv, write_csv
+from residyn.recordings.experiment import load
+from residyn.recordings.recording import Recording
+from residyn.recordings.sanity import not_free
 from rig import draw
 from rig.cases import clean_cases
 from rig.hidden import hidden_cases

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import residyn
-from residyn.recording import InertiaTable
+from residyn.recordings.tables import InertiaTable
 
 MASS, VISCOUS, DRY, NOISE = 20.0, 60.0, 8.0, 2e-5
 

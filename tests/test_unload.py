@@ -21,8 +21,11 @@ from residyn.fitting import Mode, mechanism_of, model_for
 from residyn.procedure.carried import Carried, modes_with_errors
 from residyn.procedure.decay import decay_of, decay_words, unphysical
 from residyn.procedure.doubts import what_would_tell
-from residyn.procedure.unloading import without_effects_of_bearings
-from residyn.recording import ArmTable, Bearing, Experiment, InertiaTable, Recording, write_csv
+from residyn.procedure.unload import without_effects_of_bearings
+from residyn.recordings.csv import write_csv
+from residyn.recordings.experiment import Experiment
+from residyn.recordings.recording import Recording
+from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
 from tests.rig.arm import paper_twin
 from tests.rig.driven import paper_tests
 from tests.rig.unloaded import INERTIA, MASS, Release, off_bearings, releases

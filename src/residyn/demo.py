@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ._input import InputError
+from .errors import InputError
 
 if TYPE_CHECKING:
     from .fitting.result import RecordingFit

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .._units import ratio
+from ..reporting.numbers import ratio
 from . import _options
 from ._experiment import diagnosed, fitted, models
 from ._shell import NoNumbers, Outputs, progress, set_up_jax
@@ -33,11 +33,11 @@ def demo(
     with progress() as say:
         say("loading")
         from .. import demo as shipped
-        from .. import recording
-        from ..report import _diagnosis_text as text
+        from ..recordings.experiment import load
+        from ..reporting import diagnosis_text as text
 
         with shipped.experiment_file() as path:
-            experiment = recording.load(path)
+            experiment = load(path)
     words = out.words
     _say(
         words,

@@ -2,7 +2,7 @@
 
 import typer
 
-from .._input import InputError
+from ..errors import InputError
 from . import _options
 from ._experiment import bring, diagnosed, input_files, load, models, title
 from ._shell import DONE, INTERRUPTED, NO_NUMBERS, Outputs, complain, set_up_jax

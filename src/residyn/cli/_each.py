@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from .._input import InputError
-from .._json import finite
-from .._units import plain, with_error
+from ..errors import InputError
+from ..reporting.json import finite
+from ..reporting.numbers import plain, with_error
 from ._shell import DONE, NO_NUMBERS, Outputs, complain, progress, set_up_jax
 
 if TYPE_CHECKING:
-    from ..fitting.many import Each
+    from ..fitting.batch import Each
 
 
 def fit_each(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .._input import InputError
+from ..errors import InputError
 from . import _options
 from ._experiment import bring
 from ._shell import console, progress
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ..effects import AbstractEffect
-    from ..parameter import Parameter
+    from ..physics.parameter import Parameter
 
 _ROOMY = 110
 """Columns of text from which the table has a column for everything."""
@@ -73,7 +73,7 @@ def effects(
 def _draw(name: str, file: str) -> None:
     with progress() as say:
         say("drawing")
-        from ..plot import signature
+        from ..reporting.figures import signature
 
         picture = signature(name)
         try:
@@ -85,7 +85,7 @@ def _draw(name: str, file: str) -> None:
 
 def _numbers(kind: "type[AbstractEffect]") -> list[str]:
     """Each parameter as `name (unit)`; both units where rotary and sliding joints differ."""
-    from ..parameter import parameters_of
+    from ..physics.parameter import parameters_of
 
     return [f"{p.name}{_unit(p)}" for p in parameters_of(kind)]
 
@@ -138,7 +138,7 @@ def _one(out: "Console", kind: "type[AbstractEffect]") -> None:
     from rich.padding import Padding
 
     from ..effects import JointEffect
-    from ..parameter import parameters_of
+    from ..physics.parameter import parameters_of
 
     def paragraph(words: str) -> None:
         out.print(Padding(words, (0, 0, 0, 2)))

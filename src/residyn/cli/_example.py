@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from .._input import InputError, quote
+from ..errors import InputError, quote
 from ._shell import DONE, console
 
 _NAMES = ("release", "driven", "bearings", "pendulum")
@@ -50,7 +50,7 @@ def new(
         raise InputError(f"{experiment}: the experiment comes first, and must end in .toml")
     if os.path.lexists(path):
         raise InputError(f"{experiment}: is there already; choose another name")
-    from .._new import experiment_text
+    from ..recordings.new_experiment import experiment_text
 
     text = experiment_text([Path(file) for file in recordings], path.parent)
     try:

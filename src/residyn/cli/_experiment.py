@@ -7,14 +7,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .._input import InputError, inside
+from ..errors import InputError, inside
 from ._shell import NoNumbers, progress
 
 if TYPE_CHECKING:
     from ..diagnosis.result import Diagnosis
     from ..fitting.result import Fit
     from ..procedure import Unloading
-    from ..recording import Experiment
+    from ..recordings.experiment import Experiment
 
 
 def load(path: str) -> "Experiment":
@@ -24,9 +24,9 @@ def load(path: str) -> "Experiment":
     """
     with progress() as say:
         say("reading")
-        from .. import recording
+        from ..recordings.experiment import load as read_experiment
 
-        loaded = recording.load(path)
+        loaded = read_experiment(path)
     for each in loaded.recordings:
         if each.understood:
             print(f"residyn: {each.name}: {each.understood}", file=sys.stderr)
@@ -40,7 +40,7 @@ def integrated_by(experiment: "Experiment", name: str | None) -> "Experiment":
     """
     if name is None:
         return experiment
-    from ..integrators import Integrator
+    from ..simulation.integrator import Integrator
 
     with inside("--integrator"):
         return dataclasses.replace(experiment, integrator=Integrator(name))
@@ -149,7 +149,7 @@ def unloaded(
 
 def models(found: "Diagnosis", title: str = "") -> "list[tuple[str, Fit]]":
     """The first and the last model of a diagnosis, each with a heading for the report."""
-    from ..report._words import base_name
+    from ..reporting.words import base_name
 
     fits = [found.base, found.fit] if found.added else [found.fit]
     return [(": ".join(filter(None, [title, base_name(fit)])), fit) for fit in fits]

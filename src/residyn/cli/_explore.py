@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from .._input import InputError
+from ..errors import InputError
 from . import _options
 from ._experiment import bring
 from ._shell import DONE, NoNumbers, console, progress, set_up_jax
@@ -45,8 +45,8 @@ def explore(
     with progress() as say, contextlib.ExitStack() as stack:
         say("loading")
         try:
-            from ..explorer.files import ExperimentFiles
-            from ..explorer.server import Explorer, serve
+            from ..reporting.explorer.files import ExperimentFiles
+            from ..reporting.explorer.server import Explorer, serve
         except ModuleNotFoundError as error:
             raise NoNumbers(f"explore needs {error.name}: pip install 'residyn[explore]'") from None
         path = Path(experiment)

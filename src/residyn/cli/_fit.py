@@ -2,7 +2,7 @@
 
 import typer
 
-from .._input import InputError
+from ..errors import InputError
 from . import _options
 from ._each import fit_each
 from ._experiment import bring, fitted, input_files, integrated_by, load, title

@@ -2,7 +2,7 @@
 
 import typer
 
-from .._input import InputError
+from ..errors import InputError
 from . import _options
 from ._experiment import input_files, load, title
 from ._shell import DONE, NO_NUMBERS, NoNumbers, Outputs, complain, progress, set_up_jax
@@ -34,7 +34,7 @@ def inertia(
     out.words.print(str(result), soft_wrap=True)
     out.write_json(result.to_dict())
     if report is not None:
-        from ..report import write_inertia
+        from ..reporting import write_inertia
 
         write_inertia(report, result, title(experiment))
         out.words.print(f"report: {report}", soft_wrap=True)

@@ -5,12 +5,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._input import InputError
+from ..errors import InputError
 from ._shell import NoNumbers
 
 if TYPE_CHECKING:
-    from ..model import Model
-    from ..recording import Experiment, Recording
+    from ..physics.model import Model
+    from ..recordings.experiment import Experiment
+    from ..recordings.recording import Recording
 
 
 def model_with(
@@ -48,7 +49,7 @@ def first_angles(
     model: "Model", experiment: "Experiment", recording: "Recording", rates: np.ndarray
 ) -> np.ndarray:
     """Angles at the first instant: a parabola of the known slope through the first readings."""
-    from ..modal import fastest
+    from ..physics.modal import fastest
 
     time = recording.time - recording.time[0]
     # Up to here, a swing at the fastest mode is a parabola within 0.3 %.
@@ -77,7 +78,7 @@ def motion(
     """
     import jax.numpy as jnp
 
-    from ..simulation import Drive, simulate
+    from ..simulation.simulate import Drive, simulate
 
     time, drive = recording.time - recording.time[0], None
     if recording.drive is not None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .._input import InputError
+from ..errors import InputError
 from . import _options
 from ._experiment import bring, in_one_line, input_files, integrated_by, load, title
 from ._shell import DONE, INTERRUPTED, NO_NUMBERS, Outputs, complain, console, set_up_jax
@@ -92,7 +92,7 @@ def race(
     out.write_json(found.to_dict())
     out.write_table(found)
     if report is not None:
-        from ..report import write_race
+        from ..reporting import write_race
 
         write_race(report, found, title(experiment))
         out.words.print(f"report: {report}", soft_wrap=True)

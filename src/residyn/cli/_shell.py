@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from .._input import InputError
-from .._json import finite
-from ..ahead import set_up
+from ..errors import InputError
+from ..reporting.json import finite
+from ..runtime.settings import set_up
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -216,7 +216,7 @@ class Outputs:
         """Write the report, if it was asked for."""
         if self.report is None:
             return
-        from ..report import write_report
+        from ..reporting import write_report
 
         with progress() as say:
             say("writing the report")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .._input import InputError, number
+from ..errors import InputError, number
 from . import _options
 from ._experiment import bring, fitted, input_files, integrated_by, load
 from ._shell import DONE, NO_NUMBERS, complain, console, progress, set_up_jax
@@ -14,7 +14,8 @@ from ._shell import DONE, NO_NUMBERS, complain, console, progress, set_up_jax
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..recording import Experiment, Recording
+    from ..recordings.experiment import Experiment
+    from ..recordings.recording import Recording
 
 _Set = Annotated[
     list[str] | None,
@@ -200,7 +201,7 @@ def _write(
 ) -> None:
     import numpy as np
 
-    from .._csv import write_csv
+    from ..recordings.csv import write_csv
 
     random = np.random.default_rng(seed)
     for path, recording, angle in zip(paths, recordings, predicted, strict=True):

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from .._input import InputError
+from ..errors import InputError
 from . import _options
 from ._experiment import bring, input_files, load, title, unloaded
 from ._shell import DONE, NO_NUMBERS, Outputs, complain, progress, set_up_jax
@@ -47,7 +47,7 @@ def unload(
     if report is not None:
         with progress() as say:
             say("writing the report")
-            from ..report import write_unload
+            from ..reporting import write_unload
 
             write_unload(report, found, title(experiment))
         out.words.print(f"report: {report}", soft_wrap=True)

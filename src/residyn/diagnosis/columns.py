@@ -17,12 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import erf, logsumexp
 
-from .._threads import side_by_side
 from ..effects import AbstractEffect, catalogue
 from ..filtering.kalman import System, innovations
 from ..filtering.law import changes_bodies, law, numbers_of, of_one_joint, reading, with_numbers
 from ..filtering.linearised import nodes, transition
 from ..filtering.trajectory import Along, Scene, Trajectory
+from ..runtime.parallel import side_by_side
 from .evidence import (
     conditional,
     half_normal,

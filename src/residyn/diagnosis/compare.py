@@ -11,7 +11,7 @@ import numpy as np
 from ..effects import AbstractEffect
 from ..fitting import DEFAULT_STARTS, fit
 from ..fitting.result import Fit
-from ..recording import Experiment
+from ..recordings.experiment import Experiment
 from .evidence import NOISE
 from .forecast import HeldOut, Horizon, held_out, horizon
 from .linearised_fit import LinearisedFit
@@ -48,7 +48,7 @@ class Comparison:
     @property
     def words(self) -> tuple[str, ...]:
         """The verdict: where the model fails, or that it does not, in a few sentences."""
-        from ..report._compare_words import sentences
+        from ..reporting.compare_words import sentences
 
         return sentences(self)
 
@@ -76,7 +76,7 @@ class Comparison:
         }
 
     def __str__(self) -> str:
-        from ..report._compare_tables import lines
+        from ..reporting.compare_tables import lines
 
         return "\n".join(lines(self))
 

@@ -16,19 +16,19 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import logsumexp
 
-from .._threads import side_by_side
 from ..effects import AbstractEffect
 from ..filtering.law import numbers_of
 from ..filtering.trajectory import Scene, Trajectory, number_slices
 from ..fitting import DEFAULT_STARTS, FitError, fit
 from ..fitting.descent import descend
 from ..fitting.drifting import without_drift
+from ..fitting.fit import finish
 from ..fitting.integration import integration_error
-from ..fitting.pipeline import finish
 from ..fitting.result import Fit
 from ..fitting.setup import ready
-from ..motion import Motion
-from ..recording import Experiment
+from ..physics.motion import Motion
+from ..recordings.experiment import Experiment
+from ..runtime.parallel import side_by_side
 from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES
 from .experiment_design import advise
 from .forecast import held_out

@@ -18,7 +18,7 @@ from ..effects import AbstractEffect
 from ..filtering.kalman import Evidences
 from ..filtering.law import numbers_of
 from ..filtering.trajectory import Prior, Scene, number_slices
-from ..parameter import Parameter
+from ..physics.parameter import Parameter
 
 # -- the numbers that decide ------------------------------------------------------------------
 

@@ -15,15 +15,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._units import amount, plain
 from ..fitting.layout import bucket
 from ..fitting.problem import posed
 from ..fitting.result import Fit
 from ..fitting.setup import Ready, mechanism_of
-from ..model import Model
-from ..nodes import read
-from ..recording import ArmTable, Experiment, InertiaTable, Recording
-from ..simulation import march
+from ..physics.model import Model
+from ..recordings.experiment import Experiment
+from ..recordings.recording import Recording
+from ..recordings.tables import ArmTable, InertiaTable
+from ..reporting.numbers import amount, plain
+from ..simulation.interpolation import read
+from ..simulation.simulate import march
 from .result import NextExperiment
 
 _SAMPLES = 256

@@ -15,11 +15,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..fitting.levenberg import Polished
+from ..fitting.least_squares import Polished
 from ..fitting.problem import Compressed, Problem, Unknowns, over_recordings, predict, tight, whiten
 from ..fitting.result import Fit, RecordingFit
 from ..fitting.setup import Ready, mechanism_of, reweighted
-from ..kept import kept
+from ..runtime.export_cache import kept
 
 # A direction of the tangent this much shorter than the longest is rounding, or undetermined.
 _BLIND = 1e-5

@@ -22,8 +22,9 @@ from ..filtering.law import law, numbers_of
 from ..filtering.trajectory import Scene, Trajectory, number_slices, state_slices
 from ..fitting.descent import wild_beside
 from ..fitting.setup import ready
-from ..model import Model
-from ..recording import Experiment, Recording
+from ..physics.model import Model
+from ..recordings.experiment import Experiment
+from ..recordings.recording import Recording
 from .evidence import CORRELATION
 from .search import Tried, tried_alone
 

@@ -256,7 +256,7 @@ class Diagnosis:
     @property
     def words(self) -> tuple[str, ...]:
         """The verdict in a few sentences."""
-        from ..report._diagnosis_text import verdict_words
+        from ..reporting.diagnosis_text import verdict_words
 
         return verdict_words(self)
 
@@ -289,17 +289,17 @@ class Diagnosis:
 
     def to_latex(self) -> str:
         """Two tables for a paper (package booktabs): the errors falling, and the candidates."""
-        from ..report._diagnosis_tables import latex
+        from ..reporting.diagnosis_tables import latex
 
         return latex(self)
 
     def to_csv(self) -> str:
         """Models and candidates, a line each: table, model, name, value, std, unit."""
-        from ..report._diagnosis_tables import comma_separated
+        from ..reporting.diagnosis_tables import comma_separated
 
         return comma_separated(self)
 
     def __str__(self) -> str:
-        from ..report._diagnosis_text import lines
+        from ..reporting.diagnosis_text import lines
 
         return "\n".join(lines(self))

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._spectrum import grid_step
+from ..recordings.polynomial_spectrum import grid_step
 
 _SHAKEN = 0.5  # steps: noise of this sigma makes the rounding error white
 _LEAST = 0.05  # steps: no prediction is better than this

@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
-from .._threads import side_by_side
 from ..effects import AbstractEffect
 from ..filtering.trajectory import Scene, Trajectory, number_slices, state_slices
 from ..fitting import FitError
+from ..runtime.parallel import side_by_side
 from .columns import Columns, Screen, candidates, extended, spectral_lines
 from .evidence import (
     EXPLAINS_NOTHING,

@@ -7,13 +7,13 @@ and the tests of the catalogue apply to it.
 import difflib
 from pathlib import Path
 
-from .._input import InputError
-from ..mechanism import AbstractMechanism
+from ..errors import InputError
+from ..physics.effect import AbstractEffect as AbstractEffect
+from ..physics.effect import JointEffect as JointEffect
+from ..physics.inertia import AbstractInertia
 from .applied import ConstantTorque as ConstantTorque
 from .applied import PeriodicDisturbance as PeriodicDisturbance
 from .asymmetric_damping import AsymmetricDamping as AsymmetricDamping
-from .base import AbstractEffect as AbstractEffect
-from .base import JointEffect as JointEffect
 from .bearing import BearingDrag as BearingDrag
 from .bearing import BearingFriction as BearingFriction
 from .bearing import BearingQuadraticDrag as BearingQuadraticDrag
@@ -102,7 +102,7 @@ def load_effects(path: str | Path) -> tuple[str, ...]:
     return tuple(kind.name for kind in kinds)
 
 
-def effects_named(words: str, mechanism: AbstractMechanism) -> tuple[AbstractEffect, ...]:
+def effects_named(words: str, mechanism: AbstractInertia) -> tuple[AbstractEffect, ...]:
     """The effects that `name` or `name:place` asks for on this mechanism, at their default values.
 
     A per-joint effect named without a joint is put at every joint.

@@ -5,9 +5,9 @@ import math
 
 import jax.numpy as jnp
 
-from ..motion import Scalar
-from ..parameter import FREQUENCY, TORQUE, Dimension, Memory, param
-from .base import JointEffect
+from ..physics.effect import JointEffect
+from ..physics.motion import Scalar
+from ..physics.parameter import FREQUENCY, TORQUE, Dimension, Memory, param
 
 
 class ConstantTorque(JointEffect):

@@ -2,9 +2,9 @@
 
 import jax.numpy as jnp
 
-from ..motion import Scalar
-from ..parameter import DAMPING, param
-from .base import JointEffect
+from ..physics.effect import JointEffect
+from ..physics.motion import Scalar
+from ..physics.parameter import DAMPING, param
 
 
 class AsymmetricDamping(JointEffect):

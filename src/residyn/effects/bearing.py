@@ -10,10 +10,11 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from ..mechanism import AbstractMechanism, PlanarArm
-from ..motion import Joints, Motion, Scalar
-from ..parameter import FORCE, POINT_DAMPING, POINT_QUADRATIC, param
-from .base import AbstractEffect
+from ..physics.effect import AbstractEffect
+from ..physics.inertia import AbstractInertia
+from ..physics.mechanism import PlanarArm
+from ..physics.motion import Joints, Motion, Scalar
+from ..physics.parameter import FORCE, POINT_DAMPING, POINT_QUADRATIC, param
 
 
 class _Slip(NamedTuple):
@@ -24,7 +25,7 @@ class _Slip(NamedTuple):
     generalised: Joints
 
 
-def _slips(motion: Motion, arm: AbstractMechanism) -> tuple[_Slip, _Slip]:
+def _slips(motion: Motion, arm: AbstractInertia) -> tuple[_Slip, _Slip]:
     """At the elbow and at the wrist."""
     assert isinstance(arm, PlanarArm)
     l1, l2 = arm.link_lengths[0], arm.link_lengths[1]

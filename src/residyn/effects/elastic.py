@@ -7,9 +7,9 @@ time, or by tying the joints to each other.
 
 import jax.numpy as jnp
 
-from ..motion import Scalar
-from ..parameter import ANGLE, CUBIC, STIFFNESS, STIFFNESS_RATE, param
-from .base import AbstractEffect, JointEffect, neighbours
+from ..physics.effect import AbstractEffect, JointEffect, neighbours
+from ..physics.motion import Scalar
+from ..physics.parameter import ANGLE, CUBIC, STIFFNESS, STIFFNESS_RATE, param
 
 
 class Spring(JointEffect):

@@ -7,9 +7,9 @@ the laws here use `motion.direction`, and the integrator finds the instants wher
 
 import jax.numpy as jnp
 
-from ..motion import Scalar
-from ..parameter import RATE, TORQUE, param
-from .base import JointEffect
+from ..physics.effect import JointEffect
+from ..physics.motion import Scalar
+from ..physics.parameter import RATE, TORQUE, param
 
 
 class CoulombFriction(JointEffect):

@@ -3,9 +3,9 @@
 import jax
 import jax.numpy as jnp
 
-from ..motion import Scalar
-from ..parameter import TORQUE, param
-from .base import AbstractEffect
+from ..physics.effect import AbstractEffect
+from ..physics.motion import Scalar
+from ..physics.parameter import TORQUE, param
 
 
 class Gravity(AbstractEffect):

@@ -3,13 +3,14 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..mechanism import AbstractMechanism, PlanarArm
-from ..motion import Scalar
-from ..parameter import RATIO, param
-from .base import AbstractEffect
+from ..physics.effect import AbstractEffect
+from ..physics.inertia import AbstractInertia
+from ..physics.mechanism import PlanarArm
+from ..physics.motion import Scalar
+from ..physics.parameter import RATIO, param
 
 
-def _needs_arm(name: str, mechanism: AbstractMechanism) -> None:
+def _needs_arm(name: str, mechanism: AbstractInertia) -> None:
     if not isinstance(mechanism, PlanarArm):
         raise ValueError(f"{name} is about the two-link arm of Eq. 2; this experiment has no [arm]")
 

@@ -7,9 +7,9 @@ follows the angle instead, at a distance that its holding torque allows.
 
 import jax.numpy as jnp
 
-from ..motion import Scalar
-from ..parameter import ANGLE, RATIO, STIFFNESS, TORQUE, Memory, param
-from .base import JointEffect
+from ..physics.effect import JointEffect
+from ..physics.motion import Scalar
+from ..physics.parameter import ANGLE, RATIO, STIFFNESS, TORQUE, Memory, param
 
 
 class Hysteresis(JointEffect):

@@ -12,8 +12,8 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-from .._input import InputError, quote
-from .base import AbstractEffect
+from ..errors import InputError, quote
+from ..physics.effect import AbstractEffect
 
 GROUP = "residyn.effects"
 

@@ -1,8 +1,8 @@
 """Errors of the sensor: they change the reading and leave the motion alone."""
 
-from ..motion import Scalar
-from ..parameter import ANGLE, DURATION, RATIO, param
-from .base import JointEffect
+from ..physics.effect import JointEffect
+from ..physics.motion import Scalar
+from ..physics.parameter import ANGLE, DURATION, RATIO, param
 
 
 class _SensorEffect(JointEffect):

@@ -2,9 +2,9 @@
 
 import jax.numpy as jnp
 
-from ..motion import Scalar
-from ..parameter import DAMPING, QUADRATIC, param
-from .base import AbstractEffect, JointEffect, neighbours
+from ..physics.effect import AbstractEffect, JointEffect, neighbours
+from ..physics.motion import Scalar
+from ..physics.parameter import DAMPING, QUADRATIC, param
 
 
 class Damper(JointEffect):

@@ -10,10 +10,10 @@ import math
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..mechanism import PlanarArm
-from ..motion import Scalar
-from ..parameter import ANGLE, FREQUENCY, INERTIA, RATE, RATIO, Memory, param
-from .base import AbstractEffect
+from ..physics.effect import AbstractEffect
+from ..physics.mechanism import PlanarArm
+from ..physics.motion import Scalar
+from ..physics.parameter import ANGLE, FREQUENCY, INERTIA, RATE, RATIO, Memory, param
 
 
 class WristFlexibility(AbstractEffect):

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..recording import Recording
+from ..recordings.recording import Recording
 
 STEP = 0.3
 """Readings are averaged up to this step times the fastest angular frequency, and ..."""

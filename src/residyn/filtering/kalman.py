@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..kept import kept
+from ..runtime.export_cache import kept
 
 
 class System(NamedTuple):

@@ -17,10 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..effects import AbstractEffect, JointEffect
-from ..kept import kept
-from ..mechanism import AbstractMechanism
-from ..motion import JointMotion, Motion, split, stack
-from ..parameter import Parameter, parameters_of
+from ..physics.inertia import AbstractInertia
+from ..physics.motion import JointMotion, Motion, split, stack
+from ..physics.parameter import Parameter, parameters_of
+from ..runtime.export_cache import kept
 
 _Effect = TypeVar("_Effect", bound=AbstractEffect)
 
@@ -92,7 +92,7 @@ def changes_bodies(effect: AbstractEffect) -> bool:
 def law(
     effect: AbstractEffect,
     numbers: np.ndarray,
-    mechanism: AbstractMechanism,
+    mechanism: AbstractInertia,
     t: np.ndarray,
     q: np.ndarray,
     v: np.ndarray,
@@ -261,7 +261,7 @@ def states_along(effect, numbers, mechanism, q, v, t, h, z0):
     return jax.lax.scan(step, z0[0], (q, v, t, h, z0, mechanism))[1]
 
 
-def first_states(effect: AbstractEffect, mechanism: AbstractMechanism, q0, v0) -> np.ndarray:
+def first_states(effect: AbstractEffect, mechanism: AbstractInertia, q0, v0) -> np.ndarray:
     """(m,) internal states at a first instant of which nothing else is known."""
     begun = effect.begin(Motion.at(0.0, tuple(map(float, q0)), tuple(map(float, v0))), mechanism)
     return np.array([float(z) for z in begun])

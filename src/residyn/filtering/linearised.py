@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.stats import norm
 
-from ..kept import kept
-from ..model import solve_inertia
-from ..motion import split, stack
+from ..physics.model import solve_inertia
+from ..physics.motion import split, stack
+from ..runtime.export_cache import kept
 from .law import RAMP
 
 

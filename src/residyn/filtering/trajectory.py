@@ -22,10 +22,10 @@ import numpy as np
 from scipy.special import erf
 
 from ..effects import AbstractEffect
-from ..mechanism import AbstractMechanism
-from ..model import Model
-from ..parameter import Parameter, Scales
-from ..recording import Recording
+from ..physics.inertia import AbstractInertia
+from ..physics.model import Model
+from ..physics.parameter import Parameter, Scales
+from ..recordings.recording import Recording
 from .grid import Grid, Spectrum, lay_out
 from .kalman import Evidences, Noise, Readings, System, evidences, smooth
 from .law import (
@@ -147,7 +147,7 @@ class Scene:
     def __init__(
         self,
         recordings: Sequence[Recording],
-        mechanisms: Sequence[AbstractMechanism],
+        mechanisms: Sequence[AbstractInertia],
         wild: Sequence[np.ndarray],
         rest: float = 0.0,
         correlation: float = 1.0,
@@ -454,7 +454,7 @@ class Along:
     q: np.ndarray  # (K, 3, n)
     v: np.ndarray
     z: np.ndarray  # (K, 3, M)
-    bodies: AbstractMechanism  # leaves (K, ...)
+    bodies: AbstractInertia  # leaves (K, ...)
     field: Field
     sums: Sums
     node_spread: np.ndarray  # (K, 3, n) standard deviation of the rates

@@ -1,18 +1,18 @@
 """Fitting a model to recordings."""
 
+from .batch import Each as Each
+from .batch import fit_many as fit_many
 from .bootstrap import Bootstrap as Bootstrap
 from .bootstrap import bootstrap as bootstrap
-from .embedded import Embedded as Embedded
-from .embedded import Solution as Solution
-from .embedded import embed as embed
 from .evolution import MissingExtra as MissingExtra
+from .fit import DEFAULT_STARTS as DEFAULT_STARTS
+from .fit import fit as fit
 from .genetic import Genetic as Genetic
 from .history import History as History
-from .many import Each as Each
-from .many import fit_many as fit_many
+from .implicit import Embedded as Embedded
+from .implicit import Solution as Solution
+from .implicit import embed as embed
 from .methods import METHODS as METHODS
-from .pipeline import DEFAULT_STARTS as DEFAULT_STARTS
-from .pipeline import fit as fit
 from .race import Race as Race
 from .race import race as race
 from .result import Fit as Fit

@@ -15,10 +15,10 @@ import numpy as np
 
 from .beginnings import frequency_of, lines
 from .descent import Descent, descend
+from .multistart import beginning, resolving
 from .result import FitError
 from .setup import Ready
 from .smoothing import uniform
-from .starts import beginning, resolving
 
 _STRENGTHS = 0.01, 0.3, 1.0  # of an effect's typical one
 _LINES = 2  # of the residual's spectrum

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..model import Model
-from ..motion import Motion, stack
+from ..physics.model import Model
+from ..physics.motion import Motion, stack
 
 _MOST = 48  # beginnings tried; beyond, shapes vary one at a time
 _LINES = 3  # frequencies tried for each periodic disturbance

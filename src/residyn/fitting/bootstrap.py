@@ -16,7 +16,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from .abreast import lanes
-from .embedded import Embedded, embed
+from .implicit import Embedded, embed
 from .result import Fit
 
 _ABREAST = 64  # fits on each device; on a CPU, which has a cache and no lanes, one after the other

@@ -9,10 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..model import Model
-from ..motion import split
-from ..recording import Recording, wild_samples
-from .levenberg import Polished, polish
+from ..physics.model import Model
+from ..physics.motion import split
+from ..recordings.outliers import wild_samples
+from ..recordings.recording import Recording
+from .least_squares import Polished, polish
 from .problem import Compressed, Problem, Unknowns
 from .result import FitError, RecordingFit
 from .setup import Ready, reweighted

@@ -12,10 +12,11 @@ import dataclasses
 
 import numpy as np
 
-from .._stretches import in_stretches
-from ..modal import concrete_state_matrix, modes_of
-from ..model import Model
-from ..recording import Experiment, Recording
+from ..physics.modal import concrete_state_matrix, modes_of
+from ..physics.model import Model
+from ..recordings.experiment import Experiment
+from ..recordings.recording import Recording
+from ..recordings.segments import in_stretches
 
 _CYCLES = 1.0  # of a mode in the recording: fewer, and it holds nothing in place
 _SAMPLES = 40  # of a stretch, at least

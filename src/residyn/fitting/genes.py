@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..model import Number as Fitted
-from ..parameter import RATIO, STIFFNESS, Dimension
+from ..physics.model import Number as Fitted
+from ..physics.parameter import RATIO, STIFFNESS, Dimension
 from .problem import Problem, Unknowns
 
 # Bounds in typical sizes (`Ready.typical`). Among 80 random arms the springs were 0.03 to 15 times

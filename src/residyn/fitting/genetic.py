@@ -17,17 +17,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..effects import AbstractEffect
-from ..recording import Experiment
+from ..recordings.experiment import Experiment
 from .descent import Descent, wild_beside
 from .evolution import evolve
+from .fit import DEFAULT_STARTS, finish
 from .genes import GENES, Genome, box, genome
 from .history import History, relative_error
 from .integration import integration_error
-from .pipeline import DEFAULT_STARTS, finish
+from .multistart import beginning, resolving
 from .problem import Compressed, Problem, Unknowns, compressed
 from .result import Fit, FitError
 from .setup import Ready, ready
-from .starts import beginning, resolving
 from .watch import watching
 
 _LAST, _FALL = 0.1, 0.01  # settled: the last tenth of the generations gained less than 1 %

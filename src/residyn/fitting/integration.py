@@ -18,12 +18,12 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..integrators import Integrator
-from ..modal import fastest
-from ..model import Model
-from ..recording import Recording
+from ..physics.modal import fastest
+from ..physics.model import Model
+from ..recordings.recording import Recording
+from ..simulation.integrator import Integrator
 from .layout import drives
-from .levenberg import predicted_at
+from .least_squares import predicted_at
 from .problem import Problem, Unknowns, over_recordings, predict
 from .result import Fit, FitError
 from .setup import Ready, ready

@@ -11,10 +11,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..equation import Piecewise
-from ..mechanism import AbstractMechanism
-from ..parameter import stacked
-from ..recording import Recording
+from ..physics.mechanism import AbstractMechanism
+from ..physics.parameter import stacked
+from ..recordings.recording import Recording
+from ..simulation.equation import Piecewise
 
 AnyArray = Array | np.ndarray  # NumPy's, until a compiled program takes it
 

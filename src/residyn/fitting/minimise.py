@@ -20,16 +20,16 @@ import numpy as np
 import optimistix as optx
 
 from ..effects import AbstractEffect
-from ..recording import Experiment
+from ..recordings.experiment import Experiment
 from .descent import wild_beside
 from .evolution import MissingExtra
 from .genetic import Found, Part, concluded
 from .history import History, relative_error
-from .levenberg import Stretch, rows
+from .least_squares import Stretch, rows
+from .multistart import beginning, resolving
 from .problem import Problem, Unknowns
 from .result import Fit, FitError
 from .setup import ready
-from .starts import beginning, resolving
 from .watch import watching
 
 STEPS = 500

@@ -18,12 +18,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..integrators import Integrator
-from ..mechanism import AbstractMechanism
-from ..model import Model
-from ..motion import Scalar
-from ..nodes import Nodes, read_rows
-from ..simulation import march
+from ..physics.mechanism import AbstractMechanism
+from ..physics.model import Model
+from ..physics.motion import Scalar
+from ..simulation.integrator import Integrator
+from ..simulation.interpolation import Nodes, read_rows
+from ..simulation.simulate import march
 from .layout import AnyArray, Recorded, bucket, read_of
 
 # A residual beyond this many sigma comes from a simulation that has run away.

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from .._units import plain, prefixed
+from ..reporting.numbers import plain, prefixed
 
 if TYPE_CHECKING:
     from .result import Fit

@@ -19,11 +19,11 @@ import jax
 import numpy as np
 
 from ..effects import AbstractEffect
-from ..recording import Experiment
+from ..recordings.experiment import Experiment
 from .evolution import evosax_or_missing
+from .fit import fit
 from .history import History
 from .methods import DEFAULT_METHODS, GENETIC, GIVEN, LEVENBERG, RANDOM, title_of
-from .pipeline import fit
 from .result import Fit, FitError
 from .watch import Watch, watched
 

@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..effects import AbstractEffect
-from ..recording import Experiment
+from ..recordings.experiment import Experiment
 from .descent import descend, wild_beside
+from .fit import finish
 from .genetic import Genetic, Search, search_of
 from .history import relative_error
-from .pipeline import finish
 from .result import Fit
 from .setup import ready
 from .watch import watching

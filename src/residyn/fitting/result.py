@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from .._stretches import wholes
-from ..model import Model
-from ..recording import Experiment, Recording
+from ..physics.model import Model
+from ..recordings.experiment import Experiment
+from ..recordings.recording import Recording
+from ..recordings.segments import wholes
 from .history import History
 
 STRONG = 0.9

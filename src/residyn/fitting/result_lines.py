@@ -21,11 +21,11 @@ from typing import IO, Any
 
 import numpy as np
 
-from .._input import InputError
-from .._json import finite
 from ..effects import AbstractEffect, catalogue
-from ..kept import sources
-from ..recording import Experiment
+from ..errors import InputError
+from ..recordings.experiment import Experiment
+from ..reporting.json import finite
+from ..runtime.export_cache import sources
 
 if sys.platform != "win32":
     import fcntl

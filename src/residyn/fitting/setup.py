@@ -8,16 +8,18 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..bearings import AirBearing, without_bearings
 from ..effects import AbstractEffect, effects_named
-from ..integrators import Integrator, integrator_of
-from ..kept import kept
-from ..mechanism import AbstractMechanism, ConstantInertia, PlanarArm
-from ..modal import fastest, ringing
-from ..model import Model
-from ..motion import split
-from ..parameter import Scales, all_floating
-from ..recording import ArmTable, Experiment, Recording
+from ..physics.bearings import AirBearing, without_bearings
+from ..physics.mechanism import AbstractMechanism, ConstantInertia, PlanarArm
+from ..physics.modal import fastest, ringing
+from ..physics.model import Model
+from ..physics.motion import split
+from ..physics.parameter import Scales, all_floating
+from ..recordings.experiment import Experiment
+from ..recordings.recording import Recording
+from ..recordings.tables import ArmTable
+from ..runtime.export_cache import kept
+from ..simulation.integrator import Integrator, integrator_of
 from .layout import bucket, lay_out
 from .problem import Problem, Unknowns, posed
 

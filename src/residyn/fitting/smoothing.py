@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..recording import Recording
+from ..recordings.recording import Recording
 
 _POWER = 5  # (1 - s^2)^5 is smooth enough at its ends for two derivatives
 _EVEN = 1e-6  # of the spacing

@@ -13,14 +13,14 @@ import numpy as np
 import optimistix as optx
 
 from ..effects import AbstractEffect
-from ..recording import Experiment
+from ..recordings.experiment import Experiment
 from .descent import shares_of, wild_beside
+from .fit import DEFAULT_STARTS
 from .history import History, relative_error
-from .levenberg import STEPS, Polished, Stretch, rows, solver, together
-from .pipeline import DEFAULT_STARTS
+from .least_squares import STEPS, Polished, Stretch, rows, solver, together
+from .multistart import beginning, resolving
 from .problem import Problem, Unknowns
 from .setup import ready
-from .starts import beginning, resolving
 
 _OPTIONS = {"jac": "fwd"}
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .identify import in_words
+from .covariance import in_words
 from .integration import TENTH
 from .result import NEGATIVE, Fit, RecordingFit
 

@@ -2,5 +2,5 @@
 
 from .inertia import inertia as inertia
 from .result import InertiaResult as InertiaResult
+from .unload import unload as unload
 from .unloaded import Unloading as Unloading
-from .unloading import unload as unload

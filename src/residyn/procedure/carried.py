@@ -17,13 +17,14 @@ import numpy as np
 
 from ..effects import AbstractEffect
 from ..fitting import Fit, Mode
-from ..fitting.identify import information
+from ..fitting.covariance import information
 from ..fitting.layout import Recorded
 from ..fitting.problem import Problem, predict, whiten
 from ..fitting.setup import ready
-from ..mechanism import AbstractMechanism, PlanarArm
-from ..modal import modes, state_matrix
-from ..model import Model
+from ..physics.inertia import AbstractInertia
+from ..physics.mechanism import PlanarArm
+from ..physics.modal import modes, state_matrix
+from ..physics.model import Model
 
 NAMES = ("shoulder", "elbow", "coupling")
 _BLIND = 1e-10
@@ -126,13 +127,13 @@ def _slopes(problem: Problem, one: Recorded, numbers, state):
     return jax.vmap(lambda e: jax.jvp(residual, (z,), (e,))[1], out_axes=1)(jnp.eye(len(z)))
 
 
-def inertias(mechanism: AbstractMechanism) -> jax.Array:
+def inertias(mechanism: AbstractInertia) -> jax.Array:
     """(3,) shoulder, elbow, coupling of an arm."""
     assert isinstance(mechanism, PlanarArm)
     return jnp.stack([mechanism.shoulder, mechanism.elbow, mechanism.coupling])
 
 
-def with_inertias(mechanism: AbstractMechanism, change: Callable) -> AbstractMechanism:
+def with_inertias(mechanism: AbstractInertia, change: Callable) -> AbstractInertia:
     """The arm with its three inertias (3,) changed."""
     now = change(inertias(mechanism))
     return eqx.tree_at(lambda a: (a.shoulder, a.elbow, a.coupling), mechanism, tuple(now))

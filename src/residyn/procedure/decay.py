@@ -9,8 +9,8 @@ import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
-from .._units import plain, with_error
 from ..fitting import Mode
+from ..reporting.numbers import plain, with_error
 
 if TYPE_CHECKING:
     from .unloaded import Unloading

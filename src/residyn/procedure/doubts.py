@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._units import plain
 from ..fitting.result import STRONG
+from ..reporting.numbers import plain
 
 if TYPE_CHECKING:
     from .unloaded import Unloading

@@ -13,10 +13,12 @@ from scipy.interpolate import BSpline
 from scipy.ndimage import binary_dilation
 from scipy.signal import oaconvolve
 
-from .._input import InputError, inside
+from ..errors import InputError, inside
 from ..fitting import FitError
 from ..fitting.smoothing import Uniform, uniform
-from ..recording import Recording, estimate_noise, wild_samples
+from ..recordings.noise import estimate_noise
+from ..recordings.outliers import wild_samples
+from ..recordings.recording import Recording
 
 _BRAKED = 0.2
 """The most that a braked joint may move, as a share of the driven one's range."""

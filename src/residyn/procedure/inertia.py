@@ -14,11 +14,12 @@ import jax
 import numpy as np
 from scipy.special import chdtrc
 
-from .._input import InputError
-from ..bearings import AirBearing, with_bearings
+from ..errors import InputError
 from ..fitting import FitError
-from ..mechanism import PlanarArm
-from ..recording import ArmTable, Experiment
+from ..physics.bearings import AirBearing, with_bearings
+from ..physics.mechanism import PlanarArm
+from ..recordings.experiment import Experiment
+from ..recordings.tables import ArmTable
 from .driven import DrivenTest, driven_test
 from .ordinary import ordinary
 from .result import InertiaResult, Number, Separation, TestResult

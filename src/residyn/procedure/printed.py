@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._units import plain, ratio, with_error
+from ..reporting.numbers import plain, ratio, with_error
 
 if TYPE_CHECKING:
     from .result import InertiaResult, Number, TestResult

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..fitting import FitError
-from ..recording import ArmTable, Experiment
+from ..recordings.experiment import Experiment
+from ..recordings.tables import ArmTable
 from .driven import DrivenTest
 from .printed import arm_lines, report_lines
 from .weak import Solved

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..model import Model
-from ..nodes import Trajectory
-from ..simulation import simulate, steps_for
+from ..physics.model import Model
+from ..simulation.interpolation import Trajectory
+from ..simulation.simulate import simulate, steps_for
 from .carried import Carried, with_inertias
 
 DRAWS = 200

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..fitting import Fit, Mode, RecordingFit
-from ..model import Model
-from ..nodes import Trajectory
+from ..physics.model import Model
+from ..simulation.interpolation import Trajectory
 from .carried import NAMES, Carried, inertias
 from .decay import decay_of
 from .ringdown import DRAWS, RingDown, ring_down

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._units import amount, plain, ratio, with_error
 from ..fitting import Mode
+from ..reporting.numbers import amount, plain, ratio, with_error
 from .carried import NAMES, inertias
 from .decay import decay_words
 

@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
 from ..fitting import FitError
-from ..fitting.identify import spread_of
+from ..fitting.covariance import spread_of
 from .driven import DrivenTest, kernel, smoothed
 
 _MOST_ROWS = 500

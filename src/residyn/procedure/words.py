@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import chdtrc
 
-from .._input import InputError
-from .._tables import check_bearings
-from .._units import plain, ratio
-from ..recording import ArmTable
+from ..errors import InputError
+from ..recordings.tables import ArmTable, check_bearings
+from ..reporting.numbers import plain, ratio
 from .printed import CLOSE
 from .weak import CALIBRATED
 

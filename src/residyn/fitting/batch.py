@@ -1,0 +1,171 @@
+"""Many experiments: what a laboratory has at the end of a day.
+
+Compiled programs serve every experiment of the same model whose recordings have about the same
+length, so all but the first fits are quick. Where JAX has several devices, or one that is no CPU,
+fits run in batches that share a program and all devices. Results are written as they come, a line
+each (`result_lines`); a run that was killed goes on where it stopped; one broken recording costs
+its own line and no other. With an executor of `concurrent.futures`, or anything that looks like
+one, such as a Dask cluster's, processes and machines share the work.
+"""
+
+import contextlib
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from functools import partial
+from typing import Any, NamedTuple
+
+from ..effects import AbstractEffect
+from ..errors import InputError
+from ..recordings.experiment import Experiment, load
+from .abreast import lanes, together
+from .fit import DEFAULT_STARTS, fit
+from .result import Fit, FitError
+from .result_lines import ResultLines, digest
+
+_ABREAST = 16  # fits on each device that is no CPU
+_AHEAD = 64  # fits that an executor holds: enough for many workers, little memory
+
+
+class Each(NamedTuple):
+    """What became of one experiment."""
+
+    name: str
+    fit: Fit | None
+    """None where there is none, where it was done before, or where another process did it."""
+    told: dict[str, Any]
+    """`name`, `digest` of all it depends on, and the fit's `to_dict()` or, in one line, `error`."""
+    before: bool = False
+    """Whether it was read from the file of an earlier run."""
+
+
+def fit_many(
+    experiments: Iterable[str | os.PathLike[str] | Experiment],
+    *,
+    effects: Sequence[str | AbstractEffect] = (),
+    starts: int = DEFAULT_STARTS,
+    out: str | os.PathLike[str] | None = None,
+    progress: Callable[[str], None] | None = None,
+    executor: Executor | None = None,
+    batch: int | None = None,
+) -> Iterator[Each]:
+    """Fit each of many experiments; an iterator, so that nothing is kept that nobody wants.
+
+    **Arguments:**
+
+    - `experiments`: TOML files, or experiments (told apart by their `path`, else their number).
+    - `effects`, `starts`, `progress`: as of `residyn.fit`.
+    - `out`: a file of JSON lines to add to. What stands in it already is not fitted again. What
+      ended in an error there, or was made of other files, effects, options or another version, is
+      fitted again and its old line is taken out, and so is a last line that was cut short.
+    - `executor`: where to fit, such as a `ProcessPoolExecutor` (with the start method "spawn": JAX
+      does not outlive a fork) or `dask.distributed.Client(...).get_executor()`. Its workers read
+      files by the same names, and know the effects of packages but none that were adopted here.
+    - `batch`: fits that run together on each device; None is what suits it (1 on a CPU). The
+      results of a batch come all at once.
+
+    **Yields:** an `Each` for every experiment, in order (with an executor, as they are done); bad
+    input and fits that led nowhere are lines with an `error`, not exceptions.
+
+    **Raises:** `ValueError` for an empty batch, or one beside an executor, whose workers fit one at
+    a time; `InputError` if two experiments have the same name, or `out` holds something
+      else, cannot be written, or is written by another run.
+    """
+    if batch is not None and (batch < 1 or executor is not None):
+        raise ValueError(f"batch = {batch}: must be at least 1, and not beside an executor")
+    named, seen = [], set()
+    for index, one in enumerate(experiments):
+        name = one.path or f"experiment {index + 1}" if isinstance(one, Experiment) else str(one)
+        if name in seen:
+            raise InputError(f"{name} is there twice: results could not be told apart")
+        seen.add(name)
+        named.append((name, one))
+    say = progress or (lambda words: None)
+    with contextlib.ExitStack() as opened:
+        if out is None:
+            lines, done, digests = None, {}, {}
+        else:
+            digests = {name: digest(one, effects, starts) for name, one in named}
+            lines = opened.enter_context(contextlib.closing(ResultLines(out, digests)))
+            done = lines.done
+        left = [(name, one) for name, one in named if name not in done]
+        if executor is None:
+            width = lanes(batch, _ABREAST)
+            fresh = _in_batches(left, effects, starts, say, width)
+            every = _in_order(named, done, fresh)
+        else:
+            every = _first(done, _abreast(left, effects, starts, say, executor))
+        for each in every:
+            if lines is not None and not each.before:
+                told = {"name": each.name, "digest": digests[each.name]} | each.told
+                each = each._replace(told=told)
+                lines.add(told)
+            yield each
+
+
+def _in_order(named, done: dict[str, dict[str, Any]], fresh: Iterator[Each]) -> Iterator[Each]:
+    for name, _ in named:
+        yield Each(name, None, done[name], True) if name in done else next(fresh)
+
+
+def _first(done: dict[str, dict[str, Any]], fresh: Iterator[Each]) -> Iterator[Each]:
+    yield from (Each(name, None, told, True) for name, told in done.items())
+    yield from fresh
+
+
+def _in_batches(left, effects, starts: int, say, width: int) -> Iterator[Each]:
+    works = []
+    for count, (name, one) in enumerate(left, start=1):
+        at = f"{name} ({count} of {len(left)}): "
+        progress = lambda words, at=at: say(at + words)  # noqa: E731
+        works.append(partial(_fitted, name, one, effects, starts, progress))
+    for first in range(0, len(works), width):
+        some = works[first : first + width]
+        yield from together(some) if width > 1 else [some[0]()]
+
+
+def _abreast(left, effects, starts: int, say: Callable[[str], None], executor: Executor):
+    """Each as it is done, a few waiting their turn."""
+    waiting: dict[Future[Each], str] = {}
+    todo, count = list(reversed(left)), 0
+    while todo or waiting:
+        while todo and len(waiting) < _AHEAD:
+            name, one = todo.pop()
+            try:
+                waiting[executor.submit(_told, name, one, effects, starts)] = name
+            except BrokenExecutor:
+                yield _lost(name)
+        for future in wait(waiting, return_when=FIRST_COMPLETED).done if waiting else ():
+            name, count = waiting.pop(future), count + 1
+            say(f"{count} of {len(left)} done: {name}")
+            try:
+                yield future.result()
+            except BrokenExecutor:
+                yield _lost(name)
+
+
+def _told(*given) -> Each:
+    """What travels between processes: numbers, not the recordings they came from."""
+    return _fitted(*given)._replace(fit=None)
+
+
+def _lost(name: str) -> Each:
+    error = "the process that was to fit it has died (memory?): run it again"
+    return Each(name, None, {"name": name, "error": error})
+
+
+def _fitted(
+    name: str,
+    one: str | os.PathLike[str] | Experiment,
+    effects: Sequence[str | AbstractEffect],
+    starts: int,
+    say: Callable[[str], None] | None = None,
+) -> Each:
+    found, told = None, {"name": name}
+    try:
+        experiment = one if isinstance(one, Experiment) else load(one)
+        found = fit(experiment, effects=effects, starts=starts, progress=say)
+        told |= found.to_dict()
+    except (InputError, FitError, ValueError) as error:
+        told["error"] = str(error)
+    return Each(name, found, told)

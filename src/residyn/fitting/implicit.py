@@ -1,0 +1,280 @@
+"""The fit as a function that JAX can trace: for `jit`, `vmap` and `grad` of whole fits.
+
+`residyn.fit` decides much in Python: where to start, how long a step may be, which readings are
+wild. `embed` keeps these decisions of a finished fit and leaves one pure function of arrays: give
+it other readings or other bodies, and it descends to their least squares from where that fit stood.
+
+A minimum is differentiated by what it satisfies, not by the way that led to it. At the minimum the
+gradient g(y, p) of the cost vanishes, whatever the problem p; so dy/dp = -(dg/dy)^-1 dg/dp, which
+takes no memory of the steps (the implicit function theorem).
+"""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
+
+from ..physics.mechanism import AbstractMechanism
+from ..physics.model import Model
+from ..physics.parameter import all_floating, stacked
+from .least_squares import Stretch, rows, solver
+from .problem import Compressed, Problem, Unknowns, compressed, posed, predict, whiten
+from .result import Fit
+from .setup import ready
+
+_STEPS = 60
+
+
+class Solution(eqx.Module):
+    """Where an embedded fit ended; every field may be differentiated."""
+
+    numbers: Float[Array, " P"]
+    """The model's numbers, as `Embedded.names` has them, each in its own unit."""
+    states: Float[Array, "R s"]
+    """Initial states (q0, v0, z0) of each recording."""
+    chi2: Float[Array, ""]
+    """Sum of squared residuals in units of the noise."""
+    covariance: Float[Array, "P P"]
+    """Of the numbers, if what is left is white noise of the size stated: (J'J)^-1."""
+    converged: Bool[Array, ""]
+    steps: Int[Array, ""]
+    predicted: Float[Array, "R N n"]
+    """Predicted readings, rad or m; those of a shorter recording are filled up."""
+    model: Model
+    """The fitted model, on the first recording's bodies."""
+
+
+class Embedded(eqx.Module):
+    """A fit to do again, as a pytree: from `embed`."""
+
+    problem: Problem
+    start: Unknowns
+    usable: list[Bool[Array, "N n"]]
+    noise: list[Float[Array, " n"]]
+    names: tuple[str, ...] = eqx.field(static=True)
+    """`effect.number` of each number."""
+
+    # -- variations --------------------------------------------------------------------------
+
+    def with_angles(self, *angles: ArrayLike) -> "Embedded":
+        """The same fit to other readings, one array (N, n) in rad or m for each recording, at the
+        same instants; NaN is a lost sample.
+
+        **Raises:** `ValueError` for a wrong number of arrays or a wrong shape.
+        """
+        if len(angles) != len(self.usable):
+            raise ValueError(f"{len(angles)} arrays of angles for {len(self.usable)} recordings")
+        recorded = self.problem.recorded
+        grid, weights = jnp.asarray(recorded.angles), jnp.asarray(recorded.weights)
+        for i, given in enumerate(angles):
+            x = jnp.asarray(given, float)
+            if x.shape != self.usable[i].shape:
+                raise ValueError(
+                    f"angles of recording {i + 1} have shape {x.shape}: must be "
+                    f"{self.usable[i].shape}"
+                )
+            seen = jnp.isfinite(x) & self.usable[i]
+            grid = grid.at[i, : len(x)].set(jnp.where(seen, x, 0.0))
+            weights = weights.at[i, : len(x)].set(jnp.where(seen, 1.0 / self.noise[i], 0.0))
+        return eqx.tree_at(
+            lambda e: (e.problem.recorded.angles, e.problem.recorded.weights),
+            self,
+            (grid, weights),
+        )
+
+    def with_mechanism(self, *mechanisms: AbstractMechanism) -> "Embedded":
+        """The same readings on other bodies: one mechanism for each recording, or one for all."""
+        count = len(self.usable)
+        if len(mechanisms) not in (1, count):
+            raise ValueError(f"{len(mechanisms)} mechanisms for {count} recordings")
+        all_of_them = mechanisms if len(mechanisms) == count else mechanisms * count
+        each = [all_floating(m) for m in all_of_them]
+        return eqx.tree_at(
+            lambda e: (e.problem.recorded.mechanism, e.problem.model),
+            self,
+            (stacked(each), posed(self.problem.model, each[0])),
+        )
+
+    def with_start(
+        self, numbers: Float[Array, " P"], states: Float[Array, "R s"] | None = None
+    ) -> "Embedded":
+        """The same fit from another start; it must be near enough that no cycle is missed."""
+        own = self.problem.states(self.start) if states is None else jnp.asarray(states, float)
+        y = self.problem.scaled(jnp.asarray(numbers, float), own)
+        return eqx.tree_at(lambda e: e.start, self, y)
+
+    # -- use ---------------------------------------------------------------------------------
+
+    @eqx.filter_jit
+    def solve(self) -> Solution:
+        """Least squares over all numbers and initial states.
+
+        Differentiable in anything that was put in, in forward and reverse mode, by the implicit
+        function theorem. A descent that did not settle says so in `converged`.
+        """
+        y, steps, done = _minimum(self.problem, self.start)
+        squeezed = compressed(self.problem, y)
+        numbers = jnp.asarray(self.problem.numbers(y))
+        return Solution(
+            numbers=numbers,
+            states=jnp.asarray(self.problem.states(y)),
+            chi2=_misfit(squeezed),
+            covariance=_covariance(self.problem, squeezed),
+            converged=done,
+            steps=steps,
+            predicted=squeezed.predicted,
+            model=self.problem.model.with_vector(numbers),
+        )
+
+    def chi2(
+        self, numbers: Float[Array, " P"], states: Float[Array, "R s"] | None = None
+    ) -> Float[Array, ""]:
+        """Sum of squared residuals in units of the noise; minus half of it is the log likelihood,
+        but for a constant. `states` None are those of the start."""
+        problem, joints = self.problem, self.problem.recorded.angles.shape[-1]
+        own = problem.states(self.start) if states is None else jnp.asarray(states, float)
+
+        def one(recorded, state):
+            return jnp.sum(whiten(recorded, predict(problem, recorded, numbers, state)) ** 2)
+
+        # What is known of memories counts as a reading.
+        known = jnp.sum((own / problem.scale.states)[:, 2 * joints :] ** 2)
+        return jnp.sum(jax.vmap(one)(problem.recorded, own)) + known
+
+    def covariance(
+        self, numbers: Float[Array, " P"], states: Float[Array, "R s"] | None = None
+    ) -> Float[Array, "U U"]:
+        """Of the P numbers and, after them, the R s initial states, U in all, each in its own unit,
+        if what is left is white noise of the size stated: the mass matrix of a sampler of `chi2`.
+
+        It is (J'J)^-1 at this point; its first P rows and columns at the minimum are
+        `Solution.covariance`. `states` None are those of the start.
+        """
+        problem = self.problem
+        own = problem.states(self.start) if states is None else jnp.asarray(states, float)
+        y = problem.scaled(jnp.asarray(numbers, float), own)
+        squeezed = compressed(problem, y)
+        (count, each), p = own.shape, y.numbers.shape[0]
+        total = jnp.zeros((p + count * each, p + count * each))
+        for i, factor in enumerate(squeezed.factor):
+            # Each recording knows of the numbers and of its own state.
+            seen = np.r_[:p, p + i * each : p + (i + 1) * each]
+            total = total.at[np.ix_(seen, seen)].add(factor.T @ factor)
+        size = jnp.concatenate([problem.scale.numbers, problem.scale.states.reshape(-1)])
+        return jnp.linalg.inv(total) * size * size[:, None]
+
+    def readings(self, predicted: Float[Array, "R N n"]) -> list[Float[Array, "N n"]]:
+        """`Solution.predicted`, recording by recording, each of its own length."""
+        pairs = zip(predicted, self.usable, strict=True)
+        return [x[: len(own)] for x, own in pairs]
+
+
+def embed(fit: Fit, *, integrator: Any = None) -> Embedded:
+    """A finished fit as a function of its readings and bodies, for use inside `jax.jit`, `vmap` and
+    `grad`.
+
+    Step, wild readings and start are that fit's. Use it in float64: `jax.config.update(
+    "jax_enable_x64", True)`, or inside `with jax.enable_x64(True)`.
+
+    **Arguments:**
+
+    - `integrator`: as of `residyn.fit`; None is that of the fit. With a solver of diffrax, take
+      derivatives in forward mode.
+
+    **Raises:** `ValueError` in single precision, in which no fit can settle; `InputError` for an
+    integrator that does not exist or cannot integrate an effect of the model.
+    """
+    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        raise ValueError(
+            "no fit can settle in single precision: embed it in float64, after "
+            'jax.config.update("jax_enable_x64", True) or inside `with jax.enable_x64(True)`'
+        )
+    fitted = [r for r in fit.recordings if r.recording.role != "check"]
+    effects = [e for e in fit.model.effects if e.name not in ("spring", "damper")]
+    experiment = fit.experiment
+    if integrator is not None:
+        experiment = dataclasses.replace(experiment, integrator=integrator)
+    here = ready(experiment, [r.recording for r in fitted], effects)
+    problem, _ = here.problem(fit.model, [r.wild for r in fitted], fixed=True)
+    start = problem.scaled(fit.model.vector(), jnp.asarray(np.stack([r.state for r in fitted])))
+    return Embedded(
+        problem=jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_array_like(x) else x, problem),
+        start=start,
+        usable=[jnp.asarray(~r.wild) for r in fitted],
+        noise=[jnp.asarray(r.recording.noise) for r in fitted],
+        names=tuple(n.name for n in fit.model.fitted),
+    )
+
+
+# -- the minimum, and how it moves -----------------------------------------------------------
+
+
+@eqx.filter_custom_jvp
+def _minimum(problem: Problem, start: Unknowns):
+    """(unknowns, steps, whether they settled)."""
+    solution = optx.least_squares(
+        rows,
+        solver(start),
+        start,
+        args=Stretch(problem),
+        has_aux=True,
+        options={"jac": "fwd"},
+        max_steps=_STEPS,
+        throw=False,
+    )
+    done = solution.result == optx.RESULTS.successful
+    return solution.value, solution.stats["num_steps"], done
+
+
+@_minimum.def_jvp
+def _minimum_jvp(primals, tangents):
+    problem, start = primals
+    y, steps, done = _minimum(problem, start)
+    moving, fixed = eqx.partition(problem, eqx.is_inexact_array)
+    moved = jax.tree.map(
+        lambda x, t: t if t is not None or x is None else jnp.zeros_like(x),
+        moving,
+        tangents[0],
+        is_leaf=lambda x: x is None,
+    )
+    flat, back = jax.flatten_util.ravel_pytree(y)
+
+    def gradient(flat, moving):
+        slope = _gradient(eqx.combine(moving, fixed), back(flat))
+        return jax.flatten_util.ravel_pytree(slope)[0]
+
+    push = jax.jvp(lambda p: gradient(flat, p), (moving,), (moved,))[1]
+    curve = jax.jacfwd(lambda z: gradient(z, moving))(flat)
+    return (y, steps, done), (back(-jnp.linalg.solve(curve, push)), None, None)
+
+
+def _gradient(problem: Problem, y: Unknowns) -> Unknowns:
+    """Of half of chi-square, J'r, in forward mode: reverse mode would compile for minutes."""
+    squeezed = compressed(problem, y)
+    local = jnp.einsum("rij,ri->rj", squeezed.factor, squeezed.along)
+    p = problem.scale.numbers.shape[0]
+    return Unknowns(jnp.sum(local[:, :p], axis=0), local[:, p:])
+
+
+def _misfit(squeezed: Compressed) -> Float[Array, ""]:
+    return jnp.sum(squeezed.along**2) + jnp.sum(squeezed.beside**2)
+
+
+def _covariance(problem: Problem, squeezed: Compressed) -> Float[Array, "P P"]:
+    """(J'J)^-1, its block of the numbers: each recording's states are taken out first."""
+    size = problem.scale.numbers
+    p = size.shape[0]
+
+    def one(factor):
+        square = factor.T @ factor
+        inner = jnp.linalg.solve(square[p:, p:], square[p:, :p])
+        return square[:p, :p] - square[:p, p:] @ inner
+
+    information = jnp.sum(jax.vmap(one)(squeezed.factor), axis=0)
+    return jnp.linalg.inv(information) * size * size[:, None]

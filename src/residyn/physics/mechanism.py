@@ -1,0 +1,123 @@
+"""Mechanisms: bodies without forces, to which effects are added.
+
+`mechanism + effect` is a `Model`. The arm of the paper is `PlanarArm`; anything whose mass matrix
+does not depend on the positions is a `ConstantInertia`.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from .effect import AbstractEffect
+from .inertia import AbstractInertia
+from .model import Model
+from .parameter import floating
+
+
+class AbstractMechanism(AbstractInertia):
+    """A mechanism of n coordinates. To write one: give `joints`, `units` and `mass_matrix`.
+
+    `inertia_torque` then follows from the mass matrix by automatic differentiation (Lagrange), and
+    so conserves energy; a closed form, where you have one, is only faster.
+    """
+
+    def __add__(self, effect: AbstractEffect) -> Model:
+        """`mechanism + effect`: a Model."""
+        return Model(self) + effect
+
+
+class PlanarArm(AbstractMechanism):
+    """Two links in a plane: the arm of the paper, Eq. 2.
+
+    **Arguments:**
+
+    - `link_lengths`: l1, l2 in m.
+    - `shoulder`: I1 + m2 l1^2, kg m^2.
+    - `elbow`: I2 about the elbow joint, kg m^2.
+    - `coupling`: m2 rho2, kg m.
+    - `theta2`: elbow angle at rest, rad.
+    - `bearings`: how many air bearings ride on the elbow and how many on the wrist (the end of
+      link 2). Their mass is in the inertias already; this says where they slide.
+    """
+
+    link_lengths: Float[Array, " 2"]
+    shoulder: Float[Array, ""]
+    elbow: Float[Array, ""]
+    coupling: Float[Array, ""]
+    theta2: Float[Array, ""]
+    bearings: Float[Array, " 2"]
+    joints: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[str, ...] | None = eqx.field(static=True)
+
+    def __init__(
+        self,
+        link_lengths: ArrayLike | Sequence[float],
+        shoulder: ArrayLike,
+        elbow: ArrayLike,
+        coupling: ArrayLike,
+        theta2: ArrayLike = 0.0,
+        bearings: ArrayLike | Sequence[float] = (0.0, 0.0),
+    ):
+        self.link_lengths = floating(link_lengths)
+        self.shoulder = floating(shoulder)
+        self.elbow = floating(elbow)
+        self.coupling = floating(coupling)
+        self.theta2 = floating(theta2)
+        self.bearings = floating(bearings)
+        self.joints, self.units = ("shoulder", "elbow"), ("rad", "rad")
+
+    def mass_matrix(self, q):
+        """Eq. 2."""
+        cross = self.link_lengths[0] * self.coupling * jnp.cos(self.theta2 + q[1])
+        off = self.elbow + cross
+        return (self.shoulder + off + cross, off), (off, self.elbow)
+
+    def inertia_torque(self, q, v):
+        """The energy-conserving form of Eq. 3, with q2' the elbow's own rate.
+
+        Eq. 3 as printed has the opposite sign and reads q2' as link 2's absolute rate; it is kept
+        as the effect `printed_inertia_torque`.
+        """
+        s = self.link_lengths[0] * self.coupling * jnp.sin(self.theta2 + q[1])
+        return -s * (2.0 * v[0] * v[1] + v[1] * v[1]), s * v[0] * v[0]
+
+    def link_angles(self, q):
+        """q1 and q1 + theta2 + q2."""
+        return q[0], q[0] + self.theta2 + q[1]
+
+
+class ConstantInertia(AbstractMechanism):
+    """Any number of joints with a mass matrix that does not depend on their positions.
+
+    **Arguments:**
+
+    - `matrix`: kg m^2, or kg for sliding joints; (n, n), symmetric, positive definite.
+    - `joints`: one name per coordinate; "q1", "q2", ... if not given.
+    - `units`: "rad" or "m" per joint, or None if not known.
+    """
+
+    matrix: Float[Array, "n n"] = eqx.field(converter=floating)
+    joints: tuple[str, ...] = eqx.field(static=True)
+    units: tuple[str, ...] | None = eqx.field(static=True)
+
+    def __init__(self, matrix, joints=None, units=None):
+        self.matrix = jnp.atleast_2d(floating(matrix))
+        n = self.matrix.shape[-1]
+        self.joints = tuple(joints) if joints is not None else tuple(f"q{i + 1}" for i in range(n))
+        self.units = tuple(units) if units is not None else None
+        if self.matrix.shape[-2:] != (n, n) or len(self.joints) != n:
+            raise ValueError(
+                f"matrix has shape {self.matrix.shape}: it must be square, "
+                f"one row per joint ({', '.join(self.joints)})"
+            )
+
+    def mass_matrix(self, q):
+        """The constant matrix."""
+        n = len(self.joints)
+        return tuple(tuple(self.matrix[i, j] for j in range(n)) for i in range(n))
+
+    def inertia_torque(self, q, v):
+        """Zero: the mass matrix does not change with the motion."""
+        return (0.0,) * len(self.joints)

@@ -1,0 +1,309 @@
+"""A model is a mechanism plus effects: Eq. 1 as a value.
+
+`PlanarArm(...) + Spring("shoulder", 16.7) + Damper("shoulder", 0.1)` is a model. Models are
+immutable pytrees: adding or removing an effect gives a new one, and their leaves are the numbers
+that JAX differentiates, vmaps and fits.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple, Self
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.core import Tracer
+from jaxtyping import Array, Float, PyTree
+
+from .effect import AbstractEffect
+from .inertia import AbstractInertia
+from .motion import Joints, Motion, split, stack
+from .parameter import Memory, Parameter, parameters_of
+
+
+class Number(NamedTuple):
+    """One number of a model: its public name, its meaning, its joint (None: of no one joint)."""
+
+    name: str
+    meaning: Parameter
+    effect: int
+    joint: int | None
+
+
+class Remembered(NamedTuple):
+    """One internal state of a model: its public name, its meaning, its effect, its joint."""
+
+    name: str
+    meaning: Memory
+    effect: int
+    joint: int | None
+
+
+class Model(eqx.Module):
+    """Eq. 1: `mechanism.mass_matrix(q) q'' + f^w(q, q') + sum of effect torques = drive`."""
+
+    mechanism: AbstractInertia
+    effects: tuple[AbstractEffect, ...] = ()
+
+    def __add__(self, effect: AbstractEffect) -> Self:
+        """The model with one more effect.
+
+        **Raises:** `ValueError` if it is there already; `TypeError` if it is no effect.
+        """
+        if not isinstance(effect, AbstractEffect):
+            raise TypeError(f"{effect!r} is no effect: a model is a mechanism plus effects")
+        if effect.label in self.labels:
+            raise ValueError(f"{effect.label} is in the model already")
+        return dataclasses.replace(self, effects=(*self.effects, effect))
+
+    def without(self, label: str) -> Self:
+        """The model less the effect with this label.
+
+        **Raises:** `ValueError` if it is not in the model.
+        """
+        if label not in self.labels:
+            raise ValueError(f"{label} is not in the model ({', '.join(self.labels)})")
+        kept = tuple(effect for effect in self.effects if effect.label != label)
+        return dataclasses.replace(self, effects=kept)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """`name` or `name:place` of each effect, in order."""
+        return tuple(effect.label for effect in self.effects)
+
+    @property
+    def dry(self) -> bool:
+        """Whether a joint can stick: whether any torque jumps with the direction of sliding."""
+        return any(effect.dry for effect in self.effects)
+
+    @property
+    def rough(self) -> bool:
+        """Whether the motion has jumps or corners, which ask for short integration steps."""
+        return any(effect.dry or effect.rough for effect in self.effects)
+
+    # -- physics -----------------------------------------------------------------------------
+
+    @property
+    def bodies(self) -> AbstractInertia:
+        """The mechanism as the effects leave it."""
+        mechanism = self.mechanism
+        for effect in self.effects:
+            mechanism = effect.bodies(mechanism)
+        return mechanism
+
+    def torque(self, motion: Motion) -> Joints:
+        """Sum of the effects' torques on each joint, N m (or N)."""
+        bodies = self.bodies
+        total: Joints = (0.0,) * len(bodies.joints)
+        for effect, own in self.each(motion):
+            total = _add(total, effect.torque(own, bodies))
+        return total
+
+    def acceleration(
+        self, motion: Motion, drive: Joints | None = None, held: Joints | None = None
+    ) -> Joints:
+        """q'' of Eq. 1, rad/s^2. `held` is 1 for a joint that sticks, whose q'' is then 0."""
+        bodies = self.bodies
+        load = _add(bodies.inertia_torque(motion.q, motion.v), self.torque(motion))
+        load = tuple(-x for x in load) if drive is None else _add(drive, tuple(-x for x in load))
+        matrix = bodies.mass_matrix(motion.q)
+        if held is not None:
+            # A held joint is one of very large inertia: one solve serves every pattern of sticking.
+            matrix = tuple(
+                tuple(z * (1.0 + 1e14 * held[i]) if i == j else z for j, z in enumerate(row))
+                for i, row in enumerate(matrix)
+            )
+        return solve_inertia(matrix, load)
+
+    def vector_field(self, t, y, args=None):
+        """(q', q'') at `y = (q, v)`, arrays (n,), in diffrax's signature.
+
+        With internal states z (m,), `y = (q, v, z)` and z' comes last. `args` is None or the drive
+        torque, (n,) N m.
+        """
+        motion = Motion.at(t, *y)
+        drive = None if args is None else split(args)
+        slopes = y[1], stack(self.acceleration(motion, drive))
+        return (*slopes, stack(self.memory_rate(motion))) if len(y) > 2 else slopes
+
+    # -- memory ------------------------------------------------------------------------------
+
+    @property
+    def memory(self) -> tuple[Remembered, ...]:
+        """The internal states of all effects, in order."""
+        joints = self.mechanism.joints
+        return tuple(
+            Remembered(f"{effect.label}.{each.name}", each, index, _joint(effect.label, joints))
+            for index, effect in enumerate(self.effects)
+            for each in effect.memory
+        )
+
+    def memory_begin(self, motion: Motion) -> Joints:
+        """Internal states at a first instant of which nothing else is known."""
+        bodies = self.bodies
+        return tuple(z for effect in self.effects for z in effect.begin(motion, bodies))
+
+    def memory_rate(self, motion: Motion) -> Joints:
+        """d/dt of the internal states."""
+        bodies = self.bodies
+        return tuple(z for effect, own in self.each(motion) for z in effect.rate(own, bodies))
+
+    def memory_follow(self, motion: Motion) -> Joints:
+        """Internal states after a step that ended in `motion`."""
+        bodies = self.bodies
+        return tuple(z for effect, own in self.each(motion) for z in effect.follow(own, bodies))
+
+    @property
+    def follows(self) -> bool:
+        """Whether `memory_follow` changes anything."""
+        return any(effect.follows for effect in self.effects)
+
+    @property
+    def mirrors(self) -> bool:
+        """Whether `upright` could do anything."""
+        return any(effect.mirrors for effect in self.effects)
+
+    def upright(self, memory: Joints) -> tuple[Self, Joints]:
+        """The same model with every number of the sign that people write, and what `memory` is in
+        it (which stays what effects begin with, and beyond)."""
+        effects, states, first = [], (), 0
+        for effect in self.effects:
+            last = first + len(effect.memory)
+            kept, own = effect.upright(memory[first:last])
+            effects, states, first = [*effects, kept], (*states, *own), last
+        return dataclasses.replace(self, effects=tuple(effects)), states
+
+    def each(self, motion: Motion) -> Iterator[tuple[AbstractEffect, Motion]]:
+        """Every effect with the motion as it sees it: with its own internal states."""
+        first = 0
+        for effect in self.effects:
+            last = first + len(effect.memory)
+            yield effect, motion._replace(memory=motion.memory[first:last])
+            first = last
+
+    # -- readings ----------------------------------------------------------------------------
+
+    @property
+    def senses(self) -> bool:
+        """Whether the readings differ from the angles."""
+        return any(effect.senses for effect in self.effects)
+
+    def reading(self, angles: Float[Array, "*s n"]) -> Float[Array, "*s n"]:
+        """What the sensors say, delays apart, where the angles are these; rad or m."""
+        if not self.senses:
+            return angles
+        parts = tuple(angles[..., i] for i in range(angles.shape[-1]))
+        for effect in self.effects:
+            parts = effect.reading(parts, self.mechanism)
+        return jnp.stack(parts, axis=-1)
+
+    @property
+    def late(self) -> bool:
+        """Whether a reading is late."""
+        return any(not isinstance(delay, float) for delay in self.delays)
+
+    @property
+    def delays(self) -> Joints:
+        """How late each joint's reading is, s."""
+        total: Joints = (0.0,) * len(self.mechanism.joints)
+        for effect in self.effects:
+            total = _add(total, effect.delays(self.mechanism))
+        return total
+
+    # -- numbers -----------------------------------------------------------------------------
+
+    @property
+    def numbers(self) -> tuple[Number, ...]:
+        """Every declared number of every effect, in order."""
+        return _numbers(*self._named())
+
+    @property
+    def fitted(self) -> tuple[Number, ...]:
+        """The numbers that a fit moves."""
+        return _fitted(*self._named())
+
+    def _named(self):
+        return tuple((type(e), e.label) for e in self.effects), self.mechanism.joints
+
+    def vector(self) -> Float[Array, " p"]:
+        """The fitted numbers as one array, in the order of `fitted`."""
+        values = [getattr(self.effects[n.effect], n.meaning.field) for n in self.fitted]
+        if any(isinstance(v, Tracer) for v in values):
+            return jnp.stack([jnp.asarray(v, float) for v in values])
+        # At once: JAX takes its time over each.
+        return jnp.asarray([float(v) for v in values], float)
+
+    def with_vector(self, values: Float[Array, " p"]) -> Self:
+        """The model with its fitted numbers replaced."""
+        if isinstance(values, jax.Array) and not isinstance(values, Tracer):
+            values = jax.device_get(values)
+        each = [jnp.asarray(x) for x in values]
+        return self._with(dict(zip([n.name for n in self.fitted], each, strict=True)))
+
+    def values(self) -> dict[str, Array]:
+        """Public name -> value, for every number."""
+        return {n.name: getattr(self.effects[n.effect], n.meaning.field) for n in self.numbers}
+
+    def with_values(self, values: Mapping[str, PyTree]) -> Self:
+        """The model with some numbers replaced, by public name.
+
+        **Raises:** `ValueError` for a name that the model does not have.
+        """
+        known = {n.name for n in self.numbers}
+        for name in values:
+            if name not in known:
+                raise ValueError(f"{name} is no number of this model ({', '.join(sorted(known))})")
+        return self._with(values)
+
+    def _with(self, values: Mapping[str, PyTree]) -> Self:
+        fields: list[dict[str, PyTree]] = [{} for _ in self.effects]
+        for number in self.numbers:
+            if number.name in values:
+                fields[number.effect][number.meaning.field] = values[number.name]
+        effects = tuple(
+            dataclasses.replace(effect, **own) if own else effect  # pyright: ignore
+            for effect, own in zip(self.effects, fields, strict=True)
+        )
+        return dataclasses.replace(self, effects=effects)
+
+
+def _joint(label: str, joints: tuple[str, ...]) -> int | None:
+    place = label.partition(":")[2]
+    return joints.index(place) if place in joints else None
+
+
+@functools.cache  # a fit asks some hundred times
+def _numbers(effects: tuple[tuple[type[AbstractEffect], str], ...], joints: tuple[str, ...]):
+    """The numbers of effects, each told by its class and its label, on a mechanism of `joints`."""
+    found = []
+    for index, (kind, label) in enumerate(effects):
+        joint = _joint(label, joints)
+        for meaning in parameters_of(kind):
+            found.append(Number(f"{label}.{meaning.name}", meaning, index, joint))
+    return tuple(found)
+
+
+@functools.cache
+def _fitted(effects, joints) -> tuple[Number, ...]:
+    return tuple(number for number in _numbers(effects, joints) if number.meaning.fitted)
+
+
+def _add(x: Joints, y: Joints) -> Joints:
+    return tuple(a + b for a, b in zip(x, y, strict=True))
+
+
+def solve_inertia(matrix: tuple[Joints, ...], load: Joints) -> Joints:
+    """Z^-1 load, by elimination written out: for so few joints a library call costs more."""
+    n = len(load)
+    rows, right = [list(row) for row in matrix], list(load)
+    for pivot in range(n):  # Z is positive definite: no pivoting
+        for row in range(pivot + 1, n):
+            factor = rows[row][pivot] / rows[pivot][pivot]
+            right[row] = right[row] - factor * right[pivot]
+            for column in range(pivot + 1, n):
+                rows[row][column] = rows[row][column] - factor * rows[pivot][column]
+    for row in reversed(range(n)):
+        rest = sum(rows[row][column] * right[column] for column in range(row + 1, n))
+        right[row] = (right[row] - rest) / rows[row][row]
+    return tuple(right)

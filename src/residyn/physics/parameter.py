@@ -1,0 +1,178 @@
+"""What a number means.
+
+A fit moves plain numbers; a person reads stiffnesses, torques and angles. `param` ties the two
+together: an effect declares each of its numbers once, as a field with its meaning (words,
+dimension, allowed sign, the *silent value* at which the effect is exactly absent), and everything
+that needs the meaning (units in a table, the scale of a step, bounds) reads it from there.
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, PyTree
+
+Sign = Literal["any", "positive"]
+
+
+class Scales(NamedTuple):
+    """Typical size of a joint's motion: what a parameter of that joint can be measured against.
+
+    `inertia` in kg m^2 (or kg), `frequency` in rad/s, `amplitude` in rad (or m).
+    """
+
+    inertia: float = 1.0
+    frequency: float = 1.0
+    amplitude: float = 1.0
+
+
+class Dimension(NamedTuple):
+    """A kind of quantity: its unit at a rotary joint, at a sliding joint, and its typical size."""
+
+    rotary: str
+    sliding: str
+    size: Callable[[Scales], float]
+
+    def unit(self, joint_unit: str | None) -> str:
+        """The unit for a joint read in "rad" or "m"; both when the joint's unit is not known."""
+        if joint_unit == "rad" or self.rotary == self.sliding:
+            return self.rotary
+        return self.sliding if joint_unit == "m" else f"{self.rotary} or {self.sliding}"
+
+
+RATIO = Dimension("1", "1", lambda s: 1.0)
+ANGLE = Dimension("rad", "m", lambda s: s.amplitude)
+RATE = Dimension("rad/s", "m/s", lambda s: s.amplitude * s.frequency)
+DURATION = Dimension("s", "s", lambda s: 1.0 / s.frequency)
+FREQUENCY = Dimension("Hz", "Hz", lambda s: s.frequency / (2 * math.pi))
+INERTIA = Dimension("kg m^2", "kg", lambda s: s.inertia)
+TORQUE = Dimension("N m", "N", lambda s: s.inertia * s.frequency**2 * s.amplitude)
+STIFFNESS = Dimension("N m/rad", "N/m", lambda s: s.inertia * s.frequency**2)
+STIFFNESS_RATE = Dimension("N m/(rad s)", "N/(m s)", lambda s: s.inertia * s.frequency**3)
+CUBIC = Dimension("N m/rad^3", "N/m^3", lambda s: s.inertia * (s.frequency / s.amplitude) ** 2)
+DAMPING = Dimension("N m s/rad", "N s/m", lambda s: s.inertia * s.frequency)
+QUADRATIC = Dimension("N m s^2/rad^2", "N s^2/m^2", lambda s: s.inertia / s.amplitude)
+# Of a point in the plane, such as a bearing's; the arm is taken to be about a metre long.
+FORCE = Dimension("N", "N", lambda s: s.inertia * s.frequency**2 * s.amplitude)
+POINT_DAMPING = Dimension("N s/m", "N s/m", lambda s: s.inertia * s.frequency)
+POINT_QUADRATIC = Dimension("N s^2/m^2", "N s^2/m^2", lambda s: s.inertia / s.amplitude)
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """The meaning of one number of an effect, as declared with `param`."""
+
+    field: str
+    name: str
+    words: str
+    dimension: Dimension
+    sign: Sign
+    silent: float | None
+    fitted: bool
+    grid: tuple[float, ...]
+
+
+class Memory(NamedTuple):
+    """One internal state of an effect: its name and its dimension."""
+
+    name: str
+    dimension: Dimension
+
+
+_KEY = "residyn"
+
+
+def floating(x: Any) -> Array:
+    """As a float array of the precision in force. (`jnp.asarray(0.1)` would be weakly typed, and
+    take the precision of whatever it meets.)"""
+    wanted = jnp.float64 if jax.config.jax_enable_x64 else jnp.float32  # pyright: ignore
+    if isinstance(x, jax.Array) and not x.weak_type and x.dtype == wanted:
+        return x  # JAX would take its time to find that there is nothing to do
+    return jnp.asarray(x, float)
+
+
+def all_floating(tree: PyTree) -> PyTree:
+    """A pytree with its numbers as float arrays. What is no number stays as it is: an effect may
+    hold a network, whose activation is a function and whose switches are flags."""
+
+    def leaf(x):
+        return floating(x) if eqx.is_array_like(x) and not isinstance(x, bool) else x
+
+    return jax.tree.map(leaf, tree)
+
+
+def stacked(trees: Sequence[PyTree]) -> PyTree:
+    """Pytrees of one structure as one, their arrays along a new first axis. What is no array is
+    taken to be the same in all of them."""
+
+    def both(first, *others):
+        return jnp.stack((first, *others)) if eqx.is_array(first) else first
+
+    return jax.tree.map(both, *trees)
+
+
+def param(
+    words: str,
+    dimension: Dimension,
+    *,
+    sign: Sign = "any",
+    silent: float | None = 0.0,
+    default: float | None = None,
+    fitted: bool = True,
+    grid: tuple[float, ...] = (),
+    name: str | None = None,
+) -> Any:
+    """Declare a number of an effect: a field of its class whose value is a scalar array.
+
+    **Arguments:**
+
+    - `words`: what it is, for a person.
+    - `dimension`: the kind of quantity, which gives its unit and its typical size.
+    - `sign`: "positive" if physics allows no negative value; "any" otherwise. A fit is not forced
+      to obey (that would bias its errors); it says so when it does not.
+    - `silent`: the value at which the effect is exactly absent. None for a *shape* number (a gap,
+      a frequency), which says how an effect acts and not how strongly; another number must then
+      silence it.
+    - `default`: the value of an instance made without one; `silent` if not given.
+    - `fitted`: whether a fit moves it.
+    - `grid`: values that a fit starts a shape number from, in the dimension's typical size.
+    - `name`: what users call it, where that differs from the field's name.
+    """
+    if silent is None and default is None:
+        raise ValueError(f"{words}: a shape number (silent = None) needs a default")
+    meaning = {
+        "name": name,
+        "words": words,
+        "dimension": dimension,
+        "sign": sign,
+        "silent": silent,
+        "fitted": fitted,
+        "grid": grid,
+    }
+    return eqx.field(
+        default=silent if default is None else default,
+        converter=floating,
+        metadata={_KEY: meaning},
+    )
+
+
+def parameters_of(effect: Any) -> tuple[Parameter, ...]:
+    """The declared numbers of an effect (a class or an instance), in the order of declaration."""
+    return _declared_by(effect if isinstance(effect, type) else type(effect))
+
+
+@functools.cache  # a fit asks some hundred times
+def _declared_by(kind: Any) -> tuple[Parameter, ...]:
+    return tuple(
+        Parameter(
+            field=field.name,
+            **{**field.metadata[_KEY], "name": field.metadata[_KEY]["name"] or field.name},
+        )
+        for field in dataclasses.fields(kind)
+        if _KEY in field.metadata
+    )

@@ -1,0 +1,199 @@
+"""Step 3 of the paper: the vibration in orbit, where no air bearings are (Eq. 5, 18 to 20).
+
+Eq. 5 takes the bearings' masses off the inertias. That mends the frequencies; the decay it leaves
+wrong, since whatever drag and friction the bearings have was fitted as damping of the joints. An
+effect of the bearings that is named in the fit (`bearing_drag`, say) is taken off with them.
+"""
+
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+
+import jax
+import numpy as np
+
+from ..effects import AbstractEffect
+from ..errors import InputError
+from ..fitting import DEFAULT_STARTS, Fit, FitError, RecordingFit, fit, mechanism_of, model_for
+from ..physics.mechanism import AbstractMechanism
+from ..physics.model import Model
+from ..recordings.experiment import Experiment
+from ..recordings.recording import Recording
+from ..recordings.tables import ArmTable
+from .carried import NAMES, Carried, carried, modes_with_errors
+from .decay import unphysical
+from .doubts import against_growth, doubts_about
+from .inertia import inertia
+from .unloaded import BareCheck, Pose, Unloading
+
+_BASE = ("spring", "damper")
+
+
+def unload(
+    experiment: Experiment,
+    *,
+    effects: Sequence[str | AbstractEffect] = (),
+    starts: int = DEFAULT_STARTS,
+    inertia_std: Sequence[float] | np.ndarray | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Unloading:
+    """Fit an arm on its air bearings, and take the bearings off: inertia, drag and friction.
+
+    Runs in float64 whatever JAX's setting. Fitted recordings may be with and without bearings, at
+    any elbow angles, together. Recordings with `role = "check"` that were taken without bearings
+    score the prediction.
+
+    **Arguments:**
+
+    - `experiment`: from `residyn.load`, with an `[arm]` and its `[[air_bearings]]`.
+    - `effects`, `starts`, `progress`: as in `residyn.fit`.
+    - `inertia_std`: what step 1 leaves uncertain in shoulder, elbow (kg m^2) and coupling (kg m),
+      bearings on: (3,) standard errors, or their (3, 3) covariance. If not given, that of the
+      experiment's own recordings with `role = "inertia"`; without those the inertias are exact.
+
+    **Returns:** an `Unloading`.
+
+    **Raises:** `InputError` (a `ValueError`) if there are no bearings to take off; `FitError` and
+    `ValueError` as `residyn.fit` does.
+    """
+    began = time.perf_counter()
+    say = progress or (lambda words: None)
+    _check(experiment)
+    given = None if inertia_std is None else _covariance(inertia_std)
+    with jax.enable_x64(True):
+        effects = _named(experiment, effects)
+        fitted = fit(experiment, effects=effects, starts=starts, progress=say)
+        covariance, said = (given, ()) if given is not None else _step_1(experiment, say)
+        say("carrying the errors over")
+        errors = carried(fitted, effects, covariance)
+        off = tuple(e.label for e in fitted.model.effects if e.of_bearings)
+        poses = tuple(_pose(fitted, r, errors) for r in _poses(experiment))
+        checks = []
+        for beside in fitted.recordings:
+            if beside.recording.role == "check" and not beside.recording.air_bearings:
+                say(f"fitting {beside.recording.name} alone, to compare")
+                checks.append(_check_against(fitted, beside, errors, starts))
+    found = Unloading(
+        fit=fitted,
+        poses=poses,
+        left_out=off,
+        check=tuple(checks),
+        inertia_covariance=covariance,
+        errors=errors,
+        seconds=time.perf_counter() - began,
+    )
+    wrong = tuple(unphysical(found, against_growth(found)))
+    return found.saying(wrong, (*said, *doubts_about(found)))
+
+
+def without_effects_of_bearings(model: Model) -> Model:
+    """The model less every effect that leaves with the air bearings."""
+    for label in [e.label for e in model.effects if e.of_bearings]:
+        model = model.without(label)
+    return model
+
+
+def _check(experiment: Experiment) -> None:
+    """**Raises:** `InputError`, one line, if there is nothing to take off."""
+    if not isinstance(experiment.inertia, ArmTable):
+        raise InputError(
+            "step 3 takes air bearings off an [arm]; the mass matrix of an [inertia] table has none"
+        )
+    if not experiment.bearings:
+        raise InputError(
+            "there is no [[air_bearings]] table: step 3 needs the joint, mass and inertia of every "
+            "bearing that it is to take off (Eq. 5)"
+        )
+    if not any(r.air_bearings for r in experiment.fit_recordings):
+        raise InputError(
+            'no recording with role = "fit" was taken with the air bearings on: there is nothing '
+            "to take off"
+        )
+
+
+def _named(experiment: Experiment, effects: Sequence[str | AbstractEffect]) -> list[AbstractEffect]:
+    """Effects by name, of the arm on its bearings: held-out recordings may all be without them.
+
+    **Raises:** `ValueError` for one that does not exist.
+    """
+    on = next(r for r in experiment.fit_recordings if r.air_bearings)
+    model = model_for(mechanism_of(experiment, on), effects)
+    return [e for e in model.effects if e.name not in _BASE]
+
+
+def _covariance(std: Sequence[float] | np.ndarray) -> np.ndarray:
+    """(3, 3), from standard errors (3,) or as it is. **Raises:** `InputError`."""
+    given = np.asarray(std, float)
+    square = np.diag(given**2) if given.shape == (3,) else given
+    valid = (
+        square.shape == (3, 3) and np.isfinite(square).all() and (given.ndim > 1 or min(given) >= 0)
+    )
+    if not valid or np.linalg.eigvalsh(square).min() < -1e-9 * np.trace(square):
+        raise InputError(
+            f"inertia_std = {np.array2string(given, separator=', ')}: must be the standard errors "
+            f"of {', '.join(NAMES)}, three numbers from 0 up, or their covariance, 3 by 3"
+        )
+    return square
+
+
+def _step_1(experiment: Experiment, say: Callable) -> tuple[np.ndarray | None, tuple[str, ...]]:
+    """Covariance of the inertias from the experiment's own driven tests, if it has any."""
+    if not any(r.role == "inertia" for r in experiment.recordings):
+        return None, ()
+    say("step 1, for the errors of the inertias")
+    try:
+        found = inertia(experiment)
+    except (InputError, FitError) as error:
+        return None, (f"the inertias are taken for exact, as step 1 cannot be done: {error}",)
+    at_odds = tuple(w for w in found.warnings if w.startswith("[arm] has"))
+    return found.covariance, at_odds
+
+
+def _poses(experiment: Experiment) -> list[Recording]:
+    """One fitted recording of each elbow angle, in order."""
+    found: list[Recording] = []
+    for each in experiment.fit_recordings:
+        if not any(abs(each.theta2 - other.theta2) < 1e-9 for other in found):
+            found.append(each)
+    return found
+
+
+def _at(fitted: Fit, recording: Recording, on: bool) -> AbstractMechanism:
+    """The arm in a recording's pose, with its bearings on or off (Eq. 5)."""
+    return mechanism_of(fitted.experiment, dataclasses.replace(recording, air_bearings=on))
+
+
+def _models(fitted: Fit, recording: Recording) -> tuple[Model, Model]:
+    """With bearings, and without them and what they do (Eq. 18)."""
+    on = dataclasses.replace(fitted.model, mechanism=_at(fitted, recording, True))
+    off = dataclasses.replace(fitted.model, mechanism=_at(fitted, recording, False))
+    return on, without_effects_of_bearings(off)
+
+
+def _pose(fitted: Fit, recording: Recording, errors: Carried) -> Pose:
+    on, bare = _models(fitted, recording)
+    loaded, free = (modes_with_errors(model, fitted.model, errors) for model in (on, bare))
+    return Pose(
+        theta2=recording.theta2,
+        model=on,
+        unloaded=bare,
+        with_bearings=loaded.modes,
+        without_bearings=free.modes,
+        leaves_with=loaded.leaves,
+        leaves_without=free.leaves,
+    )
+
+
+def _check_against(fitted: Fit, beside: RecordingFit, errors: Carried, starts: int) -> BareCheck:
+    """One recording without bearings: predicted, and what a fit of it alone finds."""
+    recording = beside.recording
+    bare = _models(fitted, recording)[1]
+    alone = dataclasses.replace(recording, role="fit")
+    kept = [e for e in bare.effects if e.name not in _BASE]
+    try:
+        free = fit(
+            dataclasses.replace(fitted.experiment, recordings=(alone,)), effects=kept, starts=starts
+        )
+    except FitError:
+        free = None
+    return BareCheck(beside, modes_with_errors(bare, fitted.model, errors).modes, free)

@@ -1,0 +1,1 @@
+"""What was measured: recordings, experiments, and the files they come from."""

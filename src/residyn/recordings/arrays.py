@@ -1,0 +1,115 @@
+"""What arrays must be to be a recording: a time that goes on, readings that are numbers.
+
+A reading may be lost (NaN); a time may not, and neither may a force for long.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, number
+
+_LARGEST = 1e30
+"""Beyond this a number is no reading."""
+_SHORTEST = 1e-9
+"""s, which nothing reads an arm in."""
+
+LEAST = 20
+"""Readings per joint below which there is nothing to fit."""
+
+
+def check_table(time: Any, angle: Any, what: str = "angle") -> tuple[np.ndarray, np.ndarray]:
+    """Copies of time (N,) and angle (N, n), checked to be a recording; NaN is a lost sample."""
+    time, angle = _floats(time, "time", "(N,)"), _floats(angle, what, "(N,) or (N, joints)")
+    if time.ndim != 1:
+        raise InputError(f"time has shape {time.shape}; it must be (N,)")
+    angle = angle[:, None] if angle.ndim == 1 else angle
+    if angle.ndim != 2 or len(angle) != len(time) or not angle.shape[1]:
+        raise InputError(
+            f"{what} has shape {angle.shape}; it must be ({len(time)}, joints), a row per time"
+        )
+    if np.isnan(time).any():
+        raise InputError(f"sample {np.flatnonzero(np.isnan(time))[0]} has no time")
+    back = np.flatnonzero(np.diff(time) <= 0)
+    if len(back):
+        i = int(back[0]) + 1
+        raise InputError(
+            f"sample {i}: t = {time[i]:.12g} does not come after the t = {time[i - 1]:.12g} "
+            "before it; time must increase"
+        )
+    if len(time) > 1 and (step := float(np.median(np.diff(time)))) < _SHORTEST:
+        raise InputError(f"t goes up by {step:.3g} s, too short a step for a reading; is it in s?")
+    return time, angle
+
+
+def _floats(values: Any, what: str, shape: str) -> np.ndarray:
+    try:
+        if np.iscomplexobj(values):
+            raise TypeError
+        if isinstance(values, np.ma.MaskedArray):
+            values = np.where(np.ma.getmaskarray(values), np.nan, values.data)
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{what} must be an array of numbers, of shape {shape}") from None
+    # NaN passes: it compares as false.
+    if (np.abs(array) > _LARGEST).any():
+        raise InputError(f"{what} has infinite or absurdly large numbers")
+    return array
+
+
+def check_drive(
+    drive: Any, time: np.ndarray, angle: np.ndarray
+) -> tuple[np.ndarray | None, list[str]]:
+    """The drive, shaped as `angle`, with gaps filled; and what was done, in words."""
+    if drive is None:
+        return None, []
+    _, force = check_table(time, drive, "drive")
+    if force.shape != angle.shape:
+        raise InputError(f"drive has shape {force.shape}; it must be {angle.shape} like angle")
+    warnings = []
+    for j, column in enumerate(force.T):
+        lost = np.isnan(column)
+        if lost.all():
+            raise InputError(f"u{j + 1} has no value at all; leave it out if there is no drive")
+        if lost.any():
+            column[lost] = np.interp(time[lost], time[~lost], column[~lost])
+            count = int(np.count_nonzero(lost))
+            warnings.append(
+                f"u{j + 1} has {count} lost value{'s' * (count > 1)}, filled in linearly"
+            )
+    return force, warnings
+
+
+def check_enough(angle: np.ndarray, part: bool) -> None:
+    """Enough readings of every joint; `part` if they were cut out of more."""
+    here = " between start and stop" if part else ""
+    if len(angle) < LEAST:
+        raise InputError(f"has {len(angle)} samples{here}; at least {LEAST} are needed")
+    for j, count in enumerate(np.isfinite(angle).sum(axis=0)):
+        if count == 0:
+            raise InputError(f"q{j + 1} has no reading{here}: every sample was lost")
+        if count < LEAST:
+            raise InputError(f"q{j + 1} has {count} readings{here}; at least {LEAST} are needed")
+
+
+def check_noise(noise: Any, joints: int) -> np.ndarray:
+    """Sigma of one reading, (joints,), from a number or one per joint."""
+    values = noise.tolist() if hasattr(noise, "tolist") else noise
+    values = list(values) if isinstance(values, (list, tuple)) else [values] * joints
+    if len(values) != joints:
+        raise InputError(
+            f"noise has {len(values)} numbers: must be one number, or one for each of "
+            f"{joints} joints"
+        )
+    return np.array([number("noise", value, "rad or m", above=0) for value in values])
+
+
+def doubtful_clock(time: np.ndarray) -> list[str]:
+    """Doubts about the unit of time: nothing that rings is read so slowly for so long."""
+    step = float(np.median(np.diff(time)))
+    if len(time) < 50 or step < 0.5:
+        return []
+    if (np.abs(np.diff(time) - 1) < 1e-6).mean() > 0.9:
+        return ["t goes up by 1: is it a sample count, or in milliseconds? it must be in s"]
+    unit = "milliseconds" if step < 200 else "microseconds" if step < 2e5 else "nanoseconds"
+    return [f"t goes up by {step:g}: is it in {unit}? it must be in s"]

@@ -1,0 +1,297 @@
+"""Which column of a lab's table is what, and in which unit.
+
+A column is found by what the experiment file says (`columns`), else by its name: `t`, `q1`, `u1`,
+"Time", or the joint's own name, in any case. Its unit is what the file says (`units`), else what
+stands in its name ("Time [ms]", "Shoulder (deg)", "t/ms") or in a row of units below it, else SI.
+Nothing is guessed in silence: what was understood is told in one line.
+"""
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from ..errors import InputError, quote
+
+_TIMES = ("t", "time", "zeit", "temps", "tiempo", "tempo")
+_UNITS: dict[str, dict[str, tuple[float, tuple[str, ...]]]] = {
+    "s": {
+        "s": (1.0, ("sec", "secs", "second", "seconds", "sekunden")),
+        "ms": (1e-3, ("msec", "millisecond", "milliseconds", "millisekunden")),
+        "us": (1e-6, ("µs", "μs", "usec", "microsecond", "microseconds")),
+        "ns": (1e-9, ("nsec", "nanosecond", "nanoseconds")),
+    },
+    "rad": {
+        "rad": (1.0, ("radian", "radians", "radiant")),
+        "deg": (0.017453292519943295, ("°", "degree", "degrees", "grad", "º")),
+        "mrad": (1e-3, ("milliradian", "milliradians")),
+    },
+    "m": {
+        "m": (1.0, ("meter", "meters", "metre", "metres")),
+        "cm": (1e-2, ("centimeter", "centimeters")),
+        "mm": (1e-3, ("millimeter", "millimeters")),
+    },
+    "N m": {"N m": (1.0, ("nm", "n*m", "n·m", "n-m")), "mN m": (1e-3, ("mnm", "mn*m", "mn·m"))},
+    "N": {"N": (1.0, ("newton", "newtons")), "mN": (1e-3, ())},
+}
+"""By quantity: the units it may have, how many of the SI unit each is, and other spellings."""
+
+_BRACKETS = re.compile(r"(.*?)[\s,_]*[\[({<]\s*([^\[\](){}<>]*?)\s*[\])}>]\s*")
+_TAILS = re.compile(r"(.*\S)(?:\s+in\s+|\s*/\s*|_|,\s*)(\S+)", re.I)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a table is to be read: the keys of these names in `[[recordings]]`; None is not said."""
+
+    columns: Mapping[str, str] | None = None
+    units: Mapping[str, str] | None = None
+    separator: str | None = None
+    decimal: str | None = None
+
+    def __post_init__(self):
+        for key in ("columns", "units"):
+            table = getattr(self, key)
+            if table is None:
+                continue
+            right = 'must be a table, as { t = "Time [ms]", q1 = "Shoulder (deg)" }'
+            if key == "units":
+                right = 'must be a table, as { t = "ms", q1 = "deg" }'
+            if not isinstance(table, Mapping) or not table:
+                raise InputError(f"{key} = {quote(table)}: {right}")
+            for name, value in table.items():
+                if not re.fullmatch(r"t|[qu][1-9][0-9]*", str(name)):
+                    raise InputError(
+                        f"{key} has {quote(name)}: its keys are t, q1, ... and u1, ..."
+                    )
+                if not isinstance(value, str) or not value.strip():
+                    raise InputError(f"{key}: {name} = {quote(value)}: {right}")
+        if self.columns is not None:
+            names = [value.strip() for value in self.columns.values()]
+            for name in names:
+                if names.count(name) > 1:
+                    raise InputError(f"columns has {quote(name)} twice: each must be one column")
+        if self.decimal not in (None, ".", ","):
+            raise InputError(f'decimal = {quote(self.decimal)}: must be "." or ","')
+        if self.separator is not None:
+            one = isinstance(self.separator, str) and len(self.separator) == 1
+            if not one or self.separator.isalnum() or self.separator in "\"'.+-\n\r":
+                raise InputError(
+                    f'separator = {quote(self.separator)}: must be one character, as ";", or "\\t"'
+                )
+            if self.separator == self.decimal:
+                raise InputError(f"separator and decimal are both {quote(self.decimal)}")
+
+
+class Column(NamedTuple):
+    """A column that is needed."""
+
+    name: str  # "t", "q1", "u1"
+    at: int
+    header: str
+    unit: str
+    factor: float
+    """What turns its numbers into s, rad, m, N m or N."""
+    stated: bool = False
+    """Whether its unit is said, by a key or in the file."""
+
+
+class Joints(NamedTuple):
+    """Names and units of the joints, as far as they are known."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...] | None = None
+
+    @property
+    def angles(self) -> list[str]:
+        """The columns that must be there, beside t."""
+        return [f"q{j + 1}" for j in range(len(self.names))]
+
+    @property
+    def drives(self) -> list[str]:
+        """The columns that may be there."""
+        return [f"u{j + 1}" for j in range(len(self.names))]
+
+    def quantities(self, name: str) -> tuple[str, ...]:
+        """The SI units that a column may be in."""
+        if name == "t":
+            return ("s",)
+        turning, sliding = ("rad", "m") if name[0] == "q" else ("N m", "N")
+        if self.units is None:
+            return (turning, sliding)
+        return (turning if self.units[int(name[1:]) - 1] == "rad" else sliding,)
+
+
+def matched(header: Sequence[str], joints: Joints, layout: Layout) -> dict[str, list[int]]:
+    """By name, the columns that could be it; the first of them that the header has counts."""
+    found: dict[str, list[int]] = {}
+    plain = [cell.strip() for cell in header]
+    folded = [cell.casefold() for cell in plain]
+    bare = [_parts(cell)[0].casefold() for cell in plain]
+    for name in ("t", *joints.angles, *joints.drives):
+        wanted = (layout.columns or {}).get(name)
+        if wanted is not None:
+            wanted = wanted.strip()
+            tries = [(plain, wanted), (folded, wanted.casefold()), (bare, wanted.casefold())]
+        else:
+            own = _TIMES if name == "t" else (name,)
+            if name[0] == "q":
+                own = (name, joints.names[int(name[1:]) - 1].casefold())
+            tries = [(names, word) for word in own for names in (folded, bare)]
+        for names, word in tries:
+            at = [i for i, cell in enumerate(names) if cell == word]
+            if at:
+                found[name] = at
+                break
+    return found
+
+
+def columns_of(
+    header: Sequence[str], joints: Joints, layout: Layout, below: Sequence[str] = ()
+) -> list[Column]:
+    """The columns that are needed: t, every q and the u that are there; `below` is a row of units.
+
+    **Raises:** `InputError` for a column that is missing or there twice, and for a unit that is
+    unknown or of another quantity.
+    """
+    found = matched(header, joints, layout)
+    right = (
+        f"must have the columns {','.join(['t', *joints.angles])}, and {','.join(joints.drives)} "
+        "if driven"
+    )
+    has = ", ".join(quote(cell.strip()) for cell in header if cell.strip())
+    for name in [*(layout.columns or {}), *(layout.units or {})]:
+        if name not in ("t", *joints.angles, *joints.drives):
+            count = len(joints.names)
+            raise InputError(f"there is no joint for {name}: {count} joint{'s' * (count > 1)}")
+    for name, wanted in (layout.columns or {}).items():
+        if name not in found:
+            close = difflib.get_close_matches(wanted, [c.strip() for c in header], n=1)
+            hint = f"; did you mean {quote(close[0])}?" if close else ""
+            raise InputError(
+                f"columns: there is no column {quote(wanted)} for {name}; it has {has}{hint}"
+            )
+    for name in ("t", *joints.angles):
+        if name not in found:
+            raise InputError(
+                f"there is no column {name}; {right}, or say which column is what, as "
+                f'columns = {{ {name} = "..." }}; it has {has}'
+            )
+    used = {at[0]: name for name, at in found.items()}
+    for at in found.values():
+        if len(at) > 1:
+            raise InputError(f"column {quote(header[at[0]].strip())} appears twice; {right}")
+    for i, cell in enumerate(header):
+        extra = re.fullmatch(r"([qu])[1-9][0-9]*", cell.strip())
+        if extra and i not in used and layout.columns is None:
+            kind = extra[1]
+            have = sum(bool(re.fullmatch(f"{kind}[1-9][0-9]*", c.strip())) for c in header)
+            raise InputError(
+                f"has {have} {kind} columns, up to {quote(cell.strip())}, but the experiment has "
+                f"{len(joints.names)} joint{'s' * (len(joints.names) > 1)}; {right}"
+            )
+    if len(used) < len(found):
+        raise InputError(f"one column stands for two of {', '.join(found)}; {right}")
+    columns = []
+    for name, (index, *_) in found.items():
+        cell = header[index].strip()
+        own = below[index].strip() if index < len(below) else ""
+        columns.append(Column(name, index, cell, *_unit(name, cell, own, joints, layout)))
+    return columns
+
+
+def understood(
+    columns: Sequence[Column], header: Sequence[str], joints: Joints, more: Sequence[str] = ()
+) -> str:
+    """What was made of the header, in one line; empty if it is as this package writes it."""
+    usual = all(c.header == c.name and c.factor == 1.0 for c in columns)
+    used = {c.at for c in columns}
+    ignored = [quote(h.strip()) for i, h in enumerate(header) if i not in used and h.strip()]
+    if usual and not ignored and not more:
+        return ""
+    said = [
+        c.name
+        + (f" from {quote(c.header)}" if c.header != c.name else "")
+        + (f" in {c.unit}" if c.unit else "")
+        for c in columns
+    ]
+    some = ", ".join(ignored[:4]) + (f" and {len(ignored) - 4} more" if len(ignored) > 4 else "")
+    return "; ".join([", ".join(said), *more, *([f"not read: {some}"] if ignored else [])])
+
+
+def is_unit_row(cells: Sequence[str]) -> bool:
+    """Whether a row below the header has units and nothing else: `s`, `[deg]`, or empty cells."""
+    words = [_bare_unit(cell) for cell in cells if cell.strip()]
+    known = [word for word in words if any(_known(word, kind) for kind in _UNITS)]
+    return bool(known) and len(known) * 2 > len(words)
+
+
+def guessed(
+    header: Sequence[str], below: Sequence[str], numeric: Sequence[bool]
+) -> tuple[dict[str, int], dict[str, str]]:
+    """Which columns may be t and the angles, and their units, where the file says them."""
+    words = [_bare_unit(c) for c in below] or [_parts(cell)[1] for cell in header]
+    bare = [_parts(cell)[0].casefold() for cell in header]
+    plain = [i for i, ok in enumerate(numeric) if ok]
+    time = next((i for i in plain if bare[i] in _TIMES), plain[0])
+    rest = [i for i in plain if i != time]
+    called = [i for i in rest if re.fullmatch(r"q[1-9][0-9]*", bare[i])]
+    sized = [i for i in rest if any(_known(words[i], kind) for kind in ("rad", "m"))]
+    at = {"t": time} | {f"q{j + 1}": i for j, i in enumerate(called or sized or rest)}
+    kinds = {name: ("s",) if name == "t" else ("rad", "m") for name in at}
+    return at, {
+        name: unit
+        for name, i in at.items()
+        for kind in kinds[name]
+        if (unit := _known(words[i], kind)) is not None
+    }
+
+
+def _unit(
+    name: str, header: str, below: str, joints: Joints, layout: Layout
+) -> tuple[str, float, bool]:
+    kinds = joints.quantities(name)
+    allowed = ", ".join(unit for kind in kinds for unit in _UNITS[kind])
+    own = (layout.units or {}).get(name)
+    if own is not None:
+        where, word = f"units: {name} = {quote(own)}", own.strip()
+    else:
+        word = _bare_unit(below) if below else _parts(header)[1]
+        where = f"column {quote(header)} is in {quote(word)}"
+    if not word:
+        return (kinds[0] if len(kinds) == 1 else ""), 1.0, False
+    for kind in kinds:
+        unit = _known(word, kind)
+        if unit is not None:
+            return unit, _UNITS[kind][unit][0], True
+    hint = (
+        "" if own is not None else f', or units = {{ {name} = "{allowed.split(",")[0]}" }} says it'
+    )
+    raise InputError(f"{where}: must be {allowed}{hint}")
+
+
+def _known(word: str, kind: str) -> str | None:
+    """The unit of a quantity that a word means, or None."""
+    if word in _UNITS[kind]:
+        return word
+    for unit, (_, others) in _UNITS[kind].items():
+        if word.casefold() in (*others, unit.casefold().replace(" ", "")):
+            return unit
+    return None
+
+
+def _bare_unit(cell: str) -> str:
+    return cell.strip().strip("[](){}<>").strip()
+
+
+def _parts(cell: str) -> tuple[str, str]:
+    """A header's name and its unit: "Time [ms]" is ("Time", "ms")."""
+    cell = cell.strip()
+    found = _BRACKETS.fullmatch(cell)
+    if found and found[1]:
+        return found[1].strip(), found[2]
+    found = _TAILS.fullmatch(cell)
+    if found and any(_known(found[2], kind) for kind in _UNITS):
+        return found[1].strip(), found[2]
+    return cell, ""

@@ -1,0 +1,202 @@
+"""An experiment: the inertia of what moved, and its recordings; `load` reads one from its files.
+
+The TOML file says what free motion cannot tell, and names the recordings, whatever their format.
+Everything wrong with a file raises `InputError` with one clear line that names it.
+"""
+
+import dataclasses
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, decode, inside, read_text
+from ..physics.mechanism import AbstractMechanism
+from ..simulation.integrator import integrator_of
+from .columns import Joints, Layout
+from .formats import has_markers, read_table
+from .motion_capture.angles import read as read_markers
+from .recording import Recording
+from .sanity import not_free
+from .segments import wholes
+from .tables import ArmTable, Bearing, InertiaTable, check_bearings
+from .toml import parse
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """The inertia of what moved, and its recordings."""
+
+    inertia: ArmTable | InertiaTable | AbstractMechanism
+    """A table, or a mechanism of your own: it is then as it is in every recording."""
+    recordings: tuple[Recording, ...]
+    bearings: tuple[Bearing, ...] = ()
+    path: str = ""
+    integrator: Any = None
+    """What integrates in every fit: a `residyn.Integrator` or what makes one; None: fixed steps."""
+
+    def __post_init__(self):
+        object.__setattr__(self, "integrator", integrator_of(self.integrator))
+        object.__setattr__(self, "recordings", tuple(self.recordings))
+        object.__setattr__(self, "bearings", tuple(self.bearings))
+        check_bearings(self.inertia, self.bearings)
+        for recording in self.recordings:
+            if recording.joints != len(self.joints):
+                raise InputError(
+                    f"{recording.name}: angle has {recording.joints} joints, the experiment has "
+                    f"{len(self.joints)}: {', '.join(self.joints)}"
+                )
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """One name per coordinate."""
+        return self.inertia.joints
+
+    @property
+    def units(self) -> tuple[str, ...] | None:
+        """ "rad" or "m" per joint, or None if not known."""
+        return self.inertia.units
+
+    @property
+    def fit_recordings(self) -> tuple[Recording, ...]:
+        """Those with role "fit"."""
+        return tuple(r for r in self.recordings if r.role == "fit")
+
+    @property
+    def check_recordings(self) -> tuple[Recording, ...]:
+        """Those with role "check": held out, never fitted, always scored."""
+        return tuple(r for r in self.recordings if r.role == "check")
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is doubtful in the recordings, and in their fitting together."""
+        own = [line for recording in self.recordings for line in recording.warnings]
+        return (*own, *_in_degrees(self), *_not_held_out(self))
+
+
+def load(path: str | os.PathLike[str]) -> Experiment:
+    """Read an experiment from a TOML file and the files of recordings it names.
+
+    These are CSV, MATLAB or Parquet files of angles, or files of markers. They are looked for in
+    the TOML file's folder; if `path` is "-", the TOML is read from standard input and they are
+    looked for in the current folder.
+
+    **Raises:** `InputError`, a single line, for whatever is wrong with the files.
+    """
+    if os.fspath(path) == "-":
+        where, folder = "standard input", Path()
+        data = getattr(sys.stdin, "buffer", sys.stdin).read()
+        text = decode(data, where, "TOML file") if isinstance(data, bytes) else data
+    else:
+        where, folder = os.fspath(path), Path(path).parent
+        text = read_text(path, "TOML file")
+    return from_text(text, folder, where, os.fspath(path))
+
+
+def from_text(text: str, folder: Path, where: str, path: str = "") -> Experiment:
+    """An experiment from the text of its file, `where` being its name; recordings are looked for in
+    `folder`.
+
+    **Raises:** as `load`.
+    """
+    contents = parse(text, where)
+    with inside(where):
+        recordings = []
+        for i, entry in enumerate(contents.recordings):
+            with inside(f"[[recordings]] {i + 1}"):
+                recordings.append(_read(folder, contents.inertia, **entry))
+        return Experiment(
+            contents.inertia,
+            tuple(recordings),
+            contents.bearings,
+            path,
+            contents.integrator,
+        )
+
+
+def _read(
+    folder: Path, inertia: ArmTable | InertiaTable, *, file: str, **options: Any
+) -> Recording:
+    """One `[[recordings]]` table's recording."""
+    path, drive = folder / file, None
+    given = {key: options.pop(key, None) for key in ("columns", "units", "separator", "decimal")}
+    marked = has_markers(path)
+    if marked:
+        for key, value in (given | {"rest": options.get("rest")}).items():
+            if value is not None:
+                raise InputError(f"{file}: {key} does not go with markers; leave it out")
+        recording = _from_markers(path, inertia, name=file, **options)
+    else:
+        for key in ("markers", "normal"):
+            if key in options:
+                raise InputError(
+                    f"{file}: {key} is for files of markers, C3D or what Vicon exports as CSV; "
+                    "this is neither"
+                )
+        with inside(file):
+            layout = Layout(**given)
+        table = read_table(path, Joints(inertia.joints, inertia.units), layout)
+        time, angle, drive = table.time, table.angle, table.drive
+        recording = Recording.from_arrays(time, angle, drive=drive, name=file, **options)
+        said = "; ".join(filter(None, [table.understood, recording.understood]))
+        recording = dataclasses.replace(recording, understood=said)
+        odd = not_free(recording, inertia.units, table.stated, options)
+        if odd is not None and recording.role != "inertia":
+            raise InputError(f"{file}: {odd.words}")
+    if recording.role == "inertia" and drive is None:
+        columns = ", ".join(f"u{j + 1}" for j in range(recording.joints))
+        raise InputError(f'{file}: role = "inertia" needs the drive that moved it, as {columns}')
+    if isinstance(inertia, ArmTable) and "theta2" not in options and not marked:
+        doubt = "theta2, the elbow's angle at rest, is not given; 0 rad is taken"
+        recording = recording.saying([doubt])
+    return recording
+
+
+def _from_markers(
+    path: Path,
+    inertia: ArmTable | InertiaTable,
+    *,
+    markers: Any = None,
+    normal: Any = None,
+    **options: Any,
+) -> Recording:
+    """The recording in a file of markers; what was mended in it is among its warnings."""
+    if "m" in (inertia.units or ()):
+        raise InputError(f"{options['name']}: markers give angles, but a joint is in m")
+    lengths = inertia.link_lengths if isinstance(inertia, ArmTable) else None
+    seen = read_markers(path, markers, normal=normal, link_lengths=lengths)
+    return seen.recording(**options)
+
+
+def _in_degrees(experiment: Experiment) -> list[str]:
+    """Doubts about the unit of angles: no braked joint turns by five radians."""
+    doubts = []
+    for recording, _ in wholes(experiment.recordings):
+        sizes = np.nanquantile(np.abs(recording.angle), 0.99, axis=0)
+        units = experiment.units or ("",) * len(sizes)
+        large = [
+            f"q{j + 1} reaches {size:.3g}"
+            for j, (size, unit) in enumerate(zip(sizes, units, strict=True))
+            if unit == "rad" and size > 5
+        ]
+        if abs(recording.theta2) > 2 * np.pi:
+            large.append(f"theta2 = {recording.theta2:g}")
+        doubts += [f"{recording.name}: {x}: in degrees? it must be in rad" for x in large]
+    return doubts
+
+
+def _not_held_out(experiment: Experiment) -> list[str]:
+    """A check on readings that were fitted is none."""
+    doubts = []
+    for check, _ in wholes(experiment.check_recordings):
+        for fit, _ in wholes(experiment.fit_recordings):
+            _, i, j = np.intersect1d(check.time, fit.time, return_indices=True)
+            same = np.array_equal(check.angle[i], fit.angle[j], equal_nan=True)
+            if check.name == fit.name and len(i) and same:
+                doubts.append(
+                    f'{check.name}: {len(i)} of its samples have role = "check" and are fitted too'
+                )
+    return doubts

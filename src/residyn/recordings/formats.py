@@ -1,0 +1,139 @@
+"""Recordings in the formats that a lab already has: MATLAB's and Parquet, beside CSV.
+
+The same table in other clothes. Columns are found and their units read as in a CSV file. MATLAB
+keeps them as variables or as the fields of one struct, where `q` and `u` may also be matrices with
+a column per joint.
+"""
+
+import os
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, inside, read_table_text
+from .columns import Joints, Layout, columns_of, understood
+from .csv import Table, read_lab_csv
+from .motion_capture.trajectories import is_vicon
+
+
+def has_markers(path: str | os.PathLike[str]) -> bool:
+    """Whether a file has marker trajectories: a C3D file, or a CSV file with their header."""
+    suffix = Path(path).suffix.lower()
+    if suffix == ".c3d":
+        return True
+    return suffix not in _READERS and is_vicon(read_table_text(path))
+
+
+def read_table(path: str | os.PathLike[str], joints: Joints, layout: Layout) -> Table:
+    """Read a recording, in the format that its name ends in; else it is CSV.
+
+    **Raises:** `InputError`.
+    """
+    reader = _READERS.get(Path(path).suffix.lower())
+    if reader is None:
+        return read_lab_csv(path, joints, layout)
+    where = os.fspath(path)
+    for key in ("separator", "decimal"):
+        if getattr(layout, key) is not None:
+            raise InputError(f"{where}: {key} is for CSV files; leave it out")
+    if not Path(path).is_file():
+        what = "is a folder" if Path(path).is_dir() else "there is no such file"
+        raise InputError(f"{where}: {what}; a recording was expected")
+    with inside(where):
+        return _table(reader(where), joints, layout)
+
+
+def _mat(path: str) -> Mapping[str, Any]:
+    """The variables of a MATLAB file, or the fields of its struct."""
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        found = loadmat(path, simplify_cells=True)
+    except NotImplementedError:
+        raise InputError(
+            "is a MATLAB file of version 7.3, which is not read: save it with '-v7'"
+        ) from None
+    except (MatReadError, OSError, ValueError, TypeError, KeyError, IndexError) as error:
+        raise InputError(f"is no MATLAB file that can be read: {error}") from None
+    found = {name: value for name, value in found.items() if not name.startswith("__")}
+    structs = [name for name, value in found.items() if isinstance(value, dict) and "t" in value]
+    if "t" not in found and len(structs) > 1:
+        raise InputError(
+            f"has several structs with a field t ({', '.join(structs)}): keep one recording a file"
+        )
+    columns = found if "t" in found or not structs else found[structs[0]]
+    wide: dict[str, Any] = {}
+    for name, value in columns.items():
+        if name in ("q", "u"):
+            matrix = np.asarray(value)
+            matrix = matrix[:, None] if matrix.ndim == 1 else matrix
+            if matrix.ndim != 2:
+                raise InputError(f"{name} has shape {matrix.shape}: must be a row per time")
+            wide |= {f"{name}{j + 1}": column for j, column in enumerate(matrix.T)}
+    return wide | {n: v for n, v in columns.items() if n not in ("q", "u")}
+
+
+def _parquet(path: str) -> Mapping[str, Any]:
+    """The columns of a Parquet file."""
+    try:
+        import pyarrow as arrow
+        from pyarrow import parquet
+    except ImportError:
+        raise InputError(
+            "Parquet files need the package pyarrow: pip install 'residyn[parquet]'"
+        ) from None
+    try:
+        table = parquet.ParquetFile(path).read()
+    except (arrow.ArrowException, OSError) as error:
+        raise InputError(f"is no Parquet file that can be read: {error}") from None
+    # An index that pandas wrote is no column.
+    names = [name for name in table.column_names if not re.fullmatch(r"__.*__", name)]
+    columns: dict[str, Any] = {}
+    for name in names:
+        try:
+            columns[name] = table.column(name).cast(arrow.float64()).to_numpy()
+        except arrow.ArrowException:
+            columns[name] = None
+    return columns
+
+
+_READERS: dict[str, Callable[[str], Mapping[str, Any]]] = {
+    ".mat": _mat,
+    ".parquet": _parquet,
+    ".pq": _parquet,
+}
+
+
+def _table(content: Mapping[str, Any], joints: Joints, layout: Layout) -> Table:
+    """The recording in these columns."""
+    header = list(content)
+    columns = columns_of(header, joints, layout)
+    found: dict[str, np.ndarray] = {}
+    for column in columns:
+        value = content[header[column.at]]
+        try:
+            if value is None or np.iscomplexobj(value):
+                raise TypeError
+            found[column.name] = np.atleast_1d(np.asarray(value, dtype=float).squeeze())
+        except (TypeError, ValueError):
+            raise InputError(f"{column.header} must have numbers") from None
+    count = len(found["t"])
+    for column in columns:
+        if (shape := found[column.name].shape) != (count,):
+            raise InputError(f"{column.header} has shape {shape}: must be ({count},), as long as t")
+        found[column.name] = found[column.name] * column.factor
+    drive = None
+    if any(name in found for name in joints.drives):
+        still = np.zeros_like(found["t"])
+        drive = np.stack([found.get(name, still) for name in joints.drives], axis=1)
+    angle = np.stack([found[name] for name in joints.angles], axis=1)
+    # What a workspace has besides is nothing to speak of.
+    used = [header[column.at] for column in columns]
+    columns = [column._replace(at=i) for i, column in enumerate(columns)]
+    said = understood(columns, used, joints)
+    stated = frozenset(column.name for column in columns if column.stated)
+    return Table(found["t"], angle, drive, np.arange(count), stated, said)

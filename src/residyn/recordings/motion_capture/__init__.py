@@ -1,0 +1,1 @@
+"""From markers at the joints to the joints' angles."""

@@ -1,0 +1,203 @@
+"""From markers at the joints to the joints' angles, and what had to be mended on the way.
+
+Markers are lost, jump, and exchange their labels. An arm's base stands still and its links are
+rigid, so geometry says which marker is which, and which is none of the arm's. Whatever is mended is
+said, one sentence each; what cannot be known stays lost (NaN), which a fit does not mind.
+"""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError, inside, number, quote
+from ..arrays import check_enough
+from ..recording import Recording
+from ..release import window
+from ..rest import SWINGS, rest_angles, swings
+from . import checks as _marker_checks
+from . import labels as _labels
+from . import plane as _plane
+from . import repair as _mended
+from . import rigid as _rigid
+from .trajectories import Trajectories, read_trajectories
+
+__all__ = ["MotionCapture", "read"]
+
+_SURE = 1e-3
+"""Error, rad, beyond which an angle is not put back but left lost."""
+
+_TILT = 2e-3
+"""Error of the plane's direction, rad, that is worth a word."""
+
+_WANDERS = 3e-3
+"""Scatter of the base, of the first link's length, that is no noise: it moves."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionCapture:
+    """A chain's joint angles from its markers. Make it with `read`."""
+
+    name: str
+    """The file's name."""
+    markers: tuple[str, ...]
+    """From base to tip."""
+    time: np.ndarray
+    """(N,) s from the file's first frame."""
+    angle: np.ndarray
+    """(N, n) rad: of link 1 to the table's axis, of each further link to the one before it. NaN
+    where it cannot be known."""
+    link_lengths: np.ndarray
+    """(n,) m, as the markers have them."""
+    normal: np.ndarray
+    """(3,) unit vector off the table, in the lab's axes; angles grow anticlockwise about it."""
+    mended: tuple[str, ...]
+    """What was lost, put back, exchanged or rejected, a sentence each; empty for a clean file."""
+    doubts: tuple[str, ...]
+    """What does not look like an arm with markers at its joints, a sentence each."""
+
+    def rest(self, start: float | str | None = None, stop: float | None = None) -> np.ndarray:
+        """(n,) rad: the angles about which the arm rings, from `start` to `stop`."""
+        with inside(self.name):
+            part = self._part(start, stop)
+            return rest_angles(self.time[part], self.angle[part])
+
+    def _part(self, start: float | str | None, stop: float | None) -> slice:
+        part = window(self.time, self.angle, start, stop)
+        check_enough(self.angle[part], part=start is not None or stop is not None)
+        return part
+
+    def recording(self, **options: Any) -> Recording:
+        """The recording, in a model's own coordinates: angles from rest.
+
+        `theta2` is the elbow's angle at rest. If given, the elbow's angle is counted from it; if
+        not, from the rest that the ringing itself shows.
+
+        **Arguments:** those of `Recording.from_arrays`, without `time` and `angle`.
+        """
+
+        options = {"name": self.name, **options}
+        rest = self.rest(options.get("start"), options.get("stop"))
+        said = [*self.mended, *self.doubts]
+        if self.angle.shape[1] == 2:
+            if "theta2" in options:
+                theta2 = number("theta2", options["theta2"], "rad")
+                if abs(theta2 - rest[1]) > 0.01:
+                    said.append(
+                        f"theta2 = {theta2:g} rad is given, but by its markers the elbow rests at "
+                        f"{rest[1]:.4f} rad; leave theta2 out to take that"
+                    )
+                rest = np.array([rest[0], theta2])
+            else:
+                options["theta2"] = float(rest[1])
+        turned = ", ".join(f"q{j + 1} from {angle:.4f} rad" for j, angle in enumerate(rest))
+        said.append(f"angles are counted from rest, {turned} of its markers")
+        part = self._part(options.get("start"), options.get("stop"))
+        count = swings(self.time[part], self.angle[part])
+        if count < SWINGS:
+            said.append(
+                f"with {count:.2g} swings of its slowest mode that rest is known roughly: if the "
+                "residual has an offset, fit sensor_offset too"
+            )
+        return Recording.from_arrays(self.time, self.angle - rest, **options).saying(said)
+
+
+def read(
+    path: str | os.PathLike[str],
+    markers: Sequence[str] | None = None,
+    *,
+    normal: Sequence[float] | None = None,
+    link_lengths: Sequence[float] | None = None,
+) -> MotionCapture:
+    """Joint angles from a Vicon CSV file or a C3D file of markers at the joints' centres.
+
+    **Arguments:**
+
+    - `markers`: names from base to tip: n + 1 for n joints. They may leave the subject out.
+    - `normal`: direction off the table in the lab's axes; if not given, it is fitted.
+    - `link_lengths`: m, if known: checked, and used where motion alone cannot tell links apart.
+
+    **Raises:** `InputError`.
+    """
+    trajectories = read_trajectories(path)
+    where = os.fspath(path)
+    with inside(where):
+        if link_lengths is not None:
+            link_lengths = [number("link_lengths", x, "m", above=0) for x in link_lengths]
+        names = _marker_checks.names_of(markers, trajectories, link_lengths)
+        return _solve(where, names, trajectories, normal, link_lengths)
+
+
+def _solve(
+    where: str,
+    names: tuple[str, ...],
+    file: Trajectories,
+    normal: Sequence[float] | None,
+    lengths: Sequence[float] | None,
+) -> MotionCapture:
+    markers = file.of(names)
+    if len(markers) < 20:
+        raise InputError(f"has {len(markers)} frames; at least 20 are needed")
+    for name, column in zip(names, markers.swapaxes(0, 1), strict=True):
+        if np.isnan(column).all():
+            raise InputError(f"marker {quote(name)} is lost in every frame")
+    rigid = _rigid.find(markers, lengths)
+    labels = _labels.assign(markers, rigid)
+    for _ in range(2):
+        rigid = _rigid.refine(labels.apply(markers), rigid)
+        _marker_checks.check_believable(names, markers, labels, rigid)
+        labels = _labels.assign(markers, rigid)
+    joints = labels.apply(markers)
+    noise = float(min(rigid.sigmas)) / 2**0.5
+    plane = (
+        _plane.fit(joints, noise)
+        if normal is None
+        else _plane.frame_of(_marker_checks.direction(normal))
+    )
+    doubts = _marker_checks.lengths_doubted(names, rigid, lengths)
+    doubts += [
+        f"{quote(names[j])} changes its label with another marker, and the arm moves too little to "
+        "tell which it is: what most frames have was believed"
+        + ("" if lengths is not None else "; link_lengths would tell")
+        for j in rigid.unsure
+    ]
+    if plane.tilt > _TILT:
+        doubts.append(
+            f"the markers hardly leave one line, so the table's plane is known to "
+            f"{np.degrees(plane.tilt):.2g} degrees only: give normal, the direction off the table"
+        )
+    high = plane.height(joints)
+    off = np.abs(high - np.nanmedian(high, axis=0))
+    odd = off > np.maximum(8 * 1.4826 * np.nanmedian(off, axis=0), 0.01 * rigid.lengths.mean())
+    joints[odd] = np.nan
+    rejected = labels.rejected | odd
+
+    flat = plane.flat(joints)
+    lost = np.isnan(flat[:, :, 0])
+    still = rigid.base_sigma <= max(_WANDERS * rigid.lengths[0], 4 * noise)
+    if still:
+        flat[:, 0] = np.nanmedian(flat[:, 0], axis=0)
+    else:
+        doubts.append(
+            f"{quote(names[0])} moves by {1e3 * rigid.base_sigma:.2g} mm (standard deviation): the "
+            "base of the arm should stand still"
+        )
+    back = _mended.put_back(flat, noise, _SURE)
+    angle = _plane.angles(flat)
+    mended = _mended.sentences(
+        names, file.time, file.frame, labels.order, lost, rejected, back, still
+    )
+    for array in (angle, rigid.lengths, plane.normal):
+        array.flags.writeable = False
+    return MotionCapture(
+        name=where,
+        markers=names,
+        time=file.time,
+        angle=angle,
+        link_lengths=rigid.lengths,
+        normal=plane.normal,
+        mended=tuple(mended),
+        doubts=tuple(doubts),
+    )

@@ -1,0 +1,168 @@
+"""What is put back from rigid links, and what is said of all that was mended.
+
+A lost elbow is where two circles meet, about the shoulder and about the wrist. They meet twice: the
+elbow is on the side where it was before and is afterwards, as long as the arm was never straight in
+between. Near straight the circles only touch, and noise moves the point far; so an angle is put
+back only where it comes out about as sure as a reading.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...errors import quote
+
+_STRAIGHT = 0.1
+"""Sine of a joint's angle below which its side cannot be told."""
+
+_WORSE = 4.0
+"""How many times less sure than a reading an angle may be put back."""
+
+_SIGMAS = 5.0
+"""Standard deviations that an error stays within, over a recording's few lost frames."""
+
+_TOLD = 4
+"""How many times or intervals are given one by one."""
+
+
+def put_back(flat: np.ndarray, noise: float, sure: float) -> np.ndarray:
+    """Fill in lost inner joints from their neighbours; (N, n + 1) bool, where.
+
+    **Arguments:** `flat` (N, n + 1, 2) m, changed in place; `noise` of one coordinate, m; `sure`,
+    the largest error of an angle, rad.
+    """
+    back = np.zeros(flat.shape[:2], dtype=bool)
+    seen = ~np.isnan(flat[:, :, 0])
+    links = np.linalg.norm(np.diff(flat, axis=1), axis=2)
+    length = np.nanmedian(links, axis=0)
+    for j in range(1, flat.shape[1] - 1):
+        l1, l2 = length[j - 1], length[j]
+        reading = 2**0.5 * noise / min(l1, l2)
+        inner, outer = flat[:, j] - flat[:, j - 1], flat[:, j + 1] - flat[:, j]
+        side = np.sign(inner[:, 0] * outer[:, 1] - inner[:, 1] * outer[:, 0])
+        span = flat[:, j + 1] - flat[:, j - 1]
+        reach = np.linalg.norm(span, axis=1)
+        cosine = (reach**2 - l1**2 - l2**2) / (2 * l1 * l2)
+        sine = np.sqrt(np.maximum(1 - cosine**2, 0))  # NaN where a neighbour is lost
+        side = _sides(side, sine)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = 2**0.5 * noise * reach / (l1 * l2 * sine)
+            # How far along the span the elbow stands, and how far off it.
+            along = (reach**2 + l1**2 - l2**2) / (2 * reach)
+            off = -side * l1 * l2 * sine / reach
+            unit = span / reach[:, None]
+            place = along[:, None] * unit + off[:, None] * unit[:, ::-1] * [-1, 1]
+        good = _SIGMAS * np.hypot(error, reading) <= sure
+        good &= error <= _WORSE * reading
+        fill = ~seen[:, j] & seen[:, j - 1] & seen[:, j + 1] & (side != 0) & good
+        flat[fill, j] = (flat[:, j - 1] + place)[fill]
+        back[:, j] = fill
+    return back
+
+
+def _sides(side: np.ndarray, sine: np.ndarray) -> np.ndarray:
+    """(N,) 1 or -1 where the joint's side is known, or follows from before and after; else 0."""
+    known = np.nan_to_num(side)
+    ahead, behind = known.copy(), known.copy()
+    bent = sine > _STRAIGHT  # NaN is not
+    lost = np.isnan(side)
+    for t in range(1, len(side)):
+        if lost[t] and bent[t]:
+            ahead[t] = ahead[t - 1]
+    for t in range(len(side) - 2, -1, -1):
+        if lost[t] and bent[t]:
+            behind[t] = behind[t + 1]
+    return np.where(ahead * behind < 0, 0, np.sign(ahead + behind))
+
+
+def sentences(
+    names: Sequence[str],
+    time: np.ndarray,
+    frame: np.ndarray,
+    order: np.ndarray,
+    lost: np.ndarray,
+    rejected: np.ndarray,
+    back: np.ndarray,
+    still: bool,
+) -> list[str]:
+    """All that was mended. Arrays are (N, n + 1), per joint; `still` if the base stands still."""
+    said = _exchanged(names, time, frame, order, lost)
+    for j, name in enumerate(names):
+        out = np.flatnonzero(rejected[:, j])
+        if len(out):
+            said.append(
+                f"{quote(name)}: {_times(len(out), 'reading')} rejected, since no rigid arm has a "
+                f"marker there ({_when(time, out)})"
+            )
+        gone = lost[:, j] & ~rejected[:, j]
+        if gone.any():
+            longest = max(stop - start for start, stop in _runs(gone))
+            said.append(
+                f"{quote(name)}: lost in {int(gone.sum())} of {len(time)} frames, at most "
+                f"{longest} in a row{_fate(j, lost, back, still)}"
+            )
+    return said
+
+
+def _fate(j: int, lost: np.ndarray, back: np.ndarray, still: bool) -> str:
+    """What became of a joint's lost and rejected readings."""
+    if j == 0:
+        return "; its place is known, as it stands still" if still else "; they stay lost"
+    filled, gone = int(back[:, j].sum()), int(lost[:, j].sum())
+    if not filled:
+        return "; they stay lost"
+    rest = f", {gone - filled} stay lost" if gone > filled else ""
+    return f"; {filled} put back from the markers beside it and the links' lengths{rest}"
+
+
+def _exchanged(
+    names: Sequence[str], time: np.ndarray, frame: np.ndarray, order: np.ndarray, lost: np.ndarray
+) -> list[str]:
+    """One sentence for each way in which labels were exchanged."""
+    said = []
+    own = np.arange(order.shape[1])
+    for wrong in _ways(order):
+        here = np.all(order == wrong, axis=1)
+        moved = [quote(names[j]) for j in own if wrong[j] != j]
+        listed = f"{', '.join(moved[:-1])} and {moved[-1]}"
+        # From where it was seen to where it was seen last.
+        seen = np.any(~lost[:, np.flatnonzero(wrong != own)], axis=1)
+        parts = [a + np.flatnonzero(seen[a:b]) for a, b in _runs(here)]
+        runs = [(int(at[0]), int(at[-1]) + 1) for at in parts if len(at)]
+        if not runs:
+            continue
+        spans = [
+            f"from {time[a]:.6g} to {time[b - 1]:.6g} s (frames {frame[a]} to {frame[b - 1]})"
+            if b > a + 1
+            else f"at {time[a]:.6g} s (frame {frame[a]})"
+            for a, b in runs[:_TOLD]
+        ]
+        more = f" and {len(runs) - _TOLD} more times" if len(runs) > _TOLD else ""
+        line = f"{listed} had exchanged labels {', '.join(spans)}{more}: put back"
+        if here.all():
+            line += "; as that is the whole recording, is markers in the wrong order?"
+        elif here.mean() > 0.5:
+            line += "; that is most of it, so links that stay rigid were believed, not labels"
+        said.append(line)
+    return said
+
+
+def _ways(order: np.ndarray) -> list[np.ndarray]:
+    """The different rows of `order` in which a label is not at its own joint."""
+    wrong = (order != np.arange(order.shape[1])).any(axis=1)
+    return [np.array(row) for row in sorted(set(map(tuple, order[wrong].tolist())))]
+
+
+def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
+    """The intervals, first and one past the last, in which flags are true."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def _when(time: np.ndarray, index: np.ndarray) -> str:
+    more = f" and {len(index) - _TOLD} more" if len(index) > _TOLD else ""
+    return f"at {', '.join(f'{time[i]:.6g}' for i in index[:_TOLD])} s{more}"
+
+
+def _times(count: int, what: str) -> str:
+    return f"{count} {what}{'s' * (count > 1)}"

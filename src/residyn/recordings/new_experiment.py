@@ -1,0 +1,96 @@
+"""A first experiment file from a lab's recordings: what they tell is filled in, the rest is "?".
+
+A "?" is a string where a number must stand, so that whoever forgets one is told its key.
+"""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+from .columns import Joints, Layout
+from .csv import guessed_columns, read_lab_csv
+from .recording import Recording
+from .sanity import not_free
+
+_ARM = """\
+[arm]                     # two links; inertia with the bearings on; `residyn inertia` finds it
+link_lengths = ["?", "?"] # m
+shoulder = "?"            # I1 + m2 l1^2, kg m^2
+elbow = "?"               # I2 about the elbow, kg m^2
+coupling = "?"            # m2 rho2, kg m
+"""
+_INERTIA = """\
+[inertia]                 # a constant mass matrix
+joints = [{names}]
+units = [{units}]         # "rad" or "m" each
+matrix = [{rows}]         # kg m^2 or kg
+"""
+
+
+def experiment_text(files: Sequence[Path], folder: Path) -> str:
+    """The text of an experiment file that is to stand in `folder`.
+
+    **Raises:** `InputError` for a recording that is no table with a header.
+    """
+    tables: list[str] = []
+    width, kinds = 0, ()
+    for file in files:
+        columns, units = guessed_columns(file)
+        n = len(columns) - 1
+        if width not in (0, n):
+            raise InputError(f"{file}: has {n} columns of angles, {files[0]} has {width}")
+        width = n
+        keys: dict[str, Any] = {}
+        if list(columns.values()) != list(columns):
+            keys["columns"] = columns
+        sliding = [units.get(f"q{j + 1}") in ("m", "cm", "mm") for j in range(n)]
+        kinds = tuple("m" if s else "rad" for s in sliding)
+        joints = Joints(tuple(columns[f"q{j + 1}"] for j in range(n)), kinds)
+        tables.append(_entry(file, folder, joints, keys, n == 2 and kinds == ("rad", "rad")))
+    if width == 2 and kinds == ("rad", "rad"):
+        head = _ARM
+    else:
+        names = ", ".join(f'"joint{j + 1}"' for j in range(width))
+        zeros = ", ".join("[" + ", ".join(['"?"'] * width) + "]" for _ in range(width))
+        head = _INERTIA.format(
+            names=names, units=", ".join(f'"{kind}"' for kind in kinds), rows=zeros
+        )
+    return "\n".join([head, *tables])
+
+
+def _entry(file: Path, folder: Path, joints: Joints, keys: dict[str, Any], arm: bool) -> str:
+    """One `[[recordings]]` table, with a key for each thing that is seen in the recording."""
+    said: dict[str, str] = {}
+    understood = ""
+    for _ in range(6):
+        layout = Layout(**{k: v for k, v in keys.items() if k in ("columns", "units")})
+        table = read_lab_csv(file, joints, layout)
+        understood = table.understood
+        options = {key: keys[key] for key in ("start", "rest") if key in keys}
+        recording = Recording.from_arrays(table.time, table.angle, name=str(file), **options)
+        found = not_free(recording, joints.units, table.stated, keys)
+        if found is None:
+            break
+        said[found.key] = found.words.split("; ")[0]
+        old = keys.get(found.key)
+        keys[found.key] = old | found.value if isinstance(old, dict) else found.value
+    lines = ["[[recordings]]", f"file = {_toml(os.path.relpath(file, folder or Path()))}"]
+    if understood:
+        lines.append(f"# {understood}")
+    for key, value in keys.items():
+        if key in said:
+            lines.append(f"# seen: {said[key]}")
+        lines.append(f"{key} = {_toml(value)}")
+    if arm:
+        lines.append('theta2 = "?"              # elbow angle at rest, rad')
+    return "\n".join([*lines, ""])
+
+
+def _toml(value: Any) -> str:
+    """A string, or a table of strings, as TOML has it."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_toml(each)}" for key, each in value.items()) + " }"
+    text = value.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{text}"'

@@ -1,0 +1,130 @@
+"""A wild reading is one that its neighbours contradict, and that is the only thing wrong there.
+
+Polynomials that follow the motion through a short block leave its noise. A spike, or a marker that
+was mistaken for another for a few samples, is left there too, and once those few readings are let
+free nothing strange remains. A stick or a knock is no polynomial either, but misfits all around:
+freeing a few readings does not mend it.
+"""
+
+import math
+
+import numpy as np
+
+from .arrays import check_noise, check_table
+from .polynomial_spectrum import Blocks, blocks, grid_step, parts, scaled
+
+_SURE = 5.0
+"""Standard deviations from which readings are wild."""
+
+_RUN = 4
+"""The most wild readings in a row that are looked for."""
+
+_HAIR = 1e-6
+"""A ridge for small inverses: a reading that is free already has no room left."""
+
+
+def wild_samples(
+    time: np.ndarray, angle: np.ndarray, noise: np.ndarray | float | None = None
+) -> np.ndarray:
+    """Readings that sit far off their neighbours: spikes, or marker swaps of a few samples.
+
+    They are runs of one to four readings. A single one is seen from about 8 sigma; a run needs
+    more the longer it is and the faster the motion, 15 sigma as a rule.
+
+    **Arguments:** `time` (N,) s; `angle` (N, n) rad or m, NaN where a sample was lost; `noise`, if
+    known, the sigma of one reading, (n,) or one number.
+
+    **Returns:** (N, n) bool; False where the sample was lost.
+    """
+    time, angle = check_table(time, angle)
+    flagged = np.zeros(angle.shape, dtype=bool)
+    least = np.zeros(angle.shape[1]) if noise is None else check_noise(noise, angle.shape[1])
+    for j, column in enumerate(angle.T):
+        seen, y, unit = scaled(column)
+        if unit and len(seen) >= 8:
+            known = min(float(least[j]), unit) / unit
+            flagged[seen[outlying(time[seen], y, known)], j] = True
+    return flagged
+
+
+def outlying(time: np.ndarray, y: np.ndarray, least: float) -> np.ndarray:
+    """`wild_samples` of one joint's readings, scaled; `least` is the smallest sigma to believe."""
+    flagged = np.zeros(len(y), dtype=bool)
+    least = max(least, grid_step(y) / math.sqrt(12))
+    for part in parts(np.arange(len(y))):
+        # A second look without the first one's finds sees what those had hidden.
+        for _ in range(2):
+            kept = part[~flagged[part]]
+            if len(kept) < 8:
+                break
+            found = _stand_out(blocks(time[kept], y[kept]), y[kept], least)
+            flagged[kept[found]] = True
+            if not found.any():
+                break
+    return flagged
+
+
+def _stand_out(cut: Blocks, values: np.ndarray, least: float) -> np.ndarray:
+    """Which of `values` do not fit their block, of sigma `least` or more."""
+    found = np.zeros(len(values), dtype=bool)
+    m = cut.basis.shape[1]
+    noise = cut.basis[:, :, cut.degree :]
+    sigma = max(cut.spread, least, 1e-9 * float(np.std(values)), 1e-14)
+    rest = np.einsum("bmk,bk->bm", noise, cut.share[:, cut.degree :]) / sigma
+    room = np.einsum("bmk,bmk->bm", noise, noise)
+    score = np.abs(rest) / np.sqrt(np.maximum(room, 1e-9))
+    # Noise with tails heavier than the normal law's is noise still.
+    tail = max(1.0, float(np.quantile(score, 0.95)) / 1.96)
+    for b in np.flatnonzero(score.max(axis=1) > 3.5 * tail):
+        pick = _explain(noise[b] @ noise[b].T, rest[b] / tail)
+        index = cut.first[b] + np.arange(m)
+        # A knock may be as sharp as a spike, but is no larger than a part of the acceleration.
+        bend = 0.3 * float(np.quantile(np.abs(np.diff(values[index], 2)), 0.75)) / sigma
+        # Each reading is judged in the block that has it well inside, if there is one.
+        start = 0 if b == 0 else m // 4
+        stop = m if b == len(cut.first) - 1 else m - m // 4
+        for i, size in pick.items():
+            if start <= i < stop and abs(size) > bend:
+                found[index[i]] = True
+    return found
+
+
+def _explain(room: np.ndarray, rest: np.ndarray) -> dict[int, float]:
+    """The readings which, let free, explain what is left of a block, and how far off each is.
+
+    Empty when there are none, or when so many would be needed that they are no exception.
+
+    **Arguments:** `room` (m, m) projects on what polynomials leave; `rest` (m,) is that part of the
+    readings, in sigmas.
+    """
+    too_much = float(rest @ rest - np.trace(room))
+    picked: list[int] = []
+    size, left, free = np.zeros(0), rest, room
+    for _ in range(_RUN):
+        run = _best_run(free, left)
+        if run is None:
+            break
+        picked += [i for i in run if i not in picked]
+        inner = room[np.ix_(picked, picked)] + _HAIR * np.eye(len(picked))
+        across = np.linalg.solve(inner, room[picked])
+        size = np.linalg.solve(inner, rest[picked])
+        left, free = rest - across.T @ rest[picked], room - room[:, picked] @ across
+    else:
+        return {}
+    if rest @ rest - left @ left < 0.8 * too_much:
+        return {}
+    return dict(zip(picked, size.tolist(), strict=True))
+
+
+def _best_run(room: np.ndarray, rest: np.ndarray) -> list[int] | None:
+    """The run of up to four readings that explains most, if it is surely more than noise."""
+    best, run = _SURE**2, None
+    for length in range(1, _RUN + 1):
+        at = np.arange(len(rest) - length + 1)[:, None] + np.arange(length)
+        inner = room[at[:, :, None], at[:, None, :]] + _HAIR * np.eye(length)
+        size = np.linalg.solve(inner, rest[at][:, :, None])[:, :, 0]
+        # Each further reading must earn its place: by three standard deviations.
+        gain = np.einsum("il,il->i", rest[at], size) - 9 * (length - 1)
+        if gain.max() > best:
+            best, run = float(gain.max()), at[int(gain.argmax())].tolist()
+    return run

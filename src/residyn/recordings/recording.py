@@ -1,0 +1,170 @@
+"""A recording: one run of readings, checked, cut to the part that counts, with its noise.
+
+Nothing here knows a model. Everything wrong with an argument raises `InputError` with one clear
+line; whatever is merely doubtful is a warning.
+"""
+
+import dataclasses
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, flag, inside, number, quote
+from .arrays import (
+    check_drive,
+    check_enough,
+    check_noise,
+    check_table,
+    doubtful_clock,
+)
+from .noise import noise_and_doubts
+from .release import _even, window
+from .rest import SWINGS, rest_angles, swings, thinned
+from .toml import check_role
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One run of readings. Make it with `Recording.from_arrays`, which checks and cuts it."""
+
+    name: str
+    """File name as the experiment has it, or as given."""
+    time: np.ndarray
+    """(N,) s, strictly increasing, on the recording's own clock."""
+    angle: np.ndarray
+    """(N, n) rad or m; NaN where a sample was lost."""
+    drive: np.ndarray | None
+    """(N, n) N m or N, or None for free motion."""
+    noise: np.ndarray
+    """(n,) sigma of one reading, rad or m."""
+    noise_given: bool
+    """False where the noise was estimated from the data."""
+    theta2: float = 0.0
+    """Elbow angle at rest, rad (arm only)."""
+    role: str = "fit"
+    """"fit", "check" or "inertia"."""
+    air_bearings: bool = True
+    """Whether the bearings were on."""
+    extra_mass: float = 0.0
+    """Load on the first coordinate, kg (constant inertia only)."""
+    warnings: tuple[str, ...] = ()
+    """What is doubtful, a line each that names the recording."""
+    whole: "Recording | None" = None
+    """What this is a stretch of, if it is one."""
+    understood: str = ""
+    """What was made of a file that is not written as this package writes it, in one line."""
+
+    @classmethod
+    def from_arrays(
+        cls,
+        time: Any,
+        angle: Any,
+        *,
+        drive: Any = None,
+        noise: Any = None,
+        theta2: float = 0.0,
+        role: str = "fit",
+        name: str = "recording",
+        start: float | str | None = None,
+        stop: float | None = None,
+        air_bearings: bool = True,
+        extra_mass: float = 0.0,
+        rest: Any = None,
+    ) -> "Recording":
+        """Check a recording, cut it from `start` to `stop`, estimate its noise if not given.
+
+        **Arguments:**
+
+        - `time`: (N,) s, strictly increasing.
+        - `angle`: (N,) or (N, n) rad or m; NaN where a sample was lost.
+        - `drive`: shaped as `angle`, N m or N; NaN is interpolated over.
+        - `noise`: sigma of one reading, a number or one per joint.
+        - `start`, `stop`: s on the recording's own clock; `start` may be "release", the instant
+          from which the motion is free.
+        - `rest`: where the joints rest, (n,) rad or m, which is taken off; "estimate" finds it in
+          the ringing. None is zero.
+        - the others: the fields of the same name.
+        """
+        name = str(name)
+        with inside(name):
+            time, angle = check_table(time, angle)
+            force, warnings = check_drive(drive, time, angle)
+            part = window(time, angle, start, stop)
+            time, angle = time[part], angle[part]
+            force = None if force is None else force[part]
+            check_enough(angle, part=start is not None or stop is not None)
+            warnings += doubtful_clock(time)
+            understood = ""
+            if rest is not None:
+                off, doubts = _rest(rest, time, angle)
+                angle, warnings = angle - off, warnings + doubts
+                each = ", ".join(f"q{j + 1} {x:.5g}" for j, x in enumerate(off))
+                understood = f"rest at {each}, taken off" if off.any() else ""
+            if noise is None:
+                sigma, doubts = noise_and_doubts(time, angle)
+            else:
+                sigma = check_noise(noise, angle.shape[1])
+                still = np.nanmax(angle, axis=0) == np.nanmin(angle, axis=0)
+                doubts = [
+                    f"q{j + 1} never moves: all its readings are the same"
+                    for j in np.flatnonzero(still)
+                ]
+            for array in (time, angle, force, sigma):
+                if array is not None:
+                    array.flags.writeable = False
+            return cls(
+                name=name,
+                time=time,
+                angle=angle,
+                drive=force,
+                noise=sigma,
+                noise_given=noise is not None,
+                theta2=number("theta2", theta2, "rad"),
+                role=check_role(role),
+                air_bearings=flag("air_bearings", air_bearings),
+                extra_mass=number("extra_mass", extra_mass, "kg", least=0),
+                warnings=tuple(f"{name}: {warning}" for warning in [*warnings, *doubts]),
+                understood=understood,
+            )
+
+    def saying(self, doubts: Iterable[str]) -> "Recording":
+        """The same recording with further warnings, each given its name."""
+        said = tuple(f"{self.name}: {doubt}" for doubt in doubts)
+        return dataclasses.replace(self, warnings=(*self.warnings, *said))
+
+    @property
+    def duration(self) -> float:
+        """From the first sample to the last, s."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def joints(self) -> int:
+        """How many joints were read."""
+        return self.angle.shape[1]
+
+    @property
+    def lost(self) -> int:
+        """How many readings were lost, all joints together."""
+        return int(np.count_nonzero(np.isnan(self.angle)))
+
+
+def _rest(rest: Any, time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """(n,) angles at rest, given or found, and what is doubtful of them."""
+    n = angle.shape[1]
+    if rest != "estimate" or not isinstance(rest, str):
+        values = rest.tolist() if hasattr(rest, "tolist") else rest
+        if not isinstance(values, list | tuple) or len(values) != n:
+            raise InputError(
+                f'rest = {quote(rest)}: must be "estimate", or {n} number{"s" * (n > 1)} (rad or '
+                "m), one for each joint, in a list"
+            )
+        return np.array([number("rest", x, "rad or m") for x in values]), []
+    check_enough(angle, part=False)
+    count = swings(time, angle)
+    doubt = (
+        f"with {count:.2g} swings of the slowest mode its rest is known roughly: if the residual "
+        "has an offset, fit sensor_offset too"
+    )
+    return rest_angles(*thinned(*_even(time, angle))), [doubt] if count < SWINGS else []

@@ -1,0 +1,101 @@
+"""Where an arm that rings would come to rest.
+
+The mean of a ring-down is not its rest: the last swing is cut off anywhere, and an elbow that
+swings wide pulls the arm aside, by the square of the swing. So means are taken under a window that
+falls to zero at its ends, wide enough to let no swing through, and led back to where the squares
+under the same window are none.
+"""
+
+import math
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from .release import _even
+
+SWINGS = 8
+"""Swings of the slowest mode, two of the best windows: with fewer, rest is known roughly."""
+
+_WINDOWS = {
+    4: (0.35875, -0.48829, 0.14128, -0.01168),
+    3: (0.42, -0.5, 0.08),
+    2: (0.5, -0.5),
+}
+"""Cosines of the window that spans so many swings: Blackman's and Harris', Blackman's, Hann's."""
+
+_LEAK = 1e-3
+"""What a mean may be off, of the swing under its window."""
+
+_STILL = 0.05
+"""Of the largest swing: less may be an arm that sticks, anywhere."""
+
+_ASIDE = 0.5
+"""How far a swing of one radian typically pulls an arm aside, rad."""
+
+
+def rest_angles(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """(n,) rad: angles at rest, from a ring-down (N, n) rad at times (N,) s, NaN where lost."""
+    _clock, motion = _even(time, angle)
+    rest = motion.mean(axis=0)
+    if not (np.ptp(motion, axis=0) > 1e-9).any():
+        return rest
+    window = _window(len(motion), slowest_period(motion - rest))
+    step = max(1, len(window) // 8)
+    n = motion.shape[1]
+    for _ in range(3):
+        swing = motion - rest
+        squares = [swing[:, i] * swing[:, j] for i in range(n) for j in range(i, n)]
+        means = _under(window, np.column_stack([swing, *squares]), step)
+        size = np.sqrt(_under(window, (swing**2).sum(axis=1, keepdims=True), step)[:, 0])
+        moving = size >= _STILL * size.max()
+        means, size = means[moving], size[moving]
+        off = _LEAK * (size + 0.1 * size.max())
+        causes = np.column_stack([np.ones(len(means)), means[:, n:]]) / off[:, None]
+        # How far squares pull aside is known beforehand to its typical size.
+        ridge = np.diag([0.0] + [_ASIDE**-2] * (causes.shape[1] - 1))
+        right = causes.T @ (means[:, :n] / off[:, None])
+        rest = rest + np.linalg.lstsq(causes.T @ causes + ridge, right, rcond=None)[0][0]
+    return rest
+
+
+def thinned(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Means of so many samples after each other that 40 or more are left of the slowest period: all
+    that a rest needs. Times (N,) s at equal steps and angles (N, n), as they come back."""
+    many = int(slowest_period(angle - angle.mean(axis=0)) / 40)
+    if many < 2:
+        return time, angle
+    whole = len(time) // many * many
+    mean = lambda x: x[:whole].reshape(-1, many, *x.shape[1:]).mean(axis=1)  # noqa: E731
+    return mean(time), mean(angle)
+
+
+def swings(time: np.ndarray, angle: np.ndarray) -> float:
+    """How many swings of its slowest mode a ring-down has."""
+    _clock, motion = _even(time, angle)
+    return len(motion) / slowest_period(motion - motion.mean(axis=0))
+
+
+def slowest_period(motion: np.ndarray) -> float:
+    """The period of the slowest mode, in samples, of motion (N, n) about zero."""
+    count = len(motion)
+    # Padded, so that a few swings in all are counted finely enough.
+    shaped = motion * np.hanning(count)[:, None]
+    power = np.abs(np.fft.rfft(shaped, 8 * count, axis=0)[8:]) ** 2
+    large = power >= 0.02 * np.maximum(power.max(axis=0), 1e-300)
+    peaks = large[1:-1] & (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])
+    first = min((int(np.flatnonzero(p)[0]) for p in peaks.T if p.any()), default=0)
+    return 8 * count / (first + 9)
+
+
+def _window(count: int, period: float) -> np.ndarray:
+    """A window of sum one that lets no swing of this period, in samples, or shorter through."""
+    spans = next((k for k in _WINDOWS if k * period <= count), 2)
+    width = min(count, math.ceil(spans * period))
+    turn = 2 * np.pi * (np.arange(width) + 0.5) / width
+    window = np.sum([a * np.cos(k * turn) for k, a in enumerate(_WINDOWS[spans])], axis=0)
+    return window / window.sum()
+
+
+def _under(window: np.ndarray, columns: np.ndarray, step: int) -> np.ndarray:
+    """Weighted means of columns (N, k) under the window at every `step`-th place, (places, k)."""
+    return sliding_window_view(columns, len(window), axis=0)[::step] @ window

@@ -1,0 +1,138 @@
+"""What a recording of free motion shows before any model is fitted to it, and no ringing arm does.
+
+Free motion follows from the angles and rates alone. So an arm that stands still stays where it is:
+one that stands still away from rest and then moves was held. It rings about its rest: angles that
+ring about another value are not counted from there. And units show in sizes: no braked joint turns
+by five radians, and no arm on a table takes minutes for a swing.
+
+Each finding is one line that says what is seen and which key of the experiment file settles it.
+The limits are wide apart from what arms do: over the hidden effects of the test rig, from 1.2
+swings on, a rest is within 0.28 of the amplitude (a slipping brake apart), and an arm that is let
+go leaves `_STILL` within 0.10 of a period. Limits are 0.5 and 0.2.
+"""
+
+from collections.abc import Collection, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .arrays import doubtful_clock
+from .recording import Recording
+from .release import _even
+from .rest import rest_angles, slowest_period, thinned
+
+_OFF = 0.5
+"""Of the amplitude about rest: a larger distance of rest from zero is no effect's."""
+_SLIPPED = 10.0
+"""The same where a brake may have slipped: towards the side that the joint was released from."""
+_FEWEST = 1.2
+"""Swings of the slowest mode from which rest can be told from the rest of a swing."""
+_STILL = 0.1
+"""Of the largest excursion: a released arm covers it in 0.07 of a period, if one mode rings."""
+_QUITE = 0.03
+"""The same for the first 0.8 of that time: what swings up moves more."""
+_HELD = 0.2
+"""Of the slowest period: no free arm stays within `_STILL` of where it begins for so long."""
+_TURN = 5.0
+"""rad, which no braked joint turns."""
+_SLOW = 300.0
+"""s, which no swing takes."""
+
+
+class Finding(NamedTuple):
+    """What is seen, in one line, and the key of `[[recordings]]` that settles it most likely."""
+
+    words: str
+    key: str
+    value: Any
+
+
+def not_free(
+    recording: Recording,
+    units: tuple[str, ...] | None,
+    said: Collection[str],
+    keys: Mapping[str, Any],
+) -> Finding | None:
+    """What is not as the free motion of an arm; None if nothing is.
+
+    **Arguments:** `units` of the joints; `said`: the columns whose unit the file states; `keys`:
+    those of its `[[recordings]]` table, which settle things.
+    """
+    time, angle = recording.time, recording.angle
+    if abs(recording.theta2) > 2 * np.pi:
+        words = f"theta2 = {recording.theta2:g}: in degrees? it must be in rad"
+        return Finding(words, "theta2", float(np.radians(recording.theta2)))
+    if "t" not in said and (doubts := doubtful_clock(time)):
+        words = f'{doubts[0]}; units = {{ t = "ms" }} says so, or "s" if it is'
+        return Finding(words, "units", {"t": "ms"})
+    for j, size in enumerate(np.nanquantile(np.abs(angle), 0.99, axis=0)):
+        if units and units[j] == "rad" and f"q{j + 1}" not in said and size > _TURN:
+            words = (
+                f"q{j + 1} reaches {size:.3g} rad, more than a braked joint turns: in degrees? "
+                f'units = {{ q{j + 1} = "deg" }} says so, or "rad" if it is'
+            )
+            return Finding(words, "units", {f"q{j + 1}": "deg"})
+    if recording.drive is not None or not (np.nanmax(angle, 0) > np.nanmin(angle, 0)).any():
+        return None
+    clock, motion = _even(time, angle)
+    step = clock[1] - clock[0]
+    period = slowest_period(motion - motion.mean(axis=0))
+    if "t" not in said and period * step > _SLOW:
+        words = (
+            f"one swing takes {period * step:.3g} s: is t in milliseconds or samples? "
+            'units = { t = "ms" } says so, or "s" if it is'
+        )
+        return Finding(words, "units", {"t": "ms"})
+    if "start" not in keys and (until := _held_until(motion, period)) is not None:
+        words = (
+            f"stands still for the first {until * step:.3g} s and then moves, as no free arm does "
+            '(held, or not yet pushed): start = "release" finds where it is let go, start = '
+            f"{time[0]:g} keeps all of it"
+        )
+        return Finding(words, "start", "release")
+    if "rest" not in keys and len(motion) >= _FEWEST * period:
+        return _off_rest(clock, motion, units)
+    return None
+
+
+def _held_until(motion: np.ndarray, period: float) -> float | None:
+    """How many samples of (N, n) angles stand still, if they move afterwards as no free arm does;
+    `period` of the slowest mode in samples."""
+    size = np.abs(motion - np.median(motion[-max(1, len(motion) // 4) :], axis=0)).max(axis=0)
+    width = max(1, min(int(period / 40), len(motion)))
+    total = np.cumsum(np.pad(motion, ((1, 0), (0, 0))), axis=0)
+    smooth = (total[width:] - total[:-width]) / width
+    first = np.median(smooth[:width], axis=0)
+    each = np.abs(smooth - first) / np.where(size > 0, size, np.inf)
+    largest = each[:, int(np.argmax(each.max(axis=0)))]
+    if largest[int(np.argmax(largest)) :].min() > 0.7 * largest.max():
+        return None  # it has not turned back: a piece of one swing
+    off = each.max(axis=1)
+    moves = int(np.argmax(off > _STILL))
+    if not off.max() > _STILL or moves + width // 2 <= _HELD * period:
+        return None
+    quite = off[: max(1, int(0.8 * moves))]
+    noise = np.abs(np.diff(motion[:moves], axis=0)) if moves > 1 else np.zeros((1, len(size)))
+    noise = (np.median(noise, axis=0) / np.where(size > 0, size, np.inf)).max() / width**0.5
+    return moves + width // 2 if quite.max() < _QUITE + 4 * noise else None
+
+
+def _off_rest(
+    clock: np.ndarray, motion: np.ndarray, units: tuple[str, ...] | None
+) -> Finding | None:
+    """That angles (N, n) are not counted from rest, if so."""
+    rest = rest_angles(*thinned(clock, motion))
+    size = np.abs(motion - rest).max(axis=0)
+    off = np.abs(rest) > _OFF * size
+    # A brake that slips takes its joint's rest along, towards where it was released.
+    slipped = off & (rest * (motion[0] - rest) > 0) & (np.abs(rest) < _SLIPPED * size)
+    if not off.any() or ((off == slipped).all() and off.sum() == 1):
+        return None
+    j = int(np.argmax(np.where(off & ~slipped, 2, off)))
+    unit = f" {units[j]}" if units else ""
+    none = ", ".join(["0"] * len(rest))
+    words = (
+        f"q{j + 1} rings about {rest[j]:.4g}{unit}, not about 0 (amplitude {size[j]:.2g}{unit}): "
+        f'angles are counted from rest; rest = "estimate" takes it off, rest = [{none}] leaves it'
+    )
+    return Finding(words, "rest", "estimate")

@@ -1,0 +1,198 @@
+"""What an experiment file says, before any recording is read.
+
+The file has one table of inertia, `[arm]` or `[inertia]`, which free motion cannot tell; the air
+bearings that the arm rides on; and its recordings. Every key is known and has a meaning, so a key
+that is not known is a mistake and never ignored.
+"""
+
+import difflib
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import InputError, flag, inside, quote
+from ..simulation.integrator import Integrator
+from .tables import ArmTable, Bearing, InertiaTable, check_bearings
+
+ROLES = ("fit", "check", "inertia")
+
+_KEYS = {
+    "": ("arm", "inertia", "air_bearings", "recordings", "integrator"),
+    "integrator": ("solver", "rtol", "atol"),
+    "arm": ("link_lengths", "shoulder", "elbow", "coupling"),
+    "inertia": ("joints", "matrix", "units"),
+    "air_bearings": ("joint", "mass", "inertia"),
+    "recordings": (
+        "file",
+        "columns",
+        "units",
+        "separator",
+        "decimal",
+        "rest",
+        "theta2",
+        "noise",
+        "start",
+        "stop",
+        "role",
+        "air_bearings",
+        "extra_mass",
+        "markers",
+        "normal",
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What the file says; of each `[[recordings]]` the keys, most of their values unchecked yet."""
+
+    inertia: ArmTable | InertiaTable
+    bearings: tuple[Bearing, ...]
+    recordings: tuple[dict[str, Any], ...]
+    integrator: Integrator | None = None
+
+
+def parse(text: str, where: str) -> Contents:
+    """Read the text of an experiment file; `where` is its name."""
+    with inside(where):
+        tables = _tables(text)
+        _check_keys("", tables)
+        recordings = _many(tables, "recordings")
+        if not recordings:
+            raise InputError("there is no [[recordings]] table: nothing to work on")
+        for i, entry in enumerate(recordings):
+            with inside(f"[[recordings]] {i + 1}"):
+                _check_recording(entry, "arm" in tables)
+        roles = {entry.get("role", "fit") for entry in recordings}
+        if roles == {"check"}:
+            raise InputError(
+                'every recording has role = "check", so there is nothing to fit: '
+                'at least one must have role = "fit" or "inertia"'
+            )
+        inertia = _inertia(tables, only_inertia=roles == {"inertia"})
+        bearings = tuple(_bearings(_many(tables, "air_bearings")))
+        check_bearings(inertia, bearings)
+        for i, entry in enumerate(recordings):
+            if entry.get("air_bearings") is False and not bearings:
+                raise InputError(
+                    f"[[recordings]] {i + 1}: air_bearings = false, but there is no "
+                    "[[air_bearings]] table to say what was taken off"
+                )
+        return Contents(inertia, bearings, tuple(recordings), _integrator(tables))
+
+
+def _tables(text: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text.replace("\r\n", "\n"))
+    except tomllib.TOMLDecodeError as error:
+        # "... (at line 3, column 5)" or "... (at end of document)"
+        place = r"^(.*) \(at (?:line (\d+), column \d+|end of document)\)$"
+        found = re.search(place, str(error), re.S)
+        what, line = found.groups() if found else (error, None)
+        line = line or text.rstrip().count("\n") + 1
+        raise InputError(f"line {line}: is not TOML: {what}") from None
+    except RecursionError:
+        raise InputError("is not TOML of an experiment: brackets are nested too deep") from None
+    except ValueError as error:  # integers of thousands of digits
+        raise InputError(f"is not TOML of an experiment: {error}") from None
+
+
+def _check_keys(table: str, keys: Mapping[str, Any]) -> None:
+    known = _KEYS[table]
+    for key in keys:
+        if key in known:
+            continue
+        close = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
+        here = f"[{table}]" if table else "the file"
+        hint = f"did you mean {close[0]}?" if close else f"{here} has {', '.join(known)}"
+        raise InputError(f"unknown key {quote(key)}: {hint}")
+
+
+def _one(tables: Mapping[str, Any], name: str) -> dict[str, Any]:
+    table = tables[name]
+    if not isinstance(table, dict):
+        raise InputError(f"{name} must be one table, [{name}]")
+    with inside(f"[{name}]"):
+        _check_keys(name, table)
+    return table
+
+
+def _many(tables: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+    entries = tables.get(name, [])
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise InputError(f"{name} must be tables, each under a line [[{name}]]")
+    for i, entry in enumerate(entries):
+        with inside(f"[[{name}]] {i + 1}"):
+            _check_keys(name, entry)
+    return entries
+
+
+def _inertia(tables: Mapping[str, Any], only_inertia: bool) -> ArmTable | InertiaTable:
+    if ("arm" in tables) == ("inertia" in tables):
+        have = "both [arm] and [inertia]" if "arm" in tables else "neither [arm] nor [inertia]"
+        raise InputError(f"has {have}: give one, [arm] for two links or [inertia] for any matrix")
+    name = "arm" if "arm" in tables else "inertia"
+    keys = _one(tables, name)
+    with inside(f"[{name}]"):
+        needed = ("link_lengths",) if name == "arm" else ("joints", "matrix")
+        for key in needed:
+            if key not in keys:
+                raise InputError(f"{key} is missing")
+        if name == "inertia":
+            return InertiaTable(**keys)
+        arm = ArmTable(**keys)
+        if arm.missing and not only_inertia:
+            raise InputError(
+                f"{', '.join(arm.missing)} missing: free motion fixes only the ratios of stiffness "
+                "and damping to inertia (Eq. 9), so inertia must be measured first: "
+                '`residyn inertia` finds it from driven recordings with role = "inertia", in a '
+                "file of their own"
+            )
+        return arm
+
+
+def _integrator(tables: Mapping[str, Any]) -> Integrator | None:
+    if "integrator" not in tables:
+        return None
+    keys = _one(tables, "integrator")
+    with inside("[integrator]"):
+        if not isinstance(keys.get("solver"), str):
+            have = f"solver = {quote(keys['solver'])}" if "solver" in keys else "solver is missing"
+            raise InputError(f'{have}: must be the name of a solver, such as "Tsit5"')
+        return Integrator(**keys)
+
+
+def _bearings(entries: Iterable[dict[str, Any]]) -> Iterable[Bearing]:
+    for i, entry in enumerate(entries):
+        with inside(f"[[air_bearings]] {i + 1}"):
+            for key in _KEYS["air_bearings"]:
+                if key not in entry:
+                    raise InputError(f"{key} is missing")
+            yield Bearing(**entry)
+
+
+def _check_recording(entry: Mapping[str, Any], arm: bool) -> None:
+    """What can be said before the recording is read."""
+    if not isinstance(entry.get("file"), str) or not entry["file"]:
+        have = f"file = {quote(entry['file'])}" if "file" in entry else "file is missing"
+        raise InputError(f"{have}: must be the name of a recording's file")
+    check_role(entry.get("role", "fit"))
+    flag("air_bearings", entry.get("air_bearings", True))
+    if not arm and "theta2" in entry:
+        raise InputError("theta2 is the elbow's angle of an [arm]; with [inertia] leave it out")
+    if arm and "extra_mass" in entry:
+        raise InputError(
+            "extra_mass is for [inertia] only; for an [arm] give the loaded arm's own inertias"
+        )
+
+
+def check_role(role: Any) -> str:
+    """`role`, if it is one."""
+    if not isinstance(role, str) or role not in ROLES:
+        close = difflib.get_close_matches(role, ROLES, n=1) if isinstance(role, str) else []
+        hint = f"; did you mean {quote(close[0])}?" if close else ""
+        known = " or ".join(quote(name) for name in ROLES)
+        raise InputError(f"role = {quote(role)}: must be {known}{hint}")
+    return role

@@ -1,0 +1,118 @@
+"""The page: the same template, style and scripts for the live server and for a report.
+
+Live, scripts are files of the server. In a report everything stands in the page: the modules as
+`data:` addresses of an import map, the data as JSON that no markup can leave.
+"""
+
+import base64
+import importlib.resources
+import json
+import re
+from pathlib import PurePath
+from typing import Any
+
+import jinja2
+import markupsafe
+
+from ...diagnosis.result import Diagnosis
+from .payload import payload
+from .study import Study
+
+_STATIC = importlib.resources.files("residyn.reporting.explorer") / "static"
+MODULES = (
+    "linear_algebra.js",
+    "arrays.js",
+    "elements.js",
+    "evidence.js",
+    "first_order.js",
+    "state.js",
+    "words.js",
+    "charts.js",
+    "bars.js",
+    "staircase.js",
+    "numbers.js",
+    "server.js",
+    "explorer.js",
+)
+"""One idea each; the last one starts the page."""
+UPLOT = "uPlot.iife.min.js", "uPlot.min.css"
+FILES = (*MODULES, *UPLOT, "uPlot.LICENSE.txt", "explorer.css")
+"""All that the server hands out."""
+_IMPORT = re.compile(r'(from\s+|import\s+)"\./([a-z_]+\.js)"')
+
+
+def static(name: str) -> str:
+    """The text of one file of the page.
+
+    **Raises:** `KeyError` for what is no file of it.
+    """
+    if name not in FILES:
+        raise KeyError(name)
+    return (_STATIC / name).read_text(encoding="utf-8")
+
+
+def _templates() -> jinja2.Environment:
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("residyn", "reporting/explorer/templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def live(name: str) -> str:
+    """The page of the server; `name` of the experiment."""
+    return _templates().get_template("live.html.j2").render(name=name)
+
+
+def embedded(found: Diagnosis, name: str = "experiment.toml") -> str:
+    """The explorer of a diagnosis, as a piece of HTML for the body of a page: styles, scripts and
+    data inside, nothing fetched. It shows nothing where scripts do not run, and is not printed.
+
+    **Arguments:** `name`: what the experiment is called on a command line.
+
+    **Returns:** HTML, or nothing if the diagnosis has not kept its search.
+    """
+    if found.search is None:
+        return ""
+    path = found.fits.whole.path or name
+    return _embedded(payload(Study.of(found), name=PurePath(path).name))
+
+
+def standalone(data: dict[str, Any]) -> str:
+    """A whole page around a payload, for a file."""
+    return (
+        _templates()
+        .get_template("standalone.html.j2")
+        .render(name=data["name"], explorer=markupsafe.Markup(_embedded(data)))
+    )
+
+
+def _embedded(data: dict[str, Any]) -> str:
+    addresses = {f"explorer/{name}": _address(static(name)) for name in MODULES}
+    return (
+        _templates()
+        .get_template("embedded.html.j2")
+        .render(
+            styles=[markupsafe.Markup(static(n)) for n in ("uPlot.min.css", "explorer.css")],
+            licence=static("uPlot.LICENSE.txt").splitlines()[2],
+            uplot=markupsafe.Markup(static("uPlot.iife.min.js")),
+            modules=_json({"imports": addresses}),
+            payload=_json(data),
+        )
+    )
+
+
+def _address(script: str) -> str:
+    """A module as an address; what it imports goes by the names of the import map."""
+    text = _IMPORT.sub(r'\1"explorer/\2"', script)
+    return "data:text/javascript;base64," + base64.b64encode(text.encode()).decode()
+
+
+def _json(data: Any) -> markupsafe.Markup:
+    """JSON inside a script element, which no `</script>` in a name can end."""
+    text = json.dumps(data, ensure_ascii=False, allow_nan=False)
+    for letter in "<>&\u2028\u2029":
+        text = text.replace(letter, f"\\u{ord(letter):04x}")
+    return markupsafe.Markup(text)

@@ -1,0 +1,264 @@
+"""The page, live, on this machine only.
+
+What a browser shows from elsewhere must neither read this server nor drive it: it listens on the
+loopback address; its pages lie under a random token; the Host of every request must be its own (a
+foreign name that points here is refused), and the Origin, where there is one, too; what changes
+something must have one. A content security policy lets the page load its own files and nothing
+else.
+"""
+
+import secrets
+import socket
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.routing import Route
+
+from ...errors import InputError
+from ...recordings.experiment import Experiment
+from . import page
+from .files import ExperimentFiles
+from .hidden import hide_one
+from .workbench import Workbench, Worker
+
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+    "img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+_HEADERS = {
+    "Content-Security-Policy": POLICY,
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+_LONGEST = 100_000  # bytes of a request
+_STUDIES = 6  # kept at a time
+_KINDS = {".js": "text/javascript", ".css": "text/css", ".txt": "text/plain"}
+
+
+class Explorer:
+    """What the server holds: studies by number, 0 being the one that it was started with."""
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        effects: tuple[str, ...] = (),
+        name: str = "experiment.toml",
+        files: ExperimentFiles | None = None,
+        token: str | None = None,
+    ):
+        """`name` of the experiment on a command line; `files`: where it was read from."""
+        self.token, self.name, self.effects = token or secrets.token_urlsafe(24), name, effects
+        self.worker, self.quick_worker = Worker(), Worker()
+        self.studies = {0: Workbench(experiment, effects, name, files)}
+        self.random = np.random.default_rng()
+
+    def app(self, port: int) -> "Guard":
+        """The ASGI application at a port."""
+        base = f"/{self.token}"
+        routes = [
+            Route(f"{base}/", self._page),
+            Route(f"{base}/static/{{name}}", self._static),
+            Route(f"{base}/api/{{study:int}}/state", self._state),
+            Route(f"{base}/api/{{study:int}}/payload", self._payload),
+            Route(f"{base}/api/{{study:int}}/searched", self._searched),
+            Route(f"{base}/api/{{study:int}}/fit", self._fit, methods=["POST"]),
+            Route(f"{base}/api/{{study:int}}/quick", self._quick, methods=["POST"]),
+            Route(f"{base}/api/{{study:int}}/reload", self._reload, methods=["POST"]),
+            Route(f"{base}/api/{{study:int}}/hide", self._hide, methods=["POST"]),
+            Route(f"{base}/api/{{study:int}}/reveal", self._reveal, methods=["POST"]),
+        ]
+        return Guard(Starlette(routes=routes), port)
+
+    def stop(self) -> None:
+        """End all that is under way."""
+        for each in self.studies.values():
+            each.stop()
+
+    # -- answers ------------------------------------------------------------------------------
+
+    async def _page(self, request: Request) -> Response:
+        return Response(page.live(self.name), media_type="text/html")
+
+    async def _static(self, request: Request) -> Response:
+        name = request.path_params["name"]
+        try:
+            text = page.static(name)
+        except KeyError:
+            return PlainTextResponse("no such file", 404)
+        return Response(text, media_type=_KINDS[Path(name).suffix])
+
+    def _bench(self, request: Request) -> Workbench | None:
+        return self.studies.get(request.path_params["study"])
+
+    async def _state(self, request: Request) -> Response:
+        bench = self._bench(request)
+        if bench is None:
+            return _gone()
+        return JSONResponse(bench.state())
+
+    async def _payload(self, request: Request) -> Response:
+        bench = self._bench(request)
+        if bench is None or bench.text is None:
+            return _gone()
+        return Response(bench.text, media_type="application/json")
+
+    async def _searched(self, request: Request) -> Response:
+        bench = self._bench(request)
+        if bench is None or bench.study is None:
+            return _gone()
+        return JSONResponse(await self.worker.do(bench.searched))
+
+    async def _fit(self, request: Request) -> Response:
+        return await self._fitted(request, self.worker, lambda bench: bench.fit)
+
+    async def _quick(self, request: Request) -> Response:
+        def quick(bench: Workbench):
+            return lambda added, held: bench.quick(added)
+
+        return await self._fitted(request, self.quick_worker, quick)
+
+    async def _fitted(self, request: Request, worker: Worker, how) -> Response:
+        bench = self._bench(request)
+        if bench is None or bench.study is None:
+            return _gone()
+        asked = await _asked(request)
+        try:
+            window, number = str(asked["window"]), int(asked["number"])
+            added = [str(x) for x in asked["added"]]
+            held = {str(k): float(v) for k, v in asked.get("held", {}).items()}
+        except (KeyError, TypeError, ValueError, AttributeError):
+            return JSONResponse({"error": "a fit needs window, number and added"}, 400)
+        found = await worker.newest(window, number, lambda: how(bench)(added, held))
+        return JSONResponse({"superseded": True} if found is None else found)
+
+    async def _reload(self, request: Request) -> Response:
+        bench = self._bench(request)
+        if bench is None or bench.files is None:
+            return _gone()
+        asked = await _asked(request)
+        known = bench.files.new()
+        names = [str(x) for x in asked.get("add", []) if str(x) in known]
+        path, added = bench.files.path, (*bench.files.added, *names)
+        try:
+            files = await self.worker.do(lambda: ExperimentFiles(path, added))
+        except InputError as error:
+            return JSONResponse({"error": str(error)})
+        return self._begun(Workbench(files.experiment, self.effects, self.name, files))
+
+    async def _hide(self, request: Request) -> Response:
+        bench = self._bench(request)
+        if bench is None or bench.study is None:
+            return _gone()
+        study = bench.study
+        try:
+            made, effect = await self.worker.do(lambda: hide_one(study, self.random))
+        except ValueError as error:
+            return JSONResponse({"error": str(error)})
+        return self._begun(Workbench(made, (), "simulated.toml", hidden=effect.label))
+
+    async def _reveal(self, request: Request) -> Response:
+        bench = self._bench(request)
+        if bench is None or bench.hidden is None:
+            return _gone()
+        return JSONResponse({"hidden": bench.hidden})
+
+    def _begun(self, bench: Workbench) -> Response:
+        number = max(self.studies) + 1
+        self.studies[number] = bench
+        for old in sorted(self.studies)[1:-_STUDIES]:
+            self.studies.pop(old).stop()
+        return JSONResponse({"study": number})
+
+
+def _gone() -> Response:
+    return JSONResponse({"error": "there is no such study (any more): load the page again"}, 404)
+
+
+async def _asked(request: Request) -> dict[str, Any]:
+    try:
+        found = await request.json()
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+class Guard:
+    """Refuses requests that are not from this server's own page, and says what pages may do."""
+
+    def __init__(self, app: Callable[..., Awaitable[None]], port: int):
+        self.app = app
+        self.hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
+
+    async def __call__(self, scope, receive, send) -> None:
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        headers = {k.decode("latin-1").lower(): v.decode("latin-1") for k, v in scope["headers"]}
+        refused = self._refused(scope["method"], headers)
+        if refused is not None:
+            response = PlainTextResponse(refused, 403, headers=_HEADERS)
+            return await response(scope, receive, send)
+
+        async def with_headers(message) -> None:
+            if message["type"] == "http.response.start":
+                more = [(k.lower().encode(), v.encode()) for k, v in _HEADERS.items()]
+                message = {**message, "headers": [*message.get("headers", []), *more]}
+            await send(message)
+
+        await self.app(scope, receive, with_headers)
+
+    def _refused(self, method: str, headers: dict[str, str]) -> str | None:
+        host, origin = headers.get("host", ""), headers.get("origin")
+        if host not in self.hosts:
+            return "wrong host"
+        if origin is not None and origin != f"http://{host}":
+            return "wrong origin"
+        if headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
+            return "asked from another site"
+        if method not in ("GET", "HEAD"):
+            if origin is None:
+                return "no origin"
+            if not headers.get("content-type", "").startswith("application/json"):
+                return "not JSON"
+            size = headers.get("content-length", "")
+            if not size.isdigit() or int(size) > _LONGEST:
+                return "too long"
+        return None
+
+
+def serve(explorer: Explorer, port: int, opened: Callable[[str], None]) -> None:
+    """Serve until Ctrl-C; `opened` is called with the address once the port is taken.
+
+    **Arguments:** `port`: 0 takes one that is free.
+
+    **Raises:** `InputError` if the port cannot be had.
+    """
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind(("127.0.0.1", port))
+    except (OSError, OverflowError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"--port {port}: cannot be had ({why})") from None
+    port = listening.getsockname()[1]
+    config = uvicorn.Config(
+        explorer.app(port), log_level="warning", lifespan="off", server_header=False,
+        timeout_graceful_shutdown=1,
+    )  # fmt: skip
+    listening.listen()
+    opened(f"http://127.0.0.1:{port}/{explorer.token}/")
+    try:
+        uvicorn.Server(config).run(sockets=[listening])
+    except KeyboardInterrupt:
+        pass
+    finally:
+        explorer.stop()
+        listening.close()

@@ -1,0 +1,157 @@
+"""A study that goes on in the background while pages look at it.
+
+Each has a thread of its own for the long work (smoothing, screening, the search). Fits that
+somebody waits for run in one more thread, one after the other, and quick ones in another, which a
+program that is being compiled does not hold up; of what one window asks for only the newest is
+begun.
+"""
+
+import asyncio
+import json
+import queue
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from ...errors import InputError
+from ...fitting.result import FitError
+from ...recordings.experiment import Experiment
+from .files import ExperimentFiles
+from .payload import fitted, payload, searched, smoothed
+from .study import Study
+
+
+class Workbench:
+    """One experiment, live."""
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        effects: tuple[str, ...],
+        name: str,
+        files: ExperimentFiles | None = None,
+        hidden: str | None = None,
+    ):
+        """Begin at once. `hidden` is what was hidden in a simulated arm."""
+        self.experiment, self.effects, self.name = experiment, effects, name
+        self.files, self.hidden = files, hidden
+        self.words, self.error = "starting", ""
+        self.study: Study | None = None
+        self.text: str | None = None
+        """The payload as JSON, once it is there."""
+        self.version = 0
+        """Counts what the search has added."""
+        self.stopped, self._tried = False, 1
+        self.thread = threading.Thread(target=self._work, daemon=True)
+        self.thread.start()
+
+    def _work(self) -> None:
+        try:
+            study = Study(self.experiment, self.effects, say=self._say)
+            toml = None if self.files is None else self.files.text
+            self.text = json.dumps(
+                payload(study, live=True, name=self.name, toml=toml), ensure_ascii=False
+            )
+            self.study = study
+            study.diagnose(self._say)
+            self.version += 1
+            self.words = ""
+        except _Stopped:
+            self.words = ""
+        except (FitError, InputError, ValueError) as error:
+            self.error = " ".join(str(error).split())
+        except Exception as error:
+            self.error = f"this should not have happened, {type(error).__name__}: {error}"
+
+    def _say(self, words: str) -> None:
+        if self.stopped:
+            raise _Stopped
+        self.words = words
+        if self.study is not None and len(self.study.search.tried) != self._tried:
+            self._tried = len(self.study.search.tried)
+            self.version += 1
+
+    def state(self) -> dict[str, Any]:
+        """What a page asks for every second."""
+        return {
+            "ready": self.text is not None,
+            "words": self.words,
+            "error": self.error,
+            "version": self.version,
+            "changed": [] if self.files is None else self.files.changed(),
+            "new": [] if self.files is None else self.files.new(),
+        }
+
+    def searched(self) -> dict[str, Any]:
+        """What the search has added."""
+        assert self.study is not None
+        return searched(self.study)
+
+    def fit(self, added: list[str], held: dict[str, float]) -> dict[str, Any]:
+        """The fit that a page asks for, or `error` in a line."""
+        assert self.study is not None
+        try:
+            return {"fit": fitted(self.study, sorted(added), self.study.fit(added, held), [*held])}
+        except (FitError, ValueError) as error:
+            return {"error": " ".join(str(error).split())}
+
+    def quick(self, added: list[str]) -> dict[str, Any]:
+        """The same by the smoother, at once; `fit` is null if that does not settle."""
+        assert self.study is not None
+        try:
+            return {"fit": smoothed(self.study, sorted(added))}
+        except ValueError as error:
+            return {"error": " ".join(str(error).split())}
+
+    def stop(self) -> None:
+        """End what is under way, at its next step."""
+        self.stopped = True
+        if self.study is not None:
+            self.study.stop()
+
+
+class _Stopped(Exception):
+    pass
+
+
+class Worker:
+    """One thread for what windows wait for."""
+
+    def __init__(self):
+        self._jobs: queue.Queue = queue.Queue()
+        self._newest: dict[str, int] = {}
+        threading.Thread(target=self._run, daemon=True).start()
+
+    async def newest(self, window: str, number: int, work: Callable[[], Any]) -> Any:
+        """Do some work for a window, unless it has asked for something newer before that begins:
+        None then."""
+        self._newest[window] = max(number, self._newest.get(window, 0))
+        return await self._put(lambda: work() if self._newest[window] == number else None)
+
+    async def do(self, work: Callable[[], Any]) -> Any:
+        """Do some work."""
+        return await self._put(work)
+
+    async def _put(self, work):
+        loop = asyncio.get_running_loop()
+        future = loop.create_future()
+        self._jobs.put((loop, future, work))
+        return await future
+
+    def _run(self) -> None:
+        while True:
+            loop, future, work = self._jobs.get()
+            try:
+                found, error = work(), None
+            except Exception as e:
+                found, error = None, e
+            loop.call_soon_threadsafe(_settle, future, found, error)
+
+
+def _settle(future: asyncio.Future, found: Any, error: Exception | None) -> None:
+    if future.cancelled():
+        return
+    if error is not None:
+        future.set_exception(error)
+    else:
+        future.set_result(found)

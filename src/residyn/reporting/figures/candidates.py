@@ -1,0 +1,91 @@
+"""The candidates: how probable each is, and how far its evidence is behind the best model's."""
+
+import math
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FixedLocator, NullLocator
+
+from ...diagnosis.evidence import INDISTINGUISHABLE
+from ...diagnosis.result import Diagnosis
+from ..words import at_place, base_name, nats, percent, worth_showing
+from .style import BAND, DASHED, HELD_OUT, INK, MODEL, NARROW, RESIDUAL, WIDE, styled
+
+_ROW, _MARGIN = 0.36, 0.85  # inches
+_MOST = 8
+_LINEAR = 3.0  # nats up to which the scale is linear
+_ROOM = 2.0  # of the longest bar, beyond its end, for its number
+
+
+@styled
+def candidates(found: Diagnosis, *, narrow: bool = False) -> Figure:
+    """What might be missing in the base model: probability, and log evidence.
+
+    A bar of the second panel is how many nats the base model with this candidate alone is behind
+    the best model of all (of the base model without any, in the last row). Up to the dashed line
+    two models cannot be told apart. What was added is orange.
+    """
+    shown = worth_showing(found, _MOST)
+    joints, base = found.fit.joints, found.ladder[0]
+    names = [at_place(c.effect, joints) for c in shown]
+    rows = len(shown) + 1
+    panel = _ROW * rows + _MARGIN
+    shape = (2, 1) if narrow else (1, 2)
+    size = (NARROW, 2 * panel + 0.45) if narrow else (WIDE, panel + 0.3)
+    figure = Figure(figsize=size, layout="constrained")
+    likely, behind = figure.subplots(
+        *shape, sharey=not narrow, width_ratios=None if narrow else (2, 3)
+    )
+    colours = [RESIDUAL if c.effect in found.added else MODEL for c in shown]
+    place = range(len(shown))
+
+    chances = [100 * c.probability for c in shown]
+    likely.barh(place, [100.0] * len(shown), 0.5, color=BAND, alpha=0.5, zorder=1)
+    likely.barh(place, chances, 0.5, color=colours, zorder=2)
+    for y, chance, c in zip(place, chances, shown, strict=True):
+        _at_end(likely, chance if math.isfinite(chance) else 0.0, y, percent(c.probability))
+    likely.set(xlim=(0, 130), xlabel="probability (%)", title="how probable")
+    likely.set_xticks([0, 50, 100])
+
+    lag = [max(0.0, -c.log_evidence) for c in shown]
+    lag.append(max(0.0, -base.log_evidence))
+    own = [c if s.iterated else HELD_OUT for c, s in zip(colours, shown, strict=True)]
+    behind.set_xscale("symlog", linthresh=_LINEAR, linscale=0.7)
+    behind.barh(range(rows), lag, 0.5, color=[*own, BAND], zorder=2)
+    for y, x in enumerate(lag):
+        _at_end(behind, x if math.isfinite(x) else 0.0, y, nats(x))
+    most = max([x for x in lag if math.isfinite(x)] + [_LINEAR])
+    behind.set_xlim(0, most * (1 + _ROOM))
+    ticks = [x for x in (0, 3, 10, 100, 1e3, 1e4, 1e5, 1e6) if x <= most * (1 + _ROOM)]
+    behind.xaxis.set_major_locator(FixedLocator(ticks))
+    behind.xaxis.set_minor_locator(NullLocator())
+    behind.xaxis.set_major_formatter(lambda x, _: f"{x:,.0f}".replace(",", "\u202f"))
+    behind.axvline(INDISTINGUISHABLE, color=INK, lw=1.0, ls=DASHED, zorder=3)
+    behind.set(xlabel="nats behind the best model", title="log evidence")
+    for ax in (likely, behind):
+        words = [*names, f"none: {base_name(base.fit)}"]
+        if narrow:
+            words = [n.replace(" at the", "\nat the").replace(": ", ":\n") for n in words]
+        ax.set_yticks(range(rows), words)
+        ax.tick_params(axis="y", length=0, labelsize=8 if narrow else 9)
+        ax.set_ylim(rows - 0.4, -0.6)
+    if not narrow:
+        behind.tick_params(axis="y", labelleft=False)
+    keys = [
+        Patch(color=RESIDUAL, label="added"),
+        Patch(color=MODEL, label="tried"),
+        Patch(color=HELD_OUT, label="to first order only"),
+        Line2D([], [], color=INK, lw=1.0, ls=DASHED, label="odds of 20 to 1"),
+    ]
+    if not found.added:
+        keys = keys[1:]
+    if all(c.iterated for c in shown):
+        keys = [k for k in keys if k.get_label() != "to first order only"]
+    figure.legend(handles=keys, loc="outside lower right", ncols=2 if narrow else 4)
+    return figure
+
+
+def _at_end(ax: Axes, x: float, y: int, words: str) -> None:
+    ax.annotate(words, (x, y), xytext=(4, 0), textcoords="offset points", va="center")

@@ -1,0 +1,82 @@
+"""How searches bring the objective down, simulation by simulation."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from ...fitting.history import History
+from ..numbers import plain
+from .style import INK, JOINTS, NARROW, SOFT, WIDE, WILD, styled
+
+_COLOURS = (JOINTS[0], JOINTS[1], JOINTS[2], WILD, "#e69f00", "#56b4e9", SOFT)
+_DASHES = ("-", "-", "-", "-", (0, (5, 2)), (0, (5, 2)), (0, (5, 2)))
+_LONG = 1000.0  # times: a fall beyond which only whole powers of ten are named
+
+
+@styled
+def convergence(
+    histories: Sequence[History],
+    names: Sequence[str],
+    *,
+    floor: float | None = None,
+    label: str = "objective of Eq. 17 (relative error, 1)",
+    against: str = "simulations",
+    narrow: bool = False,
+) -> Figure:
+    """The best objective `against` the "simulations" or the "seconds" spent, both on logarithmic
+    scales.
+
+    A genetic algorithm's history is that of its fit (`Fit.history`), Levenberg-Marquardt's comes
+    from `residyn.fitting.levenberg_history`. `floor` is an objective to draw a line at, such as
+    that which the noise of the readings alone leaves.
+    """
+    rows = -(-len(names) // (1 if narrow else 2))
+    high = 2.6 + 0.2 * rows
+    figure = Figure(figsize=(NARROW if narrow else WIDE, high), layout="constrained")
+    ax = figure.subplots()
+    values = []
+    for i, (history, name) in enumerate(zip(histories, names, strict=True)):
+        style = {"color": _COLOURS[i % len(_COLOURS)], "ls": _DASHES[i % len(_DASHES)]}
+        spent = history.simulations if against == "simulations" else history.seconds
+        y = np.asarray(history.objective, float)
+        x = np.full(y.shape, np.nan) if spent is None else np.asarray(spent, float)
+        use = np.isfinite(y) & (y > 0) & (x > 0)
+        values += [y[use].min(), y[use].max()] if use.any() else []
+        # Named in the SVG, so that a page can hide it.
+        mark = f"{against}-curve-{i}"
+        ax.step(x[use], y[use], where="post", lw=1.8, label=name, gid=mark, **style)
+        if use.any():
+            end = {"color": style["color"], "clip_on": False, "gid": f"{against}-end-curve-{i}"}
+            ax.plot(x[use][-1], y[use][-1], "o", ms=5, **end)
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    if floor is not None:
+        ax.axhline(floor, color=INK, lw=1.0, zorder=0)
+        ax.annotate(
+            "what the noise leaves",
+            (1.0, floor),
+            xycoords=("axes fraction", "data"),
+            xytext=(0, -4),
+            textcoords="offset points",
+            ha="right",
+            va="top",
+            color=SOFT,
+        )
+        values.append(floor / 1.3)
+    if values:
+        ax.set_ylim(min(values) / 1.25, max(values) * 1.25)
+        few = max(values) > _LONG * min(values)
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0,) if few else (1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter(lambda y, _: plain(y, 1))
+    ax.yaxis.set_minor_formatter(NullFormatter())
+    if against == "simulations":
+        ax.xaxis.set_major_formatter(lambda x, _: f"{x:,.0f}".replace(",", "\u202f"))
+        ax.set_xlabel("simulations of the recordings")
+    else:
+        ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
+        ax.set_xlabel("seconds")
+    ax.set_ylabel(label)
+    figure.legend(loc="outside upper left", ncols=1 if narrow else 2)
+    return figure

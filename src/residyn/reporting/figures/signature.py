@@ -1,0 +1,111 @@
+"""What an effect looks like: the torque that a model without it would miss."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.figure import Figure
+
+from ...effects import AbstractEffect, catalogue, effects_named
+from ...physics.mechanism import PlanarArm
+from ...physics.model import Model
+from ...physics.motion import Motion, stack
+from ...physics.parameter import Scales, parameters_of
+from ...simulation.simulate import simulate
+from .style import FAINT, MEASURED, MODEL, NARROW, RESIDUAL, WIDE, styled
+
+_RELEASE = (0.2, -0.2)
+_SECONDS, _RATE = 16.0, 400.0
+_EDGE = 4  # samples at the ends where a difference is one-sided
+_SCALES = Scales(inertia=0.6, frequency=5.0, amplitude=0.1)
+# Share of the typical size at which an effect can be seen beside the ringing without burying it.
+_STRENGTH = 0.1
+_STRONG = {
+    "dead_zone": 0.6,
+    "brake_slip": 0.6,
+    "sensor_delay": 0.1,
+    "damper": 0.05,
+    "spring": 1.0,
+    "coupling_damping": 0.01,  # more, and it feeds the arm faster than its dampers drain it
+}
+
+
+@styled
+def signature(name: str, *, narrow: bool = False) -> Figure:
+    """What an effect of the catalogue does to the arm of the paper, released at 0.2 rad.
+
+    The torque that springs and dampers alone would miss (for a sensor's error: would seem to miss),
+    against time, angle and rate, and the reading with and without the effect.
+
+    **Raises:** `ValueError` for an effect that does not exist.
+    """
+    with jax.enable_x64(True):
+        t, with_it, without, angle, rate, torque = _motions(name)
+    joint = int(np.argmax(np.sqrt(np.mean(torque**2, axis=0))))
+    where = ("shoulder", "elbow")[joint]
+    q, v, tau = angle[:, joint], rate[:, joint], torque[:, joint]
+    # The smallest range that holds all but the instants of a jump, where a difference overshoots.
+    most = 1.15 * float(np.quantile(np.abs(tau), 0.995)) or 1.0
+    figure = Figure(figsize=(NARROW, 9.0) if narrow else (WIDE, 5.2), layout="constrained")
+    (top, *rest) = figure.subplots(*((4, 1) if narrow else (2, 2))).ravel()
+    top.plot(t, without[:, joint], color=MEASURED, lw=2.2, label="without")
+    top.plot(t, with_it[:, joint], color=MODEL, lw=0.9, label="with")
+    top.set(xlabel="time (s)", ylabel="reading (rad)", title=f"{name}: {where} reading")
+    low, high = top.get_ylim()
+    top.set_ylim(low, high + 0.25 * (high - low))  # the legend's own room, above the curves
+    top.legend(loc="upper right", ncols=2)
+    for ax, x, label in zip(
+        rest, (t, q, v), ("time (s)", "angle (rad)", "rate (rad/s)"), strict=True
+    ):
+        order = "missing torque against " + label.split(" (")[0]
+        ax.axhline(0.0, color=FAINT, lw=0.6)
+        ax.plot(x, tau, color=RESIDUAL, lw=0.9)
+        ax.set(xlabel=label, ylabel="torque (N m)", ylim=(-most, most), title=order)
+    return figure
+
+
+def _motions(name: str):
+    """(t, readings with, readings without, and of the former angle, rate and missing torque)."""
+    arm = PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.3, bearings=[1, 1])
+    base = Model(arm)
+    for joint, k in zip(arm.joints, (16.67, 16.67), strict=True):
+        for label, value in ((f"spring:{joint}", k), (f"damper:{joint}", 0.05)):
+            (effect,) = effects_named(label, arm)
+            field = parameters_of(effect)[0].field
+            base = base + dataclasses.replace(effect, **{field: jnp.asarray(value)})
+    places = catalogue()[name].places(arm) if name in catalogue() else ()
+    (effect,) = effects_named(f"{name}:{places[-1]}" if places else name, arm)
+    if effect.label in base.labels:  # what is in every model: what is missing without it
+        base = base.without(effect.label)
+    full = base + _sized(effect)
+    t = np.arange(round(_SECONDS * _RATE)) / _RATE
+    with_it, without = (
+        np.asarray(simulate(m, t, _RELEASE, steps=len(t)).readings) for m in (full, base)
+    )
+    # What the base model would have to explain; without noise, differences will do.
+    v = np.gradient(with_it, 1 / _RATE, axis=0)
+    a = np.gradient(v, 1 / _RATE, axis=0)
+
+    def missing(t, q, v, a):
+        motion = Motion.at(t, q, v)
+        rows = [sum(z * x for z, x in zip(row, a, strict=True)) for row in arm.mass_matrix(q)]
+        f, known = arm.inertia_torque(motion.q, motion.v), base.torque(motion)
+        return -stack(tuple(r + x + y for r, x, y in zip(rows, f, known, strict=True)))
+
+    tau = np.asarray(jax.vmap(missing)(*map(jnp.asarray, (t, with_it, v, a))))
+    inner = slice(_EDGE, -_EDGE)
+    return t[inner], with_it[inner], without[inner], with_it[inner], v[inner], tau[inner]
+
+
+def _sized(effect: AbstractEffect) -> AbstractEffect:
+    """The effect strong enough to see."""
+    strength = _STRONG.get(effect.name, _STRENGTH)
+    values = {}
+    for p in parameters_of(effect):
+        size = p.dimension.size(_SCALES)
+        if p.silent is not None:
+            values[p.field] = jnp.asarray(p.silent + strength * size)
+        elif p.grid:
+            values[p.field] = jnp.asarray(p.grid[(len(p.grid) - 1) // 2] * size)
+    return dataclasses.replace(effect, **values)

@@ -1,0 +1,1 @@
+"""What residyn asks of JAX and of the machine: settings, the cache of compiled programs, cores."""

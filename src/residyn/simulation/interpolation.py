@@ -1,0 +1,109 @@
+"""Between the steps: a smooth curve through what the integrator left behind.
+
+An integration step is as long as the motion allows and knows nothing of the samples. Readings are
+taken from the quintic Hermite curve through position, rate and acceleration at both ends of the
+step, whose error is about (w h)^6 / 46080.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ..physics.model import Model
+from ..physics.motion import Joints
+
+
+class Trajectory(NamedTuple):
+    """Simulated motion: `t` (N,) s, `q` (N, n) rad or m, `v` (N, n).
+
+    `readings` (N, n) are what the sensors say: `q`, unless the model has sensor effects.
+    """
+
+    t: Float[Array, " N"]
+    q: Float[Array, "N n"]
+    v: Float[Array, "N n"]
+    readings: Float[Array, "N n"]
+
+
+class Nodes(NamedTuple):
+    """The motion at the ends of the steps: `start` s, `h` s, and `ends`, whose first `steps` + 1
+    rows count: angles, h times rates, h^2 times accelerations. All that a step begins with lies in
+    one row, so that a reading costs one look-up for its beginning and one for its end."""
+
+    start: Float[Array, ""]
+    h: Float[Array, ""]
+    steps: Int[Array, ""] | int
+    ends: Float[Array, "M 3n"]
+
+    @property
+    def q(self) -> Float[Array, "M n"]:
+        """Angles, rad or m."""
+        return self.ends[:, : self.ends.shape[1] // 3]
+
+    @property
+    def v(self) -> Float[Array, "M n"]:
+        """Rates, rad/s or m/s."""
+        n = self.ends.shape[1] // 3
+        return self.ends[:, n : 2 * n] / self.h
+
+
+def read(model: Model, nodes: Nodes, times: Float[Array, " N"]) -> Trajectory:
+    """Motion at any times."""
+    place = (times - nodes.start) / nodes.h
+    row = _row(nodes, place)
+    curve, s = _curve(nodes, row), (place - row)[:, None]
+    q = _polynomial(curve, s)
+    rate = _polynomial([k * c for k, c in enumerate(curve)][1:], s) / nodes.h
+    seen = _late(nodes, place, model.delays) if model.late else q
+    return Trajectory(times, q, rate, model.reading(seen))
+
+
+def read_rows(
+    model: Model, nodes: Nodes, row: Int[Array, " N"], place: Float[Array, " N"]
+) -> Float[Array, "N n"]:
+    """Readings at `place` (0 to 1) within the steps `row`: `read` for a fit, which knows where its
+    readings lie."""
+    if model.late:
+        return model.reading(_late(nodes, row + place, model.delays))
+    return model.reading(_polynomial(_curve(nodes, row), place[:, None]))
+
+
+def _late(nodes: Nodes, place: Float[Array, " N"], delays: Joints) -> Float[Array, "N n"]:
+    """Each joint as it was `delays` (s) ago; before the beginning the first curve goes on."""
+    columns = []
+    for joint, delay in enumerate(delays):
+        there = place - delay / nodes.h
+        row = _row(nodes, there)
+        curve = _curve(nodes, row)
+        columns.append(_polynomial([c[:, joint] for c in curve], there - row))
+    return jnp.stack(columns, axis=-1)
+
+
+def _row(nodes: Nodes, place: Float[Array, " N"]) -> Int[Array, " N"]:
+    """The step whose curve holds at each place, counted in steps."""
+    return jnp.clip(jnp.floor(place).astype(int), 0, nodes.steps - 1)
+
+
+def _curve(nodes: Nodes, row: Int[Array, " N"]) -> list[Float[Array, "N n"]]:
+    """Coefficients of some steps' quintics in s, which runs from 0 to 1 along a step."""
+    n = nodes.ends.shape[1] // 3
+    at = [nodes.ends.at[i].get(mode="promise_in_bounds") for i in (row, row + 1)]
+    (q0, q1), (v0, v1), (a0, a1) = zip(*(jnp.split(x, (n, 2 * n), axis=1) for x in at), strict=True)
+    # Taylor at the left end, and three higher powers matched to the right end.
+    rest, slope, bend = q1 - q0 - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
+    return [
+        q0,
+        v0,
+        a0 / 2,
+        10 * rest - 4 * slope + bend / 2,
+        -15 * rest + 7 * slope - bend,
+        6 * rest - 3 * slope + bend / 2,
+    ]
+
+
+def _polynomial(coefficients, s):
+    total = coefficients[-1]
+    for c in coefficients[-2::-1]:
+        total = c + s * total
+    return total
