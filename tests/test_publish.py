@@ -14,8 +14,8 @@ import pytest
 from residyn.cli import main
 from residyn.fitting import MissingExtra, Number
 from residyn.fitting.posterior import gaussian
-from residyn.fitting.publish import escaped, measured, scientific, unit
 from residyn.reporting import figures as plot
+from residyn.reporting.latex import escaped, measured, scientific, unit
 from tests import by_hand
 
 NUMBER = re.compile(r"-?\d+(\.\d+)?")
@@ -214,8 +214,8 @@ def test_a_diagnosis_in_latex(which):
     assert {len(row) for row in rows_of(candidates)} == {5}
     assert len(rows_of(ladder)) == 2 + len(found.ladder)
     if which == "missing":
-        assert rows_of(ladder)[-1][0] == "+ coulomb friction (elbow)"
-        assert rows_of(candidates)[1][0] == "coulomb friction, elbow"
+        assert rows_of(ladder)[-1][0] == "+ Coulomb friction, elbow"
+        assert rows_of(candidates)[1][0] == "Coulomb friction, elbow"
         assert rows_of(candidates)[1][2] == "$0$"
         assert rows_of(candidates)[1][3:] == [r"$0.2001 \pm 0.0006$", r"N\,m"]
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ..errors import InputError
-from ..reporting.json import finite
+from ..runtime.json import finite
 from ..runtime.settings import set_up
 
 if TYPE_CHECKING:

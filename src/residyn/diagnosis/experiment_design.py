@@ -23,7 +23,6 @@ from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
 from ..recordings.tables import ArmTable, InertiaTable
-from ..reporting.numbers import amount, plain
 from ..simulation.interpolation import read
 from ..simulation.simulate import march
 from .result import NextExperiment
@@ -137,37 +136,14 @@ def _readings(model: Model, release, times, steps: int):
 def _told(
     experiment: Experiment, scene: Scene, names: tuple[str, str], apart: float, now: float
 ) -> NextExperiment:
-    units = experiment.units or ("rad",) * len(experiment.joints)
-    release = dict(zip(experiment.joints, map(float, scene.release), strict=True))
-    angles = " and ".join(
-        f"the {joint} at {amount(x, unit, 3)}"
-        for (joint, x), unit in zip(release.items(), units, strict=True)
-    )
     r, arm = scene.recording, isinstance(experiment.inertia, ArmTable)
-    setting = f"with the elbow at {plain(r.theta2 or 0.0, 3)} rad, " if arm else ""
-    if arm and experiment.bearings:
-        setting += "on the air bearings, " if r.air_bearings else "without the air bearings, "
-    if not arm and r.extra_mass:
-        setting += f"with {plain(r.extra_mass, 3)} kg of load, "
-    if apart >= 5.0:
-        words = (
-            f"To tell {names[0]} from {names[1]}, release {setting}{angles}: their predictions "
-            f"then differ by {plain(apart, 2)} standard errors of all readings together, where "
-            f"now it is {plain(now, 2)}."
-        )
-    else:
-        words = (
-            f"No release that was tried (other angles, elbow angles, bearings or loads) would tell "
-            f"{names[0]} from {names[1]}: at best they differ by {plain(apart, 2)} standard errors "
-            "of all readings together."
-        )
     return NextExperiment(
         between=names,
-        release=release,
-        theta2=None if not arm else float(r.theta2 or 0.0),
+        release=dict(zip(experiment.joints, map(float, scene.release), strict=True)),
+        theta2=float(r.theta2 or 0.0) if arm else None,
         air_bearings=bool(r.air_bearings) if arm and experiment.bearings else None,
         extra_mass=None if arm else float(r.extra_mass),
         difference=apart,
         now=now,
-        words=words,
+        units=experiment.units or ("rad",) * len(experiment.joints),
     )

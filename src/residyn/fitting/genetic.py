@@ -147,8 +147,8 @@ def concluded(
     descent = Descent(problem, wild, at, squeezed, cost, steps, settled, starts=1, agreeing=1)
     error = integration_error(problem, at, squeezed.predicted, here.recordings, wild, _predicted_at)
     fit = finish(experiment, model, found.first, descent, began, error)
-    fit = dataclasses.replace(fit, reason=reason, history=found.history)
-    return fit.saying((*fit.warnings, *_far(fit, squeezed, np.asarray(problem.scale.numbers))))
+    far = _far(fit, squeezed, np.asarray(problem.scale.numbers))
+    return dataclasses.replace(fit, reason=reason, history=found.history, short_of_minimum=far)
 
 
 def _predicted_at(problem: Problem, y: Unknowns) -> np.ndarray:
@@ -214,8 +214,9 @@ def _settled(history: History) -> bool:
     return len(history.objective) > 1 and float(last[0] - last[-1]) < _FALL * float(last[0])
 
 
-def _far(fit: Fit, squeezed: Compressed, sizes: np.ndarray) -> list[str]:
-    """How far the least-squares minimum still is, in standard errors, by one Gauss-Newton step."""
+def _far(fit: Fit, squeezed: Compressed, sizes: np.ndarray) -> tuple[str, float] | None:
+    """How far the least-squares minimum still is, by one Gauss-Newton step: the number that is
+    farthest, and by how many standard errors; None if that is little."""
     factor, count = np.asarray(squeezed.factor), len(sizes)
     recordings, local = factor.shape[:2]
     rows = np.zeros((recordings * local, count + recordings * (local - count)))
@@ -227,10 +228,6 @@ def _far(fit: Fit, squeezed: Compressed, sizes: np.ndarray) -> list[str]:
     std = np.array([n.std for n in fit.numbers])
     far = np.abs(step) / std
     if not far.size or not far.max() > _FAR:
-        return []
+        return None
     worst = int(np.argmax(far))
-    return [
-        f"the search ended short of the least-squares minimum: from here it is about "
-        f"{far[worst]:.2g} standard errors away in {fit.numbers[worst].name}, which the errors "
-        "above do not hold; --method levenberg goes there"
-    ]
+    return fit.numbers[worst].name, float(far[worst])

@@ -24,8 +24,8 @@ import numpy as np
 from ..effects import AbstractEffect, catalogue
 from ..errors import InputError
 from ..recordings.experiment import Experiment
-from ..reporting.json import finite
 from ..runtime.export_cache import sources
+from ..runtime.json import finite
 
 if sys.platform != "win32":
     import fcntl
