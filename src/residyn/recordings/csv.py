@@ -19,7 +19,8 @@ from typing import NamedTuple, TextIO
 
 import numpy as np
 
-from ..errors import InputError, inside, quote, read_table_text
+from ..errors import InputError, inside, quote
+from ..files import read_table_text, write
 from .columns import (
     Column,
     Joints,
@@ -187,12 +188,7 @@ def write_csv(
     if not isinstance(path_or_file, (str, os.PathLike)):
         path_or_file.write(text)
         return
-    try:
-        with open(path_or_file, "w", encoding="utf-8", newline="") as file:
-            file.write(text)
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise InputError(f"{os.fspath(path_or_file)}: cannot be written ({why})") from None
+    write(path_or_file, text)
 
 
 def _find_header(
