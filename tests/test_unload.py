@@ -215,7 +215,7 @@ def test_json_keeps_the_contract(named):
 def test_printed_lines_fit_a_terminal(named):
     text = str(named)
     assert max(map(len, text.splitlines())) <= 80
-    for words in ("[[Taken off]]", "bearing drag", "in orbit", "[[Check]]", "0.52"):
+    for words in ("[[Taken off]]", "drag of the air", "in orbit", "[[Check]]", "0.52"):
         assert words in text
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
-from ..recordings.segments import wholes
+from ..recordings.segments import by_recording
 from ..runtime.json import number
 from ..runtime.presentation import TableResult
 from .history import History
@@ -123,7 +123,7 @@ class Fit(TableResult):
     def whole(self) -> tuple[RecordingFit, ...]:
         """`recordings`, with stretches of one recording put together again: what one draws."""
         found = []
-        for recording, which in wholes([r.recording for r in self.recordings]):
+        for recording, which in by_recording([r.recording for r in self.recordings]):
             parts = [self.recordings[i] for i in which]
             predicted = np.concatenate([p.predicted for p in parts])
             wild = np.concatenate([p.wild for p in parts])
@@ -246,7 +246,7 @@ class Fit(TableResult):
         """
         from .posterior import to_arviz
 
-        return to_arviz(self, draws, seed)
+        return to_arviz(self.numbers, self.covariance, draws, seed)
 
 
 def _rms(fits: list[RecordingFit]) -> np.ndarray:

@@ -58,6 +58,8 @@ _SIGNIFICANT = 2.0
 """Standard errors."""
 _PICTURES = 4
 """Missing torques in one place of a page; `residyn compare` draws them all."""
+_VALUES = 44
+"""Columns of a candidate's numbers in a terminal."""
 _FAMILIES, _SHOWN = 5, 0.005
 """Families on a page, and the probability from which one has a line."""
 _APART = 5.0
@@ -459,9 +461,9 @@ def candidates(found: Diagnosis) -> list[str]:
     shown, rows = worth_showing(found), []
     for c in shown:
         name = at_place(c.effect, found.fit.joints, comma=True)
-        values = f"\n  {_values(c)}" if c.parameters else ""
+        lines = [name, *filled(_values(c), "  ", width=_VALUES)]
         order = "" if c.iterated else " (1st order)"
-        rows.append([name + values, percent(c.probability), nats(c.log_evidence) + order])
+        rows.append(["\n".join(lines), percent(c.probability), nats(c.log_evidence) + order])
     out = [*section("Candidates", note), *printed(Table(["", "probability", "log evidence"], rows))]
     rest = len(found.candidates) - len(shown)
     if rest:

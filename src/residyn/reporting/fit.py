@@ -13,7 +13,7 @@ import numpy as np
 
 from ..fitting.integration import TENTH
 from ..fitting.result import NEGATIVE, STRONG, STRUCTURE, Fit, Mode, RecordingFit
-from ..recordings.segments import wholes
+from ..recordings.segments import by_recording
 from . import figures as plot
 from . import latex as tex
 from .layout import Table, filled, section, separated, tabular, warned
@@ -264,7 +264,7 @@ def text(fit: Fit) -> str:
     """The report, for a terminal of 80 columns."""
     fitted = [r for r in fit.recordings if r.recording.role != "check"]
     readings = sum(int(r.used.sum()) for r in fitted)
-    names = ", ".join(r.name for r, _ in wholes([f.recording for f in fitted]))
+    names = ", ".join(r.name for r, _ in by_recording([f.recording for f in fitted]))
     lines = [
         *filled(base_name(fit, comma=True), "[[Model]]  "),
         "[[Fit]]",

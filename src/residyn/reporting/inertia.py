@@ -8,7 +8,7 @@ from scipy.special import chdtrc
 
 from ..errors import InputError
 from ..procedure.carried import NAMES
-from ..procedure.result import FRICTION, FRICTION_UNITS, UNITS, InertiaResult, Number, TestResult
+from ..procedure.result import FRICTION_UNITS, UNITS, InertiaResult, Number, TestResult
 from ..procedure.weak import CALIBRATED
 from ..recordings.tables import ArmTable, check_bearings
 from . import figures as plot
@@ -24,6 +24,7 @@ _STRUCTURE = 1.2
 """Reduced chi-square of a test beyond which the equation lacks something."""
 _OVERSTATED = 0.5
 """And below which its noise must have been."""
+_FRICTION = ("Coulomb friction", "viscous friction", "offset")
 _SURE = 3.0
 """Standard errors that make a difference more than chance."""
 
@@ -64,11 +65,11 @@ def _doubts(test: TestResult) -> Iterable[str]:
         )
     elif test.solved.enlarged:
         yield f"{test.name}: what is left is not white noise; the errors were enlarged for it"
-    for name, number in test.friction.items():
-        if number and name != "offset" and number.value < -_SURE * number.std:
+    for name, number in zip(_FRICTION[:2], test.friction.values(), strict=False):
+        if number and number.value < -_SURE * number.std:
             yield (
-                f"{test.name}: {name.replace('_', ' ')} is negative, which adds energy: is the "
-                "torque's sign the angle's?"
+                f"{test.name}: {name} is negative, which adds energy: is the torque's sign the "
+                "angle's?"
             )
 
 
@@ -169,20 +170,23 @@ def _test(test: TestResult, joints: tuple[str, ...]) -> list[str]:
     pose = "" if test.test.joint else f", elbow at {_theta2(test)} rad"
     lines = filled(f"{test.name}: {joints[test.test.joint]} driven{pose}", "  ")
     rows = []
-    names = ("composite inertia", *(name.replace("_", " ") for name in FRICTION))
+    names = ("composite inertia", *_FRICTION)
     numbers = (test.inertia, *test.friction.values())
     ordinary = (*test.least_squares, None)
     for each in zip(names, ("kg m^2", *FRICTION_UNITS), numbers, ordinary, strict=True):
         name, unit, number, paper = each
         if number is None:
-            rows.append([name, "not told apart from Coulomb friction: it slid one way only", ""])
+            rows.append([name, "not told apart: it slid one way only", ""])
         else:
             beside = f"[{plain(paper.value, 4)}]" if paper else ""
             rows.append([name, measured(*number, unit), beside])
     noise = plain(test.test.torque_noise, 2)
     left = times(float(np.sqrt(test.solved.chi2)))
-    rows.append(["torque", f"noise {noise} N m; what is left is {left} times the noise", ""])
-    return lines + printed(Table(["", "", ""], rows, left=(0, 1)))
+    lines += printed(Table(["", "", ""], rows, left=(0, 1)))
+    return [
+        *lines,
+        f"    torque             noise {noise} N m; what is left is {left} times the noise",
+    ]
 
 
 def _theta2(test: TestResult) -> str:

@@ -27,12 +27,14 @@ class Table:
     """Rows that a page shows bold."""
 
 
-def filled(words: str, head: str = "", indent: int | None = None) -> list[str]:
+def filled(words: str, head: str = "", indent: int | None = None, width: int = WIDTH) -> list[str]:
     """Words in lines of 80 columns after a head; numbers stay with their units and errors."""
-    kept = words.replace(" %", "\u00a0%").replace(" +/- ", "\u00a0+/-\u00a0")
+    kept = words
+    for bare in (" %", " +/- ", "N m", " x noise"):
+        kept = kept.replace(bare, bare.replace(" ", "\u00a0"))
     further = " " * (len(head) if indent is None else indent)
     lines = textwrap.wrap(
-        kept, WIDTH, initial_indent=head, subsequent_indent=further, break_on_hyphens=False
+        kept, width, initial_indent=head, subsequent_indent=further, break_on_hyphens=False
     )
     return [line.replace("\u00a0", " ") for line in lines]
 

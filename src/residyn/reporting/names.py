@@ -114,5 +114,5 @@ def own_name(number: str) -> str:
 def when_held_out(what: str) -> str:
     """Which readings were held out, of a `HeldOut.what`."""
     if what == "check recordings":
-        return "recordings that were not fitted"
+        return "whole recordings"
     return "the last third, predicted from a fit of the first two"

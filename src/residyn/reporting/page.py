@@ -9,7 +9,6 @@ still says all.
 import os
 from collections.abc import Sequence
 from datetime import date
-from pathlib import Path
 from typing import Any
 
 import jinja2
@@ -18,7 +17,7 @@ import markupsafe
 from .. import __version__
 from ..diagnosis import Comparison
 from ..diagnosis.result import Diagnosis
-from ..errors import InputError
+from ..files import write
 from ..fitting.race import Race
 from ..fitting.result import Fit
 from ..procedure import InertiaResult, Unloading
@@ -47,7 +46,7 @@ def write_report(
 
     **Raises:** `InputError` if the file cannot be written.
     """
-    _write(path, render(fits, compared, diagnosis))
+    write(path, render(fits, compared, diagnosis))
 
 
 def write_page(
@@ -57,7 +56,7 @@ def write_page(
 
     **Raises:** `InputError` if the file cannot be written.
     """
-    _write(path, render_page(found, title))
+    write(path, render_page(found, title))
 
 
 def render(
@@ -109,11 +108,3 @@ def _filled(template: str, title: str, **named: Any) -> str:
     environment.globals.update(version=__version__, date=date.today().isoformat(), narrow=_NARROW)
     shown = {"chapters": [], "comparison": None, "diagnosis": None, **named}
     return environment.get_template(template).render(title=title, **shown)
-
-
-def _write(path: str | os.PathLike[str], text: str) -> None:
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise InputError(f"{os.fspath(path)}: cannot be written ({why})") from None

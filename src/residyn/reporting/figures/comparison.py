@@ -26,8 +26,8 @@ def where(compared: Comparison, *, narrow: bool = False) -> Figure:
     figure = Figure(figsize=(NARROW, 8.6) if narrow else (WIDE, 3.3), layout="constrained")
     time, swing, band = figure.subplots(*shape).ravel()
     _bars(time, [f"{plain(p.start, 2)}-{plain(p.stop, 2)}" for p in at.time], at.time, at.joints)
-    cut = any(r.recording.whole is not None for r in compared.fit.recordings)
-    since = "stretch's start" if cut else "start"
+    cut = any(r.recording.segment_of is not None for r in compared.fit.recordings)
+    since = "segment's start" if cut else "start"
     time.set(xlabel=f"time since the {since} (s)", title="when")
     _by_swing(swing, compared)
     swing.set(title="at which swing")
@@ -210,7 +210,7 @@ def _against(ax: Axes, x, tau, own) -> None:
 
 
 def _bins(x) -> list[np.ndarray]:
-    """Which instants lie above each stretch of the axis."""
+    """Which instants lie above each segment of the axis."""
     low, high = np.quantile(x, (0.005, 0.995))
     edges = np.linspace(low, high, 2 * _BINS + 1)
     which = np.digitize(x, edges)
@@ -218,12 +218,12 @@ def _bins(x) -> list[np.ndarray]:
 
 
 def _middle(x, tau) -> np.ndarray:
-    """(B, 2) the middle of what lies above each stretch of the axis."""
+    """(B, 2) the middle of what lies above each segment of the axis."""
     return np.array([(x[b].mean(), np.median(tau[b])) for b in _bins(x)])
 
 
 def _scatter(x, tau) -> float:
-    """The share of the torque's variance that its middle above each stretch leaves."""
+    """The share of the torque's variance that its middle above each segment leaves."""
     bins = _bins(x)
     if not bins:
         return 1.0

@@ -227,20 +227,20 @@ def _breadth(time: np.ndarray, inches: float, modes: Sequence[Mode]) -> float:
 
 
 def thinned(time: np.ndarray, values: np.ndarray, inches: float) -> tuple[np.ndarray, np.ndarray]:
-    """The least and greatest value of each small segment, on a picture so many inches wide: it looks
-    the same and takes less ink. A segment with a lost sample keeps a gap.
+    """The least and greatest value of each small segment, on a picture so many inches wide: it
+    looks the same and takes less ink. A segment with a lost sample keeps a gap.
     """
-    stretch = int(2 * len(time) / (_POINTS_PER_INCH * inches))
-    if stretch <= 2:
+    segment = int(2 * len(time) / (_POINTS_PER_INCH * inches))
+    if segment <= 2:
         return time, values
-    count = len(time) // stretch
-    head = count * stretch
-    blocks = values[:head].reshape(count, stretch)
+    count = len(time) // segment
+    head = count * segment
+    blocks = values[:head].reshape(count, segment)
     lost = np.isnan(blocks)
     least = np.argmin(np.where(lost, np.inf, blocks), axis=1)
     most = np.argmax(np.where(lost, -np.inf, blocks), axis=1)
     index = np.sort(np.stack([least, most], axis=1), axis=1)
-    picked = (index + stretch * np.arange(count)[:, None]).ravel()
+    picked = (index + segment * np.arange(count)[:, None]).ravel()
     thin = values[picked]
     thin[1::2][lost.any(axis=1)] = np.nan
     return np.append(time[picked], time[head:]), np.append(thin, values[head:])
