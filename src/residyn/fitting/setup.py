@@ -19,7 +19,7 @@ from ..physics.motion import split
 from ..physics.parameter import Scales, all_floating
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
-from ..recordings.segments import wholes
+from ..recordings.segments import by_recording
 from ..recordings.tables import ArmTable
 from ..runtime.export_cache import kept
 from ..simulation.integrator import Integrator, integrator_of
@@ -107,7 +107,7 @@ def with_own_numbers(
         return tuple(effects)
     if isinstance(experiment.inertia, AbstractMechanism):
         raise InputError("own goes with [arm] or [inertia], not with a mechanism of your own")
-    sharing = len(wholes(experiment.fit_recordings))
+    sharing = len(by_recording(experiment.fit_recordings))
     runs: dict[str, list[tuple[int, str]]] = {}
     for words, each in experiment.own.items():
         with inside(f"{each[0][1]}: own"):
