@@ -208,7 +208,7 @@ def check_own(own: Any, role: str) -> tuple[str, ...]:
         )
     if own and role != "fit":
         raise InputError(
-            f"own = {quote(list(own))}: with role = {quote(role)} nothing tells its own numbers; leave "
-            "own out"
+            f"own = {quote(list(own))}: with role = {quote(role)} nothing tells its own numbers; "
+            "leave own out"
         )
     return tuple(own)
