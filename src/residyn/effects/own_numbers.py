@@ -61,7 +61,7 @@ def _kind(kind: type[AbstractEffect], runs: tuple[tuple[int, str], ...]) -> type
                 p.dimension,
                 sign=p.sign,
                 silent=p.silent,
-                default=declared[p.field],
+                default=declared[p.field],  # pyright: ignore[reportArgumentType]
                 grid=p.grid,
                 name=f"{p.name} ({name})",
             )
@@ -84,7 +84,7 @@ def _kind(kind: type[AbstractEffect], runs: tuple[tuple[int, str], ...]) -> type
 
         body[method] = called
     numbers = "_".join(str(run) for run, _ in runs)
-    return type(kind)(f"{kind.__name__}_{numbers}", (kind,), body)
+    return type(kind)(f"{kind.__name__}_{numbers}", (kind,), body)  # pyright: ignore
 
 
 def _field(field: str, run: int) -> str:
