@@ -14,8 +14,10 @@ from . import runtime as runtime
 from . import simulation as simulation
 from .diagnosis import Comparison as Comparison
 from .diagnosis import Diagnosis as Diagnosis
+from .diagnosis import Plan as Plan
 from .diagnosis import compare as compare
 from .diagnosis import diagnose as diagnose
+from .diagnosis import plan as plan
 from .effects import CATALOGUE as CATALOGUE
 from .effects import AsymmetricDamping as AsymmetricDamping
 from .effects import AsymmetricStiffness as AsymmetricStiffness
@@ -79,6 +81,7 @@ from .procedure import unload as unload
 from .recordings.csv import write_csv as write_csv
 from .recordings.experiment import Experiment as Experiment
 from .recordings.experiment import load as load
+from .recordings.limits import Limits as Limits
 from .recordings.recording import Recording as Recording
 from .runtime.settings import set_up as set_up
 from .simulation.integrator import Integrator as Integrator
