@@ -12,10 +12,12 @@ from . import recordings as recordings
 from . import reporting as reporting
 from . import runtime as runtime
 from . import simulation as simulation
+from .diagnosis import Atlas as Atlas
 from .diagnosis import Comparison as Comparison
 from .diagnosis import Diagnosis as Diagnosis
 from .diagnosis import Plan as Plan
 from .diagnosis import compare as compare
+from .diagnosis import detectable as detectable
 from .diagnosis import diagnose as diagnose
 from .diagnosis import plan as plan
 from .effects import CATALOGUE as CATALOGUE

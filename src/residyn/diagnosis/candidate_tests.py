@@ -100,7 +100,7 @@ def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Sett
     releases = [size * sign * angle for size, sign in itertools.product(_SIZES, signs)]
     motions = [(r, None) for r in releases if np.any(r)]
     torques = limits.each("drive", n) or (0.0,) * n
-    frequencies = np.asarray(modes(model).frequency)
+    frequencies = np.asarray(modes(model).frequency_hz)
     rings = frequencies[np.isfinite(frequencies) & (frequencies > 0)]
     for joint, torque in zip(experiment.joints, torques, strict=True):
         for share in _DRIVES if torque and len(rings) else ():

@@ -83,8 +83,9 @@ def reduced(test: Sequence[Predicted]) -> list[Predicted]:
     columns = [np.column_stack([x.mean - origin, x.numbers, x.release]) for x in test]
     sizes = np.cumsum([c.shape[1] for c in columns])[:-1]
     together = np.concatenate(columns, axis=1)
-    if len(together) > together.shape[1]:
-        together = np.linalg.qr(together, mode="r")
+    if len(together) > together.shape[1]:  # only lengths and angles between columns matter
+        values, vectors = np.linalg.eigh(together.T @ together)
+        together = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     found = []
     for own, like in zip(np.split(together, sizes, axis=1), test, strict=True):
         many = 1 + like.numbers.shape[1]
