@@ -20,8 +20,10 @@ from ..effects import AbstractEffect
 from ..filtering.law import numbers_of
 from ..filtering.trajectory import Scene, Trajectory, number_slices
 from ..fitting import DEFAULT_STARTS, FitError, fit
+from ..fitting.descent import descend
 from ..fitting.drifting import without_drift
-from ..fitting.fit import finish, refit
+from ..fitting.fit import finish
+from ..fitting.integration import integration_error
 from ..fitting.result import Fit
 from ..fitting.setup import ready
 from ..physics.motion import Motion
@@ -30,7 +32,7 @@ from ..runtime.parallel import side_by_side
 from .candidate_tests import best_tests, in_play
 from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES
 from .forecast import held_out
-from .linearised_fit import LinearisedFit
+from .linearised_fit import LinearisedFit, polish, predicted_at
 from .missing_torque import missing_of, scene_of
 from .result import (
     Budget,
@@ -100,32 +102,44 @@ def diagnose(
 
 
 class Fits:
-    """Least-squares fits of tried models, each from its smoothed motion."""
+    """Least-squares fits of tried models, each from its smoothed motion.
+
+    Without a random torque the iterated smoother *is* the fit by least squares, but for its linear
+    steps: what is left to do is an exact simulation and a few steps from there.
+    """
 
     def __init__(self, experiment: Experiment, scene: Scene, wild, starts: int):
         self.scene, self.starts, self.whole = scene, starts, experiment
         self.experiment, self.wild, self.cut = experiment, wild, False
         self.lock = threading.Lock()
 
-    def of(self, model: Tried) -> Fit:
+    def of(self, tried: Tried) -> Fit:
         """The fit of one model.
 
         **Raises:** `FitError` if nothing finite comes of it.
         """
         began = time.perf_counter()
-        t = silenced(self.scene, model.best, model.intensity)
+        t = silenced(self.scene, tried.best, tried.intensity)
         own = [e for e in t.valued() if e.name not in ("spring", "damper")]
         with self.lock:
             self._cut(t.numbers, own)
         try:
             here = ready(self.experiment, self.experiment.fit_recordings, own)
-            numbers = t.numbers
             states = np.stack([self._state(t, r) for r in here.recordings])
-            wild = self._wild(here.recordings)
-            found, descent = refit(self.experiment, own, numbers[None], states[None], wild)
-            return finish(self.experiment, found, numbers, descent, began)
+            begin = here.model.with_vector(jnp.asarray(t.numbers))
+            quiet, wild = lambda words: None, self._wild(here.recordings)
+            found = descend(
+                here, begin, t.numbers[None], wild, quiet, near=states[None], search=polish
+            )
+            numbers = found.problem.numbers(found.unknowns)
+            model = here.model.with_vector(jnp.asarray(numbers))
+            predicted = np.asarray(found.compressed.predicted)
+            error = integration_error(
+                found.problem, found.unknowns, predicted, here.recordings, found.wild, predicted_at
+            )
+            return finish(self.experiment, model, t.numbers, found, began, error, polish)
         except FitError:
-            lost = model.intensity >= EXPLAINS_NOTHING  # no start is better than another one
+            lost = tried.intensity >= EXPLAINS_NOTHING  # no start is better than another one
             return fit(self.experiment, effects=own, starts=1 if lost else self.starts)
 
     def _cut(self, numbers: np.ndarray, own: Sequence[AbstractEffect]) -> None:
@@ -138,7 +152,7 @@ class Fits:
 
     def _index(self, recording) -> tuple[int, int]:
         """Which recording of the scene one (or a segment) is of, and where it begins there."""
-        whole = recording.whole or recording
+        whole = recording.segment_of or recording
         run = next(
             i for i, r in enumerate(self.scene.recordings) if r is whole or (r.name == whole.name
             and np.array_equal(r.time, whole.time))

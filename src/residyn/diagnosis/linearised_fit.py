@@ -10,18 +10,130 @@ in them, carried over by the same columns: a prediction is bad only if it is off
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..fitting.least_squares import polish
-from ..fitting.problem import Problem, Unknowns, predict, tight
+from ..fitting.least_squares import Polished
+from ..fitting.problem import Compressed, Problem, Unknowns, over_recordings, predict, tight, whiten
 from ..fitting.result import Fit, RecordingFit
 from ..fitting.setup import Ready, mechanism_of, reweighted
 from ..runtime.export_cache import kept
 
 # A direction of the tangent this much shorter than the longest is rounding, or undetermined.
 _BLIND = 1e-5
+_STEPS = 60  # of Levenberg and Marquardt, at the most
+_SETTLED = 3e-3  # sigma: a step that moves all residuals together by less is the last one
+_DAMPING = 1e-6, 1e6  # of a step, relative to the squares of each unknown: at first, at the most
+
+
+class Minimum(NamedTuple):
+    """Where a descent ended."""
+
+    at: Unknowns
+    predicted: np.ndarray
+    """(R, N, n) rad or m."""
+    slopes: np.ndarray
+    """(R, N, n, L) in each recording's L unknowns: the shared numbers, then its own initial state,
+    in the problem's scales."""
+    residual: np.ndarray
+    """(R, N, n) whitened."""
+    cost: float
+    """Sum of squared whitened residuals, what is known beforehand of internal states included."""
+    steps: int
+    converged: bool
+    square: np.ndarray
+    """(R, L, L) J'J of the whitened readings, and of what is known beforehand."""
+    slope: np.ndarray
+    """(R, L) J'r."""
+
+    def compressed(self) -> Compressed:
+        """Predictions, and what least squares need of residual and Jacobian."""
+        size = np.sqrt(np.einsum("rii->ri", self.square))
+        size = np.where(size > 0, size, 1.0)
+        unit = self.square / size[:, :, None] / size[:, None, :]
+        unit += 1e-14 * np.eye(unit.shape[-1])  # what is rounding keeps the factor real
+        unit[:, *np.diag_indices(unit.shape[-1])] += np.einsum("rii->ri", unit) < 0.5
+        lower = np.linalg.cholesky(unit) * size[:, :, None]
+        along = np.linalg.solve(lower, self.slope[..., None])[..., 0]
+        total = np.sum(self.residual**2, axis=(1, 2))
+        beside = np.sqrt(np.maximum(total - np.sum(along**2, axis=1), 0.0))
+        found = self.predicted, lower.transpose(0, 2, 1), along, beside
+        return Compressed(*map(jnp.asarray, found))
+
+
+def minimum(problem: Problem, at: Unknowns, size: float = 1.0) -> Minimum:
+    """Levenberg and Marquardt's descent from unknowns that are near already; `size` is the least
+    rms residual to expect, in sigma.
+
+    One compiled program evaluates predictions and slopes; what is linear is done here. Where the
+    motion has kinks no step is small enough to end by itself: there the descent ends when even a
+    short step gains nothing.
+    """
+    problem = tight(problem)
+    moves = np.asarray(problem.active) > 0
+    P, S = len(moves), np.shape(at.states)[1]
+    known = np.zeros(P + S)
+    known[P + 2 * problem.recorded.angles.shape[-1] :] = 1.0  # internal states, to their scale
+
+    def evaluated(at: Unknowns, steps: int) -> Minimum:
+        predicted, slopes, residual = map(np.asarray, _look(problem, at))
+        R, own = len(slopes), np.asarray(at.states)
+        J = slopes * np.asarray(problem.recorded.weights)[..., None]
+        J = np.concatenate([J[..., :P] * moves, J[..., P:]], -1).reshape(R, -1, P + S)
+        square = J.transpose(0, 2, 1) @ J + np.diag(known)
+        slope = np.einsum("rml,rm->rl", J, residual.reshape(R, -1))
+        slope[:, P:] += known[P:] * own
+        cost = float(np.sum(residual**2) + np.sum((known[P:] * own) ** 2))
+        cost = cost if np.isfinite(cost) else np.inf
+        return Minimum(at, predicted, slopes, residual, cost, steps, False, square, slope)
+
+    here = evaluated(Unknowns(np.asarray(at.numbers, float), np.asarray(at.states, float)), 0)
+    damping, steps, converged = _DAMPING[0], 0, False
+    while steps < _STEPS and damping <= _DAMPING[1] and not converged and here.cost < np.inf:
+        numbers, states = _step(here.square, here.slope, P, damping)
+        numbers, steps = numbers * moves, steps + 1
+        there = evaluated(Unknowns(here.at.numbers + numbers, here.at.states + states), steps)
+        gain = here.cost - there.cost
+        if gain < 0 or np.isnan(gain):
+            damping = max(10 * damping, 1e3 * _DAMPING[0])
+            continue
+        step = np.concatenate([np.tile(numbers, (len(states), 1)), states], axis=1)
+        size_of = np.einsum("ra,rab,rb->", step, here.square, step)
+        converged = min(gain, size_of) < (_SETTLED * size) ** 2
+        damping, here = max(0.1 * damping, _DAMPING[0]), there
+    done = converged or damping > _DAMPING[1]
+    return here._replace(steps=steps, converged=done and here.cost < np.inf)
+
+
+def polish(problem: Problem, starts: Unknowns, shares: Sequence[float], hopeless=None) -> Polished:
+    """`fitting.levenberg.polish` of one start by `minimum`: first of the first so many readings
+    only, then of all."""
+    at, steps = jax.tree.map(lambda x: np.asarray(x)[0], starts), 0
+    recorded, found = problem.recorded, None
+    for share in shares:
+        early = np.asarray(recorded.row) < np.ceil(share * problem.steps)
+        weights = np.where(early[..., None], recorded.weights, 0.0)
+        part = eqx.tree_at(lambda p: p.recorded.weights, problem, weights)
+        found = minimum(part, at)
+        at, steps = found.at, steps + found.steps
+    assert found is not None
+    return Polished(at, found.compressed(), found.cost, steps, found.converged, 1)
+
+
+def _step(square: np.ndarray, slope: np.ndarray, P: int, damping: float):
+    """A damped Gauss-Newton step of the numbers (P,) and of the states (R, S), which are eliminated
+    recording by recording."""
+    diagonal = np.einsum("rii->ri", square)
+    diagonal = np.where(diagonal > 0, diagonal, 1.0)
+    A = square + damping * diagonal[:, :, None] * np.eye(square.shape[-1])
+    across = np.concatenate([A[:, P:, :P], slope[:, P:, None]], axis=-1)
+    inner = np.linalg.solve(A[:, P:, P:], across)
+    taken = A[:, :P, P:] @ inner
+    H = (A[:, :P, :P] - taken[..., :P]).sum(axis=0)
+    numbers = -np.linalg.solve(H, (slope[:, :P] - taken[..., P]).sum(axis=0))
+    return numbers, -inner[..., P] - inner[..., :P] @ numbers
 
 
 class LinearisedFit(NamedTuple):
@@ -63,26 +175,16 @@ class LinearisedFit(NamedTuple):
         **Returns:** they, and whether the search for them, from the whole fit's, settled.
         """
         dropped = [~(np.isfinite(r.recording.angle) & k[:, None]) for k, r in self._pairs(kept)]
-        problem = reweighted(self.problem, dropped)
-        start = jax.tree.map(lambda x: jnp.asarray(x)[None], self.at)
         size = max(1.0, float(np.sqrt(self.fit.reduced_chi2)))
-        out = polish(problem, start, (1.0,), size=size)
-        finite = bool(np.isfinite(out.cost))
-        if out.converged or not finite:
-            return jax.tree.map(jnp.asarray, out.unknowns), out.converged and finite
-        # Along a kink no step is small enough to end by itself; where as many steps again gain less
-        # than one reading's square, all that matters has settled.
-        start = jax.tree.map(lambda x: jnp.asarray(x)[None], out.unknowns)
-        more = polish(problem, start, (1.0,), size=size)
-        settled = more.converged or out.cost - more.cost < size**2
-        return jax.tree.map(jnp.asarray, more.unknowns), settled and bool(np.isfinite(more.cost))
+        found = minimum(reweighted(self.problem, dropped), self.at, size)
+        return found.at, found.converged and bool(np.isfinite(found.cost))
 
     def look(self, at: Unknowns) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Predictions (N, n), rad or m, and their slopes (N, n, L) in each recording's L unknowns:
         the shared numbers, then its own initial state, in the problem's scales."""
         predicted, slopes = (
             [x[: len(f.recording.time)] for f, x in zip(self.fitted, each, strict=True)]
-            for each in jax.device_get(_look(tight(self.problem), at))
+            for each in jax.device_get(_look(tight(self.problem), at)[:2])
         )
         return predicted, slopes
 
@@ -102,8 +204,9 @@ class LinearisedFit(NamedTuple):
         return zip(kept, self.fitted, strict=True)
 
 
-@kept(like=(0, 0))
+@kept(like=(0, 0, 0))
 def _look(problem: Problem, y: Unknowns):
+    """Predictions (R, N, n), their slopes (R, N, n, L), and whitened residuals (R, N, n)."""
     numbers = problem.scale.numbers.shape[0]
 
     def one(recorded, scale, state):
@@ -116,9 +219,16 @@ def _look(problem: Problem, y: Unknowns):
         slopes, predicted = jax.vmap(
             lambda e: jax.jvp(local, (z,), (e,), has_aux=True)[1:], out_axes=(-1, None)
         )(jnp.eye(len(z)))
-        return predicted, jnp.where(jnp.isfinite(slopes), slopes, 0.0)
+        slopes = jnp.where(jnp.isfinite(slopes), slopes, 0.0)
+        return predicted, slopes, whiten(recorded, predicted)
 
-    return jax.vmap(one)(problem.recorded, problem.scale.states, y.states)
+    each = over_recordings(one, problem.model)
+    return each(problem.recorded, problem.scale.states, y.states)
+
+
+def predicted_at(problem: Problem, y: Unknowns) -> np.ndarray:
+    """(R, N, n) readings predicted at these unknowns."""
+    return np.asarray(_look(tight(problem), y)[0])
 
 
 class Tangent(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..physics.model import Model
 from ..physics.motion import split
-from ..recordings.outliers import wild_samples
+from ..recordings.outliers import outlier_mask
 from ..recordings.recording import Recording
 from .least_squares import Polished, polish
 from .problem import Compressed, Problem, Unknowns
@@ -61,13 +61,14 @@ def descend(
     near: np.ndarray | None = None,
     hopeless: Callable[[float], bool] = lambda cost: False,
     staged: bool = False,
+    search: Callable[..., Polished] = polish,
 ) -> Descent:
     """Descend from every row of `numbers` (S, P), and of `memory` (S, R, m); set wild readings
     aside; descend again if there were.
 
     With `like`, the numbers stay as in `begin`, and that problem's compiled program serves. With
     `near` (S, R, s), initial states which are near enough that no phase can slip, all readings
-    count from the first step on, unless that is to be `staged`, too.
+    count from the first step on, unless that is to be `staged`, too. `search` is what descends.
     """
     frequency = here.frequency(begin)
     problem, states = here.problem(begin, wild, like, frequency=frequency)
@@ -81,18 +82,18 @@ def descend(
     shares = shares_of(here, frequency) if near is None or staged else [1.0]
     if near is not None:
         y = y._replace(states=near / problem.scale.states)
-    out = polish(problem, y, shares, hopeless)
+    out = search(problem, y, shares, hopeless)
     if len(shares) > 1:
         # The first cycles can lead away from the rest: of a brake that slips at first and holds
         # then, or of springs with a memory, of which they show but one half.
         lost = not _sane(out, here.recordings)
         if lost or (near is None and like is None and _misled(problem, out)):
-            whole = polish(problem, y, (1.0,), hopeless)
+            whole = search(problem, y, (1.0,), hopeless)
             out = whole if lost or whole.cost < out.cost else out
     steps, agreeing = out.steps, out.agreeing
     mirrored = _upright(problem, out.unknowns)
     if mirrored is not None:
-        out = polish(problem, _single(mirrored), (1.0,))
+        out = search(problem, _single(mirrored), (1.0,))
     for round_ in range(_ROUNDS + 1):
         if not np.isfinite(out.cost):
             raise FitError("no start led to finite numbers: is this the arm that was recorded?")
@@ -108,7 +109,7 @@ def descend(
         progress("fitting again without wild readings")
         wild = found
         problem = reweighted(problem, wild)
-        out = polish(problem, _single(out.unknowns), (1.0,))
+        out = search(problem, _single(out.unknowns), (1.0,))
         steps += out.steps
     return Descent(
         problem,
@@ -175,7 +176,7 @@ def wild_beside(
             if not np.any(np.abs(x) > _FAR * noise):
                 found.append(np.zeros(x.shape, bool))
                 continue
-        found.append(wild_samples(recording.time, x, noise))
+        found.append(outlier_mask(recording.time, x, noise))
     return found
 
 

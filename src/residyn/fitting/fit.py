@@ -23,6 +23,7 @@ from .covariance import Spread, spread_of
 from .descent import Descent, descend, wild_beside
 from .drifting import without_drift
 from .integration import TENTH, checked, integration_error, refined, stable
+from .least_squares import Polished, polish
 from .multistart import beginning, resolving
 from .result import Fit, FitError, Mode, Number, RecordingFit
 from .setup import Ready, ready
@@ -211,38 +212,6 @@ def _refined(here: Ready, descent: Descent, error: float) -> Descent | None:
     )
 
 
-def refit(
-    experiment: Experiment,
-    effects: Sequence[str | AbstractEffect],
-    numbers: np.ndarray,
-    states: np.ndarray | None,
-    wild: Sequence[np.ndarray],
-    hopeless: Callable[[float], bool] = lambda cost: False,
-    staged: bool = False,
-    memory: np.ndarray | None = None,
-) -> tuple[Model, Descent]:
-    """Descend from numbers (S, P) and initial states (S, R, s) that are near already, unless that
-    is `hopeless` at some cost; `staged`, or without states, the first cycles are fitted first.
-    Without states, internal ones begin at `memory` (S, R, m).
-
-    Call it in float64. **Raises:** `FitError` if nothing finite comes of them.
-    """
-    here = ready(experiment, experiment.fit_recordings, effects)
-    begin = here.model.with_vector(jnp.asarray(numbers[0]))
-    descent = descend(
-        here,
-        begin,
-        numbers,
-        list(wild),
-        lambda words: None,
-        memory,
-        near=states,
-        hopeless=hopeless,
-        staged=staged,
-    )
-    return here.model.with_vector(jnp.asarray(descent.problem.numbers(descent.unknowns))), descent
-
-
 def finish(
     experiment: Experiment,
     model: Model,
@@ -250,9 +219,11 @@ def finish(
     descent: Descent,
     began: float,
     error: Callable[[], float] | None = None,
+    search: Callable[..., Polished] = polish,
 ) -> Fit:
     """What a fit returns, from where a descent ended; `start` (P,) is where it began, and `error`
-    awaits its integration error, if that has begun."""
+    awaits its integration error, if that has begun. Initial states of check recordings are found by
+    `search`."""
     error = error or _integration_error(experiment.fit_recordings, descent)
     fitted = descent.beside(experiment.fit_recordings)
     unknown = len(start) + sum(f.state.size for f in fitted)
@@ -267,7 +238,7 @@ def finish(
         model=model,
         numbers=_numbers(model, start, spread),
         covariance=spread.covariance,
-        recordings=(*fitted, *_held_out(experiment, model, descent)),
+        recordings=(*fitted, *_held_out(experiment, model, descent, search)),
         reduced_chi2=chi2,
         modes=_modes(model, spread.covariance),
         starts=descent.starts,
@@ -283,7 +254,9 @@ def finish(
     return result.saying(warnings_for(result, spread.open_groups))
 
 
-def _held_out(experiment: Experiment, model: Model, descent: Descent) -> list[RecordingFit]:
+def _held_out(
+    experiment: Experiment, model: Model, descent: Descent, search: Callable[..., Polished]
+) -> list[RecordingFit]:
     """Check recordings beside the fitted model: only their initial states are fitted."""
     # The effects themselves, not their names: bare recordings know no effect of bearings by name.
     effects = [e for e in model.effects if e.name not in ("spring", "damper")]
@@ -296,7 +269,8 @@ def _held_out(experiment: Experiment, model: Model, descent: Descent) -> list[Re
         here = ready(experiment, filled, effects)._replace(finer=descent.finer)
         begin = here.model.with_vector(model.vector())
         wild = wild_beside(here, [r.angle for r in here.recordings])
-        end = descend(here, begin, numbers, wild, lambda words: None, like=descent.problem)
+        quiet, like = lambda words: None, descent.problem
+        end = descend(here, begin, numbers, wild, quiet, like=like, search=search)
         found += end.beside(filled)[: len(some)]
     return found
 
