@@ -98,7 +98,7 @@ def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Sett
     ]  # fmt: skip
     signs = signs if n <= 2 else [np.ones(n)]
     releases = [size * sign * angle for size, sign in itertools.product(_SIZES, signs)]
-    motions = [(r, None) for r in releases if np.any(r)]
+    motions: list[tuple[np.ndarray, Sweep | None]] = [(r, None) for r in releases if np.any(r)]
     torques = limits.each("drive", n) or (0.0,) * n
     frequencies = np.asarray(modes(model).frequency_hz)
     rings = frequencies[np.isfinite(frequencies) & (frequencies > 0)]
@@ -204,8 +204,9 @@ class Predictions:
     def _unknown(self, rival: Rival, index: int) -> np.ndarray:
         """(2n + M,) how well the state at release is known."""
         scales = self.scene.scales
-        size = np.maximum(np.abs(self.settings[index].release), [s.amplitude for s in scales])
-        angle = RELEASE_ERROR * size
+        swing = np.array([s.amplitude for s in scales])
+        release = np.abs(self.settings[index].release)
+        angle = RELEASE_ERROR * swing * (float(np.max(release / swing)) or 1.0)
         rate = angle * np.array([s.frequency for s in scales])
         memory = [
             0.5 * float(each.dimension.size(scales[self.scene.joint_of(effect)]))

@@ -9,8 +9,8 @@ If effect i is there with strength s, the columns' projections on the readings a
 
 and so every candidate's evidence is known before anything is recorded. For one column, a = A_ii,
 and no other candidate, the odds against nothing are even where x^2 / (1 + a) = log(1 + a) + 2 log
-of the prior odds, and in half of all recordings |x| is larger than a s. With many candidates, shapes
-and signs the same is a mean over draws of x, which are the same for all strengths.
+of the prior odds, and in half of all recordings |x| is larger than a s. With many candidates,
+shapes and signs the same is a mean over draws of x, which are the same for all strengths.
 """
 
 import itertools

@@ -27,6 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
+from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
 DRAWS = 400
@@ -77,6 +78,11 @@ def entropy(probability: np.ndarray) -> np.ndarray:
     return -np.sum(p * np.log(np.maximum(p, 1e-300)), axis=-1)
 
 
+def _normalised(probability: ArrayLike) -> np.ndarray:
+    p = np.asarray(probability, float)
+    return p / p.sum()
+
+
 def reduced(test: Sequence[Predicted]) -> list[Predicted]:
     """A test in as few dimensions as all its models need: the same for `worth`."""
     origin = test[0].mean
@@ -99,7 +105,7 @@ def together(tests: Sequence[Sequence[Predicted]]) -> list[Predicted]:
         Predicted(
             np.concatenate([x.mean for x in each]),
             np.concatenate([x.numbers for x in each]),
-            scipy.linalg.block_diag(*(x.release for x in each)),
+            np.asarray(scipy.linalg.block_diag(*(x.release for x in each))),
         )
         for each in zip(*tests, strict=True)
     ]
@@ -107,7 +113,7 @@ def together(tests: Sequence[Sequence[Predicted]]) -> list[Predicted]:
 
 def worth(
     test: Sequence[Predicted],
-    probability: np.ndarray,
+    probability: ArrayLike,
     quantity: Quantity | None = None,
     draws: int = DRAWS,
 ) -> Worth:
@@ -116,7 +122,7 @@ def worth(
     Exact for models that are linear in their numbers, but for the finite number of draws; these are
     the same for all tests.
     """
-    test, p = reduced(test), np.asarray(probability, float) / np.sum(probability)
+    test, p = reduced(test), _normalised(probability)
     rng, D = np.random.default_rng(0), len(test[0].mean)
     columns = [np.column_stack([x.numbers, x.release]) for x in test]
     inner = [np.eye(u.shape[1]) + u.T @ u for u in columns]
@@ -159,10 +165,10 @@ def worth(
     return Worth(float(expected[0]), float(expected[1]), each, float(expected[2]), told)
 
 
-def variance_now(probability: np.ndarray, quantity: Quantity) -> tuple[float, float, float]:
+def variance_now(probability: ArrayLike, quantity: Quantity) -> tuple[float, float, float]:
     """Variance of a quantity before any test, by where it comes from: which model it is, the
     models' numbers, and the rest (law of total variance)."""
-    p = np.asarray(probability, float) / np.sum(probability)
+    p = _normalised(probability)
     between = float(p @ (quantity.mean - p @ quantity.mean) ** 2)
     numbers = float(p @ np.array([s @ s for s in quantity.slopes]))
     return between, numbers, float(p @ quantity.rest)

@@ -1,11 +1,11 @@
 """The next tests in words and lines that a technician can follow, in 80 columns."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from .diagnosis_text import wrapped
 from .numbers import amount, plain, with_error
-from .words import PLAIN, at_place, listed, lower, percent, upper
+from .words import PLAIN, at_place, listed, lower, percent, unbroken, upper
 
 if TYPE_CHECKING:
     from ..diagnosis.planned import Plan, Test
@@ -70,6 +70,23 @@ def reading_words(value: float, std: float, unit: str) -> str:
     """A reading with its standard error: "0.121 +/- 0.004 rad"."""
     number, error = with_error(value, std)
     return f"{number} +/- {error} {unit}".strip()
+
+
+def outcomes(test: "Test") -> dict[str, Any]:
+    """What each outcome of a test would mean, for a page's table."""
+    joints = tuple(test.release)
+    unit = test.units[joints.index(test.joint)]
+    return {
+        "what": f"angle of the {test.joint} at {plain(test.time, 3)} s",
+        "rows": [
+            {
+                "model": upper(named(x.added, joints)),
+                "reading": unbroken(reading_words(x.reading, x.std, unit)),
+                "probability": percent(x.probability),
+            }
+            for x in test.outcomes
+        ],
+    }
 
 
 def lines(plan: "Plan") -> list[str]:
