@@ -19,7 +19,6 @@ from ..diagnosis.result import (
     Diagnosis,
     Family,
     ModelState,
-    NextExperiment,
     RandomTorque,
 )
 from ..effects import catalogue
@@ -49,6 +48,7 @@ from .names import (
     worth_showing,
 )
 from .numbers import amount, measured, nats, percent, plain, prefixed, share, times, with_error
+from .plan import outcomes
 
 _ALSO = 0.01
 """Probability from which another family is named."""
@@ -62,8 +62,6 @@ _VALUES = 44
 """Columns of a candidate's numbers in a terminal."""
 _FAMILIES, _SHOWN = 5, 0.005
 """Families on a page, and the probability from which one has a line."""
-_APART = 5.0
-"""Standard errors of all readings together by which a recording tells two models apart."""
 
 
 # -- names and numbers of its parts ----------------------------------------------------------
@@ -412,10 +410,8 @@ def _damper(found: Diagnosis, joint: int) -> float:
 # -- in a terminal ---------------------------------------------------------------------------
 
 
-def text(found: Diagnosis | NextExperiment) -> str:
+def text(found: Diagnosis) -> str:
     """The whole printout."""
-    if isinstance(found, NextExperiment):
-        return "\n".join(filled(found.words))
     parts = models(found), candidates(found), lookalikes(found), next_experiment(found)
     lines = [line for part in parts for line in part]
     return "\n".join([*filled(" ".join(found.words)), "", *lines, "", str(found.fit)])
@@ -491,32 +487,6 @@ def next_experiment(found: Diagnosis) -> list[str]:
     return [] if advice is None else ["[[Next experiment]]", *filled(advice.words, "    ")]
 
 
-def advice(found: NextExperiment) -> str:
-    """The recording that would tell two effects apart, in a sentence or two."""
-    joints = tuple(found.release)
-    one, other = (lower(at_place(x, joints)) for x in found.between)
-    if found.difference < _APART:
-        return (
-            f"No release that was tried (other angles, elbow angles, bearings or loads) would tell "
-            f"{one} from {other}: at best they differ by {plain(found.difference, 2)} standard "
-            "errors of all readings together."
-        )
-    angles = " and ".join(
-        f"the {joint} at {amount(x, unit, 3)}"
-        for (joint, x), unit in zip(found.release.items(), found.units, strict=True)
-    )
-    setting = "" if found.theta2 is None else f"with the elbow at {plain(found.theta2, 3)} rad, "
-    if found.air_bearings is not None:
-        setting += f"{'on' if found.air_bearings else 'without'} the air bearings, "
-    if found.extra_mass:
-        setting += f"with {plain(found.extra_mass, 3)} kg of load, "
-    return (
-        f"To tell {one} from {other}, release {setting}{angles}: their predictions then differ by "
-        f"{plain(found.difference, 2)} standard errors of all readings together, where now it is "
-        f"{plain(found.now, 2)}."
-    )
-
-
 # -- on a page -------------------------------------------------------------------------------
 
 
@@ -548,6 +518,7 @@ def diagnosed(found: Diagnosis) -> dict[str, Any]:
         "remainder": _remainder_table(found.random_torque),
         "alike": list(_alike(found)),
         "next": "" if found.next_experiment is None else found.next_experiment.words,
+        "outcomes": found.next_experiment and outcomes(found.next_experiment),
         "left": failing(found.comparison, ()),
         "budget": found.budget,
     }

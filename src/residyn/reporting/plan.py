@@ -1,0 +1,137 @@
+"""The next tests in words and lines that a technician can follow, in 80 columns."""
+
+from collections.abc import Sequence
+
+from ..diagnosis.planned import Plan, Test
+from .layout import Table, filled, printed
+from .names import PLAIN, at_place, listed, lower, upper
+from .numbers import amount, measured, percent, plain
+
+
+def named(added: Sequence[str], joints: Sequence[str]) -> str:
+    """ "Coulomb friction at the elbow and gravity"; without any, "springs and dampers alone"."""
+    if not added:
+        return f"{PLAIN} alone"
+    return listed([lower(at_place(x, joints)) for x in added])
+
+
+def motion_words(test: Test) -> str:
+    """ "release the shoulder at 0.30 rad and the elbow at 0 rad, from rest"."""
+    if test.drive is not None:
+        d = test.drive
+        unit = "N" if test.units[list(test.release).index(d.joint)] == "m" else "N m"
+        return (
+            f"from rest, drive the {d.joint} with {plain(d.torque, 3)} {unit}, a sine that rises "
+            f"from {plain(d.low, 2)} to {plain(d.high, 2)} Hz"
+        )
+    angles = [
+        f"the {joint} at {amount(x, unit)}"
+        for (joint, x), unit in zip(test.release.items(), test.units, strict=True)
+    ]
+    return f"release {listed(angles)}, from rest"
+
+
+def setting_words(test: Test) -> str:
+    """ "elbow at 0.5 rad, on the air bearings"; empty where there is nothing to set."""
+    words = []
+    if test.theta2 is not None:
+        words.append(f"the elbow's rest at {plain(test.theta2, 3)} rad")
+    if test.air_bearings is not None:
+        words.append("on the air bearings" if test.air_bearings else "without the air bearings")
+    if test.extra_mass is not None:
+        words.append(f"with {plain(test.extra_mass, 3)} kg of load" if test.extra_mass else "bare")
+    return ", ".join(words)
+
+
+def sentence(test: Test) -> str:
+    """One test, and what it is expected to tell."""
+    joints = tuple(test.release)
+    one, other = (named(x, joints) if x else "nothing" for x in test.between)
+    parts = f"{plain(test.difference, 2)} standard errors of all readings together"
+    now = plain(test.now, 2)
+    if not test.helps:
+        return (
+            f"No test within the limits would tell {one} from {other}: at best they differ by "
+            f"{parts}, where now it is {now}."
+        )
+    setting = setting_words(test)
+    return (
+        f"To tell {one} from {other}, {motion_words(test)}{f' ({setting})' if setting else ''}, "
+        f"and record {plain(test.duration, 2)} s: their predictions then differ by {parts}, "
+        f"where now it is {now}, and the likeliest is expected to have "
+        f"{percent(test.probability_right)}."
+    )
+
+
+def outcomes(test: Test) -> Table:
+    """What each outcome of a test would mean."""
+    joints = tuple(test.release)
+    unit = test.units[joints.index(test.joint)]
+    what = f"angle of the {test.joint} at {plain(test.time, 3)} s"
+    rows = [
+        [upper(named(x.added, joints)), measured(x.reading, x.std, unit), percent(x.probability)]
+        for x in test.outcomes
+    ]
+    return Table(["if the model is", what, "probability then"], rows)
+
+
+def text(found: Plan | Test) -> str:
+    """The whole plan, or one test in a sentence."""
+    return "\n".join(filled(sentence(found)) if isinstance(found, Test) else _plan(found))
+
+
+def _plan(plan: Plan) -> list[str]:
+    rows = [[percent(m.probability), named(m.added, plan.joints)] for m in plan.models]
+    out = ["[[Models in play]]", *printed(Table(["", ""], rows, left=(1,)))]
+    if plan.left_out > 0.005:
+        out.append(f"    {percent(plan.left_out)} more is shared by models of less than 1 % each")
+    if plan.unexplained > 0.5:
+        out += filled(
+            "None of them is complete: something is left that no effect of the catalogue explains. "
+            "No test gives that a name; a test only tells these models apart.",
+            "    ",
+        )
+    out.append("[[Next tests]]")
+    if plan.settled:
+        words = "the recordings tell these models apart with odds of more than 20 to 1 already"
+        return [*out, *filled(f"Nothing more is needed: {words}.", "    ")]
+    if not plan.helps:
+        words = f"Nothing would help: none of {plan.tried} tests within limits tells them apart."
+        if plan.tests:
+            words += (
+                " The best is expected to lower the entropy of the models from "
+                f"{plain(plan.entropy, 2)} to {plain(plan.tests[0].entropy, 2)} nats."
+            )
+        return [*out, *filled(words, "    ")]
+    before = plan.entropy
+    for i, test in enumerate(plan.tests, 1):
+        if not test.helps:
+            out += filled("A further test would hardly tell more.", "    ")
+            break
+        out += _test(i, test, before)
+        before = test.entropy
+    if len(plan.tests) > 1:
+        out += filled(
+            "Each test is the best beside those above it. Make the first, add its recording to the "
+            "experiment, and plan again.",
+            "    ",
+        )
+    return out
+
+
+def _test(index: int, test: Test, before: float) -> list[str]:
+    out = filled(upper(motion_words(test)), f"{index:>3}  ")
+    rows = [
+        ("set", upper(setting_words(test))),
+        ("record", f"{plain(test.duration, 2)} s"),
+        (
+            "tells",
+            f"entropy {plain(before, 2)} -> {plain(test.entropy, 2)} nats; the likeliest model is "
+            f"then expected to have {percent(test.probability_right)}",
+        ),
+    ]
+    if test.band is not None:
+        rows.append(("narrows", f"the 95 % band to +/- {plain(test.band, 2)}"))
+    for head, words in rows:
+        out += filled(words, f"     {head:<8}") if words else []
+    return out + printed(outcomes(test), indent=5)
