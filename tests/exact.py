@@ -17,8 +17,7 @@ from scipy.integrate import solve_ivp
 import residyn
 from residyn.physics.parameter import QUADRATIC, RATIO, Memory, param
 from residyn.recordings.tables import ArmTable, InertiaTable
-
-from . import rig
+from tests import rig
 
 MATRIX, JOINTS, UNITS = [[1.0, 0.3], [0.3, 0.5]], ("base", "tip"), ("rad", "rad")
 NOISE = 1e-3
