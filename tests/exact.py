@@ -172,8 +172,7 @@ def dry_motion(push, friction: np.ndarray, state: np.ndarray, time: np.ndarray) 
         for moves in map(np.array, itertools.product(*options)):
             a, hold = accelerations(y, moves)
             rests, starts = moves == 0, (moves != 0) & (y[n:] == 0.0)
-            # Just where it was let go, the torque that would hold it is its friction to rounding.
-            if np.all(np.abs(hold[rests]) <= friction[rests] * (1 + 1e-10)) and np.all(
+            if np.all(np.abs(hold[rests]) <= friction[rests]) and np.all(
                 a[starts] * moves[starts] > 0
             ):
                 return moves
@@ -196,7 +195,8 @@ def dry_motion(push, friction: np.ndarray, state: np.ndarray, time: np.ndarray) 
             else:
 
                 def event(_, y, i=i, moves=moves):
-                    return abs(accelerations(y, moves)[1][i]) - friction[i] * (1 + 1e-10)
+                    # A little beyond its friction, so that it is let go for good.
+                    return abs(accelerations(y, moves)[1][i]) - friction[i] * (1 + 1e-9)
 
                 event.direction = 1
             event.terminal = True
