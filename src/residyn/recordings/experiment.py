@@ -72,10 +72,31 @@ class Experiment:
         return tuple(r for r in self.recordings if r.role == "check")
 
     @property
+    def own(self) -> dict[str, tuple[tuple[int, str], ...]]:
+        """Effect (`name:place`) -> the runs, (number, name), that have its numbers for themselves.
+
+        A run's number is 1, 2, ... among the recordings that have anything of their own.
+        """
+        found: dict[str, list[tuple[int, str]]] = {}
+        for number, name in enumerate(self._runs, 1):
+            for label in self._runs[name]:
+                found.setdefault(label, []).append((number, name))
+        return {label: tuple(runs) for label, runs in found.items()}
+
+    def run_of(self, recording: Recording) -> int:
+        """The number of a recording's run; 0 if it has nothing of its own."""
+        name = (recording.segment_of or recording).name
+        return 1 + list(self._runs).index(name) if name in self._runs else 0
+
+    @property
+    def _runs(self) -> dict[str, tuple[str, ...]]:
+        return {(r.segment_of or r).name: r.own for r in self.recordings if r.own}
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """What is doubtful in the recordings, and in their fitting together."""
         own = [line for recording in self.recordings for line in recording.warnings]
-        return (*own, *_in_degrees(self), *_not_held_out(self))
+        return (*own, *_in_degrees(self), *_not_held_out(self), *_no_load(self))
 
 
 def load(path: str | os.PathLike[str]) -> Experiment:
@@ -201,3 +222,14 @@ def _not_held_out(experiment: Experiment) -> list[str]:
                     f'{check.name}: {len(i)} of its samples have role = "check" and are fitted too'
                 )
     return doubts
+
+
+def _no_load(experiment: Experiment) -> list[str]:
+    """Where some recordings state what presses their friction, and others do not."""
+    seen = by_recording(experiment.recordings)
+    stated = [r.name for r, _ in seen if r.load > 0]
+    return [
+        f"{r.name}: load is not given, as it is for {stated[0]}; 0 N is taken"
+        for r, _ in seen
+        if stated and not r.load > 0
+    ]

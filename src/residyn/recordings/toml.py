@@ -38,6 +38,8 @@ _KEYS = {
         "role",
         "air_bearings",
         "extra_mass",
+        "load",
+        "own",
         "markers",
         "normal",
     ),
@@ -196,3 +198,17 @@ def check_role(role: Any) -> str:
         known = " or ".join(quote(name) for name in ROLES)
         raise InputError(f"role = {quote(role)}: must be {known}{hint}")
     return role
+
+
+def check_own(own: Any, role: str) -> tuple[str, ...]:
+    """`own`, if it is a list of effects, and the recording is one that tells their numbers."""
+    if not isinstance(own, list | tuple) or not all(isinstance(x, str) for x in own):
+        raise InputError(
+            f'own = {quote(own)}: must be a list of effects, as ["coulomb_friction:elbow"]'
+        )
+    if own and role != "fit":
+        raise InputError(
+            f"own = {quote(list(own))}: with role = {quote(role)} nothing tells its own numbers; "
+            "leave own out"
+        )
+    return tuple(own)
