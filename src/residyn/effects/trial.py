@@ -39,7 +39,7 @@ def check_law(kind: type[AbstractEffect]) -> None:
         places = kind.places(arm)
     except ValueError:  # it is about some other mechanism
         return
-    number = jax.ShapeDtypeStruct((), jnp.result_type(float))
+    number: Any = jax.ShapeDtypeStruct((), jnp.result_type(float))
     pair = (number, number)
     own: dict[str, Any] = {p.field: number for p in parameters_of(kind)}
     remembered = (number,) * len(kind.memory)
