@@ -27,6 +27,7 @@ from .compare import failing, pairs, torque
 from .diagnosis import diagnosed
 from .explorer.page import embedded
 from .fit import chapter, fall
+from .names import unbroken
 
 _NARROW = 640
 """Pixels up to which the layouts for a phone are shown."""
@@ -104,7 +105,7 @@ def _filled(template: str, title: str, **named: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["unit"] = lambda words: words.replace("^2", "²").replace("^3", "³")
+    environment.filters["unbroken"] = unbroken
     environment.globals.update(version=__version__, date=date.today().isoformat(), narrow=_NARROW)
     shown = {"chapters": [], "comparison": None, "diagnosis": None, **named}
     return environment.get_template(template).render(title=title, **shown)
