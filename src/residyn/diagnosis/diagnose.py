@@ -17,8 +17,8 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ..effects import AbstractEffect
-from ..filtering.law import numbers_of
-from ..filtering.trajectory import Scene, Trajectory, number_slices
+from ..filtering.law import number_slices, numbers_of
+from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import DEFAULT_STARTS, FitError, fit
 from ..fitting.descent import descend
 from ..fitting.drifting import without_drift

@@ -16,8 +16,8 @@ from scipy.special import log_ndtr, logsumexp
 
 from ..effects import AbstractEffect
 from ..filtering.kalman import Evidences
-from ..filtering.law import numbers_of
-from ..filtering.trajectory import Prior, Scene, number_slices
+from ..filtering.law import number_slices, numbers_of
+from ..filtering.trajectory import Prior, Scene
 from ..physics.parameter import Parameter
 
 # -- the numbers that decide ------------------------------------------------------------------

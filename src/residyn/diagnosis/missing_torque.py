@@ -18,8 +18,8 @@ import numpy as np
 
 from ..effects import AbstractEffect
 from ..filtering.grid import local_amplitude
-from ..filtering.law import law, numbers_of
-from ..filtering.trajectory import Scene, Trajectory, number_slices, state_slices
+from ..filtering.law import number_slices, numbers_of
+from ..filtering.trajectory import Scene, Trajectory
 from ..fitting.descent import wild_beside
 from ..fitting.setup import ready
 from ..physics.model import Model
@@ -148,8 +148,8 @@ def torques_of(scene: Scene, model: Tried) -> list[MissingTorque]:
 
 def _spring(scene: Scene, t: Trajectory) -> np.ndarray:
     """(K, n) torque of each joint's spring, or Z q'' where it has none, N m."""
-    n = scene.n
-    own = np.array([s.inertia for s in scene.scales]) * scene.along(t).field.f[:, 0, n : 2 * n]
+    acceleration = np.asarray(scene.linearised(t).acceleration)[:, : scene.K].T
+    own = np.array([s.inertia for s in scene.scales]) * acceleration
     for effect, values in zip(t.effects, number_slices(t.effects), strict=True):
         if effect.name == "spring":
             j = scene.joint_of(effect)
@@ -160,23 +160,7 @@ def _spring(scene: Scene, t: Trajectory) -> np.ndarray:
 def torque_along(scene: Scene, t: Trajectory) -> dict[str, np.ndarray]:
     """(K, n) torque of each effect of a model along its own motion, N m; what acts on readings or
     inertias has none."""
-    along = scene.along(t)
-    q, v = along.q[:, 0], along.v[:, 0]
-    step = np.where(scene.grid.step > 0, scene.grid.step, 1.0)
-    direction = along.field.direction[:, 0]
-    found = {}
-    parts = zip(along.effects, number_slices(t.effects), state_slices(t.effects), strict=True)
-    for effect, own, states in parts:
-        torque = np.zeros_like(q)
-        if not effect.senses:
-            bodies = along.bodies
-            each = law(effect, t.numbers[own], bodies, along.time[:, 0], q, v,
-                       along.z[:, 0, states], step, t.spread)  # fmt: skip
-            torque = each.whole(each.torque.value, scene.n)
-            if each.level is not None:
-                torque = torque + each.whole(each.level.value, scene.n) * direction
-        found[effect.label] = torque
-    return found
+    return scene.torques(t, scene.linearised(t))
 
 
 def curve(scene: Scene, base: Tried, model: Tried, label: str) -> Curve:

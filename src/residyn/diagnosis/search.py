@@ -19,7 +19,8 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ..effects import AbstractEffect
-from ..filtering.trajectory import Scene, Trajectory, number_slices, state_slices
+from ..filtering.law import number_slices, state_slices
+from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import FitError
 from ..runtime.parallel import side_by_side
 from .columns import Columns, Screen, candidates, extended, spectral_lines
