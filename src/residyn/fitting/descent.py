@@ -11,7 +11,7 @@ import numpy as np
 
 from ..physics.model import Model
 from ..physics.motion import split
-from ..recordings.outliers import wild_samples
+from ..recordings.outliers import outlier_mask
 from ..recordings.recording import Recording
 from .least_squares import Polished, polish
 from .problem import Compressed, Problem, Unknowns
@@ -176,7 +176,7 @@ def wild_beside(
             if not np.any(np.abs(x) > _FAR * noise):
                 found.append(np.zeros(x.shape, bool))
                 continue
-        found.append(wild_samples(recording.time, x, noise))
+        found.append(outlier_mask(recording.time, x, noise))
     return found
 
 

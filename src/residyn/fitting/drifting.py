@@ -16,7 +16,7 @@ from ..physics.modal import concrete_state_matrix, modes_of
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
-from ..recordings.segments import in_stretches
+from ..recordings.segments import segments_of
 
 _CYCLES = 1.0  # of a mode in the recording: fewer, and it holds nothing in place
 _SAMPLES = 40  # of a stretch, at least
@@ -27,7 +27,7 @@ def stretch_of(model: Model, recording: Recording) -> float | None:
     """How long the stretches are to be that a recording is cut into, s; None if it is to stay
     whole. `model` is about right: its modes decide."""
     driven = recording.drive is not None and bool(np.any(recording.drive))
-    if not driven or recording.whole is not None:
+    if not driven or recording.segment_of is not None:
         return None
     values = np.linalg.eigvals(np.asarray(concrete_state_matrix(model)))
     frequency, damping = (np.asarray(x) for x in modes_of(values))
@@ -57,7 +57,7 @@ def without_drift(experiment: Experiment, model: Model) -> Experiment:
             "driven, and nothing pulls it back: a simulation of the whole drifts away. It is "
             f"fitted in stretches of {seconds:.2g} s, each with an initial state of its own"
         )
-        found += in_stretches(recording.saying([doubt]), seconds)
+        found += segments_of(recording.saying([doubt]), seconds)
     if len(found) == len(experiment.recordings):
         return experiment
     return dataclasses.replace(experiment, recordings=tuple(found))
