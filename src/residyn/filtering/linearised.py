@@ -328,12 +328,12 @@ def _field(mechanism, at: Nodes, drive, s: Sums) -> Field:
     sliding = jnp.stack([at.v, held, s.level])
 
     def expected(x):
-        return expected_direction(*x, at.spread, RAMP * at.step * light)
+        return expected_direction(x[0], x[1], x[2], at.spread, RAMP * at.step * light)
 
-    slopes = jax.vmap(
-        lambda e: jax.jvp(expected, (sliding,), (e[:, None, None] * jnp.ones((n, N)),))
-    )
-    found = jax.lax.optimization_barrier(slopes(jnp.eye(3)))
+    def slope(e):
+        return jax.jvp(expected, (sliding,), (e[:, None, None] * jnp.ones((n, N)),))
+
+    found = jax.lax.optimization_barrier(jax.vmap(slope)(jnp.eye(3)))
     (direction, *_), (by_v, by_held, by_level) = found
     # Slopes at the torque that acts, friction included.
     total = free - s.level * direction
