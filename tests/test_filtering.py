@@ -9,7 +9,7 @@ import pytest
 from residyn import ConstantInertia, PlanarArm, Recording, Spring
 from residyn.effects import CoulombFriction, CubicStiffness, Damper, Gravity, Hysteresis
 from residyn.filtering.grid import Spectrum, bucket, lay_out
-from residyn.filtering.kalman import Noise, Readings, System, evidences, grams, smooth
+from residyn.filtering.kalman import Noise, Readings, System, evidences, gram, smooth
 from residyn.filtering.trajectory import Prior, Scene
 from residyn.simulation.simulate import simulate
 
@@ -136,8 +136,8 @@ def test_one_gram_matrix_holds_the_evidence_of_every_subset():
 
     system, readings, noise = a_system(P=4)
     none = np.zeros((*np.shape(system.c), 0)), np.zeros((*np.shape(system.hc), 0))
-    (total,), (gram,) = map(np.asarray, grams(system, none, readings, noise, np.array([1.0])))
-    base, rest = conditional(gram, 1)
+    total, square = map(np.asarray, gram(system, none, readings, noise, 1.0))
+    base, rest = conditional(square, 1)
     for chosen in ((), (0,), (2,), (0, 1), (0, 1, 2)):
         of = [0, *(i + 1 for i in chosen)]
         alone = system._replace(B=system.B[..., of], Hu=system.Hu[..., of])

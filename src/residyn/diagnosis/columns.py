@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ..effects import AbstractEffect
-from ..filtering.kalman import grams
+from ..filtering.kalman import gram
 from ..filtering.law import (
     Laws,
     Table,
@@ -300,10 +300,12 @@ class Columns:
         effects: Sequence[AbstractEffect],
         frequencies: Sequence[float],
         shape_of: Mapping[str, dict[str, float]] | None = None,
+        linear: Linear | None = None,
     ):
-        """Effects at every shape of their grids, or at one each, by label."""
+        """Effects at every shape of their grids, or at one each, by label; `linear` is the model
+        along the motion, if it is there already."""
         self.scene, self.trajectory = scene, trajectory
-        self.linear: Linear = scene.linearised(trajectory)
+        self.linear: Linear = linear or scene.linearised(trajectory)
         self.rows: list[Column] = []
         self._count = 0
         wanted = {e.label: e for e in effects}
@@ -378,28 +380,27 @@ class Columns:
         """(K, n, C) of each column, at its prior's width, N m."""
         return np.asarray(self._more[2])[..., self._used]
 
-    def gram(self, intensities: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    def gram(self, intensities: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(I,) log normalisers, and the (I, 1 + P + C, 1 + P + C) Gram matrices of whitened
         innovations of readings, of the model's own regressors and of all columns, under each of
         some random torques."""
-        scene = self.scene
-        found = grams(
-            self.linear.system, self._more[:2], scene.readings, scene.noise(self.trajectory),
-            np.asarray(intensities, float),
-        )  # fmt: skip
+        scene, noise = self.scene, self.scene.noise(self.trajectory)
+        args = self.linear.system, tuple(self._more[:2]), scene.readings, noise
+        found = [gram(*args, np.asarray(x, float)) for x in intensities]
         P = 1 + len(self.trajectory.u)
         keep = np.r_[0:P, P + self._used]
-        return np.asarray(found[0]), np.asarray(found[1])[:, keep[:, None], keep]
+        totals, grams = zip(*found, strict=True)
+        return np.array(totals), np.stack([np.asarray(g)[np.ix_(keep, keep)] for g in grams])
 
     def screen(self, intensities: Sequence[float]) -> "Screen":
         """Every candidate's first-order evidence, random torques summed over."""
         totals, every = self.gram(intensities)
         evidences, rests, base_means, P = [], [], [], len(self.trajectory.u)
-        for total, gram in zip(totals, every, strict=True):
-            base, rest = conditional(gram, P)
+        for total, square in zip(totals, every, strict=True):
+            base, rest = conditional(square, P)
             evidences.append(total + base)
             rests.append(rest)
-            base_means.append(means_of_base(gram, P))
+            base_means.append(means_of_base(square, P))
         known = np.array(evidences) + log_prior_intensity(intensities)
         return Screen(self.rows, known - logsumexp(known), rests, base_means)
 
@@ -416,45 +417,54 @@ class Screen:
     ):
         """`weights` (I,) log posterior of each random torque without candidates, `grams` (1 + C)^2
         for each; `base_means` (P, 1 + C) for each, see `means_of_base`."""
-        self.rows, self.weights, self.grams, self.base_means = rows, weights, grams, base_means
+        self.rows, self.weights, self.base_means = rows, weights, base_means
+        self.grams = np.asarray(grams)
         best: dict[str, list[Screened]] = {}
-        for row in rows:
-            gain, u = self.gain([row])
-            best.setdefault(row.effect.label, []).append(
-                Screened(row.effect, gain, row.shape, u, row.which, row.states)
-            )
-        found = []
+        for row, (gain, u) in zip(rows, self._gains([[row] for row in rows]), strict=True):
+            found = Screened(row.effect, gain, row.shape, u, row.which, row.states)
+            best.setdefault(row.effect.label, []).append(found)
+        ranked = []
         for each in best.values():
             gains = np.array([s.gain for s in each])
             top = each[int(np.argmax(gains))]
-            found.append(top._replace(gain=float(logsumexp(gains) - math.log(len(gains)))))
-        self.ranked = sorted(found, key=lambda s: -s.gain)
+            ranked.append(top._replace(gain=float(logsumexp(gains) - math.log(len(gains)))))
+        self.ranked = sorted(ranked, key=lambda s: -s.gain)
         """Each candidate at its likeliest shape, the best first."""
 
-    def gain(self, rows: Sequence[Column] | Sequence[Screened]) -> tuple[float, np.ndarray]:
+    def gain(self, rows: Sequence[Screened]) -> tuple[float, np.ndarray]:
         """Gain of some columns together, and their regressors at the likeliest random torque."""
-        which = [i for row in rows for i in row.which]
-        gains, means = [], []
-        for rest in self.grams:
-            gain, u, covariance = subset(rest, which)
-            spread, first = np.sqrt(np.diag(covariance)), 0
-            for row in rows:
-                if not row.effect.oscillates:
-                    for i, number in enumerate(strengths(row.effect), first):
-                        if signed(row.effect, number):
-                            gain += float(half_normal(u[i] / spread[i]))
-                first += len(row.which)
-            gains.append(gain)
-            means.append(u)
-        each = np.array(gains) + self.weights
-        return float(logsumexp(each)), means[int(np.argmax(each))]
+        return self._gains([rows])[0]
+
+    def _gains(self, groups: Sequence[Sequence[Any]]) -> list[tuple[float, np.ndarray]]:
+        """`gain` of each group of rows; those of as many columns at once."""
+        which = [[i for row in rows for i in row.which] for rows in groups]
+        found: list[Any] = [None] * len(groups)
+        for size in {len(w) for w in which}:
+            own = [i for i, w in enumerate(which) if len(w) == size]
+            known = [[s for row in groups[i] for s in _signs(row)] for i in own]
+            gain, mean, covariance = subset(self.grams, [which[i] for i in own])
+            std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+            gain = gain + np.where(known, half_normal(mean / std), 0.0).sum(-1)
+            each = gain + np.asarray(self.weights)[:, None]
+            top = np.argmax(each, axis=0)
+            for k, i in enumerate(own):
+                found[i] = float(logsumexp(each[:, k])), mean[top[k], k]
+        return found
 
     def pairs(self, most: int) -> list[tuple[float, Screened, Screened]]:
         """Every two of the best candidates, the best pair first."""
-        found = []
-        for a, b in itertools.combinations(self.ranked[:most], 2):
-            found.append((self.gain([a, b])[0], a, b))
-        return sorted(found, key=lambda f: -f[0])
+        each = list(itertools.combinations(self.ranked[:most], 2))
+        gains = [gain for gain, _ in self._gains(each)]
+        return sorted(
+            ((g, a, b) for g, (a, b) in zip(gains, each, strict=True)), key=lambda f: -f[0]
+        )
+
+
+def _signs(row: Column | Screened) -> list[bool]:
+    """Of each column, whether the sign of its strength is known."""
+    if row.effect.oscillates:
+        return [False] * len(row.which)
+    return [signed(row.effect, number) for number in strengths(row.effect)]
 
 
 def spectral_lines(scene: Scene, trajectory: Trajectory) -> list[float]:

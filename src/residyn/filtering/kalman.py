@@ -119,19 +119,15 @@ def _filter(system: System, readings: Readings, noise: Noise, gains: bool = True
 
 
 @kept(like=(0, 0))
-def grams(system: System, more: tuple[Any, Any], readings: Readings, noise: Noise, intensities):
-    """Under each of (I,) random torques the log normaliser -1/2 sum log 2 pi S, and the Gram matrix
-    (1 + P + C)^2 of the whitened innovations: w of the readings, then W of the system's regressors
-    and of C more, whose B (K, X, C) and Hu (K, n, C) are `more` (e = w + W u)."""
+def gram(system: System, more: tuple[Any, Any], readings: Readings, noise: Noise, intensity):
+    """Log normaliser -1/2 sum log 2 pi S, and the Gram matrix (1 + P + C)^2 of the whitened
+    innovations: w of the readings, then W of the system's regressors and of C more, whose
+    B (K, X, C) and Hu (K, n, C) are `more` (e = w + W u)."""
     B, Hu = (jnp.concatenate(x, -1) for x in zip((system.B, system.Hu), more, strict=True))
     wide = system._replace(B=B, Hu=Hu)
-
-    def at(intensity):
-        L, out = _filter(wide, readings, noise.at(intensity), gains=False)
-        white = out.reshape(-1, out.shape[-1])
-        return L, white.T @ white
-
-    return jax.lax.map(at, intensities)
+    L, white = _filter(wide, readings, noise.at(intensity), gains=False)
+    white = white.reshape(-1, white.shape[-1])
+    return L, white.T @ white
 
 
 class Evidences(NamedTuple):

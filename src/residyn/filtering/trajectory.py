@@ -211,9 +211,10 @@ class Scene:
         point = Point(t.path, t.spread, t.u, t.first)
         return linearise(*self.tabulated(t), self.instants, point)
 
-    def torques(self, t: Trajectory, linear: Linear) -> dict[str, np.ndarray]:
+    def torques(self, t: Trajectory) -> dict[str, np.ndarray]:
         """(K, n) torque of each effect of a model along its own motion, N m; what acts on readings
         or inertias has none."""
+        linear = self.linearised(t)
         direction = np.asarray(linear.direction)[:, : self.K]
         joint, whole = iter(np.asarray(linear.torque_joint)), iter(np.asarray(linear.torque_whole))
         found = {}
@@ -251,7 +252,9 @@ class Scene:
         growth[g.last, : 2 * n + M] += variance
         return Noise(mean, np.concatenate([variance, loud]), decay, growth)
 
-    def evidences(self, t: Trajectory, linear: Linear, intensities: Sequence[float]) -> Evidences:
+    def evidences(
+        self, t: Trajectory, linear: Linear, intensities: Sequence[float] | np.ndarray
+    ) -> Evidences:
         """A model, linearised along its motion, under each of some random torques."""
         each = np.asarray(intensities, float)
         return Evidences(

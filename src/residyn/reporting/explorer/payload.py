@@ -15,7 +15,7 @@ import numpy as np
 from ... import __version__
 from ...diagnosis.columns import Columns, strengths
 from ...diagnosis.evidence import FURTHER, INDISTINGUISHABLE, signed, width_of
-from ...diagnosis.missing_torque import missing_of, torque_along
+from ...diagnosis.missing_torque import missing_of
 from ...filtering.law import numbers_of
 from ...filtering.trajectory import Scene, Trajectory, number_slices
 from ...fitting.result import Fit
@@ -367,7 +367,7 @@ def _torque(study: Study, found: Fit):
 def _along_itself(study: Study, path: Trajectory) -> list[dict[str, Any]]:
     """The torque that a model has beyond the base model's, each along its own motion."""
     scene = study.search.scene
-    own, before = (torque_along(scene, t) for t in (path, study.search.base.best))
+    own, before = (scene.torques(t) for t in (path, study.search.base.best))
     total = np.sum([*own.values()], axis=0) - np.sum([*before.values()], axis=0)
     return _cut(scene, total)
 
