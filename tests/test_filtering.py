@@ -227,16 +227,28 @@ def test_a_step_of_the_linear_system_is_a_step_of_the_simulation():
 
 
 def test_expected_friction_is_the_level_far_from_rest_and_holds_at_rest():
-    from residyn.filtering.linearised import expected_direction as direction
+    from residyn.filtering.linearised import expected_direction
 
-    slides = direction(1.0, 0.3, 1.0, 1e-6, 1e-3)
-    rests = direction(0.0, 0.3, 1.0, 1e-9, 1e-3)
-    breaks = direction(0.0, 3.0, 1.0, 1e-9, 1e-3)
-    unsure = direction(0.0, 0.0, 1.0, 1.0, 1e-3)
-    assert float(slides) == pytest.approx(1.0, abs=1e-6)
-    assert float(rests) == pytest.approx(0.3, abs=1e-6)  # just the torque that is needed
-    assert 0 < float(breaks) < 1  # more than friction can give: not held
-    assert float(unsure) == pytest.approx(0.0, abs=1e-3)
+    def direction(*args):
+        return float(expected_direction(*map(jnp.asarray, args))[0])
+
+    assert direction(1.0, 0.3, 1.0, 1e-6, 1e-3) == pytest.approx(1.0, abs=1e-6)
+    # At rest, just the torque that is needed; no more than friction can give.
+    assert direction(0.0, 0.3, 1.0, 1e-9, 1e-3) == pytest.approx(0.3, abs=1e-6)
+    assert 0 < direction(0.0, 3.0, 1.0, 1e-9, 1e-3) < 1
+    assert direction(0.0, 0.0, 1.0, 1.0, 1e-3) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_slopes_of_the_expected_direction_are_its_finite_differences():
+    from residyn.filtering.linearised import expected_direction
+
+    at = np.array([2e-4, 0.3, 1.0])
+    _, slopes = expected_direction(*map(jnp.asarray, at), 3e-4, 1e-3)
+    for i, eps in enumerate((1e-8, 1e-5, 1e-5)):
+        step = eps * np.eye(3)[i]
+        ends = [float(expected_direction(*map(jnp.asarray, x), 3e-4, 1e-3)[0])
+                for x in (at + step, at - step)]  # fmt: skip
+        assert float(slopes[i]) == pytest.approx((ends[0] - ends[1]) / (2 * eps), rel=1e-5)
 
 
 @pytest.mark.parametrize("effect", [CoulombFriction("elbow", 0.2), Hysteresis("elbow", 0.5, 0.1)])

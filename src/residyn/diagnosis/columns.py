@@ -140,6 +140,7 @@ def shaped_numbers(effect: AbstractEffect, shape: dict[str, float]) -> np.ndarra
 class Shaped(NamedTuple):
     """A law at J places (one, but for effects of one joint) and S shapes each, as data."""
 
+    joints: tuple[int, ...]
     numbers: Any  # (J, S, p), strengths silent
     widths: Any  # (J, s) of the strengths' priors
 
@@ -157,9 +158,9 @@ def columns(
 
     **Arguments:** `model` is along the motion, `field` its `by_x`, `by_torque`, `acceleration`.
 
-    **Returns:** by columns, in the order of law, place, shape, phase, strength: B (K, X, C), what
-    each adds to the states in a step; (K, n, C), what to the readings; (K, n, C) its torque, N m,
-    at the beginning of each step; and (F, K) internal states, of law, place, shape, phase.
+    **Returns:** by columns, in the order of `_places`, then shape, phase, strength: B (K, X, C),
+    what each adds to the states in a step; (K, n, C), what to the readings; (K, n, C) its torque,
+    N m, at the beginning of each step; and (F, K) internal states, in the same order.
     """
     n, K = point.spread.shape[1], instants.step.shape[0]
     by_x, by_torque, acceleration = field
@@ -170,72 +171,95 @@ def columns(
     first = jax.tree.map(lambda x: x[0], instants.mechanisms)
     direction = jax.scipy.special.erf(at.v / (math.sqrt(2) * at.spread))
     anew = jnp.concatenate([jnp.ones(1, bool), instants.last[:-1]])
-    torques, readings, states = [], [], []
 
     def three(x):  # (r, N) to (3, r, K)
         return jnp.moveaxis(x.reshape(-1, 3, K), 1, 0)
 
-    for effect, (numbers, widths) in zip(laws.each, shaped, strict=True):
-        J, _, p = numbers.shape
-        which = [i for i, x in enumerate(numbers_of(effect)) if x.silent is not None]
-        unit = jnp.eye(p)[jnp.asarray(which)]  # (s, p)
-        if effect.senses:
-            _, _, by_number, _, late = along_readings(effect, first, at.q[:, :K], numbers[0, 0])
-            own = by_number - at.v[:, None, :K] * late[..., None]
-            readings.append(own[:, jnp.asarray(which)] * widths[0][:, None])
-            torques.append(jnp.zeros((len(which), n, 3 * K)))
-            continue
-        of_joint = group_of(effect) == "joint"
-        phases = jnp.asarray([0.0, math.pi / 2] if effect.oscillates else [0.0])
+    torques: list[list[Any]] = [[] for _ in range(n + 1)]  # of each joint, of the whole
+    readings, states = [], []
 
-        def of_place(j, numbers, effect=effect, unit=unit, phases=phases, of_joint=of_joint):
-            """(S, phases, s, n, N) torques and (S, phases, m, K) states at one place."""
-            q, v, d = (x[j : j + 1] if of_joint else x for x in (at.q, at.v, direction))
+    def of_place(effect, j: int, numbers, width):
+        """Torques (S phases s, r, N), of one joint r = 1, and states (S phases m, K)."""
+        own = slice(j, j + 1) if group_of(effect) == "joint" else slice(None)
+        q, v, d = at.q[own], at.v[own], direction[own]
+        which = _which(effect)
+        unit, m = jnp.eye(numbers.shape[-1])[which], len(effect.memory)
 
-            def of_shape(numbers):
-                def of_phase(phase):
-                    m = len(effect.memory)
-                    z, begun = jnp.zeros((m, 3 * K)), jnp.zeros((m, K))
-                    if m:
-                        z0 = stack(_begin(effect, j, numbers, at, first)) + phase
-                        args = three(q), three(v), at.time.reshape(3, K), instants.step
-                        z = states_along(effect, numbers, early, *args, anew, z0)
-                        begun, z = z[0], jnp.moveaxis(z, 0, 1).reshape(m, 3 * K)
-                    return _strengths(effect, unit, mechanism, q, v, at, z, numbers), begun
-
-                return jax.vmap(of_phase)(phases)
-
-            (torque, level), z = jax.vmap(of_shape)(numbers)
+        def of_phase(numbers, phase):
+            z, begun = jnp.zeros((m, 3 * K)), jnp.zeros((m, K))
+            if m:
+                z0 = stack(_begin(effect, j, numbers, at, first)) + phase
+                args = three(q), three(v), at.time.reshape(3, K), instants.step
+                z = states_along(effect, numbers, early, *args, anew, z0)
+                begun, z = z[0], jnp.moveaxis(z, 0, 1).reshape(m, 3 * K)
+            torque, level = _strengths(effect, unit, mechanism, q, v, at, z, numbers)
             torque = torque + level * d
-            if of_joint:
-                torque = torque * (jnp.arange(n) == j)[:, None]
-            return torque, z
+            if changes_bodies(effect):
 
-        each = [of_place(j, numbers[j]) for j in range(J)]
-        torque = jnp.stack([t for t, _ in each]) * widths[:, None, None, :, None, None]
-        states.append(jnp.stack([z for _, z in each]).reshape(-1, K))
-        if changes_bodies(effect):
+                def change(u, mechanisms):
+                    return jax.vmap(lambda b: with_numbers(effect, u[0]).bodies(b))(mechanisms)
 
-            def change(u, mechanisms, effect=effect):
-                return jax.vmap(lambda b: with_numbers(effect, u[0]).bodies(b))(mechanisms)
+                args = bodies, instants.run, at, acceleration
+                torque += jnp.moveaxis(
+                    body_columns(change, numbers[None], *args)[:, 0, which], 0, 1
+                )
+            return torque * width[:, None, None], begun
 
-            def of_bodies(u, change=change, which=which):
-                found = body_columns(change, u[None], bodies, instants.run, at, acceleration)
-                return jnp.moveaxis(found[:, 0, jnp.asarray(which)], 0, 1)
+        phases = jnp.asarray([0.0, math.pi / 2] if effect.oscillates else [0.0])
+        over = jax.vmap(jax.vmap(of_phase, in_axes=(None, 0)), in_axes=(0, None))
+        torque, z = over(numbers, phases)
+        return torque.reshape(-1, *torque.shape[-2:]), z.reshape(-1, K)
 
-            own = jax.vmap(of_bodies)(numbers[0])  # (S, s, n, N)
-            torque = torque + own[None, :, None] * widths[0][:, None, None]
-        torque = torque.reshape(-1, n, 3 * K)
-        torques.append(torque)
-        readings.append(jnp.zeros((n, len(torque), K)))
-    torque = jnp.concatenate(torques).reshape(-1, n, 3, K)
+    for place, effect, numbers, width in _places(laws, shaped, n):
+        if effect.senses:
+            _, _, by_number, _, late = along_readings(effect, first, at.q[:, :K], numbers[0])
+            own = by_number - at.v[:, None, :K] * late[..., None]
+            readings.append(own[:, _which(effect)] * width[:, None])
+        else:
+            torque, z = of_place(effect, place, numbers, width)
+            torques[place].append(torque)
+            states.append(z)
     W = _responses(instants.step, by_x, -by_torque)
-    B = sum(W[a][:, j, None] * torque[None, :, j, a] for a in range(3) for j in range(n))
-    B = jnp.where(instants.last, 0.0, jnp.asarray(B))
-    begin = torque[:, :, 0].transpose(2, 1, 0)
-    read = jnp.concatenate(readings, 1)
-    rows = jnp.concatenate(states) if states else jnp.zeros((0, K))
-    return jnp.moveaxis(B, -1, 0), jnp.moveaxis(read, -1, 0), begin, rows
+    steps, begins = [], []
+    for place, each in enumerate(torques):
+        if each:
+            own = slice(place, place + 1) if place < n else slice(None)
+            torque = jnp.concatenate(each).reshape(-1, len(at.q[own]), 3, K)
+            parts = [
+                W[a][:, own][:, i, None] * torque[None, :, i, a]
+                for a in range(3)
+                for i in range(torque.shape[1])
+            ]
+            steps.append(sum(parts))
+            begins.append(jnp.zeros((n, len(torque), K)).at[own].set(
+                torque[:, :, 0].transpose(1, 0, 2)))  # fmt: skip
+    acting, C = sum(x.shape[1] for x in steps), sum(x.shape[1] for x in readings)
+
+    def filled(x, rows: int, before: int, after: int):
+        """Arrays (rows, ., K) as (K, rows, before + . + after)."""
+        whole = jnp.concatenate([jnp.zeros((rows, 0, K)), *x], 1)
+        return jnp.pad(whole, ((0, 0), (before, after), (0, 0))).transpose(2, 0, 1)
+
+    B = [jnp.where(instants.last, 0.0, x) for x in steps]
+    rows = jnp.concatenate([jnp.zeros((0, K)), *states])
+    B, read = filled(B, by_x.shape[0], 0, C), filled(readings, n, acting, 0)
+    return B, read, filled(begins, n, 0, C), rows
+
+
+def _which(effect: AbstractEffect) -> np.ndarray:
+    """Indices of an effect's strengths among its numbers."""
+    return np.array([i for i, x in enumerate(numbers_of(effect)) if x.silent is not None], int)
+
+
+def _places(laws: Laws, shaped: Sequence[Shaped], n: int):
+    """Place, law, numbers (S, p) and widths (s,) in the order of columns: what acts at each joint,
+    then on the whole mechanism, then sensors."""
+    each = [
+        (n + 1 if e.senses else j if group_of(e) == "joint" else n, e, *rows)
+        for e, s in zip(laws.each, shaped, strict=True)
+        for j, *rows in zip(s.joints, s.numbers, s.widths, strict=True)
+    ]
+    return sorted(each, key=lambda x: x[0])
 
 
 def _begin(effect, j: int, numbers, at, mechanism):
@@ -334,30 +358,34 @@ class Columns:
         members: dict[str, list[AbstractEffect]] = {}
         for effect in group:
             members.setdefault(law_name(effect), []).append(effect)
-        shaped, first, row = [], self._count, 0
-        places = []
-        laws = laws_for(group)
+        laws, shaped = laws_for(group), []
+        every: dict[str, list[dict[str, float]]] = {}
         for effects in (members[law_name(e)] for e in laws.each):
             tables = []
             for effect in effects:
-                every = shapes(scene, effect, frequencies or [1.0])
-                room = most if effect.oscillates else len(every)
+                own = shapes(scene, effect, frequencies or [1.0])
+                room = most if effect.oscillates else len(own)
                 if shape_of and effect.label in shape_of:
-                    every = [shape_of[effect.label]]
-                numbers = [shaped_numbers(effect, s) for s in every]
+                    own = [shape_of[effect.label]]
+                numbers = [shaped_numbers(effect, s) for s in own]
                 tables.append(np.stack(numbers + numbers[-1:] * (room - len(numbers))))
-                phases, own = 2 if effect.oscillates else 1, len(strengths(effect))
-                m = len(effect.memory)
-                for i, shape in enumerate(every):
-                    if effect.label in wanted:
-                        at = first + i * phases * own
-                        which = tuple(range(at, at + phases * own))
-                        where = slice(row + i * phases * m, row + i * phases * m + m)
-                        places.append((wanted[effect.label], shape, which, where))
-                first += room * phases * own
-                row += room * phases * m
+                every[effect.label] = own
             widths = [[width_of(scene, e, x) for x in strengths(e)] for e in effects]
-            shaped.append(Shaped(np.stack(tables), np.array(widths)))
+            joints = tuple(scene.joint_of(e) for e in effects)
+            shaped.append(Shaped(joints, np.stack(tables), np.array(widths)))
+        first, row, places = self._count, 0, []
+        for place, law, numbers, width in _places(laws, shaped, scene.n):
+            at_joint = group_of(law) == "joint"
+            label = f"{law.name}:{scene.joints[place]}" if at_joint else law.label
+            phases, own = 2 if law.oscillates else 1, len(width)
+            m = 0 if law.senses else len(law.memory)
+            for i, shape in enumerate(every[label] if label in wanted else []):
+                at = first + i * phases * own
+                where = slice(row + i * phases * m, row + i * phases * m + m)
+                which = tuple(range(at, at + phases * own))
+                places.append((wanted[label], shape, which, where))
+            first += len(numbers) * phases * own
+            row += len(numbers) * phases * m
         linear = self.linear
         *found, states = columns(
             laws, tuple(shaped), scene.tabulated(t), scene.instants,

@@ -104,21 +104,37 @@ class Sums(NamedTuple):
     rate_u: Any
 
 
-def expected_direction(v, needed, level, spread, slow_time):
-    """E clip(v / slow + hold, -1, 1) with v normal of standard deviation `spread`; `needed` is the
-    torque that would hold the joint, `slow_time` the ramp's time over its inertia."""
-    on = jnp.abs(level) > 0
-    safe = jnp.where(on, jnp.abs(level), 1.0)
+def _ramp(v, needed, level, spread, slow_time):
+    """Mean and standard deviation of the argument of clip(v / slow + hold, -1, 1), v being normal
+    of standard deviation `spread`; `needed` is the torque that would hold the joint, `slow_time`
+    the ramp's time over its inertia."""
+    safe = jnp.where(level != 0, jnp.abs(level), 1.0)
     ratio = needed / safe
     # More than friction can give: the joint is not held, the less the more is needed.
-    ratio = jnp.where(jnp.abs(ratio) <= 1, ratio, 1 / jnp.where(ratio == 0, 1.0, ratio))
+    hold = jnp.where(jnp.abs(ratio) <= 1, ratio, 1 / jnp.where(ratio == 0, 1.0, ratio))
     slow = slow_time * (safe + jnp.abs(needed)) + 1e-12
-    m, s = v / slow + jnp.where(on, ratio, 0.0), spread / slow + 1e-9
+    return v / slow + hold, spread / slow + 1e-9
 
-    def beyond(a):  # E max(x - a, 0)
-        return (m - a) * norm.cdf((m - a) / s) + s * norm.pdf((m - a) / s)
 
-    return jnp.where(on, -1 + beyond(-1.0) - beyond(1.0), jnp.sign(v))
+def _clipped(m, s):
+    """E clip(x, -1, 1) of a normal x, and its slopes in the mean and in the standard deviation."""
+    high, low = (m + 1) / s, (m - 1) / s
+    inside, edges = norm.cdf(high) - norm.cdf(low), norm.pdf(high) - norm.pdf(low)
+    return -1 + (m + 1) * norm.cdf(high) - (m - 1) * norm.cdf(low) + s * edges, inside, edges
+
+
+def expected_direction(v, needed, level, spread, slow_time):
+    """Expected direction of sliding, and its slopes in `v`, `needed` and `level`; see `_ramp`."""
+    x = jnp.stack([v, needed, level])
+
+    def slope(e):
+        ramp = lambda x: _ramp(x[0], x[1], x[2], spread, slow_time)  # noqa: E731
+        return jax.jvp(ramp, (x,), (e.reshape(3, *[1] * (x.ndim - 1)) * jnp.ones_like(x),))
+
+    (m, s), (by_m, by_s) = jax.vmap(slope, out_axes=(None, 0))(jnp.eye(3))
+    direction, inside, edges = _clipped(m, s)
+    slopes = jnp.where(level != 0, inside * by_m + edges * by_s, 0.0)
+    return jnp.where(level != 0, direction, jnp.sign(v)), slopes
 
 
 def nodes(instants: Instants, path, spread, held) -> Nodes:
@@ -325,16 +341,8 @@ def _field(mechanism, at: Nodes, drive, s: Sums) -> Field:
     free = drive - s.torque
     light = jnp.stack([unit[j, j] for j in range(n)])
     held = (rest + pushed(free)) / light
-    sliding = jnp.stack([at.v, held, s.level])
-
-    def expected(x):
-        return expected_direction(x[0], x[1], x[2], at.spread, RAMP * at.step * light)
-
-    def slope(e):
-        return jax.jvp(expected, (sliding,), (e[:, None, None] * jnp.ones((n, N)),))
-
-    found = jax.lax.optimization_barrier(jax.vmap(slope)(jnp.eye(3)))
-    (direction, *_), (by_v, by_held, by_level) = found
+    found = expected_direction(at.v, held, s.level, at.spread, RAMP * at.step * light)
+    direction, (by_v, by_held, by_level) = jax.lax.optimization_barrier(found)
     # Slopes at the torque that acts, friction included.
     total = free - s.level * direction
     a = rest + pushed(total)
