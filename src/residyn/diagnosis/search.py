@@ -312,6 +312,8 @@ class Search:
                 self.extend(self.tried[best])
                 extended.add(best)
                 self.reduce(self.best)
+            if self.best.intensity >= EXPLAINS_NOTHING:  # then no name says anything
+                self.tried = {frozenset(): self.base}
         except KeyboardInterrupt:
             self.stopped = "interrupted"
         except OutOfTime:
