@@ -317,8 +317,8 @@ def _integrated(fit: Fit) -> str:
 # -- on a page -------------------------------------------------------------------------------
 
 
-def chapter(title: str, fit: Fit) -> dict[str, Any]:
-    """All that the template says of one fit."""
+def chapter(title: str, fit: Fit, drawn: bool = True) -> dict[str, Any]:
+    """All that the template says of one fit; its pictures only if they are to be `drawn`."""
     errors, fitted = joint_errors(fit), _fitted(fit)
     held = [r.recording.name for r in fit.whole if r.recording.role == "check"]
     return {
@@ -343,9 +343,10 @@ def chapter(title: str, fit: Fit) -> dict[str, Any]:
                     [r],
                 ),
             )
-            for r in fit.whole
+            for r in (fit.whole if drawn else ())
         ],
-        "spectrum": plot.picture(
+        "spectrum": drawn
+        and plot.picture(
             "Amplitude spectra of the motion and of what is left, with the modes marked",
             plot.spectrum,
             fit,

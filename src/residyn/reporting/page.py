@@ -66,7 +66,9 @@ def render(
     diagnosis: Diagnosis | None = None,
 ) -> str:
     """The page of fits as text."""
-    chapters = [chapter(title, fit) for title, fit in fits]
+    # Of the models on the way to a diagnosis, the last one's pictures say all.
+    last = len(fits) - 1
+    chapters = [chapter(*x, drawn=diagnosis is None or i == last) for i, x in enumerate(fits)]
     if compared is not None:
         experiment, missing = compared.fit.experiment, compared.missing_torque
         drawn = [torque(experiment, *pair) for pair in pairs(missing)]

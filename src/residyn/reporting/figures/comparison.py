@@ -116,7 +116,7 @@ def horizon(compared: Comparison, *, narrow: bool = False) -> Figure:
 
 _WORTH = 0.1  # share from which a curve is drawn
 _SCATTER = 0.5  # of the torque's own, beyond which a middle line would mislead
-_DOTS = 4000
+_DOTS = 1000
 _NAMED = 2  # numbers of an effect in the legend
 _BINS = 14
 
@@ -201,7 +201,11 @@ def _words(curve: Curve) -> str:
 
 def _against(ax: Axes, x, tau, own) -> None:
     every = max(1, len(x) // _DOTS)
-    ax.plot(x[::every], tau[::every], ".", color=RESIDUAL, ms=2.6, alpha=0.45, mew=0)
+    # Dots as strokes that are hardly longer than wide: one path, a fifth of the markers' bytes.
+    dots, gap = x[::every], np.full(len(x[::every]), np.nan)
+    along = np.stack([dots, dots + 1e-3 * np.ptp(x), gap], axis=1).ravel()
+    up = np.stack([tau[::every]] * 2 + [gap], axis=1).ravel()
+    ax.plot(along, up, color=RESIDUAL, lw=1.9, alpha=0.45, solid_capstyle="round")
     if own is not None:
         ax.plot(x, own, color=MODEL, lw=0.6, alpha=0.7)
     middle = _middle(x, tau)

@@ -34,5 +34,15 @@ def svg(figure: Figure) -> str:
     with mpl.rc_context({"svg.fonttype": "path", "svg.hashsalt": "residyn"}):
         nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
         figure.savefig(buffer, format="svg", metadata=nothing)
-    # A hundredth of a point is as fine as any eye or printer.
-    return re.sub(r' d="[^"]*"', lambda d: re.sub(r"(\.\d\d)\d+", r"\1", d[0]), buffer.getvalue())
+    text = re.sub(r"<!--.*?-->|\s*\n\s*(?=<)", "", buffer.getvalue(), flags=re.S)
+    return _NUMBERS.sub(_short, text)
+
+
+# Coordinates: of paths, and of what is repeated. A tenth of a point is as fine as any printer.
+_NUMBERS = re.compile(r' (?:d|x|y)="[^"]*"')
+
+
+def _short(attribute: re.Match[str]) -> str:
+    words = re.sub(r"-?\d+\.\d+", lambda x: f"{float(x[0]):.1f}".removesuffix(".0"), attribute[0])
+    # A line's letter may be left out after a line, and not after a curve.
+    return re.sub(r" ?\n" if "Q" in words or "C" in words else r" ?\n(L )?", " ", words)

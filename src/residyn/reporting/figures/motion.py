@@ -31,7 +31,7 @@ from .style import (
 )
 
 _ZOOM_CYCLES = 10
-_POINTS_PER_INCH = 160
+_POINTS_PER_INCH = 110
 
 
 class _Layout(NamedTuple):
