@@ -1,6 +1,7 @@
 """A recording at equal steps, and at no more of them than are needed."""
 
 import math
+from typing import cast
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -33,7 +34,7 @@ def slowest_period(motion: np.ndarray) -> float:
     count = len(motion)
     # Padded, so that a few swings in all are counted finely enough.
     shaped = motion * np.hanning(count)[:, None]
-    length = next_fast_len(8 * count, real=True)
+    length = cast(int, next_fast_len(8 * count, real=True))
     power = np.abs(np.fft.rfft(shaped, length, axis=0)[8:]) ** 2
     large = power >= 0.02 * np.maximum(power.max(axis=0), 1e-300)
     peaks = large[1:-1] & (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])
