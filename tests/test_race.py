@@ -225,6 +225,14 @@ def test_bad_input_is_one_line(demo, words, said, capsys):
     assert len(error.splitlines()) == 1
 
 
+def test_a_race_without_the_extra_is_one_line(demo, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "evosax.algorithms", None)
+    assert main(["race", str(demo), "--no-cache"]) == 2
+    error = capsys.readouterr().err.strip()
+    assert "pip install 'residyn[ga]'" in error
+    assert len(error.splitlines()) == 1
+
+
 def test_the_command_knows_the_methods_of_the_library():
     from residyn.cli import _options
 
