@@ -167,8 +167,10 @@ def missing_torque(
     for key in ("t", "q", "v"):
         axes[key].set_ylabel(f"torque ({torque_unit})")
         axes[key].axhline(0.0, color=FAINT, lw=0.6, zorder=0)
-    handles, labels = axes["t"].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower left", ncols=1 if narrow else 3)
+    each = [axes[key].get_legend_handles_labels() for key in ("t", "q", "v")]
+    keys = {label: handle for row in each for handle, label in zip(*row, strict=True)}
+    columns = 1 if narrow else len(keys)
+    figure.legend(keys.values(), keys, loc="outside lower left", ncols=columns)
     return figure
 
 
@@ -210,7 +212,7 @@ def _against(ax: Axes, x, tau, own) -> None:
         ax.plot(x, own, color=MODEL, lw=0.6, alpha=0.7)
     middle = _middle(x, tau)
     if len(middle) and _scatter(x, tau) < _SCATTER:
-        ax.plot(*middle.T, color=INK, lw=1.1)
+        ax.plot(*middle.T, color=INK, lw=1.1, label="median along the axis")
 
 
 def _bins(x) -> list[np.ndarray]:
