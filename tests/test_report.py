@@ -17,7 +17,7 @@ from residyn.reporting import fit as about_fits
 from residyn.reporting import numbers
 from residyn.reporting import page as pages
 from residyn.reporting.figures.motion import thinned
-from tests.by_hand import NASTY, WILD, a_fit
+from tests.by_hand import LOST, NASTY, WILD, a_fit
 from tests.legible import legible
 
 
@@ -144,7 +144,9 @@ def test_lost_readings_are_gaps_and_wild_ones_are_marked(fit):
     figure = plot.overlay(fit, fit.recordings[:1])
     main = figure.axes[0]
     measured, model, *_ = main.get_lines()
-    assert np.isnan(np.asarray(measured.get_ydata(), float)).sum() == 40
+    lost = np.asarray(measured.get_xdata())[np.isnan(np.asarray(measured.get_ydata(), float))]
+    assert 0 <= lost.min() - LOST.start / 80 < 0.05
+    assert 0 <= LOST.stop / 80 - lost.max() < 0.05
     assert np.isfinite(np.asarray(model.get_ydata(), float)).all()
     elbow = figure.axes[4]
     marked = [line for line in elbow.get_lines() if line.get_marker() == "x"]
