@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import shutil
 import subprocess
 import sys
@@ -11,11 +12,13 @@ import numpy as np
 import pytest
 from scipy.special import log_ndtr
 
+import residyn
 from residyn import demo
 from residyn.diagnosis.evidence import log_prior_model, subset
-from residyn.recordings import recording
+from residyn.filtering.law import numbers_of
+from residyn.filtering.trajectory import number_slices
 from residyn.reporting.explorer import page
-from residyn.reporting.explorer.payload import payload
+from residyn.reporting.explorer.payload import Drawn, packed, payload
 from residyn.reporting.explorer.study import Study
 from tests.chromium import complaints, driver, until
 
@@ -27,7 +30,7 @@ NASTY = "<img src=x onerror=document.title='out'></script>.csv"
 def study():
     """Two fitted recordings of three seconds, with markup in a file's name."""
     with demo.experiment_file() as path:
-        whole = recording.load(path)
+        whole = residyn.load(path)
     cut = [
         dataclasses.replace(r, time=r.time[:300], angle=r.angle[:300], role="fit", name=name)
         for r, name in zip(whole.recordings, (NASTY, "check.csv"), strict=True)
@@ -61,8 +64,9 @@ def ask(browser, script, *arguments):
     body = (
         f"const done = arguments[arguments.length - 1], given = [...arguments].slice(0, -1);"
         f"Promise.all([{imports}]).then((all) => {{ const m = Object.assign({{}}, ...all);"
-        "const data = JSON.parse(document.getElementById('residyn-explorer-data').textContent);"
-        f"done((() => {{ {script} }})()); }}).catch((e) => done('failed: ' + e));"
+        "const message = document.getElementById('residyn-explorer-data').textContent;"
+        f"return m.opened(JSON.parse(message)).then((data) => {{ {script} }}).then(done);"
+        "}).catch((e) => done('failed: ' + e));"
     )
     return browser.execute_async_script(body, *arguments)
 
@@ -111,6 +115,25 @@ def test_linear_algebra_against_numpy(offline):
         gram.tolist(),
     )
     assert form == pytest.approx(v @ chosen @ v, rel=1e-12)
+
+
+def test_arrays_arrive_as_they_were_sent(offline):
+    random = np.random.default_rng(4)
+    waves = np.cumsum(random.standard_normal((3, 500)), axis=1)
+    waves[1, 7] = np.nan
+    sent = {"a": {"b": [random.standard_normal((2, 5)), Drawn(waves)]}, "c": [1.5, math.inf]}
+    found = ask(
+        offline,
+        "return m.opened(given[0]).then((x) => [[...x.a.b[0].values], x.a.b[0].shape,"
+        "[...x.a.b[1].values].map((v) => Number.isNaN(v) ? null : v), x.c]);",
+        packed(sent),
+    )
+    assert found[0] == sent["a"]["b"][0].ravel().tolist()
+    assert found[1] == [2, 5]
+    drawn = np.array([math.nan if x is None else x for x in found[2]]).reshape(waves.shape)
+    half = np.nanmax(np.abs(waves)) / 32767 / 2
+    np.testing.assert_allclose(drawn, waves, atol=1.01 * half, rtol=0)
+    assert found[3] == [1.5, None]
 
 
 def test_the_normal_distribution_function_against_scipy(offline):
@@ -163,6 +186,22 @@ def test_the_first_order_of_nothing_added_is_the_fit(study):
     assert first is not None
     errors = first.fitted.times_noise(np.zeros(0), [])
     assert errors == pytest.approx(fit.rmse / fit.noise, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "added", [["cubic_stiffness:elbow"], ["cubic_stiffness:elbow", "cubic_stiffness:shoulder"]]
+)
+def test_a_refit_by_the_smoother_is_the_fit_where_nothing_sticks(study, added):
+    near, fit = study.refit(added), study.fit(added)
+    values = {
+        f"{e.label}.{n.name}": x
+        for e, own in zip(near.path.effects, number_slices(near.path.effects), strict=True)
+        for n, x in zip(numbers_of(e), near.path.numbers[own], strict=True)
+    }
+    off = [(values[n.name] - n.value) / n.std for n in fit.numbers]
+    assert np.max(np.abs(off)) < 0.2
+    assert near.fitted == pytest.approx(fit.rmse / fit.noise, rel=0.01)
+    assert near.held_out == pytest.approx(study.held_out(added, fit), rel=0.1)
 
 
 def test_words(offline):
@@ -230,7 +269,7 @@ def test_all_fits_at_400_pixels(data, tmp_path):
 
 
 def test_a_payload_is_small_and_plain(data):
-    assert len(json.dumps(data, allow_nan=False)) < 2_000_000
+    assert len(json.dumps(packed(data), allow_nan=False)) < 1_000_000
 
 
 # -- live -------------------------------------------------------------------------------------

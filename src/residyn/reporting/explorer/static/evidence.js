@@ -13,7 +13,7 @@ export class Evidence {
   constructor(data) {
     this.candidates = new Map(data.candidates.map((c) => [c.label, c]));
     this.weights = data.screen.weights;
-    this.grams = data.screen.grams.map((g) => symmetric(g, data.screen.size));
+    this.grams = data.screen.grams.map((g) => symmetric(g.values, data.screen.size));
     this.prior = data.prior;
     this.tried = new Map();
     this.screened = new Map();

@@ -1,6 +1,6 @@
 // The page: what is on it, and what follows from a click.
 
-import { drawn, flat, rows } from "./arrays.js";
+import { drawn, opened, rows } from "./arrays.js";
 import { Bars } from "./bars.js";
 import { CloudChart, TimeChart, colours } from "./charts.js";
 import { element, fill } from "./elements.js";
@@ -27,10 +27,11 @@ class Page {
     this.fits = new Map(); // by model
     this.found = data.verdict;
     this.keep(data.fits);
-    this.time = data.recordings.map((r) => flat(r.time));
+    this.fetched = data.known; // fits that the server has told of
+    this.time = data.recordings.map((r) => r.time.values);
     this.angle = data.recordings.map((r) => rows(r.angle));
     this.missing = data.missing.map((m) => ({
-      time: flat(m.time),
+      time: m.time.values,
       ...Object.fromEntries(
         ["angle", "rate", "amplitude", "torque", "std"].map((k) => [k, rows(m[k])]),
       ),
@@ -472,10 +473,11 @@ class Page {
       }
       if (this.gone) return;
       if (state.version !== version) {
-        const news = await this.server.get("searched");
+        const news = await this.server.get(`searched?since=${this.fetched}`);
         if (this.gone) return;
         version = state.version;
         this.keep(news.fits);
+        this.fetched = news.known;
         this.evidence.keep(news);
         this.drawModel();
         this.drawChips();
@@ -538,5 +540,5 @@ async function open(server, study, hidden) {
 }
 
 const inside = document.getElementById("residyn-explorer-data");
-if (inside) page = new Page(JSON.parse(inside.textContent), null);
+if (inside) page = new Page(await opened(JSON.parse(inside.textContent)), null);
 else open(new Server(), 0, false);

@@ -1,12 +1,12 @@
 // What effects would do to the error, the curves and the torque, before anything is fitted.
 
-import { at, flat, rows, squares } from "./arrays.js";
+import { at, rows, symmetric } from "./arrays.js";
 import { quadratic, subset } from "./linear_algebra.js";
 
 class ErrorGram {
   constructor(packed) {
-    this.solve = squares(packed.solve)[0];
-    this.joints = squares(packed.joints);
+    this.solve = symmetric(packed.solve.values, packed.size);
+    this.joints = rows(packed.joints).map((upper) => symmetric(upper, packed.size));
     this.noise = packed.noise;
     this.readings = packed.readings;
   }
@@ -72,7 +72,7 @@ export class FirstOrder {
           for (let t = 0; t < row.length; t++) total[j][t] += strengths[k] * row[t];
         });
       });
-      const [time, wanted] = [flat(one.time), flat(data.recordings[i].time)];
+      const [time, wanted] = [one.time.values, data.recordings[i].time.values];
       return total.map((row) => at(time, row, wanted));
     });
     return model;
@@ -85,7 +85,7 @@ export class FirstOrder {
     for (const label of labels) {
       const own = this.evidence.candidates.get(label);
       const add = (n, value, std) =>
-        numbers.push({ name: `${label}.${n.name}`, words: n.words, unit: n.unit, value, std });
+        numbers.push({ name: `${label}.${n.name}`, unit: n.unit, value, std });
       own.strengths.forEach((strength, i) => {
         let u = found.mean[first + i];
         if (own.oscillates) u = Math.hypot(...found.mean.slice(first, first + 2));
@@ -101,15 +101,14 @@ export class FirstOrder {
   torque(labels, found) {
     const columns = this.which(labels);
     const means = this.data.screen.likeliest_base_means[found.likeliest];
-    const shift = flat(means);
+    const shift = means.values;
     const width = means.shape[1];
     const screened = this.evidence.best(labels).flatMap(([, which]) => which);
     return this.data.missing.map((one) => {
       const length = one.time.shape[0];
       const total = this.data.joints.map(() => new Float64Array(length));
       const add = (sparse, factor) => {
-        for (const [joint, packed] of Object.entries(sparse)) {
-          const values = flat(packed);
+        for (const [joint, { values }] of Object.entries(sparse)) {
           for (let k = 0; k < length; k++) total[joint][k] += factor * values[k];
         }
       };
