@@ -165,8 +165,8 @@ def test_first_order_errors_are_pythons(offline, study):
     with jax.enable_x64(True):
         first = study.first_order()
     assert first is not None
-    rows = {row.effect.label: row.which for row in study.columns().rows}
-    for labels in ([], [FRICTION], [FRICTION, "gravity"]):
+    rows = {row.effect.label: row.which for row in study.columns.rows}
+    for labels in ([], [FRICTION, "gravity"], *([label] for label in rows)):
         which = [i for label in labels for i in rows[label]]
         found = ask(
             offline,

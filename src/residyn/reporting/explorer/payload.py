@@ -260,6 +260,7 @@ def _candidate(study: Study, label: str):
         "looks_like": effect.looks_like,
         "extends": effect.extends,
         "rough": effect.dry or effect.follows,
+        "columns": list(next(r.which for r in study.columns.rows if r.effect.label == label)),
         "rows": [list(r.which) for r in rows],
         "best": [r.which for r in rows].index(s.which),
         "oscillates": effect.oscillates is not None,
@@ -322,7 +323,7 @@ def _first(study: Study, first: FirstOrder):
 def _missing(study: Study):
     search = study.search
     scene, g = search.scene, search.scene.grid
-    columns = study.columns()
+    columns = study.columns
     along = scene.along(study.loud)
     P = sum(len(numbers_of(e)) for e in study.loud.effects)
     direction = along.field.direction[:, 0, :, None]

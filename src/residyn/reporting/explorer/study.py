@@ -121,20 +121,25 @@ class Study:
         """Candidates, by name."""
         return tuple(s.effect.label for s in self.screen.ranked)
 
-    def columns(self, scene: Scene | None = None, trajectory=None) -> Columns:
-        """Every candidate at its likeliest shape, along the base model's motion."""
+    def columns_along(self, scene: Scene, path: Trajectory) -> Columns:
+        """Every candidate at its likeliest shape, along a motion."""
         effects = [s.effect for s in self.screen.ranked]
-        return Columns(
-            scene or self.search.scene, trajectory or self.loud, effects, [], self.shapes
-        )
+        return Columns(scene, path, effects, [], self.shapes)
+
+    @functools.cached_property
+    def columns(self) -> Columns:
+        """The same along the base model's motion."""
+        with jax.enable_x64(True):
+            return self.columns_along(self.search.scene, self.loud)
 
     def first_order(self) -> FirstOrder | None:
         """What each candidate does to the readings, fitted and held out."""
         e, beside = self.experiment, self.beside
         noise = np.stack([r.noise for r in (*e.fit_recordings, *e.check_recordings)])
         with jax.enable_x64(True):
-            other = None if beside.path is None else self.columns(beside.scene, beside.path)
-            return first_order(self.columns(), other, noise)
+            path = beside.path
+            other = None if path is None else self.columns_along(beside.scene, path)
+            return first_order(self.columns, other, noise)
 
     @functools.cached_property
     def beside(self) -> Beside:

@@ -41,7 +41,8 @@ export class Evidence {
    */
   gainOf(pairs) {
     const columns = pairs.flatMap(([, which]) => which);
-    if (!columns.length) return { gain: logSumExp(this.weights), mean: [], spread: [], likeliest: 0 };
+    if (!columns.length)
+      return { gain: logSumExp(this.weights), mean: [], spread: [], likeliest: 0 };
     const each = this.grams.map((gram, k) => {
       const found = subset(gram, columns);
       let gain = found.gain + this.weights[k];

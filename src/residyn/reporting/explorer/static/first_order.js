@@ -33,14 +33,7 @@ export class FirstOrder {
     if (!this.known) return;
     this.fitted = new ErrorGram(data.first.fitted);
     this.heldOut = new ErrorGram(data.first.held_out);
-    // Columns of the first order are those of the likeliest shapes, in the order of candidates.
-    this.columns = new Map();
-    let next = 0;
-    for (const c of data.candidates) {
-      const count = c.rows[c.best].length;
-      this.columns.set(c.label, Array.from({ length: count }, (_, i) => next + i));
-      next += count;
-    }
+    this.columns = new Map(data.candidates.map((c) => [c.label, c.columns])); // at likeliest shapes
   }
 
   which(labels) {
@@ -89,9 +82,13 @@ export class FirstOrder {
       own.strengths.forEach((strength, i) => {
         let u = found.mean[first + i];
         if (own.oscillates) u = Math.hypot(...found.mean.slice(first, first + 2));
-        add(strength, strength.silent + strength.width * u, strength.width * found.spread[first + i]);
+        add(
+          strength,
+          strength.silent + strength.width * u,
+          strength.width * found.spread[first + i],
+        );
       });
-      own.shape.forEach((shape) => add(shape, shape.value, null));
+      for (const shape of own.shape) add(shape, shape.value, null);
       first += own.rows[own.best].length;
     }
     return numbers;
@@ -112,10 +109,10 @@ export class FirstOrder {
           for (let k = 0; k < length; k++) total[joint][k] += factor * values[k];
         }
       };
-      columns.forEach((c, i) => add(one.columns[c], found.mean[i]));
+      for (const [i, c] of columns.entries()) add(one.columns[c], found.mean[i]);
       one.base.forEach((sparse, p) => {
         let change = 0;
-        screened.forEach((c, i) => (change += shift[p * width + 1 + c] * found.mean[i]));
+        for (const [i, c] of screened.entries()) change += shift[p * width + 1 + c] * found.mean[i];
         add(sparse, change);
       });
       return total;

@@ -30,7 +30,11 @@ export class Server {
     const number = ++this.number;
     const study = this.study;
     const found = await this.post("fit", {
-      window: WINDOW, number, added, quick, held: Object.fromEntries(held),
+      window: WINDOW,
+      number,
+      added,
+      quick,
+      held: Object.fromEntries(held),
     });
     if (number !== this.number || study !== this.study || found.superseded) return null;
     return found;
