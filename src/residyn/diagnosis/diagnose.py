@@ -23,7 +23,6 @@ from ..fitting import DEFAULT_STARTS, FitError, fit
 from ..fitting.descent import descend
 from ..fitting.drifting import without_drift
 from ..fitting.fit import finish
-from ..fitting.integration import integration_error
 from ..fitting.result import Fit
 from ..fitting.setup import ready
 from ..physics.motion import Motion
@@ -32,7 +31,7 @@ from ..runtime.parallel import side_by_side
 from .candidate_tests import best_tests, in_play
 from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES
 from .forecast import held_out
-from .linearised_fit import LinearisedFit, polish, predicted_at
+from .linearised_fit import LinearisedFit, evaluated, polish
 from .missing_torque import missing_of, scene_of
 from .result import (
     Budget,
@@ -131,13 +130,7 @@ class Fits:
             found = descend(
                 here, begin, t.numbers[None], wild, quiet, near=states[None], search=polish
             )
-            numbers = found.problem.numbers(found.unknowns)
-            model = here.model.with_vector(jnp.asarray(numbers))
-            predicted = np.asarray(found.compressed.predicted)
-            error = integration_error(
-                found.problem, found.unknowns, predicted, here.recordings, found.wild, predicted_at
-            )
-            return finish(self.experiment, model, t.numbers, found, began, error, polish)
+            return finish(self.experiment, t.numbers, found, began, polish, evaluated)
         except FitError:
             lost = tried.intensity >= EXPLAINS_NOTHING  # no start is better than another one
             return fit(self.experiment, effects=own, starts=1 if lost else self.starts)

@@ -21,7 +21,7 @@ from ...diagnosis.columns import Columns, Screened, extended
 from ...diagnosis.diagnose import MOST_EFFECTS, Fits, concluded
 from ...diagnosis.evidence import INTENSITIES, prior_of
 from ...diagnosis.forecast import HeldOut, held_out
-from ...diagnosis.linearised_fit import LinearisedFit, polish
+from ...diagnosis.linearised_fit import LinearisedFit, evaluated, polish
 from ...diagnosis.missing_torque import scene_of, torque_along
 from ...diagnosis.result import Diagnosis
 from ...diagnosis.search import Search, Tried, settle, tried_alone
@@ -308,13 +308,11 @@ class Study:
         out = polish(problem, Unknowns(*(np.asarray(x)[None] for x in at)), (1.0,))
         if not np.isfinite(out.cost):
             raise FitError("with these numbers the motion runs away")
-        model = begin.with_vector(jnp.asarray(problem.numbers(out.unknowns)))
         descent = Descent(
             problem, [r.wild for r in near.fitted], out.unknowns, out.compressed, out.cost,
             out.steps, out.converged, 1, 1,
         )  # fmt: skip
-        error = lambda: found.integration_error  # noqa: E731
-        return finish(found.experiment, model, start, descent, began, error, polish)
+        return finish(found.experiment, start, descent, began, polish, evaluated, correct=False)
 
     # -- the search ---------------------------------------------------------------------------
 
