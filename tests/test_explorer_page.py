@@ -268,6 +268,40 @@ def test_all_fits_at_400_pixels(data, tmp_path):
         browser.quit()
 
 
+def test_in_a_report_the_page_stands_for_the_tables_but_in_print_and_without_scripts(
+    data, tmp_path
+):
+    whole = page.standalone(data).replace("</body>", '<div class="in-full">tables</div></body>')
+    start = '<script type="module">import "explorer/explorer.js";</script>'
+    assert start in whole
+    path, bare = tmp_path / "page.html", tmp_path / "bare.html"
+    path.write_text(whole, encoding="utf-8")
+    bare.write_text(whole.replace(start, ""), encoding="utf-8")
+    browser = driver()
+
+    def seen(selector):
+        return browser.find_element("css selector", selector).is_displayed()
+
+    try:
+        browser.get(path.as_uri())
+        until(lambda: browser.find_elements("css selector", ".chip"), 20)
+        assert not seen(".in-full")
+        button = browser.find_elements("css selector", ".explorer > .actions button")[-1]
+        click(browser, button)
+        assert seen(".in-full")
+        click(browser, button)
+        assert not seen(".in-full")
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+        assert seen(".in-full")
+        assert not seen(".chip")
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+        browser.get(bare.as_uri())
+        assert seen(".in-full")
+        assert not seen(".explorer")
+    finally:
+        browser.quit()
+
+
 def test_a_payload_is_small_and_plain(data):
     assert len(json.dumps(packed(data), allow_nan=False)) < 1_000_000
 

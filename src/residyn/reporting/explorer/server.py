@@ -58,7 +58,8 @@ class Explorer:
     ):
         """`name` of the experiment on a command line; `files`: where it was read from."""
         self.token, self.name, self.effects = token or secrets.token_urlsafe(24), name, effects
-        self.worker, self.quick_worker = Worker(), Worker()
+        newest: dict[str, int] = {}
+        self.worker, self.quick_worker = Worker(newest), Worker(newest)
         self.studies = {0: Workbench(experiment, effects, name, files)}
         self.random = np.random.default_rng()
 

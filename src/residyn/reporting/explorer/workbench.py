@@ -142,9 +142,10 @@ class _Stopped(Exception):
 class Worker:
     """One thread for what windows wait for."""
 
-    def __init__(self):
+    def __init__(self, newest: dict[str, int] | None = None):
+        """`newest`: what each window asked for last, if several workers are asked by the same."""
         self._jobs: queue.Queue = queue.Queue()
-        self._newest: dict[str, int] = {}
+        self._newest = {} if newest is None else newest
         threading.Thread(target=self._run, daemon=True).start()
 
     async def newest(self, window: str, number: int, work: Callable[[], Any]) -> Any:

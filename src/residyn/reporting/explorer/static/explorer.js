@@ -650,6 +650,9 @@ class Page {
         if (this.gone) return;
         version = state.version;
         this.keep(news.fits);
+        const { chosen, held, model } = this.state.values;
+        const better = this.fits.get(keyOf(chosen));
+        if (better && model.how !== "refitted" && !held.size) this.state.set({ model: better });
         this.fetched = news.known;
         this.evidence.keep(news);
         this.drawModel();
