@@ -324,10 +324,8 @@ def _missing(study: Study):
     search = study.search
     scene, g = search.scene, search.scene.grid
     columns = study.columns
-    along = scene.along(study.loud)
     P = sum(len(numbers_of(e)) for e in study.loud.effects)
-    direction = along.field.direction[:, 0, :, None]
-    by_number = along.sums.torque_u[:, 0] + along.sums.level_u[:, 0] * direction
+    by_number = np.moveaxis(np.asarray(columns.linear.by_number), -1, 0)
     found = []
     for i, each in enumerate(missing_of(scene, search.base)[:_RECORDINGS]):
         own = np.flatnonzero((g.run == i) & (np.arange(scene.K) < g.real))

@@ -22,7 +22,7 @@ from ...diagnosis.diagnose import MOST_EFFECTS, Fits, concluded
 from ...diagnosis.evidence import INTENSITIES, prior_of
 from ...diagnosis.forecast import HeldOut, held_out
 from ...diagnosis.linearised_fit import LinearisedFit, evaluated, polish
-from ...diagnosis.missing_torque import scene_of, torque_along
+from ...diagnosis.missing_torque import scene_of
 from ...diagnosis.result import Diagnosis
 from ...diagnosis.search import Search, Tried, settle, tried_alone
 from ...effects import AbstractEffect
@@ -199,7 +199,7 @@ class Study:
 
     def torque(self, path: Trajectory) -> np.ndarray:
         """(K, n) what all effects of a model resist with along its motion, N m."""
-        return np.sum([*torque_along(self.search.scene, path).values()], axis=0)
+        return np.sum([*self.search.scene.torques(path).values()], axis=0)
 
     @functools.cached_property
     def base_torque(self) -> np.ndarray:
@@ -350,14 +350,14 @@ def silent(scene: Scene, path: Trajectory) -> tuple[Trajectory, np.ndarray] | No
     Where a joint may stick whole steps swing about the end, and averages of them converge to it.
     """
     rough, before = _sticks(path), np.full(scene.n, np.nan)
-    along = scene.along(path)
+    linear = scene.linearised(path)
     for k in range(_STEPS):
         share = 2.0 / (2.0 + k) if rough and k >= _WHOLE else 1.0
-        moved = scene.smoothed(path, scene.system(along), 0.0, share)
+        moved = scene.smoothed(path, linear, 0.0, share)
         if moved is None:
             return None
-        along = scene.along(moved)
-        _, _, predicted = scene.reading_rows(along)
+        linear = scene.linearised(moved)
+        predicted = np.asarray(linear.seen)
         errors, count = times_noise(scene, predicted), len(moved.prior.mean)
         std = np.sqrt(np.diag(moved.covariance)[:count]) * max(1.0, np.max(errors))
         step = np.max(np.abs(moved.u - path.u)[:count] / std)
