@@ -1,9 +1,12 @@
-"""Pictures inside a page: two layouts each, as SVG in the address itself."""
+"""A figure inside a page: two layouts, for a laptop's width and a phone's, as SVG in the address
+itself."""
 
 import dataclasses
 import io
 import re
 import urllib.parse
+from collections.abc import Callable
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -18,8 +21,13 @@ class Picture:
     narrow: str
 
 
-def picture(alt: str, wide: Figure, narrow: Figure) -> Picture:
-    return Picture(alt, _address(svg(wide)), _address(svg(narrow)))
+def picture(alt: str, draw: Callable[..., Figure], *args: Any, **named: Any) -> Picture:
+    """What `draw` makes of the arguments, in both layouts."""
+    # Paths keep their letters: in base64 all would grow by a third.
+    each = (svg(draw(*args, **named, narrow=x)) for x in (False, True))
+    return Picture(
+        alt, *("data:image/svg+xml," + urllib.parse.quote(x, safe="/:;,=()-.") for x in each)
+    )
 
 
 def svg(figure: Figure) -> str:
@@ -35,8 +43,3 @@ def _short(path: str) -> str:
     """A path in fewer letters; a hundredth of a point is as fine as any eye or printer."""
     path = re.sub(r"(\.\d\d)\d+", r"\1", path)
     return re.sub(r" ?([A-Za-z]) ?", r"\1", re.sub(r"\s+", " ", path.strip())).replace(" ", ",")
-
-
-def _address(text: str) -> str:
-    # Paths keep their letters; in base64 all would grow by a third.
-    return "data:image/svg+xml," + urllib.parse.quote(text, safe="/:;,=()-.")
