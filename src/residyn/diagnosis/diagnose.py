@@ -27,6 +27,7 @@ from ..fitting.result import Fit
 from ..fitting.setup import ready
 from ..physics.motion import Motion
 from ..recordings.experiment import Experiment
+from ..runtime.memory import give_back
 from .candidate_tests import best_tests, in_play
 from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES
 from .forecast import held_out
@@ -249,6 +250,7 @@ def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...
             held = held_out(LinearisedFit.of(result))
             relative = model.log_evidence - best.log_evidence
             found.append(ModelState(labels[k - 1] if k else None, (), result, held, relative))
+    give_back()
     return tuple(found)
 
 
@@ -259,8 +261,8 @@ class Posterior:
         self.search = search
         self.models = list(search.tried.values())
         logs = np.array([m.log_posterior for m in self.models])
-        self.total = float(logsumexp(logs))
-        self.each = np.exp(logs - self.total)
+        self.each = np.exp(logs - logsumexp(logs))
+        self.each /= self.each.sum()
         chosen = {"adequate": False, "missing": True}.get(self.verdict()[0])
         self.best: Tried = max(
             (m for m in self.models if chosen is None or bool(m.added) is chosen),
