@@ -49,6 +49,7 @@ from ..filtering.trajectory import Scene, Trajectory
 from ..physics.motion import Motion, split, stack
 from ..runtime.export_cache import kept
 from .evidence import (
+    CONTENDERS,
     conditional,
     half_normal,
     log_prior_intensity,
@@ -57,8 +58,6 @@ from .evidence import (
     subset,
     width_of,
 )
-
-_LINES = 5  # frequencies of each joint's random torque that a disturbance may have
 
 
 def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
@@ -354,7 +353,7 @@ class Columns:
     def _part(self, group, wanted, frequencies, shape_of):
         """The columns of some effects by one program."""
         scene, t = self.scene, self.trajectory
-        most = _LINES * scene.n
+        most = CONTENDERS * scene.n
         members: dict[str, list[AbstractEffect]] = {}
         for effect in group:
             members.setdefault(law_name(effect), []).append(effect)
@@ -512,7 +511,7 @@ def spectral_lines(scene: Scene, trajectory: Trajectory) -> list[float]:
         f = np.fft.rfftfreq(4 * len(even), dt)
         power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(len(even)), 4 * len(even)))
         power = power * (f > 1.5 / span)
-        for _ in range(_LINES):
+        for _ in range(CONTENDERS):
             line = float(max(f[np.argmax(power)], 0.5 / span))
             power[np.abs(f - line) < 2.0 / span] = 0
             if all(abs(line - known) >= 1.0 / span for known in found):

@@ -147,7 +147,7 @@ class Fits:
             )
             return finish(self.experiment, t.numbers, found, began, polish, evaluated)
         except FitError:
-            lost = tried.intensity >= EXPLAINS_NOTHING  # no start is better than another one
+            lost = tried.complete < 0.5  # no start of a wrong model is better than another one
             return fit(self.experiment, effects=own, starts=1 if lost else self.starts)
 
     def _cut(self, numbers: np.ndarray, own: Sequence[AbstractEffect]) -> None:

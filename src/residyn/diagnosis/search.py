@@ -30,10 +30,13 @@ from ..runtime.memory import give_back
 from ..runtime.parallel import side_by_side
 from .columns import Columns, Screen, candidates, extended, spectral_lines
 from .evidence import (
+    CONTENDERS,
     EXPLAINS_NOTHING,
+    HOPELESS,
     INDISTINGUISHABLE,
     INTENSITIES,
     NEGLIGIBLE,
+    READINGS_LEAD,
     half_normals,
     log_prior_intensity,
     log_prior_model,
@@ -41,14 +44,10 @@ from .evidence import (
     prior_of,
 )
 
-CONTENDERS = 6
-"""Candidates of each screen that are iterated, and as many pairs whose members are."""
 _ITERATIONS = 16  # of one model, at the most
 _NEAR = 4  # random torques at which a model is judged while it moves
 _FALL = 2  # steps of the grid that the random torque may fall by in an iteration
-_SCREENED = 0.01  # random torque along which candidates are screened, at least: the readings lead
 _SETTLED = 0.1  # nats
-_HOPELESS = 30.0  # nats behind the best on the way
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -147,11 +146,12 @@ class _Step(NamedTuple):
     @classmethod
     def of(cls, t: Trajectory, first: int) -> "_Step":
         """The beginning, with the loudest random torque `first`."""
-        return cls(t, first - _FALL, _sticks(t))
+        descends = _sticks(t) and first < len(INTENSITIES) - 1
+        return cls(t, first if descends else first - _FALL, descends)
 
     def behind(self, best: float) -> bool:
         """Whether the model is hopelessly behind the best evidence of any."""
-        return self.settling > 2 and self.evidences.max() < best - _HOPELESS
+        return self.settling > 2 and self.evidences.max() < best - HOPELESS
 
     @property
     def share(self) -> float:
@@ -164,15 +164,17 @@ class _Step(NamedTuple):
         """One Gauss-Newton step: the evidences of the model where it is, near the random torque
         that it has, and where they lead; all evidences where it ends. None where it runs away."""
         t, linear = self.trajectory, scene.linearised(self.trajectory)
-        level = min(self.level + _FALL, len(INTENSITIES) - 1)
-        settling, known, done = 0, self.evidences, last
+        level, settling, known, done = self.level + 1, 0, self.evidences, last
         if not self.descends:
             first = min(max(self.level - 1, 0), len(INTENSITIES) - _NEAR)
-            near = np.arange(first, first + _NEAR)
-            known = self._evidences(scene, linear, near)
+            prior = log_prior_intensity(INTENSITIES)
+            known = self._evidences(scene, linear, np.arange(first, first + _NEAR))
+            likeliest = int(np.argmax(known + prior))
+            if likeliest == first > 0:  # it may be a louder one
+                known = self._evidences(scene, linear, np.arange(len(INTENSITIES)))
+                likeliest = int(np.argmax(known + prior))
             if not np.isfinite(known).any():
                 return None
-            likeliest = int(np.argmax(known + log_prior_intensity(INTENSITIES)))
             level, settling = min(likeliest, max(self.level, 0) + _FALL), self.settling + 1
             change = abs(known[level] - self.evidences[level])
             done |= level == self.level and bool(change < _SETTLED * self.share)
@@ -379,7 +381,7 @@ class Search:
     def screening_motion(self, model: Tried) -> tuple[Trajectory, float]:
         """The motion that candidates are screened along, and its random torque: the likeliest, or
         one that still lets the readings lead."""
-        intensity = max(model.intensity, _SCREENED)
+        intensity = max(model.intensity, READINGS_LEAD)
         if intensity == model.intensity:
             return model.best, intensity
         system = self.scene.linearised(model.best)
