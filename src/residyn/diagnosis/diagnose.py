@@ -27,11 +27,10 @@ from ..fitting.result import Fit
 from ..fitting.setup import ready
 from ..physics.motion import Motion
 from ..recordings.experiment import Experiment
-from ..runtime.memory import give_back
 from .candidate_tests import best_tests, in_play
 from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES
 from .forecast import held_out
-from .linearised_fit import LinearisedFit, evaluated, polish
+from .linearised_fit import LinearisedFit, evaluated, forget, polish
 from .missing_torque import missing_of, scene_of
 from .result import (
     Budget,
@@ -250,7 +249,7 @@ def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...
             held = held_out(LinearisedFit.of(result))
             relative = model.log_evidence - best.log_evidence
             found.append(ModelState(labels[k - 1] if k else None, (), result, held, relative))
-    give_back()
+    forget()
     return tuple(found)
 
 
