@@ -18,8 +18,7 @@ import numpy as np
 import residyn
 from residyn.fitting import FitError
 from residyn.fitting.integration import checked
-from residyn.fitting.problem import Problem, Unknowns, compressed, predict
-from residyn.fitting.setup import ready
+from residyn.fitting.problem import Problem, Unknowns, compressed, predict, ready
 from residyn.physics.parameter import QUADRATIC, RATIO, Memory, param
 from residyn.recordings.tables import InertiaTable
 

@@ -22,8 +22,7 @@ import numpy as np
 
 import residyn
 from residyn.fitting import descent
-from residyn.fitting.problem import compressed
-from residyn.fitting.setup import Ready, ready
+from residyn.fitting.problem import Ready, compressed, ready
 from residyn.recordings.tables import ArmTable
 from tests import rig
 
@@ -59,7 +58,7 @@ def evaluations(experiment) -> None:
 
 PARTS = {
     "closed-form start": (pipeline, "closed_form"),
-    "wild readings": (pipeline, "wild_beside"),
+    "wild readings": (pipeline, "outliers_among"),
     "the problem's arrays": (Ready, "problem"),
     "Levenberg-Marquardt": (descent, "polish"),
     "errors, modes, words": (pipeline, "finish"),

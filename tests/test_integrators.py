@@ -15,7 +15,7 @@ import residyn
 from residyn.cli import main
 from residyn.fitting import FitError
 from residyn.fitting.integration import checked
-from residyn.fitting.setup import Ready, ready
+from residyn.fitting.problem import Ready, ready
 from residyn.physics.parameter import QUADRATIC, RATIO, Memory, param
 from residyn.recordings.tables import InertiaTable
 

@@ -20,12 +20,11 @@ from ..effects import AbstractEffect
 from ..filtering.law import numbers_of
 from ..filtering.trajectory import Scene, Trajectory, number_slices
 from ..fitting import DEFAULT_STARTS, FitError, fit
-from ..fitting.descent import descend
-from ..fitting.drifting import without_drift
 from ..fitting.fit import finish
 from ..fitting.integration import integration_error
+from ..fitting.multistart import descend, without_drift
+from ..fitting.problem import ready
 from ..fitting.result import Fit
-from ..fitting.setup import ready
 from ..physics.motion import Motion
 from ..recordings.experiment import Experiment
 from ..runtime.parallel import side_by_side
@@ -128,17 +127,18 @@ class Fits:
             here = ready(self.experiment, self.experiment.fit_recordings, own)
             states = np.stack([self._state(t, r) for r in here.recordings])
             begin = here.model.with_vector(jnp.asarray(t.numbers))
-            quiet, wild = lambda words: None, self._wild(here.recordings)
-            found = descend(
-                here, begin, t.numbers[None], wild, quiet, near=states[None], search=polish
-            )
-            numbers = found.problem.numbers(found.unknowns)
-            model = here.model.with_vector(jnp.asarray(numbers))
+            wild = self._wild(here.recordings)
+            found = descend(here, begin, t.numbers[None], wild, near=states[None], search=polish)
             predicted = np.asarray(found.compressed.predicted)
             error = integration_error(
-                found.problem, found.unknowns, predicted, here.recordings, found.wild, predicted_at
+                found.problem,
+                found.unknowns,
+                predicted,
+                here.recordings,
+                found.outliers,
+                predicted_at,
             )
-            return finish(self.experiment, model, t.numbers, found, began, error, polish)
+            return finish(self.experiment, t.numbers, found, began, error, polish)
         except FitError:
             lost = tried.intensity >= EXPLAINS_NOTHING  # no start is better than another one
             return fit(self.experiment, effects=own, starts=1 if lost else self.starts)

@@ -16,9 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..fitting.layout import bucket
-from ..fitting.problem import posed
+from ..fitting.problem import Ready, mechanism_of, posed
 from ..fitting.result import Fit
-from ..fitting.setup import Ready, mechanism_of
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording

@@ -23,10 +23,9 @@ from ..physics.model import Model
 from ..recordings.recording import Recording
 from ..simulation.integrator import Integrator
 from .layout import drives
-from .least_squares import predicted_at
-from .problem import Problem, Unknowns, over_recordings, predict
+from .least_squares import over_recordings, predict, predicted_at
+from .problem import Problem, Ready, Unknowns, ready
 from .result import Fit, FitError
-from .setup import Ready, ready
 
 TENTH = 0.1
 """Times the noise, beyond which an integration error is worth a warning."""

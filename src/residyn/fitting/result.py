@@ -16,6 +16,7 @@ from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
 from ..recordings.segments import wholes
 from .history import History
+from .problem import Problem, Ready, Unknowns
 
 STRONG = 0.9
 """Correlations beyond this are named."""
@@ -102,6 +103,12 @@ class Fit:
     steps: int
     seconds: float
     warnings: tuple[str, ...]
+    ready: Ready
+    """The model on the bodies of each fitted recording, and the resolution of its motion."""
+    problem: Problem
+    """The least-squares problem that was solved, in float64."""
+    unknowns: Unknowns
+    """Its minimum."""
     integration_error: float = float("nan")
     """Of the predicted readings, in times the noise: see `fitting.integration`."""
     integration_steps: int = 0
