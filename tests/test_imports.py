@@ -12,6 +12,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "residyn"
 # Each folder (or module of the top level) may import from those before it, and from within itself.
 HOUSE = [
     "errors",
+    "files",
     "runtime",
     "physics",
     "effects",

@@ -127,7 +127,7 @@ def test_names_that_two_subjects_have_must_be_given_in_full(tmp_path):
     path = trial(tmp_path, vicon(both, names, subject=""))
     with pytest.raises(InputError, match='could be "A:Shoulder" and "B:Shoulder"'):
         motion_capture.read(path, NAMES)
-    assert motion_capture.read(path, names[3:]).mended == ()
+    assert motion_capture.read(path, names[3:]).repairs == ()
 
 
 # C3D
@@ -155,7 +155,7 @@ def test_c3d_gives_what_csv_gives(tmp_path, unit):
     one = motion_capture.read(tmp_path / "trial.c3d", NAMES)
     other = motion_capture.read(tmp_path / "trial.csv", NAMES)
     np.testing.assert_allclose(one.angle, other.angle, atol=1e-5)
-    assert one.mended == other.mended
+    assert one.repairs == other.repairs
     seen = experiment(tmp_path, MARKERS, file="trial.c3d").recordings[0]
     assert seen.joints == 2
 
@@ -192,7 +192,7 @@ def test_an_experiment_reads_markers_and_says_what_it_mended(tmp_path):
     assert seen.name == "trial.csv"
     assert seen.theta2 == pytest.approx(pose[1], abs=2e-3)
     np.testing.assert_allclose(np.ptp(seen.angle - angle, axis=0)[0], 0, atol=1e-4)
-    assert seen.lost == 5
+    assert seen.missing == 5
     text = "\n".join(loaded.warnings)
     assert 'trial.csv: "Elbow" and "Wrist" had exchanged labels from 3 to 3.99 s' in text
     assert 'trial.csv: "Wrist": lost in 5 of 1500 frames' in text

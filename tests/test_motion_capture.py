@@ -1,4 +1,4 @@
-"""Marker files become joint angles: what was lost, exchanged or wrong is mended or said."""
+"""Marker files become joint angles: what was lost, exchanged or wrong is repairs or said."""
 
 import numpy as np
 import pytest
@@ -64,8 +64,8 @@ def test_angles_are_those_that_were_put_in(tmp_path):
         assert (turns == turns[0]).all()
         np.testing.assert_allclose(seen.angle - 2 * np.pi * turns, angle, atol=2e-6)
         np.testing.assert_allclose(seen.link_lengths, lengths, atol=1e-6)
-        assert seen.mended == ()
-        assert seen.doubts == ()
+        assert seen.repairs == ()
+        assert seen.warnings == ()
 
 
 def test_a_table_that_leans_changes_angles_by_a_constant(tmp_path):
@@ -96,10 +96,10 @@ def test_chains_of_other_lengths(tmp_path, links):
     assert clean.angle.shape == (800, links)
     seen = read(tmp_path, lose(rng, swapped(position, (0, links), 300, 420)), names)
     assert worst(seen, clean) < 1e-3
-    assert "frames 300 to 420" in seen.mended[0]
+    assert "frames 300 to 420" in seen.repairs[0]
 
 
-# What is mended
+# What is repairs
 
 
 @pytest.mark.parametrize("seed", range(24))
@@ -110,12 +110,12 @@ def test_five_per_cent_lost_and_a_swapped_pair(tmp_path, seed):
     last = int(rng.integers(first + 5, 799))
     broken = lose(rng, swapped(position, pair, first, last), longest=1 if seed % 2 else 25)
     clean, seen = read(tmp_path, position), read(tmp_path, broken)
-    assert clean.mended == ()
+    assert clean.repairs == ()
     assert worst(seen, clean) < 1e-3
-    exchanged = [line for line in seen.mended if "exchanged" in line]
+    exchanged = [line for line in seen.repairs if "exchanged" in line]
     assert len(exchanged) == 1
     assert all(f'"{NAMES[i]}"' in exchanged[0] for i in pair)
-    assert "lost in" in " ".join(seen.mended)
+    assert "lost in" in " ".join(seen.repairs)
     # An angle is lost only where a marker that it needs is.
     there = np.isfinite(swapped(broken, pair, first, last)[:, :, 0])
     assert np.isfinite(seen.angle[there[:, 1], 0]).mean() > 0.995
@@ -129,7 +129,7 @@ def test_a_swap_that_lasts_most_of_the_recording(tmp_path, pair, seed):
     clean = read(tmp_path, position)
     seen = read(tmp_path, lose(rng, swapped(position, pair, 81, 720)))
     assert worst(seen, clean) < 1e-3
-    assert "most of it" in seen.mended[0]
+    assert "most of it" in seen.repairs[0]
 
 
 def test_a_swap_all_along_asks_whether_markers_are_in_order(tmp_path):
@@ -137,7 +137,7 @@ def test_a_swap_all_along_asks_whether_markers_are_in_order(tmp_path):
     clean = read(tmp_path, position)
     seen = read(tmp_path, swapped(position, (0, 2), 1, 800))
     assert worst(seen, clean) < 1e-6
-    assert "wrong order" in seen.mended[0]
+    assert "wrong order" in seen.repairs[0]
 
 
 def test_labels_that_go_round(tmp_path):
@@ -146,8 +146,8 @@ def test_labels_that_go_round(tmp_path):
     broken[200:300] = position[200:300][:, [1, 2, 0]]
     clean, seen = read(tmp_path, position), read(tmp_path, broken)
     assert worst(seen, clean) < 1e-6
-    assert seen.mended[0].startswith('"Base", "Knee" and "Tip" had exchanged labels')
-    assert "frames 201 to 300" in seen.mended[0]
+    assert seen.repairs[0].startswith('"Base", "Knee" and "Tip" had exchanged labels')
+    assert "frames 201 to 300" in seen.repairs[0]
 
 
 def test_an_arm_whose_markers_are_equally_far_apart(tmp_path):
@@ -158,7 +158,7 @@ def test_an_arm_whose_markers_are_equally_far_apart(tmp_path):
     clean = read(tmp_path, position)
     seen = read(tmp_path, lose(rng, swapped(position, (1, 2), 250, 460)))
     assert worst(seen, clean) < 1e-3
-    assert len([line for line in seen.mended if "exchanged" in line]) == 1
+    assert len([line for line in seen.repairs if "exchanged" in line]) == 1
 
 
 def test_ghosts_and_jumps_are_rejected_and_named(tmp_path):
@@ -168,7 +168,7 @@ def test_ghosts_and_jumps_are_rejected_and_named(tmp_path):
     broken[400:403, 1] += [0.05, -0.03, 0.04]
     clean, seen = read(tmp_path, position), read(tmp_path, lose(rng, broken, 0.02))
     assert worst(seen, clean) < 1e-3
-    rejected = [line for line in seen.mended if "rejected" in line]
+    rejected = [line for line in seen.repairs if "rejected" in line]
     assert [line.split(":")[0] for line in rejected] == ['"Knee"', '"Tip"']
     assert np.isnan(seen.angle[100:112, 1]).all()
     assert np.isfinite(seen.angle[103:110, 0]).any()
@@ -184,8 +184,8 @@ def test_the_base_is_known_where_it_is_lost_and_a_tip_is_not(tmp_path):
     assert worst(seen, clean) < 1e-4
     assert np.isnan(seen.angle[200:230, 1]).all()
     assert np.isfinite(seen.angle[200:230, 0]).all()
-    assert "40 of 800 frames, at most 40 in a row; its place is known" in seen.mended[0]
-    assert "they stay lost" in seen.mended[1]
+    assert "40 of 800 frames, at most 40 in a row; its place is known" in seen.repairs[0]
+    assert "they stay lost" in seen.repairs[1]
 
 
 def test_an_elbow_is_put_back_where_that_is_sure_only(tmp_path):
@@ -198,7 +198,7 @@ def test_an_elbow_is_put_back_where_that_is_sure_only(tmp_path):
     clean, seen = gap(5e-6, 1.5)
     assert np.isfinite(seen.angle[300:330]).all()
     assert worst(seen, clean) < 1e-3
-    assert "30 put back" in seen.mended[0]
+    assert "30 put back" in seen.repairs[0]
     for noise, bend in ((1e-3, 1.5), (5e-6, 0.0)):  # too noisy; straight
         _, seen = gap(noise, bend)
         assert np.isnan(seen.angle[300:330]).any()
@@ -210,8 +210,8 @@ def test_an_elbow_is_put_back_where_that_is_sure_only(tmp_path):
 def test_links_are_held_against_their_known_lengths(tmp_path):
     _, angle, _ = swinging(np.random.default_rng(4))
     position = placed(angle, [0.4, 0.3])
-    assert read(tmp_path, position, link_lengths=[0.4, 0.3]).doubts == ()
-    (doubt,) = read(tmp_path, position, link_lengths=[0.4, 0.31]).doubts
+    assert read(tmp_path, position, link_lengths=[0.4, 0.3]).warnings == ()
+    (doubt,) = read(tmp_path, position, link_lengths=[0.4, 0.31]).warnings
     assert doubt.startswith('link 2, "Knee" to "Tip", is 0.3 m long by its markers')
     with pytest.raises(InputError, match=r'link 1, "Base" to "Knee", is 0\.4 m'):
         read(tmp_path, position, link_lengths=[0.8, 0.3])
@@ -221,7 +221,7 @@ def test_a_link_that_is_not_rigid_is_doubted(tmp_path):
     t, angle, _ = swinging(np.random.default_rng(4))
     position = placed(angle, [0.4, 0.3])
     position[:, 2, 0] += 0.012 * np.sin(7 * t)
-    assert any("changes its length" in doubt for doubt in read(tmp_path, position).doubts)
+    assert any("changes its length" in doubt for doubt in read(tmp_path, position).warnings)
 
 
 def test_markers_of_no_arm_are_refused(tmp_path):
@@ -234,8 +234,8 @@ def test_a_motion_that_fixes_no_plane_asks_for_the_normal(tmp_path):
     rng = np.random.default_rng(0)
     _, angle, _ = swinging(rng, size=0.01, bend=0.0)
     position = placed(angle, [0.4, 0.3]) + 2e-4 * rng.standard_normal((800, 3, 3))
-    assert any("give normal" in doubt for doubt in read(tmp_path, position).doubts)
-    assert read(tmp_path, position, normal=[0, 0, 1]).doubts == ()
+    assert any("give normal" in doubt for doubt in read(tmp_path, position).warnings)
+    assert read(tmp_path, position, normal=[0, 0, 1]).warnings == ()
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from residyn.errors import InputError
 from residyn.recordings.csv import read_csv, write_csv
 from residyn.recordings.experiment import Experiment, load
 from residyn.recordings.noise import estimate_noise
-from residyn.recordings.outliers import wild_samples
+from residyn.recordings.outliers import outlier_mask
 from residyn.recordings.recording import Recording
 from residyn.recordings.release import release_time
 from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
@@ -436,7 +436,7 @@ def test_counts_and_keeps_what_was_lost():
     t, q, _ = ringing(np.random.default_rng(0))
     q[10:15] = np.nan
     here = Recording.from_arrays(t, np.stack([q, q], axis=1))
-    assert here.lost == 10
+    assert here.missing == 10
     assert here.joints == 2
     assert np.isnan(here.angle[10:15]).all()
     with pytest.raises(ValueError, match="read-only"):
@@ -484,7 +484,7 @@ def test_refuses_arrays(change, words):
 def test_a_masked_reading_is_a_lost_one():
     t, q, _ = ringing(np.random.default_rng(0))
     here = Recording.from_arrays(t, np.ma.masked_array(q, np.arange(len(q)) < 3))
-    assert here.lost == 3
+    assert here.missing == 3
 
 
 def test_a_gap_in_the_drive_is_filled_and_said():
@@ -494,7 +494,7 @@ def test_a_gap_in_the_drive_is_filled_and_said():
     here = Recording.from_arrays(t, q, drive=drive)
     assert here.drive is not None
     np.testing.assert_allclose(here.drive[:, 0], 2 * t)
-    assert here.warnings == ("recording: u1 has 3 lost values, filled in linearly",)
+    assert here.warnings == ("recording: u1 has 3 missing values, filled in linearly",)
 
 
 def test_a_joint_that_never_moves_is_a_warning():
@@ -606,7 +606,7 @@ def test_hardly_any_clean_reading_is_wild():
             for friction in (0.01, 0.05):
                 t, q = sticking(frequency, rate, friction)
                 for noise in (0, 1e-4, 1e-3, 1e-2):
-                    wild = wild_samples(t, q + noise * rng.standard_normal(len(t)))
+                    wild = outlier_mask(t, q + noise * rng.standard_normal(len(t)))
                     found += int(wild.sum())
                     total += wild.size
     assert total > 150_000
@@ -624,7 +624,7 @@ def test_finds_spikes(noise):
         size = noise * rng.uniform(9, 30, len(t)) * rng.choice([-1, 1], len(t))
         q = q + noise * rng.standard_normal(len(t)) + np.where(bad, size, 0)
         for known in (None, noise):
-            wild = wild_samples(t, q, known)[:, 0]
+            wild = outlier_mask(t, q, known)[:, 0]
             hit, count = hit + int((wild & bad).sum()), count + int(bad.sum())
             wrong, total = wrong + int((wild & ~bad).sum()), total + len(t)
     assert hit > 0.98 * count
@@ -640,7 +640,7 @@ def test_finds_short_runs(length):
         bad[first : first + length] = True
     q = q + 1e-3 * rng.standard_normal(len(t)) + 0.02 * bad
     q = np.where(np.arange(len(t)) % 97 == 5, np.nan, q)
-    wild = wild_samples(t, np.stack([q, -q], axis=1))
+    wild = outlier_mask(t, np.stack([q, -q], axis=1))
     assert wild.shape == (len(t), 2)
     lost = np.isnan(q)
     assert (wild[bad & ~lost] == 1).mean() > 0.97
@@ -722,7 +722,7 @@ def test_carts(path):
     time, angle, _, _ = read_csv(path, 1)
     step = 0.001 / 56  # one encoder count
     assert 1.0 <= estimate_noise(time, angle)[0] / (step / math.sqrt(12)) < 1.25
-    assert wild_samples(time, angle).sum() <= 1
+    assert outlier_mask(time, angle).sum() <= 1
     here = Recording.from_arrays(time, angle, start="release", name=path.name)
     assert here.warnings == ()
 
@@ -761,7 +761,7 @@ def test_measured_recordings_raise_no_doubt(file, joints):
     time, angle, drive, _ = read_csv(DATA / file, joints)
     here = Recording.from_arrays(time, angle, drive=drive)
     assert here.warnings == ()
-    assert wild_samples(time, angle).mean() < 1e-3
+    assert outlier_mask(time, angle).mean() < 1e-3
     units = ("rad",) * joints if "pendulum" in file else ("m",) * joints
     names = tuple("ab"[:joints])
     table = InertiaTable(names, tuple(map(tuple, np.eye(joints).tolist())), units)

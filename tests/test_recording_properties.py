@@ -17,7 +17,7 @@ from residyn.recordings import csv as _csv
 from residyn.recordings.csv import read_csv, write_csv
 from residyn.recordings.experiment import load
 from residyn.recordings.noise import estimate_noise
-from residyn.recordings.outliers import wild_samples
+from residyn.recordings.outliers import outlier_mask
 from residyn.recordings.recording import Recording
 
 relaxed = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -236,7 +236,7 @@ def test_any_arrays(data, count, start):
         assert here.angle.shape == (len(here.time), 2)
 
     read_or_refused(read, "recording")
-    read_or_refused(lambda: wild_samples(np.cumsum(steps), angle))
+    read_or_refused(lambda: outlier_mask(np.cumsum(steps), angle))
 
 
 @given(st.integers(0, 100), st.floats(-80, 80), st.floats(-1e3, 1e3))

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .errors import InputError
+from .files import make_folder, write
 
 if TYPE_CHECKING:
     from .fitting.result import RecordingFit
@@ -49,12 +50,9 @@ def write_example(name: str, folder: Path) -> list[Path]:
     for file in files:
         if os.path.lexists(folder / file):
             raise InputError(f"{folder / file}: is there already; choose another folder")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for file in files:
-            (folder / file).write_bytes((source / file).read_bytes())
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror or error})") from None
+    make_folder(folder)
+    for file in files:
+        write(folder / file, (source / file).read_bytes())
     return [folder / file for file in files]
 
 

@@ -7,8 +7,6 @@ else; `inside` adds where we are as the error travels outwards.
 
 import contextlib
 import math
-import os
-import stat
 from collections.abc import Iterator
 from typing import Any
 
@@ -75,62 +73,3 @@ def flag(key: str, value: Any) -> bool:
     if not isinstance(value, bool):
         raise InputError(f"{key} = {quote(value)}: must be true or false")
     return value
-
-
-_LARGEST = {"TOML file": 10_000_000}
-_LARGEST_RECORDING = 300_000_000
-"""Bytes: a million samples of ten columns with every digit."""
-
-
-def read_bytes(path: str | os.PathLike[str], kind: str) -> bytes:
-    """The bytes of a file that is no larger than such files are; `kind` is what it should be, for
-    the error's line."""
-    where, most = os.fspath(path), _LARGEST.get(kind, _LARGEST_RECORDING)
-    try:
-        # A recording is read twice; a pipe could be read once, and some devices never end.
-        if kind not in _LARGEST and not stat.S_ISREG((found := os.stat(path)).st_mode):
-            what = "a folder" if stat.S_ISDIR(found.st_mode) else "no ordinary file"
-            raise InputError(f"{where}: is {what}; a {kind} was expected")
-        with open(path, "rb") as file:
-            data = file.read(most + 1)
-    except FileNotFoundError:
-        raise InputError(f"{where}: there is no such file; a {kind} was expected") from None
-    except IsADirectoryError:
-        raise InputError(f"{where}: is a folder; a {kind} was expected") from None
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise InputError(f"{where}: cannot be read ({why}); a {kind} was expected") from None
-    if len(data) > most:
-        raise InputError(f"{where}: has more than {most / 1e6:g} MB, too large for a {kind}")
-    return data
-
-
-def read_text(path: str | os.PathLike[str], kind: str) -> str:
-    """The text of a UTF-8 file."""
-    return decode(read_bytes(path, kind), os.fspath(path), kind)
-
-
-def read_table_text(path: str | os.PathLike[str]) -> str:
-    """The text of a lab's table: UTF-8, UTF-16 if it begins so, else Latin-1 as Windows has it."""
-    data = read_bytes(path, "CSV file")
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        data = data.decode("utf-16", errors="replace").encode()
-    if b"\0" in data:
-        line = data.count(b"\n", 0, data.find(b"\0")) + 1
-        raise InputError(f"{os.fspath(path)}, line {line}: is not text; a CSV file was expected")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("cp1252", errors="replace")
-
-
-def decode(data: bytes, where: str, kind: str) -> str:
-    """`data` as text; a byte order mark at its start is dropped."""
-    bad = data.find(b"\0")
-    if bad < 0:
-        try:
-            return data.decode("utf-8-sig")
-        except UnicodeDecodeError as error:
-            bad = error.start
-    line = data.count(b"\n", 0, bad) + 1
-    raise InputError(f"{where}, line {line}: is not UTF-8 text; a {kind} in UTF-8 was expected")

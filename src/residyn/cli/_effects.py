@@ -2,11 +2,14 @@
 
 import difflib
 import inspect
+import io
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..errors import InputError
+from ..errors import InputError, inside
+from ..files import write
 from . import _options
 from ._experiment import bring
 from ._shell import console, progress
@@ -75,12 +78,13 @@ def _draw(name: str, file: str) -> None:
         say("drawing")
         from ..reporting.figures import signature
 
-        picture = signature(name)
+        buffer, kind = io.BytesIO(), Path(file).suffix[1:] or "png"
         try:
-            picture.savefig(file, dpi=150)
-        except (OSError, ValueError) as error:
-            why = getattr(error, "strerror", None) or str(error)
-            raise InputError(f"--plot {file}: cannot be written ({why})") from None
+            signature(name).savefig(buffer, dpi=150, format=kind)
+        except ValueError as error:  # no such format
+            raise InputError(f"--plot {file}: {error}") from None
+        with inside("--plot"):
+            write(file, buffer.getvalue())
 
 
 def _numbers(kind: "type[AbstractEffect]") -> list[str]:

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from ..errors import InputError, quote
+from ..files import write
 from ._shell import DONE, console
 
 _NAMES = ("release", "driven", "bearings", "pendulum")
@@ -53,11 +54,7 @@ def new(
     from ..recordings.new_experiment import experiment_text
 
     text = experiment_text([Path(file) for file in recordings], path.parent)
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        why = error.strerror or error
-        raise InputError(f"{experiment}: cannot be written ({why})") from None
+    write(path, text)
     words = console()
     words.print(text, soft_wrap=True, end="")
     words.print(f'\nnext: fill in each "?" in {experiment}, then residyn diagnose {experiment}')

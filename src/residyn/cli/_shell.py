@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ..errors import InputError
+from ..errors import InputError, inside
+from ..files import check_writable, write
 from ..reporting.json import finite
 from ..runtime.settings import set_up
 
@@ -160,7 +161,8 @@ class Outputs:
             if _same(path, own):
                 raise InputError(f"{other} and {one} are the same file, {own}")
         for option, path in each:
-            _check_writable(option, path)
+            with inside(option):
+                check_writable(path)
 
     @property
     def _files(self) -> list[tuple[str, str]]:
@@ -191,20 +193,16 @@ class Outputs:
             sys.stdout.write(text)
             sys.stdout.flush()
             return
-        try:
-            Path(self.json_file).write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise _unwritable("--json", self.json_file, error) from None
+        with inside("--json"):
+            write(self.json_file, text)
 
     def write_table(self, result: "Fit | Diagnosis | Race") -> None:
         """Write the table, if it was asked for."""
         if self.table is None:
             return
         text = result.to_latex() if Path(self.table).suffix == ".tex" else result.to_csv()
-        try:
-            Path(self.table).write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise _unwritable("--table", self.table, error) from None
+        with inside("--table"):
+            write(self.table, text)
         self.words.print(f"table: {self.table}", soft_wrap=True)
 
     def write_report(
@@ -225,26 +223,6 @@ class Outputs:
 
 def _same(one: str | Path, other: str | Path) -> bool:
     return os.path.realpath(one) == os.path.realpath(other)
-
-
-def _check_writable(option: str, path: str) -> None:
-    """Open the file for writing, as will be done later, and leave it as it was.
-
-    **Raises:** `InputError`.
-    """
-    there = os.path.lexists(path)
-    try:
-        with open(path, "ab"):
-            pass
-        if not there:
-            os.unlink(path)
-    except (OSError, ValueError) as error:
-        raise _unwritable(option, path, error) from None
-
-
-def _unwritable(option: str, path: str, error: Exception) -> InputError:
-    why = getattr(error, "strerror", None) or error
-    return InputError(f"{option} {path}: cannot be written ({why})")
 
 
 # -- JAX -------------------------------------------------------------------------------------

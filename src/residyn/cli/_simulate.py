@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..errors import InputError, number
+from ..errors import InputError, inside, number
+from ..files import make_folder
 from . import _options
 from ._experiment import bring, fitted, input_files, integrated_by, load
 from ._shell import DONE, NO_NUMBERS, complain, console, progress, set_up_jax
@@ -185,10 +186,8 @@ def _paths(folder: Path, recordings: "Sequence[Recording]", inputs: Sequence[Pat
         if any(path.resolve() == each.resolve() for each in inputs):
             raise InputError(f"{path}: is an input of this experiment; give --out another folder")
         paths.append(path)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out {folder}: cannot be made ({error.strerror})") from None
+    with inside("--out"):
+        make_folder(folder)
     return paths
 
 

@@ -153,7 +153,7 @@ class Fits:
 
     def _index(self, recording) -> tuple[int, int]:
         """Which recording of the scene one (or a segment) is of, and where it begins there."""
-        whole = recording.whole or recording
+        whole = recording.segment_of or recording
         run = next(
             i for i, r in enumerate(self.scene.recordings) if r is whole or (r.name == whole.name
             and np.array_equal(r.time, whole.time))

@@ -14,7 +14,7 @@ import numpy as np
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
-from ..recordings.segments import wholes
+from ..recordings.segments import by_recording
 from .history import History
 from .problem import Problem, Ready, Unknowns
 
@@ -120,7 +120,7 @@ class Fit:
     def whole(self) -> tuple[RecordingFit, ...]:
         """`recordings`, with stretches of one recording put together again: what one draws."""
         found = []
-        for recording, which in wholes([r.recording for r in self.recordings]):
+        for recording, which in by_recording([r.recording for r in self.recordings]):
             parts = [self.recordings[i] for i in which]
             predicted = np.concatenate([p.predicted for p in parts])
             wild = np.concatenate([p.wild for p in parts])
@@ -278,7 +278,7 @@ def _lines(fit: Fit) -> list[str]:
     """The report, for a terminal of 80 columns."""
     fitted = [r for r in fit.recordings if r.recording.role != "check"]
     readings = sum(int(r.used.sum()) for r in fitted)
-    names = ", ".join(r.name for r, _ in wholes([f.recording for f in fitted]))
+    names = ", ".join(r.name for r, _ in by_recording([f.recording for f in fitted]))
     lines = [
         *_wrapped("[[Model]]  ", " + ".join(fit.model.labels)),
         "[[Fit]]",

@@ -23,6 +23,7 @@ import numpy as np
 
 from ..effects import AbstractEffect, catalogue
 from ..errors import InputError
+from ..files import read_bytes
 from ..recordings.experiment import Experiment
 from ..reporting.json import finite
 from ..runtime.export_cache import sources
@@ -65,9 +66,8 @@ def _contents(path: Path) -> list[bytes]:
 
 
 def _bytes(path: Path) -> bytes:
-    with contextlib.suppress(OSError, ValueError):
-        if path.is_file():
-            return path.read_bytes()
+    with contextlib.suppress(InputError):
+        return read_bytes(path, "recording")
     return b""
 
 

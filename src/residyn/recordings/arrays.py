@@ -1,6 +1,6 @@
 """What arrays must be to be a recording: a time that goes on, readings that are numbers.
 
-A reading may be lost (NaN); a time may not, and neither may a force for long.
+A reading may be missing (NaN); a time may not, and neither may a force for long.
 """
 
 from typing import Any
@@ -19,7 +19,7 @@ LEAST = 20
 
 
 def check_table(time: Any, angle: Any, what: str = "angle") -> tuple[np.ndarray, np.ndarray]:
-    """Copies of time (N,) and angle (N, n), checked to be a recording; NaN is a lost sample."""
+    """Copies of time (N,) and angle (N, n), checked to be a recording; NaN is a missing one."""
     time, angle = _floats(time, "time", "(N,)"), _floats(angle, what, "(N,) or (N, joints)")
     if time.ndim != 1:
         raise InputError(f"time has shape {time.shape}; it must be (N,)")
@@ -68,14 +68,14 @@ def check_drive(
         raise InputError(f"drive has shape {force.shape}; it must be {angle.shape} like angle")
     warnings = []
     for j, column in enumerate(force.T):
-        lost = np.isnan(column)
-        if lost.all():
+        missing = np.isnan(column)
+        if missing.all():
             raise InputError(f"u{j + 1} has no value at all; leave it out if there is no drive")
-        if lost.any():
-            column[lost] = np.interp(time[lost], time[~lost], column[~lost])
-            count = int(np.count_nonzero(lost))
+        if missing.any():
+            column[missing] = np.interp(time[missing], time[~missing], column[~missing])
+            count = int(np.count_nonzero(missing))
             warnings.append(
-                f"u{j + 1} has {count} lost value{'s' * (count > 1)}, filled in linearly"
+                f"u{j + 1} has {count} missing value{'s' * (count > 1)}, filled in linearly"
             )
     return force, warnings
 
@@ -87,7 +87,7 @@ def check_enough(angle: np.ndarray, part: bool) -> None:
         raise InputError(f"has {len(angle)} samples{here}; at least {LEAST} are needed")
     for j, count in enumerate(np.isfinite(angle).sum(axis=0)):
         if count == 0:
-            raise InputError(f"q{j + 1} has no reading{here}: every sample was lost")
+            raise InputError(f"q{j + 1} has no reading{here}: every sample is missing")
         if count < LEAST:
             raise InputError(f"q{j + 1} has {count} readings{here}; at least {LEAST} are needed")
 

@@ -1,7 +1,7 @@
 """A recording on disk is a table that any tool can write.
 
 One header line names the columns: `t` (s), `q1`, `q2`, ... (rad or m) and, for a driven recording,
-`u1`, `u2`, ... (N m or N), in any order. Every further line is one sample; a sensor that lost it
+`u1`, `u2`, ... (N m or N), in any order. Every further line is one sample; a sensor that missed it
 leaves an empty cell or `nan`. Files of a lab's own have other names and units (`_columns`), lines
 above the header, semicolons, tabs or blanks between cells, decimal commas, quoted cells, and text
 that is not UTF-8; those are recognised, and what was understood is told in one line.
@@ -19,7 +19,8 @@ from typing import NamedTuple, TextIO
 
 import numpy as np
 
-from ..errors import InputError, inside, quote, read_table_text
+from ..errors import InputError, inside, quote
+from ..files import read_table_text, write
 from .columns import (
     Column,
     Joints,
@@ -48,7 +49,7 @@ class Table(NamedTuple):
     time: np.ndarray
     """(N,) s."""
     angle: np.ndarray
-    """(N, n) rad or m, NaN where a sample was lost."""
+    """(N, n) rad or m, NaN where one is missing."""
     drive: np.ndarray | None
     """(N, n) N m or N, zero for a joint without its own column; None if no joint has one."""
     line: np.ndarray
@@ -64,7 +65,7 @@ def read_csv(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]:
     """Read a recording of `joints` joints.
 
-    **Returns:** time (N,) in s; angle (N, joints) in rad or m, NaN where a sample was lost; drive
+    **Returns:** time (N,) in s; angle (N, joints) in rad or m, NaN where one is missing; drive
     (N, joints) in N m or N, zero for a joint without its own column, or None if the file has no
     drive column; and the line number of each sample, (N,) int.
     """
@@ -187,12 +188,7 @@ def write_csv(
     if not isinstance(path_or_file, (str, os.PathLike)):
         path_or_file.write(text)
         return
-    try:
-        with open(path_or_file, "w", encoding="utf-8", newline="") as file:
-            file.write(text)
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise InputError(f"{os.fspath(path_or_file)}: cannot be written ({why})") from None
+    write(path_or_file, text)
 
 
 def _find_header(
@@ -312,7 +308,7 @@ def _slow(
             if decimal == "," and "." not in cell:
                 point = cell.replace(",", ".")
             if not _NUMBER.fullmatch(point) or (decimal == "," and "." in cell):
-                hint = "a lost sample is an empty cell or nan"
+                hint = "a missing sample is an empty cell or nan"
                 if _NUMBER.fullmatch(cell.replace(",", ".")):
                     hint = f"the decimal sign is {quote(decimal)} here; decimal says which it is"
                 raise InputError(

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, decode, inside, read_text
+from ..errors import InputError, inside
+from ..files import decode, read_text
 from ..physics.mechanism import AbstractMechanism
 from ..simulation.integrator import integrator_of
 from .columns import Joints, Layout
@@ -21,7 +22,7 @@ from .formats import has_markers, read_table
 from .motion_capture.angles import read as read_markers
 from .recording import Recording
 from .sanity import not_free
-from .segments import wholes
+from .segments import by_recording
 from .tables import ArmTable, Bearing, InertiaTable, check_bearings
 from .toml import parse
 
@@ -174,7 +175,7 @@ def _from_markers(
 def _in_degrees(experiment: Experiment) -> list[str]:
     """Doubts about the unit of angles: no braked joint turns by five radians."""
     doubts = []
-    for recording, _ in wholes(experiment.recordings):
+    for recording, _ in by_recording(experiment.recordings):
         sizes = np.nanquantile(np.abs(recording.angle), 0.99, axis=0)
         units = experiment.units or ("",) * len(sizes)
         large = [
@@ -191,8 +192,8 @@ def _in_degrees(experiment: Experiment) -> list[str]:
 def _not_held_out(experiment: Experiment) -> list[str]:
     """A check on readings that were fitted is none."""
     doubts = []
-    for check, _ in wholes(experiment.check_recordings):
-        for fit, _ in wholes(experiment.fit_recordings):
+    for check, _ in by_recording(experiment.check_recordings):
+        for fit, _ in by_recording(experiment.fit_recordings):
             _, i, j = np.intersect1d(check.time, fit.time, return_indices=True)
             same = np.array_equal(check.angle[i], fit.angle[j], equal_nan=True)
             if check.name == fit.name and len(i) and same:

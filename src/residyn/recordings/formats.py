@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, inside, read_table_text
+from ..errors import InputError, inside
+from ..files import read_table_text
 from .columns import Joints, Layout, columns_of, understood
 from .csv import Table, read_lab_csv
 from .motion_capture.trajectories import is_vicon

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import InputError
 from .arrays import check_table
-from .outliers import outlying
+from .outliers import outliers_of
 from .polynomial_spectrum import blocks, grid_step, parts, scaled
 
 
@@ -21,7 +21,7 @@ def estimate_noise(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
     motion: data without any noise still need a sigma. A joint that never moves shows no noise; it
     gets the largest of the others'.
 
-    **Arguments:** `time` (N,) s; `angle` (N, n) rad or m, NaN where a sample was lost.
+    **Arguments:** `time` (N,) s; `angle` (N, n) rad or m, NaN where one is missing.
 
     **Returns:** (n,) rad or m, all positive.
     """
@@ -39,7 +39,7 @@ def noise_and_doubts(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, l
         if not unit:
             still.append(j)
             continue
-        good = np.flatnonzero(~outlying(time[seen], y, 0.0))
+        good = np.flatnonzero(~outliers_of(time[seen], y, 0.0))
         good = good if len(good) >= 8 else np.arange(len(y))
         spread = [blocks(time[seen[part]], y[part]).spread for part in parts(good)]
         floor = 1e-9 * math.sqrt(float(np.mean(y**2)))

@@ -1,4 +1,4 @@
-"""A wild reading is one that its neighbours contradict, and that is the only thing wrong there.
+"""An outlier is a reading that its neighbours contradict, and that is the only thing wrong there.
 
 Polynomials that follow the motion through a short block leave its noise. A spike, or a marker that
 was mistaken for another for a few samples, is left there too, and once those few readings are let
@@ -14,16 +14,16 @@ from .arrays import check_noise, check_table
 from .polynomial_spectrum import Blocks, blocks, grid_step, parts, scaled
 
 _SURE = 5.0
-"""Standard deviations from which readings are wild."""
+"""Standard deviations from which a reading is an outlier."""
 
 _RUN = 4
-"""The most wild readings in a row that are looked for."""
+"""The most outliers in a row that are looked for."""
 
 _HAIR = 1e-6
 """A ridge for small inverses: a reading that is free already has no room left."""
 
 
-def wild_samples(
+def outlier_mask(
     time: np.ndarray, angle: np.ndarray, noise: np.ndarray | float | None = None
 ) -> np.ndarray:
     """Readings that sit far off their neighbours: spikes, or marker swaps of a few samples.
@@ -31,10 +31,10 @@ def wild_samples(
     They are runs of one to four readings. A single one is seen from about 8 sigma; a run needs
     more the longer it is and the faster the motion, 15 sigma as a rule.
 
-    **Arguments:** `time` (N,) s; `angle` (N, n) rad or m, NaN where a sample was lost; `noise`, if
+    **Arguments:** `time` (N,) s; `angle` (N, n) rad or m, NaN where one is missing; `noise`, if
     known, the sigma of one reading, (n,) or one number.
 
-    **Returns:** (N, n) bool; False where the sample was lost.
+    **Returns:** (N, n) bool; False where the sample is missing.
     """
     time, angle = check_table(time, angle)
     flagged = np.zeros(angle.shape, dtype=bool)
@@ -43,12 +43,12 @@ def wild_samples(
         seen, y, unit = scaled(column)
         if unit and len(seen) >= 8:
             known = min(float(least[j]), unit) / unit
-            flagged[seen[outlying(time[seen], y, known)], j] = True
+            flagged[seen[outliers_of(time[seen], y, known)], j] = True
     return flagged
 
 
-def outlying(time: np.ndarray, y: np.ndarray, least: float) -> np.ndarray:
-    """`wild_samples` of one joint's readings, scaled; `least` is the smallest sigma to believe."""
+def outliers_of(time: np.ndarray, y: np.ndarray, least: float) -> np.ndarray:
+    """`outlier_mask` of one joint's readings, scaled; `least` is the smallest sigma to believe."""
     flagged = np.zeros(len(y), dtype=bool)
     least = max(least, grid_step(y) / math.sqrt(12))
     for part in parts(np.arange(len(y))):

@@ -1,7 +1,7 @@
 """The polynomial spectrum of a recording: motion is in the low degrees, noise is in all of them.
 
 Cut the readings of a joint into short blocks and express each in polynomials, degree by degree,
-orthonormal on the block's own sample times (so uneven sampling and lost readings do not matter).
+orthonormal on the block's own sample times (so uneven sampling and missing readings do not matter).
 Motion is smooth: its share falls faster than exponentially with the degree and is gone after a few.
 White noise has the same size in every degree. From the degree where the spectrum turns flat only
 noise is left, without any model of the motion.

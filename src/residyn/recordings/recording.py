@@ -20,8 +20,9 @@ from .arrays import (
     doubtful_clock,
 )
 from .noise import noise_and_doubts
-from .release import _even, window
-from .rest import SWINGS, rest_angles, swings, thinned
+from .release import window
+from .resampling import decimated, evenly_sampled
+from .rest import SWINGS, rest_angles, swings
 from .toml import check_role
 
 
@@ -34,7 +35,7 @@ class Recording:
     time: np.ndarray
     """(N,) s, strictly increasing, on the recording's own clock."""
     angle: np.ndarray
-    """(N, n) rad or m; NaN where a sample was lost."""
+    """(N, n) rad or m; NaN where one is missing."""
     drive: np.ndarray | None
     """(N, n) N m or N, or None for free motion."""
     noise: np.ndarray
@@ -51,7 +52,7 @@ class Recording:
     """Load on the first coordinate, kg (constant inertia only)."""
     warnings: tuple[str, ...] = ()
     """What is doubtful, a line each that names the recording."""
-    whole: "Recording | None" = None
+    segment_of: "Recording | None" = None
     """What this is a stretch of, if it is one."""
     understood: str = ""
     """What was made of a file that is not written as this package writes it, in one line."""
@@ -78,7 +79,7 @@ class Recording:
         **Arguments:**
 
         - `time`: (N,) s, strictly increasing.
-        - `angle`: (N,) or (N, n) rad or m; NaN where a sample was lost.
+        - `angle`: (N,) or (N, n) rad or m; NaN where one is missing.
         - `drive`: shaped as `angle`, N m or N; NaN is interpolated over.
         - `noise`: sigma of one reading, a number or one per joint.
         - `start`, `stop`: s on the recording's own clock; `start` may be "release", the instant
@@ -145,8 +146,8 @@ class Recording:
         return self.angle.shape[1]
 
     @property
-    def lost(self) -> int:
-        """How many readings were lost, all joints together."""
+    def missing(self) -> int:
+        """How many readings are missing, all joints together."""
         return int(np.count_nonzero(np.isnan(self.angle)))
 
 
@@ -167,4 +168,4 @@ def _rest(rest: Any, time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, l
         f"with {count:.2g} swings of the slowest mode its rest is known roughly: if the residual "
         "has an offset, fit sensor_offset too"
     )
-    return rest_angles(*thinned(*_even(time, angle))), [doubt] if count < SWINGS else []
+    return rest_angles(*decimated(*evenly_sampled(time, angle))), [doubt] if count < SWINGS else []

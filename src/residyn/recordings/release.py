@@ -10,14 +10,13 @@ differences. Smoothing and differences commute with a linear law: they blur the 
 towards a later one, but do not bend the law.
 """
 
-import math
 from typing import Any
 
 import numpy as np
 
 from ..errors import InputError, number, quote
 from .arrays import LEAST, check_enough, check_table
-from .outliers import wild_samples
+from .resampling import evenly_sampled
 
 
 def window(time: np.ndarray, angle: np.ndarray, start: Any, stop: Any) -> slice:
@@ -56,11 +55,11 @@ def release_time(time: np.ndarray, angle: np.ndarray) -> float:
     It is the largest excursion, or as soon after it as no force but the arm's own is left; where
     several joints are let go from rest, their release.
 
-    **Arguments:** `time` (N,) s, increasing; `angle` (N, n) rad or m, NaN where a sample was lost.
+    **Arguments:** `time` (N,) s, increasing; `angle` (N, n) rad or m, NaN where one is missing.
     """
     time, angle = check_table(time, angle)
     check_enough(angle, part=False)
-    clock, motion = _even(time, angle)
+    clock, motion = evenly_sampled(time, angle)
     motion = motion - np.median(motion[-(len(motion) // 4) :], axis=0)
     size = np.abs(motion).max(axis=0)
     if size.max() < 1e-100:
@@ -94,17 +93,6 @@ def release_time(time: np.ndarray, angle: np.ndarray) -> float:
     if pace[free] > 0.1 * pace.max() and len(falls):
         free += int(falls[0])
     return float(time[np.searchsorted(time, clock[free] - 1e-6 * (clock[1] - clock[0]))])
-
-
-def _even(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The recording at equal steps, lost and wild readings filled in."""
-    step = float(np.median(np.diff(time)))
-    # A long pause of the logger must not make the even clock endless.
-    step = max(step, (time[-1] - time[0]) / (10 * len(time)))
-    clock = time[0] + step * np.arange(math.floor((time[-1] - time[0]) / step + 1e-6) + 1)
-    good = np.isfinite(angle) & ~wild_samples(time, angle)
-    columns = [np.interp(clock, time[g], a[g]) for g, a in zip(good.T, angle.T, strict=True)]
-    return clock, np.stack(columns, axis=1)
 
 
 def _broken(motion: np.ndarray, excursion: np.ndarray, quarter: int) -> np.ndarray:

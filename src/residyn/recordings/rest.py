@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from .release import _even
+from .resampling import evenly_sampled, slowest_period
 
 SWINGS = 8
 """Swings of the slowest mode, two of the best windows: with fewer, rest is known roughly."""
@@ -34,8 +34,8 @@ _ASIDE = 0.5
 
 
 def rest_angles(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """(n,) rad: angles at rest, from a ring-down (N, n) rad at times (N,) s, NaN where lost."""
-    _clock, motion = _even(time, angle)
+    """(n,) rad: angles at rest, from a ring-down (N, n) rad at times (N,) s, NaN where missing."""
+    _clock, motion = evenly_sampled(time, angle)
     rest = motion.mean(axis=0)
     if not (np.ptp(motion, axis=0) > 1e-9).any():
         return rest
@@ -58,33 +58,10 @@ def rest_angles(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return rest
 
 
-def thinned(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Means of so many samples after each other that 40 or more are left of the slowest period: all
-    that a rest needs. Times (N,) s at equal steps and angles (N, n), as they come back."""
-    many = int(slowest_period(angle - angle.mean(axis=0)) / 40)
-    if many < 2:
-        return time, angle
-    whole = len(time) // many * many
-    mean = lambda x: x[:whole].reshape(-1, many, *x.shape[1:]).mean(axis=1)  # noqa: E731
-    return mean(time), mean(angle)
-
-
 def swings(time: np.ndarray, angle: np.ndarray) -> float:
     """How many swings of its slowest mode a ring-down has."""
-    _clock, motion = _even(time, angle)
+    _clock, motion = evenly_sampled(time, angle)
     return len(motion) / slowest_period(motion - motion.mean(axis=0))
-
-
-def slowest_period(motion: np.ndarray) -> float:
-    """The period of the slowest mode, in samples, of motion (N, n) about zero."""
-    count = len(motion)
-    # Padded, so that a few swings in all are counted finely enough.
-    shaped = motion * np.hanning(count)[:, None]
-    power = np.abs(np.fft.rfft(shaped, 8 * count, axis=0)[8:]) ** 2
-    large = power >= 0.02 * np.maximum(power.max(axis=0), 1e-300)
-    peaks = large[1:-1] & (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])
-    first = min((int(np.flatnonzero(p)[0]) for p in peaks.T if p.any()), default=0)
-    return 8 * count / (first + 9)
 
 
 def _window(count: int, period: float) -> np.ndarray:

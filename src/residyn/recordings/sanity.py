@@ -18,8 +18,8 @@ import numpy as np
 
 from .arrays import doubtful_clock
 from .recording import Recording
-from .release import _even
-from .rest import rest_angles, slowest_period, thinned
+from .resampling import decimated, evenly_sampled, slowest_period
+from .rest import rest_angles
 
 _OFF = 0.5
 """Of the amplitude about rest: a larger distance of rest from zero is no effect's."""
@@ -74,7 +74,7 @@ def not_free(
             return Finding(words, "units", {f"q{j + 1}": "deg"})
     if recording.drive is not None or not (np.nanmax(angle, 0) > np.nanmin(angle, 0)).any():
         return None
-    clock, motion = _even(time, angle)
+    clock, motion = evenly_sampled(time, angle)
     step = clock[1] - clock[0]
     period = slowest_period(motion - motion.mean(axis=0))
     if "t" not in said and period * step > _SLOW:
@@ -121,7 +121,7 @@ def _off_rest(
     clock: np.ndarray, motion: np.ndarray, units: tuple[str, ...] | None
 ) -> Finding | None:
     """That angles (N, n) are not counted from rest, if so."""
-    rest = rest_angles(*thinned(clock, motion))
+    rest = rest_angles(*decimated(clock, motion))
     size = np.abs(motion - rest).max(axis=0)
     off = np.abs(rest) > _OFF * size
     # A brake that slips takes its joint's rest along, towards where it was released.

@@ -13,7 +13,7 @@ import numpy as np
 from .recording import Recording
 
 
-def in_stretches(recording: Recording, seconds: float) -> "tuple[Recording, ...]":
+def segments_of(recording: Recording, seconds: float) -> "tuple[Recording, ...]":
     """The recording cut into stretches of about so many seconds, none shorter than half of that."""
     count = max(1, round(recording.duration / seconds))
     edges = np.linspace(recording.time[0], recording.time[-1], count + 1)
@@ -30,16 +30,16 @@ def in_stretches(recording: Recording, seconds: float) -> "tuple[Recording, ...]
                 angle=recording.angle[part],
                 drive=None if recording.drive is None else recording.drive[part],
                 warnings=() if found else recording.warnings,
-                whole=recording,
+                segment_of=recording,
             )
         )
     return tuple(found)
 
 
-def wholes(recordings: "Sequence[Recording]") -> "list[tuple[Recording, list[int]]]":
+def by_recording(recordings: "Sequence[Recording]") -> "list[tuple[Recording, list[int]]]":
     """Each recording as it was read, and which of the given ones are its stretches."""
     found: dict[int, tuple[Recording, list[int]]] = {}
     for i, r in enumerate(recordings):
-        whole = r.whole or r
+        whole = r.segment_of or r
         found.setdefault(id(whole), (whole, []))[1].append(i)
     return list(found.values())

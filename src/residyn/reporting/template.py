@@ -2,13 +2,12 @@
 
 import os
 from datetime import date
-from pathlib import Path
 from typing import Any
 
 import jinja2
 
 from .. import __version__
-from ..errors import InputError
+from ..files import write
 from .numbers import amount, plain
 
 MOST_PIXELS_NARROW = 640
@@ -39,11 +38,7 @@ def written(path: str | os.PathLike[str], text: str) -> None:
 
     **Raises:** `InputError` if the file cannot be written.
     """
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise InputError(f"{os.fspath(path)}: cannot be written ({why})") from None
+    write(path, text)
 
 
 def _unit(unit: str) -> str:

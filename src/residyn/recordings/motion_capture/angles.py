@@ -1,8 +1,8 @@
-"""From markers at the joints to the joints' angles, and what had to be mended on the way.
+"""From markers at the joints to the joints' angles, and what had to be repaired on the way.
 
 Markers are lost, jump, and exchange their labels. An arm's base stands still and its links are
-rigid, so geometry says which marker is which, and which is none of the arm's. Whatever is mended is
-said, one sentence each; what cannot be known stays lost (NaN), which a fit does not mind.
+rigid, so geometry says which marker is which, and which is none of the arm's. Every repair
+is a sentence; what cannot be known stays missing (NaN), which a fit does not mind.
 """
 
 import os
@@ -17,11 +17,7 @@ from ..arrays import check_enough
 from ..recording import Recording
 from ..release import window
 from ..rest import SWINGS, rest_angles, swings
-from . import checks as _marker_checks
-from . import labels as _labels
-from . import plane as _plane
-from . import repair as _mended
-from . import rigid as _rigid
+from . import checks, labels, plane, repair, rigid
 from .trajectories import Trajectories, read_trajectories
 
 __all__ = ["MotionCapture", "read"]
@@ -53,9 +49,9 @@ class MotionCapture:
     """(n,) m, as the markers have them."""
     normal: np.ndarray
     """(3,) unit vector off the table, in the lab's axes; angles grow anticlockwise about it."""
-    mended: tuple[str, ...]
+    repairs: tuple[str, ...]
     """What was lost, put back, exchanged or rejected, a sentence each; empty for a clean file."""
-    doubts: tuple[str, ...]
+    warnings: tuple[str, ...]
     """What does not look like an arm with markers at its joints, a sentence each."""
 
     def rest(self, start: float | str | None = None, stop: float | None = None) -> np.ndarray:
@@ -80,7 +76,7 @@ class MotionCapture:
 
         options = {"name": self.name, **options}
         rest = self.rest(options.get("start"), options.get("stop"))
-        said = [*self.mended, *self.doubts]
+        said = [*self.repairs, *self.warnings]
         if self.angle.shape[1] == 2:
             if "theta2" in options:
                 theta2 = number("theta2", options["theta2"], "rad")
@@ -126,7 +122,7 @@ def read(
     with inside(where):
         if link_lengths is not None:
             link_lengths = [number("link_lengths", x, "m", above=0) for x in link_lengths]
-        names = _marker_checks.names_of(markers, trajectories, link_lengths)
+        names = checks.names_of(markers, trajectories, link_lengths)
         return _solve(where, names, trajectories, normal, link_lengths)
 
 
@@ -143,61 +139,58 @@ def _solve(
     for name, column in zip(names, markers.swapaxes(0, 1), strict=True):
         if np.isnan(column).all():
             raise InputError(f"marker {quote(name)} is lost in every frame")
-    rigid = _rigid.find(markers, lengths)
-    labels = _labels.assign(markers, rigid)
+    chain = rigid.find(markers, lengths)
+    assigned = labels.assign(markers, chain)
     for _ in range(2):
-        rigid = _rigid.refine(labels.apply(markers), rigid)
-        _marker_checks.check_believable(names, markers, labels, rigid)
-        labels = _labels.assign(markers, rigid)
-    joints = labels.apply(markers)
-    noise = float(min(rigid.sigmas)) / 2**0.5
-    plane = (
-        _plane.fit(joints, noise)
-        if normal is None
-        else _plane.frame_of(_marker_checks.direction(normal))
-    )
-    doubts = _marker_checks.lengths_doubted(names, rigid, lengths)
-    doubts += [
+        chain = rigid.refine(assigned.apply(markers), chain)
+        checks.check_believable(names, markers, assigned, chain)
+        assigned = labels.assign(markers, chain)
+    joints = assigned.apply(markers)
+    noise = float(min(chain.sigmas)) / 2**0.5
+    given = None if normal is None else checks.direction(normal)
+    table = plane.fit(joints, noise) if given is None else plane.frame_of(given)
+    warnings = checks.length_warnings(names, chain, lengths)
+    warnings += [
         f"{quote(names[j])} changes its label with another marker, and the arm moves too little to "
         "tell which it is: what most frames have was believed"
         + ("" if lengths is not None else "; link_lengths would tell")
-        for j in rigid.unsure
+        for j in chain.unsure
     ]
-    if plane.tilt > _TILT:
-        doubts.append(
+    if table.tilt > _TILT:
+        warnings.append(
             f"the markers hardly leave one line, so the table's plane is known to "
-            f"{np.degrees(plane.tilt):.2g} degrees only: give normal, the direction off the table"
+            f"{np.degrees(table.tilt):.2g} degrees only: give normal, the direction off the table"
         )
-    high = plane.height(joints)
+    high = table.height(joints)
     off = np.abs(high - np.nanmedian(high, axis=0))
-    odd = off > np.maximum(8 * 1.4826 * np.nanmedian(off, axis=0), 0.01 * rigid.lengths.mean())
+    odd = off > np.maximum(8 * 1.4826 * np.nanmedian(off, axis=0), 0.01 * chain.lengths.mean())
     joints[odd] = np.nan
-    rejected = labels.rejected | odd
+    rejected = assigned.rejected | odd
 
-    flat = plane.flat(joints)
+    flat = table.flat(joints)
     lost = np.isnan(flat[:, :, 0])
-    still = rigid.base_sigma <= max(_WANDERS * rigid.lengths[0], 4 * noise)
+    still = chain.base_sigma <= max(_WANDERS * chain.lengths[0], 4 * noise)
     if still:
         flat[:, 0] = np.nanmedian(flat[:, 0], axis=0)
     else:
-        doubts.append(
-            f"{quote(names[0])} moves by {1e3 * rigid.base_sigma:.2g} mm (standard deviation): the "
+        warnings.append(
+            f"{quote(names[0])} moves by {1e3 * chain.base_sigma:.2g} mm (standard deviation): the "
             "base of the arm should stand still"
         )
-    back = _mended.put_back(flat, noise, _SURE)
-    angle = _plane.angles(flat)
-    mended = _mended.sentences(
-        names, file.time, file.frame, labels.order, lost, rejected, back, still
+    back = repair.put_back(flat, noise, _SURE)
+    angle = plane.angles(flat)
+    repairs = repair.sentences(
+        names, file.time, file.frame, assigned.order, lost, rejected, back, still
     )
-    for array in (angle, rigid.lengths, plane.normal):
+    for array in (angle, chain.lengths, table.normal):
         array.flags.writeable = False
     return MotionCapture(
         name=where,
         markers=names,
         time=file.time,
         angle=angle,
-        link_lengths=rigid.lengths,
-        normal=plane.normal,
-        mended=tuple(mended),
-        doubts=tuple(doubts),
+        link_lengths=chain.lengths,
+        normal=table.normal,
+        repairs=tuple(repairs),
+        warnings=tuple(warnings),
     )

@@ -1,7 +1,7 @@
 """Whether markers, and what is asked of them, can be an arm's.
 
-What cannot be is refused with a line that says what would be right; what is merely odd is a doubt,
-one sentence each.
+What cannot be is refused with a line that says what would be right; what is merely odd is a
+warning, one sentence each.
 """
 
 from collections.abc import Sequence
@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError, number, quote
-from . import labels as _labels
-from . import rigid as _rigid
+from .labels import Labels
+from .rigid import Rigid
 from .trajectories import Trajectories
 
 _LOOSE = 0.01
@@ -47,7 +47,7 @@ def names_of(markers: Any, file: Trajectories, lengths: Sequence[float] | None) 
 
 
 def check_believable(
-    names: tuple[str, ...], markers: np.ndarray, labels: _labels.Labels, rigid: _rigid.Rigid
+    names: tuple[str, ...], markers: np.ndarray, labels: Labels, rigid: Rigid
 ) -> None:
     """Markers of which many fit no rigid arm are not an arm's."""
     seen = int((~np.isnan(markers[:, :, 0])).sum())
@@ -78,18 +78,18 @@ def direction(normal: Any) -> np.ndarray:
     return found
 
 
-def lengths_doubted(
-    names: tuple[str, ...], rigid: _rigid.Rigid, known: Sequence[float] | None
+def length_warnings(
+    names: tuple[str, ...], rigid: Rigid, known: Sequence[float] | None
 ) -> list[str]:
     """Links that are not rigid, or not as long as they should be.
 
     **Raises:** `InputError` where the difference is so large that it must be another link.
     """
-    doubts = []
+    warnings = []
     for i, (length, sigma) in enumerate(zip(rigid.lengths, rigid.sigmas, strict=True)):
         link = f"link {i + 1}, {quote(names[i])} to {quote(names[i + 1])},"
         if sigma > _LOOSE * length:
-            doubts.append(
+            warnings.append(
                 f"{link} changes its length of {length:.4g} m by {1e3 * sigma:.2g} mm (standard "
                 "deviation): are the markers at the joints' centres?"
             )
@@ -102,8 +102,8 @@ def lengths_doubted(
                 f"{known[i]:g} m: is that another marker, or another unit?"
             )
         if abs(off) > _LOOSE:
-            doubts.append(
+            warnings.append(
                 f"{link} is {length:.4g} m long by its markers, {100 * off:+.2g} % from the "
                 f"{known[i]:g} m of link_lengths"
             )
-    return doubts
+    return warnings

@@ -1,4 +1,4 @@
-"""What is put back from rigid links, and what is said of all that was mended.
+"""What is put back from rigid links, and what is said of all repairs.
 
 A lost elbow is where two circles meet, about the shoulder and about the wrist. They meet twice: the
 elbow is on the side where it was before and is afterwards, as long as the arm was never straight in
@@ -85,7 +85,7 @@ def sentences(
     back: np.ndarray,
     still: bool,
 ) -> list[str]:
-    """All that was mended. Arrays are (N, n + 1), per joint; `still` if the base stands still."""
+    """A sentence for each repair. Arrays are (N, n + 1), per joint; `still`: the base stands."""
     said = _exchanged(names, time, frame, order, lost)
     for j, name in enumerate(names):
         out = np.flatnonzero(rejected[:, j])

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...errors import InputError, inside, quote, read_text
+from ...errors import InputError, inside, quote
+from ...files import read_text
 
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ...errors import read_text
+from ...files import read_text
 from ...recordings.experiment import Experiment, from_text
 
 _NOT_SHARED = ("file", "role")

@@ -19,7 +19,7 @@ from ...diagnosis.missing_torque import missing_of, torque_along
 from ...filtering.law import numbers_of
 from ...filtering.trajectory import Scene, Trajectory, number_slices
 from ...fitting.result import Fit
-from ...recordings.segments import wholes
+from ...recordings.segments import by_recording
 from ..json import finite
 from .first_order import ErrorGram
 from .study import Study
@@ -215,7 +215,7 @@ def smoothed(study: Study, added: Sequence[str]) -> dict[str, Any] | None:
 def _shown(study: Study):
     """The recordings that are drawn: fitted ones, then held-out ones."""
     e = study.experiment
-    return [r for r, _ in wholes((*e.fit_recordings, *e.check_recordings))][:_RECORDINGS]
+    return [r for r, _ in by_recording((*e.fit_recordings, *e.check_recordings))][:_RECORDINGS]
 
 
 def _recording(r):

@@ -25,7 +25,7 @@ def where(compared: Comparison, *, narrow: bool = False) -> Figure:
     figure = Figure(figsize=(NARROW, 8.6) if narrow else (WIDE, 3.3), layout="constrained")
     time, swing, band = figure.subplots(*shape).ravel()
     _bars(time, [f"{plain(p.start, 2)}-{plain(p.stop, 2)}" for p in at.time], at.time, at.joints)
-    cut = any(r.recording.whole is not None for r in compared.fit.recordings)
+    cut = any(r.recording.segment_of is not None for r in compared.fit.recordings)
     since = "stretch's start" if cut else "start"
     time.set(xlabel=f"time since the {since} (s)", title="when")
     _by_swing(swing, compared)
