@@ -502,13 +502,10 @@ def memory_along_readings(
         grid = uniform(recording, own)
         size = bucket(len(grid.q), *_INSTANTS)
         q, v = (
-            np.pad(
-                savgol_filter(grid.q, 9, 3, deriv=k, delta=grid.dt, axis=0, mode="interp"),
-                ((0, size - len(grid.q)), (0, 0)),
-                "edge",
-            )
+            np.asarray(savgol_filter(grid.q, 9, 3, deriv=k, delta=grid.dt, axis=0, mode="interp"))
             for k in (0, 1)
         )
+        q, v = (np.pad(x, ((0, size - len(x)), (0, 0)), "edge") for x in (q, v))
         paths.append(np.asarray(_beyond(model, numbers, grid.dt, q, v, first[:, r])))
         grids.append((recording.time[0], grid.dt, len(grid.q)))
     found = []

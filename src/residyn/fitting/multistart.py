@@ -125,7 +125,7 @@ def multistart(
     with contextlib.suppress(FitError):
         shot = yield from _shooting(here, begin, numbers, memory, outliers, progress)
         found += [] if shot is None else [shot]
-    if base is not None and starts > 1 and all(_led_astray(each) for each in found):
+    if base is not None and starts > 1 and all(d.above_noise for d in found):
         progress("fitting springs and dampers alone, to begin again from there")
         found += yield from _from_the_base(here, base(), numbers, memory, outliers, progress)
     if not found:
@@ -370,7 +370,9 @@ def _shooting(
 
     Internal states of a segment begin with what they come to along the measured motion.
     """
-    cycle = 2 * math.pi / here.frequency(begin)
+    # A start may have lost the fast mode, but the readings show it.
+    frequency = max(here.frequency(begin), float(here.pace.max()))
+    cycle = 2 * math.pi / frequency
     most = max(1, _SEGMENTS[1] // len(here.recordings))
     cut: list[Recording] = []
     bad: list[np.ndarray] = []
@@ -391,11 +393,11 @@ def _shooting(
     segments = here._replace(
         recordings=tuple(cut), mechanisms=tuple(here.mechanisms[i] for i in which)
     )
-    problem, states = segments.problem(begin, bad)
+    problem, states = segments.problem(begin, bad, frequency=frequency)
     each = np.tile(states, (len(numbers), 1, 1))
     if here.model.memory:
         each[..., -len(here.model.memory) :] = memory_along_readings(
-            here, outliers, numbers, memory, [(r, cut[i].time[0]) for i, r in enumerate(which)]
+            here, outliers, numbers, memory, [(int(r), cut[i].time[0]) for i, r in enumerate(which)]
         )
     y = Unknowns(numbers / problem.scale.numbers, each / problem.scale.states)
     ends = distinct((yield from _further(problem, _begun(y), 1.0, calls=1)))[:2]
@@ -405,11 +407,25 @@ def _shooting(
     numbers = np.asarray(problem.numbers(end.unknowns))
     joined = np.asarray(problem.states(end.unknowns))[first]
     begin = here.model.with_vector(jnp.asarray(numbers))
-    return (
-        yield from descending(
-            here, begin, numbers[None], outliers, progress, near=joined[None], growing=True
-        )
-    )
+    found = []
+    for growing in (False, True):
+        with contextlib.suppress(FitError):
+            found.append(
+                (
+                    yield from descending(
+                        here,
+                        begin,
+                        numbers[None],
+                        outliers,
+                        progress,
+                        near=joined[None],
+                        growing=growing,
+                    )
+                )
+            )
+            if not found[-1].above_noise:
+                break
+    return min(found, key=lambda d: d.cost, default=None)
 
 
 # -- the nested model first ----------------------------------------------------------------------

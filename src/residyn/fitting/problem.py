@@ -240,12 +240,15 @@ class Ready(NamedTuple):
 
     def scales(self) -> Callable[[int | None], Scales]:
         """The scales of a joint's motion, from the amplitudes and rates of the readings alone."""
-        size = self.amplitude
+        return _scales_of(self.model, self.amplitude, self.pace)
+
+    @property
+    def pace(self) -> np.ndarray:
+        """(n,) typical angular frequency of each joint's motion, rad/s."""
         swing = np.max([np.nanquantile(_about(r), 0.99, axis=0) for r in self.recordings], axis=0)
         rate = np.max([_rate(r) for r in self.recordings], axis=0)
         least = max(2 * math.pi / r.duration for r in self.recordings)
-        pace = np.maximum(rate / np.maximum(swing, size), least)
-        return _scales_of(self.model, size, pace)
+        return np.maximum(rate / np.maximum(swing, self.amplitude), least)
 
 
 def ready(
@@ -342,7 +345,10 @@ def _first_state(recording: Recording, wild: np.ndarray, frequency: float) -> np
         use = np.flatnonzero(np.isfinite(recording.angle[:, joint]) & ~wild[:, joint])
         count = max(8, int(np.searchsorted(time[use], 1.5 / frequency)))
         use = use[:count]
-        window = time[use[-1]] or 1.0
+        if len(use) < 4:  # of a cubic: a segment without readings
+            state.append((0.0, 0.0))
+            continue
+        window = time[use[-1]]
         line = np.polynomial.polynomial.polyfit(time[use] / window, recording.angle[use, joint], 3)
         state.append((line[0], line[1] / window))
     return np.concatenate(np.transpose(state))
