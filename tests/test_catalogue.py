@@ -16,7 +16,7 @@ from residyn.physics.motion import Motion
 from residyn.physics.parameter import Scales, parameters_of
 
 with jax.enable_x64(True):
-    ARM = residyn.PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.3, bearings=[1, 1])
+    ARM = residyn.PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.3, bearings=[1, 1], load=1.5)
 SCALES = Scales(inertia=0.6, frequency=5.0, amplitude=0.2)
 
 
@@ -226,7 +226,7 @@ def test_its_numbers_are_recovered_from_its_own_simulation(words):
     q = readings(truth, t) + 2e-4 * rng.standard_normal((1500, 2))
     table = residyn.recording.ArmTable((0.4, 0.4), 1.1662, 0.579, 1.4384)
     bearings = [residyn.recording.Bearing(joint, 1.0, 0.01) for joint in ("elbow", "wrist")]
-    recording = residyn.Recording.from_arrays(t, q, theta2=0.3, noise=2e-4)
+    recording = residyn.Recording.from_arrays(t, q, theta2=0.3, noise=2e-4, load=1.5)
     experiment = residyn.Experiment(table, (recording,), bearings)
     fit = residyn.fit(experiment, effects=[] if words in BASE else [words])
     assert 0.9 < fit.reduced_chi2 < 1.1

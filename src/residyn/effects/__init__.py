@@ -17,6 +17,7 @@ from .asymmetric_damping import AsymmetricDamping as AsymmetricDamping
 from .bearing import BearingDrag as BearingDrag
 from .bearing import BearingFriction as BearingFriction
 from .bearing import BearingQuadraticDrag as BearingQuadraticDrag
+from .cogging import Cogging as Cogging
 from .elastic import AsymmetricStiffness as AsymmetricStiffness
 from .elastic import CouplingStiffness as CouplingStiffness
 from .elastic import CubicStiffness as CubicStiffness
@@ -24,6 +25,8 @@ from .elastic import DeadZone as DeadZone
 from .elastic import Spring as Spring
 from .elastic import StiffnessDrift as StiffnessDrift
 from .friction import CoulombFriction as CoulombFriction
+from .friction import DahlFriction as DahlFriction
+from .friction import LoadFriction as LoadFriction
 from .friction import StribeckFriction as StribeckFriction
 from .gravity import Gravity as Gravity
 from .inertia import InertiaError as InertiaError
@@ -31,6 +34,7 @@ from .inertia import PrintedInertiaTorque as PrintedInertiaTorque
 from .memory import BrakeSlip as BrakeSlip
 from .memory import Hysteresis as Hysteresis
 from .own import checked, installed, read_effects
+from .sensor import SensorCurve as SensorCurve
 from .sensor import SensorDelay as SensorDelay
 from .sensor import SensorOffset as SensorOffset
 from .sensor import SensorScale as SensorScale

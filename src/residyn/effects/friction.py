@@ -9,7 +9,10 @@ import jax.numpy as jnp
 
 from ..physics.effect import JointEffect
 from ..physics.motion import Scalar
-from ..physics.parameter import RATE, TORQUE, param
+from ..physics.parameter import ANGLE, RATE, RATIO, TORQUE, Dimension, Memory, param
+
+# Coefficient of friction, times the radius at which it rubs where the joint turns.
+GRIP = Dimension("m", "1", lambda s: 1.0)
 
 
 class CoulombFriction(JointEffect):
@@ -57,3 +60,95 @@ class StribeckFriction(JointEffect):
     def joint_torque(self, motion):
         excess = self.excess * jnp.exp(-((motion.v / self.velocity) ** 2))
         return (self.level + excess) * motion.direction
+
+
+class DahlFriction(JointEffect):
+    """Dry friction that gives a little before it slides: the contact's asperities bend first.
+
+    z, the friction torque over its level, follows the angle: over a way x in one direction it goes
+    to +1 or -1 as 1 - exp(-|x|/y), so dz/dq = (sign(q') - z) / y. With y = 0 it is Coulomb's.
+    Its internal states are z and the angle at which it was that.
+    """
+
+    name = "dahl_friction"
+    title = "Dahl friction (presliding)"
+    family = "dry friction"
+    equation = "F z, dz/dq = (sign(q') - z) / y"
+    looks_like = "as Coulomb friction while it swings; the last swings ring on and come to rest"
+    source = "Dahl 1968; Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30, 1994"
+    rough = True
+    follows = True
+    resembles = ("coulomb_friction", "hysteresis")
+    memory = (Memory("z", RATIO), Memory("angle", ANGLE))
+
+    level: Scalar = param("friction torque", TORQUE, sign="positive", name="torque")
+    way: Scalar = param(
+        "deflection over which it builds up",
+        ANGLE,
+        sign="positive",
+        silent=None,
+        default=0.02,
+        grid=(0.1, 0.3),
+    )
+
+    def begin(self, motion, mechanism):
+        # Where a slow pull from rest to the first angle leaves it.
+        q = motion.q[mechanism.joints.index(self.joint)]
+        return self._moved(0.0, 0.0, q), q
+
+    def _moved(self, z, start, end):
+        """z after the joint has gone from one angle to another without turning round."""
+        way = end - start
+        to = jnp.sign(way)
+        return to + (z - to) * jnp.exp(-jnp.abs(way / self.way))
+
+    def _now(self, motion):
+        # First as far as the joint went before it turned round, then to where it is now.
+        z, start = motion.memory
+        return self._moved(self._moved(z, start, motion.turn), motion.turn, motion.q)
+
+    def joint_torque(self, motion):
+        return self.level * self._now(motion)
+
+    def joint_follow(self, motion):
+        return self._now(motion), motion.q
+
+
+class LoadFriction(JointEffect):
+    """Coulomb friction in proportion to a load, which the recordings state.
+
+    One coefficient serves all recordings, whatever presses each. At a joint that turns it is the
+    coefficient of friction times the radius at which it rubs.
+    """
+
+    name = "load_friction"
+    title = "Friction in proportion to the load"
+    family = "dry friction"
+    equation = "mu N sign(q'), N the recording's load"
+    looks_like = "as Coulomb friction, and more of it under more load"
+    source = "Amontons 1699; Coulomb 1785"
+    dissipates = True
+    dry = True
+    resembles = ("coulomb_friction",)  # under one load
+
+    coefficient: Scalar = param("coefficient of friction", GRIP, sign="positive")
+
+    @classmethod
+    def places(cls, mechanism):
+        # In Python: the mechanism may be of another precision than that in force.
+        if not float(getattr(mechanism, "load", 0.0)) > 0:
+            raise ValueError(
+                f"{cls.name} is about what presses a joint; no recording states a load (load, N)"
+            )
+        return mechanism.joints
+
+    def joint_torque(self, motion):
+        """Under a load of 1 N."""
+        return self.coefficient * motion.direction
+
+    def torque(self, motion, mechanism):
+        return tuple(mechanism.load * x for x in super().torque(motion, mechanism))
+
+    def jumps(self, motion, mechanism):
+        each = super().jumps(motion, mechanism)
+        return tuple(None if x is None else mechanism.load * x for x in each)

@@ -43,7 +43,7 @@ class Hysteresis(JointEffect):
         sign="positive",
         silent=None,
         default=1.0,
-        fitted=False,
+        grid=(1.0,),
     )
 
     def begin(self, motion, mechanism):
@@ -58,7 +58,7 @@ class Hysteresis(JointEffect):
         (z,) = motion.memory
         # How far it is loaded in the direction of the motion; never 0, for the power's slope.
         loaded = jnp.maximum(jnp.where(motion.v >= 0, z, -z), 1e-9)
-        return (motion.v / jnp.abs(self.angle) * (1.0 - loaded**self.sharpness),)
+        return (motion.v / jnp.abs(self.angle) * (1.0 - loaded ** jnp.abs(self.sharpness)),)
 
 
 class BrakeSlip(JointEffect):

@@ -2,7 +2,9 @@
 
 from ..physics.effect import JointEffect
 from ..physics.motion import Scalar
-from ..physics.parameter import ANGLE, DURATION, RATIO, param
+from ..physics.parameter import ANGLE, DURATION, RATIO, Dimension, param
+
+CURVE = Dimension("1/rad", "1/m", lambda s: 1.0 / s.amplitude)
 
 
 class _SensorEffect(JointEffect):
@@ -52,6 +54,22 @@ class SensorScale(_SensorEffect):
 
     def joint_reading(self, angle):
         return angle * (1.0 + self.error)
+
+
+class SensorCurve(_SensorEffect):
+    """The sensor's scale changes along its range."""
+
+    name = "sensor_curve"
+    title = "Curved sensor"
+    equation = "reading = q + b q^2"
+    looks_like = "swings wider to one side, at twice the share for twice the swing; a shifted mean"
+    source = "nonlinearity of potentiometers and cameras, the first term of its Taylor series"
+    resembles = ("asymmetric_stiffness",)
+
+    curve: Scalar = param("curvature of the reading", CURVE)
+
+    def joint_reading(self, angle):
+        return angle + self.curve * angle**2
 
 
 class SensorDelay(_SensorEffect):

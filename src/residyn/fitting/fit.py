@@ -17,12 +17,12 @@ from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from .covariance import modes_of, numbers_of, spread_of
 from .history import History, Watch, watched
-from .initial_guess import first_guess
-from .integration import TENTH, checked, finer, integration_error, refined
-from .lanes import Fitting, Wanted, alone
-from .least_squares import without_weights
+from .initial_guess import first_guess, resolving
+from .integration import TENTH, at_twice_the_steps, checked, corrected, refined, stable
+from .lanes import Fitting, alone, evaluating
+from .least_squares import Compressed
 from .multistart import Descent, descending, multistart, outliers_among, without_drift
-from .problem import ready
+from .problem import Problem, Unknowns, ready
 from .result import Fit, FitError, RecordingFit
 from .words import warnings_for
 
@@ -127,7 +127,15 @@ def fitting(
             outliers, memory = outliers_among(here, [r.angle for r in here.recordings]), None
         progress(f"fitting from {starts} start{'s' * (starts > 1)}")
         again = base if effects else None
-        descent = yield from multistart(here, again, outliers, starts, progress, (numbers, memory))
+        guess = numbers, memory
+        try:
+            descent = yield from multistart(here, again, outliers, starts, progress, guess)
+        except FitError:
+            finer = stable(here, resolving(here, numbers))
+            if finer is None:
+                raise
+            progress("fitting with steps that are short enough")
+            descent = yield from multistart(finer, again, outliers, starts, progress, guess)
     else:
         from .genetic import drawn
 
@@ -176,14 +184,23 @@ def finishing(
     start: np.ndarray,
     descent: Descent,
     began: float,
-    error: Callable[[], float] | None = None,
     search: Callable[..., Any] | None = None,
+    evaluate: Callable[[Problem, Unknowns], Compressed] | None = None,
+    correct: bool = True,
 ) -> Fitting[Fit]:
-    """What a fit returns, from where a descent ended; `start` (P,) is where it began, and `error`
-    awaits its integration error, if that has begun. Initial states of check recordings are found by
-    `search`, as in `descending`."""
+    """What a fit returns, from where a descent ended; `start` (P,) is where it began. The error of
+    the integration is taken from its numbers, unless they are no minimum (`correct`). Initial
+    states of check recordings are found by `search`, as in `descending`; `evaluate` gives residual
+    and Jacobian, if not the program of the descents."""
+
+    def evaluated(problem: Problem, y: Unknowns) -> Fitting[Compressed]:
+        return (yield from evaluating(problem, y)) if evaluate is None else evaluate(problem, y)
+
     recordings = experiment.fit_recordings
-    error = error or (yield from _integration_error(recordings, descent))
+    if correct:
+        descent, error = yield from corrected(descent, recordings, evaluated)
+    else:
+        _, error = yield from at_twice_the_steps(descent, recordings, evaluated)
     model, fitted = descent.model, descent.beside(recordings)
     unknown = len(start) + sum(f.state.size for f in fitted)
     readings = sum(int(f.used.sum()) for f in fitted)
@@ -206,7 +223,7 @@ def finishing(
         converged=descent.converged,
         reason=_reason(descent.converged),
         steps=descent.steps,
-        integration_error=error(),
+        integration_error=error,
         seconds=time.perf_counter() - began,
         warnings=(),
         integration_steps=int(descent.problem.steps),
@@ -215,21 +232,6 @@ def finishing(
         ready=descent.here,
     )
     return result.saying(warnings_for(result, spread.open_groups))
-
-
-def _integration_error(recordings, descent: Descent) -> Fitting[Callable[[], float]]:
-    """What awaits the integration error, whose evaluation begins here."""
-    problem, whole = descent.problem, np.asarray(1.0)
-    blind = without_weights(finer(problem, recordings))
-    ((_, other, *_),) = yield [Wanted(blind, descent.unknowns, whole, whole)]
-    return integration_error(
-        problem,
-        descent.unknowns,
-        np.asarray(descent.compressed.predicted),
-        recordings,
-        descent.outliers,
-        lambda *_: other.predicted,
-    )
 
 
 def _held_out(

@@ -26,9 +26,8 @@ from .evolution import evolve
 from .fit import DEFAULT_STARTS, finish
 from .history import History, relative_error, watching
 from .initial_guess import first_guess, resolving
-from .integration import integration_error
 from .least_squares import Compressed, compressed
-from .linalg import reduced
+from .linalg import BLIND, damped_step
 from .multistart import Descent, outliers_among
 from .problem import Problem, Ready, Unknowns, ready
 from .result import Fit, FitError
@@ -271,16 +270,9 @@ def concluded(
     if not np.isfinite(cost):
         raise FitError("no individual led to finite numbers: is this the arm that was recorded?")
     descent = Descent(here, problem, outliers, at, squeezed, cost, steps, settled, 1, 1)
-    error = integration_error(
-        problem, at, squeezed.predicted, here.recordings, outliers, _predicted_at
-    )
-    fit = finish(experiment, found.first, descent, began, error)
+    fit = finish(experiment, found.first, descent, began, evaluate=compressed, correct=False)
     fit = dataclasses.replace(fit, reason=reason, history=found.history)
     return fit.saying((*fit.warnings, *_far(fit, squeezed, np.asarray(problem.scale.numbers))))
-
-
-def _predicted_at(problem: Problem, y: Unknowns) -> np.ndarray:
-    return np.asarray(compressed(problem, y).predicted)  # compiled already
 
 
 def search_of(here: Ready, outliers: Sequence[np.ndarray], how: Genetic) -> Search:
@@ -368,8 +360,9 @@ def _settled(history: History) -> bool:
 
 def _far(fit: Fit, squeezed: Compressed, sizes: np.ndarray) -> list[str]:
     """How far the least-squares minimum still is, in standard errors, by one Gauss-Newton step."""
-    left, right = reduced(squeezed.factor, squeezed.along, len(sizes))
-    step = np.linalg.lstsq(left, right, rcond=None)[0] * sizes
+    factor = np.asarray(squeezed.factor)
+    slope = np.einsum("rij,ri->rj", factor, squeezed.along)
+    step = damped_step(factor.transpose(0, 2, 1) @ factor, slope, len(sizes), BLIND).numbers * sizes
     std = np.array([n.std for n in fit.numbers])
     far = np.abs(step) / std
     if not far.size or not far.max() > _FAR:

@@ -19,7 +19,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from ..runtime.export_cache import kept
 from .layout import read_of
-from .least_squares import ENDED, Horizon, descended, one_descent, one_start
+from .least_squares import ENDED, Compressed, Horizon, descended, one_descent, one_start
 from .problem import Problem, Unknowns
 
 Result = TypeVar("Result")
@@ -42,6 +42,13 @@ class Wanted(NamedTuple):
 Fitting = Generator[list[Wanted], Sequence[Any], Result]
 """What yields descents of one problem, is sent where they ended (`least_squares.ENDED`, each), and
 returns a result."""
+
+
+def evaluating(problem: Problem, y: Unknowns) -> Fitting[Compressed]:
+    """Residual and Jacobian at these unknowns, by the program of the descents: nothing else need be
+    compiled. To an optimiser for which one sigma is infinite all is small, so it goes nowhere."""
+    ((_, squeezed, *_),) = yield [Wanted(problem, y, np.asarray(1.0), np.asarray(np.inf))]
+    return squeezed
 
 
 def alone(fitting: Fitting[Result]) -> Result:
@@ -115,6 +122,9 @@ def together(fittings: Sequence[Fitting[Result]]) -> list[Result]:
     results: dict[int, Result] = {}
     errors: list[Exception] = []
     answers: dict[int, Sequence[Any] | None] = dict.fromkeys(range(len(fittings)))
+    width = len(jax.devices())
+    while width < len(fittings):  # few widths, few programs
+        width *= 2
     while answers:
         groups: dict[Any, list[tuple[int, Wanted]]] = {}
         for index, answer in answers.items():
@@ -129,7 +139,7 @@ def together(fittings: Sequence[Fitting[Result]]) -> list[Result]:
                     groups.setdefault(_shape(each), []).append((index, each))
         answers = {}
         for group in groups.values():
-            found = _in_lanes([each for _, each in group])
+            found = _in_lanes([each for _, each in group], width)
             for (index, _), each in zip(group, found, strict=True):
                 answers.setdefault(index, []).append(each)  # pyright: ignore
     for error in errors:
@@ -143,18 +153,18 @@ def _shape(wanted: Wanted) -> Any:
     return structure, tuple(x.shape if eqx.is_array(x) else x for x in leaves)
 
 
-def _in_lanes(wanted: list[Wanted]) -> list[Any]:
-    """Descents of one shape, divided among all devices."""
-    devices = jax.devices()
-    width = len(devices)
-    while width < len(wanted):  # few widths, few programs
-        width *= 2
-    filled = [*wanted, *[wanted[-1]] * (width - len(wanted))]
-    arrays, rest = zip(*(eqx.partition(each, eqx.is_array) for each in filled), strict=True)
-    stacked = jax.tree.map(lambda *x: np.stack([np.asarray(each) for each in x]), *arrays)
-    divided = NamedSharding(Mesh(np.asarray(devices), ("fits",)), PartitionSpec("fits"))
-    out = jax.device_get(_descents(jax.device_put(stacked, divided), rest[0]))
-    return [jax.tree.map(lambda x, i=i: x[i], out) for i in range(len(wanted))]
+def _in_lanes(wanted: list[Wanted], width: int) -> list[Any]:
+    """Descents of one shape, `width` at a time, divided among all devices."""
+    divided = NamedSharding(Mesh(np.asarray(jax.devices()), ("fits",)), PartitionSpec("fits"))
+    found = []
+    for first in range(0, len(wanted), width):
+        some = wanted[first : first + width]
+        filled = [*some, *[some[-1]] * (width - len(some))]
+        arrays, rest = zip(*(eqx.partition(each, eqx.is_array) for each in filled), strict=True)
+        stacked = jax.tree.map(lambda *x: np.stack([np.asarray(each) for each in x]), *arrays)
+        out = jax.device_get(_descents(jax.device_put(stacked, divided), rest[0]))
+        found += [jax.tree.map(lambda x, i=i: x[i], out) for i in range(len(some))]
+    return found
 
 
 @eqx.filter_jit

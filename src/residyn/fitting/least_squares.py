@@ -8,7 +8,6 @@ Gauss-Newton matrix. So the optimiser's own algebra costs nothing, and its cost 
 the number of samples.
 """
 
-import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -16,7 +15,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
-import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
@@ -38,7 +36,7 @@ _AT_ONCE = 8  # recordings that a CPU takes together
 STEPS = 20  # of one call: between calls, the search can be ended
 # Steps end when the whitened residual moves by less than this many sigma, in total (sigma of the
 # noise; after the first call, of whatever the model misses the readings by, if that is more) ...
-_RESIDUAL_TOLERANCE = 3e-3
+RESIDUAL_TOLERANCE = 3e-3
 # ... and no unknown by more than this share of its scale.
 _UNKNOWN_TOLERANCE = 1e-5
 
@@ -223,7 +221,7 @@ def _norm(tree) -> Float[Array, ""]:
     """Size of a step for the stopping rule, in units of its own tolerance."""
     if isinstance(tree, _Rows):
         return optx.two_norm(tree.along)
-    return optx.max_norm(tree) * (_RESIDUAL_TOLERANCE / _UNKNOWN_TOLERANCE)
+    return optx.max_norm(tree) * (RESIDUAL_TOLERANCE / _UNKNOWN_TOLERANCE)
 
 
 class Horizon(NamedTuple):
@@ -265,7 +263,7 @@ def _rows_jvp(primals, tangents):
 def solver(y: Unknowns) -> optx.LevenbergMarquardt:
     """Levenberg-Marquardt of unknowns like these, with this module's stopping rule."""
     step = lx.QR() if y.states.shape[0] == 1 else BorderedSolver()
-    return optx.LevenbergMarquardt(0.0, _RESIDUAL_TOLERANCE, _norm, step)
+    return optx.LevenbergMarquardt(0.0, RESIDUAL_TOLERANCE, _norm, step)
 
 
 ENDED = Unknowns(0, 0), Compressed(0, 0, 0, 0), 0, 0, 0  # pyright: ignore[reportArgumentType]
@@ -295,17 +293,3 @@ def descended(horizon: Horizon, y: Unknowns, most: int):
     total = jnp.sum(squeezed.along**2) + jnp.sum(squeezed.beside**2)
     cost = jnp.where(jnp.isfinite(total), total, jnp.inf)
     return solution.value, squeezed, cost, solution.stats["num_steps"], good
-
-
-def without_weights(problem: Problem) -> Problem:
-    """The problem without readings: there is nowhere to descend to, so that a descent evaluates its
-    predictions, once, by the program that is compiled already."""
-    recorded = problem.recorded
-    nothing = dataclasses.replace(recorded, weights=np.zeros(np.shape(recorded.weights)))
-    return dataclasses.replace(problem, recorded=nothing)
-
-
-def predicted_at(problem: Problem, y: Unknowns) -> Float[Array | np.ndarray, "R N n"]:
-    """Readings predicted at these unknowns."""
-    whole = np.asarray(1.0)
-    return one_start(without_weights(problem), y, whole, whole)[1].predicted

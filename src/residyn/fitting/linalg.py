@@ -93,23 +93,16 @@ def _equations(columns: PyTree[Array]) -> Array:
     return jnp.moveaxis(jnp.concatenate(leaves, axis=2), 0, 2)
 
 
-def reduced(factors: Any, right: Any, numbers: int) -> tuple[np.ndarray, np.ndarray]:
-    """Equations (E, P) and right-hand sides (E,) of the P numbers alone, by QR with the states
-    first; from each recording's triangular factor (R, L, L) of J'J and Q'r (R, L)."""
-    factors, right = np.asarray(factors), np.asarray(right)
-    states_first = np.concatenate([np.roll(factors, -numbers, axis=2), right[..., None]], axis=2)
-    below = np.asarray(np.linalg.qr(states_first, mode="r"))[:, -numbers:, -numbers - 1 :]
-    rows = below.reshape(-1, numbers + 1)
-    return rows[:, :-1], rows[:, -1]
-
-
 def information(factors: np.ndarray, numbers: int) -> np.ndarray:
     """(P, P) information J'J on the first P of L unknowns, the rest (states) taken out.
 
     `factors` (R, L, L): each recording's triangular factor of J'J.
     """
-    left, _ = reduced(factors, np.zeros(np.shape(factors)[:2]), numbers)
-    return left.T @ left
+    # QR with the states first leaves, below them, the numbers' information alone.
+    states_first = np.roll(factors, -numbers, axis=2)
+    below = np.asarray(np.linalg.qr(states_first, mode="r"))[:, -numbers:, -numbers:]
+    rows = below.reshape(-1, numbers)
+    return rows.T @ rows
 
 
 class Inverse(NamedTuple):
@@ -129,3 +122,20 @@ def inverse_of(square: np.ndarray) -> Inverse:
     seen = values > BLIND
     part = vectors[:, seen] * size[:, None]
     return Inverse((part / values[seen]) @ part.T, vectors[:, ~seen].T, size)
+
+
+def damped_step(square: np.ndarray, slope: np.ndarray, count: int, damping: float) -> Unknowns:
+    """The Gauss-Newton step from J'J (R, L, L) and J'r (R, L) of R recordings, in NumPy: `count`
+    numbers, shared by all, and each recording's own states, which are eliminated one by one.
+
+    `damping` is added to J'J, relative to its diagonal.
+    """
+    diagonal = np.einsum("rii->ri", square)
+    diagonal = np.where(diagonal > 0, diagonal, 1.0)
+    A = square + damping * diagonal[:, :, None] * np.eye(square.shape[-1])
+    across = np.concatenate([A[:, count:, :count], slope[:, count:, None]], axis=-1)
+    inner = np.linalg.solve(A[:, count:, count:], across)
+    taken = A[:, :count, count:] @ inner
+    H = (A[:, :count, :count] - taken[..., :count]).sum(axis=0)
+    numbers = -np.linalg.solve(H, (slope[:, :count] - taken[..., count]).sum(axis=0))
+    return Unknowns(numbers, -inner[..., count] - inner[..., :count] @ numbers)

@@ -7,7 +7,7 @@ first guesses of the states. A `Fit` carries its problem.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -16,6 +16,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..effects import AbstractEffect, effects_named
+from ..effects.own_numbers import with_own
+from ..errors import InputError, inside, quote
 from ..physics.bearings import AirBearing, without_bearings
 from ..physics.mechanism import AbstractMechanism, ConstantInertia, PlanarArm
 from ..physics.modal import fastest, ringing
@@ -24,6 +26,7 @@ from ..physics.motion import split
 from ..physics.parameter import Scales, all_floating
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
+from ..recordings.segments import by_recording
 from ..recordings.tables import ArmTable
 from ..runtime.export_cache import kept
 from ..simulation.integrator import Integrator, integrator_of
@@ -107,6 +110,8 @@ def mechanism_of(experiment: Experiment, recording: Recording) -> AbstractMechan
             table.coupling,
             recording.theta2,
             [sum(b.joint == where for b in experiment.bearings) for where in ("elbow", "wrist")],
+            recording.load,
+            experiment.run_of(recording),
         )
         if not recording.air_bearings:
             on = [AirBearing(b.joint, b.mass, b.inertia) for b in experiment.bearings]  # pyright: ignore
@@ -116,7 +121,8 @@ def mechanism_of(experiment: Experiment, recording: Recording) -> AbstractMechan
         return all_floating(table)
     matrix = np.array(table.matrix, float)
     matrix[0, 0] += recording.extra_mass
-    return ConstantInertia(matrix, table.joints, table.units)
+    run = experiment.run_of(recording)
+    return ConstantInertia(matrix, table.joints, table.units, recording.load, run)
 
 
 def model_for(mechanism: AbstractMechanism, effects: Sequence[str | AbstractEffect] = ()) -> Model:
@@ -132,6 +138,43 @@ def model_for(mechanism: AbstractMechanism, effects: Sequence[str | AbstractEffe
         for each in named:
             model = model + all_floating(each)
     return model
+
+
+def richest(mechanisms: Sequence[AbstractMechanism]) -> AbstractMechanism:
+    """Of the bodies of several recordings those on which most effects make sense: effects of the
+    bearings, or of a load, go with an experiment if any of its recordings had them."""
+
+    def most(mechanism: AbstractMechanism) -> tuple[float, float]:
+        bearings = float(mechanism.bearings.sum()) if isinstance(mechanism, PlanarArm) else 0.0
+        return bearings, float(getattr(mechanism, "load", 0.0))
+
+    return max(mechanisms, key=most)
+
+
+def with_own_numbers(
+    effects: Iterable[AbstractEffect], experiment: Experiment, mechanism: AbstractMechanism
+) -> tuple[AbstractEffect, ...]:
+    """The effects, with numbers of their own for the recordings that ask for it.
+
+    **Raises:** `ValueError`, in one line, for an effect that does not exist, and where no fitted
+    recording is left for the shared numbers.
+    """
+    if not experiment.own:
+        return tuple(effects)
+    if isinstance(experiment.inertia, AbstractMechanism):
+        raise InputError("own goes with [arm] or [inertia], not with a mechanism of your own")
+    sharing = len(by_recording(experiment.fit_recordings))
+    runs: dict[str, list[tuple[int, str]]] = {}
+    for words, each in experiment.own.items():
+        with inside(f"{each[0][1]}: own"):
+            for effect in effects_named(words, mechanism):
+                runs[effect.label] = [*runs.get(effect.label, []), *each]
+            if len(each) >= sharing:
+                raise InputError(
+                    f"{quote(words)} is in every fitted recording: leave it out of one, which the "
+                    "others are compared with"
+                )
+    return tuple(with_own(e, runs.get(e.label, ())) for e in effects)
 
 
 class Ready(NamedTuple):
@@ -256,11 +299,9 @@ def ready(
 ) -> Ready:
     """Make recordings of an experiment ready to fit."""
     mechanisms = tuple(mechanism_of(experiment, r) for r in recordings)
-    # Effects of the bearings go with the experiment if any of its recordings had them on.
-    richest = max(
-        mechanisms, key=lambda m: float(m.bearings.sum()) if isinstance(m, PlanarArm) else 0.0
-    )
-    model = posed(model_for(richest, effects), mechanisms[0])
+    most = richest(mechanisms)
+    shared = model_for(most, effects).effects
+    model = Model(mechanisms[0], with_own_numbers(shared, experiment, most))
     integrator = integrator_of(experiment.integrator)
     if integrator is not None:
         integrator.check(model)

@@ -40,6 +40,9 @@ class PlanarArm(AbstractMechanism):
     - `theta2`: elbow angle at rest, rad.
     - `bearings`: how many air bearings ride on the elbow and how many on the wrist (the end of
       link 2). Their mass is in the inertias already; this says where they slide.
+    - `load`: what presses a load-dependent friction, N.
+    - `run`: which run of the rig this is, for numbers that one run has for itself: 1, 2, ...; 0
+      for those that share all numbers.
     """
 
     link_lengths: Float[Array, " 2"]
@@ -48,6 +51,8 @@ class PlanarArm(AbstractMechanism):
     coupling: Float[Array, ""]
     theta2: Float[Array, ""]
     bearings: Float[Array, " 2"]
+    load: Float[Array, ""]
+    run: Float[Array, ""]
     joints: tuple[str, ...] = eqx.field(static=True)
     units: tuple[str, ...] | None = eqx.field(static=True)
 
@@ -59,6 +64,8 @@ class PlanarArm(AbstractMechanism):
         coupling: ArrayLike,
         theta2: ArrayLike = 0.0,
         bearings: ArrayLike | Sequence[float] = (0.0, 0.0),
+        load: ArrayLike = 0.0,
+        run: ArrayLike = 0.0,
     ):
         self.link_lengths = floating(link_lengths)
         self.shoulder = floating(shoulder)
@@ -66,6 +73,7 @@ class PlanarArm(AbstractMechanism):
         self.coupling = floating(coupling)
         self.theta2 = floating(theta2)
         self.bearings = floating(bearings)
+        self.load, self.run = floating(load), floating(run)
         self.joints, self.units = ("shoulder", "elbow"), ("rad", "rad")
 
     def mass_matrix(self, q):
@@ -96,14 +104,18 @@ class ConstantInertia(AbstractMechanism):
     - `matrix`: kg m^2, or kg for sliding joints; (n, n), symmetric, positive definite.
     - `joints`: one name per coordinate; "q1", "q2", ... if not given.
     - `units`: "rad" or "m" per joint, or None if not known.
+    - `load`, `run`: as of a `PlanarArm`.
     """
 
     matrix: Float[Array, "n n"] = eqx.field(converter=floating)
+    load: Float[Array, ""]
+    run: Float[Array, ""]
     joints: tuple[str, ...] = eqx.field(static=True)
     units: tuple[str, ...] | None = eqx.field(static=True)
 
-    def __init__(self, matrix, joints=None, units=None):
+    def __init__(self, matrix, joints=None, units=None, load=0.0, run=0.0):
         self.matrix = jnp.atleast_2d(floating(matrix))
+        self.load, self.run = floating(load), floating(run)
         n = self.matrix.shape[-1]
         self.joints = tuple(joints) if joints is not None else tuple(f"q{i + 1}" for i in range(n))
         self.units = tuple(units) if units is not None else None

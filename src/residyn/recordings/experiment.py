@@ -19,6 +19,7 @@ from ..physics.mechanism import AbstractMechanism
 from ..simulation.integrator import integrator_of
 from .columns import Joints, Layout
 from .formats import has_markers, read_table
+from .limits import Limits
 from .motion_capture.angles import read as read_markers
 from .recording import Recording
 from .sanity import not_free
@@ -38,12 +39,17 @@ class Experiment:
     path: str = ""
     integrator: Any = None
     """What integrates in every fit: a `residyn.Integrator` or what makes one; None: fixed steps."""
+    limits: Limits | None = None
+    """Within which the next tests may be planned (`residyn.plan`)."""
 
     def __post_init__(self):
         object.__setattr__(self, "integrator", integrator_of(self.integrator))
         object.__setattr__(self, "recordings", tuple(self.recordings))
         object.__setattr__(self, "bearings", tuple(self.bearings))
         check_bearings(self.inertia, self.bearings)
+        if self.limits is not None:
+            arm = isinstance(self.inertia, ArmTable)
+            self.limits.check(self.joints, arm, bool(self.bearings))
         for recording in self.recordings:
             if recording.joints != len(self.joints):
                 raise InputError(
@@ -72,10 +78,31 @@ class Experiment:
         return tuple(r for r in self.recordings if r.role == "check")
 
     @property
+    def own(self) -> dict[str, tuple[tuple[int, str], ...]]:
+        """Effect (`name:place`) -> the runs, (number, name), that have its numbers for themselves.
+
+        A run's number is 1, 2, ... among the recordings that have anything of their own.
+        """
+        found: dict[str, list[tuple[int, str]]] = {}
+        for number, name in enumerate(self._runs, 1):
+            for label in self._runs[name]:
+                found.setdefault(label, []).append((number, name))
+        return {label: tuple(runs) for label, runs in found.items()}
+
+    def run_of(self, recording: Recording) -> int:
+        """The number of a recording's run; 0 if it has nothing of its own."""
+        name = (recording.segment_of or recording).name
+        return 1 + list(self._runs).index(name) if name in self._runs else 0
+
+    @property
+    def _runs(self) -> dict[str, tuple[str, ...]]:
+        return {(r.segment_of or r).name: r.own for r in self.recordings if r.own}
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """What is doubtful in the recordings, and in their fitting together."""
         own = [line for recording in self.recordings for line in recording.warnings]
-        return (*own, *_in_degrees(self), *_not_held_out(self))
+        return (*own, *_in_degrees(self), *_not_held_out(self), *_no_load(self))
 
 
 def load(path: str | os.PathLike[str]) -> Experiment:
@@ -115,6 +142,7 @@ def from_text(text: str, folder: Path, where: str, path: str = "") -> Experiment
             contents.bearings,
             path,
             contents.integrator,
+            contents.limits,
         )
 
 
@@ -201,3 +229,14 @@ def _not_held_out(experiment: Experiment) -> list[str]:
                     f'{check.name}: {len(i)} of its samples have role = "check" and are fitted too'
                 )
     return doubts
+
+
+def _no_load(experiment: Experiment) -> list[str]:
+    """Where some recordings state what presses their friction, and others do not."""
+    seen = by_recording(experiment.recordings)
+    stated = [r.name for r, _ in seen if r.load > 0]
+    return [
+        f"{r.name}: load is not given, as it is for {stated[0]}; 0 N is taken"
+        for r, _ in seen
+        if stated and not r.load > 0
+    ]

@@ -23,7 +23,7 @@ from .noise import noise_and_doubts
 from .release import window
 from .resampling import decimated, evenly_sampled
 from .rest import SWINGS, rest_angles, swings
-from .toml import check_role
+from .toml import check_own, check_role
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +50,10 @@ class Recording:
     """Whether the bearings were on."""
     extra_mass: float = 0.0
     """Load on the first coordinate, kg (constant inertia only)."""
+    load: float = 0.0
+    """What presses a load-dependent friction, N."""
+    own: tuple[str, ...] = ()
+    """Effects, `name:place`, whose numbers this recording has for itself."""
     warnings: tuple[str, ...] = ()
     """What is doubtful, a line each that names the recording."""
     segment_of: "Recording | None" = None
@@ -72,6 +76,8 @@ class Recording:
         stop: float | None = None,
         air_bearings: bool = True,
         extra_mass: float = 0.0,
+        load: float = 0.0,
+        own: Iterable[str] = (),
         rest: Any = None,
     ) -> "Recording":
         """Check a recording, cut it from `start` to `stop`, estimate its noise if not given.
@@ -126,6 +132,8 @@ class Recording:
                 role=check_role(role),
                 air_bearings=flag("air_bearings", air_bearings),
                 extra_mass=number("extra_mass", extra_mass, "kg", least=0),
+                load=number("load", load, "N", least=0),
+                own=check_own(own, role),
                 warnings=tuple(f"{name}: {warning}" for warning in [*warnings, *doubts]),
                 understood=understood,
             )

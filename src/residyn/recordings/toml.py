@@ -14,13 +14,16 @@ from typing import Any
 
 from ..errors import InputError, flag, inside, quote
 from ..simulation.integrator import Integrator
+from .limits import KEYS as LIMITS
+from .limits import Limits
 from .tables import ArmTable, Bearing, InertiaTable, check_bearings
 
 ROLES = ("fit", "check", "inertia")
 
 _KEYS = {
-    "": ("arm", "inertia", "air_bearings", "recordings", "integrator"),
+    "": ("arm", "inertia", "air_bearings", "recordings", "integrator", "limits"),
     "integrator": ("solver", "rtol", "atol"),
+    "limits": LIMITS,
     "arm": ("link_lengths", "shoulder", "elbow", "coupling"),
     "inertia": ("joints", "matrix", "units"),
     "air_bearings": ("joint", "mass", "inertia"),
@@ -38,6 +41,8 @@ _KEYS = {
         "role",
         "air_bearings",
         "extra_mass",
+        "load",
+        "own",
         "markers",
         "normal",
     ),
@@ -52,6 +57,7 @@ class Contents:
     bearings: tuple[Bearing, ...]
     recordings: tuple[dict[str, Any], ...]
     integrator: Integrator | None = None
+    limits: Limits | None = None
 
 
 def parse(text: str, where: str) -> Contents:
@@ -80,7 +86,8 @@ def parse(text: str, where: str) -> Contents:
                     f"[[recordings]] {i + 1}: air_bearings = false, but there is no "
                     "[[air_bearings]] table to say what was taken off"
                 )
-        return Contents(inertia, bearings, tuple(recordings), _integrator(tables))
+        limits = _limits(tables, inertia, bearings)
+        return Contents(inertia, bearings, tuple(recordings), _integrator(tables), limits)
 
 
 def _tables(text: str) -> dict[str, Any]:
@@ -164,6 +171,16 @@ def _integrator(tables: Mapping[str, Any]) -> Integrator | None:
         return Integrator(**keys)
 
 
+def _limits(tables: Mapping[str, Any], inertia, bearings: tuple[Bearing, ...]) -> Limits | None:
+    if "limits" not in tables:
+        return None
+    keys = _one(tables, "limits")
+    with inside("[limits]"):
+        found = Limits(**keys)
+        found.check(inertia.joints, isinstance(inertia, ArmTable), bool(bearings))
+        return found
+
+
 def _bearings(entries: Iterable[dict[str, Any]]) -> Iterable[Bearing]:
     for i, entry in enumerate(entries):
         with inside(f"[[air_bearings]] {i + 1}"):
@@ -196,3 +213,17 @@ def check_role(role: Any) -> str:
         known = " or ".join(quote(name) for name in ROLES)
         raise InputError(f"role = {quote(role)}: must be {known}{hint}")
     return role
+
+
+def check_own(own: Any, role: str) -> tuple[str, ...]:
+    """`own`, if it is a list of effects, and the recording is one that tells their numbers."""
+    if not isinstance(own, list | tuple) or not all(isinstance(x, str) for x in own):
+        raise InputError(
+            f'own = {quote(own)}: must be a list of effects, as ["coulomb_friction:elbow"]'
+        )
+    if own and role != "fit":
+        raise InputError(
+            f"own = {quote(list(own))}: with role = {quote(role)} nothing tells its own numbers; "
+            "leave own out"
+        )
+    return tuple(own)

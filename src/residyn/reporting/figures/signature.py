@@ -67,7 +67,7 @@ def signature(name: str, *, narrow: bool = False) -> Figure:
 
 def _motions(name: str):
     """(t, readings with, readings without, and of the former angle, rate and missing torque)."""
-    arm = PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.3, bearings=[1, 1])
+    arm = PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.3, bearings=[1, 1], load=1.5)
     base = Model(arm)
     for joint, k in zip(arm.joints, (16.67, 16.67), strict=True):
         for label, value in ((f"spring:{joint}", k), (f"damper:{joint}", 0.05)):

@@ -1,0 +1,166 @@
+"""Several runs of one rig: what a recording states of itself, and numbers that it has alone."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import residyn
+from residyn.errors import InputError
+from residyn.physics.mechanism import ConstantInertia
+from residyn.recordings.recording import Recording
+from residyn.recordings.tables import InertiaTable
+
+MASS, STIFFNESS, DAMPING, FRICTION, COEFFICIENT = 1.5, 200.0, 0.4, 0.2, 0.03
+NOISE = 2e-5
+TABLE = InertiaTable(("cart",), ((MASS,),), ("m",))
+
+
+def release(load=0.0, friction=FRICTION, seed=0, rate=100.0, **more):
+    """A cart pulled 0.1 m and let go; its friction, and what its load adds to it."""
+    with jax.enable_x64(True):
+        cart = ConstantInertia([[MASS]], ["cart"], ["m"], load=load)
+        model = cart + residyn.Spring("cart", STIFFNESS) + residyn.Damper("cart", DAMPING)
+        model = model + residyn.CoulombFriction("cart", friction)
+        model = model + residyn.LoadFriction("cart", COEFFICIENT)
+        t = np.arange(0.0, 5.0, 1 / rate)
+        q = np.asarray(residyn.simulate(model, t, [0.1], steps=2000).q)
+    noise = NOISE * np.random.default_rng(seed).standard_normal(q.shape)
+    return Recording.from_arrays(t, q + noise, noise=NOISE, name=f"run{seed}", load=load, **more)
+
+
+def number(fit, name):
+    return next(n for n in fit.numbers if n.name == name)
+
+
+def test_friction_of_a_load_is_told_from_friction_without_one():
+    runs = release(2.0, seed=1), release(12.0, seed=2), release(6.0, seed=3, role="check")
+    fit = residyn.fit(
+        residyn.Experiment(TABLE, runs), effects=["coulomb_friction", "load_friction"]
+    )
+    for name, true in (
+        ("coulomb_friction:cart.torque", FRICTION),
+        ("load_friction:cart.coefficient", COEFFICIENT),
+        ("damper:cart.damping", DAMPING),
+    ):
+        found = number(fit, name)
+        assert abs(found.value - true) < 4 * found.std, name
+    assert fit.check_rmse is not None
+    assert fit.check_rmse[0] < 1.2 * NOISE  # under a load that was never fitted
+
+
+def test_friction_of_a_load_decays_as_its_closed_form_says():
+    """Without a damper the amplitude falls by 4 mu N / k every cycle."""
+    with jax.enable_x64(True):
+        cart = ConstantInertia([[MASS]], ["cart"], ["m"], load=10.0)
+        model = cart + residyn.Spring("cart", STIFFNESS) + residyn.LoadFriction("cart", COEFFICIENT)
+        cycle = 2 * np.pi * np.sqrt(MASS / STIFFNESS)
+        q = np.asarray(residyn.simulate(model, [0.0, cycle, 2 * cycle], [0.1], steps=400).q)[:, 0]
+    np.testing.assert_allclose(np.diff(q), -4 * COEFFICIENT * 10.0 / STIFFNESS, rtol=1e-4)
+
+
+def test_friction_of_a_load_is_offered_only_where_a_load_is_stated():
+    with pytest.raises(ValueError, match=r"load_friction .* no recording states a load"):
+        residyn.fit(residyn.Experiment(TABLE, (release(),)), effects=["load_friction"])
+
+
+def test_a_load_that_some_recordings_lack_is_said():
+    warnings = residyn.Experiment(TABLE, (release(3.0, seed=1), release(seed=2))).warnings
+    assert "run2: load is not given, as it is for run1; 0 N is taken" in warnings
+
+
+def test_a_run_has_numbers_of_its_own():
+    """Runs of other friction and other sampling; what they share is found from both."""
+    runs = (
+        release(seed=1),
+        release(friction=0.35, seed=2, rate=60.0, own=["coulomb_friction:cart"]),
+    )
+    experiment = residyn.Experiment(TABLE, runs)
+    fit = residyn.fit(experiment, effects=["coulomb_friction"])
+    assert 0.9 < fit.reduced_chi2 < 1.1
+    for name, true in (
+        ("coulomb_friction:cart.torque", FRICTION),
+        ("coulomb_friction:cart.torque (run2)", 0.35),
+        ("spring:cart.stiffness", STIFFNESS),
+    ):
+        found = number(fit, name)
+        assert abs(found.value - true) < 4 * found.std, name
+    base = residyn.fit(experiment)  # what is not in the model needs no numbers
+    assert [n.name for n in base.numbers] == ["spring:cart.stiffness", "damper:cart.damping"]
+
+
+@pytest.mark.parametrize(
+    ("effect", "label", "fields"),
+    [
+        ("stribeck_friction", "stribeck_friction:cart", 3),
+        ("hysteresis", "hysteresis:cart", 3),
+        ("sensor_offset:cart", "sensor_offset:cart", 1),
+        ("brake_slip", "brake_slip:cart", 2),
+    ],
+)
+def test_an_effect_with_own_numbers_is_that_effect_at_those_numbers(effect, label, fields):
+    from residyn.effects import effects_named
+    from residyn.effects.own_numbers import with_own
+    from residyn.physics.motion import Motion
+    from residyn.physics.parameter import parameters_of
+
+    with jax.enable_x64(True):
+        cart = ConstantInertia([[MASS]], ["cart"], ["m"])
+        (plain,) = effects_named(effect, cart)
+        own = with_own(plain, ((1, "one"), (2, "two")))
+        assert own.label == label
+        assert len(parameters_of(own)) == 3 * fields
+        values = {p.field: 0.3 + 0.1 * i for i, p in enumerate(parameters_of(own))}
+        own = dataclasses.replace(own, **values)
+        motion = Motion.at(0.0, [0.2], [0.5], [0.1] * len(own.memory))._replace(turn=(0.2,))
+        for run in (0, 1, 2):
+            at = dataclasses.replace(
+                plain,
+                **{
+                    p.field: values[p.field + (f"_{run}" if run else "")]
+                    for p in parameters_of(plain)
+                },
+            )
+            here = ConstantInertia([[MASS]], ["cart"], ["m"], run=run)
+            assert own.torque(motion, here) == at.torque(motion, here)
+            assert own.rate(motion, here) == at.rate(motion, here)
+            assert own.follow(motion, here) == at.follow(motion, here)
+            assert own.delays(here) == at.delays(here)
+            angles = (jnp.asarray([0.2]),)
+            assert own.reading(angles, here) == at.reading(angles, here)
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ('own = "spring:cart"', r'a.csv: own = "spring:cart": must be a list of effects'),
+        ('own = ["spring:cart"]\nrole = "check"', r'role = "check" nothing tells its own numbers'),
+        ("load = -1", r"a.csv: load = -1: must be"),
+    ],
+)
+def test_bad_keys_are_told_in_one_line(tmp_path, keys, says):
+    run = release()
+    rows = np.column_stack([run.time, run.angle])
+    for name in ("a.csv", "b.csv"):
+        np.savetxt(tmp_path / name, rows, delimiter=",", header="t,q1", comments="")
+    (tmp_path / "x.toml").write_text(
+        '[inertia]\njoints = ["cart"]\nunits = ["m"]\nmatrix = [[1.5]]\n'
+        '[[recordings]]\nfile = "b.csv"\n'
+        f'[[recordings]]\nfile = "a.csv"\n{keys}\n'
+    )
+    with pytest.raises(InputError, match=says):
+        residyn.load(tmp_path / "x.toml")
+
+
+def test_own_must_leave_one_recording_to_compare_with():
+    runs = [release(seed=i, own=["damper:cart"]) for i in (1, 2)]
+    with pytest.raises(InputError, match=r'run1: own: "damper:cart" is in every fitted recording'):
+        residyn.fit(residyn.Experiment(TABLE, tuple(runs)))
+
+
+def test_own_names_an_effect_that_exists():
+    runs = release(seed=1), release(seed=2, own=["dampr:cart"])
+    with pytest.raises(ValueError, match=r'there is no effect "dampr"; did you mean "damper"'):
+        residyn.fit(residyn.Experiment(TABLE, runs))
