@@ -28,6 +28,7 @@ from ..filtering.law import numbers_of
 from ..filtering.trajectory import Scene
 from ..physics.modal import modes
 from ..recordings.experiment import Experiment
+from ..runtime.presentation import Result
 from .columns import Column, Columns, candidates, strengths
 from .evidence import (
     INDISTINGUISHABLE,
@@ -75,7 +76,7 @@ class Detectable:
 
 
 @dataclass(frozen=True)
-class Atlas:
+class Atlas(Result):
     """What an arm, its noise and a length of recording can show. Print it; or `to_dict()`."""
 
     effects: tuple[Detectable, ...]
@@ -94,11 +95,6 @@ class Atlas:
             "duration": self.duration,
             "effects": [e.to_dict() for e in self.effects],
         }
-
-    def __str__(self) -> str:
-        from ..reporting.detectable import lines
-
-        return "\n".join(lines(self))
 
 
 def detectable(experiment: Experiment, *, effects: Sequence[str | AbstractEffect] = ()) -> Atlas:
@@ -124,7 +120,7 @@ def detectable(experiment: Experiment, *, effects: Sequence[str | AbstractEffect
         known = candidates(scene, tuple(e.label for e in base))
         # A disturbance may have any frequency: one well above all modes stands for them.
         columns = Columns(scene, model.best, known, [1.5 * float(np.nanmax(ringing))])
-        _, gram = columns.gram(0.0)
+        _, (gram,) = columns.gram([0.0])
     _, rest = conditional(gram, len(model.best.u))
     rivals = Rivals(columns.rows, rest[1:, 1:])
     price = log_prior_model(0, len(known)) - log_prior_model(1, len(known))

@@ -15,10 +15,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..fitting.least_squares import Compressed, Polished, over_recordings, predict, whiten
+from ..fitting.least_squares import (
+    RUNAWAY,
+    Compressed,
+    Polished,
+    over_recordings,
+    predict,
+    whiten,
+)
 from ..fitting.linalg import damped_step
 from ..fitting.problem import Problem, Ready, Unknowns, reweighted, tight
-from ..fitting.result import Fit, RecordingFit
+from ..fitting.result import Fit, FitError, RecordingFit
 from ..runtime.export_cache import kept
 
 # A direction of the tangent this much shorter than the longest is rounding, or undetermined.
@@ -70,6 +77,8 @@ def minimum(problem: Problem, at: Unknowns, size: float = 1.0, most: int = _STEP
     One compiled program evaluates predictions and slopes; what is linear is done here. Where the
     motion has kinks no step is small enough to end by itself: there the descent ends when even a
     short step gains nothing.
+
+    **Raises:** `FitError` where the motion runs away from the beginning.
     """
     problem = tight(problem)
     moves = np.asarray(problem.active) > 0
@@ -82,16 +91,21 @@ def minimum(problem: Problem, at: Unknowns, size: float = 1.0, most: int = _STEP
         R, own = len(slopes), np.asarray(at.states)
         J = slopes * np.asarray(problem.recorded.weights)[..., None]
         J = np.concatenate([J[..., :P] * moves, J[..., P:]], -1).reshape(R, -1, P + S)
-        square = J.transpose(0, 2, 1) @ J + np.diag(known)
-        slope = np.einsum("rml,rm->rl", J, residual.reshape(R, -1))
+        with np.errstate(over="ignore", invalid="ignore"):  # of a motion that runs away
+            square = J.transpose(0, 2, 1) @ J + np.diag(known)
+            slope = np.einsum("rml,rm->rl", J, residual.reshape(R, -1))
         slope[:, P:] += known[P:] * own
         cost = float(np.sum(residual**2) + np.sum((known[P:] * own) ** 2))
-        cost = cost if np.isfinite(cost) else np.inf
+        # Unknowns of order one that move readings by 10^50 sigma are those of a chaotic motion.
+        sane = np.isfinite(cost) and np.abs(residual).max() < RUNAWAY and np.abs(J).max() < 1e50
+        cost = cost if sane else np.inf
         return Minimum(at, predicted, slopes, residual, cost, steps, False, square, slope)
 
     here = evaluated(Unknowns(np.asarray(at.numbers, float), np.asarray(at.states, float)), 0)
+    if here.cost == np.inf:
+        raise FitError("the motion runs away")
     damping, steps, converged = _DAMPING[0], 0, False
-    while steps < most and damping <= _DAMPING[1] and not converged and here.cost < np.inf:
+    while steps < most and damping <= _DAMPING[1] and not converged:
         numbers, states = damped_step(here.square, here.slope, P, damping)
         numbers, steps = numbers * moves, steps + 1
         there = evaluated(Unknowns(here.at.numbers + numbers, here.at.states + states), steps)
@@ -103,8 +117,7 @@ def minimum(problem: Problem, at: Unknowns, size: float = 1.0, most: int = _STEP
         size_of = np.einsum("ra,rab,rb->", step, here.square, step)
         converged = min(gain, size_of) < (_SETTLED * size) ** 2
         damping, here = max(0.1 * damping, _DAMPING[0]), there
-    done = converged or damping > _DAMPING[1]
-    return here._replace(steps=steps, converged=done and here.cost < np.inf)
+    return here._replace(steps=steps, converged=converged or damping > _DAMPING[1])
 
 
 def polish(problem: Problem, starts: Unknowns, shares: Sequence[float], hopeless=None) -> Polished:
@@ -154,8 +167,11 @@ class LinearisedFit(NamedTuple):
         """
         dropped = [~(np.isfinite(r.recording.angle) & k[:, None]) for k, r in self._pairs(kept)]
         size = max(1.0, float(np.sqrt(self.fit.reduced_chi2)))
-        found = minimum(reweighted(self.problem, dropped), self.at, size)
-        return found.at, found.converged and bool(np.isfinite(found.cost))
+        try:
+            found = minimum(reweighted(self.problem, dropped), self.at, size)
+        except FitError:
+            return self.at, False
+        return found.at, found.converged
 
     def look(self, at: Unknowns) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Predictions (N, n), rad or m, and their slopes (N, n, L) in each recording's L unknowns:

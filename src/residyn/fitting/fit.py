@@ -24,7 +24,6 @@ from .least_squares import Compressed
 from .multistart import Descent, descending, multistart, outliers_among, without_drift
 from .problem import Problem, Unknowns, ready
 from .result import Fit, FitError, RecordingFit
-from .words import warnings_for
 
 DEFAULT_STARTS = 6
 
@@ -151,13 +150,9 @@ def fitting(
         progress("fitting again with shorter integration steps")
         again = yield from _refined(descent, found.integration_error)
         if again is not None:
-            words = (
-                f"the usual {found.integration_steps} integration steps left an error of "
-                f"{found.integration_error:.2g} times the noise: the fit went on with "
-                f"{int(again.problem.steps)}"
-            )
+            usual = found.integration_steps, found.integration_error
             found = yield from finishing(experiment, numbers[0], again, began)
-            found = found.saying((*found.warnings, words))
+            found = dataclasses.replace(found, shortened=usual)
     return found
 
 
@@ -210,7 +205,7 @@ def finishing(
     sizes = np.asarray(descent.problem.scale.numbers)
     spread = spread_of(np.asarray(descent.compressed.factor), sizes, max(1.0, chi2))
     held_out = yield from _held_out(experiment, model, descent, search)
-    result = Fit(
+    return Fit(
         experiment=experiment,
         model=model,
         numbers=numbers_of(model, start, spread),
@@ -225,13 +220,12 @@ def finishing(
         steps=descent.steps,
         integration_error=error,
         seconds=time.perf_counter() - began,
-        warnings=(),
+        open_groups=spread.open_groups,
         integration_steps=int(descent.problem.steps),
         problem=descent.problem,
         unknowns=descent.unknowns,
         ready=descent.here,
     )
-    return result.saying(warnings_for(result, spread.open_groups))
 
 
 def _held_out(

@@ -29,6 +29,7 @@ from ..physics.modal import fastest
 from ..physics.model import Model
 from ..recordings.recording import Recording
 from ..simulation.integrator import Integrator
+from .history import watching
 from .lanes import Fitting, evaluating
 from .layout import drives
 from .least_squares import RESIDUAL_TOLERANCE, Compressed, over_recordings, predict
@@ -60,6 +61,9 @@ def corrected(
     other minimum. `evaluate` gives residual and Jacobian of a problem."""
     problem, y = descent.problem, descent.unknowns
     fine, error = yield from at_twice_the_steps(descent, recordings, evaluate)
+    watch = watching()
+    if watch is not None:
+        watch.descended(problem, y, 2)
     if not error <= TENTH:  # not small: shorter steps are called for
         return descent, error
     factor, count, n = np.asarray(fine.factor), y.numbers.shape[0], fine.predicted.shape[-1]
@@ -74,6 +78,8 @@ def corrected(
         return descent, error
     there = Unknowns(y.numbers + step.numbers, y.states + step.states)
     found = jax.device_get((yield from evaluate(problem, there)))
+    if watch is not None:
+        watch.descended(problem, there, 1)
     cost = float(np.sum(found.along**2) + np.sum(found.beside**2))
     return descent._replace(unknowns=there, compressed=found, cost=cost), error
 
@@ -88,7 +94,7 @@ def at_twice_the_steps(
     fine, own = finer(descent.problem, recordings), np.asarray(descent.compressed.predicted)
     angles = np.zeros(np.shape(fine.recorded.angles))
     angles[:, : own.shape[1]] = own
-    fine = eqx.tree_at(lambda p: p.recorded.angles, fine, angles)
+    fine = dataclasses.replace(fine, recorded=dataclasses.replace(fine.recorded, angles=angles))
     found = jax.device_get((yield from evaluate(fine, descent.unknowns)))
     return found, rms_over_noise(found.predicted, descent.beside(recordings))
 
