@@ -22,7 +22,7 @@ from .integration import TENTH, at_twice_the_steps, checked, corrected, refined,
 from .lanes import Fitting, alone, evaluating
 from .least_squares import Compressed
 from .multistart import Descent, descending, multistart, outliers_among, without_drift
-from .problem import Problem, Unknowns, ready
+from .problem import Problem, Unknowns, mechanism_of, posed, ready
 from .result import Fit, FitError, RecordingFit
 
 DEFAULT_STARTS = 6
@@ -232,16 +232,16 @@ def _held_out(
     experiment: Experiment, model: Model, descent: Descent, search: Callable[..., Any] | None
 ) -> Fitting[list[RecordingFit]]:
     """Check recordings beside the fitted model: only their initial states are fitted."""
-    # The effects themselves, not their names: bare recordings know no effect of bearings by name.
-    effects = [e for e in model.effects if e.name not in ("spring", "damper")]
     group, found = len(descent.outliers), []
     numbers = np.asarray(model.vector())[None]
     for first in range(0, len(experiment.check_recordings), group):
         # As many at a time as were fitted, so that no other program need be compiled.
         some = experiment.check_recordings[first : first + group]
         filled = [*some, *[some[-1]] * (group - len(some))]
-        here = ready(experiment, filled, effects)._replace(finer=descent.here.finer)
-        begin = here.model.with_vector(model.vector())
+        mechanisms = tuple(mechanism_of(experiment, r) for r in filled)
+        # The same effects, also where bare recordings know none of bearings.
+        begin = posed(model, mechanisms[0])
+        here = descent.here._replace(model=begin, recordings=tuple(filled), mechanisms=mechanisms)
         outliers = outliers_among(here, [r.angle for r in here.recordings])
         like = descent.problem
         end = yield from descending(here, begin, numbers, outliers, like=like, search=search)
