@@ -17,6 +17,7 @@ from .diagnosis import Diagnosis as Diagnosis
 from .diagnosis import compare as compare
 from .diagnosis import diagnose as diagnose
 from .effects import CATALOGUE as CATALOGUE
+from .effects import AirDrag as AirDrag
 from .effects import AsymmetricDamping as AsymmetricDamping
 from .effects import AsymmetricStiffness as AsymmetricStiffness
 from .effects import BearingDrag as BearingDrag
