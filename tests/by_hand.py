@@ -5,6 +5,7 @@ import numpy as np
 
 from residyn.diagnosis import Comparison, Curve, Missing, MissingTorque
 from residyn.diagnosis.forecast import Ahead, Error, HeldOut, Horizon
+from residyn.diagnosis.planned import Outcome, Test
 from residyn.diagnosis.residuals import Cell, Part, Where
 from residyn.diagnosis.result import (
     Budget,
@@ -12,7 +13,6 @@ from residyn.diagnosis.result import (
     Diagnosis,
     Family,
     ModelState,
-    NextExperiment,
     RandomTorque,
     Value,
 )
@@ -187,10 +187,27 @@ FAMILIES = (
     Family("dry friction", "elbow", 0.99, ((FOUND, 0.93), (RIVAL, 0.06))),
     Family("hysteresis", "elbow", 0.004, (("hysteresis:elbow", 0.004),)),
 )
-NEXT = NextExperiment(
-    (FOUND, RIVAL), {"shoulder": 0.3, "elbow": -0.1}, 0.3, True, None, 12.3, 2.0,
-    "A release from 0.30 rad at the shoulder would tell them apart.",
-)  # fmt: skip
+NEXT = Test(
+    release={"shoulder": 0.3, "elbow": -0.1},
+    units=("rad", "rad"),
+    theta2=0.3,
+    air_bearings=True,
+    extra_mass=None,
+    drive=None,
+    duration=20.0,
+    entropy=0.01,
+    probability_right=0.998,
+    between=((FOUND,), (RIVAL,)),
+    difference=12.3,
+    now=2.0,
+    joint="elbow",
+    time=3.2,
+    outcomes=(
+        Outcome((FOUND,), 0.1, 0.001, 0.998),
+        Outcome((RIVAL,), 0.08, 0.001, 0.997),
+    ),
+    helps=True,
+)
 
 
 def a_diagnosis(verdict, ladder, **changed):

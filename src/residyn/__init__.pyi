@@ -12,10 +12,14 @@ from . import recordings as recordings
 from . import reporting as reporting
 from . import runtime as runtime
 from . import simulation as simulation
+from .diagnosis import Atlas as Atlas
 from .diagnosis import Comparison as Comparison
 from .diagnosis import Diagnosis as Diagnosis
+from .diagnosis import Plan as Plan
 from .diagnosis import compare as compare
+from .diagnosis import detectable as detectable
 from .diagnosis import diagnose as diagnose
+from .diagnosis import plan as plan
 from .effects import CATALOGUE as CATALOGUE
 from .effects import AirDrag as AirDrag
 from .effects import AsymmetricDamping as AsymmetricDamping
@@ -84,6 +88,7 @@ from .procedure import unload as unload
 from .recordings.csv import write_csv as write_csv
 from .recordings.experiment import Experiment as Experiment
 from .recordings.experiment import load as load
+from .recordings.limits import Limits as Limits
 from .recordings.recording import Recording as Recording
 from .runtime.settings import set_up as set_up
 from .simulation.integrator import Integrator as Integrator

@@ -17,6 +17,7 @@ from . import (
     _explore,
     _fit,
     _inertia,
+    _plan,
     _race,
     _simulate,
     _unload,
@@ -52,6 +53,7 @@ def residyn(
 app.command("fit")(_fit.fit)
 app.command("compare")(_compare.compare)
 app.command("diagnose")(_diagnose.diagnose)
+app.command("plan")(_plan.plan)
 app.command("explore")(_explore.explore)
 app.command("inertia")(_inertia.inertia)
 app.command("unload")(_unload.unload)

@@ -11,8 +11,8 @@ import typer
 from ..errors import InputError, inside
 from ..files import write
 from . import _options
-from ._experiment import bring
-from ._shell import console, progress
+from ._experiment import bring, in_one_line, input_files, load
+from ._shell import Outputs, console, progress, set_up_jax
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -40,9 +40,27 @@ def effects(
             show_default=False,
         ),
     ] = None,
+    experiment: Annotated[
+        str | None,
+        typer.Option(
+            "--detectable",
+            metavar="EXPERIMENT",
+            help="From which strength each effect would show in recordings like these, and be told "
+            "from its rivals.",
+            show_default=False,
+        ),
+    ] = None,
     own: _options.Effects = None,
+    json: _options.Json = None,
+    no_cache: _options.NoCache = False,
 ) -> None:
-    """The catalogue of effects, or one of them in full."""
+    """The catalogue of effects, one of them in full, or what an experiment could show of them."""
+    if experiment is not None:
+        if name is not None or plot is not None:
+            raise InputError("--detectable EXPERIMENT is about all effects: leave the rest out")
+        return _detectable(experiment, own, json, no_cache)
+    if json is not None:
+        raise InputError("--json goes with --detectable EXPERIMENT")
     if plot is not None and name is None:
         raise InputError("--plot draws one effect: residyn effects NAME --plot FILE")
     bring(own)
@@ -71,6 +89,22 @@ def effects(
         _stacked(out, kinds)
     if out.is_terminal:
         out.print("spring and damper are in every model; --with NAME adds another")
+
+
+def _detectable(experiment: str, own: list[str] | None, json: str | None, no_cache: bool) -> None:
+    out = Outputs(json, None)
+    set_up_jax(not no_cache)
+    bring(own)
+    loaded = load(experiment)
+    out.spare(input_files(experiment, loaded))
+    with progress() as say:
+        say("smoothing the motion")
+        from ..diagnosis.detectable import detectable
+
+        with in_one_line():
+            found = detectable(loaded)
+    out.words.print(str(found), soft_wrap=True)
+    out.write_json(found.to_dict())
 
 
 def _draw(name: str, file: str) -> None:

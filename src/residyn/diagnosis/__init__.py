@@ -3,9 +3,13 @@
 from .compare import Comparison as Comparison
 from .compare import compare as compare
 from .compare import compare_fit as compare_fit
+from .detectable import Atlas as Atlas
+from .detectable import detectable as detectable
 from .diagnose import diagnose as diagnose
 from .missing_torque import Curve as Curve
 from .missing_torque import Missing as Missing
 from .missing_torque import MissingTorque as MissingTorque
 from .missing_torque import missing_torque as missing_torque
+from .plan import plan as plan
+from .planned import Plan as Plan
 from .result import Diagnosis as Diagnosis

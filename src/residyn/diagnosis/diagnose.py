@@ -23,16 +23,15 @@ from ..fitting import DEFAULT_STARTS, FitError, fit
 from ..fitting.descent import descend
 from ..fitting.drifting import without_drift
 from ..fitting.fit import finish
-from ..fitting.integration import integration_error
 from ..fitting.result import Fit
 from ..fitting.setup import ready
 from ..physics.motion import Motion
 from ..recordings.experiment import Experiment
 from ..runtime.parallel import side_by_side
+from .candidate_tests import best_tests, in_play
 from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES
-from .experiment_design import advise
 from .forecast import held_out
-from .linearised_fit import LinearisedFit, polish, predicted_at
+from .linearised_fit import LinearisedFit, evaluated, polish
 from .missing_torque import missing_of, scene_of
 from .result import (
     Budget,
@@ -40,7 +39,6 @@ from .result import (
     Diagnosis,
     Family,
     ModelState,
-    NextExperiment,
     RandomTorque,
     Value,
     Verdict,
@@ -132,13 +130,7 @@ class Fits:
             found = descend(
                 here, begin, t.numbers[None], wild, quiet, near=states[None], search=polish
             )
-            numbers = found.problem.numbers(found.unknowns)
-            model = here.model.with_vector(jnp.asarray(numbers))
-            predicted = np.asarray(found.compressed.predicted)
-            error = integration_error(
-                found.problem, found.unknowns, predicted, here.recordings, found.wild, predicted_at
-            )
-            return finish(self.experiment, model, t.numbers, found, began, error, polish)
+            return finish(self.experiment, t.numbers, found, began, polish, evaluated)
         except FitError:
             lost = tried.intensity >= EXPLAINS_NOTHING  # no start is better than another one
             return fit(self.experiment, effects=own, starts=1 if lost else self.starts)
@@ -195,7 +187,8 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
     advice = None
     if lookalikes:
         say("looking for the experiment that would tell them apart")
-        advice = _advice(search, best, fits, lookalikes)
+        rivals, p, _ = in_play(posterior.models, posterior.each)
+        advice = next(iter(best_tests(fits.whole, scene, rivals, p).tests), None)
     drawn = [best] if best.added else []
     shown = [(search.tried.get(frozenset([x]), best), x) for x in best.added]
     rivals = [
@@ -379,17 +372,3 @@ def _spring_rms(scene: Scene, t: Trajectory, real: np.ndarray) -> np.ndarray:
             j = scene.joint_of(effect)
             rms[j] = abs(t.numbers[own][0]) * np.sqrt(np.mean(t.path[real, j] ** 2))
     return rms
-
-
-def _advice(search: Search, best: Tried, fits: Fits, groups) -> NextExperiment | None:
-    """The release that would tell the first accepted name from its likeliest rival."""
-    for group in groups:
-        accepted, rival = group[0], group[1]
-        rest = frozenset(best.added) - {accepted}
-        other = search.tried[rest | {rival}]
-        kinds = {e.name: e for e in search.candidates}
-        a, b = (kinds[x.partition(":")[0]] for x in (accepted, rival))
-        if a.extends == b.name or b.extends == a.name:
-            continue  # a law that contains the other one can always mimic it
-        return advise(fits.experiment, fits.of(best), fits.of(other), (accepted, rival))
-    return None

@@ -59,6 +59,17 @@ model in a thousand is doubted."""
 EXPLAINS_NOTHING = 0.3
 """Random torque from which springs and dampers are no model of the motion at all: it then does as
 much as a third of the spring."""
+IN_PLAY = 0.01
+"""Probability from which a model counts when the next test is planned: what all the rarer ones may
+add to an entropy is less than what the draws leave of it open."""
+MOST_IN_PLAY = 6
+"""But no more than so many models: each is integrated through every test."""
+RELEASE_ERROR = 0.1
+"""Standard deviation of the state at release of a test that is planned, as a share of the angles:
+hands and stops are right to a tenth. It is far above the noise, so that only its order matters."""
+WORTHWHILE = 0.1
+"""Share of the entropy from which an expected fall is worth a test; less is within what the
+first-order predictions of it are wrong by."""
 # ---------------------------------------------------------------------------------------------
 
 

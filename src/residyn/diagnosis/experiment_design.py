@@ -1,173 +1,174 @@
-"""What to record next, when two names explain a recording as well.
+"""What a test is worth before it is made: the expected fall of the entropy over models.
 
-Each is let predict releases that were never made: other angles, another elbow, without bearings,
-with a load. Where the predictions part by more than the noise, after the rival has bent its numbers
-as far as the present recordings let it, there is the experiment to make.
+Models m with posterior p_m. Under m, the readings of a test, in units of the noise, are to first
+order
+
+    y = mean_m + A_m a + B_m b + e,        a, b, e ~ N(0, 1):
+
+A_m holds what the recordings so far leave open of the model's numbers (slopes times the root of
+their posterior covariance), B_m what is not known of the test itself (the state at release), e the
+noise. So y given m is normal with covariance V_m = 1 + U_m U_m', U = [A B]. The information that
+the test is expected to give is the fall of Shannon's entropy H (Lindley, Annals of Mathematical
+Statistics 27, 1956; for models: Box and Hill, Technometrics 9, 1967),
+
+    I = H(p) - sum over m of p_m E[ H(p(.|y)) | m ],        p(m'|y) ~ p_m' N(y; mean_m', V_m').
+
+With two models of equal V it is an integral over one number: the log Bayes factor given m is normal
+with mean d^2/2 and variance d^2, where d^2 = (mean_1 - mean_2)' V^-1 (mean_1 - mean_2) is the
+squared separation after the rival has bent its numbers as far as it may. For more models it is a
+mean over draws. They need few dimensions: all that tells the models apart lies in the span of the
+columns U of all models and of the differences of their means, and noise beside it is common to all.
+
+Tests that follow each other share a, and have a b each.
 """
 
-import dataclasses
-import itertools
-import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike
+from scipy.special import logsumexp
 
-from ..fitting.layout import bucket
-from ..fitting.problem import posed
-from ..fitting.result import Fit
-from ..fitting.setup import Ready, mechanism_of
-from ..physics.model import Model
-from ..recordings.experiment import Experiment
-from ..recordings.recording import Recording
-from ..recordings.tables import ArmTable, InertiaTable
-from ..reporting.numbers import amount, plain
-from ..simulation.interpolation import read
-from ..simulation.simulate import march
-from .result import NextExperiment
-
-_SAMPLES = 256
-_STEP = 0.3  # of an integration step, times the fastest angular frequency
-_ELBOWS = (0.0, 0.25, 0.5, 0.75)  # of pi, tried on either side
-_SIZES = (0.5, 1.0, 2.0)  # times the present release
-_LOADS = (0.5, 1.0, 2.0)  # times the first coordinate's own inertia
+DRAWS = 400
+"""Of the readings, for each model: the expected entropy of two models is then known to 0.02."""
 
 
-class Scene(NamedTuple):
-    """An experiment that could be made."""
+class Predicted(NamedTuple):
+    """What a model says of a test's N readings, in units of the noise."""
 
-    recording: Recording
+    mean: np.ndarray
+    """(N,)"""
+    numbers: np.ndarray
+    """(N, P) by what is not known of its numbers, each scaled to a unit normal."""
     release: np.ndarray
+    """(N, S) by what is not known of the test, likewise."""
 
 
-def advise(
-    experiment: Experiment, accepted: Fit, rival: Fit, names: tuple[str, str]
-) -> NextExperiment:
-    """The release that tells two fitted models apart best."""
-    first = accepted.recordings[0]
-    scenes = _scenes(experiment, first.recording, first.state[: len(experiment.joints)])
-    mechanisms = [mechanism_of(experiment, s.recording) for s in scenes]
-    ready = Ready(accepted.model, (first.recording,), tuple(mechanisms))
-    fast = max(ready.frequency(f.model) for f in (accepted, rival))
-    duration = first.recording.duration
-    steps = bucket(max(16, math.ceil(duration * fast / _STEP)))
-    readings = int(first.used.sum())
-    weight = np.sqrt(readings / (_SAMPLES * len(experiment.joints))) / first.recording.noise
-    stacked = jax.tree.map(lambda *x: jnp.stack(x), *mechanisms)
-    releases = jnp.asarray(np.stack([s.release for s in scenes]))
-    times = jnp.linspace(0.0, duration, _SAMPLES)
-    one = _predict(accepted.model, stacked, releases, times, steps)
-    other, slopes = _sloped(rival.model, stacked, releases, times, steps)
-    known = np.linalg.pinv(np.where(np.isfinite(rival.covariance), rival.covariance, 0.0))
-    apart = []
-    for a, b, slope in zip(*jax.device_get((one, other, slopes)), strict=True):
-        d = ((a - b) * weight).reshape(-1)
-        j = (slope * weight[:, None]).reshape(len(d), -1)
-        if not (np.isfinite(d).all() and np.isfinite(j).all()):
-            apart.append(0.0)
-            continue
-        bend = np.linalg.lstsq(j.T @ j + known, j.T @ d, rcond=1e-12)[0]
-        apart.append(math.sqrt(max(0.0, float(d @ d - (j.T @ d) @ bend))))
-    best = int(np.argmax(apart))
-    now = math.sqrt(abs(_chi2(rival) - _chi2(accepted)))
-    return _told(experiment, scenes[best], names, apart[best], now)
+class Worth(NamedTuple):
+    """What some tests together are expected to tell."""
+
+    entropy: float
+    """Nats, expected after them."""
+    right: float
+    """Expected probability of the likeliest model after them, which is the chance that it is the
+    right one."""
+    each: np.ndarray
+    """(M,) expected probability of each model, if it is the right one."""
+    separation: float
+    """Expected log Bayes factor of the right model against the others (Box and Hill's measure)."""
+    variance: float
+    """Expected variance of a quantity; NaN if none was given."""
 
 
-def _chi2(fitted: Fit) -> float:
-    """Squared residuals of the fitted recordings in units of the noise."""
-    return sum(
-        float(np.sum((np.where(r.used, r.residual, 0.0) / r.recording.noise) ** 2))
-        for r in fitted.recordings
-        if r.recording.role != "check"
-    )
+class Quantity(NamedTuple):
+    """Something that is wanted of each model, linear in its numbers."""
+
+    mean: np.ndarray
+    """(M,)"""
+    slopes: Sequence[np.ndarray]
+    """(P,) of each model, in the units of `Predicted.numbers`."""
+    rest: np.ndarray
+    """(M,) variance that no test reduces."""
 
 
-def _scenes(experiment: Experiment, like: Recording, state: np.ndarray) -> list[Scene]:
-    """Releases from rest around the one that was made."""
-    size = np.maximum(np.abs(state), 0.3 * np.max(np.abs(state)))
-    table = experiment.inertia
-    patterns = [np.ones(1)] if len(size) == 1 else [
-        np.array(p) for p in ((1.0, 1.0), (1.0, -1.0), (1.0, 0.0), (0.0, 1.0))
-    ]  # fmt: skip
-    patterns = patterns if len(size) <= 2 else [np.ones(len(size))]
-    releases = [s * p * size for s, p in itertools.product(_SIZES, patterns)]
-    changes: list[dict] = [{}]
-    if isinstance(table, ArmTable):
-        sign = math.copysign(1.0, like.theta2 or 1.0)
-        changes += [{"theta2": sign * e * math.pi} for e in _ELBOWS]
-        if experiment.bearings:
-            changes.append({"air_bearings": not like.air_bearings})
-    elif isinstance(table, InertiaTable):
-        own = float(np.asarray(table.matrix)[0][0])
-        changes += [{"extra_mass": like.extra_mass + x * own} for x in _LOADS]
+def entropy(probability: np.ndarray) -> np.ndarray:
+    """Shannon's, nats, over the last axis."""
+    p = np.asarray(probability)
+    return -np.sum(p * np.log(np.maximum(p, 1e-300)), axis=-1)
+
+
+def _normalised(probability: ArrayLike) -> np.ndarray:
+    p = np.asarray(probability, float)
+    return p / p.sum()
+
+
+def reduced(test: Sequence[Predicted]) -> list[Predicted]:
+    """A test in as few dimensions as all its models need: the same for `worth`."""
+    origin = test[0].mean
+    columns = [np.column_stack([x.mean - origin, x.numbers, x.release]) for x in test]
+    sizes = np.cumsum([c.shape[1] for c in columns])[:-1]
+    together = np.concatenate(columns, axis=1)
+    if len(together) > together.shape[1]:  # only lengths and angles between columns matter
+        values, vectors = np.linalg.eigh(together.T @ together)
+        together = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    found = []
+    for own, like in zip(np.split(together, sizes, axis=1), test, strict=True):
+        many = 1 + like.numbers.shape[1]
+        found.append(Predicted(own[:, 0], own[:, 1:many], own[:, many:]))
+    return found
+
+
+def together(tests: Sequence[Sequence[Predicted]]) -> list[Predicted]:
+    """Several tests as one: numbers are the same in all, releases are not."""
     return [
-        Scene(dataclasses.replace(like, **change), release)
-        for change, release in itertools.product(changes, releases)
+        Predicted(
+            np.concatenate([x.mean for x in each]),
+            np.concatenate([x.numbers for x in each]),
+            np.asarray(scipy.linalg.block_diag(*(x.release for x in each))),
+        )
+        for each in zip(*tests, strict=True)
     ]
 
 
-@eqx.filter_jit
-def _predict(model: Model, mechanisms, releases, times, steps: int):
-    def one(mechanism, release):
-        return _readings(posed(model, mechanism), release, times, steps)
+def worth(
+    test: Sequence[Predicted],
+    probability: ArrayLike,
+    quantity: Quantity | None = None,
+    draws: int = DRAWS,
+) -> Worth:
+    """What a test is expected to tell of models with these probabilities (M,).
 
-    return jax.lax.map(lambda x: one(*x), (mechanisms, releases))
-
-
-@eqx.filter_jit
-def _sloped(model: Model, mechanisms, releases, times, steps: int):
-    def one(mechanism, release):
-        def at(vector):
-            found = _readings(posed(model.with_vector(vector), mechanism), release, times, steps)
-            return found, found
-
-        slopes, found = jax.jacfwd(at, has_aux=True)(model.vector())
-        return found, slopes
-
-    return jax.lax.map(lambda x: one(*x), (mechanisms, releases))
-
-
-def _readings(model: Model, release, times, steps: int):
-    nodes = march(model, times[0], times[-1], release, 0.0 * release, steps=steps)
-    return read(model, nodes, times).readings
-
-
-def _told(
-    experiment: Experiment, scene: Scene, names: tuple[str, str], apart: float, now: float
-) -> NextExperiment:
-    units = experiment.units or ("rad",) * len(experiment.joints)
-    release = dict(zip(experiment.joints, map(float, scene.release), strict=True))
-    angles = " and ".join(
-        f"the {joint} at {amount(x, unit, 3)}"
-        for (joint, x), unit in zip(release.items(), units, strict=True)
-    )
-    r, arm = scene.recording, isinstance(experiment.inertia, ArmTable)
-    setting = f"with the elbow at {plain(r.theta2 or 0.0, 3)} rad, " if arm else ""
-    if arm and experiment.bearings:
-        setting += "on the air bearings, " if r.air_bearings else "without the air bearings, "
-    if not arm and r.extra_mass:
-        setting += f"with {plain(r.extra_mass, 3)} kg of load, "
-    if apart >= 5.0:
-        words = (
-            f"To tell {names[0]} from {names[1]}, release {setting}{angles}: their predictions "
-            f"then differ by {plain(apart, 2)} standard errors of all readings together, where "
-            f"now it is {plain(now, 2)}."
+    Exact for models that are linear in their numbers, but for the finite number of draws; these are
+    the same for all tests.
+    """
+    test, p = reduced(test), _normalised(probability)
+    rng, D = np.random.default_rng(0), len(test[0].mean)
+    columns = [np.column_stack([x.numbers, x.release]) for x in test]
+    inner = [np.eye(u.shape[1]) + u.T @ u for u in columns]
+    factors = [np.linalg.cholesky(x) for x in inner]
+    halves = np.array([np.log(np.diag(f)).sum() for f in factors])
+    noise = rng.standard_normal((draws // 2, D))
+    noise = np.concatenate([noise, -noise])
+    expected = np.zeros(3)
+    each, variance = np.zeros(len(p)), 0.0
+    for m, truth in enumerate(test):
+        own = rng.standard_normal((draws // 2, columns[m].shape[1]))
+        y = truth.mean + np.concatenate([own, -own]) @ columns[m].T + noise
+        logs, values = np.zeros((len(p), draws)), np.zeros((len(p), draws))
+        spreads = np.zeros(len(p))
+        for k, (model, u, factor) in enumerate(zip(test, columns, factors, strict=True)):
+            left = y - model.mean
+            t = np.linalg.solve(factor, u.T @ left.T)
+            logs[k] = 0.5 * ((t**2).sum(0) - (left**2).sum(1)) - halves[k]
+            if quantity is not None:
+                g = np.zeros(u.shape[1])
+                g[: len(quantity.slopes[k])] = quantity.slopes[k]
+                by = np.linalg.solve(factor, g)
+                values[k] = quantity.mean[k] + by @ t
+                spreads[k] = by @ by + quantity.rest[k]
+        weighted = logs + np.log(np.maximum(p, 1e-300))[:, None]
+        after = np.exp(weighted - logsumexp(weighted, axis=0))
+        others = np.delete(weighted, m, axis=0)
+        factor_of_truth = 0.0
+        if len(p) > 1 and p[m] < 1:
+            factor_of_truth = np.mean(logs[m] - logsumexp(others, axis=0)) + np.log(1 - p[m])
+        each[m] = after[m].mean()
+        expected += p[m] * np.array(
+            [entropy(after.T).mean(), after.max(axis=0).mean(), factor_of_truth]
         )
-    else:
-        words = (
-            f"No release that was tried (other angles, elbow angles, bearings or loads) would tell "
-            f"{names[0]} from {names[1]}: at best they differ by {plain(apart, 2)} standard errors "
-            "of all readings together."
-        )
-    return NextExperiment(
-        between=names,
-        release=release,
-        theta2=None if not arm else float(r.theta2 or 0.0),
-        air_bearings=bool(r.air_bearings) if arm and experiment.bearings else None,
-        extra_mass=None if arm else float(r.extra_mass),
-        difference=apart,
-        now=now,
-        words=words,
-    )
+        if quantity is not None:
+            mean = (after * values).sum(0)
+            second = (after * (values**2 + spreads[:, None])).sum(0)
+            variance += p[m] * float(np.mean(second - mean**2))
+    told = float("nan") if quantity is None else variance
+    return Worth(float(expected[0]), float(expected[1]), each, float(expected[2]), told)
+
+
+def variance_now(probability: ArrayLike, quantity: Quantity) -> tuple[float, float, float]:
+    """Variance of a quantity before any test, by where it comes from: which model it is, the
+    models' numbers, and the rest (law of total variance)."""
+    p = _normalised(probability)
+    between = float(p @ (quantity.mean - p @ quantity.mean) ** 2)
+    numbers = float(p @ np.array([s @ s for s in quantity.slopes]))
+    return between, numbers, float(p @ quantity.rest)

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..fitting.least_squares import Polished
+from ..fitting.linalg import damped_step
 from ..fitting.problem import Compressed, Problem, Unknowns, over_recordings, predict, tight, whiten
 from ..fitting.result import Fit, RecordingFit
 from ..fitting.setup import Ready, mechanism_of, reweighted
@@ -63,9 +64,9 @@ class Minimum(NamedTuple):
         return Compressed(*map(jnp.asarray, found))
 
 
-def minimum(problem: Problem, at: Unknowns, size: float = 1.0) -> Minimum:
-    """Levenberg and Marquardt's descent from unknowns that are near already; `size` is the least
-    rms residual to expect, in sigma.
+def minimum(problem: Problem, at: Unknowns, size: float = 1.0, most: int = _STEPS) -> Minimum:
+    """Levenberg and Marquardt's descent from unknowns that are near already, in `most` steps;
+    `size` is the least rms residual to expect, in sigma.
 
     One compiled program evaluates predictions and slopes; what is linear is done here. Where the
     motion has kinks no step is small enough to end by itself: there the descent ends when even a
@@ -91,8 +92,8 @@ def minimum(problem: Problem, at: Unknowns, size: float = 1.0) -> Minimum:
 
     here = evaluated(Unknowns(np.asarray(at.numbers, float), np.asarray(at.states, float)), 0)
     damping, steps, converged = _DAMPING[0], 0, False
-    while steps < _STEPS and damping <= _DAMPING[1] and not converged and here.cost < np.inf:
-        numbers, states = _step(here.square, here.slope, P, damping)
+    while steps < most and damping <= _DAMPING[1] and not converged and here.cost < np.inf:
+        numbers, states = damped_step(here.square, here.slope, P, damping)
         numbers, steps = numbers * moves, steps + 1
         there = evaluated(Unknowns(here.at.numbers + numbers, here.at.states + states), steps)
         gain = here.cost - there.cost
@@ -120,20 +121,6 @@ def polish(problem: Problem, starts: Unknowns, shares: Sequence[float], hopeless
         at, steps = found.at, steps + found.steps
     assert found is not None
     return Polished(at, found.compressed(), found.cost, steps, found.converged, 1)
-
-
-def _step(square: np.ndarray, slope: np.ndarray, P: int, damping: float):
-    """A damped Gauss-Newton step of the numbers (P,) and of the states (R, S), which are eliminated
-    recording by recording."""
-    diagonal = np.einsum("rii->ri", square)
-    diagonal = np.where(diagonal > 0, diagonal, 1.0)
-    A = square + damping * diagonal[:, :, None] * np.eye(square.shape[-1])
-    across = np.concatenate([A[:, P:, :P], slope[:, P:, None]], axis=-1)
-    inner = np.linalg.solve(A[:, P:, P:], across)
-    taken = A[:, :P, P:] @ inner
-    H = (A[:, :P, :P] - taken[..., :P]).sum(axis=0)
-    numbers = -np.linalg.solve(H, (slope[:, :P] - taken[..., P]).sum(axis=0))
-    return numbers, -inner[..., P] - inner[..., :P] @ numbers
 
 
 class LinearisedFit(NamedTuple):
@@ -226,9 +213,9 @@ def _look(problem: Problem, y: Unknowns):
     return each(problem.recorded, problem.scale.states, y.states)
 
 
-def predicted_at(problem: Problem, y: Unknowns) -> np.ndarray:
-    """(R, N, n) readings predicted at these unknowns."""
-    return np.asarray(_look(tight(problem), y)[0])
+def evaluated(problem: Problem, y: Unknowns) -> Compressed:
+    """Residual and Jacobian at these unknowns."""
+    return minimum(problem, y, most=0).compressed()
 
 
 class Tangent(NamedTuple):

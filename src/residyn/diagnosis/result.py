@@ -15,6 +15,7 @@ from ..fitting.result import Fit
 from .compare import Comparison, compare_fit
 from .forecast import HeldOut
 from .missing_torque import Missing
+from .planned import Test
 from .residuals import number
 from .search import Search
 
@@ -155,42 +156,6 @@ class Budget:
     """Why the search ended before nothing more could be gained: "budget" or "interrupted"."""
 
 
-@dataclass(frozen=True)
-class NextExperiment:
-    """The recording that would tell two names apart."""
-
-    between: tuple[str, str]
-    """The accepted name, and its rival."""
-    release: dict[str, float]
-    """Angle (rad or m) of each joint at release, at rest."""
-    theta2: float | None
-    """Elbow angle at rest, rad; None where there is no arm."""
-    air_bearings: bool | None
-    """Whether the bearings are on; None where there are none."""
-    extra_mass: float | None
-    """Load on the first coordinate, kg; None where that is not a choice."""
-    difference: float
-    """The rivals' predictions then differ by this many standard errors of all readings together,
-    after the rival has adjusted its numbers as far as it may."""
-    now: float
-    """The same for the recordings that there are."""
-    words: str
-    """All this, in a sentence or two."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """The JSON of `next_experiment`."""
-        return {
-            "between": list(self.between),
-            "release": dict(self.release),
-            "theta2": self.theta2,
-            "air_bearings": self.air_bearings,
-            "extra_mass": self.extra_mass,
-            "difference_over_noise": number(self.difference),
-            "difference_over_noise_now": number(self.now),
-            "words": self.words,
-        }
-
-
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """Which physical effect is missing. Print it; or `to_dict()` for the JSON."""
@@ -206,7 +171,8 @@ class Diagnosis:
     """The likeliest first."""
     lookalikes: tuple[tuple[str, ...], ...]
     """Groups that these recordings cannot tell apart, the accepted name first."""
-    next_experiment: NextExperiment | None
+    next_experiment: Test | None
+    """What would tell look-alikes apart: the first line of `plan`; None where there are none."""
     missing: tuple[Missing, ...]
     """The torque that the base model lacks, one per fitted recording."""
     still_missing: tuple[Missing, ...]

@@ -19,6 +19,7 @@ from ..physics.mechanism import AbstractMechanism
 from ..simulation.integrator import integrator_of
 from .columns import Joints, Layout
 from .formats import has_markers, read_table
+from .limits import Limits
 from .motion_capture.angles import read as read_markers
 from .recording import Recording
 from .sanity import not_free
@@ -38,12 +39,17 @@ class Experiment:
     path: str = ""
     integrator: Any = None
     """What integrates in every fit: a `residyn.Integrator` or what makes one; None: fixed steps."""
+    limits: Limits | None = None
+    """Within which the next tests may be planned (`residyn.plan`)."""
 
     def __post_init__(self):
         object.__setattr__(self, "integrator", integrator_of(self.integrator))
         object.__setattr__(self, "recordings", tuple(self.recordings))
         object.__setattr__(self, "bearings", tuple(self.bearings))
         check_bearings(self.inertia, self.bearings)
+        if self.limits is not None:
+            arm = isinstance(self.inertia, ArmTable)
+            self.limits.check(self.joints, arm, bool(self.bearings))
         for recording in self.recordings:
             if recording.joints != len(self.joints):
                 raise InputError(
@@ -136,6 +142,7 @@ def from_text(text: str, folder: Path, where: str, path: str = "") -> Experiment
             contents.bearings,
             path,
             contents.integrator,
+            contents.limits,
         )
 
 

@@ -14,13 +14,16 @@ from typing import Any
 
 from ..errors import InputError, flag, inside, quote
 from ..simulation.integrator import Integrator
+from .limits import KEYS as LIMITS
+from .limits import Limits
 from .tables import ArmTable, Bearing, InertiaTable, check_bearings
 
 ROLES = ("fit", "check", "inertia")
 
 _KEYS = {
-    "": ("arm", "inertia", "air_bearings", "recordings", "integrator"),
+    "": ("arm", "inertia", "air_bearings", "recordings", "integrator", "limits"),
     "integrator": ("solver", "rtol", "atol"),
+    "limits": LIMITS,
     "arm": ("link_lengths", "shoulder", "elbow", "coupling"),
     "inertia": ("joints", "matrix", "units"),
     "air_bearings": ("joint", "mass", "inertia"),
@@ -54,6 +57,7 @@ class Contents:
     bearings: tuple[Bearing, ...]
     recordings: tuple[dict[str, Any], ...]
     integrator: Integrator | None = None
+    limits: Limits | None = None
 
 
 def parse(text: str, where: str) -> Contents:
@@ -82,7 +86,8 @@ def parse(text: str, where: str) -> Contents:
                     f"[[recordings]] {i + 1}: air_bearings = false, but there is no "
                     "[[air_bearings]] table to say what was taken off"
                 )
-        return Contents(inertia, bearings, tuple(recordings), _integrator(tables))
+        limits = _limits(tables, inertia, bearings)
+        return Contents(inertia, bearings, tuple(recordings), _integrator(tables), limits)
 
 
 def _tables(text: str) -> dict[str, Any]:
@@ -164,6 +169,16 @@ def _integrator(tables: Mapping[str, Any]) -> Integrator | None:
             have = f"solver = {quote(keys['solver'])}" if "solver" in keys else "solver is missing"
             raise InputError(f'{have}: must be the name of a solver, such as "Tsit5"')
         return Integrator(**keys)
+
+
+def _limits(tables: Mapping[str, Any], inertia, bearings: tuple[Bearing, ...]) -> Limits | None:
+    if "limits" not in tables:
+        return None
+    keys = _one(tables, "limits")
+    with inside("[limits]"):
+        found = Limits(**keys)
+        found.check(inertia.joints, isinstance(inertia, ArmTable), bool(bearings))
+        return found
 
 
 def _bearings(entries: Iterable[dict[str, Any]]) -> Iterable[Bearing]:

@@ -12,6 +12,7 @@ from .diagnosis_text import accepted, advice, alike, unnamed
 from .failing import clearest, failing
 from .numbers import amount, plain
 from .picture import picture
+from .plan import outcomes
 from .words import (
     at_place,
     listed,
@@ -75,6 +76,7 @@ def diagnosed(found: Diagnosis) -> dict[str, Any]:
         "remainder": [_remainder(r) for r in found.random_torque],
         "alike": [alike(group, found.fit.joints) for group in found.lookalikes if len(group) > 1],
         "next": advice(found),
+        "outcomes": None if found.next_experiment is None else outcomes(found.next_experiment),
         "left": failing(found.comparison, ()),
         "budget": found.budget,
     }

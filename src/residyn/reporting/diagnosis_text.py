@@ -491,10 +491,7 @@ def advice(found: "Diagnosis") -> str:
     """What to record next, with effects in words; empty if nothing is advised."""
     if found.next_experiment is None:
         return ""
-    words = found.next_experiment.words
-    for label in found.next_experiment.between:
-        words = words.replace(label, lower(at_place(label, found.fit.joints)))
-    return words
+    return found.next_experiment.words
 
 
 def next_experiment(found: "Diagnosis") -> list[str]:

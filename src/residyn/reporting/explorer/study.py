@@ -274,11 +274,10 @@ class Study:
                      (1.0,))  # fmt: skip
         if not np.isfinite(out.cost):
             raise FitError("with these numbers the motion runs away")
-        model = begin.with_vector(jnp.asarray(problem.numbers(out.unknowns)))
         descent = Descent(
             problem, wild, out.unknowns, out.compressed, out.cost, out.steps, out.converged, 1, 1
         )
-        return finish(experiment, model, start, descent, began)
+        return finish(experiment, start, descent, began)
 
     # -- the search ---------------------------------------------------------------------------
 

@@ -1,0 +1,387 @@
+"""Which of the tests that a rig allows tells most, from the predictions of the models in play.
+
+Every model predicts every test, with slopes in its numbers and in the state at release. What the
+recordings leave open of the numbers is their posterior covariance; what a test is then worth is
+`experiment_design.worth`. More than one test is planned greedily: each is the best beside those
+before it.
+"""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..filtering.trajectory import Scene, Trajectory
+from ..fitting.layout import bucket
+from ..fitting.problem import posed
+from ..fitting.setup import mechanism_of
+from ..physics.modal import fastest, modes
+from ..physics.model import Model
+from ..recordings.experiment import Experiment
+from ..recordings.limits import Limits
+from ..recordings.recording import Recording
+from ..recordings.tables import ArmTable, InertiaTable
+from ..runtime.export_cache import kept
+from ..simulation.equation import Drive
+from ..simulation.interpolation import read
+from ..simulation.simulate import march
+from .evidence import IN_PLAY, INDISTINGUISHABLE, MOST_IN_PLAY, RELEASE_ERROR, WORTHWHILE
+from .experiment_design import Predicted, Quantity, entropy, reduced, together, worth
+from .planned import Outcome, Sweep, Test
+from .search import Tried
+
+_SAMPLES = 512
+_STEP = 0.2  # of an integration step, times the fastest angular frequency
+_ELBOWS = 5  # elbow angles that are tried
+_FURTHEST = 0.75 * math.pi  # of them, unless limits are given
+_SIZES = (0.25, 0.5, 1.0)  # of the largest release
+_LOADS = (0.0, 0.5, 1.0)  # of the way from the least load to the largest
+_TWICE = 2.0  # angles, durations and loads that are tried, in those recorded, unless limited
+_DRIVES = (0.3, 1.0)  # of the largest torque of a motor
+_DURATIONS = (0.125, 0.25, 0.5, 1.0)  # of the longest
+_NEARLY = 0.95  # of what the longest recording tells, from which a shorter one is enough
+
+
+class Setting(NamedTuple):
+    """A test that could be made."""
+
+    recording: Recording
+    release: np.ndarray
+    drive: Sweep | None
+
+
+class Rival(NamedTuple):
+    """A model in play."""
+
+    tried: Tried
+    model: Model
+    root: np.ndarray
+    """(P, P) R with R R' the posterior covariance of its numbers."""
+
+    @classmethod
+    def of(cls, scene: Scene, tried: Tried) -> "Rival":
+        """A tried model, smoothed once more if its covariance was not kept."""
+        t: Trajectory = tried.best
+        if not t.covariance.size:
+            t = scene.smoothed(t, scene.linearised(t), tried.intensity) or t
+        slopes = t.prior.slopes(t.u)
+        own = t.covariance[: len(slopes), : len(slopes)] * np.outer(slopes, slopes)
+        size = np.sqrt(np.maximum(np.diag(own), 1e-300))
+        values, vectors = np.linalg.eigh(own / np.outer(size, size))
+        root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        return cls(tried, scene.model(t), root)
+
+
+class Ranking(NamedTuple):
+    """Tests, and how they were found."""
+
+    tests: tuple[Test, ...]
+    tried: int
+
+
+def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Setting]:
+    """Every test that is compared: releases from rest, and sweeps of the motors, within limits."""
+    limits = experiment.limits or Limits()
+    like = max(experiment.fit_recordings, key=lambda r: r.duration)
+    n = len(experiment.joints)
+    swing = np.array([s.amplitude for s in scene.scales])
+    most = limits.each("angle", n)
+    angle = np.array(most) if most else _TWICE * np.maximum(swing, 0.3 * swing.max())
+    duration = limits.duration or _TWICE * like.duration
+    signs = [np.ones(1)] if n == 1 else [
+        np.array(p) for p in ((1.0, 1.0), (1.0, -1.0), (1.0, 0.0), (0.0, 1.0))
+    ]  # fmt: skip
+    signs = signs if n <= 2 else [np.ones(n)]
+    releases = [size * sign * angle for size, sign in itertools.product(_SIZES, signs)]
+    motions: list[tuple[np.ndarray, Sweep | None]] = [(r, None) for r in releases if np.any(r)]
+    torques = limits.each("drive", n) or (0.0,) * n
+    frequencies = np.asarray(modes(model).frequency_hz)
+    rings = frequencies[np.isfinite(frequencies) & (frequencies > 0)]
+    for joint, torque in zip(experiment.joints, torques, strict=True):
+        for share in _DRIVES if torque and len(rings) else ():
+            sweep = Sweep(joint, share * torque, 0.5 * float(min(rings)), 1.5 * float(max(rings)))
+            motions.append((np.zeros(n), sweep))
+    longest = dataclasses.replace(like, time=np.array([0.0, duration]), drive=None)
+    return [
+        Setting(dataclasses.replace(longest, **change), release, drive)
+        for change in _changes(experiment, like, limits)
+        for release, drive in motions
+    ]
+
+
+def _changes(experiment: Experiment, like: Recording, limits: Limits) -> list[dict]:
+    """What may be set on the rig beside the release."""
+    if isinstance(experiment.inertia, ArmTable):
+        low, high = limits.theta2 or (-_FURTHEST, _FURTHEST)
+        elbows = list(np.linspace(low, high, _ELBOWS))
+        if low <= like.theta2 <= high:
+            elbows.append(like.theta2)
+        either = (True, False) if experiment.bearings else (like.air_bearings,)
+        on = limits.air_bearings or either
+        each = itertools.product(elbows, on)
+        return [{"theta2": float(e), "air_bearings": b} for e, b in dict.fromkeys(each)]
+    if isinstance(experiment.inertia, InertiaTable):
+        own = float(np.asarray(experiment.inertia.matrix)[0][0])
+        largest = max([_TWICE * r.extra_mass for r in experiment.fit_recordings] + [own])
+        low, high = limits.extra_mass or (0.0, largest)
+        loads = [low + share * (high - low) for share in _LOADS]
+        if low <= like.extra_mass <= high:
+            loads.append(like.extra_mass)
+        return [{"extra_mass": float(x)} for x in dict.fromkeys(loads)]
+    return [{}]
+
+
+class Predictions:
+    """Every model's readings in every test."""
+
+    def __init__(self, experiment: Experiment, scene: Scene, rivals: Sequence[Rival]):
+        self.experiment, self.scene, self.rivals = experiment, scene, rivals
+        self.settings = settings_of(experiment, scene, rivals[0].model)
+        first = experiment.fit_recordings[0]
+        self.noise = first.noise
+        per_second = len(first.time) / first.duration
+        self.duration = self.settings[0].recording.duration
+        self.time = np.linspace(0.0, self.duration, _SAMPLES)
+        # Each sample stands for all readings that lie nearer to it than to others.
+        self.weight = np.sqrt(per_second * self.duration / _SAMPLES) / self.noise
+        mechanisms = [mechanism_of(experiment, s.recording) for s in self.settings]
+        fast = max(
+            float(fastest(posed(r.model, m)))
+            for r in rivals
+            for m in {id(m): m for m in _distinct(self.settings, mechanisms)}.values()
+        )
+        swept = max((2 * math.pi * s.drive.high for s in self.settings if s.drive), default=0.0)
+        steps = bucket(max(16, math.ceil(self.duration * max(fast, swept) / _STEP)))
+        stacked = jax.tree.map(lambda *x: jnp.stack(x), *mechanisms)
+        releases = jnp.asarray(np.stack([s.release for s in self.settings]))
+        drives = self._drives(steps)
+        self.readings: list[np.ndarray] = []
+        """(S, T, n) of each model."""
+        self.slopes: list[np.ndarray] = []
+        """(S, T, n, P + 2n + M) in its numbers, and in the angles, rates and internal states at
+        release."""
+        for rival in rivals:
+            told = _predict(rival.model, stacked, releases, drives, jnp.asarray(self.time), steps)
+            found, slopes = jax.device_get(told)
+            self.readings.append(found)
+            self.slopes.append(slopes)
+
+    def _drives(self, steps: int) -> Drive | None:
+        if not any(s.drive for s in self.settings):
+            return None
+        time = np.linspace(0.0, self.duration, steps + 1)
+        values = np.zeros((len(self.settings), len(time), self.scene.n))
+        for i, s in enumerate(self.settings):
+            if s.drive is not None:
+                joint = self.scene.joints.index(s.drive.joint)
+                values[i, :, joint] = s.drive.at(time, self.duration)
+        many = len(self.settings)
+        step = np.full(many, time[1])
+        return Drive(jnp.zeros(many), jnp.asarray(step), jnp.asarray(values))
+
+    def of(self, index: int, share: float = 1.0) -> list[Predicted] | None:
+        """What all models say of one test, or of its beginning; None if one of them runs away."""
+        keep = slice(0, math.ceil(share * _SAMPLES))
+        found = []
+        for rival, readings, slopes in zip(self.rivals, self.readings, self.slopes, strict=True):
+            mean, by = readings[index, keep], slopes[index, keep]
+            if not (np.isfinite(mean).all() and np.isfinite(by).all()):
+                return None
+            w = self.weight[None, :]
+            P = len(rival.root)
+            numbers = (by[..., :P] * w[..., None]).reshape(-1, P) @ rival.root
+            release = by[..., P:] * w[..., None] * self._unknown(rival, index)
+            found.append(
+                Predicted((mean * w).reshape(-1), numbers, release.reshape(-1, release.shape[-1]))
+            )
+        return reduced(found)
+
+    def _unknown(self, rival: Rival, index: int) -> np.ndarray:
+        """(2n + M,) how well the state at release is known."""
+        scales = self.scene.scales
+        swing = np.array([s.amplitude for s in scales])
+        release = np.abs(self.settings[index].release)
+        angle = RELEASE_ERROR * swing * (float(np.max(release / swing)) or 1.0)
+        rate = angle * np.array([s.frequency for s in scales])
+        memory = [
+            0.5 * float(each.dimension.size(scales[self.scene.joint_of(effect)]))
+            for effect in rival.model.effects
+            for each in effect.memory
+        ]
+        return np.concatenate([angle, rate, memory])
+
+    def clearest(self, index: int, share: float) -> tuple[int, int, list[tuple[float, float]]]:
+        """The sample and joint at which one reading tells the two likeliest models apart best, and
+        every model's reading there with its standard error."""
+        keep = slice(0, math.ceil(share * _SAMPLES))
+        means, stds = [], []
+        for rival, readings, slopes in zip(self.rivals, self.readings, self.slopes, strict=True):
+            by = slopes[index, keep][..., : len(rival.root)] @ rival.root
+            means.append(readings[index, keep])
+            stds.append(np.sqrt((by**2).sum(-1) + self.noise**2))
+        a, b = 0, min(1, len(means) - 1)
+        apart = np.abs(means[a] - means[b]) / np.hypot(stds[a], stds[b])
+        k, j = np.unravel_index(int(np.argmax(apart)), apart.shape)
+        each = [(float(m[k, j]), float(s[k, j])) for m, s in zip(means, stds, strict=True)]
+        return int(k), int(j), each
+
+
+def _distinct(settings: Sequence[Setting], mechanisms: Sequence) -> list:
+    """One mechanism of each pose."""
+    found = {}
+    for s, m in zip(settings, mechanisms, strict=True):
+        r = s.recording
+        found.setdefault((r.theta2, r.air_bearings, r.extra_mass), m)
+    return list(found.values())
+
+
+@kept(like=(0, 0))
+def _predict(model: Model, mechanisms, releases, drives, times, steps: int):
+    """Readings of each test, and their slopes in numbers and state at release."""
+    numbers, n, M = model.vector(), releases.shape[1], len(model.memory)
+    P = len(numbers)
+
+    def one(test):
+        mechanism, release, drive = test
+
+        def at(z):
+            moved = posed(model.with_vector(z[:P]), mechanism)
+            q, v, memory = z[P : P + n], z[P + n : P + 2 * n], z[P + 2 * n :]
+            nodes = march(
+                moved, times[0], times[-1], release + q, v, steps=steps, z0=memory, drive=drive
+            )
+            found = read(moved, nodes, times).readings
+            return found, found
+
+        z = jnp.concatenate([numbers, jnp.zeros(2 * n + M)])
+        slopes, found = jax.jacfwd(at, has_aux=True)(z)
+        return found, slopes
+
+    return jax.lax.map(one, (mechanisms, releases, drives))
+
+
+def best_tests(
+    experiment: Experiment,
+    scene: Scene,
+    models: Sequence[Tried],
+    probability: np.ndarray,
+    tests: int = 1,
+    quantity: "Quantity | None" = None,
+) -> Ranking:
+    """The tests that are expected to tell these models apart best, each beside those before it; or
+    to narrow a quantity most, whose slopes are in the models' numbers."""
+    p = np.asarray(probability, float) / np.sum(probability)
+    rivals = [Rival.of(scene, m) for m in models]
+    all_of_them = Predictions(experiment, scene, rivals)
+    wanted = quantity and quantity._replace(
+        slopes=[r.root.T @ s for r, s in zip(rivals, quantity.slopes, strict=True)]
+    )
+    each = [all_of_them.of(i) for i in range(len(all_of_them.settings))]
+    known = {i: x for i, x in enumerate(each) if x is not None}
+    made: list[list[Predicted]] = []
+    found: list[Test] = []
+    before = float(entropy(p))
+    for _ in range(min(tests, len(known))):
+        told = {i: worth(together([*made, x]), p, wanted) for i, x in known.items()}
+
+        def rank(i: int, told=told):
+            t = told[i]
+            if wanted is not None:
+                return -t.variance
+            # What is told for certain is told best by what tells the most apart.
+            return -round(t.entropy, 2), t.separation
+
+        best = max(told, key=rank)
+        share = 1.0
+        for shorter in _DURATIONS[:-1]:
+            cut = all_of_them.of(best, shorter)
+            if cut is None:
+                continue
+            fall = before - worth(together([*made, cut]), p, wanted).entropy
+            if wanted is None and fall >= _NEARLY * (before - told[best].entropy):
+                share = shorter
+                break
+        chosen = all_of_them.of(best, share)
+        assert chosen is not None
+        made.append(chosen)
+        found.append(_test(all_of_them, best, share, made, p, before, wanted))
+        before = found[-1].entropy
+        if not found[-1].helps:
+            break
+    return Ranking(tuple(found), len(known))
+
+
+def _test(
+    all_of_them: Predictions,
+    index: int,
+    share: float,
+    made: list[list[Predicted]],
+    p: np.ndarray,
+    before: float,
+    wanted: "Quantity | None",
+) -> Test:
+    s, experiment = all_of_them.settings[index], all_of_them.experiment
+    models = [r.tried for r in all_of_them.rivals]
+    told = worth(together(made), p, wanted)
+    arm = isinstance(experiment.inertia, ArmTable)
+    table = isinstance(experiment.inertia, InertiaTable)
+    k, j, readings = all_of_them.clearest(index, share)
+    first, second = (models[0], models[min(1, len(models) - 1)])
+    common = set(first.added) & set(second.added)
+    between = tuple(tuple(x for x in m.added if x not in common) for m in (first, second))
+    fall = before - told.entropy
+    return Test(
+        release=dict(zip(experiment.joints, map(float, s.release), strict=True)),
+        units=experiment.units or ("",) * len(experiment.joints),
+        theta2=float(s.recording.theta2) if arm else None,
+        air_bearings=s.recording.air_bearings if arm and experiment.bearings else None,
+        extra_mass=float(s.recording.extra_mass) if table else None,
+        drive=s.drive,
+        duration=share * all_of_them.duration,
+        entropy=told.entropy,
+        probability_right=told.right,
+        between=between,  # pyright: ignore
+        difference=separation(made[-1]),
+        now=math.sqrt(2 * abs(first.log_evidence - second.log_evidence)),
+        joint=experiment.joints[j],
+        time=float(all_of_them.time[k]),
+        outcomes=tuple(
+            Outcome(m.added, reading, std, float(e))
+            for m, (reading, std), e in zip(models, readings, told.each, strict=True)
+        ),
+        helps=fall > WORTHWHILE * float(entropy(p)) if wanted is None else True,
+        band=None if wanted is None else 1.96 * math.sqrt(max(told.variance, 0.0)),
+    )
+
+
+def separation(test: Sequence[Predicted]) -> float:
+    """d of the two likeliest models: their difference in standard errors, after the second has bent
+    its numbers as far as it may."""
+    if len(test) < 2:
+        return 0.0
+    a, b = test[0], test[1]
+    u, d = np.column_stack([b.numbers, b.release]), a.mean - b.mean
+    bend = np.linalg.solve(np.eye(u.shape[1]) + u.T @ u, u.T @ d)
+    return math.sqrt(max(0.0, float(d @ d - (u.T @ d) @ bend)))
+
+
+def settled(probability: np.ndarray) -> bool:
+    """Whether odds tell the likeliest model from all others together."""
+    p = np.max(probability) / np.sum(probability)
+    return bool(p >= 1 or math.log(p / (1 - p)) > INDISTINGUISHABLE)
+
+
+def in_play(
+    models: Sequence[Tried], probability: np.ndarray
+) -> tuple[list[Tried], np.ndarray, float]:
+    """The models that the recordings leave possible, the likeliest first, their probabilities
+    among each other, and that of all the rest."""
+    order = np.argsort(-probability)[:MOST_IN_PLAY]
+    kept = [i for i in order if probability[i] >= IN_PLAY] or [order[0]]
+    p = probability[kept]
+    return [models[i] for i in kept], p / p.sum(), max(0.0, float(1.0 - p.sum()))

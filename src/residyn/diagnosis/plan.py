@@ -1,0 +1,69 @@
+"""The next tests: which recordings would make the name sure, before any of them is made."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from ..errors import InputError
+from ..recordings.experiment import Experiment
+from .candidate_tests import best_tests, in_play, settled
+from .diagnose import Posterior, diagnose
+from .experiment_design import entropy
+from .planned import InPlay, Plan
+from .result import Diagnosis
+
+
+def plan(
+    found: Diagnosis | Experiment,
+    *,
+    tests: int = 3,
+    progress: Callable[[str], None] | None = None,
+    **options: Any,
+) -> Plan:
+    """The next tests within the experiment's limits, each with what its outcomes would mean.
+
+    All models that a diagnosis leaves in play predict every test that the limits allow. Tests are
+    ranked by the expected fall of the entropy over these models (Lindley 1956; Box and Hill 1967),
+    and planned greedily: each is the best beside those before it.
+
+    **Arguments:**
+
+    - `found`: a `Diagnosis`, or an experiment, which is then diagnosed with the `options` of
+      `residyn.diagnose`.
+    - `tests`: how many tests to plan, at least 1.
+    - `progress`: called with a few words as each phase begins.
+
+    **Returns:** a `Plan`: print it, or `to_dict()`.
+
+    **Raises:** `ValueError` for less than one test or a diagnosis whose search was not kept; as
+    `residyn.diagnose` does.
+    """
+    if tests < 1:
+        raise InputError(f"tests = {tests}: at least one test is planned")
+    say = progress or (lambda words: None)
+    if isinstance(found, Experiment):
+        found = diagnose(found, progress=progress, **options)
+    if found.search is None:
+        raise ValueError("this diagnosis has not kept its search: diagnose again to plan tests")
+    with jax.enable_x64(True):
+        posterior = Posterior(found.search)
+        models, p, left_out = in_play(posterior.models, posterior.each)
+        say(f"comparing tests for {len(models)} models")
+        done = settled(posterior.each) or len(models) < 2
+        ranking = None if done else best_tests(
+            found.fits.whole, found.search.scene, models, p, tests
+        )  # fmt: skip
+    complete = float(p @ np.array([m.complete for m in models]))
+    return Plan(
+        models=tuple(InPlay(m.added, float(x)) for m, x in zip(models, p, strict=True)),
+        left_out=left_out,
+        entropy=float(entropy(p)),
+        tests=() if ranking is None else ranking.tests,
+        tried=0 if ranking is None else ranking.tried,
+        settled=done,
+        unexplained=1.0 - complete,
+        limits=found.fits.whole.limits,
+        joints=found.search.scene.joints,
+    )

@@ -1,0 +1,300 @@
+"""Tests to make: within the limits, where the models part, and what the recordings then say."""
+
+import dataclasses
+import json
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import residyn
+from residyn.cli import main
+from residyn.diagnosis.candidate_tests import best_tests, in_play, settings_of, settled
+from residyn.diagnosis.evidence import prior_of
+from residyn.diagnosis.experiment_design import Quantity, entropy
+from residyn.diagnosis.missing_torque import scene_of
+from residyn.diagnosis.planned import InPlay, Plan
+from residyn.diagnosis.search import Tried, settle
+from residyn.effects import CubicStiffness, Damper, Spring
+from residyn.recordings.limits import Limits
+from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
+from tests.by_hand import NEXT
+
+MASS, NOISE = 2.0, 1e-3
+CART = InertiaTable(("cart",), ((MASS,),), ("m",))
+ARM = ArmTable((0.4, 0.4), 1.2, 0.6, 1.4)
+BASE = (Spring("cart", 80.0), Damper("cart", 0.5))
+
+
+@pytest.fixture(autouse=True)
+def float64():
+    with jax.enable_x64(True):
+        yield
+
+
+def ringing(size, *more, seed=0, seconds=6.0, **where):
+    """A cart let go at `size` m."""
+    model = residyn.Model(residyn.ConstantInertia([[MASS]], joints=("cart",), units=("m",)))
+    for effect in (*BASE, *more):
+        model = model + effect
+    time = np.arange(0.0, seconds, 0.02)
+    q = np.asarray(residyn.simulate(model, time, [size]).q)
+    q = q + NOISE * np.random.default_rng(seed).standard_normal(q.shape)
+    return residyn.Recording.from_arrays(time, q, noise=NOISE, name=f"{size:g} m", **where)
+
+
+def models_of(experiment, *added):
+    """The base model, and with each effect, iterated to their evidence."""
+    scene, base, _ = scene_of(experiment, ())
+    each = [(), *((x,) for x in added)]
+    starts = [scene.start((*base, *x), prior_of(scene, (*base, *x))) for x in each]
+    found = settle(scene, starts, 1.0)
+    assert None not in found
+    models = [
+        Tried(tuple(e.label for e in x), *f, log_prior=0.0)  # pyright: ignore
+        for x, f in zip(each, found, strict=True)
+    ]
+    return scene, models
+
+
+@pytest.fixture(scope="module")
+def cubic():
+    """A swing too small to show whether the spring is cubic."""
+    with jax.enable_x64(True):
+        experiment = residyn.Experiment(CART, (ringing(0.01),))
+        return experiment, *models_of(experiment, CubicStiffness("cart"))
+
+
+def limited(experiment, **limits):
+    return dataclasses.replace(experiment, limits=Limits(**limits))
+
+
+@pytest.mark.parametrize("largest", [0.02, 0.05])
+def test_a_cubic_spring_is_told_by_the_largest_release(cubic, largest):
+    experiment, scene, models = cubic
+    found = best_tests(limited(experiment, angle=largest), scene, models, np.array([0.5, 0.5]))
+    (test,) = found.tests
+    assert test.release == {"cart": pytest.approx(largest)}
+    assert test.entropy < math.log(2)
+    assert test.helps
+
+
+def test_a_larger_limit_tells_more(cubic):
+    experiment, scene, models = cubic
+    small, large = (
+        best_tests(limited(experiment, angle=x), scene, models, np.array([0.5, 0.5])).tests[0]
+        for x in (0.02, 0.1)
+    )
+    assert large.entropy < small.entropy
+    assert large.difference > small.difference
+    assert large.probability_right > small.probability_right
+
+
+def test_where_the_models_cannot_part_nothing_helps(cubic):
+    experiment, scene, models = cubic
+    found = best_tests(limited(experiment, angle=1e-4), scene, models, np.array([0.5, 0.5]))
+    (test,) = found.tests
+    assert not test.helps
+    assert test.entropy == pytest.approx(math.log(2), abs=0.05)
+    assert "No test within the limits" in test.words
+
+
+def test_a_second_test_adds_to_the_first(cubic):
+    experiment, scene, models = cubic
+    limits = limited(experiment, angle=0.02, duration=3.0)
+    first, second = best_tests(limits, scene, models, np.array([0.5, 0.5]), tests=2).tests
+    assert second.entropy < first.entropy
+
+
+def test_what_the_recording_then_says_is_what_was_expected(cubic):
+    """The release is made, with and without a cubic spring: the model that is right wins, as often
+    as was promised, and by about the nats that were promised."""
+    experiment, scene, models = cubic
+    p = np.array([0.5, 0.5])
+    test = best_tests(limited(experiment, angle=0.03), scene, models, p).tests[0]
+    size = test.release["cart"]
+    strength = models[1].best.valued()[-1].coefficient
+    right = []
+    for seed in range(4):
+        for truth, effect in ((0, ()), (1, (CubicStiffness("cart", strength),))):
+            made = ringing(size, *effect, seed=seed + 10, seconds=test.duration)
+            both = residyn.Experiment(CART, (*experiment.recordings, made))
+            _, after = models_of(both, CubicStiffness("cart"))
+            logs = np.array([m.log_evidence for m in after])
+            chance = np.exp(logs - np.logaddexp(*logs))
+            right.append(chance[truth])
+    assert np.mean(right) == pytest.approx(test.probability_right, abs=0.2)
+
+
+def test_outcomes_are_what_the_models_do(cubic):
+    experiment, scene, models = cubic
+    bare = limited(experiment, angle=0.05, extra_mass=(0.0, 0.0))
+    test = best_tests(bare, scene, models, np.array([0.5, 0.5])).tests[0]
+    for outcome, model in zip(test.outcomes, models, strict=True):
+        q = residyn.simulate(scene.model(model.best), [0.0, test.time], [test.release["cart"]]).q
+        assert outcome.reading == pytest.approx(float(q[-1, 0]), abs=1e-5)
+        assert outcome.std >= NOISE
+    one, other = test.outcomes
+    apart = abs(one.reading - other.reading) / math.hypot(one.std, other.std)
+    assert apart > 1
+
+
+def test_a_quantity_is_narrowed_by_what_measures_it(cubic):
+    """The damping: the longer and larger the swing, the better."""
+    experiment, scene, models = cubic
+    slopes = [np.eye(len(m.best.prior.mean))[1] for m in models]
+    wanted = Quantity(np.array([m.best.numbers[1] for m in models]), slopes, np.zeros(2))
+    p = np.array([0.9, 0.1])
+    found = best_tests(limited(experiment, angle=0.03), scene, models, p, quantity=wanted)
+    (test,) = found.tests
+    std = math.sqrt(models[0].best.covariance[1, 1]) * models[0].best.prior.width[1]
+    assert test.release["cart"] == pytest.approx(0.03)
+    assert test.band < 1.96 * std
+
+
+def test_a_sweep_of_the_motor_is_a_test(cubic):
+    experiment, scene, models = cubic
+    limits = limited(experiment, angle=1e-3, drive=1.0)
+    (test,) = best_tests(limits, scene, models, np.array([0.5, 0.5])).tests
+    assert test.drive is not None
+    assert test.drive.torque == pytest.approx(1.0)
+    assert test.drive.low < math.sqrt(80.0 / MASS) / (2 * math.pi) < test.drive.high
+    assert "drive the cart with 1.00 N" in test.words
+
+
+# -- limits ------------------------------------------------------------------------------------
+
+
+def arm(**limits):
+    time = np.arange(200) / 50
+    q = np.stack([0.2 * np.cos(9 * time), -0.1 * np.cos(15 * time)], axis=1)
+    recording = residyn.Recording.from_arrays(time, q, noise=1e-3, theta2=0.1)
+    bearings = (Bearing("elbow", 0.1, 1e-4),)
+    return residyn.Experiment(ARM, (recording,), bearings, limits=Limits(**limits))
+
+
+def test_every_test_is_within_the_limits():
+    experiment = arm(
+        angle=[0.3, 0.0], theta2=[-0.5, 0.5], air_bearings=True, duration=12.0, drive=[0.0, 2.0]
+    )
+    with jax.enable_x64(True):
+        scene, base, _ = scene_of(experiment, ())
+        model = residyn.Model(scene.mechanisms[0], tuple(e for e in base))
+        model = model.with_vector(jnp.array([20.0, 10.0, 0.1, 0.1]))
+        settings = settings_of(experiment, scene, model)
+    assert {abs(s.release[1]) for s in settings} == {0.0}
+    assert max(abs(s.release[0]) for s in settings) == pytest.approx(0.3)
+    assert all(-0.5 <= s.recording.theta2 <= 0.5 for s in settings)
+    assert all(s.recording.air_bearings for s in settings)
+    assert {s.recording.duration for s in settings} == {12.0}
+    swept = [s.drive for s in settings if s.drive]
+    still = [s for s in settings if s.drive]
+    assert {s.joint for s in swept} == {"elbow"}
+    assert max(s.torque for s in swept) == 2.0
+    assert all(not s.release.any() for s in still)
+
+
+WRONG = {
+    "angle = 0": "must be above 0 somewhere",
+    "angle = -0.1": "must be a number not below 0",
+    "angle = [0.1]": "one for each joint (shoulder, elbow)",
+    'angle = "large"': "must be a number",
+    "theta2 = 0.3": "must be two numbers (rad)",
+    "theta2 = [1, 0]": "the lower one first",
+    "extra_mass = [0, 1]": "for [inertia] only",
+    "air_bearings = false": "there is no [[air_bearings]] table",
+    "duration = 0": "must be a number above 0",
+    "drive = [1, 2, 3]": "one for each joint",
+    "angles = 0.3": "did you mean angle?",
+}
+
+
+@pytest.mark.parametrize(("key", "words"), WRONG.items(), ids=WRONG)
+@pytest.mark.parametrize("command", ["plan", "fit"])
+def test_wrong_limits_are_one_line(tmp_path, monkeypatch, capsys, key, words, command):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "x.toml").write_text(
+        "[arm]\nlink_lengths = [0.4, 0.4]\nshoulder = 1.2\nelbow = 0.6\ncoupling = 1.4\n"
+        f'[[recordings]]\nfile = "x.csv"\n[limits]\n{key}\n'
+    )
+    assert main([command, "x.toml", "--no-cache"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert err.startswith("residyn: x.toml: [limits]: ")
+    assert words in err
+
+
+def test_limits_are_read(tmp_path):
+    time = np.arange(100) / 50
+    residyn.write_csv(tmp_path / "x.csv", time, np.cos(9 * time)[:, None])
+    (tmp_path / "x.toml").write_text(
+        '[inertia]\njoints = ["cart"]\nmatrix = [[2.0]]\nunits = ["m"]\n'
+        '[[recordings]]\nfile = "x.csv"\nnoise = 1e-3\n'
+        "[limits]\nangle = 0.02\nextra_mass = [0, 2]\nduration = 9\n"
+    )
+    found = residyn.load(tmp_path / "x.toml").limits
+    assert found == Limits(angle=0.02, extra_mass=(0.0, 2.0), duration=9.0)
+
+
+# -- what is printed ---------------------------------------------------------------------------
+
+
+FOUND, RIVAL = NEXT.between
+MODELS = (InPlay(FOUND, 0.7), InPlay(RIVAL, 0.3))
+
+
+def a_plan(**changed):
+    settings = {
+        "models": MODELS,
+        "left_out": 0.02,
+        "entropy": 0.61,
+        "tests": (NEXT,),
+        "tried": 144,
+        "settled": False,
+        "unexplained": 0.1,
+        "limits": None,
+        "joints": ("shoulder", "elbow"),
+    }
+    return Plan(**(settings | changed))
+
+
+def test_a_plan_reads_in_80_columns():
+    drive = residyn.diagnosis.planned.Sweep("elbow", 2.0, 0.3, 4.5)
+    more = dataclasses.replace(NEXT, drive=drive, release={"shoulder": 0.0, "elbow": 0.0})
+    text = str(a_plan(tests=(NEXT, more)))
+    assert max(map(len, text.splitlines())) <= 80
+    assert "Release the shoulder at 0.300 rad and the elbow at -0.100 rad" in text
+    assert "70 %  Coulomb friction at the elbow" in text
+    assert "0.1000 +/- 0.0010 rad" in text
+    assert "drive the elbow with 2.00 N m" in " ".join(text.split())
+
+
+def test_nothing_would_help_is_an_answer():
+    worse = dataclasses.replace(NEXT, helps=False, entropy=0.6)
+    plan = a_plan(tests=(worse,))
+    assert not plan.helps
+    assert "Nothing would help" in str(plan)
+    assert "Nothing more is needed" in str(a_plan(tests=(), settled=True))
+
+
+def test_json_of_a_plan():
+    found = json.loads(json.dumps(a_plan().to_dict(), allow_nan=False))
+    assert [m["added"] for m in found["models"]] == [list(FOUND), list(RIVAL)]
+    (test,) = found["tests"]
+    assert {"between", "release", "theta2", "air_bearings", "extra_mass", "words"} <= set(test)
+    assert test["outcomes"][0]["added"] == list(FOUND)
+    assert found["helps"] is True
+
+
+def test_models_in_play():
+    names = ["a", "b", "c"]
+    models, p, rest = in_play(names, np.array([0.2, 0.795, 0.005]))  # pyright: ignore
+    assert models == ["b", "a"]
+    assert p.sum() == pytest.approx(1.0)
+    assert rest == pytest.approx(0.005)
+    assert settled(np.array([0.96, 0.04]))
+    assert not settled(np.array([0.9, 0.1]))
+    assert float(entropy(np.array([1.0, 0.0]))) == 0.0
