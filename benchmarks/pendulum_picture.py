@@ -55,7 +55,9 @@ def picture(base: residyn.Fit, full: residyn.Fit, effects: list[str]) -> Figure:
     for ax in (angle, left):
         ax.axvline(full.recordings[1].recording.time[0], color="0.6", lw=0.8, ls=":")
         ax.margins(x=0)
-    angle.set_title("A measured double pendulum: fitted to the left of the line, predicted after it")
+    angle.set_title(
+        "A measured double pendulum: fitted to the left of the line, predicted after it"
+    )
     angle.set_ylabel("elbow (rad)")
     left.set_ylabel("what is left (mrad)")
     left.set_xlabel("time (s)")
