@@ -17,8 +17,17 @@ import numpy as np
 
 from ..fitting.least_squares import Polished
 from ..fitting.linalg import damped_step
-from ..fitting.problem import Compressed, Problem, Unknowns, over_recordings, predict, tight, whiten
-from ..fitting.result import Fit, RecordingFit
+from ..fitting.problem import (
+    RUNAWAY,
+    Compressed,
+    Problem,
+    Unknowns,
+    over_recordings,
+    predict,
+    tight,
+    whiten,
+)
+from ..fitting.result import Fit, FitError, RecordingFit
 from ..fitting.setup import Ready, mechanism_of, reweighted
 from ..runtime.export_cache import kept
 
@@ -71,6 +80,8 @@ def minimum(problem: Problem, at: Unknowns, size: float = 1.0, most: int = _STEP
     One compiled program evaluates predictions and slopes; what is linear is done here. Where the
     motion has kinks no step is small enough to end by itself: there the descent ends when even a
     short step gains nothing.
+
+    **Raises:** `FitError` where the motion runs away from the beginning.
     """
     problem = tight(problem)
     moves = np.asarray(problem.active) > 0
@@ -83,16 +94,21 @@ def minimum(problem: Problem, at: Unknowns, size: float = 1.0, most: int = _STEP
         R, own = len(slopes), np.asarray(at.states)
         J = slopes * np.asarray(problem.recorded.weights)[..., None]
         J = np.concatenate([J[..., :P] * moves, J[..., P:]], -1).reshape(R, -1, P + S)
-        square = J.transpose(0, 2, 1) @ J + np.diag(known)
-        slope = np.einsum("rml,rm->rl", J, residual.reshape(R, -1))
+        with np.errstate(over="ignore", invalid="ignore"):  # of a motion that runs away
+            square = J.transpose(0, 2, 1) @ J + np.diag(known)
+            slope = np.einsum("rml,rm->rl", J, residual.reshape(R, -1))
         slope[:, P:] += known[P:] * own
         cost = float(np.sum(residual**2) + np.sum((known[P:] * own) ** 2))
-        cost = cost if np.isfinite(cost) else np.inf
+        # Unknowns of order one that move readings by 10^50 sigma are those of a chaotic motion.
+        sane = np.isfinite(cost) and np.abs(residual).max() < RUNAWAY and np.abs(J).max() < 1e50
+        cost = cost if sane else np.inf
         return Minimum(at, predicted, slopes, residual, cost, steps, False, square, slope)
 
     here = evaluated(Unknowns(np.asarray(at.numbers, float), np.asarray(at.states, float)), 0)
+    if here.cost == np.inf:
+        raise FitError("the motion runs away")
     damping, steps, converged = _DAMPING[0], 0, False
-    while steps < most and damping <= _DAMPING[1] and not converged and here.cost < np.inf:
+    while steps < most and damping <= _DAMPING[1] and not converged:
         numbers, states = damped_step(here.square, here.slope, P, damping)
         numbers, steps = numbers * moves, steps + 1
         there = evaluated(Unknowns(here.at.numbers + numbers, here.at.states + states), steps)
@@ -104,8 +120,7 @@ def minimum(problem: Problem, at: Unknowns, size: float = 1.0, most: int = _STEP
         size_of = np.einsum("ra,rab,rb->", step, here.square, step)
         converged = min(gain, size_of) < (_SETTLED * size) ** 2
         damping, here = max(0.1 * damping, _DAMPING[0]), there
-    done = converged or damping > _DAMPING[1]
-    return here._replace(steps=steps, converged=done and here.cost < np.inf)
+    return here._replace(steps=steps, converged=converged or damping > _DAMPING[1])
 
 
 def polish(problem: Problem, starts: Unknowns, shares: Sequence[float], hopeless=None) -> Polished:
@@ -163,8 +178,11 @@ class LinearisedFit(NamedTuple):
         """
         dropped = [~(np.isfinite(r.recording.angle) & k[:, None]) for k, r in self._pairs(kept)]
         size = max(1.0, float(np.sqrt(self.fit.reduced_chi2)))
-        found = minimum(reweighted(self.problem, dropped), self.at, size)
-        return found.at, found.converged and bool(np.isfinite(found.cost))
+        try:
+            found = minimum(reweighted(self.problem, dropped), self.at, size)
+        except FitError:
+            return self.at, False
+        return found.at, found.converged
 
     def look(self, at: Unknowns) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Predictions (N, n), rad or m, and their slopes (N, n, L) in each recording's L unknowns:

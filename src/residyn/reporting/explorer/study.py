@@ -309,7 +309,7 @@ def _sticks(path: Trajectory) -> bool:
 def times_noise(scene: Scene, path: Trajectory) -> np.ndarray:
     """(n,) rms error over the noise of a motion without a random torque."""
     g = scene.grid
-    _, _, seen = scene.reading_rows(scene.along(path))
+    seen = np.asarray(scene.linearised(path).seen)
     left = (g.angle - seen) * g.seen
     noise = np.stack([r.noise for r in scene.recordings])
     each = g.seen * noise[g.run] ** 2 / g.variance  # readings in an average
