@@ -34,6 +34,17 @@ class OwnNumbers(NamedTuple):
         """That they differ."""
         return 1.0 / (1.0 + math.exp(-max(min(self.log_odds, 700.0), -700.0)))
 
+    def __str__(self) -> str:
+        """One sentence."""
+        sure = max(self.probability, 1.0 - self.probability)
+        share = "> 99 %" if sure > 0.99 else f"{100 * sure:.0f} %"
+        if self.probability > 0.5:
+            return f"{self.effect} differs in {self.recording} from the other recordings ({share})."
+        return (
+            f"{self.effect} is the same in {self.recording} as in the other recordings ({share}): "
+            "it needs no own numbers."
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         return {**self._asdict(), "probability": self.probability}
