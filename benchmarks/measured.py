@@ -224,8 +224,9 @@ def horizon(folder: Path, window: float = 2.0, off: float = 0.1) -> None:
     fits = [residyn.fit(both, effects=effects) for effects in MODELS]
     mechanism = fits[0].model.mechanism
     m1, m2, a1, a2, l1 = 0.09384, 0.1376, 0.1086, 0.1168, 0.1727
-    authors = mechanism + residyn.Gravity((m1 * a1 + m2 * l1) * G, m2 * a2 * G, 0.0, 0.0)
-    authors = authors + residyn.Damper("shoulder", 2.37e-4) + residyn.Damper("elbow", 1e-5)
+    pull = residyn.Gravity((m1 * a1 + m2 * l1) * G, m2 * a2 * G, 0.0, 0.0)
+    viscous = residyn.Damper("shoulder", 2.37e-4), residyn.Damper("elbow", 1e-5)
+    authors = residyn.Model(mechanism, (pull, *viscous))
     models = [("authors'", authors)]
     models += [(" + ".join(e), f.model) for e, f in zip(MODELS, fits, strict=True)]
     starts = (4, 8, 12, 16, 20, 24, 40, 45, 50, 55, 60)
@@ -249,7 +250,8 @@ def _holds(model: residyn.Model, whole: Recording, start: float, window: float, 
         path = residyn.simulate(model, time[:count], state[:2], state[2:], steps=4 * count)
         return (path.readings - angle[:count]).ravel()
 
-    found = least_squares(near, np.ravel(np.transpose(guess)), jac=jax.jit(jax.jacfwd(near)))
+    slopes: Any = jax.jit(jax.jacfwd(near))
+    found = least_squares(near, np.ravel(np.transpose(guess)), jac=slopes)
     path = residyn.simulate(model, time, found.x[:2], found.x[2:], steps=2 * len(time))
     wrong = np.abs(np.asarray(path.readings) - angle).max(axis=1) > off
     wrong[:count] = False
