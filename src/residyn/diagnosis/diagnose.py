@@ -91,6 +91,8 @@ def diagnose(
     with jax.enable_x64(True):
         deadline = math.inf if budget is None else time.perf_counter() + budget
         scene, base, wild = scene_of(experiment, effects)
+        # What is found is of all runs; whether one has it for itself, `compare` asks afterwards.
+        experiment = experiment.owning([e.label for e in base])
         fits = Fits(experiment, scene, wild, starts)
         search = Search(scene, base, deadline=deadline, say=say)
         fits.begin(search.base)
