@@ -24,7 +24,6 @@ from ..filtering.law import (
     Laws,
     Table,
     along_readings,
-    catalogue_on,
     changes_bodies,
     group_of,
     joint_law,
@@ -69,7 +68,7 @@ def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
     """
     found = [
         e
-        for e in catalogue_on(scene.mechanisms[0])
+        for e in scene.catalogued
         if e.name not in ("spring", "damper") and e.label not in present and numbers_of(e)
     ]
     if scene.n == 1:

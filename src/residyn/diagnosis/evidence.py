@@ -105,8 +105,8 @@ def prior_of(scene: Scene, effects: Sequence[AbstractEffect]) -> Prior:
 
 def width_of(scene: Scene, effect: AbstractEffect, number: Parameter) -> float:
     """Prior standard deviation of a strength, in its own unit."""
-    if effect.senses and number.dimension.rotary == "1":
-        return SCALE_ERROR
+    if effect.senses and number.dimension.rotary in ("1", "1/rad"):  # of the scale at full swing
+        return SCALE_ERROR * scene.size(effect, number)
     if effect.senses and number.dimension.rotary == "s":
         return DELAY / min(s.frequency for s in scene.scales)
     return WIDTH * scene.size(effect, number)

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..effects import AbstractEffect
+from ..fitting.problem import richest
 from ..physics.inertia import AbstractInertia
 from ..physics.model import Model
 from ..physics.parameter import Parameter, Scales
@@ -124,7 +125,7 @@ class Scene:
         self.grid: Grid = lay_out(recordings, wild)
         g = self.grid
         self.joints = mechanisms[0].joints
-        self.catalogued = catalogue_on(mechanisms[0])
+        self.catalogued = catalogue_on(richest(mechanisms))
         self._laws: dict[tuple[str, ...], Laws] = {}
         self.n = n = len(self.joints)
         self.K = len(g.time)

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,11 +27,10 @@ from ...diagnosis.search import Search, Tried, settle, tried_alone
 from ...effects import AbstractEffect
 from ...filtering.trajectory import Prior, Scene, Trajectory
 from ...fitting import DEFAULT_STARTS, fit
-from ...fitting.descent import Descent, wild_beside
 from ...fitting.fit import finish
-from ...fitting.problem import Unknowns
+from ...fitting.multistart import Descent, outliers_among
+from ...fitting.problem import Unknowns, ready
 from ...fitting.result import Fit, FitError
-from ...fitting.setup import ready
 from ...recordings.experiment import Experiment
 from .first_order import FirstOrder, first_order
 
@@ -155,7 +153,7 @@ class Study:
                 return Beside(other, None, late)
             self.say("smoothing the recordings that are held out")
             here = ready(self.experiment, held, self.effects)
-            wild = wild_beside(here, [r.angle for r in here.recordings])
+            wild = outliers_among(here, [r.angle for r in here.recordings])
             other = Scene(here.recordings, here.mechanisms, wild)
             other.scales, other.torque = scene.scales, scene.torque
             best = tried_alone(other, tuple(self.loud.effects)).best
@@ -299,20 +297,17 @@ class Study:
         for name, value in held.items():
             if name not in names or not np.isfinite(value):
                 raise ValueError(f"{name} = {value}: is no number of this model")
-        near = LinearisedFit.of(found)
         begin = found.model.with_values({k: jnp.asarray(float(v)) for k, v in held.items()})
         active = np.array([float(name not in held) for name in names])
-        model = near.problem.model.with_vector(begin.vector())
-        problem = eqx.tree_at(lambda p: (p.active, p.model), near.problem, (active, model))
-        start, states = np.asarray(begin.vector()), np.stack([r.state for r in near.fitted])
+        problem = dataclasses.replace(found.problem, model=begin, active=active)
+        start, states = np.asarray(begin.vector()), found.problem.states(found.unknowns)
         at = problem.scaled(start, states)
         out = polish(problem, Unknowns(*(np.asarray(x)[None] for x in at)), (1.0,))
         if not np.isfinite(out.cost):
             raise FitError("with these numbers the motion runs away")
-        descent = Descent(
-            problem, [r.wild for r in near.fitted], out.unknowns, out.compressed, out.cost,
-            out.steps, out.converged, 1, 1,
-        )  # fmt: skip
+        outliers = [r.wild for r in found.recordings if r.recording.role != "check"]
+        ends = out.unknowns, out.compressed, out.cost, out.steps, out.converged
+        descent = Descent(found.ready, problem, outliers, *ends, starts=1, agreeing=1)
         return finish(found.experiment, start, descent, began, polish, evaluated, correct=False)
 
     # -- the search ---------------------------------------------------------------------------
