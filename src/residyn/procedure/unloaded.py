@@ -12,6 +12,7 @@ from ..physics.model import Model
 from ..simulation.interpolation import Trajectory
 from .carried import NAMES, Carried, inertias
 from .decay import decay_of
+from .over_models import OverModels
 from .ringdown import DRAWS, RingDown, ring_down
 
 _DECAYS = 3.0
@@ -112,6 +113,7 @@ class Unloading:
     errors: Carried  # what the numbers and the inertias do not know
     seconds: float
     warnings: tuple[str, ...] = ()  # beside the fit's own
+    over_models: OverModels | None = None  # the same over all models of a diagnosis
     unphysical: tuple[str, ...] = ()  # of the warnings, those of modes that no arm has
 
     @property
@@ -202,6 +204,7 @@ class Unloading:
             if self.inertia_covariance is None
             else dict(zip(NAMES, np.sqrt(np.diag(self.inertia_covariance)).tolist(), strict=True)),
             "physical": self.physical,
+            "over_models": None if self.over_models is None else self.over_models.to_dict(),
             "seconds": self.seconds,
             "warnings": [*self.fit.warnings, *self.warnings],
         }

@@ -31,6 +31,10 @@ def report_lines(found: "Unloading") -> list[str]:
         if not pose.physical:
             lines += _wrapped("    ", NOT_PHYSICAL)
     lines += _wrapped("    ", exact_words(found))
+    if found.over_models is not None:
+        from ..reporting.over_models import over_lines
+
+        lines += over_lines(found.over_models, found.fit.joints)
     if found.check:
         lines.append("[[Check]]  recordings without bearings, predicted; the lowest mode's errors")
         for check in found.check:
