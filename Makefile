@@ -4,7 +4,7 @@ PYTHON ?= $(firstword $(foreach p,python3.13 python3.12 python3.11 python3 pytho
 BIN := .venv/bin
 RUN := $(BIN)/python
 
-.PHONY: demo explore test slow pages lint docs clean
+.PHONY: demo explore test slow pages lint docs oldest clean
 
 demo: .venv/.demo
 	$(BIN)/residyn demo
@@ -33,6 +33,17 @@ lint: .venv/.test
 # what has changed.
 docs: .venv/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+# The lowest stated version of every dependency: the demo, and the tests that call what they offer.
+OLDEST := .venv/oldest
+oldest:
+	python3.11 -m venv --clear $(OLDEST)
+	$(OLDEST)/bin/python tests/oldest.py > $(OLDEST)/constraints.txt
+	$(OLDEST)/bin/python -m pip install --quiet --disable-pip-version-check \
+	  --constraint $(OLDEST)/constraints.txt --editable ".[test]"
+	$(OLDEST)/bin/residyn demo --report $(OLDEST)/demo.html
+	$(OLDEST)/bin/python -m pytest -n 2 --dist loadfile $(addprefix tests/test_,$(addsuffix .py,catalogue cli \
+	  explorer_server genetic integrators lab_files many own_effects physics publish recording))
 
 .venv/.venv:
 	@test -n "$(PYTHON)" || { echo "residyn needs Python 3.11 or newer (set PYTHON=...)"; exit 1; }

@@ -1,13 +1,19 @@
-"""What integrates: fixed steps beside diffrax's solvers, on one recording of each kind.
+"""What integrates: fixed steps beside diffrax's solvers.
 
-    python -m benchmarks.integrators            the table of docs/integrators.md
+    python -m benchmarks.integrators            what each costs, a table of docs/integrators.md
+    python -m benchmarks.integrators exact      how exact the default's steps are, on twenty arms
 
-Three recordings of 8 s at 50 Hz with 1 mrad of noise, made by Dopri8 at rtol = 1e-12: a smooth arm
-(cubic spring), one with dry friction, and a stiff one (drag that follows the motion with a lag of
-0.1 ms; 2 s of it). Seconds are those of the processor, so that other programs on the machine do not
-count. "first" is the first fit of a model by an integrator, whose programs are compiled.
+Costs are of three recordings at 50 Hz with 1 mrad of noise, made by Dopri8 at rtol = 1e-12: 8 s of
+a smooth arm (cubic spring) and of one with dry friction, and 2 s of a stiff one (drag that follows
+the motion with a lag of 0.1 ms). Seconds are those of the processor, so that other programs on the
+machine do not count. "first" is the first fit of a model by an integrator, whose programs are
+compiled.
+
+The twenty arms are those of `tests.exact`. Their true motion is Dopri8's at rtol = 1e-12, at the
+fitted numbers and initial state; with dry friction, DOP853's from one reversal to the next.
 """
 
+import sys
 import time
 
 import equinox as eqx
@@ -20,53 +26,19 @@ from residyn.fitting import FitError
 from residyn.fitting.integration import checked
 from residyn.fitting.problem import Problem, Unknowns, compressed, predict
 from residyn.fitting.setup import ready
-from residyn.physics.parameter import QUADRATIC, RATIO, Memory, param
-from residyn.recordings.tables import InertiaTable
+from tests.exact import EXACT, IMPLICIT, LaggingDrag, error_of, recorded, twenty_arms, two_joints
 
-MATRIX, JOINTS, UNITS = [[1.0, 0.3], [0.3, 0.5]], ("base", "tip"), ("rad", "rad")
-NOISE, REPEATS = 1e-3, 7
-
-
-class LaggingDrag(residyn.JointEffect):
-    """Quadratic drag that follows the motion with a lag of 0.1 ms."""
-
-    name = "lagging_drag"
-    title = "Drag with a lag"
-    equation = "c z, tau z' = q' |q'| - z"
-    looks_like = "quadratic drag"
-    source = "first-order lag"
-    memory = (Memory("z", RATIO),)
-
-    coefficient: float = param("drag", QUADRATIC)
-    lag: float = param("lag, s", RATIO, silent=None, default=1e-4, fitted=False, grid=(1.0,))
-
-    def joint_torque(self, motion):
-        return self.coefficient * motion.memory[0]
-
-    def joint_rate(self, motion):
-        return ((motion.v * jnp.abs(motion.v) - motion.memory[0]) / self.lag,)
-
-
-def arm(*effects):
-    """Two joints on springs and dampers, and effects."""
-    model = residyn.ConstantInertia(MATRIX, JOINTS, UNITS)
-    model = model + residyn.Spring("base", 20.0) + residyn.Spring("tip", 12.0)
-    model = model + residyn.Damper("base", 0.15) + residyn.Damper("tip", 0.05)
-    for effect in effects:
-        model = model + effect
-    return model
+REPEATS = 7
 
 
 def cases():
-    """Name, what made the recording, the effect that is fitted, seconds, the integrators."""
-    exact = residyn.Integrator("Dopri8", rtol=1e-12, atol=1e-14)
-    stiff = residyn.Integrator("Kvaerno5", rtol=1e-6, atol=1e-8)
+    """Name, the model that is recorded, by what, the effect that is fitted, s, the integrators."""
     drag, dry = residyn.QuadraticDrag("tip", 0.4), residyn.CoulombFriction("tip", 0.1)
     cubic = residyn.CubicStiffness("tip", 30.0)
     usual = ("fixed", "Tsit5", "Dopri8")
-    yield "smooth", arm(cubic), exact, "cubic_stiffness:tip", 8.0, usual
-    yield "dry", arm(dry), None, "coulomb_friction:tip", 8.0, ("fixed", "StickSlip", "Tsit5")
-    yield "stiff", arm(drag), exact, LaggingDrag("tip"), 2.0, ("fixed", stiff)
+    yield "smooth", two_joints(cubic), EXACT, "cubic_stiffness:tip", 8.0, usual
+    yield "dry", two_joints(dry), None, "coulomb_friction:tip", 8.0, ("fixed", "StickSlip", "Tsit5")
+    yield "stiff", two_joints(drag), EXACT, LaggingDrag("tip"), 2.0, ("fixed", IMPLICIT)
 
 
 def cpu(function, repeats: int = REPEATS) -> float:
@@ -79,9 +51,8 @@ def cpu(function, repeats: int = REPEATS) -> float:
     return float(np.median(took))
 
 
-def main() -> None:
-    """Print the table."""
-    residyn.set_up(cache=False)
+def costs() -> None:
+    """Print the table of costs."""
     heads = (
         "recording",
         "integrator",
@@ -94,15 +65,7 @@ def main() -> None:
     print("|---" * 8 + "|")
     for name, truth, made_by, effect, seconds, integrators in cases():
         times = np.arange(round(50 * seconds)) / 50
-        with jax.enable_x64(True):
-            path = residyn.simulate(
-                truth, times, [0.2, -0.1], integrator=made_by, steps=20 * len(times)
-            )
-            q = np.asarray(path.q) + NOISE * np.random.default_rng(1).standard_normal(
-                (len(times), 2)
-            )
-        recording = residyn.Recording.from_arrays(times, q, noise=NOISE)
-        experiment = residyn.Experiment(InertiaTable(JOINTS, MATRIX, UNITS), (recording,))
+        experiment = recorded(truth, times, made_by, steps=20 * len(times))
         base = None
         for integrator in integrators:
             how = {"effects": [effect], "starts": 1, "integrator": integrator}
@@ -120,8 +83,13 @@ def main() -> None:
             with jax.enable_x64(True):
                 print(f"{checked(fit)[0]:.1e} | ", end="")
             base = base or fit
-            pairs = zip(fit.numbers, base.numbers, strict=True)
-            print(f"{max(abs(a.value - b.value) / b.std for a, b in pairs):.4f} |", flush=True)
+            print(f"{between(fit, base):.4f} |", flush=True)
+
+
+def between(fit: residyn.Fit, other: residyn.Fit) -> float:
+    """Between the numbers of two fits, in standard errors, the worst."""
+    pairs = zip(fit.numbers, other.numbers, strict=True)
+    return max(abs(a.value - b.value) / b.std for a, b in pairs)
 
 
 def pieces(fit: residyn.Fit) -> tuple[float, float]:
@@ -145,5 +113,23 @@ def _predicted(problem: Problem, y: Unknowns):
     return jax.vmap(one)(problem.recorded, problem.states(y))
 
 
+def exact() -> None:
+    """Print the table of twenty arms."""
+    print("| arm | steps | error / noise, stated | true | stated / true | Tsit5 off | Dopri8 off |")
+    print("|---|---|---|---|---|---|---|")
+    for i, (experiment, effects) in enumerate(twenty_arms()):
+        fit = residyn.fit(experiment, effects=effects)
+        true = error_of(fit)
+        cells = [f"{i + 1}, {', '.join(effects) or 'springs, dampers'}", fit.integration_steps]
+        cells += [f"{fit.integration_error:.2g}", f"{true:.2g}"]
+        cells.append(f"{fit.integration_error / true:.2f}")
+        for solver in () if fit.model.dry else ("Tsit5", "Dopri8"):
+            other = residyn.fit(experiment, effects=effects, integrator=solver)
+            cells.append(f"{between(fit, other):.4f}")
+        print("| " + " | ".join(map(str, cells)) + " |", flush=True)
+
+
 if __name__ == "__main__":
-    main()
+    asked = "exact" in sys.argv[1:]
+    residyn.set_up(cache=asked)
+    exact() if asked else costs()

@@ -241,6 +241,24 @@ def test_report_is_written(fitted):
     assert "spring:" in fitted[1]
 
 
+def test_two_models_side_by_side(command, fitted):
+    words = ["fit", "cart.toml", "--with", "constant_torque", "--against", "nothing"]
+    end = command(*words, "--json", "side.json")
+    assert end.status == 0
+    assert max(map(len, end.out.splitlines())) <= 80
+    assert end.out.startswith("A: springs and dampers + constant torque\nB: springs and dampers\n")
+    found = json.loads(Path("side.json").read_text())
+    one, other = found["fits"]
+    assert other["parameters"] == fitted[0]["parameters"]
+    # Nothing pushes this cart: a number more gains about one in chi-square and costs ln N = 5.7.
+    freedom = 299 - 4  # a sample was lost; two numbers, two initial states
+    gain = other["reduced_chi2"] * freedom - one["reduced_chi2"] * (freedom - 1)
+    assert found["bic"] == pytest.approx(np.log(299) - gain, abs=0.2)
+    assert "for B (BIC lower by" in end.out
+    end = command("fit", "cart.toml", "--against", "nothing", "--table", "x.csv")
+    assert (end.status, end.err.count("\n")) == (2, 1)
+
+
 def test_json_on_standard_output_is_alone_there(command, fitted):
     end = command("fit", "cart.toml", "--json", "-")
     assert end.status == 0

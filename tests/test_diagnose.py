@@ -3,7 +3,6 @@ by MuJoCo (tests/rig), which shares no code with the package; what decides is he
 forms in test_evidence.py."""
 
 import json
-import math
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ SECONDS, RATE, NOISE = 6.0, 80.0, 5e-4
 COULOMB = ("coulomb_friction:elbow", {"torque": 0.05})
 CUBIC = ("cubic_stiffness:shoulder", {"coefficient": 60.0})
 DELAY = ("sensor_delay:elbow", {"delay": 0.02})
-RIPPLE = ("angle_ripple:elbow", {"torque": 0.2, "waves": 60.0, "phase": 1.0})
+BURST = ("burst:elbow", {"torque": 0.2, "time": 3.0, "width": 0.3})
 
 
 def release(*hidden, q0=(0.2, -0.15), seed=0):
@@ -74,8 +73,8 @@ def clean():
 
 @pytest.fixture(scope="module")
 def outside():
-    """A torque that goes round with the elbow's angle, which is in no catalogue."""
-    return release(RIPPLE)
+    """A push at the elbow that comes and goes, which is in no catalogue."""
+    return release(BURST)
 
 
 @pytest.fixture(scope="module")
@@ -213,28 +212,27 @@ def test_readings_in_degrees_are_no_motion_of_this_arm(outside):
 TORQUE = Dimension("N m", "N", lambda s: s.inertia * s.frequency**2 * s.amplitude)
 
 
-class Ripple(JointEffect):
-    """Sixty teeth: a sin(60 q) + b cos(60 q)."""
+class Push(JointEffect):
+    """One push, half way: a exp(-((t - 3 s) / 0.3 s)^2)."""
 
-    name = "teeth"
-    equation = "a sin(60 q) + b cos(60 q)"
-    sine: float = param("ripple, sine", TORQUE)
-    cosine: float = param("ripple, cosine", TORQUE)
+    name = "push"
+    equation = "a exp(-((t - 3) / 0.3)^2)"
+    height: float = param("its highest torque", TORQUE)
 
     def joint_torque(self, motion):
         import jax.numpy as jnp
 
-        return self.sine * jnp.sin(60 * motion.q) + self.cosine * jnp.cos(60 * motion.q)
+        return self.height * jnp.exp(-(((motion.t - 3.0) / 0.3) ** 2))
 
 
 def test_an_effect_of_the_user_is_found_where_it_has_no_other_name(outside, monkeypatch):
-    monkeypatch.setattr(effects, "CATALOGUE", effects.CATALOGUE | {"teeth": Ripple})
+    monkeypatch.setattr(effects, "CATALOGUE", effects.CATALOGUE | {"push": Push})
     found = residyn.diagnose(experiment(of(outside)), max_effects=1)
     assert found.verdict == "missing"
-    assert found.added == ("teeth:elbow",)
+    assert found.added == ("push:elbow",)
     assert found.candidates[0].probability > 0.99
-    (sine, _), (cosine, _) = (parameter(found, f"teeth:elbow.{x}") for x in ("sine", "cosine"))
-    assert math.hypot(sine, cosine) == pytest.approx(0.2, rel=0.05)
+    height, std = parameter(found, "push:elbow.height")
+    assert abs(height - 0.2) < 4 * std
 
 
 def test_an_effect_that_is_in_the_model_from_the_start_is_no_candidate():

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from scipy.special import log_ndtr
 
+import residyn
 from residyn import demo
 from residyn.diagnosis.evidence import log_prior_model, subset
-from residyn.recordings import recording
 from residyn.reporting.explorer import page
 from residyn.reporting.explorer.payload import payload
 from residyn.reporting.explorer.study import Study
@@ -27,7 +27,7 @@ NASTY = "<img src=x onerror=document.title='out'></script>.csv"
 def study():
     """Two fitted recordings of three seconds, with markup in a file's name."""
     with demo.experiment_file() as path:
-        whole = recording.load(path)
+        whole = residyn.load(path)
     cut = [
         dataclasses.replace(r, time=r.time[:300], angle=r.angle[:300], role="fit", name=name)
         for r, name in zip(whole.recordings, (NASTY, "check.csv"), strict=True)

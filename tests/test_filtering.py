@@ -9,8 +9,7 @@ import pytest
 from residyn import ConstantInertia, PlanarArm, Recording, Spring
 from residyn.effects import CoulombFriction, CubicStiffness, Damper, Gravity, Hysteresis
 from residyn.filtering.grid import Spectrum, bucket, lay_out
-from residyn.filtering.kalman import Noise, Readings, System, evidences, innovations, smooth
-from residyn.filtering.linearised import nodes
+from residyn.filtering.kalman import Noise, Readings, System, evidences, gram, smooth
 from residyn.filtering.trajectory import Prior, Scene
 from residyn.simulation.simulate import simulate
 
@@ -136,9 +135,9 @@ def test_one_gram_matrix_holds_the_evidence_of_every_subset():
     from residyn.diagnosis.evidence import conditional, subset
 
     system, readings, noise = a_system(P=4)
-    total, white = innovations(system, readings, noise, 1.0)
-    gram = np.asarray(white).T @ np.asarray(white)
-    base, rest = conditional(gram, 1)
+    none = np.zeros((*np.shape(system.c), 0)), np.zeros((*np.shape(system.hc), 0))
+    total, square = map(np.asarray, gram(system, none, readings, noise, 1.0))
+    base, rest = conditional(square, 1)
     for chosen in ((), (0,), (2,), (0, 1), (0, 1, 2)):
         of = [0, *(i + 1 for i in chosen)]
         alone = system._replace(B=system.B[..., of], Hu=system.Hu[..., of])
@@ -203,7 +202,7 @@ def test_a_step_of_the_linear_system_is_a_step_of_the_simulation():
     motion = np.concatenate([np.asarray(path.q), np.asarray(path.v)], axis=1)
     real = scene.grid.real
     t.path[:real, :4], t.path[real:, :4] = motion[:real], motion[real - 1]
-    system = scene.system(scene.along(t))
+    system = jax.tree.map(np.asarray, scene.linearised(t).system)
     k = np.arange(real - 1)
     moved = np.einsum("kij,kj->ki", system.A[k], t.path[k]) + system.c[k]
     np.testing.assert_allclose(moved[:, :4], motion[1:real], atol=1e-5)
@@ -228,16 +227,28 @@ def test_a_step_of_the_linear_system_is_a_step_of_the_simulation():
 
 
 def test_expected_friction_is_the_level_far_from_rest_and_holds_at_rest():
-    from residyn.filtering.linearised import _expected_direction as direction
+    from residyn.filtering.linearised import expected_direction
 
-    slides = direction(1.0, 0.3, 1.0, 1e-6, 1e-3)
-    rests = direction(0.0, 0.3, 1.0, 1e-9, 1e-3)
-    breaks = direction(0.0, 3.0, 1.0, 1e-9, 1e-3)
-    unsure = direction(0.0, 0.0, 1.0, 1.0, 1e-3)
-    assert float(slides) == pytest.approx(1.0, abs=1e-6)
-    assert float(rests) == pytest.approx(0.3, abs=1e-6)  # just the torque that is needed
-    assert 0 < float(breaks) < 1  # more than friction can give: not held
-    assert float(unsure) == pytest.approx(0.0, abs=1e-3)
+    def direction(*args):
+        return float(expected_direction(*map(jnp.asarray, args))[0])
+
+    assert direction(1.0, 0.3, 1.0, 1e-6, 1e-3) == pytest.approx(1.0, abs=1e-6)
+    # At rest, just the torque that is needed; no more than friction can give.
+    assert direction(0.0, 0.3, 1.0, 1e-9, 1e-3) == pytest.approx(0.3, abs=1e-6)
+    assert 0 < direction(0.0, 3.0, 1.0, 1e-9, 1e-3) < 1
+    assert direction(0.0, 0.0, 1.0, 1.0, 1e-3) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_slopes_of_the_expected_direction_are_its_finite_differences():
+    from residyn.filtering.linearised import expected_direction
+
+    at = np.array([2e-4, 0.3, 1.0])
+    _, slopes = expected_direction(*map(jnp.asarray, at), 3e-4, 1e-3)
+    for i, eps in enumerate((1e-8, 1e-5, 1e-5)):
+        step = eps * np.eye(3)[i]
+        ends = [float(expected_direction(*map(jnp.asarray, x), 3e-4, 1e-3)[0])
+                for x in (at + step, at - step)]  # fmt: skip
+        assert float(slopes[i]) == pytest.approx((ends[0] - ends[1]) / (2 * eps), rel=1e-5)
 
 
 @pytest.mark.parametrize("effect", [CoulombFriction("elbow", 0.2), Hysteresis("elbow", 0.5, 0.1)])
@@ -304,15 +315,6 @@ def test_the_fastest_frequency_is_that_of_the_motion_not_of_the_noise():
     fast = Spectrum.of(recording, np.zeros(angle.shape, bool)).fastest
     # Averaged over 15 lines of 0.05 Hz to either side.
     assert 1.0 < fast / (2 * np.pi * 4) < 1.25
-
-
-def test_nodes_are_those_of_a_cubic():
-    h = np.array([0.1, 0.0])
-    t0 = np.array([0.3, 0.4])
-    path = np.stack([t0**3, 3 * t0**2, t0], axis=1)
-    q, v, _ = nodes(h, path, 1)
-    np.testing.assert_allclose(q[0, :, 0], [0.3**3, 0.35**3, 0.4**3])
-    np.testing.assert_allclose(v[0, :, 0], [3 * 0.3**2, 3 * 0.35**2, 3 * 0.4**2])
 
 
 def test_typical_stiffness_is_that_of_the_springs():

@@ -9,59 +9,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import residyn
 from residyn.cli import main
 from residyn.fitting import FitError
 from residyn.fitting.integration import checked
 from residyn.fitting.setup import Ready, ready
-from residyn.physics.parameter import QUADRATIC, RATIO, Memory, param
 from residyn.recordings.tables import InertiaTable
+from tests.exact import EXACT, IMPLICIT, LaggingDrag, dry_motion, error_of, recorded, two_joints
 
-MATRIX, JOINTS, UNITS = [[1.0, 0.3], [0.3, 0.5]], ("base", "tip"), ("rad", "rad")
 TIME = np.arange(400) / 50
-NOISE = 1e-3
-EXACT = residyn.Integrator("Dopri8", rtol=1e-12, atol=1e-14)
-
-
-class LaggingDrag(residyn.JointEffect):
-    """Quadratic drag that follows the motion with a lag of 0.1 ms."""
-
-    name = "lagging_drag"
-    title = "Drag with a lag"
-    equation = "c z, tau z' = q' |q'| - z"
-    looks_like = "quadratic drag"
-    source = "first-order lag"
-    memory = (Memory("z", RATIO),)
-
-    coefficient: float = param("drag", QUADRATIC)
-    lag: float = param("lag, s", RATIO, silent=None, default=1e-4, fitted=False, grid=(1.0,))
-
-    def joint_torque(self, motion):
-        return self.coefficient * motion.memory[0]
-
-    def joint_rate(self, motion):
-        return ((motion.v * jnp.abs(motion.v) - motion.memory[0]) / self.lag,)
-
-
-def arm(*effects, numbers=None):
-    """A model of two joints with effects, and the experiment that it gives."""
-    mechanism = residyn.ConstantInertia(MATRIX, JOINTS, UNITS)
-    model = mechanism + residyn.Spring("base", 20.0) + residyn.Spring("tip", 12.0)
-    model = model + residyn.Damper("base", 0.15) + residyn.Damper("tip", 0.05)
-    for effect in effects:
-        model = model + effect
-    return model
-
-
-def experiment(model, integrator=None, steps=None, time=TIME):
-    with jax.enable_x64(True):
-        path = residyn.simulate(model, time, [0.2, -0.1], integrator=integrator, steps=steps)
-        q = np.asarray(path.readings)
-    q = q + NOISE * np.random.default_rng(1).standard_normal(q.shape)
-    recording = residyn.Recording.from_arrays(time, q, noise=NOISE)
-    return residyn.Experiment(InertiaTable(JOINTS, MATRIX, UNITS), (recording,))
 
 
 def off(one, other):
@@ -72,7 +29,7 @@ def off(one, other):
 
 @pytest.fixture(scope="module")
 def smooth():
-    return experiment(arm(residyn.CubicStiffness("tip", 30.0)), EXACT)
+    return recorded(two_joints(residyn.CubicStiffness("tip", 30.0)), TIME)
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +84,7 @@ def test_smaller_tolerances_come_nearer_to_the_truth(smooth):
 
 def test_simulate_takes_any_integrator():
     with jax.enable_x64(True):
-        model = arm()
+        model = two_joints()
         paths = [
             residyn.simulate(model, TIME, [0.2, -0.1], integrator=i).q
             for i in (None, "Tsit5", "Dopri8", EXACT, diffrax.Dopri5())
@@ -146,7 +103,7 @@ def test_a_drive_that_jumps_is_followed(smooth):
     with jax.enable_x64(True):
         from residyn.fitting.problem import predict
 
-        model = arm()
+        model = two_joints()
         found = []
         for integrator in (None, "Tsit5"):
             own = dataclasses.replace(made, integrator=integrator)
@@ -191,7 +148,7 @@ def test_a_solver_that_cannot_stick_is_refused_in_one_line(smooth, effect):
 
 
 def test_stick_slip_steps_are_handed_to_diffrax():
-    model = arm(residyn.CoulombFriction("tip", 0.1))
+    model = two_joints(residyn.CoulombFriction("tip", 0.1))
     with jax.enable_x64(True):
         own, handed = (
             residyn.simulate(model, TIME, [0.2, -0.1], steps=600, integrator=i).q
@@ -229,64 +186,52 @@ def test_a_fit_needs_an_adjoint_in_forward_mode(smooth):
 
 
 def test_the_stated_error_is_the_true_one(usual):
-    with jax.enable_x64(True):
-        state = usual.recordings[0].state
-        true = residyn.simulate(
-            usual.model, TIME, state[:2], state[2:4], integrator=EXACT, steps=4000
-        ).readings
-    error = (usual.recordings[0].predicted - np.asarray(true)) / NOISE
-    error = np.sqrt(np.mean(error**2, axis=0)).max()
+    error = error_of(usual)
     assert 0.5 < usual.integration_error / error < 2.0
     with jax.enable_x64(True):
         assert 0.5 < checked(usual)[0] / error < 2.0
 
 
-def dry_truth(stiffness, damping, friction, q0, v0, time):
-    """A cart on a spring with Coulomb friction, from event to event by DOP853."""
-    t, y, found = time[0], np.array([q0, v0]), np.empty(len(time))
-    while True:
-        push = -stiffness * y[0]
-        if y[1] == 0.0 and abs(push) <= friction:
-            found[time >= t] = y[0]
-            return found
-        direction = np.sign(y[1]) or np.sign(push)
-
-        def rate(_, y, direction=direction):
-            return [y[1], -stiffness * y[0] - damping * y[1] - direction * friction]
-
-        def stops(_, y):
-            return y[1]
-
-        stops.terminal, stops.direction = True, -direction
-        part = solve_ivp(
-            rate,
-            (t, time[-1]),
-            y,
-            method="DOP853",
-            rtol=1e-12,
-            atol=1e-14,
-            events=stops,
-            dense_output=True,
-        )
-        here = (time >= t) & (time <= part.t[-1])
-        found[here] = part.sol(time[here])[0]
-        if not len(part.t_events[0]):
-            return found
-        t, y = part.t[-1], np.array([part.y[0, -1], 0.0])
-
-
-def test_the_stated_error_is_the_true_one_with_dry_friction():
-    time, k, c, f = np.arange(500) / 50, 40.0, 0.1, 0.3
-    q = dry_truth(k, c, f, 0.2, 0.0, time)
+@pytest.fixture(scope="module")
+def cart():
+    """A cart on a spring with dry friction, by DOP853 from one reversal to the next."""
+    time = np.arange(500) / 50
+    q = dry_motion(
+        lambda q, v: (np.eye(1), -40.0 * q - 0.1 * v), np.array([0.3]), np.array([0.2, 0.0]), time
+    )
     q = q + 1e-4 * np.random.default_rng(0).standard_normal(q.shape)
-    recording = residyn.Recording.from_arrays(time, q[:, None], noise=1e-4)
-    made = residyn.Experiment(InertiaTable(("cart",), [[1.0]], ("m",)), (recording,))
-    fit = residyn.fit(made, effects=["coulomb_friction"], starts=2)
-    (beside,) = fit.recordings
-    numbers = [n.value for n in fit.numbers]
-    true = dry_truth(*numbers, *beside.state[:2], time)
-    error = np.sqrt(np.mean((beside.predicted[:, 0] - true) ** 2)) / 1e-4
-    assert 0.5 < fit.integration_error / error < 2.0
+    recording = residyn.Recording.from_arrays(time, q, noise=1e-4)
+    return residyn.Experiment(InertiaTable(("cart",), [[1.0]], ("m",)), (recording,))
+
+
+def test_the_stated_error_is_the_true_one_with_dry_friction(cart):
+    fit = residyn.fit(cart, effects=["coulomb_friction"], starts=2)
+    assert 0.5 < fit.integration_error / error_of(fit) < 2.0
+
+
+def test_dry_motion_is_the_closed_form():
+    # Without a damper a cart on a spring loses 2 F/k at every half swing, and rests within F/k.
+    k, friction, time = 40.0, 0.7, np.arange(600) / 100
+    push = lambda q, v: (np.eye(1), -k * q)  # noqa: E731
+    q = dry_motion(push, np.array([friction]), np.array([0.2, 0.0]), time)[:, 0]
+    half = np.floor(time * np.sqrt(k) / np.pi)
+    swings = np.floor((0.2 * k / friction + 1) / 2)
+    middle = friction / k * (-1) ** half
+    size = 0.2 - (2 * half + 1) * friction / k
+    closed = middle + size * np.cos(np.sqrt(k) * time)
+    rest = (-1) ** swings * (0.2 - 2 * swings * friction / k)
+    np.testing.assert_allclose(q, np.where(half < swings, closed, rest), atol=1e-10)
+
+
+def test_the_error_of_coarse_steps_is_not_in_the_numbers(smooth, monkeypatch):
+    """Steps 1.8 times as long leave 19 times the error; numbers stay those of an exact solver."""
+    exact = residyn.fit(smooth, effects=["cubic_stiffness:tip"], starts=1, integrator="Dopri8")
+    steps = Ready.steps
+    monkeypatch.setattr(Ready, "steps", lambda *given: math.ceil(steps(*given) / 1.8))
+    fit = residyn.fit(smooth, effects=["cubic_stiffness:tip"], starts=1)
+    # It could have moved the numbers by so many standard errors.
+    assert fit.integration_error * math.sqrt(2 * len(TIME)) > 0.5
+    assert off(fit, exact) < 0.02
 
 
 def test_steps_that_are_too_coarse_are_refined_once_and_that_is_said(smooth, monkeypatch):
@@ -317,7 +262,7 @@ def test_an_error_that_stays_large_is_warned_of(usual):
 @pytest.fixture(scope="module")
 def stiff():
     # The lag of 0.1 ms is too short to change anything.
-    return experiment(arm(residyn.QuadraticDrag("tip", 0.4)), EXACT, time=TIME[:100])
+    return recorded(two_joints(residyn.QuadraticDrag("tip", 0.4)), TIME[:100])
 
 
 def test_steps_that_are_too_coarse_for_a_stiff_effect_are_named(stiff):
@@ -327,8 +272,7 @@ def test_steps_that_are_too_coarse_for_a_stiff_effect_are_named(stiff):
 
 @pytest.mark.slow  # an implicit solver and its derivatives compile for half a minute
 def test_a_stiff_effect_is_fitted_by_an_implicit_solver(stiff):
-    implicit = residyn.Integrator("Kvaerno5", rtol=1e-6, atol=1e-8)
-    fit = residyn.fit(stiff, effects=[LaggingDrag("tip")], starts=1, integrator=implicit)
+    fit = residyn.fit(stiff, effects=[LaggingDrag("tip")], starts=1, integrator=IMPLICIT)
     plain = residyn.fit(stiff, effects=["quadratic_drag:tip"], starts=1)
     assert fit.converged
     assert off(fit, plain) < 0.2

@@ -116,6 +116,35 @@ def test_a_bad_file_is_told_in_one_line(tmp_path, capsys, text, says):
     assert says in line
 
 
+@pytest.mark.parametrize(
+    ("law", "says"),
+    [
+        ("return motion.qd", "line 6: AttributeError: 'JointMotion' object has no attribute 'qd'; "
+         "a motion has t, q, v, direction"),
+        ("if motion.q > 0: return 1.0", "line 6: a number that JAX traces has no truth value"),
+        ("return max(motion.q, 0.0)", "jnp.minimum for min"),
+        ("return math.sin(motion.q)", "line 6: float() and math take no number that JAX traces"),
+        ("return np.sin(motion.q)", "line 6: NumPy and math take no number that JAX traces"),
+        ("pass", "line 5: joint_torque returns nothing: must be the torque, a number"),
+        ("return 'much'", 'line 5: joint_torque returns "much", a str'),
+        ("return np.ones(2)", "line 5: joint_torque returns an array of shape (2,)"),
+        ("return 1 / 0", "line 6: ZeroDivisionError"),
+        ("return self.much", "has no attribute 'much'"),
+    ],
+)  # fmt: skip
+def test_a_mistake_in_a_law_is_told_with_its_line(tmp_path, capsys, law, says):
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "import math; import numpy as np\nfrom residyn import JointEffect\n"
+        f'class Mine(JointEffect):\n    name = "mine"\n'
+        f"    def joint_torque(self, motion):\n        {law}\n"
+    )
+    assert main(["effects", "--effects", str(path)]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert line.startswith(f"residyn: {path}: line ")
+    assert says in line
+
+
 def test_installed_packages_offer_effects(own, monkeypatch):
     (kind,) = effects.read_effects(own)
 

@@ -270,3 +270,15 @@ def test_concrete_state_matrices_are_those_of_any_other_program(undamped, tilted
     for found, row in zip(state_matrices(model, rows), rows, strict=True):
         there = state_matrix(model.with_vector(jnp.asarray(row)))
         np.testing.assert_allclose(found, there, rtol=1e-9, atol=1e-9)
+
+
+def test_a_model_shows_its_numbers_and_refuses_a_joint_that_is_not_there():
+    arm = residyn.PlanarArm([0.4, 0.4], shoulder=1.2, elbow=0.6, coupling=1.4)
+    model = arm + residyn.Spring("elbow", 16.7) + residyn.InertiaError("coupling")
+    assert str(model).splitlines() == [
+        "PlanarArm: shoulder, elbow",
+        "    spring:elbow.stiffness        16.7 N m/rad",
+        "    inertia_error:coupling.share  0",
+    ]
+    with pytest.raises(ValueError, match="spring:wrist: spring goes with shoulder, elbow"):
+        arm + residyn.Spring("wrist", 3.0)

@@ -1,5 +1,7 @@
 """`residyn fit`."""
 
+from typing import TYPE_CHECKING, NoReturn
+
 import typer
 
 from ..errors import InputError
@@ -8,12 +10,19 @@ from ._each import fit_each
 from ._experiment import bring, fitted, input_files, integrated_by, load, title
 from ._shell import DONE, NO_NUMBERS, Outputs, complain, set_up_jax
 
+if TYPE_CHECKING:
+    from ..fitting.result import Fit
+
+NOTHING = "nothing"
+"""Of --against: no effect, springs and dampers alone."""
+
 
 def fit(
     experiment: _options.OneExperiment = None,
     each: _options.Each = None,
     jobs: _options.Jobs = 1,
     effects: _options.With = None,
+    against: _options.Against = None,
     own: _options.Effects = None,
     starts: _options.Starts = _options.STARTS,
     method: _options.Method = _options.METHODS[0],
@@ -48,10 +57,14 @@ def fit(
                 "--each goes with neither --integrator nor --check-integration; [integrator] in "
                 "an experiment's file says what integrates it"
             )
+        if against is not None:
+            raise InputError("--each goes without --against")
         bring(own)
         fit_each(each, effects or [], own, starts, json, no_cache, jobs)
     if jobs != 1:
         raise InputError(f"--jobs {jobs} goes with --each FOLDER")
+    if against is not None and table is not None:
+        raise InputError("--table is of one model; it goes without --against")
     if experiment is None:
         raise InputError("an EXPERIMENT is needed, a TOML file, or --each FOLDER")
     out = Outputs(json, report, table)
@@ -59,7 +72,11 @@ def fit(
     bring(own)
     loaded = integrated_by(load(experiment), integrator)
     out.spare(input_files(experiment, loaded))
-    result = fitted(loaded, effects or [], starts, method, check_integration, seed)
+    how = starts, method, check_integration, seed
+    result = fitted(loaded, effects or [], *how)
+    if against is not None:
+        other = fitted(loaded, [e for e in against if e != NOTHING], *how)
+        _beside(out, result, other, report)
     out.words.print(str(result), soft_wrap=True)
     if result.misses:
         out.words.print(
@@ -75,4 +92,20 @@ def fit(
     if result.unphysical:
         names = ", ".join(n.name for n in result.unphysical)
         raise typer.Exit(complain(f"{names}: negative, which is not physical", NO_NUMBERS))
+    raise typer.Exit(DONE)
+
+
+def _beside(out: Outputs, one: "Fit", other: "Fit", report: str | None) -> NoReturn:
+    """Print and write two models side by side."""
+    from ..reporting.side_by_side import SideBySide, headings
+
+    found = SideBySide(one, other)
+    out.words.print(str(found), soft_wrap=True)
+    out.write_json(found.to_dict())
+    if report is not None:
+        out.write_report(headings(found))
+        out.words.print(f"report: {report}", soft_wrap=True)
+    for name, fit in (("A", one), ("B", other)):
+        if not fit.converged:
+            raise typer.Exit(complain(f"{name}: {fit.reason}", NO_NUMBERS))
     raise typer.Exit(DONE)

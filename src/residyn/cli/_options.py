@@ -40,6 +40,16 @@ With = Annotated[
         show_default=False,
     ),
 ]
+Against = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--against",
+        metavar="EFFECT",
+        help="Fit a second model, with these effects instead of those of --with, and set the two "
+        'side by side; "nothing": springs and dampers alone. May be repeated.',
+        show_default=False,
+    ),
+]
 Effects = Annotated[
     list[str] | None,
     typer.Option(

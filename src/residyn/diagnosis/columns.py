@@ -8,21 +8,46 @@ subset of them, to first order.
 """
 
 import dataclasses
-import functools
 import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from scipy.special import erf, logsumexp
+from scipy.special import logsumexp
 
-from ..effects import AbstractEffect, catalogue
-from ..filtering.kalman import System, innovations
-from ..filtering.law import changes_bodies, law, numbers_of, of_one_joint, reading, with_numbers
-from ..filtering.linearised import nodes, transition
-from ..filtering.trajectory import Along, Scene, Trajectory
-from ..runtime.parallel import side_by_side
+from ..effects import AbstractEffect
+from ..filtering.kalman import gram
+from ..filtering.law import (
+    Laws,
+    Table,
+    along_readings,
+    catalogue_on,
+    changes_bodies,
+    group_of,
+    joint_law,
+    law_name,
+    laws_for,
+    numbers_of,
+    states_along,
+    usual,
+    whole_law,
+    with_numbers,
+)
+from ..filtering.linearised import (
+    Instants,
+    Linear,
+    Point,
+    at_nodes,
+    body_columns,
+    changed_bodies,
+    nodes,
+)
+from ..filtering.trajectory import Scene, Trajectory
+from ..physics.motion import Motion, split, stack
+from ..runtime.export_cache import kept
 from .evidence import (
     conditional,
     half_normal,
@@ -33,7 +58,7 @@ from .evidence import (
     width_of,
 )
 
-_BLOCK = 32  # columns in one call of the filter
+_LINES = 5  # frequencies of each joint's random torque that a disturbance may have
 
 
 def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
@@ -43,17 +68,11 @@ def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
     With one joint, a sensor's scale is a choice of unit, which the inertia has to bear; its delay
     is one of the first state, or of the drive.
     """
-    found: list[AbstractEffect] = []
-    mechanism = scene.mechanisms[0]
-    for kind in catalogue().values():
-        if kind.name in ("spring", "damper"):
-            continue
-        try:
-            places = kind.places(mechanism)
-        except ValueError:  # it makes no sense here
-            continue
-        each = [kind(p) for p in places] if places else [kind()]  # pyright: ignore
-        found += [e for e in each if e.label not in present and numbers_of(e)]
+    found = [
+        e
+        for e in catalogue_on(scene.mechanisms[0])
+        if e.name not in ("spring", "damper") and e.label not in present and numbers_of(e)
+    ]
     if scene.n == 1:
         found = [e for e in found if not (e.senses and _not_an_offset(e))]
     return found
@@ -71,6 +90,8 @@ class Column(NamedTuple):
     """Field -> value."""
     which: tuple[int, ...]
     """Which columns of the Gram matrix are its strengths (and phases)."""
+    states: np.ndarray
+    """(K, m) its internal states along the motion."""
 
 
 class Screened(NamedTuple):
@@ -83,6 +104,7 @@ class Screened(NamedTuple):
     regressors: np.ndarray
     """Posterior mean of its columns, in prior widths."""
     which: tuple[int, ...]
+    states: np.ndarray
 
 
 def strengths(effect: AbstractEffect):
@@ -115,54 +137,185 @@ def shaped_numbers(effect: AbstractEffect, shape: dict[str, float]) -> np.ndarra
     return np.array([shape.get(x.field, x.silent) for x in numbers_of(effect)], float)
 
 
-def columns_of(
-    along: Along, effect: AbstractEffect, shape: dict[str, float]
-) -> list[tuple[Any, Any]]:
-    """What each strength of an effect does along a motion, at its prior's width.
+class Shaped(NamedTuple):
+    """A law at J places (one, but for effects of one joint) and S shapes each, as data."""
 
-    **Returns:** for each column the torque (K, 3, n), N m, that it amounts to, and what it adds to
-    the readings (K, n); None for nothing.
+    joints: tuple[int, ...]
+    numbers: Any  # (J, S, p), strengths silent
+    widths: Any  # (J, s) of the strengths' priors
+
+
+@kept(like=(0, 0, 0, 0))
+def columns(
+    laws: Laws,
+    shaped: Sequence[Shaped],
+    model: tuple[Laws, Table],
+    instants: Instants,
+    point: Point,
+    field: tuple[Any, Any, Any],
+):
+    """What each strength (and phase) of some laws does along a motion, at its prior's width.
+
+    **Arguments:** `model` is along the motion, `field` its `by_x`, `by_torque`, `acceleration`.
+
+    **Returns:** by columns, in the order of `_places`, then shape, phase, strength: B (K, X, C),
+    what each adds to the states in a step; (K, n, C), what to the readings; (K, n, C) its torque,
+    N m, at the beginning of each step; and (F, K) internal states, in the same order.
     """
-    scene = along.scene
-    n, K, g = scene.n, scene.K, scene.grid
-    silent = shaped_numbers(effect, shape)
-    fields = [x.field for x in numbers_of(effect)]
-    own = [(fields.index(x.field), width_of(scene, effect, x)) for x in strengths(effect)]
-    if effect.senses:
-        late = reading(effect, silent, scene.mechanisms[0], along.q[:, 0])
-        v, by_number = along.v[:, 0], np.asarray(late.by_number)
-        delay = np.asarray(late.delay_by_number)
-        return [(None, w * (by_number[..., i] - v * delay[:, i])) for i, w in own]
-    out: list[tuple[Any, Any]] = []
-    if changes_bodies(effect):
-        effects = [*along.effects, effect]
-        motion = along.q, along.v, along.push
-        body = [scene.body_column(effects, len(effects) - 1, silent, i, *motion) for i, _ in own]
-    else:
-        body = [0.0] * len(own)
-    q, v, time = (x.reshape(3 * K, *x.shape[2:]) for x in (along.q, along.v, along.time))
-    spread = along.node_spread.reshape(3 * K, n)
-    step = np.repeat(np.where(g.step > 0, g.step, np.median(g.step[g.step > 0])), 3)
-    bodies = along.bodies if of_one_joint(effect) else along.node_bodies
-    phases = (0.0, math.pi / 2) if effect.oscillates else (0.0,)
-    for phase in phases:
-        z = np.zeros((3 * K, len(effect.memory)))
-        if effect.memory:
-            first = scene.begin_states(with_numbers(effect, silent), along.trajectory.path) + phase
-            z = scene.states(effect, silent, along.q, along.v, along.time, first)
-            z = z.reshape(3 * K, -1)
-        found = law(effect, silent, bodies, time, q, v, z, step, spread)
-        direction = erf(v / (math.sqrt(2) * spread))
-        for (i, width), inertial in zip(own, body, strict=True):
-            torque = found.whole(found.torque.by_number[..., i], n)
-            if found.level is not None:
-                torque = torque + found.whole(found.level.by_number[..., i], n) * direction
-            out.append((width * (torque.reshape(K, 3, n) + inertial), None))
-    return out
+    n, K = point.spread.shape[1], instants.step.shape[0]
+    by_x, by_torque, acceleration = field
+    at = nodes(instants, point.path, point.spread, model[1].held)
+    slots = model[1].whole
+    bodies = changed_bodies(model[0], slots, slots.numbers, instants.mechanisms)
+    mechanism, early = at_nodes(bodies, instants.run), at_nodes(bodies, instants.run, 1)
+    first = jax.tree.map(lambda x: x[0], instants.mechanisms)
+    direction = jax.scipy.special.erf(at.v / (math.sqrt(2) * at.spread))
+    anew = jnp.concatenate([jnp.ones(1, bool), instants.last[:-1]])
+
+    def three(x):  # (r, N) to (3, r, K)
+        return jnp.moveaxis(x.reshape(-1, 3, K), 1, 0)
+
+    torques: list[list[Any]] = [[] for _ in range(n + 1)]  # of each joint, of the whole
+    readings, states = [], []
+
+    def of_place(effect, j: int, numbers, width):
+        """Torques (S phases s, r, N), of one joint r = 1, and states (S phases m, K)."""
+        own = slice(j, j + 1) if group_of(effect) == "joint" else slice(None)
+        q, v, d = at.q[own], at.v[own], direction[own]
+        which = _which(effect)
+        unit, m = jnp.eye(numbers.shape[-1])[which], len(effect.memory)
+
+        def of_phase(numbers, phase):
+            z, begun = jnp.zeros((m, 3 * K)), jnp.zeros((m, K))
+            if m:
+                z0 = stack(_begin(effect, j, numbers, at, first)) + phase
+                args = three(q), three(v), at.time.reshape(3, K), instants.step
+                z = states_along(effect, numbers, early, *args, anew, z0)
+                begun, z = z[0], jnp.moveaxis(z, 0, 1).reshape(m, 3 * K)
+            torque, level = _strengths(effect, unit, mechanism, q, v, at, z, numbers)
+            torque = torque + level * d
+            if changes_bodies(effect):
+
+                def change(u, mechanisms):
+                    return jax.vmap(lambda b: with_numbers(effect, u[0]).bodies(b))(mechanisms)
+
+                args = bodies, instants.run, at, acceleration
+                torque += jnp.moveaxis(
+                    body_columns(change, numbers[None], *args)[:, 0, which], 0, 1
+                )
+            return torque * width[:, None, None], begun
+
+        phases = jnp.asarray([0.0, math.pi / 2] if effect.oscillates else [0.0])
+        over = jax.vmap(jax.vmap(of_phase, in_axes=(None, 0)), in_axes=(0, None))
+        torque, z = over(numbers, phases)
+        return torque.reshape(-1, *torque.shape[-2:]), z.reshape(-1, K)
+
+    for place, effect, numbers, width in _places(laws, shaped, n):
+        if effect.senses:
+            _, _, by_number, _, late = along_readings(effect, first, at.q[:, :K], numbers[0])
+            own = by_number - at.v[:, None, :K] * late[..., None]
+            readings.append(own[:, _which(effect)] * width[:, None])
+        else:
+            torque, z = of_place(effect, place, numbers, width)
+            torques[place].append(torque)
+            states.append(z)
+    W = _responses(instants.step, by_x, -by_torque)
+    steps, begins = [], []
+    for place, each in enumerate(torques):
+        if each:
+            own = slice(place, place + 1) if place < n else slice(None)
+            torque = jnp.concatenate(each).reshape(-1, len(at.q[own]), 3, K)
+            parts = [
+                W[a][:, own][:, i, None] * torque[None, :, i, a]
+                for a in range(3)
+                for i in range(torque.shape[1])
+            ]
+            steps.append(sum(parts))
+            begins.append(jnp.zeros((n, len(torque), K)).at[own].set(
+                torque[:, :, 0].transpose(1, 0, 2)))  # fmt: skip
+    acting, C = sum(x.shape[1] for x in steps), sum(x.shape[1] for x in readings)
+
+    def filled(x, rows: int, before: int, after: int):
+        """Arrays (rows, ., K) as (K, rows, before + . + after)."""
+        whole = jnp.concatenate([jnp.zeros((rows, 0, K)), *x], 1)
+        return jnp.pad(whole, ((0, 0), (before, after), (0, 0))).transpose(2, 0, 1)
+
+    B = [jnp.where(instants.last, 0.0, x) for x in steps]
+    rows = jnp.concatenate([jnp.zeros((0, K)), *states])
+    B, read = filled(B, by_x.shape[0], 0, C), filled(readings, n, acting, 0)
+    return B, read, filled(begins, n, 0, C), rows
+
+
+def _which(effect: AbstractEffect) -> np.ndarray:
+    """Indices of an effect's strengths among its numbers."""
+    return np.array([i for i, x in enumerate(numbers_of(effect)) if x.silent is not None], int)
+
+
+def _places(laws: Laws, shaped: Sequence[Shaped], n: int):
+    """Place, law, numbers (S, p) and widths (s,) in the order of columns: what acts at each joint,
+    then on the whole mechanism, then sensors."""
+    each = [
+        (n + 1 if e.senses else j if group_of(e) == "joint" else n, e, *rows)
+        for e, s in zip(laws.each, shaped, strict=True)
+        for j, *rows in zip(s.joints, s.numbers, s.widths, strict=True)
+    ]
+    return sorted(each, key=lambda x: x[0])
+
+
+def _begin(effect, j: int, numbers, at, mechanism):
+    """Internal states at the first instant."""
+    if group_of(effect) == "joint":
+        effect = dataclasses.replace(effect, joint=mechanism.joints[j])
+    motion = Motion.at(0.0, split(at.q[:, 0]), split(at.v[:, 0]))
+    return with_numbers(effect, numbers).begin(motion, mechanism)
+
+
+def _strengths(effect, unit, mechanism, q, v, at, z, numbers):
+    """(s, r, N) d torque / d strength and the same of friction's level."""
+
+    def joint(q, v, t, z, step, spread, mechanism):
+        def of(u):
+            torque, level, _ = joint_law(effect, q[0], v[0], t, z, u)
+            return stack((torque,)), stack((level,))
+
+        return jax.vmap(lambda e: jax.jvp(of, (numbers,), (e,))[1])(unit)
+
+    def whole(q, v, t, z, step, spread, mechanism):
+        def of(u):
+            torque, level, _ = whole_law(effect, mechanism, q, v, t, z, step, spread, u)
+            return stack(torque), stack(level)
+
+        return jax.vmap(lambda e: jax.jvp(of, (numbers,), (e,))[1])(unit)
+
+    one = joint if group_of(effect) == "joint" else whole
+    axes = -1, -1, 0, -1, 0, -1, 0
+    over = jax.vmap(one, in_axes=axes, out_axes=-1)
+    return over(q, v, at.time, z, at.step, at.spread, mechanism)
+
+
+def _responses(h, by_x, by_torque):
+    """How a Runge-Kutta step answers to a unit torque at its beginning, middle and end, each
+    (X, n, K)."""
+    X, K = by_x.shape[0], h.shape[0]
+    A, G = (x.reshape(X, -1, 3, K).transpose(2, 0, 1, 3) for x in (by_x, by_torque))
+
+    def times(M, x):
+        return sum(M[:, i, None] * x[None, i] for i in range(X))
+
+    a = G[0]
+    b = h / 2 * times(A[1], a)
+    c = h / 2 * times(A[1], b)
+    begin = h / 6 * (a + 2 * b + 2 * c + h * times(A[2], c))
+    twice = G[1] + h / 2 * times(A[1], G[1])
+    return begin, h / 6 * (2 * G[1] + 2 * twice + h * times(A[2], twice)), h / 6 * G[2]
 
 
 class Columns:
-    """All candidates along one model's motion."""
+    """Candidates along one model's motion.
+
+    One program holds all effects of the catalogue at all their shapes; those that are not asked for
+    are computed as well, and left out of the rows.
+    """
 
     def __init__(
         self,
@@ -171,94 +324,113 @@ class Columns:
         effects: Sequence[AbstractEffect],
         frequencies: Sequence[float],
         shape_of: Mapping[str, dict[str, float]] | None = None,
+        linear: Linear | None = None,
     ):
-        """Effects at every shape of their grids, or at one each, by label."""
+        """Effects at every shape of their grids, or at one each, by label; `linear` is the model
+        along the motion, if it is there already."""
         self.scene, self.trajectory = scene, trajectory
-        along = scene.along(trajectory)
-        self.system = scene.system(along)
+        self.linear: Linear = linear or scene.linearised(trajectory)
         self.rows: list[Column] = []
-        kinds: dict[type, list[AbstractEffect]] = {}
-        for effect in effects:
-            kinds.setdefault(type(effect), []).append(effect)
-
-        def of_kind(members: list[AbstractEffect]):  # one program, so one thread
-            return [
-                (effect, shape, columns_of(along, effect, shape))
-                for effect in members
-                for shape in (
-                    [shape_of[effect.label]] if shape_of else shapes(scene, effect, frequencies)
-                )
-            ]
-
-        calls = [functools.partial(of_kind, members) for members in kinds.values()]
-        torques, readings = [], []
-        for effect, shape, new in itertools.chain.from_iterable(side_by_side(calls)):
-            first = len(torques)
-            self.rows.append(Column(effect, shape, tuple(range(first, first + len(new)))))
-            torques += [t for t, _ in new]
-            readings += [r for _, r in new]
-        self.count = len(torques)
-        none = np.zeros((scene.K, scene.n))
-        self.torque = np.stack([none if t is None else t[:, 0] for t in torques] or [none], -1)
-        """(K, n, C) of each column, at its prior's width, N m."""
-        self._blocks = [
-            self._block(along, torques[i : i + _BLOCK], readings[i : i + _BLOCK])
-            for i in range(0, self.count, _BLOCK)
+        self._count = 0
+        wanted = {e.label: e for e in effects}
+        known = [e for e in scene.catalogued if usual(e) and strengths(e)]
+        known = [e for e in known if e.name not in ("spring", "damper")]
+        parts = []
+        for group in (known, [e for e in effects if not usual(e)]):
+            if any(e.label in wanted for e in group):
+                parts.append(self._part(group, wanted, list(frequencies), shape_of))
+        order = list(wanted)
+        self.rows.sort(key=lambda row: order.index(row.effect.label))
+        self._used = np.array([i for row in self.rows for i in row.which], int)
+        ends = itertools.accumulate((len(row.which) for row in self.rows), initial=0)
+        self.rows = [
+            row._replace(which=tuple(range(first, first + len(row.which))))
+            for row, first in zip(self.rows, ends, strict=False)
         ]
+        self._more = parts[0] if len(parts) == 1 else [
+            jnp.concatenate(x, -1) for x in zip(*parts, strict=True)
+        ]  # fmt: skip
 
-    def _block(self, along: Along, torques, readings):
-        """Responses B (K, X, 32) and Hu (K, n, 32) of some columns."""
-        scene = self.scene
-        K, n, X = scene.K, scene.n, along.field.by_x.shape[-1]
-        push, read = np.zeros((K, 3, X, _BLOCK)), np.zeros((K, n, _BLOCK))
-        for i, (torque, seen) in enumerate(zip(torques, readings, strict=True)):
-            if torque is not None:
-                push[..., i] = -np.einsum("kaij,kaj->kai", along.field.by_torque, torque)
-            if seen is not None:
-                read[..., i] = seen
-        zero = np.zeros((K, 3, X))
-        f = along.field
-        B = transition(scene.grid.step, zero, f.by_x, push, f.by_torque, zero).B
-        B = np.array(B)
-        B[scene.grid.last] = 0.0
-        return B, read
+    def _part(self, group, wanted, frequencies, shape_of):
+        """The columns of some effects by one program."""
+        scene, t = self.scene, self.trajectory
+        most = _LINES * scene.n
+        members: dict[str, list[AbstractEffect]] = {}
+        for effect in group:
+            members.setdefault(law_name(effect), []).append(effect)
+        laws, shaped = laws_for(group), []
+        every: dict[str, list[dict[str, float]]] = {}
+        for effects in (members[law_name(e)] for e in laws.each):
+            tables = []
+            for effect in effects:
+                own = shapes(scene, effect, frequencies or [1.0])
+                room = most if effect.oscillates else len(own)
+                if shape_of and effect.label in shape_of:
+                    own = [shape_of[effect.label]]
+                numbers = [shaped_numbers(effect, s) for s in own]
+                tables.append(np.stack(numbers + numbers[-1:] * (room - len(numbers))))
+                every[effect.label] = own
+            widths = [[width_of(scene, e, x) for x in strengths(e)] for e in effects]
+            joints = tuple(scene.joint_of(e) for e in effects)
+            shaped.append(Shaped(joints, np.stack(tables), np.array(widths)))
+        first, row, places = self._count, 0, []
+        for place, law, numbers, width in _places(laws, shaped, scene.n):
+            at_joint = group_of(law) == "joint"
+            label = f"{law.name}:{scene.joints[place]}" if at_joint else law.label
+            phases, own = 2 if law.oscillates else 1, len(width)
+            m = 0 if law.senses else len(law.memory)
+            for i, shape in enumerate(every[label] if label in wanted else []):
+                at = first + i * phases * own
+                where = slice(row + i * phases * m, row + i * phases * m + m)
+                which = tuple(range(at, at + phases * own))
+                places.append((wanted[label], shape, which, where))
+            first += len(numbers) * phases * own
+            row += len(numbers) * phases * m
+        linear = self.linear
+        *found, states = columns(
+            laws, tuple(shaped), scene.tabulated(t), scene.instants,
+            Point(t.path, t.spread, t.u, t.first),
+            (linear.by_x, linear.by_torque, linear.acceleration),
+        )  # fmt: skip
+        states = np.asarray(states)
+        self.rows += [Column(e, s, which, states[where].T) for e, s, which, where in places]
+        self._count = first
+        return found
 
+    @property
     def inputs(self) -> tuple[np.ndarray, np.ndarray]:
-        """(K, X, C) what each column adds to the states in a step, and (K, n, C) to the
-        readings."""
-        B, read = (
-            np.concatenate(x, -1)[..., : self.count] for x in zip(*self._blocks, strict=True)
-        )
+        """(K, X, C) what each column adds to the states in a step, (K, n, C) to the readings."""
+        B, read = (np.asarray(x)[..., self._used] for x in self._more[:2])
         return B, read
 
-    def gram(self, intensity: float) -> tuple[float, np.ndarray]:
-        """Log normaliser, and the (1 + P + C)^2 Gram matrix of whitened innovations of readings, of
-        the model's own regressors and of all columns, under a random torque."""
-        scene, s = self.scene, self.system
-        noise = scene.noise(self.trajectory)
-        parts, total = [], 0.0
-        for B, read in self._blocks:
-            wide = System(
-                s.A, np.concatenate([s.B, B], -1), s.T, s.c, s.Hx,
-                np.concatenate([s.Hu, read], -1), s.hc,
-            )  # fmt: skip
-            total, white = innovations(wide, scene.readings, noise, np.asarray(intensity, float))
-            white = np.asarray(white)
-            parts.append(white if not parts else white[:, 1 + len(self.trajectory.u) :])
-        white = np.concatenate(parts, axis=1)[:, : 1 + len(self.trajectory.u) + self.count]
-        return float(total), white.T @ white
+    @property
+    def torque(self) -> np.ndarray:
+        """(K, n, C) of each column, at its prior's width, N m."""
+        return np.asarray(self._more[2])[..., self._used]
+
+    def gram(self, intensities: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(I,) log normalisers, and the (I, 1 + P + C, 1 + P + C) Gram matrices of whitened
+        innovations of readings, of the model's own regressors and of all columns, under each of
+        some random torques."""
+        scene, noise = self.scene, self.scene.noise(self.trajectory)
+        args = self.linear.system, tuple(self._more[:2]), scene.readings, noise
+        found = [gram(*args, np.asarray(x, float)) for x in intensities]
+        P = 1 + len(self.trajectory.u)
+        keep = np.r_[0:P, P + self._used]
+        totals, grams = zip(*found, strict=True)
+        return np.array(totals), np.stack([np.asarray(g)[np.ix_(keep, keep)] for g in grams])
 
     def screen(self, intensities: Sequence[float]) -> "Screen":
         """Every candidate's first-order evidence, random torques summed over."""
-        evidences, grams, base_means, P = [], [], [], len(self.trajectory.u)
-        for intensity in intensities:
-            total, gram = self.gram(intensity)
-            base, rest = conditional(gram, P)
+        totals, every = self.gram(intensities)
+        evidences, rests, base_means, P = [], [], [], len(self.trajectory.u)
+        for total, square in zip(totals, every, strict=True):
+            base, rest = conditional(square, P)
             evidences.append(total + base)
-            grams.append(rest)
-            base_means.append(means_of_base(gram, P))
+            rests.append(rest)
+            base_means.append(means_of_base(square, P))
         known = np.array(evidences) + log_prior_intensity(intensities)
-        return Screen(self.rows, known - logsumexp(known), grams, base_means)
+        return Screen(self.rows, known - logsumexp(known), rests, base_means)
 
 
 class Screen:
@@ -273,48 +445,57 @@ class Screen:
     ):
         """`weights` (I,) log posterior of each random torque without candidates, `grams` (1 + C)^2
         for each; `base_means` (P, 1 + C) for each, see `means_of_base`."""
-        self.rows, self.weights, self.grams, self.base_means = rows, weights, grams, base_means
+        self.rows, self.weights, self.base_means = rows, weights, base_means
+        self.grams = np.asarray(grams)
         best: dict[str, list[Screened]] = {}
-        for row in rows:
-            gain, u = self.gain([row])
-            best.setdefault(row.effect.label, []).append(
-                Screened(row.effect, gain, row.shape, u, row.which)
-            )
-        found = []
+        for row, (gain, u) in zip(rows, self._gains([[row] for row in rows]), strict=True):
+            found = Screened(row.effect, gain, row.shape, u, row.which, row.states)
+            best.setdefault(row.effect.label, []).append(found)
+        ranked = []
         for each in best.values():
             gains = np.array([s.gain for s in each])
             top = each[int(np.argmax(gains))]
-            found.append(top._replace(gain=float(logsumexp(gains) - math.log(len(gains)))))
-        self.ranked = sorted(found, key=lambda s: -s.gain)
+            ranked.append(top._replace(gain=float(logsumexp(gains) - math.log(len(gains)))))
+        self.ranked = sorted(ranked, key=lambda s: -s.gain)
         """Each candidate at its likeliest shape, the best first."""
 
-    def gain(self, rows: Sequence[Column] | Sequence[Screened]) -> tuple[float, np.ndarray]:
+    def gain(self, rows: Sequence[Screened]) -> tuple[float, np.ndarray]:
         """Gain of some columns together, and their regressors at the likeliest random torque."""
-        which = [i for row in rows for i in row.which]
-        gains, means = [], []
-        for rest in self.grams:
-            gain, u, covariance = subset(rest, which)
-            spread, first = np.sqrt(np.diag(covariance)), 0
-            for row in rows:
-                if not row.effect.oscillates:
-                    for i, number in enumerate(strengths(row.effect), first):
-                        if signed(row.effect, number):
-                            gain += float(half_normal(u[i] / spread[i]))
-                first += len(row.which)
-            gains.append(gain)
-            means.append(u)
-        each = np.array(gains) + self.weights
-        return float(logsumexp(each)), means[int(np.argmax(each))]
+        return self._gains([rows])[0]
+
+    def _gains(self, groups: Sequence[Sequence[Any]]) -> list[tuple[float, np.ndarray]]:
+        """`gain` of each group of rows; those of as many columns at once."""
+        which = [[i for row in rows for i in row.which] for rows in groups]
+        found: list[Any] = [None] * len(groups)
+        for size in {len(w) for w in which}:
+            own = [i for i, w in enumerate(which) if len(w) == size]
+            known = [[s for row in groups[i] for s in _signs(row)] for i in own]
+            gain, mean, covariance = subset(self.grams, [which[i] for i in own])
+            std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+            gain = gain + np.where(known, half_normal(mean / std), 0.0).sum(-1)
+            each = gain + np.asarray(self.weights)[:, None]
+            top = np.argmax(each, axis=0)
+            for k, i in enumerate(own):
+                found[i] = float(logsumexp(each[:, k])), mean[top[k], k]
+        return found
 
     def pairs(self, most: int) -> list[tuple[float, Screened, Screened]]:
         """Every two of the best candidates, the best pair first."""
-        found = []
-        for a, b in itertools.combinations(self.ranked[:most], 2):
-            found.append((self.gain([a, b])[0], a, b))
-        return sorted(found, key=lambda f: -f[0])
+        each = list(itertools.combinations(self.ranked[:most], 2))
+        gains = [gain for gain, _ in self._gains(each)]
+        return sorted(
+            ((g, a, b) for g, (a, b) in zip(gains, each, strict=True)), key=lambda f: -f[0]
+        )
 
 
-def spectral_lines(scene: Scene, trajectory: Trajectory, count: int = 5) -> list[float]:
+def _signs(row: Column | Screened) -> list[bool]:
+    """Of each column, whether the sign of its strength is known."""
+    if row.effect.oscillates:
+        return [False] * len(row.which)
+    return [signed(row.effect, number) for number in strengths(row.effect)]
+
+
+def spectral_lines(scene: Scene, trajectory: Trajectory) -> list[float]:
     """Strongest frequencies, Hz, of the joints' random torques in the longest recording: what
     drives one joint may show at another one."""
     g = scene.grid
@@ -331,7 +512,7 @@ def spectral_lines(scene: Scene, trajectory: Trajectory, count: int = 5) -> list
         f = np.fft.rfftfreq(4 * len(even), dt)
         power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(len(even)), 4 * len(even)))
         power = power * (f > 1.5 / span)
-        for _ in range(count):
+        for _ in range(_LINES):
             line = float(max(f[np.argmax(power)], 0.5 / span))
             power[np.abs(f - line) < 2.0 / span] = 0
             if all(abs(line - known) >= 1.0 / span for known in found):
@@ -377,12 +558,8 @@ def extended(scene: Scene, trajectory: Trajectory, prior_of, found: Screened) ->
     first = np.zeros(room)
     first[:m0] = trajectory.first[:m0]
     if m:
-        own = shaped_numbers(effect, shape)
-        begin = scene.begin_states(begun, path) + phase
-        q, v, _ = nodes(scene.grid.step, path, n)
-        z = scene.states(effect, own, q, v, scene.times(), begin)
-        path[:, 2 * n + m0 : 2 * n + m0 + m] = z[:, 0]
-        first[m0 : m0 + m] = begin
+        path[:, 2 * n + m0 : 2 * n + m0 + m] = found.states + phase
+        first[m0 : m0 + m] = found.states[0] + phase
     return dataclasses.replace(
         trajectory,
         effects=effects,

@@ -124,7 +124,7 @@ def detectable(experiment: Experiment, *, effects: Sequence[str | AbstractEffect
         known = candidates(scene, tuple(e.label for e in base))
         # A disturbance may have any frequency: one well above all modes stands for them.
         columns = Columns(scene, model.best, known, [1.5 * float(np.nanmax(ringing))])
-        _, gram = columns.gram(0.0)
+        _, (gram,) = columns.gram([0.0])
     _, rest = conditional(gram, len(model.best.u))
     rivals = Rivals(columns.rows, rest[1:, 1:])
     price = log_prior_model(0, len(known)) - log_prior_model(1, len(known))

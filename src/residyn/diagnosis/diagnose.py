@@ -5,11 +5,11 @@ squares then gives the numbers of the models on the way, their standard errors, 
 error on readings that were fitted and on readings that were not.
 """
 
-import functools
 import math
 import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
@@ -17,22 +17,20 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ..effects import AbstractEffect
-from ..filtering.law import numbers_of
-from ..filtering.trajectory import Scene, Trajectory, number_slices
+from ..filtering.law import number_slices, numbers_of
+from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import DEFAULT_STARTS, FitError, fit
 from ..fitting.descent import descend
 from ..fitting.drifting import without_drift
 from ..fitting.fit import finish
-from ..fitting.integration import integration_error
 from ..fitting.result import Fit
 from ..fitting.setup import ready
 from ..physics.motion import Motion
 from ..recordings.experiment import Experiment
-from ..runtime.parallel import side_by_side
 from .candidate_tests import best_tests, in_play
 from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES
 from .forecast import held_out
-from .linearised_fit import LinearisedFit, polish, predicted_at
+from .linearised_fit import LinearisedFit, evaluated, polish
 from .missing_torque import missing_of, scene_of
 from .result import (
     Budget,
@@ -94,10 +92,11 @@ def diagnose(
     with jax.enable_x64(True):
         deadline = math.inf if budget is None else time.perf_counter() + budget
         scene, base, wild = scene_of(experiment, effects)
+        fits = Fits(experiment, scene, wild, starts)
         search = Search(scene, base, deadline=deadline, say=say)
+        fits.begin(search.base)
         search.run(max_effects)
         say("fitting the models on the way")
-        fits = Fits(experiment, scene, wild, starts)
         return concluded(search, fits, began, say)
 
 
@@ -111,13 +110,27 @@ class Fits:
     def __init__(self, experiment: Experiment, scene: Scene, wild, starts: int):
         self.scene, self.starts, self.whole = scene, starts, experiment
         self.experiment, self.wild, self.cut = experiment, wild, False
-        self.lock = threading.Lock()
+        self.lock, self._pool = threading.Lock(), ThreadPoolExecutor(2)
+        self._begun: dict[Tried, Future[Fit]] = {}
+
+    def begin(self, tried: Tried) -> "Future[Fit]":
+        """Fit one model, in another thread."""
+        if tried not in self._begun:
+            self._begun[tried] = self._pool.submit(self._of, tried)
+        return self._begun[tried]
 
     def of(self, tried: Tried) -> Fit:
         """The fit of one model.
 
         **Raises:** `FitError` if nothing finite comes of it.
         """
+        return self.begin(tried).result()
+
+    def _of(self, tried: Tried) -> Fit:
+        with jax.enable_x64(True):  # JAX's settings are each thread's own
+            return self._fitted(tried)
+
+    def _fitted(self, tried: Tried) -> Fit:
         began = time.perf_counter()
         t = silenced(self.scene, tried.best, tried.intensity)
         own = [e for e in t.valued() if e.name not in ("spring", "damper")]
@@ -131,13 +144,7 @@ class Fits:
             found = descend(
                 here, begin, t.numbers[None], wild, quiet, near=states[None], search=polish
             )
-            numbers = found.problem.numbers(found.unknowns)
-            model = here.model.with_vector(jnp.asarray(numbers))
-            predicted = np.asarray(found.compressed.predicted)
-            error = integration_error(
-                found.problem, found.unknowns, predicted, here.recordings, found.wild, predicted_at
-            )
-            return finish(self.experiment, model, t.numbers, found, began, error, polish)
+            return finish(self.experiment, t.numbers, found, began, polish, evaluated)
         except FitError:
             lost = tried.intensity >= EXPLAINS_NOTHING  # no start is better than another one
             return fit(self.experiment, effects=own, starts=1 if lost else self.starts)
@@ -231,15 +238,18 @@ def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...
     """The models on the way to the best one: each of its effects joins in turn."""
     labels = best.added
 
-    def step(k: int, model: Tried) -> ModelState:
-        result = fits.of(model)
-        held = held_out(LinearisedFit.of(result))
-        relative = model.log_evidence - best.log_evidence
-        return ModelState(labels[k - 1] if k else None, (), result, held, relative)
-
     models = [search.tried.get(frozenset(labels[:k])) for k in range(len(labels) + 1)]
-    calls = [functools.partial(step, k, m) for k, m in enumerate(models) if m is not None]
-    return tuple(side_by_side(calls))
+    for model in models:
+        if model is not None:
+            fits.begin(model)
+    found = []
+    for k, model in enumerate(models):
+        if model is not None:
+            result = fits.of(model)
+            held = held_out(LinearisedFit.of(result))
+            relative = model.log_evidence - best.log_evidence
+            found.append(ModelState(labels[k - 1] if k else None, (), result, held, relative))
+    return tuple(found)
 
 
 class Posterior:

@@ -16,8 +16,8 @@ from scipy.special import log_ndtr, logsumexp
 
 from ..effects import AbstractEffect
 from ..filtering.kalman import Evidences
-from ..filtering.law import numbers_of
-from ..filtering.trajectory import Prior, Scene, number_slices
+from ..filtering.law import number_slices, numbers_of
+from ..filtering.trajectory import Prior, Scene
 from ..physics.parameter import Parameter
 
 # -- the numbers that decide ------------------------------------------------------------------
@@ -173,14 +173,16 @@ def means_of_base(gram: np.ndarray, base: int) -> np.ndarray:
     return -np.linalg.solve(inner, gram[1 : 1 + base][:, keep])
 
 
-def subset(gram: np.ndarray, columns: Sequence[int]) -> tuple[float, np.ndarray, np.ndarray]:
+def subset(gram: np.ndarray, columns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """By how much some columns raise the log evidence, their posterior mean and covariance.
 
-    `gram` (1 + C)^2 of readings and columns; `columns` from 0.
+    `gram` (..., 1 + C, 1 + C) of readings and columns; `columns` (..., k) from 0: several sets of
+    as many columns at once.
     """
-    i = np.asarray(columns) + 1
-    inner = gram[np.ix_(i, i)] + np.eye(len(i))
+    i = np.asarray(columns, int) + 1
+    inner = gram[..., i[..., :, None], i[..., None, :]] + np.eye(i.shape[-1])
     factor = np.linalg.cholesky(inner)
-    x = np.linalg.solve(factor, -gram[i, 0])
-    gain = 0.5 * float(x @ x) - float(np.log(np.diag(factor)).sum())
-    return gain, np.linalg.solve(factor.T, x), np.linalg.inv(inner)
+    x = np.linalg.solve(factor, -gram[..., i, 0][..., None])
+    logs = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
+    mean = np.linalg.solve(np.swapaxes(factor, -1, -2), x)[..., 0]
+    return 0.5 * np.sum(x[..., 0] ** 2, -1) - logs, mean, np.linalg.inv(inner)

@@ -16,8 +16,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..fitting.least_squares import Polished
-from ..fitting.problem import Compressed, Problem, Unknowns, over_recordings, predict, tight, whiten
-from ..fitting.result import Fit, RecordingFit
+from ..fitting.linalg import damped_step
+from ..fitting.problem import (
+    RUNAWAY,
+    Compressed,
+    Problem,
+    Unknowns,
+    over_recordings,
+    predict,
+    tight,
+    whiten,
+)
+from ..fitting.result import Fit, FitError, RecordingFit
 from ..fitting.setup import Ready, mechanism_of, reweighted
 from ..runtime.export_cache import kept
 
@@ -63,13 +73,15 @@ class Minimum(NamedTuple):
         return Compressed(*map(jnp.asarray, found))
 
 
-def minimum(problem: Problem, at: Unknowns, size: float = 1.0) -> Minimum:
-    """Levenberg and Marquardt's descent from unknowns that are near already; `size` is the least
-    rms residual to expect, in sigma.
+def minimum(problem: Problem, at: Unknowns, size: float = 1.0, most: int = _STEPS) -> Minimum:
+    """Levenberg and Marquardt's descent from unknowns that are near already, in `most` steps;
+    `size` is the least rms residual to expect, in sigma.
 
     One compiled program evaluates predictions and slopes; what is linear is done here. Where the
     motion has kinks no step is small enough to end by itself: there the descent ends when even a
     short step gains nothing.
+
+    **Raises:** `FitError` where the motion runs away from the beginning.
     """
     problem = tight(problem)
     moves = np.asarray(problem.active) > 0
@@ -82,17 +94,22 @@ def minimum(problem: Problem, at: Unknowns, size: float = 1.0) -> Minimum:
         R, own = len(slopes), np.asarray(at.states)
         J = slopes * np.asarray(problem.recorded.weights)[..., None]
         J = np.concatenate([J[..., :P] * moves, J[..., P:]], -1).reshape(R, -1, P + S)
-        square = J.transpose(0, 2, 1) @ J + np.diag(known)
-        slope = np.einsum("rml,rm->rl", J, residual.reshape(R, -1))
+        with np.errstate(over="ignore", invalid="ignore"):  # of a motion that runs away
+            square = J.transpose(0, 2, 1) @ J + np.diag(known)
+            slope = np.einsum("rml,rm->rl", J, residual.reshape(R, -1))
         slope[:, P:] += known[P:] * own
         cost = float(np.sum(residual**2) + np.sum((known[P:] * own) ** 2))
-        cost = cost if np.isfinite(cost) else np.inf
+        # Unknowns of order one that move readings by 10^50 sigma are those of a chaotic motion.
+        sane = np.isfinite(cost) and np.abs(residual).max() < RUNAWAY and np.abs(J).max() < 1e50
+        cost = cost if sane else np.inf
         return Minimum(at, predicted, slopes, residual, cost, steps, False, square, slope)
 
     here = evaluated(Unknowns(np.asarray(at.numbers, float), np.asarray(at.states, float)), 0)
+    if here.cost == np.inf:
+        raise FitError("the motion runs away")
     damping, steps, converged = _DAMPING[0], 0, False
-    while steps < _STEPS and damping <= _DAMPING[1] and not converged and here.cost < np.inf:
-        numbers, states = _step(here.square, here.slope, P, damping)
+    while steps < most and damping <= _DAMPING[1] and not converged:
+        numbers, states = damped_step(here.square, here.slope, P, damping)
         numbers, steps = numbers * moves, steps + 1
         there = evaluated(Unknowns(here.at.numbers + numbers, here.at.states + states), steps)
         gain = here.cost - there.cost
@@ -103,8 +120,7 @@ def minimum(problem: Problem, at: Unknowns, size: float = 1.0) -> Minimum:
         size_of = np.einsum("ra,rab,rb->", step, here.square, step)
         converged = min(gain, size_of) < (_SETTLED * size) ** 2
         damping, here = max(0.1 * damping, _DAMPING[0]), there
-    done = converged or damping > _DAMPING[1]
-    return here._replace(steps=steps, converged=done and here.cost < np.inf)
+    return here._replace(steps=steps, converged=converged or damping > _DAMPING[1])
 
 
 def polish(problem: Problem, starts: Unknowns, shares: Sequence[float], hopeless=None) -> Polished:
@@ -120,20 +136,6 @@ def polish(problem: Problem, starts: Unknowns, shares: Sequence[float], hopeless
         at, steps = found.at, steps + found.steps
     assert found is not None
     return Polished(at, found.compressed(), found.cost, steps, found.converged, 1)
-
-
-def _step(square: np.ndarray, slope: np.ndarray, P: int, damping: float):
-    """A damped Gauss-Newton step of the numbers (P,) and of the states (R, S), which are eliminated
-    recording by recording."""
-    diagonal = np.einsum("rii->ri", square)
-    diagonal = np.where(diagonal > 0, diagonal, 1.0)
-    A = square + damping * diagonal[:, :, None] * np.eye(square.shape[-1])
-    across = np.concatenate([A[:, P:, :P], slope[:, P:, None]], axis=-1)
-    inner = np.linalg.solve(A[:, P:, P:], across)
-    taken = A[:, :P, P:] @ inner
-    H = (A[:, :P, :P] - taken[..., :P]).sum(axis=0)
-    numbers = -np.linalg.solve(H, (slope[:, :P] - taken[..., P]).sum(axis=0))
-    return numbers, -inner[..., P] - inner[..., :P] @ numbers
 
 
 class LinearisedFit(NamedTuple):
@@ -176,8 +178,11 @@ class LinearisedFit(NamedTuple):
         """
         dropped = [~(np.isfinite(r.recording.angle) & k[:, None]) for k, r in self._pairs(kept)]
         size = max(1.0, float(np.sqrt(self.fit.reduced_chi2)))
-        found = minimum(reweighted(self.problem, dropped), self.at, size)
-        return found.at, found.converged and bool(np.isfinite(found.cost))
+        try:
+            found = minimum(reweighted(self.problem, dropped), self.at, size)
+        except FitError:
+            return self.at, False
+        return found.at, found.converged
 
     def look(self, at: Unknowns) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Predictions (N, n), rad or m, and their slopes (N, n, L) in each recording's L unknowns:
@@ -226,9 +231,9 @@ def _look(problem: Problem, y: Unknowns):
     return each(problem.recorded, problem.scale.states, y.states)
 
 
-def predicted_at(problem: Problem, y: Unknowns) -> np.ndarray:
-    """(R, N, n) readings predicted at these unknowns."""
-    return np.asarray(_look(tight(problem), y)[0])
+def evaluated(problem: Problem, y: Unknowns) -> Compressed:
+    """Residual and Jacobian at these unknowns."""
+    return minimum(problem, y, most=0).compressed()
 
 
 class Tangent(NamedTuple):

@@ -18,8 +18,8 @@ import numpy as np
 
 from ..effects import AbstractEffect
 from ..filtering.grid import local_amplitude
-from ..filtering.law import law, numbers_of
-from ..filtering.trajectory import Scene, Trajectory, number_slices, state_slices
+from ..filtering.law import number_slices, numbers_of
+from ..filtering.trajectory import Scene, Trajectory
 from ..fitting.descent import wild_beside
 from ..fitting.setup import ready
 from ..physics.model import Model
@@ -117,7 +117,10 @@ def missing_torque(
 def torques_of(scene: Scene, model: Tried) -> list[MissingTorque]:
     """The missing torque of each recording of a scene: averaged over the random torque's
     intensities, each by its posterior."""
-    pairs, best = model.over_torques(scene), model.best
+    return _torques(scene, model.best, model.over_torques(scene))
+
+
+def _torques(scene: Scene, best: Trajectory, pairs) -> list[MissingTorque]:
     weights = np.array([w for w, _ in pairs])
     torques = np.stack([t.torque for _, t in pairs])
     variances = np.stack([t.torque_variance for _, t in pairs])
@@ -148,8 +151,8 @@ def torques_of(scene: Scene, model: Tried) -> list[MissingTorque]:
 
 def _spring(scene: Scene, t: Trajectory) -> np.ndarray:
     """(K, n) torque of each joint's spring, or Z q'' where it has none, N m."""
-    n = scene.n
-    own = np.array([s.inertia for s in scene.scales]) * scene.along(t).field.f[:, 0, n : 2 * n]
+    acceleration = np.asarray(scene.linearised(t).acceleration)[:, : scene.K].T
+    own = np.array([s.inertia for s in scene.scales]) * acceleration
     for effect, values in zip(t.effects, number_slices(t.effects), strict=True):
         if effect.name == "spring":
             j = scene.joint_of(effect)
@@ -157,35 +160,12 @@ def _spring(scene: Scene, t: Trajectory) -> np.ndarray:
     return own
 
 
-def torque_along(scene: Scene, t: Trajectory) -> dict[str, np.ndarray]:
-    """(K, n) torque of each effect of a model along its own motion, N m; what acts on readings or
-    inertias has none."""
-    along = scene.along(t)
-    q, v = along.q[:, 0], along.v[:, 0]
-    step = np.where(scene.grid.step > 0, scene.grid.step, 1.0)
-    direction = along.field.direction[:, 0]
-    found = {}
-    parts = zip(along.effects, number_slices(t.effects), state_slices(t.effects), strict=True)
-    for effect, own, states in parts:
-        torque = np.zeros_like(q)
-        if not effect.senses:
-            bodies = along.bodies
-            each = law(effect, t.numbers[own], bodies, along.time[:, 0], q, v,
-                       along.z[:, 0, states], step, t.spread)  # fmt: skip
-            torque = each.whole(each.torque.value, scene.n)
-            if each.level is not None:
-                torque = torque + each.whole(each.level.value, scene.n) * direction
-        found[effect.label] = torque
-    return found
-
-
-def curve(scene: Scene, base: Tried, model: Tried, label: str) -> Curve:
-    """What one effect of a model draws over the torque that the base model lacks, over all
-    recordings of the scene."""
-    before, after = (torque_along(scene, m.best) for m in (base, model))
+def curve(scene: Scene, before: np.ndarray, missing: np.ndarray, model: Tried, label: str) -> Curve:
+    """What one effect of a model draws over the torque (K, n) that the base model lacks, whose own
+    torque is `before`, over all recordings of the scene."""
+    after = scene.torques(model.best)
     own = after.pop(label)
-    changed = np.sum([*after.values()], axis=0) - np.sum([*before.values()], axis=0)
-    missing = -np.sum([w * t.torque for w, t in base.over_torques(scene)], axis=0)
+    changed = np.sum([*after.values()], axis=0) - before
     real = np.arange(scene.K) < scene.grid.real
     left = np.sum((missing - own - changed)[real] ** 2) / max(np.sum(missing[real] ** 2), 1e-300)
     t = model.best
@@ -204,12 +184,16 @@ def missing_of(
     scene: Scene, base: Tried, models: Sequence[tuple[Tried, str]] = ()
 ) -> tuple[Missing, ...]:
     """The missing torque of every recording of a scene, with the curves of some models' effects."""
-    curves = [curve(scene, base, model, label) for model, label in models]
+    pairs, curves = base.over_torques(scene), []
+    if models:
+        missing = -np.sum([w * t.torque for w, t in pairs], axis=0)
+        before = np.sum([*scene.torques(base.best).values()], axis=0)
+        curves = [curve(scene, before, missing, model, label) for model, label in models]
     mechanism = scene.mechanisms[0]
     kinds = mechanism.units or ("rad",) * scene.n
     units = tuple("N" if kind == "m" else "N m" for kind in kinds)
     g, found = scene.grid, []
-    for i, torque in enumerate(torques_of(scene, base)):
+    for i, torque in enumerate(_torques(scene, base.best, pairs)):
         own = np.flatnonzero((g.run == i) & (np.arange(scene.K) < g.real))
         try:
             angles = scene.mechanisms[i].link_angles(tuple(torque.angle.T))

@@ -13,13 +13,16 @@ import functools
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
 
 from ..effects import AbstractEffect
-from ..filtering.trajectory import Scene, Trajectory, number_slices, state_slices
+from ..filtering.kalman import System
+from ..filtering.law import number_slices, state_slices
+from ..filtering.linearised import Linear
+from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import FitError
 from ..runtime.parallel import side_by_side
 from .columns import Columns, Screen, candidates, extended, spectral_lines
@@ -38,6 +41,7 @@ from .evidence import (
 CONTENDERS = 6
 """Candidates of each screen that are iterated, and as many pairs whose members are."""
 _ITERATIONS = 16  # of one model, at the most
+_NEAR = 4  # random torques at which a model is judged while it moves
 _FALL = 2  # steps of the grid that the random torque may fall by in an iteration
 _SCREENED = 0.01  # random torque along which candidates are screened, at least: the readings lead
 _SETTLED = 0.1  # nats
@@ -106,31 +110,21 @@ def settle(
     torques hide it from the model that has it; there, all are gone through down to none, and the
     likeliest is sought from below.
     """
-    found: list[tuple[np.ndarray, Trajectory] | None] = [None] * len(starts)
     first = next(k for k, x in enumerate(INTENSITIES) if x <= loudest)
-    moving = {i: (_Step.of(t, first), math.nan) for i, t in enumerate(starts)}
-    for _ in range(_ITERATIONS):
+    steps: list[_Step | None] = [_Step.of(t, first) for t in starts]
+    for turn in range(_ITERATIONS):
         if time.perf_counter() > deadline:
             raise OutOfTime
-        work = [functools.partial(step.next, scene) for step, _ in moving.values()]
-        results = side_by_side(work)
-        best = max((r[0].max() for r in results if r is not None), default=-math.inf)
-        after = {}
-        for (i, (step, before)), result in zip(moving.items(), results, strict=True):
-            found[i] = None if result is None else (result[0], result[1].trajectory)
-            if result is None:
-                continue
-            each, new = result
-            free, tried = new.descent <= 0, new.settling > 2
-            if free and tried and each.max() < best - _HOPELESS:
-                continue
-            settled = abs(each[new.level] - before) < _SETTLED * step.share
-            if not (free and new.level == step.level and settled):
-                after[i] = new, each[new.level]
-        moving = after
+        moving = [i for i, s in enumerate(steps) if s is not None and not s.done]
         if not moving:
             break
-    return found
+        last = turn == _ITERATIONS - 1
+        work = [functools.partial(steps[i].next, scene, last) for i in moving]  # pyright: ignore
+        for i, step in zip(moving, side_by_side(work), strict=True):
+            steps[i] = step
+        best = max((s.evidences.max() for s in steps if s is not None), default=-math.inf)
+        steps = [s and s._replace(done=s.done or s.behind(best)) for s in steps]
+    return [s and (s.evidences, s.trajectory) for s in steps]
 
 
 class _Step(NamedTuple):
@@ -143,40 +137,65 @@ class _Step(NamedTuple):
     """How many louder torques are still to go through."""
     settling: int = 0
     """Iterations since."""
+    evidences: np.ndarray = np.full(len(INTENSITIES), -np.inf)
+    """(I,) of the motion before the last smoothing, -inf where not known."""
+    done: bool = False
 
     @classmethod
     def of(cls, t: Trajectory, first: int) -> "_Step":
         """The beginning, with the loudest random torque `first`."""
-        if any(e.dry or e.follows for e in t.effects):
+        if _sticks(t):
             return cls(t, first, len(INTENSITIES) - 1 - first)
         return cls(t, first - _FALL, 0)
+
+    def behind(self, best: float) -> bool:
+        """Whether the model is hopelessly behind the best evidence of any."""
+        return self.settling > 2 and self.evidences.max() < best - _HOPELESS
 
     @property
     def share(self) -> float:
         """How much of a Gauss-Newton step is taken. Where something sticks turns on the motion
         itself, and whole steps swing to and fro: successive averages converge (Robbins and Monro,
         Annals of Mathematical Statistics 22, 1951)."""
-        rough = any(e.dry or e.follows for e in self.trajectory.effects)
-        return 2.0 / (4.0 + self.settling) if rough else 1.0
+        return 2.0 / (4.0 + self.settling) if _sticks(self.trajectory) else 1.0
 
-    def next(self, scene: Scene) -> "tuple[np.ndarray, _Step] | None":
-        """One Gauss-Newton step: the evidences of the model where it is, and where they lead."""
-        t = self.trajectory
-        system = scene.linearised(t)
-        each = scene.evidences(t, system, INTENSITIES)
-        known = each.log_evidence + half_normals(t.effects, each)
-        known = np.where(np.isfinite(known), known, -np.inf)
-        if not np.isfinite(known).any():
-            return None
-        if self.descent > 0:
-            level, settling = self.level + 1, 0
-        else:
+    def next(self, scene: Scene, last: bool) -> "_Step | None":
+        """One Gauss-Newton step: the evidences of the model where it is, near the random torque
+        that it has, and where they lead; all evidences where it ends. None where it runs away."""
+        t, linear = self.trajectory, scene.linearised(self.trajectory)
+        level, settling, known, done = self.level + 1, 0, self.evidences, last
+        if self.descent == 0:
+            first = min(max(self.level - 1, 0), len(INTENSITIES) - _NEAR)
+            near = np.arange(first, first + _NEAR)
+            known = self._evidences(scene, linear, near)
+            if not np.isfinite(known).any():
+                return None
             likeliest = int(np.argmax(known + log_prior_intensity(INTENSITIES)))
             level, settling = min(likeliest, max(self.level, 0) + _FALL), self.settling + 1
-        moved = scene.smoothed(t, system, INTENSITIES[level], self.share)
+            change = abs(known[level] - self.evidences[level])
+            done |= level == self.level and bool(change < _SETTLED * self.share)
+        if done:
+            known = self._evidences(scene, linear, np.arange(len(INTENSITIES)))
+        moved = scene.smoothed(t, linear, INTENSITIES[level], self.share)
         if moved is None:
             return None
-        return known, _Step(moved, level, max(self.descent - 1, 0), settling)
+        return _Step(moved, level, max(self.descent - 1, 0), settling, known, done)
+
+    def _evidences(self, scene: Scene, linear: Linear, levels: np.ndarray) -> np.ndarray:
+        """(I,) log evidences, -inf at other levels."""
+        found = np.full(len(INTENSITIES), -np.inf)
+        t = self.trajectory
+        for i in range(0, len(levels), _NEAR):  # one program for few and for all
+            some = levels[np.minimum(np.arange(i, i + _NEAR), len(levels) - 1)]
+            each = scene.evidences(t, linear, np.array(INTENSITIES)[some])
+            known = each.log_evidence + half_normals(t.effects, each)
+            found[some] = np.where(np.isfinite(known), known, -np.inf)
+        return found
+
+
+def _sticks(t: Trajectory) -> bool:
+    """Whether a joint or a brake may stick."""
+    return any(e.dry or e.follows for e in t.effects)
 
 
 def silenced(scene: Scene, t: Trajectory, intensity: float) -> Trajectory:
@@ -189,6 +208,34 @@ def silenced(scene: Scene, t: Trajectory, intensity: float) -> Trajectory:
             break
         t = moved
     return t
+
+
+_prepared: set[Any] = set()
+
+
+def prepare(scene: Scene, base: Sequence[AbstractEffect], wanted: Sequence[AbstractEffect]) -> None:
+    """Compile what a search runs, side by side, by running it once with zeros; once a process."""
+    t = scene.start(base, prior_of(scene, base))
+    K, X, n, P = scene.K, t.path.shape[1], scene.n, len(t.u)
+    laws, _ = scene.tabulated(t)
+    key = laws.names, scene.joints, len(scene.recordings), K, X, P, type(scene.mechanisms[0])
+    if key in _prepared:
+        return
+    _prepared.add(key)
+    shapes = (X, X), (X, P), (X, n), (X,), (n, X), (n, P), (n,)
+    system = System(*(np.zeros((K, *shape)) for shape in shapes))
+    wide = (n, 3 * K), (n, 3 * K), (X, X, 3 * K), (X, n, 3 * K)
+    unused = [np.zeros(0)] * 3
+    linear = Linear(system, np.zeros((K, n)), *map(np.zeros, wide), *unused)
+    columns = functools.partial(Columns, scene, t, wanted, [1.0], linear=linear)
+    side_by_side(
+        [
+            functools.partial(scene.linearised, t),
+            lambda: columns().gram([0.0]),
+            functools.partial(scene.evidences, t, linear, np.zeros(_NEAR)),
+            functools.partial(scene.smoothed, t, linear, 0.0),
+        ]
+    )
 
 
 class OutOfTime(Exception):
@@ -226,6 +273,7 @@ class Search:
         self.screens: dict[frozenset[str], Screen] = {}
         """First-order evidence of all candidates beside the models that were extended."""
         say("smoothing the motion with the model")
+        prepare(scene, base, self.candidates)
         alone = tried_alone(scene, base)
         self._keep((), alone.evidences, alone.best)
 
@@ -264,6 +312,8 @@ class Search:
                 self.extend(self.tried[best])
                 extended.add(best)
                 self.reduce(self.best)
+            if self.best.intensity >= EXPLAINS_NOTHING:  # then no name says anything
+                self.tried = {frozenset(): self.base}
         except KeyboardInterrupt:
             self.stopped = "interrupted"
         except OutOfTime:

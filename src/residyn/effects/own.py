@@ -12,8 +12,9 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-from ..errors import InputError, quote
+from ..errors import InputError, inside, quote
 from ..physics.effect import AbstractEffect
+from .trial import check_law
 
 GROUP = "residyn.effects"
 
@@ -77,6 +78,8 @@ def checked(kind: object, where: str) -> type[AbstractEffect]:
     lacking = sorted(getattr(kind, "__abstractmethods__", ()))
     if lacking:
         raise InputError(f"{where}: {kind.__name__} lacks the method {lacking[0]}")
+    with inside(where):
+        check_law(kind)
     return kind
 
 

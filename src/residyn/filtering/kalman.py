@@ -82,8 +82,8 @@ class Filtered(NamedTuple):
     F: Any  # (K, D, D) transitions
 
 
-def _filter(system: System, readings: Readings, noise: Noise):
-    """Log normaliser -1/2 sum log 2 pi S, and `Filtered`."""
+def _filter(system: System, readings: Readings, noise: Noise, gains: bool = True) -> Any:
+    """Log normaliser -1/2 sum log 2 pi S, and `Filtered`, or of that the innovations only."""
     X, n, P = system.A.shape[-1], system.T.shape[-1], system.B.shape[-1]
     D = X + n
     first = jnp.concatenate([noise.mean, jnp.zeros(n)])[:, None]
@@ -92,7 +92,7 @@ def _filter(system: System, readings: Readings, noise: Noise):
     def step(carry, at):
         M, V, L = carry
         s, r, decay, growth = at
-        white, gains, sizes = [], [], []
+        white, steps, sizes = [], [], []
         for j in range(n):  # a reading after the other: no matrix is inverted
             row = jnp.concatenate([s.Hx[j], jnp.zeros(n)])
             Vh = _times(V, row)
@@ -102,15 +102,15 @@ def _filter(system: System, readings: Readings, noise: Noise):
             gain = jnp.where(r.seen[j], Vh / S, 0.0)
             M, V = M + gain[:, None] * new, V - gain[:, None] * Vh
             white.append(new / jnp.sqrt(S))
-            gains.append(gain)
+            steps.append(gain)
             sizes.append(S)
             L = L - 0.5 * jnp.where(r.seen[j], jnp.log(2 * jnp.pi * S), 0.0)
         V = 0.5 * (V + V.T)
         F = _extended(s.A, s.T, decay)
         push = jnp.concatenate([jnp.concatenate([s.c[:, None], s.B], 1), jnp.zeros((n, 1 + P))])
-        out = Filtered(jnp.stack(white), M, V, jnp.stack(gains), jnp.stack(sizes), F)
+        out = Filtered(jnp.stack(white), M, V, jnp.stack(steps), jnp.stack(sizes), F)
         V = _times(_times(F, V), F.T) + jnp.diag(growth)
-        return (_times(F, M) + push, V, L), out
+        return (_times(F, M) + push, V, L), out if gains else out.white
 
     begin = means, jnp.diag(noise.variance), 0.0
     each = system, readings, noise.decay, noise.growth
@@ -119,11 +119,15 @@ def _filter(system: System, readings: Readings, noise: Noise):
 
 
 @kept(like=(0, 0))
-def innovations(system: System, readings: Readings, noise: Noise, intensity):
-    """Log normaliser -1/2 sum log 2 pi S, and whitened innovations (K n, 1 + P): the first column
-    is w of the readings, the others W of the regressors (e = w + W u)."""
-    L, out = _filter(system, readings, noise.at(intensity))
-    return L, out.white.reshape(-1, out.white.shape[-1])
+def gram(system: System, more: tuple[Any, Any], readings: Readings, noise: Noise, intensity):
+    """Log normaliser -1/2 sum log 2 pi S, and the Gram matrix (1 + P + C)^2 of the whitened
+    innovations: w of the readings, then W of the system's regressors and of C more, whose
+    B (K, X, C) and Hu (K, n, C) are `more` (e = w + W u)."""
+    B, Hu = (jnp.concatenate(x, -1) for x in zip((system.B, system.Hu), more, strict=True))
+    wide = system._replace(B=B, Hu=Hu)
+    L, white = _filter(wide, readings, noise.at(intensity), gains=False)
+    white = white.reshape(-1, white.shape[-1])
+    return L, white.T @ white
 
 
 class Evidences(NamedTuple):

@@ -1,14 +1,20 @@
-"""An effect as data along a motion: its torque, and how that changes with everything.
+"""Effects as data: one compiled program evaluates any model of a mechanism along a motion.
 
-An effect of the catalogue, or a user's own, is a function of the motion and of its numbers. Along a
-given motion only its values and slopes there matter to a filter. One small program for each kind of
-effect evaluates them at all instants at once; what a model consists of is data from here on.
+Along a given motion only the values and slopes of an effect's torque matter to a filter. A program
+holds the law of every effect of the catalogue once, as the branches of a switch; a model is a table
+of which law acts where and with which numbers, so no other model is compiled. An effect that is
+not in the catalogue, or whose fixed numbers are not the usual ones, is handed to the program itself
+and compiled for the models that have it.
 
 Dry friction jumps with the direction of sliding. It is split into the torque without it and the
 *level* L of friction at each joint: torque = torque + L direction, -1 <= direction <= 1.
 """
 
 import dataclasses
+import functools
+import itertools
+import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeGuard, TypeVar
 
 import equinox as eqx
@@ -16,50 +22,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..effects import AbstractEffect, JointEffect
+from ..effects import AbstractEffect, JointEffect, catalogue
 from ..physics.inertia import AbstractInertia
 from ..physics.motion import JointMotion, Motion, split, stack
 from ..physics.parameter import Parameter, parameters_of
-from ..runtime.export_cache import kept
 
 _Effect = TypeVar("_Effect", bound=AbstractEffect)
 
 RAMP = 0.4
 """Half-width of dry friction's ramp in steps: the Runge-Kutta step is stable above 1 / 2.78."""
-
-
-class Slopes(NamedTuple):
-    """A vector of r entries at K instants, and its derivatives."""
-
-    value: Any  # (K, r)
-    by_q: Any  # (K, r, n)
-    by_v: Any  # (K, r, n)
-    by_z: Any  # (K, r, m) the effect's own m internal states
-    by_number: Any  # (K, r, p) the effect's own p numbers
-
-
-class Law(NamedTuple):
-    """An effect along a motion."""
-
-    torque: Slopes
-    """N m (or N), positive where it resists; of dry friction, without the level."""
-    level: Slopes | None
-    """Level of dry friction, N m; None where there is none."""
-    rate: Slopes | None
-    """r = m: d/dt of the internal states; None where there are none."""
-    joint: int | None
-    """The joint that all this is about, r = n = 1 then; None: the whole mechanism, r = n."""
-
-    def whole(self, x: np.ndarray, n: int) -> np.ndarray:
-        """(K, n) of (K, r): what is not of the effect's joint is 0."""
-        if self.joint is None:
-            return x
-        out = np.zeros((len(x), n))
-        out[:, self.joint] = x[:, 0]
-        return out
-
-
-_NONE = Slopes(0, 0, 0, 0, 0)
+ROOM = 4
+"""Room for a model's effects comes in multiples of this ..."""
+REGRESSORS = 8
+"""... for its numbers, of this ..."""
+STATES = 2
+"""... and for its internal states, of this."""
 
 
 def numbers_of(effect: AbstractEffect) -> list[Parameter]:
@@ -73,11 +50,24 @@ def with_numbers(effect: _Effect, values) -> _Effect:
     return dataclasses.replace(effect, **dict(zip(fields, split(values), strict=True)))
 
 
+def number_slices(effects: Sequence[AbstractEffect]) -> list[slice]:
+    """Where each effect's numbers stand among a model's."""
+    ends = np.cumsum([0, *(len(numbers_of(e)) for e in effects)])
+    return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+
+
+def state_slices(effects: Sequence[AbstractEffect]) -> list[slice]:
+    """Where each effect's internal states stand among a model's."""
+    ends = np.cumsum([0, *(len(e.memory) for e in effects)])
+    return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+
+
 def of_one_joint(effect: AbstractEffect) -> TypeGuard[JointEffect]:
     """Whether the effect's torque and states depend on the motion of its own joint alone."""
     kind = type(effect)
     return (
         isinstance(effect, JointEffect)
+        and not kind.senses
         and kind.torque is JointEffect.torque
         and kind.rate is JointEffect.rate
         and kind.jumps is JointEffect.jumps
@@ -89,167 +79,302 @@ def changes_bodies(effect: AbstractEffect) -> bool:
     return type(effect).bodies is not AbstractEffect.bodies
 
 
-def law(
-    effect: AbstractEffect,
+# -- laws that a program holds ---------------------------------------------------------------------
+
+
+class Laws(NamedTuple):
+    """The laws of a program: by name, those of the catalogue; and others, as they are."""
+
+    names: tuple[str, ...]
+    """`name` of what acts at one joint, else its label."""
+    others: tuple[AbstractEffect, ...] = ()
+
+    @property
+    def each(self) -> tuple[AbstractEffect, ...]:
+        """An effect of each law, in the order of `Table.law`."""
+        return (*map(_made, self.names), *self.others)
+
+    def of(self, group: str) -> list[int]:
+        """Which act at one "joint", on the "whole" mechanism, or are of the "sensor"."""
+        return [i for i, e in enumerate(self.each) if group_of(e) == group]
+
+    def place(self, effect: AbstractEffect) -> int:
+        """Where an effect's law is."""
+        name = law_name(effect)
+        if name in self.names and usual(effect):
+            return self.names.index(name)
+        own = [law_name(e) for e in self.others]
+        return len(self.names) + own.index(name)
+
+
+def group_of(effect: AbstractEffect) -> str:
+    """The part of a program in which an effect's law stands."""
+    return "sensor" if effect.senses else "joint" if of_one_joint(effect) else "whole"
+
+
+@functools.cache
+def _made(name: str) -> AbstractEffect:
+    kind, _, place = name.partition(":")
+    made = catalogue()[kind]
+    with jax.ensure_compile_time_eval():
+        if place or issubclass(made, JointEffect):
+            return made(place)  # pyright: ignore[reportCallIssue]
+        return made()
+
+
+def law_name(effect: AbstractEffect) -> str:
+    """What an effect's law is called in `Laws`."""
+    return effect.name if of_one_joint(effect) else effect.label
+
+
+def usual(effect: AbstractEffect) -> bool:
+    """Whether an effect is of this package's catalogue, its fixed numbers the usual ones."""
+    kind = type(effect)
+    if catalogue().get(effect.name) is not kind or not kind.__module__.startswith("residyn."):
+        return False
+    fixed = [p.field for p in parameters_of(effect) if not p.fitted]
+    like = _made(law_name(effect))
+    return all(float(getattr(effect, f)) == float(getattr(like, f)) for f in fixed)
+
+
+def catalogue_on(mechanism: AbstractInertia) -> list[AbstractEffect]:
+    """Every effect of the catalogue at every place where it can act on a mechanism."""
+    found = []
+    for kind in catalogue().values():
+        try:
+            places = kind.places(mechanism)
+        except ValueError:  # it makes no sense here
+            continue
+        found += [kind(p) for p in places] if places else [kind()]  # pyright: ignore
+    return found
+
+
+def laws_for(effects: Sequence[AbstractEffect], catalogued: Sequence[AbstractEffect] = ()) -> Laws:
+    """The laws of a program for some effects: the whole catalogue; or no others, if one of the
+    effects is in no catalogue."""
+    others = {law_name(e): _blank(e) for e in effects if not usual(e)}
+    beside = effects if others else [*effects, *catalogued]
+    names = sorted({law_name(e) for e in beside if usual(e)})
+    return Laws(tuple(names), tuple(others.values()))
+
+
+def _blank(effect: AbstractEffect) -> AbstractEffect:
+    return dataclasses.replace(effect, joint="") if of_one_joint(effect) else effect
+
+
+class Slots(NamedTuple):
+    """Some of a model's effects as data; slots beyond `count` are empty."""
+
+    count: Any  # ()
+    law: Any  # (E,) index among the program's laws of the group
+    joint: Any  # (E,)
+    numbers: Any  # (E, p)
+    slopes: Any  # (E, p) d number / d regressor
+    column: Any  # (E,) where its numbers stand among the model's
+    state: Any  # (E,) where its internal states stand
+
+
+class Table(NamedTuple):
+    """A model as data."""
+
+    joint: Slots
+    whole: Slots
+    sensor: Slots
+    held: Any  # (M,) whether an internal state changes only at the end of a step
+
+
+def most_numbers(effects: Sequence[AbstractEffect]) -> int:
+    """p of slots of some laws."""
+    return max((len(numbers_of(e)) for e in effects), default=0)
+
+
+def most_states(effects: Sequence[AbstractEffect]) -> int:
+    """m of slots of some laws."""
+    return max((len(e.memory) for e in effects), default=0)
+
+
+def tabulated(
+    laws: Laws,
+    effects: Sequence[AbstractEffect],
+    joints: Sequence[str],
     numbers: np.ndarray,
-    mechanism: AbstractInertia,
-    t: np.ndarray,
-    q: np.ndarray,
-    v: np.ndarray,
-    z: np.ndarray,
-    step: np.ndarray,
-    spread: np.ndarray,
-) -> Law:
-    """The law of an effect with some numbers (p,) at K instants.
+    slopes: np.ndarray,
+    states: int,
+) -> Table:
+    """A model with some numbers (P,) as data; `slopes` (P,) turn them into regressors, and there is
+    room for so many internal states."""
+    own, memory = number_slices(effects), state_slices(effects)
+    held = np.zeros(states, bool)
+    for effect, each in zip(effects, memory, strict=True):
+        held[each] = effect.follows
 
-    **Arguments:** `mechanism` with every leaf (K, ...); `t` (K,) s; `q`, `v` (K, n); `z` (K, m) its
-    own internal states; `step` (K,) s and `spread` (K, n) the standard deviation of what is known
-    of the rates, over which the friction of a point is smoothed.
-    """
-    joint = None
-    if of_one_joint(effect):
-        joint = mechanism.joints.index(effect.joint)
-        alone = dataclasses.replace(effect, joint="")  # one program for all joints
-        found = _joint_law(alone, numbers, t, q[:, joint], v[:, joint], z)
-    else:
-        found = _whole_law(effect, numbers, mechanism, t, q, v, z, step, spread)
-    r = q.shape[1] if joint is None else 1
-    value, by_q, by_v, by_z, by_u = (np.asarray(x) for x in found)
-    if joint is not None:
-        by_q, by_v = by_q[..., None], by_v[..., None]
-    torque, level, rate = (
-        Slopes(value[:, rows], by_q[:, rows], by_v[:, rows], by_z[:, rows], by_u[:, rows])
-        for rows in (slice(0, r), slice(r, 2 * r), slice(2 * r, None))
-    )
-    return Law(torque, level if effect.dry else None, rate if effect.memory else None, joint)
+    def slots(group: str) -> Slots:
+        known, which = laws.each, laws.of(group)
+        members = [i for i, e in enumerate(effects) if group_of(e) == group]
+        room = ROOM * max(1, math.ceil((len(members) + (group == "joint")) / ROOM))
+        p = most_numbers([known[i] for i in which])
+        law, joint, column, state = np.zeros((4, room), int)
+        values, widths = np.zeros((2, room, p))
+        for k, i in enumerate(members):
+            effect, count = effects[i], own[i].stop - own[i].start
+            law[k] = which.index(laws.place(effect))
+            joint[k] = joints.index(effect.joint) if of_one_joint(effect) else 0
+            values[k, :count], widths[k, :count] = numbers[own[i]], slopes[own[i]]
+            column[k], state[k] = own[i].start, memory[i].start
+        return Slots(np.asarray(len(members)), law, joint, values, widths, column, state)
+
+    return Table(slots("joint"), slots("whole"), slots("sensor"), held)
 
 
-@kept(like=_NONE)
-def _joint_law(effect: JointEffect, numbers, t, q, v, z):
-    """Torque, level and rates of the internal states, stacked, of an effect at one joint."""
+# -- laws along a motion ---------------------------------------------------------------------------
+
+
+class Slopes(NamedTuple):
+    """A vector of r entries at N instants, and its derivatives; instants are the last axis."""
+
+    value: Any  # (r, N)
+    by_q: Any  # (r, n, N); of one joint n = 1
+    by_v: Any  # (r, n, N)
+    by_z: Any  # (r, m, N) the effect's own m internal states
+    by_number: Any  # (r, p, N) the effect's own p numbers
+
+
+def _rows(values: tuple, room: int):
+    """Scalars as an array, filled up."""
+    return stack(values + (0.0,) * (room - len(values)))
+
+
+def joint_law(effect: JointEffect, q, v, t, z, numbers):
+    """Torque without dry friction, level of it, and rates of the internal states of an effect at
+    its joint, at one instant."""
+    own = with_numbers(effect, numbers)
+    motion = JointMotion(t, q, v, jnp.sign(v), split(z), q)
+    rates = own.joint_rate(motion) if effect.memory and not effect.follows else ()
+    if not effect.dry:
+        return own.joint_torque(motion), 0.0, rates
+    up, down = (own.joint_torque(motion._replace(direction=s)) for s in (1.0, -1.0))
+    return 0.5 * (up + down), 0.5 * (up - down), rates
+
+
+def whole_law(effect: AbstractEffect, mechanism, q, v, t, z, step, spread, numbers):
+    """The same of an effect of the whole mechanism: (n,) torques, (n,) levels, rates."""
+    own = with_numbers(effect, numbers)
+    direction = tuple(0.0 if effect.dry else jnp.sign(x) for x in v)
+    motion = Motion(t, split(q), split(v), direction, split(z), None, 1.0)
+    if effect.grips:
+        # A point's direction is smoothed over the ramp's time, and over what is not known of its
+        # velocity (1.5 standard deviations, as a normal velocity's mean direction is).
+        now = jax.lax.stop_gradient(own)
+        lost = now.lost_speed(motion, mechanism) + 1e-12
+        unsure = now.speed_spread(split(spread), mechanism)
+        motion = motion._replace(grain=2 * RAMP * step + 1.5 * unsure / lost)
+    level = (0.0,) * len(v)
+    if effect.dry:
+        level = tuple(0.0 if x is None else x for x in own.jumps(motion, mechanism))
+    rates = own.rate(motion, mechanism) if effect.memory and not effect.follows else ()
+    return own.torque(motion, mechanism), level, rates
+
+
+def along_joint(effect: Any, room: tuple[int, int], q, v, t, z, numbers) -> Slopes:
+    """`joint_law` (r = 2 + m) at N instants: `q`, `v`, `t` (N,), `z` (m, N), `numbers` (p,); `room`
+    (m, p)."""
+    states, count = len(effect.memory), len(numbers_of(effect))
 
     def at(q, v, z, u, t):
-        own = with_numbers(effect, u)
-        motion = JointMotion(t, q, v, jnp.sign(v), split(z), q)
-        if effect.dry:
-            up, down = (
-                jnp.asarray(own.joint_torque(motion._replace(direction=s)), float)
-                for s in (1.0, -1.0)
-            )
-            parts = [0.5 * (up + down), 0.5 * (up - down)]
-        else:
-            parts = [own.joint_torque(motion), 0.0]
-        return stack((*parts, *(own.joint_rate(motion) if effect.memory else ())))
+        torque, level, rates = joint_law(effect, q, v, t, z[:states], u[:count])
+        return _rows((torque, level, *rates), 2 + room[0])
 
-    def one(q, v, z, t):
-        args = q, v, z, jnp.asarray(numbers), t
-        return Slopes(at(*args), *jax.jacfwd(at, argnums=(0, 1, 2, 3))(*args))
+    def one(q, v, t, z):
+        args = q, v, z, numbers, t
+        by_q, by_v, by_z, by_u = jax.jacfwd(at, argnums=(0, 1, 2, 3))(*args)
+        return Slopes(at(*args), by_q[:, None], by_v[:, None], by_z, by_u)
 
-    return jax.vmap(one)(q, v, z, t)
+    return jax.vmap(one, in_axes=(0, 0, 0, -1), out_axes=-1)(q, v, t, z)
 
 
-@kept(like=_NONE)
-def _whole_law(effect, numbers, mechanism, t, q, v, z, step, spread):
-    """The same of an effect of the whole mechanism."""
+def along_whole(effect, room: tuple[int, int], mechanism, q, v, t, z, step, spread, numbers):
+    """`whole_law` (r = 2 n + m) at N instants: `q`, `v`, `spread` (n, N)."""
+    states, count = len(effect.memory), len(numbers_of(effect))
 
     def at(q, v, z, u, t, step, spread, mechanism):
-        own = with_numbers(effect, u)
-        direction = tuple(0.0 if effect.dry else jnp.sign(x) for x in v)
-        motion = Motion(t, split(q), split(v), direction, split(z), None, 1.0)
-        if effect.grips:
-            # A point's direction is smoothed over the ramp's time, and over what is not known of
-            # its velocity (1.5 standard deviations, as a normal velocity's mean direction is).
-            own_now = jax.lax.stop_gradient(own)
-            lost = own_now.lost_speed(motion, mechanism) + 1e-12
-            unsure = own_now.speed_spread(split(spread), mechanism)
-            motion = motion._replace(grain=2 * RAMP * step + 1.5 * unsure / lost)
-        torque = own.torque(motion, mechanism)
-        level = (0.0,) * len(torque)
-        if effect.dry:
-            level = tuple(0.0 if x is None else x for x in own.jumps(motion, mechanism))
-        rate = own.rate(motion, mechanism) if effect.memory else ()
-        return stack((*torque, *level, *rate))
+        args = mechanism, q, v, t, z[:states], step, spread, u[:count]
+        torques, levels, rates = whole_law(effect, *args)
+        return _rows((*torques, *levels, *rates), 2 * q.shape[0] + room[0])
 
-    def one(q, v, z, t, step, spread, mechanism):
-        args = q, v, z, jnp.asarray(numbers), t, step, spread, mechanism
+    def one(q, v, t, z, step, spread, mechanism):
+        args = q, v, z, numbers, t, step, spread, mechanism
         return Slopes(at(*args), *jax.jacfwd(at, argnums=(0, 1, 2, 3))(*args))
 
-    return jax.vmap(one)(q, v, z, t, step, spread, mechanism)
+    axes = -1, -1, 0, -1, 0, -1, 0
+    return jax.vmap(one, in_axes=axes, out_axes=-1)(q, v, t, z, step, spread, mechanism)
 
 
-class Followed(NamedTuple):
-    """Internal states after a step, for effects whose memory jumps along with the motion."""
+def along_follow(effect, room: tuple[int, int], j, q, v, t, z, numbers, mechanism) -> Slopes:
+    """Internal states after steps that began with states `z` (m, N) and ended at `q`, `v` (n, N);
+    slopes in the angles, the states and the numbers."""
+    states, count = len(effect.memory), len(numbers_of(effect))
 
-    value: Any  # (K, m)
-    by_z: Any  # (K, m, m)
-    by_q: Any  # (K, m, n)
-    by_number: Any  # (K, m, p)
+    def at(q, z, u, t, v, mechanism):
+        own = with_numbers(effect, u[:count])
+        if of_one_joint(effect):
+            motion = JointMotion(t, q[j], v[j], jnp.sign(v[j]), split(z[:states]), q[j])
+            return _rows(tuple(own.joint_follow(motion)), room[0])
+        motion = Motion.at(t, q, v, z[:states])._replace(turn=split(q))
+        return _rows(tuple(own.follow(motion, mechanism)), room[0])
 
+    def one(q, v, t, z, mechanism):
+        args = q, z, numbers, t, v, mechanism
+        by_q, by_z, by_u = jax.jacfwd(at, argnums=(0, 1, 2))(*args)
+        return Slopes(at(*args), by_q, jnp.zeros_like(by_q), by_z, by_u)
 
-@kept(like=Followed(0, 0, 0, 0))
-def followed(effect, numbers, mechanism, t, q, v, z) -> Followed:
-    """`effect.follow` at K steps that began with states `z` (K, m) and ended in `q`, `v` (K, n)."""
-
-    def at(z, q, u, t, v, mechanism):
-        motion = Motion.at(t, q, v, z)._replace(turn=split(q))
-        return stack(with_numbers(effect, u).follow(motion, mechanism))
-
-    def one(z, q, t, v, mechanism):
-        args = z, q, jnp.asarray(numbers), t, v, mechanism
-        return Followed(at(*args), *jax.jacfwd(at, argnums=(0, 1, 2))(*args))
-
-    return jax.vmap(one)(z, q, t, v, mechanism)
+    return jax.vmap(one, in_axes=(-1, -1, 0, -1, 0), out_axes=-1)(q, v, t, z, mechanism)
 
 
-class Reading(NamedTuple):
-    """What sensors say of n angles."""
-
-    value: Any  # (K, n)
-    by_angle: Any  # (K, n, n)
-    by_number: Any  # (K, n, p)
-    delay: Any  # (n,) s
-    delay_by_number: Any  # (n, p)
-
-
-@kept(like=Reading(0, 0, 0, 0, 0))
-def reading(effect, numbers, mechanism, angle) -> Reading:
-    """An effect of the sensors at K instants: `angle` (K, n)."""
-    numbers = jnp.asarray(numbers)
+def along_readings(effect, mechanism, angle, numbers):
+    """What an effect of the sensors makes of angles (n, N): readings, their slopes (n, n, N) and
+    (n, p, N), and delays (n,) with their slopes (n, p)."""
+    count = len(numbers_of(effect))
 
     def at(angle, u):
-        return stack(with_numbers(effect, u).reading(split(angle), mechanism))
+        own = with_numbers(effect, u[:count])
+        return stack(own.reading(split(angle), mechanism))
 
     def late(u):
-        return stack(with_numbers(effect, u).delays(mechanism))
+        return stack(with_numbers(effect, u[:count]).delays(mechanism))
 
-    value = jax.vmap(lambda a: at(a, numbers))(angle)
-    slopes = jax.vmap(lambda a: jax.jacfwd(at, argnums=(0, 1))(a, numbers))
-    by_angle, by_number = slopes(angle)
-    return Reading(value, by_angle, by_number, late(numbers), jax.jacfwd(late)(numbers))
+    def one(angle):
+        return at(angle, numbers), *jax.jacfwd(at, argnums=(0, 1))(angle, numbers)
+
+    seen = jax.vmap(one, in_axes=-1, out_axes=-1)(angle)
+    return *seen, late(numbers), jax.jacfwd(late)(numbers)
 
 
-@kept(like=0)
-def states_along(effect, numbers, mechanism, q, v, t, h, z0):
-    """Internal states (K, 3, m) of an effect along a motion, at the nodes of each step.
+def states_along(effect: Any, numbers, mechanism, q, v, t, h, anew, z0):
+    """Internal states (3, m, K) of an effect along a motion, at the nodes of each step.
 
-    **Arguments:** `q`, `v` (K, 3, n), `t` (K, 3), `h` (K,) steps; `z0` (K, m): where not NaN, the
-    states begin anew there.
+    **Arguments:** `q`, `v` (3, n, K), of an effect of one joint n = 1, `t` (3, K), `h` (K,) steps;
+    `anew` (K,) where the states begin anew at `z0` (m,); `mechanism` with leaves (K, ...).
     """
-    own = with_numbers(effect, jnp.asarray(numbers))
+    own: Any = with_numbers(effect, numbers)
+    one = of_one_joint(effect)
+
+    def motion(t, q, v, z):
+        found = Motion.at(t, q, v, z)
+        return found.of(0)._replace(turn=q[0]) if one else found._replace(turn=split(q))
 
     def step(z, at):
         q, v, t, h, anew, mechanism = at
-        z = jnp.where(jnp.isnan(anew), z, anew)
+        held = z = jnp.where(anew, z0, z)
         if effect.follows:
-            move = lambda z, i: stack(  # noqa: E731
-                own.follow(Motion.at(t[i], q[i], v[i], z)._replace(turn=split(q[i])), mechanism)
-            )
-            end = move(move(z, 1), 2)
-            return end, jnp.stack([z, z, z])
+            for i in (1, 2):
+                here = motion(t[i], q[i], v[i], z)
+                z = stack(own.joint_follow(here) if one else own.follow(here, mechanism))
+            return z, jnp.stack([held, held, held])
 
-        def rate(z, i, j):
-            middle = lambda x: 0.5 * (x[i] + x[j])  # noqa: E731
-            return stack(own.rate(Motion.at(middle(t), middle(q), middle(v), z), mechanism))
+        def rate(z, i, k):
+            t_, q_, v_ = (0.5 * (x[i] + x[k]) for x in (t, q, v))
+            here = motion(t_, q_, v_, z)
+            return stack(own.joint_rate(here) if one else own.rate(here, mechanism))  # pyright: ignore
 
         def half(z, i):
             return z + h / 2 * rate(z + h / 4 * rate(z, i, i), i, i + 1)
@@ -258,7 +383,11 @@ def states_along(effect, numbers, mechanism, q, v, t, h, z0):
         end = half(middle, 1)
         return end, jnp.stack([z, middle, end])
 
-    return jax.lax.scan(step, z0[0], (q, v, t, h, z0, mechanism))[1]
+    def first(x):  # (3, ..., K) to (K, 3, ...)
+        return jnp.moveaxis(x, -1, 0)
+
+    each = first(q), first(v), first(t), h, anew, mechanism
+    return jnp.moveaxis(jax.lax.scan(step, z0, each)[1], 0, -1)
 
 
 def first_states(effect: AbstractEffect, mechanism: AbstractInertia, q0, v0) -> np.ndarray:
@@ -267,9 +396,9 @@ def first_states(effect: AbstractEffect, mechanism: AbstractInertia, q0, v0) -> 
     return np.array([float(z) for z in begun])
 
 
-def along_instants(mechanisms, run: np.ndarray):
-    """Mechanisms, one for each recording, as one whose leaves are (K, ...)."""
+def stacked_mechanisms(mechanisms: Sequence[AbstractInertia]):
+    """Mechanisms, one for each recording, as one whose leaves are (R, ...)."""
     return jax.tree.map(
-        lambda *leaves: np.stack([np.asarray(x, float) for x in leaves])[run],
+        lambda *leaves: np.stack([np.asarray(x, float) for x in leaves]),
         *[eqx.filter(m, eqx.is_array_like) for m in mechanisms],
     )

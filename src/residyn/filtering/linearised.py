@@ -2,7 +2,7 @@
 
 The equation of motion is linearised about a given motion at the beginning, middle and end of every
 step, and one fourth-order Runge-Kutta step of that affine field gives x+ = A x + B u + T tau + c.
-Along the motion a model is data: sums of its effects' torques and slopes (`law`).
+Instants are the last axis of every array until then: each operation is one long vector.
 
 Dry friction is linear nowhere, so its direction enters as the expected one over what is known of
 the rate, E clip(v / slow + hold, -1, 1): where friction can hold the joint, it takes the torque
@@ -11,201 +11,519 @@ that holds it (`hold`), and `slow` is the rate that friction takes away in RAMP 
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.scipy.stats import norm
 
 from ..physics.model import solve_inertia
 from ..physics.motion import split, stack
 from ..runtime.export_cache import kept
-from .law import RAMP
+from .kalman import System
+from .law import (
+    RAMP,
+    Laws,
+    Slots,
+    Table,
+    along_follow,
+    along_joint,
+    along_readings,
+    along_whole,
+    changes_bodies,
+    most_numbers,
+    most_states,
+    numbers_of,
+    with_numbers,
+)
 
 
-class Field(NamedTuple):
-    """The equation of motion along a motion: K steps of three nodes, M internal states (filled up),
-    P regressors (filled up)."""
+class Instants(NamedTuple):
+    """K instants of R recordings, as a program takes them."""
 
-    f: Any  # (K, 3, X)
-    by_x: Any  # (K, 3, X, X)
-    by_u: Any  # (K, 3, X, P)
-    by_torque: Any  # (K, 3, X, n)
-    direction: Any  # (K, 3, n) expected direction of sliding
+    step: Any  # (K,) s to the next one; 0 at the end of a recording
+    usual: Any  # () their median
+    time: Any  # (K,) s from the recording's first
+    drive: Any  # (3, n, K) N m
+    spread: Any  # (K,) s^2, of averaged readings
+    run: Any  # (K,) which recording
+    last: Any  # (K,) whether it ends here and another one follows
+    first_angle: Any  # (n, K) where the next one begins
+    mechanisms: Any  # leaves (R, ...)
+
+
+class Point(NamedTuple):
+    """Where a model is linearised."""
+
+    path: Any  # (K, X) angles, rates, internal states
+    spread: Any  # (K, n) standard deviation of the rates
+    u: Any  # (P,) regressors
+    first: Any  # (M,) internal states at the beginning of each recording
+
+
+class Nodes(NamedTuple):
+    """A motion at the N = 3 K beginnings, middles and ends of its steps."""
+
+    q: Any  # (n, N)
+    v: Any
+    z: Any  # (M, N)
+    time: Any  # (N,)
+    step: Any  # (N,)
+    spread: Any  # (n, N)
+
+
+class Linear(NamedTuple):
+    """A model linearised along a motion."""
+
+    system: System
+    seen: Any  # (K, n) its readings
+    acceleration: Any  # (n, N)
+    direction: Any  # (n, N) expected direction of sliding
+    by_x: Any  # (X, X, N)
+    by_torque: Any  # (X, n, N)
+    by_number: Any  # (n, P, K) d torque / d regressor at the beginning of each step
+    torque_joint: Any  # (E, 2, K) of each effect of one joint: without dry friction, and its level
+    torque_whole: Any  # (E, 2 n, K) the same of the others
 
 
 class Sums(NamedTuple):
-    """A model's effects together: torques without dry friction, levels of friction, rates."""
+    """A model's effects together, at N nodes: torques without dry friction, levels of friction,
+    rates of the internal states."""
 
-    torque: Any  # (K, 3, n)
-    torque_q: Any  # (K, 3, n, n)
+    torque: Any  # (n, N)
+    torque_q: Any  # (n, n, N)
     torque_v: Any
-    torque_z: Any  # (K, 3, n, M)
-    torque_u: Any  # (K, 3, n, P)
-    level: Any  # (K, 3, n)
+    torque_z: Any  # (n, M, N)
+    torque_u: Any  # (n, P, N)
+    level: Any  # (n, N)
     level_q: Any
     level_v: Any
     level_u: Any
-    rate: Any  # (K, 3, M)
-    rate_q: Any
+    rate: Any  # (M, N)
+    rate_q: Any  # (M, n, N)
     rate_v: Any
     rate_z: Any
     rate_u: Any
 
-    @classmethod
-    def zeros(cls, K: int, n: int, M: int, P: int) -> "Sums":
-        shapes = (
-            *((n,), (n, n), (n, n), (n, M), (n, P)),
-            *((n,), (n, n), (n, n), (n, P)),
-            *((M,), (M, n), (M, n), (M, M), (M, P)),
-        )
-        return cls(*(np.zeros((K, 3, *s)) for s in shapes))
 
-
-def _expected_direction(v, needed, level, spread, slow_time):
-    """E clip(v / slow + hold, -1, 1) with v normal of standard deviation `spread`; `needed` is the
-    torque that would hold the joint, `slow_time` the ramp's time over its inertia."""
-    on = jnp.abs(level) > 0
-    safe = jnp.where(on, jnp.abs(level), 1.0)
+def _ramp(v, needed, level, spread, slow_time):
+    """Mean and standard deviation of the argument of clip(v / slow + hold, -1, 1), v being normal
+    of standard deviation `spread`; `needed` is the torque that would hold the joint, `slow_time`
+    the ramp's time over its inertia."""
+    safe = jnp.where(level != 0, jnp.abs(level), 1.0)
     ratio = needed / safe
     # More than friction can give: the joint is not held, the less the more is needed.
-    ratio = jnp.where(jnp.abs(ratio) <= 1, ratio, 1 / jnp.where(ratio == 0, 1.0, ratio))
+    hold = jnp.where(jnp.abs(ratio) <= 1, ratio, 1 / jnp.where(ratio == 0, 1.0, ratio))
     slow = slow_time * (safe + jnp.abs(needed)) + 1e-12
-    m, s = v / slow + jnp.where(on, ratio, 0.0), spread / slow + 1e-9
-
-    def beyond(a):  # E max(x - a, 0)
-        return (m - a) * norm.cdf((m - a) / s) + s * norm.pdf((m - a) / s)
-
-    return jnp.where(on, -1 + beyond(-1.0) - beyond(1.0), jnp.sign(v))
+    return v / slow + hold, spread / slow + 1e-9
 
 
-@kept(like=Field(0, 0, 0, 0, 0))
-def field(mechanism, h, q, v, drive, spread, sums: Sums) -> Field:
-    """The equation of motion and its slopes at the nodes.
-
-    **Arguments:** `mechanism` with leaves (K, ...); `h` (K,) steps; `q`, `v`, `drive` (K, 3, n);
-    `spread` (K, 3, n) standard deviation of what is known of the rates.
-    """
-    n = q.shape[-1]
-
-    def accelerated(mechanism, q, v, push):
-        load = mechanism.inertia_torque(split(q), split(v))
-        load = tuple(a - b for a, b in zip(split(push), load, strict=True))
-        return stack(solve_inertia(mechanism.mass_matrix(split(q)), load))
-
-    def one(mechanism, h, q, v, drive, spread, s: Sums):
-        free = drive - s.torque
-        unit = jax.jacfwd(accelerated, argnums=3)(mechanism, q, v, free)  # Z^-1
-        light = jnp.diag(unit)
-        held = accelerated(mechanism, q, v, free) / light
-        args = v, held, s.level, spread, RAMP * h * light
-        direction = _expected_direction(*args)
-        by_v, by_held, by_level = jax.vmap(jax.grad(_expected_direction, argnums=(0, 1, 2)))(*args)
-        friction = s.level * direction
-        # Slopes at the torque that acts, friction included.
-        total = q, v, free - friction
-        a = accelerated(mechanism, *total)
-        a_q, a_v = jax.jacfwd(accelerated, argnums=(1, 2))(mechanism, *total)
-        free_q, free_v = a_q - unit @ s.torque_q, a_v - unit @ s.torque_v
-        free_z, free_u = -unit @ s.torque_z, -unit @ s.torque_u
-        hold = s.level * by_held / light
-        grow = direction + s.level * by_level  # d friction / d level
-
-        def whole(slope, own=None):
-            friction = hold[:, None] * slope
-            friction = friction if own is None else friction + grow[:, None] * own
-            return slope - unit @ friction
-
-        to_q, to_z = whole(free_q, s.level_q), whole(free_z)
-        to_v = whole(free_v, s.level_v) - unit @ jnp.diag(s.level * by_v)
-        to_u, to_torque = whole(free_u, s.level_u), whole(unit)
-        zero, eye = jnp.zeros((n, n)), jnp.eye(n)
-        m, p = s.rate.shape[0], to_u.shape[1]
-        f = jnp.concatenate([v, a, s.rate])
-        by_x = jnp.concatenate(
-            [
-                jnp.concatenate([zero, eye, jnp.zeros((n, m))], 1),
-                jnp.concatenate([to_q, to_v, to_z], 1),
-                jnp.concatenate([s.rate_q, s.rate_v, s.rate_z], 1),
-            ]
-        )
-        by_u = jnp.concatenate([jnp.zeros((n, p)), to_u, s.rate_u])
-        by_torque = jnp.concatenate([zero, to_torque, jnp.zeros((m, n))])
-        return Field(f, by_x, by_u, by_torque, direction)
-
-    nodes = jax.vmap(one, in_axes=(None, None, 0, 0, 0, 0, 0))
-    return jax.vmap(nodes)(mechanism, h, q, v, drive, spread, sums)
+def _clipped(m, s):
+    """E clip(x, -1, 1) of a normal x, and its slopes in the mean and in the standard deviation."""
+    high, low = (m + 1) / s, (m - 1) / s
+    inside, edges = norm.cdf(high) - norm.cdf(low), norm.pdf(high) - norm.pdf(low)
+    return -1 + (m + 1) * norm.cdf(high) - (m - 1) * norm.cdf(low) + s * edges, inside, edges
 
 
-class Transition(NamedTuple):
-    """x+ = A x + B u + T tau + c."""
+def expected_direction(v, needed, level, spread, slow_time):
+    """Expected direction of sliding, and its slopes in `v`, `needed` and `level`; see `_ramp`."""
+    x = jnp.stack([v, needed, level])
 
-    A: Any  # (K, X, X)
-    B: Any  # (K, X, P)
-    T: Any  # (K, X, n)
-    c: Any  # (K, X)
+    def slope(e):
+        ramp = lambda x: _ramp(x[0], x[1], x[2], spread, slow_time)  # noqa: E731
+        return jax.jvp(ramp, (x,), (e.reshape(3, *[1] * (x.ndim - 1)) * jnp.ones_like(x),))
 
-
-@kept(like=Transition(0, 0, 0, 0))
-def transition(h, f, by_x, by_u, by_torque, x) -> Transition:
-    """One Runge-Kutta step of the affine field about the motion x (K, 3, X)."""
-    X, n = by_x.shape[-1], by_torque.shape[-1]
-    const = f - jnp.einsum("kaij,kaj->kai", by_x, x)
-    M = jnp.concatenate([by_x, const[..., None], by_torque, by_u], -1)  # of (x, 1, tau, u)
-    hh = h[:, None, None]
-    eye = jnp.eye(X, M.shape[-1])
-
-    def stage(node, slope, share):  # field at a node after moving along a slope
-        return M[:, node] + share * hh * (M[:, node, :, :X] @ slope)
-
-    k1 = M[:, 0]
-    k2 = stage(1, k1, 0.5)
-    k3 = stage(1, k2, 0.5)
-    k4 = stage(2, k3, 1.0)
-    phi = eye + hh / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return Transition(phi[..., :X], phi[..., X + 1 + n :], phi[..., X + 1 : X + 1 + n], phi[..., X])
+    (m, s), (by_m, by_s) = jax.vmap(slope, out_axes=(None, 0))(jnp.eye(3))
+    direction, inside, edges = _clipped(m, s)
+    slopes = jnp.where(level != 0, inside * by_m + edges * by_s, 0.0)
+    return jnp.where(level != 0, direction, jnp.sign(v)), slopes
 
 
-@kept(like=0)
-def body_torque(mechanism, changed, q, v, push):
-    """(K, 3, n) the torque that a small change of the bodies amounts to: Z' a + f^w', where primes
-    are differences between `changed` and `mechanism` (leaves (K, ...))."""
-
-    def asked(mechanism, q, v, a):
-        q, v = split(q), split(v)
-        load = stack(mechanism.inertia_torque(q, v))
-        return stack(tuple(sum(z * x for z, x in zip(row, split(a), strict=True))
-                           for row in mechanism.mass_matrix(q))) + load  # fmt: skip
-
-    def one(mechanism, changed, q, v, push):
-        inertia = mechanism.mass_matrix(split(q))
-        load = mechanism.inertia_torque(split(q), split(v))
-        a = stack(
-            solve_inertia(inertia, tuple(p - w for p, w in zip(split(push), load, strict=True)))
-        )
-        return asked(changed, q, v, a) - asked(mechanism, q, v, a)
-
-    return jax.vmap(jax.vmap(one, in_axes=(None, None, 0, 0, 0)))(mechanism, changed, q, v, push)
-
-
-def nodes(h, path, n: int):
-    """Angles, rates and internal states (K, 3, ...) at the beginning, middle and end of each step,
-    by Hermite's cubic through the smoothed motion."""
-    q, v, z = path[:, :n], path[:, n : 2 * n], path[:, 2 * n :]
+def nodes(instants: Instants, path, spread, held) -> Nodes:
+    """By Hermite's cubic through the motion; states that are `held` (M,) keep within a step."""
+    n, h = spread.shape[1], instants.step
+    x = path.T
+    q, v, z = x[:n], x[n : 2 * n], x[2 * n :]
 
     def after(a):
-        return np.concatenate([a[1:], a[-1:]])
+        return jnp.concatenate([a[..., 1:], a[..., -1:]], -1)
 
-    q1, v1, z1, hh = after(q), after(v), after(z), h[:, None]
-    middle = 0.5 * (q + q1) + hh / 8 * (v - v1)
-    rate = np.where(hh > 0, 1.5 * (q1 - q) / np.maximum(hh, 1e-12) - 0.25 * (v + v1), v)
+    q1, v1, z1, s1 = after(q), after(v), after(z), after(spread.T)
+    middle = 0.5 * (q + q1) + h / 8 * (v - v1)
+    rate = jnp.where(h > 0, 1.5 * (q1 - q) / jnp.maximum(h, 1e-12) - 0.25 * (v + v1), v)
+    inside, end = (jnp.where(held[:, None], z, x) for x in (0.5 * (z + z1), z1))
 
     def three(*x):
-        return np.stack(x, axis=1)
+        return jnp.concatenate(x, -1)
 
-    return three(q, middle, q1), three(v, rate, v1), three(z, 0.5 * (z + z1), z1)
+    step = jnp.where(h > 0, h, instants.usual)
+    return Nodes(
+        three(q, middle, q1),
+        three(v, rate, v1),
+        three(z, inside, end),
+        three(instants.time, instants.time + h / 2, instants.time + h),
+        three(step, step, step),
+        three(spread.T, 0.5 * (spread.T + s1), s1) + 1e-12,
+    )
 
 
-def array_leaves(tree):
-    """A pytree's arrays as NumPy arrays."""
-    return jax.tree.map(np.asarray, eqx.filter(tree, eqx.is_array_like))
+def at_nodes(mechanisms, run, times: int = 3):
+    """Mechanisms (R, ...) as leaves (times K, ...)."""
+    return jax.tree.map(lambda x: x[jnp.tile(run, times)], mechanisms)
+
+
+def changed_bodies(laws: Laws, slots: Slots, numbers, mechanisms):
+    """Mechanisms as a model's effects leave them, with the numbers (E, p) of `slots`."""
+    known = [laws.each[i] for i in laws.of("whole")]
+    if not any(map(changes_bodies, known)):
+        return mechanisms
+
+    def branch(effect):
+        if not changes_bodies(effect):
+            return lambda bodies, u: bodies
+        own = len(numbers_of(effect))
+        return lambda bodies, u: jax.vmap(lambda b: with_numbers(effect, u[:own]).bodies(b))(bodies)
+
+    which = {i: k + 1 for k, i in enumerate(i for i, e in enumerate(known) if changes_bodies(e))}
+    branches = [lambda bodies, u: bodies, *(branch(known[i]) for i in which)]
+    place = jnp.asarray([which.get(i, 0) for i in range(len(known))])
+    for e in range(len(slots.law)):
+        at = jnp.where(e < slots.count, place[slots.law[e]], 0)
+        mechanisms = jax.lax.switch(at, branches, mechanisms, numbers[e])
+    return mechanisms
+
+
+def _added(x, rows, *start):
+    """x with `rows` added to the block that begins at `start`."""
+    start = (*start, *(0,) * (x.ndim - len(start)))
+    here = jax.lax.dynamic_slice(x, start, rows.shape)
+    return jax.lax.dynamic_update_slice(x, here + rows, start)
+
+
+def _summed(laws: Laws, table: Table, at: Nodes, mechanism, P: int):
+    """`Sums` of a model at the nodes, and each effect's own torque."""
+    (n, N), M = at.q.shape, at.z.shape[0]
+    effects = laws.each
+    joint, whole = ([effects[i] for i in laws.of(g)] for g in ("joint", "whole"))
+    K, Ej, Ew = N // 3, len(table.joint.law), len(table.whole.law)
+    mj, mw = most_states(joint), most_states(whole)
+    pj, pw = most_numbers(joint), most_numbers(whole)
+    # Room at the end, so that no block of rows would be moved to fit.
+    p, m = P + max(pj, pw), M + max(mj, mw)
+    z = jnp.concatenate([at.z, jnp.zeros((m - M, N))])
+    shapes = [(n,), (n, n), (n, n), (n, m), (n, p), (n,), (n, n), (n, n), (n, p)]
+    shapes += [(m,), (m, n), (m, n), (m, m), (m, p)]
+    sums = Sums(*(jnp.zeros((*s, N)) for s in shapes))
+
+    def of(slots: Slots, e):
+        return slots.law[e], slots.joint[e], slots.numbers[e], slots.slopes[e], slots.column[e]
+
+    def add_joint(e, carry):
+        s, each = carry
+        law, j, numbers, slopes, column = of(table.joint, e)
+        state = table.joint.state[e]
+        own = jax.lax.dynamic_slice(z, (state, 0), (mj, N))
+        branches = [lambda *a, k=k: along_joint(k, (mj, pj), *a) for k in joint]
+        f = jax.lax.switch(law, branches, at.q[j], at.v[j], at.time, own, numbers)
+        f = f._replace(by_number=f.by_number * slopes[:, None])
+        each = jax.lax.dynamic_update_slice(each, f.value[None, :2, :K], (e, 0, 0))
+        s = Sums(
+            torque=_added(s.torque, f.value[:1], j),
+            torque_q=_added(s.torque_q, f.by_q[:1], j, j),
+            torque_v=_added(s.torque_v, f.by_v[:1], j, j),
+            torque_z=_added(s.torque_z, f.by_z[:1], j, state),
+            torque_u=_added(s.torque_u, f.by_number[:1], j, column),
+            level=_added(s.level, f.value[1:2], j),
+            level_q=_added(s.level_q, f.by_q[1:2], j, j),
+            level_v=_added(s.level_v, f.by_v[1:2], j, j),
+            level_u=_added(s.level_u, f.by_number[1:2], j, column),
+            rate=_added(s.rate, f.value[2:], state),
+            rate_q=_added(s.rate_q, f.by_q[2:], state, j),
+            rate_v=_added(s.rate_v, f.by_v[2:], state, j),
+            rate_z=_added(s.rate_z, f.by_z[2:], state, state),
+            rate_u=_added(s.rate_u, f.by_number[2:], state, column),
+        )
+        return s, each
+
+    def add_whole(e, carry):
+        s, each = carry
+        law, _, numbers, slopes, column = of(table.whole, e)
+        state = table.whole.state[e]
+        own = jax.lax.dynamic_slice(z, (state, 0), (mw, N))
+        branches = [lambda *a, k=k: along_whole(k, (mw, pw), *a) for k in whole]
+        args = mechanism, at.q, at.v, at.time, own, at.step, at.spread, numbers
+        f = jax.lax.switch(law, branches, *args)
+        f = f._replace(by_number=f.by_number * slopes[:, None])
+        each = jax.lax.dynamic_update_slice(each, f.value[None, : 2 * n, :K], (e, 0, 0))
+        a, b = slice(n), slice(n, 2 * n)
+        s = Sums(
+            torque=s.torque + f.value[a],
+            torque_q=s.torque_q + f.by_q[a],
+            torque_v=s.torque_v + f.by_v[a],
+            torque_z=_added(s.torque_z, f.by_z[a], 0, state),
+            torque_u=_added(s.torque_u, f.by_number[a], 0, column),
+            level=s.level + f.value[b],
+            level_q=s.level_q + f.by_q[b],
+            level_v=s.level_v + f.by_v[b],
+            level_u=_added(s.level_u, f.by_number[b], 0, column),
+            rate=_added(s.rate, f.value[2 * n :], state),
+            rate_q=_added(s.rate_q, f.by_q[2 * n :], state, 0),
+            rate_v=_added(s.rate_v, f.by_v[2 * n :], state, 0),
+            rate_z=_added(s.rate_z, f.by_z[2 * n :], state, state),
+            rate_u=_added(s.rate_u, f.by_number[2 * n :], state, column),
+        )
+        return s, each
+
+    each_j, each_w = jnp.zeros((Ej, 2, K)), jnp.zeros((Ew, 2 * n, K))
+    if joint:
+        sums, each_j = jax.lax.fori_loop(0, table.joint.count, add_joint, (sums, each_j))
+    if whole:
+        sums, each_w = jax.lax.fori_loop(0, table.whole.count, add_whole, (sums, each_w))
+    return sums, each_j, each_w
+
+
+def _asked(mechanism, q, v, a):
+    """(n,) Z a + f^w."""
+    q, v = split(q), split(v)
+    load = mechanism.inertia_torque(q, v)
+    rows = mechanism.mass_matrix(q)
+    turned = (sum(z * x for z, x in zip(row, split(a), strict=True)) for row in rows)
+    return stack(tuple(t + w for t, w in zip(turned, load, strict=True)))
+
+
+def accelerated(mechanism, q, v, push):
+    """(n,) Z^-1 (push - f^w)."""
+    load = mechanism.inertia_torque(split(q), split(v))
+    load = tuple(a - b for a, b in zip(split(push), load, strict=True))
+    return stack(solve_inertia(mechanism.mass_matrix(split(q)), load))
+
+
+def body_columns(change, numbers, mechanisms, run, at: Nodes, acceleration):
+    """(n, E, p, N) the torque that small changes of numbers (E, p) amount to through the bodies:
+    d(Z a + f^w) / d number; `change` makes mechanisms (R, ...) of them."""
+
+    def asked(numbers):
+        bodies = at_nodes(change(numbers, mechanisms), run)
+        axes = 0, -1, -1, -1
+        return jax.vmap(_asked, in_axes=axes, out_axes=-1)(bodies, at.q, at.v, acceleration)
+
+    slopes = jax.jacfwd(asked)(numbers)  # (n, N, E, p)
+    return jnp.moveaxis(slopes, 1, -1)
+
+
+def _product(A, B) -> Any:
+    """A (X, Y, K) times B (Y, W, K)."""
+    return sum(A[:, i, None] * B[None, i] for i in range(A.shape[1]))
+
+
+class Field(NamedTuple):
+    """The equation of motion x' = f at N nodes."""
+
+    f: Any  # (X, N)
+    by_x: Any  # (X, X, N)
+    by_u: Any  # (X, P, N)
+    by_torque: Any  # (X, n, N)
+    direction: Any  # (n, N) expected direction of sliding
+
+
+def _field(mechanism, at: Nodes, drive, s: Sums) -> Field:
+    """The equation of motion and its slopes; `mechanism` with leaves (N, ...)."""
+    n, N = at.q.shape
+    over = {"in_axes": (0, -1, -1, -1), "out_axes": -1}
+    none = jnp.zeros((n, N))
+    rest = jax.vmap(accelerated, **over)(mechanism, at.q, at.v, none)
+    unit = jax.vmap(jax.jacfwd(accelerated, argnums=3), **over)(mechanism, at.q, at.v, none)
+
+    # A barrier keeps XLA from computing what stands before it again in all that uses it.
+    rest, unit = jax.lax.optimization_barrier((rest, unit))
+
+    def pushed(x):  # Z^-1 of torques (n, ..., N)
+        return _product(unit, x) if x.ndim == 3 else jnp.sum(unit * x[None], axis=1)
+
+    free = drive - s.torque
+    light = jnp.stack([unit[j, j] for j in range(n)])
+    held = (rest + pushed(free)) / light
+    found = expected_direction(at.v, held, s.level, at.spread, RAMP * at.step * light)
+    direction, (by_v, by_held, by_level) = jax.lax.optimization_barrier(found)
+    # Slopes at the torque that acts, friction included.
+    total = free - s.level * direction
+    a = rest + pushed(total)
+    both = jax.jacfwd(accelerated, argnums=(1, 2))
+    a_q, a_v = jax.lax.optimization_barrier(jax.vmap(both, **over)(mechanism, at.q, at.v, total))
+    hold = (s.level * by_held / light)[:, None]
+    grow = (direction + s.level * by_level)[:, None]  # d friction / d level
+
+    def whole(slope, own=0.0):
+        return slope - pushed(hold * slope + grow * own)
+
+    to_q = whole(a_q - pushed(s.torque_q), s.level_q)
+    along = jnp.eye(n)[..., None] * (s.level * by_v)[:, None]
+    to_v = whole(a_v - pushed(s.torque_v), s.level_v) - pushed(along)
+    to_z, to_u = whole(-pushed(s.torque_z)), whole(-pushed(s.torque_u), s.level_u)
+    m, p = s.rate.shape[0], to_u.shape[1]
+    zero, eye = jnp.zeros((n, n, N)), jnp.broadcast_to(jnp.eye(n)[..., None], (n, n, N))
+    rows = (
+        (zero, eye, jnp.zeros((n, m, N))), (to_q, to_v, to_z), (s.rate_q, s.rate_v, s.rate_z),
+    )  # fmt: skip
+    by_x = jnp.concatenate([jnp.concatenate(row, 1) for row in rows])
+    by_u = jnp.concatenate([jnp.zeros((n, p, N)), to_u, s.rate_u])
+    by_torque = jnp.concatenate([zero, whole(unit), jnp.zeros((m, n, N))])
+    return Field(jnp.concatenate([at.v, a, s.rate]), by_x, by_u, by_torque, direction)
+
+
+def transition(h, M, X: int):
+    """One Runge-Kutta step of the affine field M (X, W, 3 K) of (x, 1, inputs): (X, W, K)."""
+    W = M.shape[1]
+    begin, middle, end = M.reshape(X, W, 3, -1).transpose(2, 0, 1, 3)
+    k1, here = begin, jax.lax.optimization_barrier
+    k2 = here(middle + h / 2 * _product(middle[:, :X], k1))
+    k3 = here(middle + h / 2 * _product(middle[:, :X], k2))
+    k4 = end + h * _product(end[:, :X], k3)
+    return jnp.eye(X, W)[..., None] + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+@kept(like=Linear(System(*[0] * 7), *[0] * 8))
+def linearise(laws: Laws, table: Table, instants: Instants, point: Point) -> Linear:
+    """A model as a linear system along a motion."""
+    (K, X), P, n = point.path.shape, point.u.shape[0], point.spread.shape[1]
+    h, M = instants.step, X - 2 * n
+    at = nodes(instants, point.path, point.spread, table.held)
+    bodies = changed_bodies(laws, table.whole, table.whole.numbers, instants.mechanisms)
+    mechanism = at_nodes(bodies, instants.run)
+    sums, each_joint, each_whole = _summed(laws, table, at, mechanism, P)
+    drive = instants.drive.transpose(1, 0, 2).reshape(n, 3 * K)
+    rooms = {"torque_z": M, "rate": M, "rate_q": M, "rate_v": M, "torque_u": P, "level_u": P}
+    cut = sums._replace(
+        **{k: getattr(sums, k)[:, :r] if k[0] in "tl" else getattr(sums, k)[:r]
+           for k, r in rooms.items()},
+        rate_z=sums.rate_z[:M, :M], rate_u=sums.rate_u[:M, :P],
+    )  # fmt: skip
+    f = _field(mechanism, at, drive, cut)
+    torque_u = _of_bodies(laws, table, instants, at, f.f[n : 2 * n], sums.torque_u)[:, :P]
+    f = f._replace(by_u=f.by_u - _product(f.by_torque, torque_u - cut.torque_u))
+    x = jnp.concatenate([at.q, at.v, at.z])
+    const = f.f - jnp.sum(f.by_x * x[None], axis=1)
+    field = jnp.concatenate([f.by_x, const[:, None], f.by_torque, f.by_u], 1)
+    phi = transition(h, field, X)
+    phi = _followed(laws, table, at, bodies, instants.run, phi, X + 1 + n)
+    A, c, T, B = phi[:, :X], phi[:, X], phi[:, X + 1 : X + 1 + n], phi[:, X + 1 + n :]
+    Hx, Hu, seen = _readings(laws, table, instants, at, f, point)
+    path = x[:, :K]
+    hc = seen - jnp.sum(Hx * path[None], 1) - jnp.sum(Hu * point.u[:, None], 1)
+    last = instants.last
+    A, B, T = (jnp.where(last, 0.0, each) for each in (A, B, T))
+    anew = jnp.concatenate(
+        [instants.first_angle, jnp.zeros((n, K)), jnp.tile(point.first[:, None], (1, K))]
+    )
+    c = jnp.where(last, anew, c) - jnp.sum(B * point.u[:, None], 1)
+
+    def first(x):
+        return jnp.moveaxis(x, -1, 0)
+
+    system = System(*map(first, (A, B, T, c, Hx, Hu, hc)))
+    by_number = torque_u[..., :K] + cut.level_u[..., :K] * f.direction[:, None, :K]
+    return Linear(
+        system, seen.T, f.f[n : 2 * n], f.direction, f.by_x, f.by_torque, by_number,
+        each_joint, each_whole,
+    )  # fmt: skip
+
+
+def _of_bodies(laws: Laws, table: Table, instants: Instants, at: Nodes, acceleration, torque_u):
+    """The sum (n, P, N) with what numbers do through the bodies."""
+    slots = table.whole
+    moves = [changes_bodies(laws.each[i]) for i in laws.of("whole")]
+    if not any(moves):
+        return torque_u
+
+    def with_bodies(torque_u):
+        slopes = body_columns(
+            lambda numbers, mechanisms: changed_bodies(laws, slots, numbers, mechanisms),
+            slots.numbers, instants.mechanisms, instants.run, at, acceleration,
+        )  # fmt: skip
+        slopes = slopes * slots.slopes[..., None]
+        for e in range(slopes.shape[1]):
+            torque_u = _added(torque_u, slopes[:, e], 0, slots.column[e])
+        return torque_u
+
+    own = jnp.asarray(moves)[slots.law] & (jnp.arange(len(slots.law)) < slots.count)
+    return jax.lax.cond(jnp.any(own), with_bodies, lambda x: x, torque_u)
+
+
+def _followed(laws: Laws, table: Table, at: Nodes, bodies, run, phi, inputs: int):
+    """The step phi (X, W, K) with the internal states that follow the motion instead of having a
+    rate: z+ = f(z, q+)."""
+    effects, mechanism = laws.each, at_nodes(bodies, run, 1)
+    for group, slots in (("joint", table.joint), ("whole", table.whole)):
+        known = [effects[i] for i in laws.of(group)]
+        if any(e.follows for e in known):
+            phi = _followed_by(known, slots, at, mechanism, phi, inputs)
+    return phi
+
+
+def _followed_by(known, slots: Slots, at: Nodes, mechanism, phi, inputs: int):
+    """The same for the effects of one group."""
+    n, (X, W, K) = at.q.shape[0], phi.shape
+    end = at.q[:, 2 * K :], at.v[:, 2 * K :], at.time[2 * K :]
+    m, p = most_states(known), most_numbers(known)
+    z = jnp.pad(at.z[:, :K], ((0, m), (0, 0)))
+
+    def branch(effect):
+        def moved(phi, e):
+            state = slots.state[e]
+            own = jax.lax.dynamic_slice(z, (state, 0), (m, K))
+            f = along_follow(effect, (m, p), slots.joint[e], *end, own, slots.numbers[e], mechanism)
+            rows = _product(f.by_q, phi[:n])
+            gone = jnp.sum(f.by_z * own[None], 1) + jnp.sum(f.by_q * end[0][None], 1)
+            rows = rows.at[:, X].add(f.value - gone)
+            wide = jnp.pad(rows, ((0, 0), (0, m + p), (0, 0)))
+            wide = _added(wide, f.by_z, 0, 2 * n + state)
+            wide = _added(wide, f.by_number * slots.slopes[e][:, None], 0, inputs + slots.column[e])
+            new = wide[: len(effect.memory), :W]
+            return jax.lax.dynamic_update_slice(phi, new, (2 * n + state, 0, 0))
+
+        return moved if effect.follows else lambda phi, e: phi
+
+    branches = [branch(e) for e in known]
+    spare = jnp.concatenate([phi, jnp.zeros((m, W, K))])
+    step = lambda e, phi: jax.lax.switch(slots.law[e], branches, phi, e)  # noqa: E731
+    return jax.lax.fori_loop(0, slots.count, step, spare)[:X]
+
+
+def _readings(laws: Laws, table: Table, instants: Instants, at: Nodes, f: Field, point: Point):
+    """Slopes of the readings in the state (n, X, K) and in the regressors (n, P, K), and the
+    readings (n, K)."""
+    n, K, P = at.q.shape[0], instants.step.shape[0], point.u.shape[0]
+    known = [laws.each[i] for i in laws.of("sensor")]
+    q, v, a = at.q[:, :K], at.v[:, :K], f.f[n : 2 * n, :K]
+    a_x, a_u = f.by_x[n : 2 * n, :, :K], f.by_u[n : 2 * n, :, :K]
+    slots, p = table.sensor, most_numbers(known)
+    mechanism = jax.tree.map(lambda x: x[0], instants.mechanisms)
+    delay, delay_u = jnp.zeros(n), jnp.zeros((n, P + p))
+    branches = [lambda angle, u, k=k: along_readings(k, mechanism, angle, u) for k in known]
+    if known:
+
+        def late(e, carry):
+            delay, delay_u = carry
+            few = jnp.zeros((n, 1))
+            *_, d, d_u = jax.lax.switch(slots.law[e], branches, few, slots.numbers[e])
+            return delay + d, _added(delay_u, d_u * slots.slopes[e], 0, slots.column[e])
+
+        delay, delay_u = jax.lax.fori_loop(0, slots.count, late, (delay, delay_u))
+    # q(t - d), averaged: q - d q' + (d^2 / 2 + spread) q''.
+    w = 0.5 * delay[:, None] ** 2 + instants.spread
+    value = q - delay[:, None] * v + w * a
+    Hx = w[:, None] * a_x
+    Hx = Hx.at[:, :n].add(jnp.eye(n)[..., None])
+    Hx = Hx.at[:, n : 2 * n].add(-(jnp.eye(n) * delay)[..., None])
+    Hu = jnp.pad(w[:, None] * a_u, ((0, 0), (0, p), (0, 0)))
+    Hu = Hu + (-v + delay[:, None] * a)[:, None] * delay_u[..., None]
+    if known:
+
+        def seen(e, carry):
+            value, Hx, Hu = carry
+            found = jax.lax.switch(slots.law[e], branches, value, slots.numbers[e])
+            value, by_angle, by_number, _, _ = found
+            Hx, Hu = _product(by_angle, Hx), _product(by_angle, Hu)
+            own = by_number * slots.slopes[e][:, None]
+            return value, Hx, _added(Hu, own, 0, slots.column[e])
+
+        value, Hx, Hu = jax.lax.fori_loop(0, slots.count, seen, (value, Hx, Hu))
+    return Hx, Hu[:, :P], value

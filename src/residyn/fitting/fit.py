@@ -17,14 +17,14 @@ from ..effects import AbstractEffect
 from ..physics.modal import modes_of, state_matrices
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
-from ..recordings.recording import Recording
 from .base_first import from_the_base, led_astray, lonely
 from .covariance import Spread, spread_of
 from .descent import Descent, descend, wild_beside
 from .drifting import without_drift
-from .integration import TENTH, checked, integration_error, refined, stable
-from .least_squares import Polished, polish
+from .integration import TENTH, at_twice_the_steps, checked, corrected, refined, stable
+from .least_squares import Polished, evaluated, polish
 from .multistart import beginning, resolving
+from .problem import Compressed, Problem, Unknowns
 from .result import Fit, FitError, Mode, Number, RecordingFit
 from .setup import Ready, ready
 from .words import warnings_for
@@ -164,7 +164,7 @@ def _fit(experiment, effects, starts, progress) -> Fit:
         descent = descend(here, begin, numbers, wild, progress, memory)
     progress("errors, modes and held-out recordings")
     start = np.asarray(begin.vector())
-    found = _finished(experiment, here, start, descent, began)
+    found = finish(experiment, start, descent, began)
     adapts = here.integrator is not None and here.integrator.adapts
     if found.integration_error > TENTH and not adapts:
         progress("fitting again with shorter integration steps")
@@ -175,24 +175,9 @@ def _fit(experiment, effects, starts, progress) -> Fit:
                 f"{found.integration_error:.2g} times the noise: the fit went on with "
                 f"{int(again.problem.steps)}"
             )
-            found = _finished(experiment, here, start, again, began)
+            found = finish(experiment, start, again, began)
             found = found.saying((*found.warnings, words))
     return found
-
-
-def _finished(experiment, here: Ready, start: np.ndarray, descent: Descent, began: float) -> Fit:
-    model = here.model.with_vector(jnp.asarray(descent.problem.numbers(descent.unknowns)))
-    return finish(experiment, model, start, descent, began)
-
-
-def _integration_error(recordings: Sequence[Recording], descent: Descent) -> Callable[[], float]:
-    return integration_error(
-        descent.problem,
-        descent.unknowns,
-        np.asarray(descent.compressed.predicted),
-        recordings,
-        descent.wild,
-    )
 
 
 def _refined(here: Ready, descent: Descent, error: float) -> Descent | None:
@@ -214,17 +199,22 @@ def _refined(here: Ready, descent: Descent, error: float) -> Descent | None:
 
 def finish(
     experiment: Experiment,
-    model: Model,
     start: np.ndarray,
     descent: Descent,
     began: float,
-    error: Callable[[], float] | None = None,
     search: Callable[..., Polished] = polish,
+    evaluate: Callable[[Problem, Unknowns], Compressed] = evaluated,
+    correct: bool = True,
 ) -> Fit:
-    """What a fit returns, from where a descent ended; `start` (P,) is where it began, and `error`
-    awaits its integration error, if that has begun. Initial states of check recordings are found by
-    `search`."""
-    error = error or _integration_error(experiment.fit_recordings, descent)
+    """What a fit returns, from where a descent ended; `start` (P,) is where it began. The error of
+    the integration is taken from its numbers, unless they are no minimum (`correct`). Initial
+    states of check recordings are found by `search`; `evaluate` gives residual and Jacobian."""
+    if correct:
+        descent, error = corrected(descent, experiment.fit_recordings, evaluate)
+    else:
+        error = at_twice_the_steps(descent, experiment.fit_recordings, evaluate)[1]
+    problem = descent.problem
+    model = problem.model.with_vector(jnp.asarray(problem.numbers(descent.unknowns)))
     fitted = descent.beside(experiment.fit_recordings)
     unknown = len(start) + sum(f.state.size for f in fitted)
     readings = sum(int(f.used.sum()) for f in fitted)
@@ -246,7 +236,7 @@ def finish(
         converged=descent.converged,
         reason=_reason(descent.converged),
         steps=descent.steps,
-        integration_error=error(),
+        integration_error=error,
         seconds=time.perf_counter() - began,
         warnings=(),
         integration_steps=int(descent.problem.steps),

@@ -23,9 +23,9 @@ from .evolution import evolve
 from .fit import DEFAULT_STARTS, finish
 from .genes import GENES, Genome, box, genome
 from .history import History, relative_error
-from .integration import integration_error
+from .linalg import damped_step
 from .multistart import beginning, resolving
-from .problem import Compressed, Problem, Unknowns, compressed
+from .problem import Compressed, Problem, compressed
 from .result import Fit, FitError
 from .setup import Ready, ready
 from .watch import watching
@@ -145,14 +145,9 @@ def concluded(
     if not np.isfinite(cost):
         raise FitError("no individual led to finite numbers: is this the arm that was recorded?")
     descent = Descent(problem, wild, at, squeezed, cost, steps, settled, starts=1, agreeing=1)
-    error = integration_error(problem, at, squeezed.predicted, here.recordings, wild, _predicted_at)
-    fit = finish(experiment, model, found.first, descent, began, error)
+    fit = finish(experiment, found.first, descent, began, evaluate=compressed, correct=False)
     fit = dataclasses.replace(fit, reason=reason, history=found.history)
     return fit.saying((*fit.warnings, *_far(fit, squeezed, np.asarray(problem.scale.numbers))))
-
-
-def _predicted_at(problem: Problem, y: Unknowns) -> np.ndarray:
-    return np.asarray(compressed(problem, y).predicted)  # compiled already
 
 
 def search_of(here: Ready, wild: Sequence[np.ndarray], how: Genetic) -> Search:
@@ -216,14 +211,9 @@ def _settled(history: History) -> bool:
 
 def _far(fit: Fit, squeezed: Compressed, sizes: np.ndarray) -> list[str]:
     """How far the least-squares minimum still is, in standard errors, by one Gauss-Newton step."""
-    factor, count = np.asarray(squeezed.factor), len(sizes)
-    recordings, local = factor.shape[:2]
-    rows = np.zeros((recordings * local, count + recordings * (local - count)))
-    for r, part in enumerate(factor):
-        states = slice(count + r * (local - count), count + (r + 1) * (local - count))
-        rows[r * local : (r + 1) * local, :count] = part[:, :count]
-        rows[r * local : (r + 1) * local, states] = part[:, count:]
-    step = np.linalg.lstsq(rows, np.asarray(squeezed.along).ravel(), rcond=None)[0][:count] * sizes
+    factor = np.asarray(squeezed.factor)
+    slope = np.einsum("rij,ri->rj", factor, squeezed.along)
+    step = damped_step(factor.transpose(0, 2, 1) @ factor, slope, len(sizes), 1e-10).numbers * sizes
     std = np.array([n.std for n in fit.numbers])
     far = np.abs(step) / std
     if not far.size or not far.max() > _FAR:

@@ -38,7 +38,7 @@ _LANES = 16  # starts abreast: more gain nothing, and wait for more
 _FEW = 8  # starts that a CPU runs one after the other
 # Steps end when the whitened residual moves by less than this many sigma, in total (sigma of the
 # noise; after the first call, of whatever the model misses the readings by, if that is more) ...
-_RESIDUAL_TOLERANCE = 3e-3
+RESIDUAL_TOLERANCE = 3e-3
 # ... and no unknown by more than this share of its scale.
 _UNKNOWN_TOLERANCE = 1e-5
 # A start this many times worse than the best after a stretch has lost its way.
@@ -70,7 +70,7 @@ def _norm(tree) -> Float[Array, ""]:
     """Size of a step for the stopping rule, in units of its own tolerance."""
     if isinstance(tree, _Rows):
         return optx.two_norm(tree.along)
-    return optx.max_norm(tree) * (_RESIDUAL_TOLERANCE / _UNKNOWN_TOLERANCE)
+    return optx.max_norm(tree) * (RESIDUAL_TOLERANCE / _UNKNOWN_TOLERANCE)
 
 
 class Stretch(NamedTuple):
@@ -112,7 +112,7 @@ def _rows_jvp(primals, tangents):
 def solver(y: Unknowns) -> optx.LevenbergMarquardt:
     """Levenberg-Marquardt of unknowns like these, with this module's stopping rule."""
     step = lx.QR() if y.states.shape[0] == 1 else Arrowhead()
-    return optx.LevenbergMarquardt(0.0, _RESIDUAL_TOLERANCE, _norm, step)
+    return optx.LevenbergMarquardt(0.0, RESIDUAL_TOLERANCE, _norm, step)
 
 
 def descend(stretch: Stretch, y: Unknowns, steps: int = STEPS):
@@ -185,14 +185,11 @@ def _alone(
     return end
 
 
-def predicted_at(problem: Problem, y: Unknowns) -> Float[Array | np.ndarray, "R N n"]:
-    """Readings predicted at these unknowns, by the program of the descents: nothing else need be
-    compiled. Without weights there is nowhere to descend to, so it evaluates them once."""
-    recorded = problem.recorded
-    nothing = dataclasses.replace(recorded, weights=np.zeros(np.shape(recorded.weights)))
-    blind = dataclasses.replace(problem, recorded=nothing)
-    out = asked(_one_stretch, _stretch, blind, y, np.asarray(1.0), np.asarray(1.0))
-    return out[1].predicted
+def evaluated(problem: Problem, y: Unknowns) -> Compressed:
+    """Residual and Jacobian at these unknowns, by the program of the descents: nothing else need be
+    compiled. To an optimiser for which one sigma is infinite all is small, so it goes nowhere."""
+    out = asked(_one_stretch, _stretch, problem, y, np.asarray(1.0), np.asarray(np.inf))
+    return out[1]
 
 
 def _polished(out, start: Polished) -> Polished:

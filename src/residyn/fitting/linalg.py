@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import lineax as lx
+import numpy as np
 from jaxtyping import Array, PyTree
 
 from .problem import Unknowns
@@ -84,3 +85,20 @@ def _equations(columns: PyTree[Array]) -> Array:
     """(R, E, C): all equations of each recording, from C columns, leaves (C, R, ...)."""
     leaves = [x.reshape(*x.shape[:2], -1) for x in jax.tree.leaves(columns)]
     return jnp.moveaxis(jnp.concatenate(leaves, axis=2), 0, 2)
+
+
+def damped_step(square: np.ndarray, slope: np.ndarray, count: int, damping: float) -> Unknowns:
+    """The Gauss-Newton step from J'J (R, L, L) and J'r (R, L) of R recordings, in NumPy: `count`
+    numbers, shared by all, and each recording's own states, which are eliminated one by one.
+
+    `damping` is added to J'J, relative to its diagonal.
+    """
+    diagonal = np.einsum("rii->ri", square)
+    diagonal = np.where(diagonal > 0, diagonal, 1.0)
+    A = square + damping * diagonal[:, :, None] * np.eye(square.shape[-1])
+    across = np.concatenate([A[:, count:, :count], slope[:, count:, None]], axis=-1)
+    inner = np.linalg.solve(A[:, count:, count:], across)
+    taken = A[:, :count, count:] @ inner
+    H = (A[:, :count, :count] - taken[..., :count]).sum(axis=0)
+    numbers = -np.linalg.solve(H, (slope[:, :count] - taken[..., count]).sum(axis=0))
+    return Unknowns(numbers, -inner[..., count] - inner[..., :count] @ numbers)

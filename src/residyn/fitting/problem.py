@@ -27,7 +27,7 @@ from ..simulation.simulate import march
 from .layout import AnyArray, Recorded, bucket, read_of
 
 # A residual beyond this many sigma comes from a simulation that has run away.
-_RUNAWAY = 1e6
+RUNAWAY = 1e6
 # Instants whose residuals are squared and summed at a time: their derivatives stay in the cache,
 # and how many there are need not be compiled in.
 _CHUNK = 256
@@ -129,8 +129,8 @@ def _simulated(problem: Problem, one: Recorded, numbers, state, only=None) -> tu
 def whiten(one: Recorded, predicted) -> Float[Array, "N n"]:
     """Whitened residual of one recording: (model - measurement) / sigma."""
     misfit = (predicted - one.angles) * one.weights
-    sane = jnp.isfinite(misfit) & (jnp.abs(misfit) < _RUNAWAY)
-    return jnp.where(sane, misfit, jnp.where(one.weights > 0, _RUNAWAY, 0.0))
+    sane = jnp.isfinite(misfit) & (jnp.abs(misfit) < RUNAWAY)
+    return jnp.where(sane, misfit, jnp.where(one.weights > 0, RUNAWAY, 0.0))
 
 
 class Compressed(NamedTuple):

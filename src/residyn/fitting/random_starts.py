@@ -57,8 +57,7 @@ def fit_random(
     begin = here.model.with_vector(jnp.asarray(numbers[0]))
     end = descend(here, begin, numbers, list(wild), progress)
     progress("errors, modes and held-out recordings")
-    model = here.model.with_vector(jnp.asarray(end.problem.numbers(end.unknowns)))
-    return finish(experiment, model, numbers[0], end, began)
+    return finish(experiment, numbers[0], end, began)
 
 
 @eqx.filter_jit

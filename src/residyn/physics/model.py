@@ -49,13 +49,32 @@ class Model(eqx.Module):
     def __add__(self, effect: AbstractEffect) -> Self:
         """The model with one more effect.
 
-        **Raises:** `ValueError` if it is there already; `TypeError` if it is no effect.
+        **Raises:** `ValueError` if it is there already, or its joint is not; `TypeError` if it is
+        no effect.
         """
         if not isinstance(effect, AbstractEffect):
             raise TypeError(f"{effect!r} is no effect: a model is a mechanism plus effects")
         if effect.label in self.labels:
             raise ValueError(f"{effect.label} is in the model already")
+        places = effect.places(self.mechanism)
+        if effect.place is not None and effect.place not in places:
+            raise ValueError(f"{effect.label}: {effect.name} goes with {', '.join(places)}")
         return dataclasses.replace(self, effects=(*self.effects, effect))
+
+    def __str__(self) -> str:
+        """The mechanism, and each number with its unit on a line."""
+        units = self.mechanism.units or (None,) * len(self.mechanism.joints)
+        lines = [f"{type(self.mechanism).__name__}: {', '.join(self.mechanism.joints)}"]
+        values = self.values()
+        width = max((len(name) for name in values), default=0)
+        for n in self.numbers:
+            alike = units[0] if len(set(units)) == 1 else None
+            unit = n.meaning.dimension.unit(alike if n.joint is None else units[n.joint])
+            value = values[n.name]
+            plain = jnp.ndim(value) == 0 and not isinstance(value, Tracer)
+            shown = f"{value:.6g}" if plain else value
+            lines.append(f"    {n.name:{width}}  {shown} {'' if unit == '1' else unit}".rstrip())
+        return "\n".join(lines)
 
     def without(self, label: str) -> Self:
         """The model less the effect with this label.

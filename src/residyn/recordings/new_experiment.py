@@ -4,6 +4,7 @@ A "?" is a string where a number must stand, so that whoever forgets one is told
 """
 
 import os
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from .recording import Recording
 from .sanity import not_free
 
 _ARM = """\
-[arm]                     # two links; inertia with the bearings on; `residyn inertia` finds it
+[arm]                     # two links, with the bearings on: `residyn inertia`
 link_lengths = ["?", "?"] # m
 shoulder = "?"            # I1 + m2 l1^2, kg m^2
 elbow = "?"               # I2 about the elbow, kg m^2
@@ -78,14 +79,20 @@ def _entry(file: Path, folder: Path, joints: Joints, keys: dict[str, Any], arm: 
         keys[found.key] = old | found.value if isinstance(old, dict) else found.value
     lines = ["[[recordings]]", f"file = {_toml(os.path.relpath(file, folder or Path()))}"]
     if understood:
-        lines.append(f"# {understood}")
+        lines += _comment(understood)
     for key, value in keys.items():
         if key in said:
-            lines.append(f"# seen: {said[key]}")
+            lines += _comment(f"seen: {said[key]}")
         lines.append(f"{key} = {_toml(value)}")
     if arm:
         lines.append('theta2 = "?"              # elbow angle at rest, rad')
     return "\n".join([*lines, ""])
+
+
+def _comment(words: str) -> list[str]:
+    return textwrap.wrap(
+        words, 80, initial_indent="# ", subsequent_indent="#   ", break_on_hyphens=False
+    )
 
 
 def _toml(value: Any) -> str:

@@ -158,9 +158,10 @@ def _without_states(e: np.ndarray, x: np.ndarray, w: np.ndarray) -> np.ndarray:
 def _rolled_out(columns: Columns) -> list[tuple[np.ndarray, np.ndarray]]:
     """For each recording (N, n, 1 + P + C): readings less the linear motion from nothing, and less
     what each number and each column adds; (N, n, X): less what each first state adds."""
-    scene, s, t = columns.scene, columns.system, columns.trajectory
+    scene, s, t = columns.scene, columns.linear.system, columns.trajectory
     g = scene.grid
-    more, read = columns.inputs()
+    s = type(s)(*map(np.asarray, s))
+    more, read = columns.inputs
     X, P = s.A.shape[-1], len(t.u)
     states = 2 * scene.n + sum(x.stop - x.start for x in state_slices(t.effects))
     drive = np.concatenate([s.c[..., None], s.B, more], -1)
@@ -179,5 +180,5 @@ def _rolled_out(columns: Columns) -> list[tuple[np.ndarray, np.ndarray]]:
         e = -out[..., :F]
         e[..., 0] += g.angle[rows]
         found.append((e, -out[..., F:]))
-    assert found[0][0].shape[-1] == 1 + P + columns.count
+    assert found[0][0].shape[-1] == 1 + P + more.shape[-1]
     return found

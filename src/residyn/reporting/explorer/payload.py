@@ -13,9 +13,9 @@ import jax
 import numpy as np
 
 from ... import __version__
-from ...diagnosis.columns import columns_of, strengths
+from ...diagnosis.columns import Columns, strengths
 from ...diagnosis.evidence import FURTHER, INDISTINGUISHABLE, signed, width_of
-from ...diagnosis.missing_torque import missing_of, torque_along
+from ...diagnosis.missing_torque import missing_of
 from ...filtering.law import numbers_of
 from ...filtering.trajectory import Scene, Trajectory, number_slices
 from ...fitting.result import Fit
@@ -177,7 +177,7 @@ def smoothed(study: Study, added: Sequence[str]) -> dict[str, Any] | None:
     if found is None:
         return None
     scene, path, shown = study.search.scene, found.path, _shown(study)
-    _, _, seen = scene.reading_rows(scene.along(path))
+    seen = np.asarray(scene.linearised(path).seen)
     curves: list[Any] = [None] * len(shown)
     for i, r in enumerate(scene.recordings[: len(shown)]):
         own = np.flatnonzero((scene.grid.run == i) & (np.arange(scene.K) < scene.grid.real))
@@ -304,10 +304,8 @@ def _missing(study: Study):
     search = study.search
     scene, g = search.scene, search.scene.grid
     columns = study.columns()
-    along = scene.along(study.loud)
     P = sum(len(numbers_of(e)) for e in study.loud.effects)
-    direction = along.field.direction[:, 0, :, None]
-    by_number = along.sums.torque_u[:, 0] + along.sums.level_u[:, 0] * direction
+    by_number = np.moveaxis(np.asarray(columns.linear.by_number), -1, 0)
     found = []
     for i, each in enumerate(missing_of(scene, search.base)[:_RECORDINGS]):
         own = np.flatnonzero((g.run == i) & (np.arange(scene.K) < g.real))
@@ -341,13 +339,11 @@ def _torque(study: Study, found: Fit):
     known = search.tried.get(frozenset(found.model.labels) - frozenset(search.base.best.labels))
     if known is not None:  # along its own smoothed motion, where it sticks as it should
         return _along_itself(study, known.best)
-    along = scene.along(t)
     values = {n.name: n.value for n in found.numbers}
     names = [f"{e.label}.{n.name}" for e in t.effects for n in numbers_of(e)]
     numbers = np.array([values[n] for n in names])
     change = t.prior.regressors(numbers) - t.u[: len(numbers)]
-    direction = along.field.direction[:, 0, :, None]
-    by_number = along.sums.torque_u[:, 0] + along.sums.level_u[:, 0] * direction
+    by_number = np.moveaxis(np.asarray(scene.linearised(t).by_number), -1, 0)
     total = by_number[..., : len(change)] @ change
     for effect in found.model.effects:
         if effect.label in t.labels or effect.senses:
@@ -355,7 +351,7 @@ def _torque(study: Study, found: Fit):
         own = numbers_of(effect)
         value = {n.field: values[f"{effect.label}.{n.name}"] for n in own}
         shape = {n.field: value[n.field] for n in own if n.silent is None}
-        columns = np.stack([c[:, 0] for c, _ in columns_of(along, effect, shape)], -1)
+        columns = Columns(scene, t, [effect], [], {effect.label: shape}).torque
         u = np.array([
             (value[n.field] - float(n.silent or 0.0)) / width_of(scene, effect, n)
             for n in strengths(effect)
@@ -371,7 +367,7 @@ def _torque(study: Study, found: Fit):
 def _along_itself(study: Study, path: Trajectory) -> list[dict[str, Any]]:
     """The torque that a model has beyond the base model's, each along its own motion."""
     scene = study.search.scene
-    own, before = (torque_along(scene, t) for t in (path, study.search.base.best))
+    own, before = (scene.torques(t) for t in (path, study.search.base.best))
     total = np.sum([*own.values()], axis=0) - np.sum([*before.values()], axis=0)
     return _cut(scene, total)
 

@@ -274,11 +274,10 @@ class Study:
                      (1.0,))  # fmt: skip
         if not np.isfinite(out.cost):
             raise FitError("with these numbers the motion runs away")
-        model = begin.with_vector(jnp.asarray(problem.numbers(out.unknowns)))
         descent = Descent(
             problem, wild, out.unknowns, out.compressed, out.cost, out.steps, out.converged, 1, 1
         )
-        return finish(experiment, model, start, descent, began)
+        return finish(experiment, start, descent, began)
 
     # -- the search ---------------------------------------------------------------------------
 
@@ -310,7 +309,7 @@ def _sticks(path: Trajectory) -> bool:
 def times_noise(scene: Scene, path: Trajectory) -> np.ndarray:
     """(n,) rms error over the noise of a motion without a random torque."""
     g = scene.grid
-    _, _, seen = scene.reading_rows(scene.along(path))
+    seen = np.asarray(scene.linearised(path).seen)
     left = (g.angle - seen) * g.seen
     noise = np.stack([r.noise for r in scene.recordings])
     each = g.seen * noise[g.run] ** 2 / g.variance  # readings in an average
