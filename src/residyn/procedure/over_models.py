@@ -186,8 +186,8 @@ def _errors(scene: Scene, rival: Rival, tried: Tried, inertia: np.ndarray | None
     t = tried.best
     parts = [InertiaError(part) for part in NAMES]  # pyright: ignore[reportCallIssue]
     columns = Columns(scene, t, parts, [])
-    _, gram = columns.gram(tried.intensity)
-    own = means_of_base(gram, len(t.u))[:count, 1:]
+    _, grams = columns.gram([tried.intensity])
+    own = means_of_base(grams[0], len(t.u))[:count, 1:]
     widths = [width_of(scene, e, numbers_of(e)[0]) for e in parts]
     sizes = np.asarray(inertias(scene.mechanisms[0]))
     moved = t.prior.slopes(t.u)[:, None] * own / (np.array(widths) * sizes)
