@@ -62,6 +62,7 @@ def a_fit(effects=(), slip=0.0, chi2=12.3, **changed):
     """A fit of one recording that is fitted and one that is held out."""
     table = ArmTable((0.4, 0.4), 1.1662, 0.579, 1.4384)
     runs = recording(NASTY, "fit", SIZES[0], 1), recording("check.csv", "check", SIZES[1], 2)
+    runs = runs[0].saying([f"{NASTY}: something <b>doubtful</b>"]), runs[1]
     experiment = Experiment(table, runs)
     model = model_for(mechanism_of(experiment, runs[0]), effects)
     count = len(model.fitted)
@@ -88,7 +89,6 @@ def a_fit(effects=(), slip=0.0, chi2=12.3, **changed):
         "reason": "converged: the last step was small",
         "steps": 9,
         "seconds": 1.5,
-        "warnings": (f"{NASTY}: something <b>doubtful</b>",),
     }
     return Fit(**(settings | changed))
 

@@ -274,7 +274,7 @@ def test_experiment_on_standard_input(command, fitted):
 
 
 def test_json_has_no_infinities():
-    from residyn.reporting.json import finite
+    from residyn.runtime.json import finite
 
     inf, nan = float("inf"), float("nan")
     assert finite({"a": [1.0, inf], "b": (nan, "x", True)}) == {

@@ -116,7 +116,7 @@ def test_it_begins_with_the_verdict_and_fits_80_columns(clean, wrong):
         assert max(map(len, text.splitlines())) <= 80
         for heading in (
             "[[Where]]",
-            "by time",
+            "time since",
             "swing at the elbow",
             "[[Held out]]",
             "[[Horizon]]",
@@ -204,7 +204,7 @@ def test_several_recordings_and_checks(clean, quick):
     assert found.explained
     check_shares(found)
     assert found.held_out.what == "check recordings"
-    assert "check recordings" in found.words[-1]
+    assert "held-out recordings" in found.words[-1]
     np.testing.assert_allclose(found.held_out.held_out.ratio, 1, atol=0.15)
     np.testing.assert_allclose(found.held_out.held_out.rmse, found.fit.check_rmse)
     assert [p.stop for p in found.where.time] == [p.stop for p in clean.where.time]

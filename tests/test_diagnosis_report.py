@@ -5,6 +5,7 @@ import dataclasses
 import json
 import math
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,11 +13,11 @@ import pytest
 import residyn.diagnosis
 from residyn import reporting as report
 from residyn.cli import main
-from residyn.diagnosis.result import Budget, Family, Value
+from residyn.diagnosis.result import Budget, Family
 from residyn.fitting import FitError
-from residyn.reporting import diagnosis_text as text
+from residyn.reporting import diagnosis as text
 from residyn.reporting import figures as plot
-from residyn.reporting import words as words_of
+from residyn.reporting import names, numbers
 from tests import by_hand
 from tests.by_hand import FOUND, NEXT, RIVAL, a_candidate, a_model
 from tests.legible import legible
@@ -116,7 +117,7 @@ def test_what_nothing_explains_is_measured_beside_spring_and_damper(found):
     rate = found["unexplained"].still_missing[0].torque.rate[:, 1]
     damper = next(n for n in found["unexplained"].fit.numbers if n.name.startswith("damper:elbow"))
     ratio = 0.1 / (damper.value * np.sqrt(np.mean(rate**2)))
-    assert f"the damping by {words_of.share_words(ratio)}" in words
+    assert f"the damping by {numbers.share(ratio)}" in words
 
 
 def test_nothing_found_and_yet_something_missing():
@@ -200,9 +201,9 @@ def test_it_shows_the_models_and_the_candidates(found):
     printed = str(found["missing"])
     for line in (
         r"springs and dampers +3\.\d x +46 x",
-        r"\+ Coulomb friction at the elbow +1\.0 x +1\.0 x +1\.0 x +1\.0 x +0\.980",
-        r"coulomb_friction:elbow +93 % +0\n +torque 0\.20010 \+/- 0\.00060 N m",
-        r"hysteresis:elbow +< 1 % +-5\.4",
+        r"\+ Coulomb friction, elbow +1\.0 x +1\.0 x +1\.0 x +1\.0 x +0\.980",
+        r"Coulomb friction, elbow +93 % +0\n +torque 0\.20010 \+/- 0\.00060 N m",
+        r"Hysteresis, elbow +< 1 % +-5\.4",
         r"Coulomb friction at the elbow cannot be told from Stribeck",
         NEXT.words[:40],
     ):
@@ -211,27 +212,30 @@ def test_it_shows_the_models_and_the_candidates(found):
 
 def test_what_is_known_to_first_order_only_is_marked(found):
     printed = "\n".join(text.candidates(found["adequate"]))
-    assert re.search(r"asymmetric_stiffness:shoulder +< 1 % +-690 \(1st order\)", printed)
+    assert re.search(r"Asymmetric stiffness, shoulder +< 1 % +-690 \(1st order\)", printed)
 
 
 def test_what_was_dropped_is_said(found):
     printed = str(found["unexplained"])
-    assert "+ asymmetric stiffness at the" in printed
-    assert "without quadratic drag at the elbow" in " ".join(printed.split())
+    assert "+ asymmetric" in printed
+    assert "without quadratic drag, elbow" in " ".join(printed.split())
     assert found["unexplained"].added == ("asymmetric_stiffness:shoulder",)
 
 
 def test_more_joints_than_columns_stand_under_each_other(found):
-    step = found["missing"].ladder[0]
-    lines = text._stacked(step, step.fit.joints)
-    assert "springs and dampers" in lines[0]
-    assert [line.split()[0] for line in lines[1:]] == ["shoulder", "elbow"]
-    assert all("x fitted" in line and "x held out" in line for line in lines[1:])
+    fit = SimpleNamespace(joints=("a", "b", "c"), model=SimpleNamespace(labels=()), reduced_chi2=2)
+    held = SimpleNamespace(what="last third", held_out=SimpleNamespace(ratio=[4, 5, 6]))
+    step = SimpleNamespace(fit=fit, held_out=held, times_noise=[1, 2, 3], added=None)
+    lines = text.models(SimpleNamespace(fit=fit, ladder=(step,)))  # pyright: ignore
+    shown = [line.split()[-6:] for line in lines[-3:]]
+    assert shown[0] == ["a", "1.0", "x", "4.0", "x", "2.00"]
+    assert [row[-6] for row in shown] == ["a", "b", "c"]
+    assert lines[-3].strip().startswith("springs and dampers")
 
 
 def test_the_users_own_effects_are_part_of_the_base():
-    assert words_of.base_name(by_hand.a_fit()) == "springs and dampers"
-    assert words_of.base_name(by_hand.a_fit(("gravity",))) == "springs and dampers + gravity"
+    assert names.base_name(by_hand.a_fit()) == "springs and dampers"
+    assert names.base_name(by_hand.a_fit(("gravity",))) == "springs and dampers + gravity"
 
 
 @pytest.mark.parametrize(
@@ -244,11 +248,11 @@ def test_the_users_own_effects_are_part_of_the_base():
     ],
 )
 def test_names_with_their_places(label, words):
-    assert words_of.at_place(label, by_hand.JOINTS) == words
+    assert names.at_place(label, by_hand.JOINTS) == words
 
 
 def test_one_joint_goes_without_saying():
-    assert words_of.at_place("coulomb_friction:cart", ("cart",)) == "Coulomb friction"
+    assert names.at_place("coulomb_friction:cart", ("cart",)) == "Coulomb friction"
 
 
 @pytest.mark.parametrize(
@@ -256,12 +260,12 @@ def test_one_joint_goes_without_saying():
     [(0.934, "93 %"), (1.0, "> 99 %"), (0.0, "< 1 %"), (0.5, "50 %"), (math.nan, "?")],
 )
 def test_nothing_is_certain(probability, words):
-    assert words_of.percent(probability) == words
+    assert numbers.percent(probability) == words
 
 
 def test_an_unknown_error_is_left_out():
-    assert words_of.value_words(Value(0.25, math.nan, "rad/s")) == "0.2500 rad/s"
-    assert words_of.value_words(Value(0.25, 0.01, "1")) == "0.250 +/- 0.010"
+    assert numbers.measured(0.25, math.nan, "rad/s") == "0.2500 rad/s"
+    assert numbers.measured(0.25, 0.01, "1") == "0.250 +/- 0.010"
 
 
 def test_the_dictionary_keeps_the_contract(found):

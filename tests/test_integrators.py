@@ -250,10 +250,8 @@ def test_steps_that_are_too_coarse_are_refined_once_and_that_is_said(smooth, mon
 
 
 def test_an_error_that_stays_large_is_warned_of(usual):
-    from residyn.fitting.words import warnings_for
-
     bad = dataclasses.replace(usual, integration_error=0.3)
-    (said,) = [w for w in warnings_for(bad, ()) if "integration" in w]
+    (said,) = [w for w in bad.warnings if "integration" in w]
     assert "0.3 of the noise" in said
     assert "Kvaerno5" in said
     assert not [w for w in usual.warnings if "integration" in w]

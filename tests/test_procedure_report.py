@@ -14,8 +14,7 @@ from residyn.cli import main
 from residyn.procedure.carried import Carried
 from residyn.recordings.experiment import Experiment
 from residyn.reporting import figures as plot
-from residyn.reporting.inertia import render_inertia
-from residyn.reporting.unload import render_unload
+from residyn.reporting import render_page
 from tests.legible import legible
 from tests.test_unload import BOTH, GROWS, PAPER, STEP_2, from_numbers
 
@@ -121,7 +120,7 @@ def test_no_word_of_a_picture_is_cut_or_covered(found, narrow, monkeypatch):
 
 
 def test_the_page_of_step_3(found):
-    page = render_unload(found, NASTY)
+    page = render_page(found, NASTY)
     text = words_of(page)
     assert NASTY not in page
     assert NASTY in text
@@ -138,7 +137,7 @@ def test_the_page_of_step_3(found):
 
 def test_the_page_says_what_is_not_physical():
     found = residyn.unload(Experiment(PAPER, (from_numbers(GROWS, noise=1e-3),), BOTH))
-    text = words_of(render_unload(found, "grows"))
+    text = words_of(render_page(found, "grows"))
     assert "Mode 1 without bearings (theta2 = 0 rad) grows" in text
     assert "grows: not physical" in text
     assert "mode 1 (grows: not physical)" in text  # in the fit's own chapter
@@ -159,9 +158,9 @@ def test_the_commands_write_them(tmp_path, capsys):
         == text[text.index("[arm]") :].split()[: len(step_1.to_toml().split())]
     )
     assert main([*said, "--report", str(folder / "driven.toml"), "--no-cache"]) == 2
-    step_1 = step_1.saying(step_1.warnings, "what was found is no arm's inertia")
+    step_1 = dataclasses.replace(step_1, problem="what was found is no arm's inertia")
     assert "Not physical: what was found is no arm's inertia." in words_of(
-        render_inertia(step_1, "driven")
+        render_page(step_1, "driven")
     )
 
 

@@ -14,8 +14,8 @@ import pytest
 from residyn.cli import main
 from residyn.fitting import MissingExtra, Number
 from residyn.fitting.posterior import gaussian
-from residyn.fitting.publish import escaped, measured, scientific, unit
 from residyn.reporting import figures as plot
+from residyn.reporting.latex import escaped, measured, scientific, unit
 from tests import by_hand
 
 NUMBER = re.compile(r"-?\d+(\.\d+)?")
@@ -145,8 +145,12 @@ def test_what_is_not_determined_says_so(fit):
 # -- a posterior -----------------------------------------------------------------------------
 
 
+def drawn_from(fit, draws):
+    return gaussian(fit.numbers, fit.covariance, draws, 0)
+
+
 def test_draws_have_the_fits_values_errors_and_correlations(fit):
-    drawn = gaussian(fit, 20000, 0)
+    drawn = drawn_from(fit, 20000)
     assert list(drawn) == [n.name for n in fit.numbers]
     each = np.stack(list(drawn.values()))
     std = np.array([n.std for n in fit.numbers])
@@ -154,7 +158,7 @@ def test_draws_have_the_fits_values_errors_and_correlations(fit):
     np.testing.assert_allclose(each.mean(axis=1), values, atol=4 * std.max() / 20000**0.5)
     np.testing.assert_allclose(each.std(axis=1), std, rtol=0.03)
     np.testing.assert_allclose(np.corrcoef(each), fit.correlation, atol=0.03)
-    again = gaussian(fit, 20000, 0)
+    again = drawn_from(fit, 20000)
     assert all(np.array_equal(drawn[name], again[name]) for name in drawn)
 
 
@@ -163,14 +167,14 @@ def test_what_is_not_determined_is_not_drawn(fit):
     covariance = fit.covariance.copy()
     covariance[0] = covariance[:, 0] = np.nan
     odd = dataclasses.replace(fit, numbers=(first, *fit.numbers[1:]), covariance=covariance)
-    drawn = gaussian(odd, 10, 0)
+    drawn = drawn_from(odd, 10)
     assert list(drawn) == [n.name for n in fit.numbers[1:]]
     assert all(np.isfinite(x).all() for x in drawn.values())
     nothing = tuple(dataclasses.replace(n, determined=False) for n in fit.numbers)
     with pytest.raises(ValueError, match="nothing to draw from"):
-        gaussian(dataclasses.replace(fit, numbers=nothing), 10, 0)
+        drawn_from(dataclasses.replace(fit, numbers=nothing), 10)
     with pytest.raises(ValueError, match="draws = 0"):
-        gaussian(fit, 0, 0)
+        drawn_from(fit, 0)
 
 
 @pytest.mark.parametrize("version", ["0.23.4", "1.3.0"])
@@ -214,8 +218,8 @@ def test_a_diagnosis_in_latex(which):
     assert {len(row) for row in rows_of(candidates)} == {5}
     assert len(rows_of(ladder)) == 2 + len(found.ladder)
     if which == "missing":
-        assert rows_of(ladder)[-1][0] == "+ coulomb friction (elbow)"
-        assert rows_of(candidates)[1][0] == "coulomb friction, elbow"
+        assert rows_of(ladder)[-1][0] == "+ Coulomb friction, elbow"
+        assert rows_of(candidates)[1][0] == "Coulomb friction, elbow"
         assert rows_of(candidates)[1][2] == "$0$"
         assert rows_of(candidates)[1][3:] == [r"$0.2001 \pm 0.0006$", r"N\,m"]
 

@@ -19,13 +19,13 @@ import residyn
 from residyn.cli import main
 from residyn.fitting import Mode, mechanism_of, model_for
 from residyn.procedure.carried import Carried, modes_with_errors
-from residyn.procedure.decay import decay_of, decay_words, unphysical
-from residyn.procedure.doubts import what_would_tell
+from residyn.procedure.decay import decay_of
 from residyn.procedure.unload import without_effects_of_bearings
 from residyn.recordings.csv import write_csv
 from residyn.recordings.experiment import Experiment
 from residyn.recordings.recording import Recording
 from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
+from residyn.reporting.unload import decay_words, what_would_tell
 from tests.rig.arm import paper_twin
 from tests.rig.driven import paper_tests
 from tests.rig.unloaded import INERTIA, MASS, Release, off_bearings, releases
@@ -215,7 +215,7 @@ def test_json_keeps_the_contract(named):
 def test_printed_lines_fit_a_terminal(named):
     text = str(named)
     assert max(map(len, text.splitlines())) <= 80
-    for words in ("[[Taken off]]", "bearing_drag", "in orbit", "[[Check]]", "0.52"):
+    for words in ("[[Taken off]]", "drag of the air", "in orbit", "[[Check]]", "0.52"):
         assert words in text
 
 
@@ -331,9 +331,9 @@ def test_an_arm_that_leaves_its_rest_is_said(papers):
     found = dataclasses.replace(papers, poses=(pose,))
     assert not pose.physical
     assert "moves away: not physical" in str(found)
-    (said,) = unphysical(found, "check the inertias")
+    (said,) = found.unphysical
     assert "stiffness there is negative" in said
-    assert said.endswith("check the inertias")
+    assert said.endswith("the order and signs of the angles")
 
 
 # -- what cannot be told ---------------------------------------------------------------------

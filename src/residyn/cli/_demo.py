@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..reporting.numbers import ratio
+from ..reporting.numbers import times
 from . import _options
 from ._experiment import diagnosed, fitted, models
 from ._shell import NoNumbers, Outputs, progress, set_up_jax
@@ -34,7 +34,8 @@ def demo(
         say("loading")
         from .. import demo as shipped
         from ..recordings.experiment import load
-        from ..reporting import diagnosis_text as text
+        from ..reporting import diagnosis as text
+        from ..reporting.layout import filled
 
         with shipped.experiment_file() as path:
             experiment = load(path)
@@ -54,7 +55,7 @@ def demo(
 
     words.print("2. What is missing?\n", style="bold")
     found = diagnosed(experiment, (), _options.MAX_EFFECTS, _options.STARTS)
-    _lines(words, [*text.wrapped("", " ".join(found.words)), ""])
+    _lines(words, [*filled(" ".join(found.words)), ""])
     parts = text.candidates(found), text.lookalikes(found), text.next_experiment(found)
     _lines(words, [line for part in parts for line in part])
 
@@ -95,7 +96,7 @@ def _windows(words: "Console", fit: "Fit") -> None:
         table.add_column(f"{joint}: rms residual / noise", no_wrap=True)
     unit = _BAR / sizes[sizes == sizes].max()
     for start, stop, row in zip(edges, edges[1:], sizes, strict=False):
-        bars = (f"{ratio(size):>4} {'█' * max(1, round(size * unit))}" for size in row)
+        bars = (f"{times(size):>4} {'█' * max(1, round(size * unit))}" for size in row)
         table.add_row(f"{start:.1f}-{stop:.1f} s", *bars)
     words.print(table)
     words.print("\nNoise alone would leave 1.0 in every window.\n")

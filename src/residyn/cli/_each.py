@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import typer
 
 from ..errors import InputError
-from ..reporting.json import finite
 from ..reporting.numbers import plain, with_error
+from ..runtime.json import finite
 from ._shell import DONE, NO_NUMBERS, Outputs, complain, progress, set_up_jax
 
 if TYPE_CHECKING:

@@ -155,7 +155,7 @@ def unloaded(
 
 def models(found: "Diagnosis", title: str = "") -> "list[tuple[str, Fit]]":
     """The first and the last model of a diagnosis, each with a heading for the report."""
-    from ..reporting.words import base_name
+    from ..reporting.names import base_name
 
     fits = [found.base, found.fit] if found.added else [found.fit]
     return [(": ".join(filter(None, [title, base_name(fit)])), fit) for fit in fits]

@@ -34,9 +34,9 @@ def inertia(
     out.words.print(str(result), soft_wrap=True)
     out.write_json(result.to_dict())
     if report is not None:
-        from ..reporting import write_inertia
+        from ..reporting import write_page
 
-        write_inertia(report, result, title(experiment))
+        write_page(report, result, title(experiment))
         out.words.print(f"report: {report}", soft_wrap=True)
     if result.problem is not None:
         raise typer.Exit(complain(result.problem, NO_NUMBERS))

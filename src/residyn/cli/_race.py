@@ -92,9 +92,9 @@ def race(
     out.write_json(found.to_dict())
     out.write_table(found)
     if report is not None:
-        from ..reporting import write_race
+        from ..reporting import write_page
 
-        write_race(report, found, title(experiment))
+        write_page(report, found, title(experiment))
         out.words.print(f"report: {report}", soft_wrap=True)
     raise typer.Exit(_status(found))
 

@@ -15,7 +15,7 @@ import typer
 
 from ..errors import InputError, inside
 from ..files import check_writable, write
-from ..reporting.json import finite
+from ..runtime.json import finite
 from ..runtime.settings import set_up
 
 if TYPE_CHECKING:

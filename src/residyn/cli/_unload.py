@@ -60,9 +60,9 @@ def unload(
     if report is not None:
         with progress() as say:
             say("writing the report")
-            from ..reporting import write_unload
+            from ..reporting import write_page
 
-            write_unload(report, found, title(experiment))
+            write_page(report, found, title(experiment))
         out.words.print(f"report: {report}", soft_wrap=True)
     if not found.fit.converged:
         raise typer.Exit(complain(found.fit.reason, NO_NUMBERS))

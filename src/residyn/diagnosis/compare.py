@@ -12,6 +12,7 @@ from ..effects import AbstractEffect
 from ..fitting import DEFAULT_STARTS, fit
 from ..fitting.result import Fit
 from ..recordings.experiment import Experiment
+from ..runtime.presentation import Result
 from .evidence import NOISE
 from .forecast import HeldOut, Horizon, held_out, horizon
 from .linearised_fit import LinearisedFit
@@ -21,7 +22,7 @@ from .search import Search
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Comparison(Result):
     """A fitted model against measurement. Print it; or `to_dict()` for the JSON."""
 
     fit: Fit
@@ -48,9 +49,7 @@ class Comparison:
     @property
     def words(self) -> tuple[str, ...]:
         """The verdict: where the model fails, or that it does not, in a few sentences."""
-        from ..reporting.compare_words import sentences
-
-        return sentences(self)
+        return self._presented("sentences")
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of `residyn compare`: that of `fit`, and
@@ -74,11 +73,6 @@ class Comparison:
             "horizon": None if self.horizon is None else self.horizon.to_dict(joints),
             "missing_torque": summary(self.missing_torque),
         }
-
-    def __str__(self) -> str:
-        from ..reporting.compare_tables import lines
-
-        return "\n".join(lines(self))
 
 
 def compare(

@@ -28,6 +28,7 @@ from ..filtering.law import numbers_of
 from ..filtering.trajectory import Scene
 from ..physics.modal import modes
 from ..recordings.experiment import Experiment
+from ..runtime.presentation import Result
 from .columns import Column, Columns, candidates, strengths
 from .evidence import (
     INDISTINGUISHABLE,
@@ -75,7 +76,7 @@ class Detectable:
 
 
 @dataclass(frozen=True)
-class Atlas:
+class Atlas(Result):
     """What an arm, its noise and a length of recording can show. Print it; or `to_dict()`."""
 
     effects: tuple[Detectable, ...]
@@ -94,11 +95,6 @@ class Atlas:
             "duration": self.duration,
             "effects": [e.to_dict() for e in self.effects],
         }
-
-    def __str__(self) -> str:
-        from ..reporting.detectable import lines
-
-        return "\n".join(lines(self))
 
 
 def detectable(experiment: Experiment, *, effects: Sequence[str | AbstractEffect] = ()) -> Atlas:

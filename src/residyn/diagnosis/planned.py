@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..recordings.limits import Limits
+from ..runtime.presentation import Result
 from .residuals import number
 
 
@@ -51,7 +52,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Test:
+class Test(Result):
     """A recording to make."""
 
     __test__ = False  # for pytest, which this is not
@@ -97,9 +98,7 @@ class Test:
     @property
     def words(self) -> str:
         """The test and what it tells, in two or three sentences."""
-        from ..reporting.plan import test_words
-
-        return test_words(self)
+        return self._presented("sentence")
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of one test, and of `next_experiment`."""
@@ -133,7 +132,7 @@ class Test:
 
 
 @dataclass(frozen=True)
-class Plan:
+class Plan(Result):
     """The next tests, best first. Print it; or `to_dict()` for the JSON."""
 
     models: tuple[InPlay, ...]
@@ -172,8 +171,3 @@ class Plan:
             "tried": self.tried,
             "tests": [t.to_dict() for t in self.tests],
         }
-
-    def __str__(self) -> str:
-        from ..reporting.plan import lines
-
-        return "\n".join(lines(self))

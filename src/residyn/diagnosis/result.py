@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..fitting.result import Fit
+from ..runtime.presentation import TableResult
 from .compare import Comparison, compare_fit
 from .forecast import HeldOut
 from .missing_torque import Missing
@@ -157,7 +158,7 @@ class Budget:
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class Diagnosis(TableResult):
     """Which physical effect is missing. Print it; or `to_dict()` for the JSON."""
 
     verdict: Verdict
@@ -222,9 +223,7 @@ class Diagnosis:
     @property
     def words(self) -> tuple[str, ...]:
         """The verdict in a few sentences."""
-        from ..reporting.diagnosis_text import verdict_words
-
-        return verdict_words(self)
+        return self._presented("sentences")
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of `residyn diagnose`."""
@@ -252,20 +251,3 @@ class Diagnosis:
             "fit": self.fit.to_dict(),
             "seconds": number(self.seconds),
         }
-
-    def to_latex(self) -> str:
-        """Two tables for a paper (package booktabs): the errors falling, and the candidates."""
-        from ..reporting.diagnosis_tables import latex
-
-        return latex(self)
-
-    def to_csv(self) -> str:
-        """Models and candidates, a line each: table, model, name, value, std, unit."""
-        from ..reporting.diagnosis_tables import comma_separated
-
-        return comma_separated(self)
-
-    def __str__(self) -> str:
-        from ..reporting.diagnosis_text import lines
-
-        return "\n".join(lines(self))

@@ -6,12 +6,9 @@ leaves the prediction unchanged, J'J has no inverse: the combination is named an
 error, rather than a huge one that looks like a measurement.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-
-from ..physics.model import Model
 
 # Eigenvalue of J'J with unit columns below which a combination has no effect on the prediction:
 # its standard error is 1e5 times that of its numbers alone.
@@ -64,26 +61,3 @@ def spread_of(factors: np.ndarray, sizes: np.ndarray, inflation: float) -> Sprea
         covariance[list(group), :] = np.nan
         covariance[:, list(group)] = np.nan
     return Spread(covariance, tuple(groups))
-
-
-def in_words(model: Model, groups: Sequence[tuple[int, ...]]) -> list[str]:
-    """What the data leave open, for a person."""
-    names = [number.name for number in model.fitted]
-    said = []
-    for group in groups:
-        members = [names[i] for i in group]
-        if any(m.startswith("inertia_error") for m in members):
-            said.append(
-                "inertia and stiffness cannot both be found from free motion: scaling all "
-                "inertias, stiffnesses and dampings alike leaves it unchanged (Eq. 9); these data "
-                f"determine only ratios of {', '.join(members)}: measure the inertias first, "
-                "with a known drive torque"
-            )
-        elif len(members) == 1:
-            said.append(f"{members[0]} has no effect on these recordings: not determined")
-        else:
-            said.append(
-                f"these recordings determine only a combination of {', '.join(members)}: "
-                "changing them together leaves the motion unchanged"
-            )
-    return said

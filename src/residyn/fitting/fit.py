@@ -27,7 +27,6 @@ from .multistart import beginning, resolving
 from .problem import Compressed, Problem, Unknowns
 from .result import Fit, FitError, Mode, Number, RecordingFit
 from .setup import Ready, ready
-from .words import warnings_for
 
 DEFAULT_STARTS = 6
 _MORE = 4  # times as many starts, if no other one ended where the best one did
@@ -170,13 +169,8 @@ def _fit(experiment, effects, starts, progress) -> Fit:
         progress("fitting again with shorter integration steps")
         again = _refined(here, descent, found.integration_error)
         if again is not None:
-            words = (
-                f"the usual {found.integration_steps} integration steps left an error of "
-                f"{found.integration_error:.2g} times the noise: the fit went on with "
-                f"{int(again.problem.steps)}"
-            )
-            found = finish(experiment, start, again, began)
-            found = found.saying((*found.warnings, words))
+            usual = found.integration_steps, found.integration_error
+            found = dataclasses.replace(finish(experiment, start, again, began), shortened=usual)
     return found
 
 
@@ -223,7 +217,7 @@ def finish(
     # they grow with it.
     sizes = np.asarray(descent.problem.scale.numbers)
     spread = spread_of(np.asarray(descent.compressed.factor), sizes, max(1.0, chi2))
-    result = Fit(
+    return Fit(
         experiment=experiment,
         model=model,
         numbers=_numbers(model, start, spread),
@@ -238,10 +232,9 @@ def finish(
         steps=descent.steps,
         integration_error=error,
         seconds=time.perf_counter() - began,
-        warnings=(),
+        open_groups=spread.open_groups,
         integration_steps=int(descent.problem.steps),
     )
-    return result.saying(warnings_for(result, spread.open_groups))
 
 
 def _held_out(

@@ -146,8 +146,8 @@ def concluded(
         raise FitError("no individual led to finite numbers: is this the arm that was recorded?")
     descent = Descent(problem, wild, at, squeezed, cost, steps, settled, starts=1, agreeing=1)
     fit = finish(experiment, found.first, descent, began, evaluate=compressed, correct=False)
-    fit = dataclasses.replace(fit, reason=reason, history=found.history)
-    return fit.saying((*fit.warnings, *_far(fit, squeezed, np.asarray(problem.scale.numbers))))
+    far = _far(fit, squeezed, np.asarray(problem.scale.numbers))
+    return dataclasses.replace(fit, reason=reason, history=found.history, short_of_minimum=far)
 
 
 def search_of(here: Ready, wild: Sequence[np.ndarray], how: Genetic) -> Search:
@@ -209,18 +209,15 @@ def _settled(history: History) -> bool:
     return len(history.objective) > 1 and float(last[0] - last[-1]) < _FALL * float(last[0])
 
 
-def _far(fit: Fit, squeezed: Compressed, sizes: np.ndarray) -> list[str]:
-    """How far the least-squares minimum still is, in standard errors, by one Gauss-Newton step."""
+def _far(fit: Fit, squeezed: Compressed, sizes: np.ndarray) -> tuple[str, float] | None:
+    """How far the least-squares minimum still is, by one Gauss-Newton step: the number that is
+    farthest, and by how many standard errors; None if that is little."""
     factor = np.asarray(squeezed.factor)
     slope = np.einsum("rij,ri->rj", factor, squeezed.along)
     step = damped_step(factor.transpose(0, 2, 1) @ factor, slope, len(sizes), 1e-10).numbers * sizes
     std = np.array([n.std for n in fit.numbers])
     far = np.abs(step) / std
     if not far.size or not far.max() > _FAR:
-        return []
+        return None
     worst = int(np.argmax(far))
-    return [
-        f"the search ended short of the least-squares minimum: from here it is about "
-        f"{far[worst]:.2g} standard errors away in {fit.numbers[worst].name}, which the errors "
-        "above do not hold; --method levenberg goes there"
-    ]
+    return fit.numbers[worst].name, float(far[worst])

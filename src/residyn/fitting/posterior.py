@@ -6,39 +6,40 @@ size can leave the sign that physics allows; then sample `Embedded.chi2` instead
 """
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from .evolution import MissingExtra
 
-if TYPE_CHECKING:
-    from .result import Fit
 
-
-def gaussian(fit: "Fit", draws: int, seed: int) -> dict[str, np.ndarray]:
+def gaussian(
+    numbers: Sequence[Any], covariance: np.ndarray, draws: int, seed: int
+) -> dict[str, np.ndarray]:
     """(draws,) of each number that the data determines, by name.
+
+    **Arguments:** `numbers` (P,) and `covariance` (P, P) of a `Fit`.
 
     **Raises:** `ValueError` if it determines none, or for less than one draw.
     """
     if draws < 1:
         raise ValueError(f"draws = {draws}: at least one is needed")
-    known = [i for i, n in enumerate(fit.numbers) if n.determined]
+    known = [i for i, n in enumerate(numbers) if n.determined]
     if not known:
         raise ValueError("the data determines none of the numbers: there is nothing to draw from")
-    centre = np.array([fit.numbers[i].value for i in known])
-    std = np.array([fit.numbers[i].std for i in known])
+    centre = np.array([numbers[i].value for i in known])
+    std = np.array([numbers[i].std for i in known])
     # As correlations: numbers of unlike units differ by many powers of ten.
-    correlation = fit.covariance[np.ix_(known, known)] / std / std[:, None]
+    correlation = covariance[np.ix_(known, known)] / std / std[:, None]
     random = np.random.default_rng(seed)
     unit = random.multivariate_normal(np.zeros(len(known)), correlation, draws, method="eigh")
     return {
-        fit.numbers[i].name: c + s * u
-        for i, c, s, u in zip(known, centre, std, unit.T, strict=True)
+        numbers[i].name: c + s * u for i, c, s, u in zip(known, centre, std, unit.T, strict=True)
     }
 
 
-def to_arviz(fit: "Fit", draws: int, seed: int) -> Any:
+def to_arviz(numbers: Sequence[Any], covariance: np.ndarray, draws: int, seed: int) -> Any:
     """See `Fit.to_arviz`."""
     try:
         arviz = importlib.import_module("arviz")
@@ -46,7 +47,7 @@ def to_arviz(fit: "Fit", draws: int, seed: int) -> Any:
         if (error.name or "").partition(".")[0] != "arviz":
             raise
         raise MissingExtra("to_arviz needs ArviZ: pip install 'residyn[bayes]'") from None
-    posterior = {name: x[None] for name, x in gaussian(fit, draws, seed).items()}
+    posterior = {name: x[None] for name, x in gaussian(numbers, covariance, draws, seed).items()}
     if int(arviz.__version__.partition(".")[0]) < 1:
         return arviz.from_dict(posterior=posterior)
     return arviz.from_dict({"posterior": posterior})

@@ -20,6 +20,8 @@ import numpy as np
 
 from ..effects import AbstractEffect
 from ..recordings.experiment import Experiment
+from ..runtime.json import number
+from ..runtime.presentation import TableResult
 from .evolution import evosax_or_missing
 from .fit import fit
 from .history import History
@@ -88,7 +90,7 @@ class Raced:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Race:
+class Race(TableResult):
     """A race. Print it; `to_dict()` is the JSON, `to_latex()` and `to_csv()` are tables."""
 
     experiment: Experiment
@@ -139,8 +141,8 @@ class Race:
             "name": each.name,
             "title": each.title,
             "given": each.given,
-            "objective": _number(run.objective),
-            "objective_worst": _number(each.worst.objective),
+            "objective": number(run.objective),
+            "objective_worst": number(each.worst.objective),
             "simulations": run.simulations,
             "seconds": run.seconds,
             "parameters": None,
@@ -150,7 +152,7 @@ class Race:
             "seeds": [
                 {
                     "seed": r.seed,
-                    "objective": _number(r.objective),
+                    "objective": number(r.objective),
                     "simulations": r.simulations,
                     "seconds": r.seconds,
                 }
@@ -161,29 +163,12 @@ class Race:
         if run.fit is not None:
             numbers = run.fit.numbers
             found["parameters"] = {
-                n.name: {"value": _number(n.value), "std": _number(n.std), "unit": n.unit}
+                n.name: {"value": number(n.value), "std": number(n.std), "unit": n.unit}
                 for n in numbers
             }
-            off = {n.name: _number(x) for n, x in zip(numbers, self.off(run), strict=True)}
+            off = {n.name: number(x) for n, x in zip(numbers, self.off(run), strict=True)}
             found["standard_errors_off"] = off
         return found
-
-    def to_latex(self) -> str:
-        """A table for a paper (package booktabs)."""
-        from .race_tables import latex
-
-        return latex(self)
-
-    def to_csv(self) -> str:
-        """A line for each method."""
-        from .race_tables import comma_separated
-
-        return comma_separated(self)
-
-    def __str__(self) -> str:
-        from .race_tables import text
-
-        return text(self)
 
 
 def race(
@@ -303,7 +288,3 @@ def _spent(spent: Spent) -> dict[str, float] | None:
     if not math.isfinite(spent.simulations):
         return None
     return {"simulations": spent.simulations, "seconds": spent.seconds}
-
-
-def _number(x: float) -> float | None:
-    return float(x) if math.isfinite(x) else None

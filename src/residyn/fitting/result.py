@@ -1,12 +1,9 @@
-"""What a fit returns, and how it reads.
-
-Values with errors, in the units of the parameter's declaration, and in words whatever a careful
-person would want to be told: what the data cannot determine, what trades against what, which
-readings were set aside, how many starts agreed and why the search stopped.
+"""What a fit returns: values with errors, in the units of the parameters' declarations, what the
+data cannot determine, which readings were set aside, how many starts agreed and why the search
+stopped. What is said of all this is in `residyn.reporting.fit`.
 """
 
-import textwrap
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +12,8 @@ from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
 from ..recordings.segments import by_recording
+from ..runtime.json import number
+from ..runtime.presentation import TableResult
 from .history import History
 
 STRONG = 0.9
@@ -84,7 +83,7 @@ class RecordingFit:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(TableResult):
     """A fitted model beside its recordings. Print it; `to_dict()` is the JSON, `to_latex()` and
     `to_csv()` are tables for a paper."""
 
@@ -101,13 +100,24 @@ class Fit:
     reason: str
     steps: int
     seconds: float
-    warnings: tuple[str, ...]
+    open_groups: tuple[tuple[int, ...], ...] = ()
+    """Indices of numbers of which the data determine only a combination."""
     integration_error: float = float("nan")
     """Of the predicted readings, in times the noise: see `fitting.integration`."""
     integration_steps: int = 0
     integration_checked: tuple[float, str] | None = None
     """The same against a reference, and its name, if that was asked for."""
+    shortened: tuple[int, float] | None = None
+    """The usual number of integration steps and their error, if the fit went on with more."""
+    short_of_minimum: tuple[str, float] | None = None
+    """The number that is farthest from its least-squares value, and by how many standard errors,
+    where a search ended short of the minimum."""
     history: History | None = None  # of a genetic algorithm: how Eq. 17 fell
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a careful person would want to be told, one line each."""
+        return self._presented("warnings")
 
     @property
     def whole(self) -> tuple[RecordingFit, ...]:
@@ -184,10 +194,6 @@ class Fit:
         chosen = self.experiment.integrator
         return "fixed" if chosen is None else chosen.name
 
-    def saying(self, warnings: tuple[str, ...]) -> "Fit":
-        """The same fit with other warnings."""
-        return replace(self, warnings=warnings)
-
     def strong_correlations(self) -> list[tuple[str, str, float]]:
         """Pairs of numbers that this data hardly tells apart."""
         found = []
@@ -199,50 +205,38 @@ class Fit:
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of `residyn fit`."""
-        per_joint = lambda x: dict(zip(self.joints, map(_number, x), strict=True))  # noqa: E731
+        per_joint = lambda x: dict(zip(self.joints, map(number, x), strict=True))  # noqa: E731
         return {
             "model": list(self.model.labels),
             "parameters": {
-                n.name: {"value": _number(n.value), "std": _number(n.std), "unit": n.unit}
+                n.name: {"value": number(n.value), "std": number(n.std), "unit": n.unit}
                 for n in self.numbers
             },
             "rmse": per_joint(self.rmse),
             "noise": per_joint(self.noise),
-            "reduced_chi2": _number(self.reduced_chi2),
+            "reduced_chi2": number(self.reduced_chi2),
             "check_rmse": None if self.check_rmse is None else per_joint(self.check_rmse),
             "modes": [
                 {
-                    "frequency_hz": _number(m.frequency_hz),
-                    "frequency_hz_std": _number(m.frequency_hz_std),
-                    "damping_ratio": _number(m.damping_ratio),
-                    "damping_ratio_std": _number(m.damping_ratio_std),
+                    "frequency_hz": number(m.frequency_hz),
+                    "frequency_hz_std": number(m.frequency_hz_std),
+                    "damping_ratio": number(m.damping_ratio),
+                    "damping_ratio_std": number(m.damping_ratio_std),
                 }
                 for m in self.modes
             ],
-            "objective": _number(self.objective),
+            "objective": number(self.objective),
             "integrator": self.integrator,
-            "integration_error": _number(self.integration_error),
+            "integration_error": number(self.integration_error),
             "integration_error_checked": (
-                None if self.integration_checked is None else _number(self.integration_checked[0])
+                None if self.integration_checked is None else number(self.integration_checked[0])
             ),
             "starts": self.starts,
             "agreeing_starts": self.agreeing_starts,
             "converged": self.converged,
-            "seconds": _number(self.seconds),
+            "seconds": number(self.seconds),
             "warnings": list(self.warnings),
         }
-
-    def to_latex(self) -> str:
-        """A table for a paper (package booktabs), values rounded by their standard errors."""
-        from .publish import latex
-
-        return latex(self)
-
-    def to_csv(self) -> str:
-        """Numbers, modes and residuals, a line each: name, value, std, unit."""
-        from .publish import comma_separated
-
-        return comma_separated(self)
 
     def to_arviz(self, draws: int = 1000, seed: int = 0) -> Any:
         """Draws from the Gaussian of values and covariance, as ArviZ reads them (extra `bayes`):
@@ -252,86 +246,9 @@ class Fit:
         """
         from .posterior import to_arviz
 
-        return to_arviz(self, draws, seed)
-
-    def __str__(self) -> str:
-        return "\n".join(_lines(self))
+        return to_arviz(self.numbers, self.covariance, draws, seed)
 
 
 def _rms(fits: list[RecordingFit]) -> np.ndarray:
     total = sum((np.where(f.used, f.residual, 0.0) ** 2).sum(axis=0) for f in fits)
     return np.sqrt(total / sum(f.used.sum(axis=0) for f in fits))
-
-
-def _number(x) -> float | None:
-    return float(x) if np.isfinite(x) else None
-
-
-def _lines(fit: Fit) -> list[str]:
-    """The report, for a terminal of 80 columns."""
-    fitted = [r for r in fit.recordings if r.recording.role != "check"]
-    readings = sum(int(r.used.sum()) for r in fitted)
-    names = ", ".join(r.name for r, _ in by_recording([f.recording for f in fitted]))
-    lines = [
-        *_wrapped("[[Model]]  ", " + ".join(fit.model.labels)),
-        "[[Fit]]",
-        *_wrapped("    recordings  ", f"{names} ({readings} readings)"),
-        f"    starts      {fit.agreeing_starts} of {fit.starts} agree",
-        *_wrapped("    stopped     ", fit.reason),
-        f"    chi-square  {fit.reduced_chi2:.4g} per degree of freedom (1: noise alone)",
-    ]
-    check, units = fit.check_rmse, fit.experiment.units or ("",) * len(fit.joints)
-    for i, joint in enumerate(fit.joints):
-        ratio = fit.rmse[i] / fit.noise[i]
-        line = f"{joint}: {fit.rmse[i]:.4g} {units[i]}, {ratio:.3g} x noise"
-        if check is not None:
-            line += f"; held out: {check[i]:.4g} {units[i]}"
-        lines += _wrapped("    rms         ", line)
-    lines += _wrapped("    integrated  ", _integrated(fit))
-    lines.append("[[Parameters]]  value +/- standard error (error in %)")
-    starts: list[str] = []
-    for n in fit.numbers:
-        unit = "" if n.unit == "1" else f" {n.unit}"
-        error = f"{n.std:.3g} ({n.percent:.2g} %)" if n.determined else "not determined"
-        value = f"{n.value:11.6g} +/- {error}{unit}"
-        lines.append(f"  {n.name:<30}{value:<38}".rstrip())
-        starts.append(f"{n.name} {n.start:.4g}")
-    lines += _wrapped("  started from ", ", ".join(starts))
-    if fit.modes:
-        lines.append("[[Modes]]  natural frequency, damping ratio")
-    for i, m in enumerate(fit.modes, 1):
-        frequency = _with_error(m.frequency_hz, m.frequency_hz_std, 6)
-        damping = _with_error(m.damping_ratio, m.damping_ratio_std, 4)
-        grows = "  grows: not physical" if m.grows else ""
-        lines.append(f"    {i}  {frequency} Hz   {damping}{grows}")
-    strong = fit.strong_correlations()
-    if strong:
-        lines.append(f"[[Correlations]]  beyond {STRONG}")
-        lines += [f"    {a} with {b}: {r:+.3f}" for a, b, r in strong]
-    if fit.warnings:
-        lines.append("[[Warnings]]")
-        for warning in fit.warnings:
-            lines += _wrapped("    - ", warning)
-    return lines
-
-
-def _integrated(fit: Fit) -> str:
-    chosen = fit.experiment.integrator
-    if chosen is None or not chosen.adapts:
-        how = f"{fit.integration_steps} steps" + ("" if chosen is None else f" of {chosen.name}")
-    else:
-        how = f"by {chosen.name}"
-    words = f"{how}; error {fit.integration_error:.2g} of the noise"
-    if fit.integration_checked is not None:
-        words += " ({:.2g} against {})".format(*fit.integration_checked)
-    return words
-
-
-def _with_error(x: float, std: float, digits: int) -> str:
-    return f"{x:.{digits}g} " + (f"+/- {std:.2g}" if np.isfinite(std) else "(not determined)")
-
-
-def _wrapped(head: str, words: str) -> list[str]:
-    return textwrap.wrap(
-        words, 80, initial_indent=head, subsequent_indent=" " * len(head), break_on_hyphens=False
-    )

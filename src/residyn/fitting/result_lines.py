@@ -25,8 +25,8 @@ from ..effects import AbstractEffect, catalogue
 from ..errors import InputError
 from ..files import read_bytes
 from ..recordings.experiment import Experiment
-from ..reporting.json import finite
 from ..runtime.export_cache import sources
+from ..runtime.json import finite
 
 if sys.platform != "win32":
     import fcntl

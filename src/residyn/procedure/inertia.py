@@ -24,7 +24,6 @@ from .driven import DrivenTest, driven_test
 from .ordinary import ordinary
 from .result import InertiaResult, Number, Separation, TestResult
 from .weak import CALIBRATED, Rows, Solved, rows_of, solve
-from .words import problem_with, warnings_for
 
 _ROUNDS = 20
 _LEAST_APART = 1e-3
@@ -72,7 +71,7 @@ def inertia(experiment: Experiment) -> InertiaResult:
     solved = _solved(tests, rows, [values for values, _ in begin], first, design, bearings)
     values, covariance, chi2 = _combined(design, added, solved)
 
-    result = InertiaResult(
+    return InertiaResult(
         experiment=experiment,
         values=values,
         covariance=covariance,
@@ -84,8 +83,17 @@ def inertia(experiment: Experiment) -> InertiaResult:
         separation=_separation(design, solved, values, l1),
         reduced_chi2=chi2,
         seconds=time.perf_counter() - began,
+        problem=_problem(table.link_lengths, values),
     )
-    return result.saying(warnings_for(result), problem_with(result))
+
+
+def _problem(link_lengths: tuple[float, float], values: np.ndarray) -> str | None:
+    """Why no real arm has these inertias; None if one has."""
+    try:
+        ArmTable(link_lengths, *(float(f"{x:.5g}") for x in values))
+    except InputError as error:
+        return f"what was found is no arm's inertia (is every theta2 right?): {error}"
+    return None
 
 
 def check_recordings(tests: Sequence[DrivenTest]) -> None:

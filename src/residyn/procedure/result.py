@@ -1,6 +1,6 @@
 """What step 1 returns: inertias with errors, each test's numbers, and an `[arm]` table."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,11 +8,12 @@ import numpy as np
 from ..fitting import FitError
 from ..recordings.experiment import Experiment
 from ..recordings.tables import ArmTable
+from ..runtime.json import number
+from ..runtime.presentation import Result
+from .carried import NAMES
 from .driven import DrivenTest
-from .printed import arm_lines, report_lines
 from .weak import Solved
 
-NAMES = ("shoulder", "elbow", "coupling")
 UNITS = ("kg m^2", "kg m^2", "kg m")
 FRICTION = ("coulomb_friction", "viscous_friction", "offset")
 FRICTION_UNITS = ("N m", "N m s/rad", "N m")
@@ -26,7 +27,7 @@ class Number(NamedTuple):
 
     def to_dict(self, unit: str) -> dict[str, Any]:
         """As in the JSON."""
-        return {"value": _finite(self.value), "std": _finite(self.std), "unit": unit}
+        return {"value": number(self.value), "std": number(self.std), "unit": unit}
 
 
 class Separation(NamedTuple):
@@ -91,13 +92,13 @@ class TestResult:
             "composite_inertia": self.inertia.to_dict("kg m^2"),
             **{name: n.to_dict(unit) if n else None for (name, n), unit in friction},
             "torque_noise": self.test.torque_noise,
-            "reduced_chi2": _finite(self.solved.chi2),
+            "reduced_chi2": number(self.solved.chi2),
             "least_squares": {name: n.to_dict(unit) for name, n, unit in ordinary},
         }
 
 
 @dataclass(frozen=True, eq=False)
-class InertiaResult:
+class InertiaResult(Result):
     """The arm's inertias, bearings on. Print it; or `to_dict()` for the JSON."""
 
     experiment: Experiment
@@ -108,8 +109,12 @@ class InertiaResult:
     separation: Separation
     reduced_chi2: float | None  # of more tests than unknowns; None for three
     seconds: float
-    warnings: tuple[str, ...] = ()
     problem: str | None = None  # why no arm has these inertias
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a careful person would want to be told, one line each."""
+        return self._presented("warnings")
 
     @property
     def std(self) -> np.ndarray:
@@ -157,11 +162,7 @@ class InertiaResult:
 
     def to_toml(self) -> str:
         """The `[arm]` table, as the other commands read it."""
-        return "\n".join(arm_lines(self)) + "\n"
-
-    def saying(self, warnings: tuple[str, ...], problem: str | None) -> "InertiaResult":
-        """The same result with other words."""
-        return replace(self, warnings=warnings, problem=problem)
+        return self._presented("toml")
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of `residyn inertia`."""
@@ -172,21 +173,14 @@ class InertiaResult:
             **{name: number.to_dict(unit) for name, unit, number in rows},
             "tests": [t.to_dict(self.experiment.joints) for t in self.tests],
             "covariance": self.covariance.tolist(),
-            "least_squares": {n: {"value": _finite(x), "unit": unit} for n, unit, x in ordinary},
+            "least_squares": {n: {"value": number(x), "unit": unit} for n, unit, x in ordinary},
             "separation": {
                 "cosines": list(apart.cosines),
                 "span": apart.span,
-                "amplification": _finite(apart.amplification),
+                "amplification": number(apart.amplification),
                 "excess": apart.excess,
             },
-            "reduced_chi2": None if self.reduced_chi2 is None else _finite(self.reduced_chi2),
+            "reduced_chi2": None if self.reduced_chi2 is None else number(self.reduced_chi2),
             "seconds": self.seconds,
             "warnings": list(self.warnings),
         }
-
-    def __str__(self) -> str:
-        return "\n".join(report_lines(self))
-
-
-def _finite(x: float) -> float | None:
-    return float(x) if np.isfinite(x) else None

@@ -21,10 +21,9 @@ from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
 from ..recordings.tables import ArmTable
 from .carried import NAMES, Carried, carried, modes_with_errors
-from .decay import unphysical
-from .doubts import against_growth, doubts_about
 from .inertia import inertia
 from .over_models import over_models
+from .result import InertiaResult
 from .unloaded import BareCheck, Pose, Unloading
 
 _BASE = ("spring", "damper")
@@ -71,7 +70,8 @@ def unload(
         else:
             fitted = diagnosis.fit
             effects = [e for e in fitted.model.effects if e.name not in _BASE]
-        covariance, said = (given, ()) if given is not None else _step_1(experiment, say)
+        step_1 = None if given is not None else _step_1(experiment, say)
+        covariance = step_1.covariance if isinstance(step_1, InertiaResult) else given
         say("carrying the errors over")
         errors = carried(fitted, effects, covariance)
         off = tuple(e.label for e in fitted.model.effects if e.of_bearings)
@@ -82,7 +82,7 @@ def unload(
             if beside.recording.role == "check" and not beside.recording.air_bearings:
                 say(f"fitting {beside.recording.name} alone, to compare")
                 checks.append(_check_against(fitted, beside, errors, starts))
-    found = Unloading(
+    return Unloading(
         fit=fitted,
         poses=poses,
         left_out=off,
@@ -90,10 +90,9 @@ def unload(
         inertia_covariance=covariance,
         errors=errors,
         over_models=over,
+        step_1=step_1,
         seconds=time.perf_counter() - began,
     )
-    wrong = tuple(unphysical(found, against_growth(found)))
-    return found.saying(wrong, (*said, *doubts_about(found)))
 
 
 def without_effects_of_bearings(model: Model) -> Model:
@@ -146,17 +145,15 @@ def _covariance(std: Sequence[float] | np.ndarray) -> np.ndarray:
     return square
 
 
-def _step_1(experiment: Experiment, say: Callable) -> tuple[np.ndarray | None, tuple[str, ...]]:
-    """Covariance of the inertias from the experiment's own driven tests, if it has any."""
+def _step_1(experiment: Experiment, say: Callable) -> InertiaResult | str | None:
+    """Step 1 from the experiment's own driven tests, if it has any; or why it cannot be done."""
     if not any(r.role == "inertia" for r in experiment.recordings):
-        return None, ()
+        return None
     say("step 1, for the errors of the inertias")
     try:
-        found = inertia(experiment)
+        return inertia(experiment)
     except (InputError, FitError) as error:
-        return None, (f"the inertias are taken for exact, as step 1 cannot be done: {error}",)
-    at_odds = tuple(w for w in found.warnings if w.startswith("[arm] has"))
-    return found.covariance, at_odds
+        return str(error)
 
 
 def _poses(experiment: Experiment) -> list[Recording]:

@@ -1,6 +1,6 @@
 """What step 3 returns: modes with and without the bearings, and how the prediction did."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -9,10 +9,13 @@ import numpy as np
 
 from ..fitting import Fit, Mode, RecordingFit
 from ..physics.model import Model
+from ..runtime.json import finite
+from ..runtime.presentation import Result
 from ..simulation.interpolation import Trajectory
 from .carried import NAMES, Carried, inertias
 from .decay import decay_of
 from .over_models import OverModels
+from .result import InertiaResult
 from .ringdown import DRAWS, RingDown, ring_down
 
 _DECAYS = 3.0
@@ -98,7 +101,7 @@ class BareCheck:
 
 
 @dataclass(frozen=True, eq=False)
-class Unloading:
+class Unloading(Result):
     """Step 3. Print it; or `to_dict()` for the JSON.
 
     `poses` has the elbow angles of the fitted recordings, in their order; `with_bearings`,
@@ -111,15 +114,27 @@ class Unloading:
     check: tuple[BareCheck, ...]
     inertia_covariance: np.ndarray | None  # (3, 3) from step 1; None: taken for exact
     errors: Carried  # what the numbers and the inertias do not know
+    step_1: InertiaResult | str | None
+    """Step 1 from the experiment's own driven tests, or why it cannot be done; None without any, or
+    where its covariance was given."""
     seconds: float
-    warnings: tuple[str, ...] = ()  # beside the fit's own
-    over_models: OverModels | None = None  # the same over all models of a diagnosis
-    unphysical: tuple[str, ...] = ()  # of the warnings, those of modes that no arm has
+    over_models: OverModels | None = None
+    """The same over all models of a diagnosis, if there was one."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to bear in mind, beside the fit's own warnings; modes that no arm has first."""
+        return self._presented("warnings")
+
+    @property
+    def unphysical(self) -> tuple[str, ...]:
+        """Of the warnings, those of modes that no arm has."""
+        return self._presented("unphysical")
 
     @property
     def physical(self) -> bool:
         """Whether every frequency, damping ratio and decay time is an arm's."""
-        return not self.unphysical
+        return all(pose.physical for pose in self.poses)
 
     @property
     def with_bearings(self) -> tuple[Mode, ...]:
@@ -176,10 +191,6 @@ class Unloading:
             each.append(np.linspace(0.0, span, points))
         return np.unique(np.concatenate(each))
 
-    def saying(self, unphysical: tuple[str, ...], warnings: tuple[str, ...]) -> "Unloading":
-        """The same result with other warnings, those of modes that no arm has first."""
-        return replace(self, unphysical=unphysical, warnings=(*unphysical, *warnings))
-
     def to_dict(self) -> dict[str, Any]:
         """The JSON of `residyn unload`."""
         fit = self.fit.to_dict()
@@ -220,11 +231,6 @@ class Unloading:
             "measured": {"modes": _modes(check.measured)},
         }
 
-    def __str__(self) -> str:
-        from .unloaded_words import report_lines
-
-        return "\n".join(report_lines(self))
-
 
 def _side(pose: Pose, model: Model, modes: tuple[Mode, ...]) -> dict[str, Any]:
     values = np.asarray(inertias(model.mechanism)).tolist()
@@ -241,13 +247,10 @@ def _told(modes: tuple[Mode, ...]) -> dict[str, Any]:
     for mode in modes:
         found = decay_of(mode)
         told = None if found is None else found._asdict().items()
-        times.append(told and {name: x if np.isfinite(x) else None for name, x in told})
+        times.append(told and finite(dict(told)))
     return {"modes": _modes(modes), "decay_time_s": times}
 
 
 def _modes(modes: tuple[Mode, ...]) -> list[dict[str, float | None]]:
     """As in the JSON of `fit`."""
-    return [
-        {name: value if np.isfinite(value) else None for name, value in vars(mode).items()}
-        for mode in modes
-    ]
+    return [finite(vars(mode)) for mode in modes]

@@ -1,38 +1,36 @@
 """The atlas of detectable effects in lines of 80 columns."""
 
-from typing import TYPE_CHECKING
+from ..diagnosis.detectable import Atlas, Detectable
+from .layout import Table, filled, printed
+from .names import at_place, lower, title
+from .numbers import amount, plain, share
 
-from .diagnosis_text import wrapped
-from .numbers import amount, plain
-from .words import at_place, lower, share_words, title
-
-if TYPE_CHECKING:
-    from ..diagnosis.detectable import Atlas, Detectable
+_VALUES = 52
+"""Columns of an effect's numbers."""
 
 
-def lines(atlas: "Atlas") -> list[str]:
-    """Two lines for each effect: how strong, as a share and as a number; its rival."""
+def text(atlas: Atlas) -> str:
+    """For each effect: how strong, as a share and as a number; its rival."""
     noise = ", ".join(
         f"{joint} {amount(x, unit, 2)}"
         for joint, x, unit in zip(atlas.joints, atlas.noise, atlas.units, strict=True)
     )
-    out = wrapped(
-        "",
+    head = filled(
         f"What {plain(atlas.duration, 3)} s of this motion can show (noise: {noise}). Strengths as "
         "a share of the spring's torque at full swing, or of what else is typical: named in half "
-        "of all recordings, and told from the best rival with odds of 20 to 1.",
+        "of all recordings, and told from the best rival with odds of 20 to 1."
     )
-    out.append(f"{'':<44}{'named':>9}{'told':>9}")
+    rows = []
     for e in atlas.effects:
-        out += _one(e, atlas.joints)
-    return out
+        shares = ("never" if x is None else share(x) for x in (e.share, e.told_share))
+        rows.append(["\n".join(_one(e, atlas.joints)), *shares])
+    return "\n".join([*head, *printed(Table(["", "named", "told"], rows), indent=0)])
 
 
-def _one(e: "Detectable", joints: tuple[str, ...]) -> list[str]:
-    named, told = ("never" if x is None else share_words(x) for x in (e.share, e.told_share))
-    out = [f"{at_place(e.effect, joints):<44}{named:>9}{told:>9}"]
+def _one(e: Detectable, joints: tuple[str, ...]) -> list[str]:
+    name = at_place(e.effect, joints, comma=True)
     if e.shows is None:
-        return out
+        return [name]
     unit = "" if e.unit == "1" else f" {e.unit}"
     words = f"{e.number} {plain(e.shows, 2)}{unit}"
     if e.told is not None:
@@ -40,6 +38,7 @@ def _one(e: "Detectable", joints: tuple[str, ...]) -> list[str]:
     if e.shape:
         words += " at " + ", ".join(f"{k} {plain(v, 2)}" for k, v in e.shape.items())
     if e.rival is not None:
-        rival = at_place(e.rival, joints) if e.rival.partition(":")[2] else title(e.rival)
+        placed = e.rival.partition(":")[2]
+        rival = at_place(e.rival, joints, comma=True) if placed else title(e.rival)
         words += f"; rival: {lower(rival)}"
-    return [*out, *wrapped("    ", words)]
+    return [name, *filled(words, "    ", width=_VALUES)]

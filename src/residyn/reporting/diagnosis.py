@@ -1,82 +1,524 @@
-"""What the page says of a diagnosis: the verdict and the falling error, then the evidence."""
+"""All that is said of a diagnosis: sentences, the printout, the page, tables for a paper.
 
-from collections.abc import Sequence
+The sentences go from what is surest to what is open: a base model that cannot be right; the family
+and its place with their joint probability; the law within the family; what else might be missing;
+how far the error falls; how large the torque is that is still missing, and what it could do to
+stiffness and damping. Each number is one of the result's; where the sentence says "is", the
+probability is at least 90 %.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
-from ..diagnosis import Curve, Missing
-from ..diagnosis.result import Candidate, Diagnosis, Family, ModelState
+from ..diagnosis.missing_torque import Curve, Missing
+from ..diagnosis.result import (
+    Candidate,
+    Diagnosis,
+    Family,
+    ModelState,
+    RandomTorque,
+)
+from ..effects import catalogue
+from ..fitting.result import Fit
+from ..physics.parameter import parameters_of
 from . import figures as plot
-from .diagnosis_text import accepted, advice, alike, unnamed
-from .failing import clearest, failing
-from .numbers import amount, plain
-from .picture import picture
-from .plan import outcomes
-from .words import (
+from . import latex as tex
+from .compare import clearest, failing, pairs
+from .fit import residuals
+from .layout import Table, filled, printed, section, separated, tabular
+from .names import (
+    HELD_OUT,
+    SURE,
     at_place,
+    base_name,
     listed,
     lower,
+    modal,
     model_name,
-    nats,
-    percent,
+    own_name,
     placed,
-    times,
     times_noise,
     title,
     unbroken,
     upper,
-    value_words,
+    when_held_out,
     worth_showing,
 )
+from .numbers import amount, measured, nats, percent, plain, prefixed, share, times, with_error
+from .plan import outcomes
 
-_MOST = 4
-"""Pictures of missing torques in one place; `residyn compare` draws them all."""
-_FAMILIES = 5
-_SHOWN = 0.005  # probability from which a family has a line
+_ALSO = 0.01
+"""Probability from which another family is named."""
+_NAMED = 3
+"""Other families that are named."""
+_SIGNIFICANT = 2.0
+"""Standard errors."""
+_PICTURES = 4
+"""Missing torques in one place of a page; `residyn compare` draws them all."""
+_VALUES = 44
+"""Columns of a candidate's numbers in a terminal."""
+_FAMILIES, _SHOWN = 5, 0.005
+"""Families on a page, and the probability from which one has a line."""
+
+
+# -- names and numbers of its parts ----------------------------------------------------------
+
+
+def _values(candidate: Candidate) -> str:
+    """ "torque 0.2003 +/- 0.0012 N m", and its other numbers."""
+    each = candidate.parameters.items()
+    return ", ".join(f"{own_name(n)} {measured(v.value, v.std, v.unit)}" for n, v in each)
+
+
+def _held(found: Diagnosis) -> str | None:
+    """Which readings were held out."""
+    return next((r.held_out.what for r in found.ladder if r.held_out is not None), None)
+
+
+# -- the verdict ---------------------------------------------------------------------------------
+
+
+def sentences(found: Diagnosis) -> tuple[str, ...]:
+    """The verdict in a few sentences, the surest first."""
+    words = [*_stopped(found), *_unphysical(found)]
+    if found.explains_nothing:
+        return (*words, *_nothing_explained(found))
+    words += _families(found) if found.added else [_none_named(found)]
+    words += _laws(found)
+    words += _others(found)
+    words += _fall(found)
+    words += _left(found)
+    return tuple(words)
+
+
+def _stopped(found: Diagnosis) -> list[str]:
+    why = {"interrupted": "was stopped by Ctrl-C", "budget": "ended when its budget was spent"}
+    if found.budget.stopped is None:
+        return []
+    count = found.budget.models
+    models = "one model" if count == 1 else f"{count} models"
+    return [
+        f"The search {why[found.budget.stopped]}, after {models}: what follows is the best so far, "
+        "and its probabilities count only what was tried."
+    ]
+
+
+def _unphysical(found: Diagnosis) -> list[str]:
+    """A spring or damper whose number is below zero by more than its error."""
+
+    def wrong(fit: Fit) -> list[str]:
+        return [
+            f"{n.name} is {' +/- '.join(with_error(n.value, n.std))} {n.unit}"
+            for n in fit.numbers
+            if n.name.startswith(("spring:", "damper:"))
+            and n.determined
+            and n.value < -_SIGNIFICANT * n.std
+        ]
+
+    last, first = wrong(found.fit), wrong(found.base)
+    if last:
+        return [
+            f"This model cannot be right: {listed(last)}, and no spring or damper has less than "
+            "nothing. Check the inertias, the signs and the units before anything else."
+        ]
+    if first:
+        return [f"Springs and dampers alone cannot be right: {listed(first)}."]
+    return []
+
+
+def _nothing_explained(found: Diagnosis) -> list[str]:
+    joints = found.fit.joints
+    sizes = [
+        f"{plain(r.rms, 2)} {r.unit} at the {r.joint}"
+        + (f" ({share(r.share_of_spring)} of the spring's)" if _known(r) else "")
+        for r in found.random_torque
+    ]
+    words = [
+        "The model explains nothing of this motion, so no effect can be named: it lacks a torque "
+        f"of {listed(sizes)}.",
+        "Check the recordings first: the units (rad or m, s), whether angles are counted from "
+        "where the joints rest, whether each column is the joint that it is named after, and "
+        "whether the inertias are of this arm.",
+    ]
+    resting = _rest(found)
+    if resting:
+        where = listed([f"{joints[j]} {plain(x, 3)}" for j, x in resting])
+        words.append(
+            f"The readings keep to one side of zero (means: {where}): angles that are not counted "
+            "from rest look so."
+        )
+    return words
+
+
+def _rest(found: Diagnosis) -> list[tuple[int, float]]:
+    """Joints whose fitted readings never cross zero, and their means, rad or m."""
+    fitted = [r for r in found.fit.recordings if r.recording.role != "check"]
+    angles = np.concatenate([np.where(r.used, r.recording.angle, np.nan) for r in fitted])
+    each = enumerate(angles.T)
+    means = [(j, float(np.nanmean(x))) for j, x in each if np.nanmin(x) > 0 or np.nanmax(x) < 0]
+    return means
+
+
+def _families(found: Diagnosis) -> list[str]:
+    """ "Dry friction at the elbow is missing (> 99 %)." """
+    joints, own = found.fit.joints, accepted(found)
+    sure = found.verdict_probability
+    if found.verdict == "missing" and sure >= SURE and len(own) == 1:
+        (family,) = own
+        if family.probability < SURE:
+            first = f"{_family(family, joints)} ({percent(family.probability)})"
+            return [
+                f"Something is missing that the catalogue has ({percent(sure)}), most likely "
+                f"{first}."
+            ]
+    groups: dict[str, list[Family]] = {}
+    for family in own:
+        groups.setdefault(modal(family.probability), []).append(family)
+    told = []
+    for each in groups.values():
+        names = [f"{_family(f, joints)} ({percent(f.probability)})" for f in each]
+        verb = modal(each[0].probability, many=len(each) > 1)
+        if len(each) == 1:
+            name, chance = _family(each[0], joints), percent(each[0].probability)
+            told.append(f"{upper(name)} {verb} missing ({chance}).")
+        else:
+            told.append(f"{upper(listed(names))} {verb} missing.")
+    return told
+
+
+def _family(family: Family, joints: Sequence[str]) -> str:
+    return placed(family.name, family.place, joints)
+
+
+def accepted(found: Diagnosis) -> list[Family]:
+    """The families of what was added, in that order."""
+    own = []
+    for label in found.added:
+        family = next(f for f in found.families if label in dict(f.members))
+        if family not in own:
+            own.append(family)
+    return own
+
+
+def _none_named(found: Diagnosis) -> str:
+    sure = f"({percent(found.verdict_probability)})"
+    if found.verdict == "adequate":
+        if found.verdict_probability >= SURE:
+            return f"Nothing is missing that these recordings could show {sure}."
+        return f"Probably nothing is missing {sure}."
+    verb = modal(found.verdict_probability)
+    return f"Something {verb} missing that {unnamed(found)} explains {sure}."
+
+
+def unnamed(found: Diagnosis) -> str:
+    """What does not explain the rest: the whole catalogue, or what there was time for."""
+    if found.budget.stopped is not None:
+        return "no effect that was tried"
+    return "no effect of the catalogue"
+
+
+def _laws(found: Diagnosis) -> Iterator[str]:
+    """What the recordings say of the law within each family."""
+    for family in accepted(found):
+        members = dict(family.members)
+        for label in (x for x in found.added if x in members):
+            name, numbers = title(label), _numbers(found, label)
+            told = f" ({numbers})" if numbers else ""
+            further = [c for c in _members(found, family) if _extends(c.effect, label)]
+            rivals = [
+                f"{lower(title(x))} ({percent(p)})"
+                for x, p in family.members
+                if x not in found.added and p >= _ALSO
+            ]
+            if rivals:
+                inside = "; ".join(filter(None, [percent(members[label]), numbers]))
+                yield (
+                    f"Within {family.name}, the law is most likely {lower(name)} ({inside}); "
+                    f"{listed(rivals)} {'is' if len(rivals) == 1 else 'are'} possible too."
+                )
+            elif further and found.verdict != "unexplained":
+                yield f"{name}{told} is enough; {listed([_would_add(c, label) for c in further])}."
+            elif numbers:
+                yield f"{name}: {numbers}."
+
+
+def _numbers(found: Diagnosis, label: str) -> str:
+    """The numbers of an effect that was added: as fitted if nothing is left, else as they are
+    beside the random torque, since a fit's errors then are too small."""
+    own = [n for n in found.fit.numbers if n.name.rpartition(".")[0] == label]
+    beside = found.candidate(label).parameters
+    if found.verdict == "unexplained" and len(found.added) == 1 and beside:
+        fitted = ", ".join(plain(n.value) for n in own)
+        return f"{_values(found.candidate(label))} ({fitted} if nothing else were missing)"
+    told = []
+    for n in own:
+        value = measured(n.value, n.std, n.unit) if n.determined else "not determined"
+        told.append(f"{own_name(n.name)} {value}")
+    return ", ".join(told)
+
+
+def _members(found: Diagnosis, family: Family) -> list[Candidate]:
+    own = dict(family.members)
+    return [c for c in found.candidates if c.effect in own]
+
+
+def _extends(label: str, simpler: str) -> bool:
+    """Whether one law is another one's with more to it, at the same place."""
+    (name, _, place), (other, _, at) = label.partition(":"), simpler.partition(":")
+    kind = catalogue().get(name)
+    return kind is not None and kind.extends == other and place == at
+
+
+def _would_add(candidate: Candidate, simpler: str) -> str:
+    """ "Stribeck friction (< 1 %) would add excess 0.0008 +/- 0.0005 N m"."""
+    kind = catalogue()[candidate.effect.partition(":")[0]]
+    there = {p.name for p in parameters_of(catalogue()[simpler.partition(":")[0]])}
+    values = {own_name(n): v for n, v in candidate.parameters.items()}
+    more = [
+        f"{p.name} {measured(values[p.name].value, values[p.name].std, values[p.name].unit)}"
+        for p in parameters_of(kind)
+        if p.name not in there and p.silent is not None and p.name in values
+    ]
+    law = f"{lower(title(candidate.effect))} ({percent(candidate.probability)})"
+    return f"{law} would add {listed(more)}" if more else f"{law} adds nothing"
+
+
+def _others(found: Diagnosis) -> Iterator[str]:
+    """Where the rest of the probability went."""
+    own = accepted(found) if found.added else []
+    others = [f for f in found.families if f not in own and f.probability >= _ALSO]
+    joints = found.fit.joints
+    shown = [f"{_family(f, joints)} ({percent(f.probability)})" for f in others[:_NAMED]]
+    if shown:
+        more = len(others) - len(shown)
+        shown += [f"{more} more kind{'s' * (more > 1)}"] if more else []
+        yield f"Also possible: {listed(shown)}."
+    for group in found.lookalikes:
+        kinds = {f.name: f for f in own}
+        rivals = [x for x in group[1:] if not any(x in dict(f.members) for f in kinds.values())]
+        if rivals:
+            names = listed([lower(at_place(x, joints)) for x in rivals])
+            yield f"These recordings cannot tell {lower(at_place(group[0], joints))} from {names}."
+
+
+def _fall(found: Diagnosis) -> Iterator[str]:
+    """How far the error falls where it was worst."""
+    first, last = times_noise(found.ladder[0]), times_noise(found.ladder[-1])
+    fitted = [x for x, _ in first]
+    worst = int(np.nanargmax(fitted))
+    joint = f"at the {found.fit.joints[worst]} " if len(found.fit.joints) > 1 else ""
+    (before, held_before), (after, held_after) = first[worst], last[worst]
+    if not found.added:
+        held = "" if held_before is None else f" ({times(held_before)} times {HELD_OUT})"
+        if found.verdict == "adequate":
+            yield f"The error {joint}is {times(before)} times the noise{held}."
+        else:
+            yield f"The model leaves {times(before)} times the noise {joint.strip()}{held}."
+        return
+    digits = next((d for d in (2, 3) if plain(before, d) != plain(after, d)), 4)
+    verb = "falls" if after < before else "goes"
+    pronoun = "it" if len(found.added) == 1 else "them"
+    words = (
+        f"With {pronoun} the error {joint}{verb} from {plain(before, digits)} to "
+        f"{plain(after, digits)} times the noise"
+    )
+    if held_before is not None and held_after is not None:
+        words += f" ({HELD_OUT}: from {times(held_before)} to {times(held_after)})"
+    part = explained_share(found)
+    if found.verdict == "unexplained" and math.isfinite(part):
+        words += f"; that explains {share(part)} of the squared error above the noise"
+    yield f"{words}."
+
+
+def explained_share(found: Diagnosis) -> float:
+    """Of the base model's squared error above the noise, the share that the effects took away; NaN
+    where there was none."""
+    before, after = (f.reduced_chi2 - 1.0 for f in (found.base, found.fit))
+    return min(1.0, max(0.0, 1.0 - max(after, 0.0) / before)) if before > 0 else math.nan
+
+
+def _left(found: Diagnosis) -> Iterator[str]:
+    """How large what is still missing is, and whether it matters."""
+    known = [r for r in found.random_torque if math.isfinite(r.rms)]
+    sure = found.verdict_probability
+    if found.verdict == "unexplained":
+        sizes = listed([_size(r, found) for r in known]) if known else "unknown size"
+        more = f"Something more {modal(sure)} missing that {unnamed(found)} explains"
+        words = f"{more} ({percent(sure)})" if found.added else "What is missing is"
+        yield f"{words}{': ' if found.added else ' '}a torque of {sizes}."
+        yield from _matters(found)
+        return
+    if sure < SURE and found.added:
+        yield f"That nothing else is missing is not sure ({percent(sure)})."
+    if known:
+        most = max(known, key=lambda r: r.high / _spring(r) if _known(r) else r.high)
+        if most.high > 0:
+            where = f" at the {most.joint}" if len(found.fit.joints) > 1 else ""
+            size = f"{plain(most.high, 2)} {most.unit} rms{where}"
+            part = f", {share(most.high / _spring(most))} of the spring's torque"
+            yield (
+                f"What may still be missing is no more than {size}"
+                f"{part if _known(most) else ''} (95 % band)."
+            )
+
+
+def _known(r: RandomTorque) -> bool:
+    return math.isfinite(r.share_of_spring) and r.share_of_spring > 0 and r.rms > 0
+
+
+def _spring(r: RandomTorque) -> float:
+    """The rms of the spring's torque."""
+    return r.rms / r.share_of_spring
+
+
+def _size(r: RandomTorque, found: Diagnosis) -> str:
+    where = f" at the {r.joint}" if len(found.fit.joints) > 1 else ""
+    low, high = plain(r.low, 2), plain(r.high, 2)
+    band = f"95 % band {low} to {high}" if low != high else ""
+    part = f"{share(r.share_of_spring)} of the spring's" if _known(r) else ""
+    more = "; ".join(filter(None, [band, part]))
+    return f"{plain(r.rms, 2)} {r.unit} rms{where}" + (f" ({more})" if more else "")
+
+
+def _matters(found: Diagnosis) -> Iterator[str]:
+    """What the missing torque could do to stiffness and damping, if all of it went with the angle
+    or all of it with the rate."""
+    told = []
+    for j, r in enumerate(found.random_torque):
+        if not _known(r):
+            continue
+        damper, where = _damper(found, j), f" at the {r.joint}" if len(found.fit.joints) > 1 else ""
+        words = f"the stiffness{where} by {share(r.share_of_spring)}"
+        if damper > 0:
+            words += f" or the damping by {share(r.rms / damper)}"
+        told.append(words)
+    if told:
+        yield f"At most, if it all went with the angle or the rate, it changes {'; '.join(told)}."
+
+
+def _damper(found: Diagnosis, joint: int) -> float:
+    """Rms of a joint's damper torque along its motion, N m; 0 where it has none."""
+    name = f"damper:{found.fit.joints[joint]}."
+    size = sum(abs(n.value) for n in found.fit.numbers if n.name.startswith(name))
+    rate = np.concatenate([m.torque.rate[:, joint] for m in found.still_missing])
+    return float(size * np.sqrt(np.mean(rate**2)))
+
+
+# -- in a terminal ---------------------------------------------------------------------------
+
+
+def text(found: Diagnosis) -> str:
+    """The whole printout."""
+    parts = models(found), candidates(found), lookalikes(found), next_experiment(found)
+    lines = [line for part in parts for line in part]
+    return "\n".join([*filled(" ".join(found.words)), "", *lines, "", str(found.fit)])
+
+
+def models(found: Diagnosis) -> list[str]:
+    """The error of each model on the way; more joints than stand side by side, below each other."""
+    joints, held = found.fit.joints, _held(found)
+    head = "rms residual in times the noise"
+    if held is not None:
+        head += f"; {HELD_OUT}: {when_held_out(held)}"
+    kinds, beside = ["fitted", HELD_OUT] if held else ["fitted"], len(joints) <= 2
+    rows = []
+    for step in found.ladder:
+        name, chi2 = model_name(step, comma=True), plain(step.fit.reduced_chi2)
+        cells = [[_x(x) for x in pair[: len(kinds)]] for pair in times_noise(step)]
+        if beside:
+            rows.append([name, *(c for each in cells for c in each), chi2])
+        else:
+            each = zip(joints, cells, strict=True)
+            rows += [[name if j == joints[0] else "", j, *c, chi2] for j, c in each]
+    of = [f"{j if k == 'fitted' else ''}\n{k}" for j in joints for k in kinds]
+    columns = of if beside else ["joint", *kinds]
+    left = (0,) if beside else (0, 1)
+    table = Table(
+        ["\nmodel" if beside else "model", *columns, "chi-square\nper reading"], rows, left
+    )
+    return [*section("Models", head), *printed(table)]
+
+
+def _x(ratio: float | None) -> str:
+    return "-" if ratio is None else f"{times(ratio)} x"
+
+
+def candidates(found: Diagnosis) -> list[str]:
+    """What might be missing in the base model, the likeliest first."""
+    if not found.candidates:
+        return []
+    note = (
+        "probability of being part of the model, and log evidence (nats) of the base model with it "
+        "alone, relative to the best model"
+    )
+    shown, rows = worth_showing(found), []
+    for c in shown:
+        name = at_place(c.effect, found.fit.joints, comma=True)
+        lines = [name, *filled(_values(c), "  ", width=_VALUES)]
+        order = "" if c.iterated else " (1st order)"
+        rows.append(["\n".join(lines), percent(c.probability), nats(c.log_evidence) + order])
+    out = [*section("Candidates", note), *printed(Table(["", "probability", "log evidence"], rows))]
+    rest = len(found.candidates) - len(shown)
+    if rest:
+        out.append(f"    and {rest} more that {'is' if rest == 1 else 'are'} less likely")
+    return out + filled(", ".join(c.effect for c in shown), "    names for --with: ", 6)
+
+
+def lookalikes(found: Diagnosis) -> list[str]:
+    """Names that the recordings cannot tell apart."""
+    groups = [line for words in _alike(found) for line in filled(words, "    ")]
+    return ["[[Look-alikes]]", *groups] if groups else []
+
+
+def _alike(found: Diagnosis) -> Iterator[str]:
+    for group in found.lookalikes:
+        if len(group) > 1:
+            first, *others = (at_place(x, found.fit.joints) for x in group)
+            rivals = listed([lower(x) for x in others])
+            yield f"{first} cannot be told from {rivals} by these recordings."
+
+
+def next_experiment(found: Diagnosis) -> list[str]:
+    """What to record to tell look-alikes apart."""
+    advice = found.next_experiment
+    return [] if advice is None else ["[[Next experiment]]", *filled(advice.words, "    ")]
+
+
+# -- on a page -------------------------------------------------------------------------------
 
 
 def diagnosed(found: Diagnosis) -> dict[str, Any]:
     """All that the template says of it."""
-    experiment, shown = found.fit.experiment, worth_showing(found)
-    names = [lower(at_place(name, found.fit.joints)) for name in found.added]
-    held = next((r.held_out.what for r in found.ladder if r.held_out is not None), None)
-    unexplained = found.verdict == "unexplained"
-    before = clearest(experiment, _evidence(found), _MOST)
-    after = clearest(experiment, _each(found.still_missing) if unexplained else (), _MOST)
-    families = [f for f in found.families if f.probability >= _SHOWN][:_FAMILIES]
+    experiment, joints, shown = found.fit.experiment, found.fit.joints, worth_showing(found)
+    names = [lower(at_place(name, joints)) for name in found.added]
+    held, left = _held(found), found.verdict == "unexplained"
+    before = clearest(experiment, _evidence(found), _PICTURES)
+    after = clearest(experiment, pairs(found.still_missing) if left else (), _PICTURES)
+    falling = "The error in times the noise, per joint, of each model on the way"
+    chances = "Bars: how probable each candidate is, and how far its evidence is behind the best"
     return {
         "title": _title(found),
         "verdict": found.verdict,
-        "probability": percent(found.verdict_probability),
         "added": listed(names) if names else "",
         "words": [unbroken(words) for words in found.words],
-        "joints": found.fit.joints,
-        "held_out": held,
-        "falling": picture(
-            "The error in times the noise, per joint, of each model on the way",
-            plot.ladder(found),
-            plot.ladder(found, narrow=True),
-        ),
-        "models": [_model(step) for step in found.ladder],
-        "families": [_family(f, found.fit.joints) for f in families],
-        "candidates": [_candidate(c, found) for c in shown],
+        "held_out": held and when_held_out(held),
+        "falling": plot.picture(falling, plot.ladder, found),
+        "models": _models_table(found),
+        "families": _families_table(found),
+        "candidates": _candidates_table(found, shown),
         "others": len(found.candidates) - len(shown),
-        "chances": None
-        if not shown
-        else picture(
-            "Bars: how probable each candidate is, and how far its evidence is behind the best",
-            plot.candidates(found),
-            plot.candidates(found, narrow=True),
-        ),
+        "chances": plot.picture(chances, plot.candidates, found) if shown else None,
         "evidence": before[0],
         "more_evidence": before[1],
         "still": after[0],
         "more_still": after[1],
-        "remainder": [_remainder(r) for r in found.random_torque],
-        "alike": [alike(group, found.fit.joints) for group in found.lookalikes if len(group) > 1],
-        "next": advice(found),
-        "outcomes": None if found.next_experiment is None else outcomes(found.next_experiment),
+        "remainder": _remainder_table(found.random_torque),
+        "alike": list(_alike(found)),
+        "next": "" if found.next_experiment is None else found.next_experiment.words,
+        "outcomes": found.next_experiment and outcomes(found.next_experiment),
         "left": failing(found.comparison, ()),
         "budget": found.budget,
     }
@@ -95,10 +537,6 @@ def _title(found: Diagnosis) -> str:
     return f"What is missing: {listed(words)}"
 
 
-def _each(missing: Sequence[Missing]) -> list[tuple[Missing, int]]:
-    return [(found, joint) for found in missing for joint in range(len(found.joints))]
-
-
 def _evidence(found: Diagnosis) -> list[tuple[Missing, int]]:
     """The torque that the base model lacks, with the curves of what was added before their rivals',
     those that draw most of it first; where what was added acts, or everywhere if on no joint."""
@@ -111,62 +549,136 @@ def _evidence(found: Diagnosis) -> list[tuple[Missing, int]]:
     ordered = [each._replace(curves=tuple(sorted(each.curves, key=rank))) for each in found.missing]
     acting = [
         (each, joint)
-        for each, joint in _each(ordered)
+        for each, joint in pairs(ordered)
         if any(c.effect in found.added and np.any(c.torque[:, joint]) for c in each.curves)
     ]
-    return acting or _each(ordered)
+    return acting or pairs(ordered)
 
 
-def _remainder(r) -> dict[str, str]:
-    """How large the torque is that the last model still lacks, at one joint."""
-    share = 100 * r.share_of_spring
-    return {
-        "joint": r.joint,
-        "rms": f"{plain(r.rms, 2)} {r.unit}",
-        "band": f"{plain(r.low, 2)} to {plain(r.high, 2)} {r.unit}",
-        "share": f"{plain(share, 2)} %" if share == share else "",
-    }
+def _models_table(found: Diagnosis) -> Table:
+    joints, held, rows = found.fit.joints, _held(found) is not None, []
+    units = found.fit.experiment.units or (None,) * len(joints)
+    for step in found.ladder:
+        sizes = [step.fit.rmse, _held_out(step)][: 1 + held]
+        cells = [
+            "" if ratio is None else f"{amount(float(rmse[j]), units[j])} ({times(ratio)} ×)"
+            for j, pair in enumerate(times_noise(step))
+            for rmse, ratio in zip(sizes, pair, strict=False)
+        ]
+        rows.append([model_name(step, comma=True), *cells, plain(step.fit.reduced_chi2)])
+    head = [f"{joint}, {kind}" for joint in joints for kind in ("fitted", HELD_OUT)[: 1 + held]]
+    return Table(["model", *head, "reduced chi-square"], rows)
 
 
-def _model(step: ModelState) -> dict[str, Any]:
-    fit, held = step.fit, step.held_out
-    units = fit.experiment.units or (None,) * len(fit.joints)
+def _families_table(found: Diagnosis) -> Table:
+    rows = []
+    for f in found.families[:_FAMILIES]:
+        if f.probability >= _SHOWN:
+            laws = ", ".join(f"{lower(title(x))} {percent(p)}" for x, p in f.members)
+            name = upper(placed(f.name, f.place, found.fit.joints, comma=True))
+            rows.append([name, percent(f.probability), laws])
+    return Table(["kind of law and place", "probability", "laws"], rows, left=(0, 2))
 
-    def cell(j: int, rmse: np.ndarray, ratio: float | None) -> str:
-        return "" if ratio is None else f"{amount(float(rmse[j]), units[j])} ({times(ratio)} ×)"
 
-    outside = fit.rmse if held is None else held.held_out.rmse
-    errors = [
-        (cell(j, fit.rmse, fitted), cell(j, outside, checked))
-        for j, (fitted, checked) in enumerate(times_noise(step))
+def _candidates_table(found: Diagnosis, shown: Sequence[Candidate]) -> Table:
+    rows = []
+    for c in shown:
+        name = at_place(c.effect, found.fit.joints, comma=True)
+        name += " (added)" if c.effect in found.added else ""
+        order = "" if c.iterated else " (first order)"
+        cells = [percent(c.probability), nats(c.log_evidence) + order, unbroken(_values(c))]
+        rows.append([name, *cells, c.effect])
+    marked = [i for i, c in enumerate(shown) if c.effect in found.added]
+    head = ["effect", "probability", "log evidence (nats)", "its numbers, alone in the model"]
+    return Table([*head, "name for --with"], rows, left=(0, 3, 4), marked=marked)
+
+
+def _remainder_table(torques: Sequence[RandomTorque]) -> Table:
+    """How large the torque is that the last model still lacks, per joint."""
+    rows = []
+    for r in torques:
+        part = share(r.share_of_spring) if math.isfinite(r.share_of_spring) else ""
+        band = f"{plain(r.low, 2)} to {plain(r.high, 2)} {r.unit}"
+        rows.append([r.joint, f"{plain(r.rms, 2)} {r.unit}", band, part])
+    return Table(["joint", "rms", "95 % band", "share of the spring's torque"], rows)
+
+
+# -- for a paper -----------------------------------------------------------------------------
+
+
+def latex(found: Diagnosis) -> str:
+    """Two tables: the models on the way, and the candidates that are worth a line."""
+    return f"{_models_latex(found)}\n{_candidates_latex(found).removeprefix(tex.NEEDS).lstrip()}"
+
+
+def _models_latex(found: Diagnosis) -> str:
+    joints, held = found.fit.joints, _held(found) is not None
+    units = found.fit.experiment.units or ("",) * len(joints)
+    scales = [
+        prefixed(name, float(min(r.fit.rmse[j] for r in found.ladder)))
+        for j, name in enumerate(units)
     ]
-    return {
-        "name": model_name(step),
-        "errors": dict(zip(fit.joints, errors, strict=True)),
-        "chi2": plain(fit.reduced_chi2),
-        "log_evidence": nats(step.log_evidence),
-    }
+    above, below, rules = [""], ["Model"], []
+    for joint, (_, short) in zip(joints, scales, strict=True):
+        words = f"{tex.escaped(joint)} ({tex.unit(short)})"
+        if held:
+            rules.append(rf"\cmidrule(lr){{{len(below) + 1}-{len(below) + 2}}}")
+            above.append(rf"\multicolumn{{2}}{{c}}{{{words}}}")
+            below += ["fitted", HELD_OUT]
+        else:
+            below.append(words)
+    rows = []
+    for step in found.ladder:
+        sizes = [step.fit.rmse, _held_out(step)][: 1 + held]
+        cells = [
+            tex.scientific(plain(float(rmse[j] / factor)))
+            for j, (factor, _) in enumerate(scales)
+            for rmse in sizes
+        ]
+        chi2 = tex.scientific(plain(step.fit.reduced_chi2))
+        rows.append([tex.escaped(model_name(step, comma=True)), *cells, chi2])
+    over = f"{' & '.join([*above, ''])} \\\\\n{' '.join(rules)}\n" if held else ""
+    return tabular("l" + "r" * len(below), [*below, r"Reduced $\chi^2$"], [rows], over)
 
 
-def _family(family: Family, joints: Sequence[str]) -> dict[str, str]:
-    members = [f"{lower(title(x))} {percent(p)}" for x, p in family.members]
-    return {
-        "name": upper(placed(family.name, family.place, joints)),
-        "probability": percent(family.probability),
-        "members": ", ".join(members),
-    }
+def _candidates_latex(found: Diagnosis) -> str:
+    head = ["Effect", "Probability", r"$\Delta\log$ evidence", "Value", "Unit"]
+    rows = []
+    for c in worth_showing(found):
+        sure = tex.escaped(percent(c.probability)).replace("<", "$<$").replace(">", "$>$")
+        name = tex.escaped(at_place(c.effect, found.fit.joints, comma=True))
+        first = [name, sure, f"${nats(c.log_evidence)}$"]
+        if not c.parameters:
+            rows.append([*first, "--", ""])
+        for i, (name, v) in enumerate(c.parameters.items()):
+            own = f"{tex.escaped(own_name(name))} " if len(c.parameters) > 1 else ""
+            begin = first if i == 0 else ["", "", ""]
+            rows.append([*begin, own + tex.measured(v.value, v.std), tex.unit(v.unit)])
+    return tabular("lrrrl", head, [rows])
 
 
-def _candidate(candidate: Candidate, found: Diagnosis) -> dict[str, Any]:
-    return {
-        "effect": candidate.effect,
-        "title": at_place(candidate.effect, found.fit.joints),
-        "accepted": candidate.effect in found.added,
-        "probability": percent(candidate.probability),
-        "log_evidence": nats(candidate.log_evidence)
-        + ("" if candidate.iterated else " (first order)"),
-        "numbers": [
-            (name.rpartition(".")[2], value_words(value).replace("+/-", "±"))
-            for name, value in candidate.parameters.items()
-        ],
-    }
+def csv(found: Diagnosis) -> str:
+    """One line for each number: which table and which line of it, name, value, std, unit."""
+    rows: list[tuple[object, ...]] = []
+    units = found.fit.experiment.units or ("",) * len(found.fit.joints)
+    for step in found.ladder:
+        own = "ladder", base_name(step.fit) if step.added is None else f"+ {step.added}"
+        for name, joint, x, u in residuals(step.fit):
+            if name != "check_rmse":
+                rows.append((*own, f"{name}:{joint}", x, None, u))
+        if step.held_out is not None:
+            for joint, x, u in zip(found.fit.joints, _held_out(step), units, strict=True):
+                rows.append((*own, f"check_rmse:{joint}", x, None, u))
+        rows.append((*own, "reduced_chi2", step.fit.reduced_chi2, None, "1"))
+        rows.append((*own, "log_evidence", step.log_evidence, None, "1"))
+    for c in found.candidates:
+        own = "candidate", c.effect
+        rows.append((*own, "probability", c.probability, None, "1"))
+        rows.append((*own, "log_evidence", c.log_evidence, None, "1"))
+        rows += [(*own, name, v.value, v.std, v.unit) for name, v in c.parameters.items()]
+    return separated(("table", "model", "name", "value", "std", "unit"), rows)
+
+
+def _held_out(step: ModelState) -> np.ndarray:
+    held = step.held_out
+    return np.full(len(step.fit.joints), np.nan) if held is None else held.held_out.rmse

@@ -1,86 +1,453 @@
-"""What the page says of one fit."""
+"""All that is said of one fit: in a terminal, on a page, in tables for a paper, as warnings.
+
+The unit of errors is the noise of one reading. A model that leaves as much as the noise has
+explained all that the recording can show; one that leaves ten times as much has not, however well
+the curves seem to lie on each other.
+"""
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
 
-from ..fitting.result import Fit
+import numpy as np
+
+from ..fitting.integration import TENTH
+from ..fitting.result import NEGATIVE, STRONG, STRUCTURE, Fit, Mode, RecordingFit
+from ..recordings.segments import by_recording
 from . import figures as plot
-from . import verdict as _verdict
-from .numbers import plain, ratio, with_error
-from .picture import picture
+from . import latex as tex
+from .layout import Table, filled, section, separated, tabular, warned
+from .names import HELD_OUT, at_place, base_name, listed, lower
+from .numbers import amount, plain, prefixed, share, times, with_error
+
+_OVERSTATED = 0.85
+"""Reduced chi-square below which the noise must have been overstated."""
+_STILL = 2.0
+"""Times the noise: a joint that moves less than this hardly moves."""
+_NAMED = 3
+"""Outliers whose times are given."""
+
+
+# -- the sentences ---------------------------------------------------------------------------
+
+
+class JointError(NamedTuple):
+    """Errors at one joint, rad or m; `check` and `check_noise` None without held-out recordings."""
+
+    joint: str
+    unit: str | None
+    rmse: float
+    noise: float
+    motion: float
+    check: float | None
+    check_noise: float | None
+
+    @property
+    def ratio(self) -> float:
+        """Error in units of the noise."""
+        return self.rmse / self.noise
+
+    @property
+    def check_ratio(self) -> float | None:
+        """Held-out error in units of the noise."""
+        return None if self.check is None or not self.check_noise else self.check / self.check_noise
+
+    @property
+    def share(self) -> float:
+        """Error as a share of the rms motion."""
+        return self.rmse / self.motion if self.motion > 0 else float("nan")
+
+
+def joint_errors(fit: Fit) -> list[JointError]:
+    """The errors of a fit, joint by joint."""
+    fitted, held = _fitted(fit), [r for r in fit.whole if r.recording.role == "check"]
+    centred = []
+    for r in fitted:
+        angle = np.where(r.used, r.recording.angle, np.nan)
+        centred.append(angle - np.nanmean(angle, axis=0))
+    motion = np.sqrt(np.nanmean(np.concatenate(centred) ** 2, axis=0)).tolist()
+    noise = [None] * len(motion) if not held else _noise(held).tolist()
+    check = [None] * len(motion) if fit.check_rmse is None else fit.check_rmse.tolist()
+    units = fit.experiment.units or (None,) * len(motion)
+    own = fit.rmse.tolist(), _noise(fitted).tolist(), motion, check, noise
+    return [JointError(*row) for row in zip(fit.joints, units, *own, strict=True)]
+
+
+def _fitted(fit: Fit) -> list[RecordingFit]:
+    return [r for r in fit.whole if r.recording.role != "check"]
+
+
+def _noise(fits: Sequence[RecordingFit]) -> np.ndarray:
+    return np.sqrt(np.mean([np.square(f.recording.noise) for f in fits], axis=0))
+
+
+def explained(fit: Fit) -> bool:
+    """Whether what is left is no larger than the noise."""
+    return bool(fit.reduced_chi2 <= STRUCTURE)
+
+
+def verdict(fit: Fit) -> str:
+    """How good the fit is, in a sentence or two."""
+    errors, good = joint_errors(fit), explained(fit)
+    left = []
+    for error in errors:
+        noise, motion = ("", "") if left else (" the noise", " of the motion")
+        words = f"{times(error.ratio)} times{noise} at the {error.joint}"
+        left.append(words if good else f"{words} ({share(error.share)}{motion})")
+    if good:
+        words = f"The model explains the motion down to the noise: it leaves {listed(left)}."
+    else:
+        words = f"The model misses something: it leaves {listed(left)}."
+    ratios = [times(e.check_ratio) for e in errors if e.check_ratio is not None]
+    return words + (f" On the held-out recordings: {listed(ratios)} times." if ratios else "")
+
+
+def chi2_words(chi2: float) -> str:
+    """What a reduced chi-square says."""
+    if not np.isfinite(chi2):
+        return "it could not be computed"
+    if chi2 < _OVERSTATED:
+        return "less is left than the stated noise would leave: the noise is overstated"
+    if chi2 <= STRUCTURE:
+        return "what is left is as large as the noise alone would leave"
+    if chi2 <= 2:
+        return "a little more is left than the noise alone would leave"
+    return "much more is left than the noise alone would leave: something is missing in the model"
+
+
+# -- the warnings ----------------------------------------------------------------------------
+
+
+def warnings(fit: Fit) -> tuple[str, ...]:
+    """What a careful person would want to be told: the recordings' own warnings, then the fit's."""
+    return (
+        *_unphysical(fit),
+        *fit.experiment.warnings,
+        *_open(fit),
+        *_still(fit),
+        *_outliers(fit.recordings),
+        *_signs(fit),
+        *_misfit(fit),
+        *_integration(fit),
+        *_search(fit),
+    )
+
+
+def _unphysical(fit: Fit) -> Iterable[str]:
+    """Said first: whatever else is read from such a fit rests on a base that no arm has."""
+    return (
+        f"{n.name} = {n.value:.3g} +/- {n.std:.2g} {n.unit} is negative beyond its error, which no "
+        "braked arm has: the recordings are not of an arm that rings down, an input is wrong "
+        "(inertia, the order or sign of the angles, their rest), or the model lacks an effect"
+        for n in fit.unphysical
+    )
+
+
+def _open(fit: Fit) -> Iterator[str]:
+    """What the data leave open."""
+    for group in fit.open_groups:
+        members = [fit.numbers[i].name for i in group]
+        if any(m.startswith("inertia_error") for m in members):
+            yield (
+                "inertia and stiffness cannot both be found from free motion: scaling all "
+                "inertias, stiffnesses and dampings alike leaves it unchanged (Eq. 9); these data "
+                f"determine only ratios of {', '.join(members)}: measure the inertias first, "
+                "with a known drive torque"
+            )
+        elif len(members) == 1:
+            yield f"{members[0]} has no effect on these recordings: not determined"
+        else:
+            yield (
+                f"these recordings determine only a combination of {', '.join(members)}: "
+                "changing them together leaves the motion unchanged"
+            )
+
+
+def _still(fit: Fit) -> Iterator[str]:
+    fitted = [r for r in fit.recordings if r.recording.role != "check"]
+    moved = np.max([np.nanstd(r.recording.angle, axis=0) for r in fitted], axis=0)
+    for joint, size, noise in zip(fit.joints, moved, fit.noise, strict=True):
+        if size < _STILL * noise:
+            yield (
+                f"{joint} hardly moves (rms no more than {_STILL:g} times the noise): "
+                "these recordings say little about its numbers, whatever their errors"
+            )
+
+
+def _outliers(recordings: Sequence[RecordingFit]) -> Iterator[str]:
+    for beside in recordings:
+        rows = np.flatnonzero(beside.wild.any(axis=1))
+        if len(rows):
+            at = ", ".join(f"{beside.recording.time[i]:.6g}" for i in rows[:_NAMED])
+            more = f" and {len(rows) - _NAMED} more" if len(rows) > _NAMED else ""
+            count = int(beside.wild.sum())
+            yield (
+                f"{beside.recording.name}: {count} wild reading{'s' * (count > 1)} set aside "
+                f"(at {at} s{more})"
+            )
+
+
+def _signs(fit: Fit) -> Iterator[str]:
+    sure = {n.name for n in fit.unphysical}
+    for n in fit.numbers:
+        if n.sign == "positive" and n.value < 0 and n.determined and n.name not in sure:
+            beyond = -n.value > NEGATIVE * n.std
+            yield f"{n.name} is negative, which physics does not allow" + (
+                ": the model lacks something, or an input is wrong"
+                if beyond
+                else ", but no more than its error: these data cannot tell it from zero"
+            )
+
+
+def _misfit(fit: Fit) -> Iterator[str]:
+    if fit.misses:
+        worst, units = int(np.argmax(fit.rmse / fit.noise)), fit.experiment.units
+        unit = f" {units[worst]}" if units else ""
+        yield (
+            f"the residual at {fit.joints[worst]} is {fit.rmse[worst] / fit.noise[worst]:.3g} "
+            f"times the noise ({fit.noise[worst]:.3g}{unit}): the model misses something, and the "
+            "errors above, which assume white noise, are too small"
+        )
+    elif fit.reduced_chi2 < _OVERSTATED:
+        yield (
+            f"chi-square is {fit.reduced_chi2:.3g}, below what the stated noise allows: "
+            "the noise is overstated, and the errors above are too large"
+        )
+
+
+def _integration(fit: Fit) -> Iterator[str]:
+    if fit.shortened is not None:
+        steps, error = fit.shortened
+        yield (
+            f"the usual {steps} integration steps left an error of {error:.2g} times the noise: "
+            f"the fit went on with {fit.integration_steps}"
+        )
+    if not fit.integration_error > TENTH:
+        return
+    chosen = fit.experiment.integrator
+    if chosen is not None and chosen.adapts:
+        what = "give it smaller tolerances (rtol, atol), or Kvaerno5 where an effect is stiff"
+    elif fit.model.dry or fit.model.follows:
+        what = "a recording that is cut shorter (stop) lets less of it add up"
+    else:
+        what = (
+            "--integrator Tsit5 chooses its steps itself, and Kvaerno5 those of an effect that is "
+            "much faster than the arm"
+        )
+    yield (
+        f"the integration is not exact enough: its error is {fit.integration_error:.2g} of the "
+        f"noise, where a tenth is hardly seen in the numbers; {what}"
+    )
+
+
+def _search(fit: Fit) -> Iterator[str]:
+    if not fit.converged:
+        yield "the fit did not settle: treat the numbers as rough"
+    if fit.starts > 1 and fit.agreeing_starts < max(2, fit.starts // 3):
+        yield (
+            f"only {fit.agreeing_starts} of {fit.starts} starts led here: "
+            "there may be a better minimum; try more starts"
+        )
+    if fit.short_of_minimum is not None:
+        name, errors = fit.short_of_minimum
+        yield (
+            "the search ended short of the least-squares minimum: from here it is about "
+            f"{errors:.2g} standard errors away in {name}, which the errors above do not hold; "
+            "--method levenberg goes there"
+        )
+
+
+# -- in a terminal ---------------------------------------------------------------------------
+
+
+def text(fit: Fit) -> str:
+    """The report, for a terminal of 80 columns."""
+    fitted = [r for r in fit.recordings if r.recording.role != "check"]
+    readings = sum(int(r.used.sum()) for r in fitted)
+    names = ", ".join(r.name for r, _ in by_recording([f.recording for f in fitted]))
+    lines = [
+        *filled(base_name(fit, comma=True), "[[Model]]  "),
+        "[[Fit]]",
+        *filled(f"{names} ({readings} readings)", "    recordings  "),
+        f"    starts      {fit.agreeing_starts} of {fit.starts} agree",
+        *filled(fit.reason, "    stopped     "),
+        f"    chi-square  {fit.reduced_chi2:.4g} per degree of freedom (1: noise alone)",
+    ]
+    for e in joint_errors(fit):
+        line = f"{e.joint}: {e.rmse:.4g} {e.unit or ''}, {e.ratio:.3g} x noise"
+        held = "" if e.check is None else f"; {HELD_OUT}: {e.check:.4g} {e.unit or ''}"
+        lines += filled(line + held, "    rms         ")
+    lines += filled(_integrated(fit), "    integrated  ")
+    lines.append("[[Parameters]]  value +/- standard error (error in %)")
+    for n in fit.numbers:
+        unit = "" if n.unit == "1" else f" {n.unit}"
+        error = f"{n.std:.3g} ({n.percent:.2g} %)" if n.determined else "not determined"
+        lines.append(f"  {n.name:<30}{n.value:11.6g} +/- {error}{unit}")
+    lines += filled(", ".join(f"{n.name} {n.start:.4g}" for n in fit.numbers), "  started from ")
+    if fit.modes:
+        lines.append("[[Modes]]  natural frequency, damping ratio")
+    for i, m in enumerate(fit.modes, 1):
+        frequency = _known(m.frequency_hz, m.frequency_hz_std, 6)
+        damping = _known(m.damping_ratio, m.damping_ratio_std, 4)
+        grows = "  grows: not physical" if m.grows else ""
+        lines.append(f"    {i}  {frequency} Hz   {damping}{grows}")
+    strong = fit.strong_correlations()
+    if strong:
+        lines += section("Correlations", f"beyond {STRONG}")
+        lines += [f"    {a} with {b}: {r:+.3f}" for a, b, r in strong]
+    return "\n".join([*lines, *warned(fit.warnings)])
+
+
+def _known(x: float, std: float, digits: int) -> str:
+    return f"{x:.{digits}g} " + (f"+/- {std:.2g}" if np.isfinite(std) else "(not determined)")
+
+
+def _integrated(fit: Fit) -> str:
+    chosen = fit.experiment.integrator
+    if chosen is None or not chosen.adapts:
+        how = f"{fit.integration_steps} steps" + ("" if chosen is None else f" of {chosen.name}")
+    else:
+        how = f"by {chosen.name}"
+    words = f"{how}; error {fit.integration_error:.2g} of the noise"
+    if fit.integration_checked is not None:
+        words += " ({:.2g} against {})".format(*fit.integration_checked)
+    return words
+
+
+# -- on a page -------------------------------------------------------------------------------
 
 
 def chapter(title: str, fit: Fit) -> dict[str, Any]:
     """All that the template says of one fit."""
-    fitted = [r for r in fit.whole if r.recording.role != "check"]
+    errors, fitted = joint_errors(fit), _fitted(fit)
+    held = [r.recording.name for r in fit.whole if r.recording.role == "check"]
     return {
         "title": title,
         "fit": fit,
         "failing": None,
-        "explained": _verdict.explained(fit),
-        "verdict": _verdict.verdict(fit),
+        "explained": explained(fit),
+        "verdict": verdict(fit),
         "chi2": plain(fit.reduced_chi2, 3),
-        "chi2_words": _verdict.chi2_words(fit.reduced_chi2),
-        "errors": _verdict.joint_errors(fit),
-        "effects": fit.model.effects,
-        "numbers": [_number_row(n) for n in fit.numbers],
-        "modes": [_mode_row(m) for m in fit.modes],
+        "chi2_words": chi2_words(fit.reduced_chi2),
+        "errors": _errors_table(errors, bool(held)),
+        "terms": [(lower(at_place(e.label, fit.joints)), e.equation) for e in fit.model.effects],
+        "numbers": _numbers_table(fit),
+        "modes": _modes_table(fit.modes),
         "motion": [
-            picture(
-                f"{r.recording.name}: measured, model and what is left, against time",
-                plot.overlay(fit, [r]),
-                plot.overlay(fit, [r], narrow=True),
+            (
+                r.recording.name,
+                plot.picture(
+                    f"{r.recording.name}: measured, model and what is left, against time",
+                    plot.overlay,
+                    fit,
+                    [r],
+                ),
             )
             for r in fit.whole
         ],
-        "spectrum": picture(
+        "spectrum": plot.picture(
             "Amplitude spectra of the motion and of what is left, with the modes marked",
-            plot.spectrum(fit),
-            plot.spectrum(fit, narrow=True),
+            plot.spectrum,
+            fit,
         ),
-        "recordings": [r.recording.name for r in fit.whole],
         "correlations": fit.strong_correlations(),
         "readings": sum(int(r.used.sum()) for r in fitted),
         "fitted": [r.recording.name for r in fitted],
-        "held_out": [r.recording.name for r in fit.whole if r.recording.role == "check"],
+        "held_out": held,
     }
 
 
-def _number_row(number: Any) -> dict[str, str]:
-    value, std = with_error(number.value, number.std)
-    return {
-        "name": number.name,
-        "words": number.words,
-        "value": value,
-        "std": std if number.determined else "not determined",
-        "percent": f"{plain(number.percent, 2)} %" if math.isfinite(number.percent) else "",
-        "start": plain(number.start, 3),
-        "unit": number.unit,
-    }
+def _errors_table(errors: Sequence[JointError], held: bool) -> Table:
+    head = ["joint", "error (rms)", "noise of a reading", "error / noise", "error / motion"]
+    rows = []
+    for e in errors:
+        row = [e.joint, amount(e.rmse, e.unit), amount(e.noise, e.unit)]
+        row += [plain(e.ratio), share(e.share)]
+        if held and e.check is not None and e.check_ratio is not None:
+            row += [amount(e.check, e.unit), plain(e.check_ratio)]
+        rows.append(row)
+    return Table([*head, "held-out error", "held-out / noise"] if held else head, rows)
 
 
-def _mode_row(mode: Any) -> dict[str, Any]:
-    frequency, frequency_std = with_error(mode.frequency_hz, mode.frequency_hz_std)
-    ratio, ratio_std = with_error(100 * mode.damping_ratio, 100 * mode.damping_ratio_std)
-    return {
-        "frequency": frequency,
-        "frequency_std": frequency_std,
-        "ratio": ratio,
-        "ratio_std": ratio_std,
-        "grows": mode.grows,
-        "period": plain(1 / mode.frequency_hz, 3) if mode.frequency_hz > 0 else "",
-    }
+def _numbers_table(fit: Fit) -> Table:
+    head = ["number", "value", "standard error", "error in %", "start", "unit", "meaning"]
+    rows = []
+    for n in fit.numbers:
+        value, std = with_error(n.value, n.std)
+        off = f"{plain(n.percent, 2)} %" if math.isfinite(n.percent) else ""
+        error = std if n.determined else "not determined"
+        unit = "" if n.unit == "1" else n.unit
+        rows.append([n.name, value, error, off, plain(n.start, 3), unit, n.words])
+    return Table(head, rows, left=(0, 5, 6))
+
+
+def _modes_table(modes: Sequence[Mode]) -> Table:
+    head = ["", "frequency (Hz)", "standard error (Hz)", "period (s)", "damping ratio (%)"]
+    rows = []
+    for i, m in enumerate(modes, 1):
+        name = f"mode {i}" + (" (grows: not physical)" if m.grows else "")
+        period = plain(1 / m.frequency_hz, 3) if m.frequency_hz > 0 else ""
+        damping = with_error(100 * m.damping_ratio, 100 * m.damping_ratio_std)
+        rows.append([name, *with_error(m.frequency_hz, m.frequency_hz_std), period, *damping])
+    return Table([*head, "standard error (%)"], rows)
 
 
 def fall(fits: Sequence[tuple[str, Fit]]) -> str:
     """From the first model to the last, where the first one is worst."""
     (_, first), (_, last) = fits[0], fits[-1]
-    before, after = _verdict.joint_errors(first), _verdict.joint_errors(last)
+    before, after = joint_errors(first), joint_errors(last)
     worst = max(range(len(before)), key=lambda i: before[i].ratio)
+    new = [x for x in last.model.labels if x not in first.model.labels]
+    added = [lower(at_place(x, last.joints)) for x in new]
     a, b = before[worst], after[worst]
-    added = [label for label in last.model.labels if label not in first.model.labels]
-    fall = f"from {ratio(a.ratio)} times the noise to {ratio(b.ratio)} times"
-    if not added:
-        return f"The error at the {a.joint} goes {fall}."
-    return f"With {' and '.join(added)}, the error at the {a.joint} goes {fall}."
+    words = f"the error at the {a.joint} goes from {times(a.ratio)} times the noise to "
+    return f"With {listed(added) if added else 'the last'}, {words}{times(b.ratio)} times."
+
+
+# -- for a paper -----------------------------------------------------------------------------
+
+
+def latex(fit: Fit) -> str:
+    """Numbers with errors, modes, residuals."""
+    rows = []
+    for n in fit.numbers:
+        error = tex.measured(n.value, n.std) if n.determined else "not determined"
+        where = lower(at_place(n.name.rpartition(".")[0], fit.joints, comma=True))
+        rows.append([tex.escaped(where), tex.escaped(n.words), error, tex.unit(n.unit)])
+    modes = []
+    for i, m in enumerate(fit.modes, 1):
+        frequency = tex.measured(m.frequency_hz, m.frequency_hz_std)
+        damping = tex.measured(m.damping_ratio, m.damping_ratio_std)
+        modes.append([f"mode {i}", "natural frequency", frequency, "Hz"])
+        modes.append([f"mode {i}", "damping ratio", damping, "1"])
+    left = []
+    for name, what in (("rmse", "rms residual"), ("check_rmse", f"rms residual, {HELD_OUT}")):
+        for _, joint, size, own in (row for row in residuals(fit) if row[0] == name):
+            factor, short = prefixed(own, size)
+            value = tex.scientific(plain(size / factor))
+            left.append([tex.escaped(joint), what, value, tex.unit(short)])
+    left.append(["all", r"reduced $\chi^2$", tex.scientific(plain(fit.reduced_chi2)), "1"])
+    return tabular("llrl", ["Where", "Quantity", "Value", "Unit"], [rows, modes, left])
+
+
+def csv(fit: Fit) -> str:
+    """One line for each number: name, value, std, unit."""
+    rows: list[Sequence[object]] = [(n.name, n.value, n.std, n.unit) for n in fit.numbers]
+    for i, m in enumerate(fit.modes, 1):
+        rows.append((f"mode{i}.frequency", m.frequency_hz, m.frequency_hz_std, "Hz"))
+        rows.append((f"mode{i}.damping_ratio", m.damping_ratio, m.damping_ratio_std, "1"))
+    rows += [(f"{name}:{joint}", x, None, unit) for name, joint, x, unit in residuals(fit)]
+    rows.append(("reduced_chi2", fit.reduced_chi2, None, "1"))
+    return separated(("name", "value", "std", "unit"), rows)
+
+
+def residuals(fit: Fit) -> list[tuple[str, str, float, str]]:
+    """(name, joint, value, unit) of every rms residual, and of the noise."""
+    units = fit.experiment.units or ("",) * len(fit.joints)
+    each = [("rmse", fit.rmse), ("check_rmse", fit.check_rmse), ("noise", fit.noise)]
+    return [
+        (name, joint, float(x), u)
+        for name, sizes in each
+        if sizes is not None
+        for joint, u, x in zip(fit.joints, units, sizes, strict=True)
+    ]

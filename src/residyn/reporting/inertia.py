@@ -1,82 +1,250 @@
-"""Step 1 as one page."""
+"""All that is said of step 1: tests, inertias with errors, the `[arm]` table, the page."""
 
-import os
+from collections.abc import Iterable, Sequence
+from typing import Any
 
-from ..procedure import InertiaResult
-from ..procedure.printed import apart_words
-from ..procedure.result import NAMES, UNITS, Number, TestResult
+import numpy as np
+from scipy.special import chdtrc
+
+from ..errors import InputError
+from ..procedure.carried import NAMES
+from ..procedure.result import FRICTION_UNITS, UNITS, InertiaResult, Number, TestResult
+from ..procedure.weak import CALIBRATED
+from ..recordings.tables import ArmTable, check_bearings
 from . import figures as plot
-from .numbers import plain, ratio, with_error
-from .picture import picture
-from .template import filled, written
-from .words import listed, unbroken
+from .layout import Table, filled, printed, section, warned
+from .names import listed, unbroken
+from .numbers import measured, plain, times, with_error
+
+_CLOSE = 20.0
+"""Times the least error of coupling (Eq. 16) from which elbow angles are too close."""
+_COARSE = 0.1
+"""Relative error beyond which a number is said to be poor."""
+_STRUCTURE = 1.2
+"""Reduced chi-square of a test beyond which the equation lacks something."""
+_OVERSTATED = 0.5
+"""And below which its noise must have been."""
+_FRICTION = ("Coulomb friction", "viscous friction", "offset")
+_SURE = 3.0
+"""Standard errors that make a difference more than chance."""
 
 
-def write_inertia(path: str | os.PathLike[str], found: InertiaResult, title: str) -> None:
-    """Write step 1 as one self-contained page.
-
-    **Raises:** `InputError` if the file cannot be written.
-    """
-    written(path, render_inertia(found, title))
+# -- the warnings ----------------------------------------------------------------------------
 
 
-def render_inertia(found: InertiaResult, title: str) -> str:
-    """The page as text."""
-    numbers = found.shoulder, found.elbow, found.coupling
-    return filled(
-        "inertia.html.j2",
-        title=title,
-        found=found,
-        verdict=unbroken(_verdict(found)),
-        rows=[
-            (
-                name,
-                _words(number),
-                plain(100 * number.std / abs(number.value), 2),
-                unit,
-                plain(x, 5),
-            )
-            for name, number, unit, x in zip(
-                NAMES, numbers, UNITS, found.least_squares, strict=True
-            )
-        ],
-        tests=[_test(t, found.experiment.joints) for t in found.tests],
-        apart=apart_words(found),
-        picture=picture(
-            "Inertia about the shoulder against the cosine of the elbow angle",
-            plot.composite_inertia(found),
-            plot.composite_inertia(found, narrow=True),
-        ),
-        chi2=None if found.reduced_chi2 is None else plain(found.reduced_chi2, 3),
+def warnings(result: InertiaResult) -> tuple[str, ...]:
+    """All warnings of step 1: the recordings' own, then the result's."""
+    return (
+        *(w for t in result.tests for w in (*_recording(t), *t.test.warnings)),
+        *(line for t in result.tests for line in _doubts(t)),
+        *_close(result),
+        *_contradiction(result),
+        *_bearings(result),
+        *at_odds(result),
     )
+
+
+def _recording(test: TestResult) -> Iterable[str]:
+    """A braked joint may well stand still: that is no doubt here."""
+    still = f"q{2 - test.test.joint} never moves"
+    return (w for w in test.test.recording.warnings if still not in w)
+
+
+def _doubts(test: TestResult) -> Iterable[str]:
+    left = times(float(np.sqrt(test.solved.chi2)))
+    if test.solved.chi2 > _STRUCTURE and test.solved.enlarged:
+        yield (
+            f"{test.name}: {left} times the noise is left: friction is more than Coulomb "
+            "and viscous, something else turned the joint, or the noise is not white (the steps of "
+            "an encoder are not); the errors allow for it as if it were chance"
+        )
+    elif test.solved.chi2 < _OVERSTATED:
+        yield (
+            f"{test.name}: only {left} times the noise is left: noise is overstated, and "
+            "the errors are too large"
+        )
+    elif test.solved.enlarged:
+        yield f"{test.name}: what is left is not white noise; the errors were enlarged for it"
+    for name, number in zip(_FRICTION[:2], test.friction.values(), strict=False):
+        if number and number.value < -_SURE * number.std:
+            yield (
+                f"{test.name}: {name} is negative, which adds energy: is the torque's sign the "
+                "angle's?"
+            )
+
+
+def _close(result: InertiaResult) -> Iterable[str]:
+    apart = result.separation
+    if apart.excess > _CLOSE:
+        yield (
+            f"the elbow angles are close (Eq. 16): the error of coupling is {times(apart.excess)} "
+            "times what 0 and pi would give; record one more test with the shoulder driven, the "
+            "elbow turned further"
+        )
+    for name, value, std in zip(NAMES, result.values, result.std, strict=True):
+        if std > _COARSE * abs(value):
+            yield f"{name} is known to no better than {plain(100 * std / abs(value), 2)} %"
+
+
+def _contradiction(result: InertiaResult) -> Iterable[str]:
+    chi2, free = result.reduced_chi2, len(result.tests) - 3
+    if chi2 is not None and chdtrc(free, free * chi2) < CALIBRATED:
+        yield (
+            f"the tests disagree, by {times(float(np.sqrt(chi2)))} times their errors: is every "
+            "theta2 right, and did nothing change between them? the errors were enlarged for it"
+        )
+
+
+def _bearings(result: InertiaResult) -> Iterable[str]:
+    bearings = result.experiment.bearings
+    if not bearings or result.problem:
+        return
+    try:
+        table = ArmTable(result.link_lengths, *(float(x) for x in result.values))
+        check_bearings(table, bearings)
+    except InputError as error:
+        yield str(error)
+
+
+def at_odds(result: InertiaResult) -> Iterable[str]:
+    """Inertias that the experiment has already, where they differ."""
+    for name, value, std in zip(NAMES, result.values, result.std, strict=True):
+        given = getattr(result.experiment.inertia, name)
+        if given is not None and abs(given - value) > _SURE * std:
+            yield (
+                f"[arm] has {name} = {given:g}; these tests say {plain(value, 5)}, "
+                f"{times(abs(given - value) / std)} standard errors away"
+            )
+
+
+# -- in a terminal ---------------------------------------------------------------------------
+
+
+def text(result: InertiaResult) -> str:
+    """Everything but the `[arm]` table, in 80 columns."""
+    note = "value +/- standard error [the paper's least squares, Eq. 12, 13]"
+    lines = section("Tests", note)
+    for test in result.tests:
+        lines += _test(test, result.experiment.joints)
+    lines += section("Eq. 16", "are the elbow angles far enough apart?")
+    lines += filled(apart_words(result), "    ")
+    lines.append("[[Inertia]]  value +/- standard error (error in %) [the paper's, Eq. 12 to 15]")
+    rows = [
+        [name, f"{measured(*number, unit)} ({_percent(number)} %)", f"[{plain(x, 5)}]"]
+        for name, number, unit, x in _inertias(result)
+    ]
+    lines += printed(Table(["", "", ""], rows, left=(0, 1)))
+    if result.reduced_chi2 is not None:
+        lines += filled(_agreement(result), "    ")
+    return "\n".join([*lines, *warned(result.warnings)])
+
+
+def _inertias(result: InertiaResult) -> Iterable[tuple[str, Number, str, float]]:
+    numbers = result.shoulder, result.elbow, result.coupling
+    return zip(NAMES, numbers, UNITS, result.least_squares.tolist(), strict=True)
+
+
+def _percent(number: Number) -> str:
+    return plain(100 * number.std / abs(number.value), 2) if number.value else "?"
+
+
+def _agreement(result: InertiaResult) -> str:
+    return (
+        f"{len(result.tests)} tests for three unknowns: chi-square "
+        f"{plain(result.reduced_chi2 or 0.0, 3)} per degree of freedom (1: they agree within "
+        "errors)"
+    )
+
+
+def toml(result: InertiaResult) -> str:
+    """The `[arm]` table, as the other commands read it; errors as comments."""
+    l1, l2 = result.link_lengths
+    lines = ["[arm]", f"link_lengths = [{l1!r}, {l2!r}]  # m"]
+    for name, number, unit, _ in _inertias(result):
+        found, error = with_error(*number)
+        lines.append(f"{name} = {found}  # +/- {error} {unit}")
+    return "\n".join(lines) + "\n"
+
+
+def _test(test: TestResult, joints: tuple[str, ...]) -> list[str]:
+    pose = "" if test.test.joint else f", elbow at {_theta2(test)} rad"
+    lines = filled(f"{test.name}: {joints[test.test.joint]} driven{pose}", "  ")
+    rows = []
+    names = ("composite inertia", *_FRICTION)
+    numbers = (test.inertia, *test.friction.values())
+    ordinary = (*test.least_squares, None)
+    for each in zip(names, ("kg m^2", *FRICTION_UNITS), numbers, ordinary, strict=True):
+        name, unit, number, paper = each
+        if number is None:
+            rows.append([name, "not told apart: it slid one way only", ""])
+        else:
+            beside = f"[{plain(paper.value, 4)}]" if paper else ""
+            rows.append([name, measured(*number, unit), beside])
+    noise = plain(test.test.torque_noise, 2)
+    left = times(float(np.sqrt(test.solved.chi2)))
+    lines += printed(Table(["", "", ""], rows, left=(0, 1)))
+    return [
+        *lines,
+        f"    torque             noise {noise} N m; what is left is {left} times the noise",
+    ]
+
+
+def _theta2(test: TestResult) -> str:
+    return f"{round(test.test.theta2, 4) + 0.0:.4f}"
+
+
+def apart_words(result: InertiaResult) -> str:
+    """Whether the elbow angles are far enough apart (Eq. 16)."""
+    apart = result.separation
+    verdict = "yes" if apart.excess < 4 else "barely" if apart.excess < _CLOSE else "hardly"
+    cosines = ", ".join(f"{c:.3f}" for c in apart.cosines)
+    return (
+        f"{verdict}: cosines {cosines} differ by {apart.span:.3g} (2 at most): 1 % of error "
+        f"in the composite inertias is {plain(apart.amplification, 2)} % in coupling. Elbow angles "
+        f"of 0 and pi would make it {times(apart.excess)} times smaller."
+    )
+
+
+# -- on a page -------------------------------------------------------------------------------
+
+
+def page(found: InertiaResult) -> dict[str, Any]:
+    """All that the template says of it."""
+    rows = [
+        [name, _pm(number), _percent(number), plain(x, 5), unit]
+        for name, number, unit, x in _inertias(found)
+    ]
+    head = ["inertia", "value ± standard error", "error in %", "by least squares (Eq. 12 to 15)"]
+    line = "Inertia about the shoulder against the cosine of the elbow angle"
+    return {
+        "found": found,
+        "verdict": unbroken(_verdict(found)),
+        "inertias": Table([*head, "unit"], rows, left=(0, 4)),
+        "tests": _tests_table(found.tests, found.experiment.joints),
+        "apart": apart_words(found),
+        "picture": plot.picture(line, plot.composite_inertia, found),
+        "agreement": "" if found.reduced_chi2 is None else _agreement(found),
+    }
 
 
 def _verdict(found: InertiaResult) -> str:
     if found.problem is not None:
         return f"Not physical: {found.problem}."
-    numbers = found.shoulder, found.elbow, found.coupling
-    each = [
-        f"{name} {_words(number)} {unit}"
-        for name, number, unit in zip(NAMES, numbers, UNITS, strict=True)
-    ]
+    each = [f"{name} {_pm(number)} {unit}" for name, number, unit, _ in _inertias(found)]
     return f"The arm on its bearings: {listed(each)}."
 
 
-def _words(number: Number) -> str:
-    value, std = with_error(*number)
-    return unbroken(f"{value} +/- {std}")
+def _pm(number: Number) -> str:
+    return unbroken(" +/- ".join(with_error(*number)))
 
 
-def _test(test: TestResult, joints: tuple[str, ...]) -> dict[str, str]:
-    friction = {
-        name: "not told apart" if number is None else _words(number)
-        for name, number in test.friction.items()
-    }
-    return {
-        "name": test.name,
-        "joint": joints[test.test.joint],
-        "theta2": "" if test.test.joint else f"{round(test.test.theta2, 4) + 0.0:.4f}",
-        "inertia": _words(test.inertia),
-        "left": ratio(test.solved.chi2**0.5),
-        **friction,
-    }
+def _tests_table(tests: Sequence[TestResult], joints: tuple[str, ...]) -> Table:
+    rows = []
+    for t in tests:
+        friction = ["not told apart" if n is None else _pm(n) for n in t.friction.values()][:2]
+        at = "" if t.test.joint else _theta2(t)
+        left = times(t.solved.chi2**0.5)
+        rows.append([t.name, joints[t.test.joint], at, _pm(t.inertia), *friction, left])
+    head = ["recording", "driven", "elbow at (rad)", "composite inertia (kg m²)"]
+    head += ["Coulomb friction (N m)", "viscous friction (N m s/rad)", "left / noise"]
+    return Table(head, rows, left=(0, 1))

@@ -1,4 +1,8 @@
-"""Numbers as people read them: with a unit of a fitting size, and no more digits than are known."""
+"""Numbers as people read them: a unit of a fitting size, and no more digits than are known.
+
+`measured` is the one place where a value meets its standard error in text; `latex.measured` is the
+same for a paper.
+"""
 
 import math
 
@@ -7,6 +11,7 @@ _PREFIXES = {
     "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm")),
     "": ((1.0, ""), (1e-3, "×10⁻³"), (1e-6, "×10⁻⁶")),  # a joint whose unit is not known
 }
+_CERTAIN = 0.995
 
 
 def prefixed(unit: str | None, size: float) -> tuple[float, str]:
@@ -50,6 +55,47 @@ def with_error(value: float, std: float) -> tuple[str, str]:
     return f"{value:.{max(0, -last)}f}", f"{std:.{max(0, -last)}f}"
 
 
-def ratio(value: float) -> str:
+def measured(value: float, std: float, unit: str = "1") -> str:
+    """ "0.2003 +/- 0.0012 N m"; without the error where it is not known."""
+    after = "" if unit in ("1", "") else f" {unit}"
+    if not math.isfinite(std):
+        return f"{plain(value, 4)}{after}"
+    return f"{' +/- '.join(with_error(value, std))}{after}"
+
+
+def times(value: float) -> str:
     """How many times, to two digits: 0.98 reads "1.0", as the third digit says nothing."""
+    if value >= 1e4:
+        return f"{value:.1e}"
     return plain(value, 2) if not 0.1 <= value < 9.95 else f"{value:.1f}"
+
+
+def percent(probability: float) -> str:
+    """A probability: never 100 %, as nothing measured is certain."""
+    if not math.isfinite(probability):
+        return "?"
+    if probability > _CERTAIN:
+        return "> 99 %"
+    return "< 1 %" if probability < 1 - _CERTAIN else f"{100 * probability:.0f} %"
+
+
+def share(part: float) -> str:
+    """A share as per cent: "3.1 %", "< 0.01 %"."""
+    if not math.isfinite(part):
+        return "?"
+    return "< 0.01 %" if 0 < part < 1e-4 else f"{plain(100 * part, 2)} %"
+
+
+def nats(log_evidence: float) -> str:
+    """A log evidence relative to the best model's."""
+    if not math.isfinite(log_evidence):
+        return "-"
+    if abs(log_evidence) < 0.05:
+        return "0"
+    return f"{log_evidence:.1f}" if abs(log_evidence) < 99.95 else f"{log_evidence:.0f}"
+
+
+def p_value(p: float, threshold: float) -> str:
+    """A p-value beside the threshold that it is compared with."""
+    size = "p < 1e-12" if p < 1e-12 else f"p = {p:.1g}" if p < 0.095 else f"p = {p:.2f}"
+    return f"{size}, threshold {threshold:g}"

@@ -1,58 +1,61 @@
-"""Step 3 over all models in play, in lines of 80 columns."""
+"""What is said of step 3 over all models in play: their probabilities, bands, and what to do."""
 
-import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
-from .diagnosis_text import wrapped
-from .numbers import plain, with_error
+from ..procedure.over_models import OverModels, Spread
+from .layout import Table, filled, printed
+from .names import upper
+from .numbers import percent, plain, with_error
 from .plan import motion_words, named, setting_words
-from .words import percent
-
-if TYPE_CHECKING:
-    from ..procedure.over_models import OverModels, Spread
 
 _NAMES = {"frequency_hz": ("frequency", "Hz"), "damping_ratio": ("damping ratio", "")}
 
 
-def over_lines(found: "OverModels", joints: tuple[str, ...]) -> list[str]:
-    """Models, modes without bearings with their bands, and the test that would narrow them."""
-    out = ["[[In orbit, over all models]]"]
-    for m in found.models:
-        name = named(m.added, joints)
-        words = name if len(name) <= 68 else f"{name[:65]}..."
-        out.append(f"    {percent(m.probability):>6}  {words}")
+def over_lines(found: OverModels, joints: Sequence[str]) -> list[str]:
+    """In 80 columns."""
+    out = ["[[In orbit, over all models]]", *printed(models_table(found, joints))]
+    for theta2, table in modes_tables(found):
+        out += [f"[[Modes over all models]]  elbow at {theta2} rad", *printed(table)]
+    return [*out, *filled(narrowing_words(found), "    ")]
+
+
+def models_table(found: OverModels, joints: Sequence[str]) -> Table:
+    """The models in play."""
+    rows = [[named(m.added, joints), percent(m.probability)] for m in found.models]
+    return Table(["model", "probability"], rows)
+
+
+def modes_tables(found: OverModels) -> list[tuple[str, Table]]:
+    """Of each elbow angle, the modes without bearings, and what their uncertainty comes from."""
+    tables = []
     for theta2, modes in found.poses:
-        out.append(
-            f"    elbow at {plain(theta2, 4)} rad{'95 % band':>31}"
-            f"{'from name':>11}{'numbers':>9}{'inertias':>9}"
-        )
+        rows = []
         for i, mode in enumerate(modes, 1):
             for key, (words, unit) in _NAMES.items():
-                head = f"{i}" if key == "frequency_hz" else ""
-                out.append(_row(head, words, unit, getattr(mode, key)))
+                x: Spread = getattr(mode, key)
+                low, high = (with_error(v, x.std)[0] for v in (x.low, x.high))
+                shares = (x.from_name, x.from_numbers, x.from_inertias)
+                band = f"{low} to {high} {unit}".rstrip()
+                rows.append([f"{i} {words}", band, *map(percent, shares)])
             if mode.rings < 0.995:
-                out.append(f"       rings with {percent(mode.rings)}")
+                rows.append([f"{i} rings with", percent(mode.rings), "", "", ""])
+        head = ["mode", "95 % band", "from name", "numbers", "inertias"]
+        tables.append((plain(theta2, 4), Table(head, rows)))
+    return tables
+
+
+def narrowing_words(found: OverModels) -> str:
+    """What is known worst of the lowest mode, and the test that would narrow it most; empty if none
+    was sought."""
     test = found.next_test
-    if test is not None and test.band is not None and found.narrows is not None:
-        spread: Spread = getattr(found.poses[0][1][0], found.narrows)
-        what, unit = _NAMES[found.narrows]
-        setting = setting_words(test)
-        out += wrapped(
-            "    ",
-            f"The {what} of mode 1 is what is known worst: +/- {plain(1.96 * spread.std, 2)} {unit}"
-            f" (95 %). {motion_words(test).capitalize()}{f' ({setting})' if setting else ''}, and "
-            f"record {plain(test.duration, 2)} s: that is expected to narrow it to +/- "
-            f"{plain(test.band, 2)} {unit}".rstrip()
-            + ".",
-        )
-    return out
-
-
-def _row(head: str, words: str, unit: str, x: "Spread") -> str:
-    low, high = (with_error(v, x.std)[0] if math.isfinite(v) else "?" for v in (x.low, x.high))
-    shares = "".join(
-        f"{percent(share):>{width}}"
-        for share, width in ((x.from_name, 11), (x.from_numbers, 9), (x.from_inertias, 9))
+    if test is None or test.band is None or found.narrows is None:
+        return ""
+    spread: Spread = getattr(found.poses[0][1][0], found.narrows)
+    what, unit = _NAMES[found.narrows]
+    now, then = (f"+/- {plain(x, 2)} {unit}".rstrip() for x in (1.96 * spread.std, test.band))
+    setting = setting_words(test)
+    return (
+        f"The {what} of mode 1 is what is known worst: {now} (95 %). {upper(motion_words(test))}"
+        f"{f' ({setting})' if setting else ''}, and record {plain(test.duration, 2)} s: that is "
+        f"expected to narrow it to {then}."
     )
-    band = f"{low} to {high} {unit}".rstrip()
-    return f"    {head:<2} {words:<14}{band:>30}{shares}"

@@ -1,14 +1,11 @@
 """The next tests in words and lines that a technician can follow, in 80 columns."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
 
-from .diagnosis_text import wrapped
-from .numbers import amount, plain, with_error
-from .words import PLAIN, at_place, listed, lower, percent, unbroken, upper
-
-if TYPE_CHECKING:
-    from ..diagnosis.planned import Plan, Test
+from ..diagnosis.planned import Plan, Test
+from .layout import Table, filled, printed
+from .names import PLAIN, at_place, listed, lower, upper
+from .numbers import amount, measured, percent, plain
 
 
 def named(added: Sequence[str], joints: Sequence[str]) -> str:
@@ -18,7 +15,7 @@ def named(added: Sequence[str], joints: Sequence[str]) -> str:
     return listed([lower(at_place(x, joints)) for x in added])
 
 
-def motion_words(test: "Test") -> str:
+def motion_words(test: Test) -> str:
     """ "release the shoulder at 0.30 rad and the elbow at 0 rad, from rest"."""
     if test.drive is not None:
         d = test.drive
@@ -34,7 +31,7 @@ def motion_words(test: "Test") -> str:
     return f"release {listed(angles)}, from rest"
 
 
-def setting_words(test: "Test") -> str:
+def setting_words(test: Test) -> str:
     """ "elbow at 0.5 rad, on the air bearings"; empty where there is nothing to set."""
     words = []
     if test.theta2 is not None:
@@ -48,7 +45,7 @@ def setting_words(test: "Test") -> str:
     return ", ".join(words)
 
 
-def test_words(test: "Test") -> str:
+def sentence(test: Test) -> str:
     """One test, and what it is expected to tell."""
     joints = tuple(test.release)
     one, other = (named(x, joints) if x else "nothing" for x in test.between)
@@ -68,72 +65,64 @@ def test_words(test: "Test") -> str:
     )
 
 
-def reading_words(value: float, std: float, unit: str) -> str:
-    """A reading with its standard error: "0.121 +/- 0.004 rad"."""
-    number, error = with_error(value, std)
-    return f"{number} +/- {error} {unit}".strip()
-
-
-def outcomes(test: "Test") -> dict[str, Any]:
-    """What each outcome of a test would mean, for a page's table."""
+def outcomes(test: Test) -> Table:
+    """What each outcome of a test would mean."""
     joints = tuple(test.release)
     unit = test.units[joints.index(test.joint)]
-    return {
-        "what": f"angle of the {test.joint} at {plain(test.time, 3)} s",
-        "rows": [
-            {
-                "model": upper(named(x.added, joints)),
-                "reading": unbroken(reading_words(x.reading, x.std, unit)),
-                "probability": percent(x.probability),
-            }
-            for x in test.outcomes
-        ],
-    }
+    what = f"angle of the {test.joint} at {plain(test.time, 3)} s"
+    rows = [
+        [upper(named(x.added, joints)), measured(x.reading, x.std, unit), percent(x.probability)]
+        for x in test.outcomes
+    ]
+    return Table(["if the model is", what, "probability then"], rows)
 
 
-def lines(plan: "Plan") -> list[str]:
-    """The whole plan."""
-    out = ["[[Models in play]]"]
-    for m in plan.models:
-        out.append(f"    {percent(m.probability):>6}  {_cut(named(m.added, plan.joints), 68)}")
+def text(found: Plan | Test) -> str:
+    """The whole plan, or one test in a sentence."""
+    return "\n".join(filled(sentence(found)) if isinstance(found, Test) else _plan(found))
+
+
+def _plan(plan: Plan) -> list[str]:
+    rows = [[percent(m.probability), named(m.added, plan.joints)] for m in plan.models]
+    out = ["[[Models in play]]", *printed(Table(["", ""], rows, left=(1,)))]
     if plan.left_out > 0.005:
         out.append(f"    {percent(plan.left_out)} more is shared by models of less than 1 % each")
     if plan.unexplained > 0.5:
-        out += wrapped(
-            "    ",
+        out += filled(
             "None of them is complete: something is left that no effect of the catalogue explains. "
             "No test gives that a name; a test only tells these models apart.",
+            "    ",
         )
     out.append("[[Next tests]]")
     if plan.settled:
         words = "the recordings tell these models apart with odds of more than 20 to 1 already"
-        return [*out, *wrapped("    ", f"Nothing more is needed: {words}.")]
+        return [*out, *filled(f"Nothing more is needed: {words}.", "    ")]
     if not plan.helps:
-        best = plan.tests[0] if plan.tests else None
-        told = "" if best is None else (
-            f" The best is expected to lower the entropy of the models from "
-            f"{plain(plan.entropy, 2)} to {plain(best.entropy, 2)} nats."
-        )  # fmt: skip
         words = f"Nothing would help: none of {plan.tried} tests within limits tells them apart."
-        return [*out, *wrapped("    ", words + told)]
+        if plan.tests:
+            words += (
+                " The best is expected to lower the entropy of the models from "
+                f"{plain(plan.entropy, 2)} to {plain(plan.tests[0].entropy, 2)} nats."
+            )
+        return [*out, *filled(words, "    ")]
     before = plan.entropy
     for i, test in enumerate(plan.tests, 1):
         if not test.helps:
-            out += wrapped("    ", "A further test would hardly tell more.")
+            out += filled("A further test would hardly tell more.", "    ")
             break
-        out += _test(i, test, before, plan.joints)
+        out += _test(i, test, before)
         before = test.entropy
     if len(plan.tests) > 1:
-        out += wrapped(
-            "    ",
+        out += filled(
             "Each test is the best beside those above it. Make the first, add its recording to the "
             "experiment, and plan again.",
+            "    ",
         )
     return out
 
 
-def _test(index: int, test: "Test", before: float, joints: Sequence[str]) -> list[str]:
-    out = line(f"{index:>3}  ", upper(motion_words(test)))
+def _test(index: int, test: Test, before: float) -> list[str]:
+    out = filled(upper(motion_words(test)), f"{index:>3}  ")
     rows = [
         ("set", upper(setting_words(test))),
         ("record", f"{plain(test.duration, 2)} s"),
@@ -146,26 +135,5 @@ def _test(index: int, test: "Test", before: float, joints: Sequence[str]) -> lis
     if test.band is not None:
         rows.append(("narrows", f"the 95 % band to +/- {plain(test.band, 2)}"))
     for head, words in rows:
-        if words:
-            out += line(f"     {head:<8}", words)
-    unit = test.units[list(test.release).index(test.joint)]
-    out.append(
-        f"     outcomes at {plain(test.time, 3)} s, angle of the {test.joint}; probability then"
-    )
-    told = [(reading_words(x.reading, x.std, unit), x) for x in test.outcomes]
-    width = max(len(words) for words, _ in told)
-    for words, x in told:
-        rest = 80 - 7 - width - 2 - 8
-        model = _cut(named(x.added, joints), rest)
-        out.append(f"       {words:<{width}}  {percent(x.probability):>6}  {model}")
-    return out
-
-
-def line(head: str, words: str) -> list[str]:
-    """Words behind a head, wrapped under each other."""
-    first, *rest = wrapped(" " * len(head), words)
-    return [head + first[len(head) :], *rest]
-
-
-def _cut(words: str, most: int) -> str:
-    return words if len(words) <= most else f"{words[: most - 3]}..."
+        out += filled(words, f"     {head:<8}") if words else []
+    return out + printed(outcomes(test), indent=5)

@@ -1,51 +1,115 @@
-"""A race as one page: the table, and curves that can be switched on and off.
+"""All that is said of a race: a table for a terminal, for a paper and for a page."""
 
-The pictures are part of the page and not images in it, so that a style sheet can hide a curve:
-unchecking a method hides whatever carries its mark. The page has no scripts.
-"""
+import math
+from typing import Any
 
-import os
+import numpy as np
 
-from ..fitting.race import Race
-from ..fitting.race_tables import HEAD, cells
+from ..fitting.race import ONE, TEN, Race, Raced
 from . import figures as plot
-from .picture import svg
-from .template import filled, written
+from . import latex as tex
+from .layout import Table, filled, printed, section, separated, tabular
+from .names import listed
+
+_HEAD = ("method", "objective / best", "to 10 %", "to 1 %", "k off", "c off")
+_MEANING = (
+    "to 10 %, to 1 %: simulations and seconds until a method came within so much of the least "
+    "objective of all. k off, c off: how far the worst stiffness and the worst damping are from "
+    "those of the best fit, in its standard errors."
+)
 
 
-def write_race(path: str | os.PathLike[str], race: Race, title: str) -> None:
-    """Write a race as one self-contained page.
+def text(race: Race) -> str:
+    """The table in 80 columns, and what each method was given."""
+    if not race.methods:
+        return "the race was ended before any method was done"
+    out = [*section("Race", f"{' + '.join(race.model)}; budget: {race.budget}")]
+    out += printed(_table(race), indent=2)
+    if race.best is not None:
+        out.append(f"least objective (Eq. 17): {race.best.objective:.6g}, of {race.best.name}")
+    out += filled(_MEANING)
+    if race.repeats > 1:
+        out.append(f"medians over {race.repeats} seeds; (the worst) behind the objective")
+    failed = {each.title: run.error for each in race.methods for run in each.runs if run.error}
+    out += [line for title, error in failed.items() for line in filled(f"{title}: {error}")]
+    out.append("given beforehand:")
+    for each in race.methods:
+        out += filled(each.given, f"  {each.title}: ", 6)
+    if race.interrupted:
+        out.append(f"interrupted while {race.interrupted} was running, which is left out")
+    return "\n".join(out)
 
-    **Raises:** `InputError` if the file cannot be written.
-    """
-    written(path, render_race(race, title))
+
+def _table(race: Race) -> Table:
+    return Table(_HEAD, [[each.title, *_cells(race, each)] for each in race.methods])
 
 
-def render_race(race: Race, title: str) -> str:
-    """The page as text."""
+def _cells(race: Race, each: Raced) -> list[str]:
+    """What the table says of a method, behind its name."""
+    run = each.median
+    ratio = _short(run.objective / race.least) if math.isfinite(run.objective) else "--"
+    if race.repeats > 1 and math.isfinite(each.worst.objective):
+        ratio += f" ({_short(each.worst.objective / race.least)})"
+    found = [ratio]
+    for target in (TEN, ONE):
+        spent = each.within(target * race.least)
+        known = math.isfinite(spent.simulations)
+        found.append(f"{spent.simulations:.0f}, {spent.seconds:.2g} s" if known else "--")
+    numbers = () if run.fit is None else run.fit.numbers
+    for kind in ("spring", "damper"):
+        far = zip(race.off(run), numbers, strict=True)
+        own = [x for x, n in far if n.name.startswith(kind) and np.isfinite(x)]
+        found.append(f"{max(own):.2g}" if own else "--")
+    return found
+
+
+def _short(x: float) -> str:
+    return f"{x:.4f}" if x < 10 else f"{x:.3g}"
+
+
+def page(race: Race) -> dict[str, Any]:
+    """All that the template says of it. The pictures are part of the page and not images in it, so
+    that a style sheet can hide a curve."""
     drawn = [each for each in race.methods if len(each.median.history.objective)]
     names = [each.title for each in drawn]
     histories = [each.median.history for each in drawn]
-    pictures = [
-        (words, _inline(plot.convergence(histories, names, against=against)))
-        for against, words in (
-            ("simulations", "Objective against simulations"),
-            ("seconds", "Objective against seconds"),
-        )
-        if drawn
-    ]
-    return filled(
-        "race.html.j2",
-        title=title,
-        race=race,
-        head=HEAD,
-        rows=[(each, [each.title, *cells(race, each)]) for each in race.methods],
-        names=names,
-        pictures=pictures,
-    )
+    pictures = []
+    for against in ("simulations", "seconds") if drawn else ():
+        svg = plot.svg(plot.convergence(histories, names, against=against))
+        pictures.append((f"Objective against {against}", svg[svg.index("<svg") :]))
+    return {
+        "race": race,
+        "table": _table(race),
+        "meaning": _MEANING,
+        "names": names,
+        "pictures": pictures,
+        "model": listed(race.model),
+    }
 
 
-def _inline(figure) -> str:
-    """A picture as an element of a page."""
-    text = svg(figure)
-    return text[text.index("<svg") :]
+def latex(race: Race) -> str:
+    """The table with booktabs."""
+    rows = []
+    for each in race.methods:
+        objective, *spent = _cells(race, each)
+        cells = [objective, *spent[:2], *map(tex.scientific, spent[2:])]
+        rows.append([tex.escaped(each.title), *cells])
+    head = ["Method", "Objective / best", r"to 10\,\%", r"to 1\,\%"]
+    return tabular("lrrrrr", [*head, r"$k$, std.\ errors off", r"$c$, std.\ errors off"], [rows])
+
+
+def csv(race: Race) -> str:
+    """A line for each run of each method."""
+    rows = []
+    for each in race.methods:
+        for run in each.runs:
+            spent = []
+            for times in (TEN, ONE):
+                least = times * race.least
+                spent += [run.history.until(least), run.history.seconds_until(least)]
+            rows.append(
+                [run.name, str(run.seed), run.objective, run.simulations, run.seconds, *spent]
+            )
+    head = ("method", "seed", "objective", "simulations", "seconds")
+    more = ("simulations_10_percent", "seconds_10_percent")
+    return separated((*head, *more, "simulations_1_percent", "seconds_1_percent"), rows)

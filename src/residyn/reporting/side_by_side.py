@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from ..fitting.result import Fit, RecordingFit
-from .numbers import plain, ratio, with_error
-from .words import base_name, upper
+from .names import base_name, upper
+from .numbers import plain, times, with_error
 
 _LABEL, _CELL = 30, 25
 _STRONG, _SLIGHT = 10.0, 2.0
@@ -71,7 +71,7 @@ class SideBySide:
             for j, joint in enumerate(self.one.joints):
                 sizes = [_times_noise(fit, role, j) for fit in sides]
                 if not all(math.isnan(size) for size in sizes):
-                    lines.append(_row(f"{words}, {joint}", [f"{ratio(x)} x noise" for x in sizes]))
+                    lines.append(_row(f"{words}, {joint}", [f"{times(x)} x noise" for x in sizes]))
         lines += ["", "[[Parameters]]  value +/- standard error"]
         each = [{n.name: n for n in fit.numbers} for fit in sides]
         for name in {n: None for fit in sides for n in (x.name for x in fit.numbers)}:

@@ -20,7 +20,7 @@ from ...filtering.law import numbers_of
 from ...filtering.trajectory import Scene, Trajectory, number_slices
 from ...fitting.result import Fit
 from ...recordings.segments import by_recording
-from ..json import finite
+from ...runtime.json import finite
 from .first_order import ErrorGram
 from .study import Study
 

@@ -9,18 +9,10 @@ bearings, `composite_inertia` the driven tests of step 1 on their line; of a dia
 shows the error falling and `candidates` what might have been missing.
 All return a matplotlib `Figure` (no pyplot, no window, no global state): save it, show it in a
 notebook, or put it into a page. Saved as PDF its fonts are TrueType, as SVG its letters are paths:
-both print as they look. `narrow=True` lays a picture out for a phone's width.
+both print as they look. `narrow=True` lays a picture out for a phone's width. Matplotlib is loaded
+with the first picture.
 """
 
-from .candidates import candidates as candidates
-from .composite import composite_inertia as composite_inertia
-from .convergence import convergence as convergence
-from .errors import errors as errors
-from .ladder import ladder as ladder
-from .overlay import overlay as overlay
-from .ringdown import ring_down as ring_down
-from .signature import signature as signature
-from .spectrum import spectrum as spectrum
-from .torque import missing_torque as missing_torque
-from .where import horizon as horizon
-from .where import where as where
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -10,7 +10,8 @@ from matplotlib.ticker import FixedLocator, NullLocator
 
 from ...diagnosis.evidence import INDISTINGUISHABLE
 from ...diagnosis.result import Diagnosis
-from ..words import at_place, base_name, nats, percent, worth_showing
+from ..names import at_place, base_name, worth_showing
+from ..numbers import nats, percent
 from .style import BAND, DASHED, HELD_OUT, INK, MODEL, NARROW, RESIDUAL, WIDE, styled
 
 _ROW, _MARGIN = 0.36, 0.85  # inches
@@ -29,7 +30,7 @@ def candidates(found: Diagnosis, *, narrow: bool = False) -> Figure:
     """
     shown = worth_showing(found, _MOST)
     joints, base = found.fit.joints, found.ladder[0]
-    names = [at_place(c.effect, joints) for c in shown]
+    names = [at_place(c.effect, joints, comma=True) for c in shown]
     rows = len(shown) + 1
     panel = _ROW * rows + _MARGIN
     shape = (2, 1) if narrow else (1, 2)
@@ -67,7 +68,7 @@ def candidates(found: Diagnosis, *, narrow: bool = False) -> Figure:
     for ax in (likely, behind):
         words = [*names, f"none: {base_name(base.fit)}"]
         if narrow:
-            words = [n.replace(" at the", "\nat the").replace(": ", ":\n") for n in words]
+            words = [n.replace(", ", ",\n").replace(": ", ":\n") for n in words]
         ax.set_yticks(range(rows), words)
         ax.tick_params(axis="y", length=0, labelsize=8 if narrow else 9)
         ax.set_ylim(rows - 0.4, -0.6)

@@ -13,6 +13,7 @@ from ...physics.model import Model
 from ...physics.motion import Motion, stack
 from ...physics.parameter import Scales, parameters_of
 from ...simulation.simulate import simulate
+from ..names import title
 from .style import FAINT, MEASURED, MODEL, NARROW, RESIDUAL, WIDE, styled
 
 _RELEASE = (0.2, -0.2)
@@ -51,7 +52,9 @@ def signature(name: str, *, narrow: bool = False) -> Figure:
     (top, *rest) = figure.subplots(*((4, 1) if narrow else (2, 2))).ravel()
     top.plot(t, without[:, joint], color=MEASURED, lw=2.2, label="without")
     top.plot(t, with_it[:, joint], color=MODEL, lw=0.9, label="with")
-    top.set(xlabel="time (s)", ylabel="reading (rad)", title=f"{name}: {where} reading")
+    top.set(
+        xlabel="time (s)", ylabel="reading (rad)", title=f"{title(name)}: reading at the {where}"
+    )
     low, high = top.get_ylim()
     top.set_ylim(low, high + 0.25 * (high - low))  # the legend's own room, above the curves
     top.legend(loc="upper right", ncols=2)

@@ -1,0 +1,362 @@
+"""What is said of a comparison: two to five sentences, then where the residual is, part by part.
+
+Each sentence says one thing and its number: whether anything is left, at which joint and when, at
+which swing, at which frequency, and how far a prediction can be trusted. What noise alone could
+have done is not said.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..diagnosis.compare import Comparison
+from ..diagnosis.evidence import NOISE
+from ..diagnosis.forecast import HeldOut
+from ..diagnosis.missing_torque import Missing
+from ..diagnosis.residuals import Cell, Part, Where
+from ..recordings.experiment import Experiment
+from . import figures as plot
+from .layout import Table, filled, printed, section
+from .names import at_place, listed, lower, when_held_out
+from .numbers import amount, p_value, plain, prefixed, share, times
+
+_LARGER = 1.2
+"""Reduced chi-square beyond which more is left than the noise that was stated,"""
+_SMALLER = 0.8
+"""and below which less is."""
+_TELLS = 4.0
+"""Standard deviations of chance by which a part must exceed the noise to be named."""
+_CONTRAST = 1.5
+"""Times as large: one part against another."""
+_NEAR = 0.8
+"""Of the largest: as good as the largest."""
+_READINGS = 20
+"""A part of fewer is not spoken of."""
+_MOSTLY = 2 / 3
+_NAMED = 0.1
+"""Share of the excess from which a band is named."""
+_CLEAR = 2.0
+"""Times its neighbours: a multiple of a mode that stands by itself."""
+_WORSE = 1.15
+"""Of what three standard errors of the prediction allow."""
+
+
+# -- the sentences ---------------------------------------------------------------------------
+
+
+def sentences(found: Comparison) -> tuple[str, ...]:
+    """The verdict in a few sentences."""
+    white, chi2 = found.p >= NOISE, found.fit.reduced_chi2
+    held, left, chances = _held_out(found), _left(found), _chances(found)
+    if white and chi2 > _LARGER:
+        first = (
+            f"What is left is white ({chances}), and yet {left}: more noise than was stated, not "
+            "a motion that the model lacks."
+        )
+        return (first, *held)
+    if white:
+        first = (
+            f"Nothing is left that the noise does not explain: what is left is white ({chances}), "
+            f"{left}."
+        )
+        less = "The noise that was stated is more than these readings show."
+        return (first, *([less] if chi2 < _SMALLER else []), *held)
+    if chi2 > _LARGER:
+        first = f"The model misses something: it leaves {left}, and that is not white"
+    else:
+        first = f"Something small is left that is not noise: {left}, but not white"
+    at = found.where
+    told = (_when(at), _swing(at), _frequency(found))
+    return (f"{first} ({chances}).", *(t for t in told if t), *held)
+
+
+def _excess(cell: Cell) -> float:
+    """Energy beyond what noise alone would leave."""
+    return max(0.0, cell.energy - cell.freedom)
+
+
+def _tells(cell: Cell) -> bool:
+    return cell.energy - cell.freedom > _TELLS * math.sqrt(2 * max(cell.freedom, 1.0))
+
+
+def _left(found: Comparison) -> str:
+    """ "3.5 mrad at the shoulder (7.1 times the noise) and 3.1 mrad at the elbow (6 times)"."""
+    words, at = [], found.where
+    for joint, unit, rmse, cell in zip(at.joints, at.units, found.fit.rmse, at.joint, strict=True):
+        noise = "" if words else " the noise"
+        size = amount(float(rmse), unit, 2)
+        words.append(f"{size} at the {joint} ({times(cell.ratio)} times{noise})")
+    return listed(words)
+
+
+def _chances(found: Comparison) -> str:
+    """The p-value of the whiteness test at each joint, and what it is compared with."""
+    each = [white.p for white in found.where.white.values() if math.isfinite(white.p)]
+    if not each:
+        return "too few readings to tell"
+    least = "" if len(each) == 1 else ", the least of the joints"
+    return f"whiteness test: {p_value(min(each), NOISE)}{least}"
+
+
+def _worst(at: Where) -> int:
+    """The joint with most of what exceeds the noise."""
+    return max(range(len(at.joint)), key=lambda j: _excess(at.joint[j]))
+
+
+def _when(at: Where) -> str:
+    """At which joint, and when."""
+    worst, total = _worst(at), sum(map(_excess, at.joint))
+    alone = len(at.joint) > 1 and _excess(at.joint[worst]) > _MOSTLY * total
+    told = [(p, p.cells[worst] if alone else p.whole) for p in at.time]
+    told = [(p, c) for p, c in told if c.freedom > _READINGS]
+    parts = [f"at the {at.joints[worst]}"] if alone else []
+    if told:
+        most, least = (f(told, key=lambda pair: pair[1].ratio) for f in (max, min))
+        high, low = times(most[1].ratio), times(least[1].ratio)
+        near = [p for p, c in told if c.ratio > _NEAR * most[1].ratio]
+        thirds = {min(2, int(1.5 * (p.start + p.stop) / at.time[-1].stop)) for p in near}
+        if _tells(most[1]) and most[1].ratio > _CONTRAST * least[1].ratio and len(thirds) < 3:
+            when = listed([("early", "midway", "late")[i] for i in sorted(thirds)])
+            spans = f"{high} times the noise {_span(most[0])}, {low} times {_span(least[0])}"
+            parts.append(f"{when} ({spans})")
+        elif _tells(most[1]):
+            even = f"all along ({low} to {high} times the noise)"
+            return f"It fails {f'most {parts[0]}, ' if alone else ''}{even}."
+    return f"It fails most {', '.join(parts)}." if parts else ""
+
+
+def _span(part: Part) -> str:
+    return f"from {part.start:.3g} to {part.stop:.3g} s"
+
+
+def _swing(at: Where) -> str:
+    """At large swings, at small ones?"""
+    j = _worst(at)
+    told = [p for p in at.amplitude[j] if p.whole.freedom > _READINGS]
+    if len(told) < 2 or not any(_tells(p.whole) for p in told):
+        return ""
+    first, last = told[0], told[-1]
+    words = [
+        f"{times(p.whole.ratio)} times the noise {which} {amount(edge, at.units[j], 2)}"
+        for p, which, edge in ((first, "above", first.start), (last, "below", last.stop))
+    ]
+    sizes = [p.whole.ratio for p in told]
+    for kind, own, said in (("large", sizes, words), ("small", sizes[::-1], words[::-1])):
+        if own[0] > _CONTRAST * own[-1] and own[0] * _NEAR > max(own[1:]):
+            return f"At the {at.joints[j]} it is worst at {kind} swings: {', '.join(said)}."
+    return ""
+
+
+def _frequency(found: Comparison) -> str:
+    """Around which frequencies."""
+    bands = found.where.frequency
+    total = sum(_excess(p.whole) for p in bands)
+    parts = sorted((p for p in bands if _tells(p.whole)), key=lambda p: -_excess(p.whole))
+    if not parts or total <= 0:
+        return ""
+    named = [p for p in parts if _excess(p.whole) > _NAMED * total][:3] or parts[:1]
+    shares = [f"{plain(100 * _excess(p.whole) / total, 2)} % {_band(p, found)}" for p in named]
+    words = f"Of what exceeds the noise, {listed(shares).replace(' % ', ' % lies ', 1)}"
+    clear = [p for p in _multiples(bands) if p not in named][:2]
+    if clear:
+        each = [f"{times(p.whole.ratio)} times the noise {_band(p, found)}" for p in clear]
+        words += f"; {listed(each)} is a sign of a torque that is not linear"
+    return f"{words}."
+
+
+def _multiples(parts: Sequence[Part]) -> list[Part]:
+    """Multiples of modes that exceed the bands beside them."""
+    found = []
+    for before, part, after in zip(parts, parts[1:], parts[2:], strict=False):
+        beside = max(before.whole.ratio, after.whole.ratio)
+        if " x " in part.name and _tells(part.whole) and part.whole.ratio > _CLEAR * beside:
+            found.append(part)
+    return found
+
+
+def _band(part: Part, found: Comparison) -> str:
+    factor, found_mode, mode = part.name.rpartition("mode ")
+    if found_mode and not factor.startswith("below"):
+        frequency = found.fit.modes[int(mode) - 1].frequency_hz
+        frequency *= int(factor.split()[0]) if factor else 1
+        return f"around {part.name} ({plain(frequency)} Hz)"
+    if part.name == "above":
+        return f"above {plain(part.start)} Hz"
+    if part.start == 0:
+        return f"below {plain(part.stop)} Hz"
+    return f"between {plain(part.start)} and {plain(part.stop)} Hz"
+
+
+def _held_out(found: Comparison) -> list[str]:
+    held = found.held_out
+    ratios = [] if held is None else [times(x) for x in held.held_out.ratio if math.isfinite(x)]
+    if held is None or not ratios:
+        return []
+    off = f"{listed(ratios)} times the noise"
+    if held.what == "check recordings":
+        words = f"The held-out recordings are off by {off}"
+    else:
+        words = f"The last third, held out and predicted from the first two, is off by {off}"
+    if worse(held):
+        fitted = listed([times(x) for x in held.fitted.ratio if math.isfinite(x)])
+        return [f"{words}: worse than where it was fitted ({fitted} times)."]
+    return [f"{words}{', as it should be' if found.p >= NOISE else ''}."]
+
+
+def worse(held: HeldOut) -> bool:
+    """Whether the model errs more where it was not fitted than noise explains."""
+    expected = held.held_out.expected
+    for j, (now, then) in enumerate(zip(held.held_out.ratio, held.fitted.ratio, strict=True)):
+        bound = 1.0 if expected is None else math.sqrt(1 + 9 * (float(expected[j]) ** 2 - 1))
+        if now > _WORSE * bound and now > _WORSE * then:
+            return True
+    return False
+
+
+# -- in a terminal ---------------------------------------------------------------------------
+
+
+def text(found: Comparison) -> str:
+    """The verdict, the fit, and all tables, in 80 columns."""
+    tables = [*_where(found), *_outside(found), *_horizon(found)]
+    return "\n".join([*filled(" ".join(found.words)), "", str(found.fit), *tables])
+
+
+def _by_joint(label: str, joints: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]):
+    """Rows of one cell a joint; more joints than there is room for stand below each other."""
+    if len(joints) <= 3:
+        return printed(Table([label, *joints], [[name, *cells] for name, cells in rows]))
+    flat = [[name, j, c] for name, cells in rows for j, c in zip(joints, cells, strict=True)]
+    return printed(Table([label, "joint", ""], flat, left=(0, 1)))
+
+
+def _where(found: Comparison) -> list[str]:
+    at, total = found.where, found.where.total
+
+    def cells(each: Sequence[Cell]) -> list[str]:
+        shares = (100 * c.energy / total if total > 0 else 0.0 for c in each)
+        return [f"{s:5.1f} %{_x(c.ratio):>8}" for s, c in zip(shares, each, strict=True)]
+
+    def rows(parts: Sequence[Part], size: float = 1.0) -> list[tuple[str, list[str]]]:
+        return [
+            (f"{_edge(p.start / size)} - {_edge(p.stop / size)}  {p.name}".strip(), cells(p.cells))
+            for p in parts
+        ]
+
+    out = section("Where", "share of the squared residual, and rms in times the noise")
+    chances = ["-" if math.isnan(w.p) else f"{w.p:.1g}" for w in at.white.values()]
+    white = (f"p of whiteness test ({NOISE:g})", chances)
+    out += _by_joint("", at.joints, [("all", cells(at.joint)), white])
+    out += _by_joint("time since the start, s", at.joints, rows(at.time))
+    for joint, unit, parts in zip(at.joints, at.units, at.amplitude, strict=True):
+        size, name = prefixed(unit, parts[0].stop if parts else 1.0)
+        label = f"swing at the {joint}, {name}".rstrip(", ")
+        out += _by_joint(label, (joint,), rows(parts, size))
+    return [*out, *_by_joint("frequency, Hz", at.joints, rows(at.frequency))]
+
+
+def _edge(x: float) -> str:
+    return plain(x, 3) if x < 100 else f"{x:.0f}"
+
+
+def _x(ratio: float) -> str:
+    return f"{times(ratio)} x" if ratio == ratio else "-"
+
+
+def _outside(found: Comparison) -> list[str]:
+    held = found.held_out
+    if held is None:
+        return []
+    rows = []
+    for label, error in (("held out", held.held_out), ("fitted", held.fitted)):
+        sizes = zip(error.rmse, found.where.units, error.ratio, strict=True)
+        rows.append((label, [f"{amount(x, unit)}{_x(r):>8}" for x, unit, r in sizes]))
+    if held.held_out.expected is not None:
+        rows.append(("a right model: held out", [_x(x) for x in held.held_out.expected]))
+    head = section("Held out", f"{when_held_out(held.what)}; rms, and in times the noise")
+    return [*head, *_by_joint("", found.fit.joints, rows)]
+
+
+def _horizon(found: Comparison) -> list[str]:
+    ahead = found.horizon
+    if ahead is None:
+        return []
+    note = (
+        "error of predictions against the time ahead, from a fit of the first "
+        f"{plain(ahead.seconds)} s; in brackets what a right model would leave"
+    )
+    rows = [("0 (where it was fitted)", [_x(x) for x in ahead.fitted.ratio])]
+    for a in ahead.ahead:
+        right = a.error.expected
+        cells = [
+            _x(x) + ("" if right is None else f" ({times(right[j])})")
+            for j, x in enumerate(a.error.ratio)
+        ]
+        rows.append((f"{plain(a.start)} - {plain(a.stop)}", cells))
+    return [*section("Horizon", note), *_by_joint("s ahead", found.fit.joints, rows)]
+
+
+# -- on a page -------------------------------------------------------------------------------
+
+
+def failing(compared: Comparison, drawn: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """All that the template says of where a fit fails; `drawn` are its missing torques."""
+    where = "Bars: the residual in times the noise, by time, by amplitude and by frequency"
+    ahead = "The prediction's error in times the noise against time ahead"
+    return {
+        "explained": compared.explained,
+        "words": compared.words,
+        "where": plot.picture(where, plot.where, compared),
+        "horizon": compared.horizon and plot.picture(ahead, plot.horizon, compared),
+        "torques": drawn,
+    }
+
+
+def pairs(missing: Sequence[Missing]) -> list[tuple[Missing, int]]:
+    """Each missing torque with each joint."""
+    return [(found, joint) for found in missing for joint in range(len(found.joints))]
+
+
+def clearest(
+    experiment: Experiment, each: Sequence[tuple[Missing, int]], most: int
+) -> tuple[list[dict[str, Any]], int]:
+    """Of missing torques, each of a recording and a joint, those that are larger than what is not
+    known of them: the clearest first, at most so many; and how many more there are."""
+
+    def clarity(pair: tuple[Missing, int]) -> float:
+        torque, std = (x[:, pair[1]] for x in (pair[0].torque.torque, pair[0].torque.std))
+        return float(np.sqrt(np.mean(torque**2) / np.mean(std**2)))
+
+    seen = sorted((p for p in each if p[0].significant(p[1])), key=clarity, reverse=True)
+    return [torque(experiment, *pair) for pair in seen[:most]], max(0, len(seen) - most)
+
+
+def torque(experiment: Experiment, found: Missing, joint: int) -> dict[str, Any]:
+    """The missing torque of one recording at one joint: a picture and its words."""
+    name, unit = experiment.joints[joint], experiment.units
+    shown = {
+        "name": name,
+        "unit": unit[joint] if unit else None,
+        "curves": found.curves_at(joint),
+        "link_angle": None if found.link_angle is None else found.link_angle[:, joint],
+    }
+    words = f"Missing torque at the {name} in {found.recording}"
+    drawn = plot.picture(words, plot.missing_torque, found.torque, joint, **shown)
+    return {"words": torque_words(found, joint), "picture": drawn}
+
+
+def torque_words(found: Missing, joint: int) -> str:
+    """What to say beside the picture of a missing torque at one joint."""
+    part = float(found.torque.share_of_spring[joint])
+    words = f"{found.recording}, {found.joints[joint]}: "
+    words += f"{plain(float(found.torque.rms[joint]))} {found.units[joint]} rms is missing"
+    words += f", {share(part)} of the spring's torque." if part == part else "."
+    if not found.significant(joint):
+        return f"{words} It is smaller than its own 95 % band: nothing is seen to be missing here."
+    drawn = found.curves_at(joint)
+    if not drawn:
+        return words
+    name = lower(at_place(drawn[0].effect, found.joints))
+    return f"{words} Blue: {name}, which explains {share(drawn[0].share)} of its mean square."

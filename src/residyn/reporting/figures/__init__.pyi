@@ -1,0 +1,14 @@
+from .comparison import horizon as horizon
+from .comparison import missing_torque as missing_torque
+from .comparison import where as where
+from .effect import signature as signature
+from .evidence import candidates as candidates
+from .falling import errors as errors
+from .falling import ladder as ladder
+from .inline import picture as picture
+from .inline import svg as svg
+from .motion import overlay as overlay
+from .motion import spectrum as spectrum
+from .procedure import composite_inertia as composite_inertia
+from .procedure import ring_down as ring_down
+from .search import convergence as convergence

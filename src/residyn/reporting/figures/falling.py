@@ -1,0 +1,268 @@
+"""The error falling, model by model, in times the noise of a reading."""
+
+import math
+import textwrap
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator
+
+from ...diagnosis.result import Diagnosis
+from ...fitting.result import Fit
+from ..names import HELD_OUT, at_place, listed, lower, model_name, times_noise
+from ..numbers import amount, plain, times
+from .style import BAND, DASHED, FAINT, INK, JOINTS, NARROW, SOFT, WIDE, shortened, styled
+
+_LOG = 4.0  # from this fall on the scale is logarithmic
+_PANEL, _AXIS = 2.2, 0.42  # inches: height of the panel, room for the numbers of its axis
+_STRIP = 0.13  # of the scale lies below the least error: room for the name of the noise
+_ABREAST = 4  # models whose names have room under the axis
+_LINE = 0.155  # inches from one line of words to the next
+_ALIKE = 1.1  # times: errors that differ by less are one number to the reader
+_BESIDE = 0.12  # inches from a dot to its words
+
+
+class _Line(NamedTuple):
+    """The errors of all models at one joint, in times the noise."""
+
+    joint: int
+    held: bool
+    values: list[float]
+
+
+@styled
+def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
+    """The error of each model on the way in times the noise, per joint: what was fitted (solid)
+    and what was held out (hollow).
+
+    At the line of the noise nothing is left that the recordings could still show.
+    """
+    joints = found.fit.joints
+    names = [model_name(found.ladder[0])]
+    for step in found.ladder[1:]:
+        gone = listed([lower(at_place(x, joints)) for x in step.dropped]) if step.dropped else ""
+        name = f"+ {lower(at_place(step.added or '', joints))}"
+        names.append(f"{name}, without {gone}" if gone else name)
+    each = [times_noise(step) for step in found.ladder]
+    end = ""
+    if len(each) == 1 and found.verdict == "unexplained":
+        end = "no effect of the catalogue\nbrings it down to the noise"
+    return _falling(found.fit, names, each, narrow, end)
+
+
+@styled
+def errors(fits: Sequence[Fit], names: Sequence[str], *, narrow: bool = False) -> Figure:
+    """The error of several models of the same recordings, drawn like `ladder`."""
+    each = []
+    for fit in fits:
+        held = [r.recording.noise for r in fit.recordings if r.recording.role == "check"]
+        outside = [None] * len(fit.joints)
+        if fit.check_rmse is not None:
+            outside = (fit.check_rmse / np.sqrt(np.mean(np.square(held), axis=0))).tolist()
+        each.append(list(zip((fit.rmse / fit.noise).tolist(), outside, strict=True)))
+    return _falling(fits[0], names, each, narrow)
+
+
+def _falling(
+    fit: Fit,
+    names: Sequence[str],
+    each: Sequence[Sequence[tuple[float, float | None]]],
+    narrow: bool,
+    end_words: str = "",
+) -> Figure:
+    joints, count, lines = fit.joints, len(names), []
+    for joint in range(len(joints)):
+        for held in (False, True):
+            values = [math.nan if (x := model[joint][held]) is None else x for model in each]
+            if np.isfinite(values).any():
+                lines.append(_Line(joint, held, values))
+    beneath = narrow or count > _ABREAST  # there is no room for names under their dots
+    below = ["\n".join(textwrap.wrap(n.replace(" + ", " +\u00a0"), 26)) for n in names]
+    most = 46 if narrow else 110
+    rows = [
+        row
+        for i, name in enumerate(names)
+        for row in textwrap.wrap(name, most, initial_indent=f"{i}  ", subsequent_indent=" " * 5)
+    ]
+    under = len(rows) if beneath else max(name.count("\n") + 1 for name in below)
+    foot = (0.36 if beneath else 0.18) + _LINE * under
+    head = 0.36 + (_LINE + 0.04) * _key_rows(lines) if narrow else 0.36
+    width, high = NARROW if narrow else WIDE, head + _PANEL + foot
+    figure = Figure(figsize=(width, high))
+    across = width - _AXIS - 0.1
+    ax = figure.add_axes((_AXIS / width, foot / high, across / width, _PANEL / high))
+    before, after = (0.72, 0.86) if narrow else (1.95, 0.9)
+    step = (count - 1) / (across - before - after) or 1.0  # models an inch
+    end = count - 1 + after * step if count > 1 else across - before
+    ax.set_xlim(-before * step, end)
+    _scale(ax, [value for line in lines for value in line.values])
+    _floor(ax, 0.5 * (count - 1) if count > 1 else 0.5 * end, fit, narrow)
+    for line in lines:
+        _draw(ax, line)
+    ax.set_xticks(range(count), [str(i) for i in range(count)] if beneath else below)
+    ax.tick_params(axis="x", length=0, pad=4)
+    title = "error in times the noise of a reading"
+    figure.text(0.08 / width, (foot + _PANEL + 0.14) / high, title)
+    _beside(ax, 0, -1, _first(lines, joints, narrow))
+    if count > 1:
+        _beside(ax, count - 1, 1, _gathered([(x.values[-1], x.joint) for x in lines]))
+    elif end_words:
+        ax.text(0.65, 0.6, end_words, transform=ax.transAxes, ha="center", va="center", color=SOFT)
+    if narrow:
+        _key(figure, lines, joints)
+    for i, row in enumerate(rows if beneath else []):
+        figure.text(0.1 / width, (0.06 + _LINE * (len(rows) - 1 - i)) / high, row)
+    return figure
+
+
+def _draw(ax: Axes, line: _Line) -> None:
+    colour = JOINTS[line.joint % len(JOINTS)]
+    ax.plot(
+        range(len(line.values)),
+        line.values,
+        "o",
+        color=colour,
+        ls=DASHED if line.held else "-",
+        lw=1.3 if line.held else 2.0,
+        ms=6.5,
+        mfc="white" if line.held else colour,
+        mew=1.5,
+        zorder=4 if line.held else 3,
+        clip_on=False,
+    )
+
+
+def _scale(ax: Axes, values: Sequence[float]) -> None:
+    """Logarithmic where the fall is large."""
+    seen = [v for v in values if math.isfinite(v) and v > 0] or [1.0]
+    least, most = min(*seen, 1.0), max(*seen, 1.0)
+    if most > _LOG * least:
+        ax.set_yscale("log")
+        top = 1.25 * most
+        ax.set_ylim(least * (top / least) ** -_STRIP, top)
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if most < 300 else (1.0,)))
+        ax.yaxis.set_major_formatter(lambda y, _: plain(y, 1))
+        ax.yaxis.set_minor_formatter(lambda y, _: "")
+    else:
+        ax.set_ylim(0, 1.25 * most)
+
+
+def _floor(ax: Axes, x: float, fit: Fit, narrow: bool) -> None:
+    """The noise, in its own unit, of each joint if they differ: nothing that is right lies far from
+    it."""
+    units = fit.experiment.units or (None,) * len(fit.joints)
+    each = [amount(float(n), unit, 2) for n, unit in zip(fit.noise, units, strict=True)]
+    size = listed(list(dict.fromkeys(each)))
+    ax.axhspan(0.0 if ax.get_yscale() == "linear" else 1e-9, 1.0, color=BAND, alpha=0.55, lw=0)
+    ax.axhline(1.0, color=INK, lw=1.0, zorder=1)
+    ax.annotate(
+        f"the noise, {size}" + ("" if narrow else ": nothing is left to explain"),
+        (x, 1.0),
+        xytext=(0, -5),
+        textcoords="offset points",
+        ha="center",
+        va="top",
+        color=SOFT,
+    )
+
+
+# -- numbers beside the dots: none on another, none on the noise's line ------------------------
+
+
+def _first(
+    lines: Sequence[_Line], joints: Sequence[str], narrow: bool
+) -> list[tuple[float, str, str]]:
+    """What stands beside the first dots."""
+    dots = _gathered([(x.values[0], x.joint) for x in lines])
+    if len(dots) == 1 < len(lines):
+        value, words, colour = dots[0]
+        return [(value, words if narrow else f"all: {words}", colour)]
+    labels = []
+    for joint, held, values in lines:
+        words = f"{times(values[0])} ×"
+        if not narrow:
+            name = f"{shortened(joints[joint], 14)}, " if len(joints) > 1 else ""
+            words = f"{name}{HELD_OUT if held else 'fitted'}: {words}"
+        labels.append((values[0], words, JOINTS[joint % len(JOINTS)]))
+    return labels
+
+
+def _gathered(values: Sequence[tuple[float, int]]) -> list[tuple[float, str, str]]:
+    """Labels for errors, one for all that lie on each other."""
+    groups: list[list[tuple[float, int]]] = []
+    for value, joint in sorted((v, j) for v, j in values if math.isfinite(v)):
+        if groups and value < _ALIKE * groups[-1][0][0]:
+            groups[-1].append((value, joint))
+        else:
+            groups.append([(value, joint)])
+    labels = []
+    for group in groups:
+        low, high = times(group[0][0]), times(group[-1][0])
+        same = len({joint for _, joint in group}) == 1
+        colour = JOINTS[group[0][1] % len(JOINTS)] if same else INK
+        middle = math.sqrt(group[0][0] * group[-1][0])
+        labels.append((middle, f"{low} ×" if low == high else f"{low}-{high} ×", colour))
+    return labels
+
+
+def _height(ax: Axes, value: float) -> float:
+    """Inches of a value above the foot of the axes."""
+    inches = ax.get_figure(root=True).get_figheight() * ax.get_position().height  # pyright: ignore
+    low, high = ax.get_ylim()
+    if ax.get_yscale() == "log":
+        low, high, value = math.log(low), math.log(high), math.log(value)
+    return inches * (value - low) / (high - low)
+
+
+def _beside(ax: Axes, x: float, side: int, labels: Sequence[tuple[float, str, str]]) -> None:
+    """Words beside dots, to the left (-1) or right (1), pushed apart where they would overlap."""
+    shown = sorted((v, words, colour) for v, words, colour in labels if math.isfinite(v))
+    places, floor = [_height(ax, v) for v, *_ in shown], _height(ax, 1.0)
+    # Off the line of the noise, which would strike them out.
+    places = [floor + 0.6 * _LINE if abs(p - floor) < 0.6 * _LINE else p for p in places]
+    for _ in range(200):
+        for i in range(len(places) - 1):
+            short = _LINE - (places[i + 1] - places[i])
+            if short > 1e-3:
+                places[i], places[i + 1] = places[i] - short / 2, places[i + 1] + short / 2
+    for place, (value, words, colour) in zip(places, shown, strict=True):
+        ax.annotate(
+            words,
+            (x, value),
+            xytext=(side * _BESIDE * 72, (place - _height(ax, value)) * 72),
+            textcoords="offset points",
+            ha="left" if side > 0 else "right",
+            va="center",
+            color=colour,
+            fontweight="bold",
+        )
+
+
+def _key_rows(lines: Sequence[_Line]) -> int:
+    return max(len({x.joint for x in lines}), 1 + any(x.held for x in lines))
+
+
+def _key(figure: Figure, lines: Sequence[_Line], joints: Sequence[str]) -> None:
+    """What colours and dots mean, where there is no room for words beside them."""
+    shown = sorted({x.joint for x in lines})
+    handles = [
+        Line2D([], [], color=JOINTS[j % len(JOINTS)], lw=2.5, label=shortened(joints[j], 14))
+        for j in shown
+    ]
+    handles += [Line2D([], [], ls="", label="")] * (_key_rows(lines) - len(shown))
+    style = {"color": FAINT, "marker": "o", "mew": 1.5}
+    handles.append(Line2D([], [], mfc=FAINT, lw=1.8, label="fitted", **style))
+    if any(x.held for x in lines):
+        handles.append(Line2D([], [], mfc="white", ls=DASHED, lw=1.2, label=HELD_OUT, **style))
+    figure.legend(
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=(0.02, 1 - 0.06 / figure.get_figheight()),
+        ncols=2,
+        borderaxespad=0.0,
+        labelspacing=0.35,
+    )

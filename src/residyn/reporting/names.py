@@ -1,0 +1,118 @@
+"""Effects, places and models in words. `coulomb_friction:elbow` is an identifier, for files and
+command lines; people read "Coulomb friction at the elbow", in tables "Coulomb friction, elbow"."""
+
+import math
+from collections.abc import Sequence
+
+from ..diagnosis.result import Candidate, Diagnosis, ModelState
+from ..effects import catalogue
+from ..fitting.result import Fit
+
+PLAIN = "springs and dampers"
+HELD_OUT = "held out"
+"""Recordings, or parts of them, that the numbers were not fitted to."""
+SURE = 0.9
+"""Probability from which a sentence says "is"."""
+_LINE = 0.001
+"""Probability from which a candidate is worth a line."""
+_MOST, _FEWEST = 8, 3
+"""Lines of candidates."""
+
+
+def listed(words: Sequence[str]) -> str:
+    """ "a, b and c"."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def upper(words: str) -> str:
+    """The same with a capital first letter."""
+    return words[:1].upper() + words[1:]
+
+
+def lower(words: str) -> str:
+    """The same with a small first letter, unless it begins with a person's name."""
+    named = words.split(" ", 1)[0] in ("Coulomb", "Stribeck", "Bouc-Wen")
+    return words if named else words[:1].lower() + words[1:]
+
+
+def unbroken(words: str) -> str:
+    """For a page: numbers stay with their signs and units."""
+    words = words.replace(" +/- ", " ± ").replace("^2", "²").replace("^3", "³")
+    for bare in (" ± ", " %", "N m", "> ", "< "):
+        words = words.replace(bare, bare.replace(" ", "\u00a0"))
+    return words
+
+
+def modal(probability: float, many: bool = False) -> str:
+    """ "is", "is probably" or "may be", as the probability allows."""
+    verb = "are" if many else "is"
+    if probability >= SURE:
+        return verb
+    return f"{verb} probably" if probability >= 0.5 else "may be"
+
+
+def title(label: str) -> str:
+    """What an effect is called in words: "Coulomb friction" of `coulomb_friction:elbow`."""
+    name = label.partition(":")[0]
+    kind = catalogue().get(name)
+    return upper(name.replace("_", " ")) if kind is None else kind.titled()
+
+
+def placed(words: str, place: str | None, joints: Sequence[str], comma: bool = False) -> str:
+    """Words with a place: "gravity", "dry friction at the elbow" (or "dry friction, elbow"); where
+    there is but one joint, without it."""
+    if place is None or (place in joints and len(joints) == 1):
+        return words
+    if comma:
+        return f"{words}, {place}"
+    return f"{words} at the {place}" if place in joints else f"{words} ({place})"
+
+
+def at_place(label: str, joints: Sequence[str], comma: bool = False) -> str:
+    """ "Coulomb friction at the elbow", or "Coulomb friction, elbow"."""
+    return placed(title(label), label.partition(":")[2] or None, joints, comma)
+
+
+def base_name(fit: Fit, comma: bool = False) -> str:
+    """ "springs and dampers", and what else is in the model."""
+    usual = {f"{kind}:{joint}" for kind in ("spring", "damper") for joint in fit.joints}
+    more = [lower(at_place(x, fit.joints, comma)) for x in fit.model.labels if x not in usual]
+    return " + ".join([PLAIN, *more])
+
+
+def model_name(step: ModelState, comma: bool = False) -> str:
+    """What joined the model on the way: "+ gravity"; of the base model, all that it has."""
+    if step.added is None:
+        return base_name(step.fit, comma)
+    joints = step.fit.joints
+    gone = [lower(at_place(x, joints, comma)) for x in step.dropped]
+    name = f"+ {lower(at_place(step.added, joints, comma))}"
+    return f"{name} without {listed(gone)}" if gone else name
+
+
+def times_noise(step: ModelState) -> list[tuple[float, float | None]]:
+    """Per joint the error in times the noise, where it was fitted and where it was not."""
+    held = step.held_out
+    return [
+        (float(x), None if held is None else float(held.held_out.ratio[j]))
+        for j, x in enumerate(step.times_noise)
+    ]
+
+
+def worth_showing(found: Diagnosis, most: int = _MOST) -> tuple[Candidate, ...]:
+    """The candidates that deserve a line: the likely ones, and the best of the rest."""
+    told = [c for c in found.candidates if c.probability >= _LINE or c.effect in found.added]
+    rest = [c for c in found.candidates if c not in told and math.isfinite(c.log_evidence)]
+    return (*told, *rest[: max(0, len(found.added) + _FEWEST - len(told))])[:most]
+
+
+def own_name(number: str) -> str:
+    """`coulomb_friction:elbow.torque` is "torque"."""
+    return number.rpartition(".")[2]
+
+
+def when_held_out(what: str) -> str:
+    """Which readings were held out, of a `HeldOut.what`."""
+    if what == "check recordings":
+        return "whole recordings"
+    return "the last third, predicted from a fit of the first two"
