@@ -19,9 +19,9 @@ right kind and place has 95 %.
 diagnosed from one release on the bearings. Does the 95 % band of frequency and damping ratio of
 each mode without bearings hold the truth, over all models in play, and of the likeliest alone?
 
-`atlas`: an arm with springs and dampers is looked at (`residyn.detectable`); then an effect is hidden
-in it at the stated strength, and at three times that, released again, and diagnosed. Is it named,
-alone or among look-alikes?
+`atlas`: an arm with springs and dampers is looked at (`residyn.detectable`); then an effect is
+hidden in it at the stated strength, and at three times that, released again, and diagnosed. Is it
+named, alone or among look-alikes?
 """
 
 import argparse
