@@ -26,7 +26,6 @@ from residyn.procedure.over_models import (
 )
 from residyn.procedure.unload import _bare
 from residyn.recordings.tables import ArmTable, Bearing
-from residyn.reporting.over_models import over_lines
 from tests.by_hand import NEXT
 
 ARM = ArmTable((0.4, 0.4), 1.2, 0.6, 1.4)
@@ -122,10 +121,10 @@ def test_it_reads_in_80_columns():
         next_test=dataclasses.replace(NEXT, band=0.004),
         narrows="damping_ratio",
         bare=(),
+        joints=("shoulder", "elbow"),
     )
-    lines = over_lines(found, ("shoulder", "elbow"))
-    assert max(map(len, lines)) <= 80
-    text = "\n".join(lines)
+    text = str(found)
+    assert max(map(len, text.splitlines())) <= 80
     assert "drag of the air bearings" in text
     assert "70 %" in text
     assert "0.4900 to 0.5100 Hz" in text

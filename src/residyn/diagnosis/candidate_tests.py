@@ -36,12 +36,12 @@ from .planned import Outcome, Sweep, Test
 from .search import Tried
 
 _SAMPLES = 512
-_STEP = 0.2  # of an integration step, times the fastest angular frequency
+_STEP = 0.3  # of an integration step, times the fastest angular frequency
 _ELBOWS = 5  # elbow angles that are tried
 _FURTHEST = 0.75 * math.pi  # of them, unless limits are given
 _SIZES = (0.25, 0.5, 1.0)  # of the largest release
 _LOADS = (0.0, 0.5, 1.0)  # of the way from the least load to the largest
-_TWICE = 2.0  # angles, durations and loads that are tried, in those recorded, unless limited
+_TWICE = 2.0  # angles and loads that are tried, in those recorded, unless limits are given
 _DRIVES = (0.3, 1.0)  # of the largest torque of a motor
 _DURATIONS = (0.125, 0.25, 0.5, 1.0)  # of the longest
 _NEARLY = 0.95  # of what the longest recording tells, from which a shorter one is enough
@@ -92,7 +92,7 @@ def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Sett
     swing = np.array([s.amplitude for s in scene.scales])
     most = limits.each("angle", n)
     angle = np.array(most) if most else _TWICE * np.maximum(swing, 0.3 * swing.max())
-    duration = limits.duration or _TWICE * like.duration
+    duration = limits.duration or like.duration
     signs = [np.ones(1)] if n == 1 else [
         np.array(p) for p in ((1.0, 1.0), (1.0, -1.0), (1.0, 0.0), (0.0, 1.0))
     ]  # fmt: skip

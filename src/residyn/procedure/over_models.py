@@ -37,6 +37,7 @@ from ..filtering.trajectory import Scene
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
+from ..runtime.presentation import Result
 from .carried import NAMES, Carried, inertias, slopes_of_modes
 from .ringdown import DRAWS, RingDown, band_of, draws_of
 
@@ -83,8 +84,8 @@ class ModeOver:
 
 
 @dataclass(frozen=True, eq=False)
-class OverModels:
-    """How the arm rings without its bearings, over the models of a diagnosis."""
+class OverModels(Result):
+    """How the arm rings without its bearings, over the models of a diagnosis. Print it."""
 
     models: tuple[InPlay, ...]
     left_out: float
@@ -97,6 +98,7 @@ class OverModels:
     """Which of `QUANTITIES` that is."""
     bare: tuple[tuple[Model, Model, Carried], ...]
     """Of each model in play, without bearings in the first pose; as fitted; and its errors."""
+    joints: tuple[str, ...]
 
     def ring_down(
         self, times: np.ndarray, q0: np.ndarray, *, draws: int = DRAWS, seed: int = 0
@@ -174,6 +176,7 @@ def over_models(
         next_test=test,
         narrows=narrows,
         bare=tuple(bare),
+        joints=scene.joints,
     )
 
 

@@ -62,6 +62,8 @@ def unload(
     began = time.perf_counter()
     say = progress or (lambda words: None)
     _check(experiment)
+    if diagnosis is not None and (diagnosis.search is None or diagnosis.fits.whole != experiment):
+        raise ValueError("this diagnosis is of another experiment, or has not kept its search")
     given = None if inertia_std is None else _covariance(inertia_std)
     with jax.enable_x64(True):
         if diagnosis is None:

@@ -13,8 +13,8 @@ KEYS = ("angle", "theta2", "air_bearings", "extra_mass", "load", "duration", "dr
 @dataclass(frozen=True)
 class Limits:
     """Limits of the next tests. What is None is not limited beyond what `residyn plan` tries by
-    itself: twice the angles and durations that were recorded, every elbow angle, bearings on and
-    off, twice the load, no motor."""
+    itself: twice the angles and loads that were recorded, as long as the longest, every elbow
+    angle, bearings on and off, no motor."""
 
     angle: Any = None
     """Largest angle at release, rad (m): a number, or one for each joint."""

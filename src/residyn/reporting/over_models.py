@@ -1,7 +1,5 @@
 """What is said of step 3 over all models in play: their probabilities, bands, and what to do."""
 
-from collections.abc import Sequence
-
 from ..procedure.over_models import OverModels, Spread
 from .layout import Table, filled, printed
 from .names import upper
@@ -11,17 +9,17 @@ from .plan import motion_words, named, setting_words
 _NAMES = {"frequency_hz": ("frequency", "Hz"), "damping_ratio": ("damping ratio", "")}
 
 
-def over_lines(found: OverModels, joints: Sequence[str]) -> list[str]:
+def text(found: OverModels) -> str:
     """In 80 columns."""
-    out = ["[[In orbit, over all models]]", *printed(models_table(found, joints))]
+    out = ["[[In orbit, over all models]]", *printed(models_table(found))]
     for theta2, table in modes_tables(found):
         out += [f"[[Modes over all models]]  elbow at {theta2} rad", *printed(table)]
-    return [*out, *filled(narrowing_words(found), "    ")]
+    return "\n".join([*out, *filled(narrowing_words(found), "    ")])
 
 
-def models_table(found: OverModels, joints: Sequence[str]) -> Table:
+def models_table(found: OverModels) -> Table:
     """The models in play."""
-    rows = [[named(m.added, joints), percent(m.probability)] for m in found.models]
+    rows = [[named(m.added, found.joints), percent(m.probability)] for m in found.models]
     return Table(["model", "probability"], rows)
 
 
