@@ -131,7 +131,7 @@ def next_release(way, experiment, found, rng) -> tuple[float, list[float]]:
         plan = residyn.plan(found, tests=1)
         if plan.tests:
             test = plan.tests[0]
-            return test.theta2, list(test.release.values())
+            return float(test.theta2 or 0.0), list(test.release.values())
     if way == "largest":
         return present, [limits.angle, limits.angle]
     angles = rng.uniform(-limits.angle, limits.angle, 2)
@@ -247,7 +247,7 @@ def among(found: residyn.Diagnosis, label: str) -> bool:
 
 def main() -> None:
     """The command."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="How right plan, unload and the atlas are.")
     parser.add_argument("what", choices=("campaigns", "orbit", "atlas"))
     parser.add_argument("--count", type=int, default=4)
     parser.add_argument("--skip", type=int, default=0)
