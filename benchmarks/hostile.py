@@ -4,8 +4,8 @@ python -m benchmarks.hostile [NAME...]      all, if none is named
 
 Each is one recording, with frozen seeds, given to the command in a process of its own. A good
 answer is a refusal in one line, "unexplained", or a name that says what was done to the recording;
-no other name may have a probability above one half. Time and memory are those of the process, with
-programs already in the cache (a first run compiles them).
+no other name may have a probability above one half. Time (of the CPU) and memory are those of the
+process, with programs already in the cache (a first run compiles them).
 """
 
 import json
@@ -190,7 +190,8 @@ class Outcome(NamedTuple):
     said: str
     names: dict[str, float]
     """Effects and their probabilities, of 1 % and more."""
-    wall: float
+    seconds: float
+    """Of the CPU."""
     memory: float
     """Bytes."""
     wrong: str
@@ -211,7 +212,7 @@ def diagnosed(name: str) -> Outcome:
                 if time.perf_counter() - began > STOP:
                     run.kill()
                 time.sleep(0.05)
-        wall, memory = time.perf_counter() - began, 1024.0 * done[2].ru_maxrss
+        seconds, memory = done[2].ru_utime + done[2].ru_stime, 1024.0 * done[2].ru_maxrss
         run.returncode = os.waitstatus_to_exitcode(done[1])
         line = words.read_text().strip().replace(str(folder) + os.sep, "")
         found = json.loads(out.read_text()) if out.exists() else None
@@ -227,11 +228,11 @@ def diagnosed(name: str) -> Outcome:
         line = f"{found['verdict']} ({found['verdict_probability']:.0%})"
     elif run.returncode not in (1, 2) or line.count("\n") or "should not have" in line:
         wrong.append(f"status {run.returncode}")
-    if wall > LONGEST:
-        wrong.append(f"{wall:.0f} s")
+    if seconds > LONGEST:
+        wrong.append(f"{seconds:.0f} s")
     if memory > LARGEST:
         wrong.append(f"{memory / 1e9:.2g} GB")
-    return Outcome(line, names, wall, memory, ", ".join(wrong))
+    return Outcome(line, names, seconds, memory, ", ".join(wrong))
 
 
 def main(names: list[str]) -> None:
@@ -241,7 +242,14 @@ def main(names: list[str]) -> None:
         took = diagnosed(name)
         said = took.said if len(took.said) < 90 else took.said[:87] + "..."
         named = ", ".join(f"{e} {p:.0%}" for e, p in took.names.items()) or "nothing"
-        row = [name, said, named, f"{took.wall:.0f} s", f"{took.memory / 1e9:.2f} GB", took.wrong]
+        row = [
+            name,
+            said,
+            named,
+            f"{took.seconds:.0f} s",
+            f"{took.memory / 1e9:.2f} GB",
+            took.wrong,
+        ]
         rows.append(row)
         print(" | ".join(row), file=sys.stderr, flush=True)
     print(markdown(["recording", "said", "named", "time", "memory", "wrong"], rows))

@@ -53,7 +53,7 @@ class Method:
         return [i for i in self.seconds if i > 0]
 
 
-def fit_residyn(given: Problem, starts: int = 1, **search) -> Answer:
+def fit_residyn(given: Problem, **how) -> Answer:
     """`residyn.fit`, its report with errors and modes included."""
     arm = given.arm
     table = ArmTable((arm.l1, arm.l2), arm.shoulder, arm.elbow, arm.coupling)
@@ -61,7 +61,6 @@ def fit_residyn(given: Problem, starts: int = 1, **search) -> Answer:
         residyn.Recording.from_arrays(given.t, q, theta2=arm.theta2, noise=given.noise)
         for q in given.q
     )
-    how = search or {"starts": starts}
     fit = residyn.fit(residyn.Experiment(table, recordings), **how)
     numbers = np.array([n.value for n in fit.numbers])
     return Answer(numbers, np.stack([r.state for r in fit.recordings]))
@@ -87,6 +86,10 @@ def methods(many: bool) -> list[Method]:
         Method(FLOOR, rival("_rivals_numba")),
         Method("numba, by hand, all readings at once", rival("_rivals_numba", "fit_directly")),
         *ours,
+        Method(
+            "residyn, 1 start, by diffeqsolve",
+            functools.partial(fit_residyn, starts=1, integrator="Tsit5"),
+        ),
         Method("CasADi, multiple shooting", rival("_rivals_casadi")),
         Method("CasADi, single shooting", rival("_rivals_casadi", "fit_single")),
         Method("optimistix LM on diffrax Tsit5", rival("_rivals_jax")),

@@ -1,9 +1,11 @@
 """The race: what is counted, what is the same for all, and what cannot be asked."""
 
+import dataclasses
 import json
 import math
 import re
 import sys
+from typing import Any
 
 import jax
 import numpy as np
@@ -12,11 +14,12 @@ import pytest
 import residyn
 from residyn.cli import main
 from residyn.demo import experiment_file
-from residyn.fitting import METHODS, MissingExtra, Race
+from residyn.fitting import METHODS, MissingExtra, Race, genetic, least_squares
+from residyn.fitting.methods import GENETIC
 from residyn.fitting.race import ONE, TEN
 from residyn.fitting.watch import Watch
 
-CHEAP = ["levenberg", "cma_es", "optimistix.BFGS"]
+ALL = [*METHODS, "optimistix.BFGS"]
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +38,7 @@ def experiment():
 
 @pytest.fixture(scope="module")
 def raced(experiment) -> Race:
-    return residyn.race(experiment, methods=CHEAP, simulations=1000)
+    return residyn.race(experiment, methods=ALL, simulations=1000)
 
 
 @pytest.fixture(scope="module")
@@ -45,18 +48,55 @@ def demo():
 
 
 def test_every_objective_is_that_of_a_fit_by_the_same_method(experiment, raced):
-    own = {"cma_es": {"generations": 50, "seed": 0}}
+    assert [each.name for each in raced.methods] == ALL
     for each in raced.methods:
-        fit = residyn.fit(experiment, method=each.name, **own.get(each.name, {}))
+        own: dict[str, Any] = {}
+        if each.name in GENETIC:
+            own = {"generations": 1000 // GENETIC[each.name].population, "seed": 0}
+        fit = residyn.fit(experiment, method=each.name, **own)
         assert each.median.objective == pytest.approx(fit.objective, rel=1e-9)
 
 
-def test_simulations_are_those_that_were_run(raced):
+def test_steps_of_descents_are_counted_with_every_direction(experiment, monkeypatch):
+    evaluations, compressed = [], least_squares.compressed
+
+    def counted(problem, *given):
+        jax.debug.callback(lambda steps: evaluations.append(int(steps)), problem.steps)
+        return compressed(problem, *given)
+
+    monkeypatch.setattr(least_squares, "compressed", counted)
+    # Two recordings: of shapes that no other test has, so that the program is traced here. One more
+    # is held out, and takes no part.
+    check = dataclasses.replace(experiment.recordings[0], role="check")
+    three = dataclasses.replace(experiment, recordings=(*2 * experiment.recordings, check))
+    (each,) = residyn.race(three, methods=["levenberg"]).methods
+    jax.effects_barrier()
+    # Four numbers, and four initial states of each recording: eight directions, and the motion.
+    simulations = sum(9 * steps / min(evaluations) for steps in evaluations)
+    assert simulations == 2 * each.median.simulations  # once before the race, to compile
+
+
+def test_individuals_are_counted_as_they_are_simulated(experiment, monkeypatch):
+    ran, objective = [], genetic._objective
+
+    def counted(look, genes):
+        jax.debug.callback(lambda _: ran.append(1), genes)
+        return objective(look, genes)
+
+    monkeypatch.setattr(genetic, "_objective", counted)
+    (each,) = residyn.race(experiment, methods=["cma_es"], simulations=100).methods
+    jax.effects_barrier()
+    assert each.median.simulations == 100
+    # The first generation of 20 was run once before, to compile.
+    assert len(ran) == 120
+
+
+def test_histories_grow(raced):
     by = {each.name: each.median for each in raced.methods}
-    assert by["cma_es"].simulations == 1000
-    # Four numbers and four initial states: eight directions, and the motion itself.
+    for name, method in GENETIC.items():
+        assert by[name].simulations == 1000 // method.population * method.population
+    assert by["random"].simulations % 9 == 100 % 9  # a hundred that are drawn
     assert by["optimistix.BFGS"].simulations % 9 == 0
-    assert by["levenberg"].simulations % 9 == 0
     for run in by.values():
         history = run.history
         assert np.all(np.diff(history.simulations) >= 0)
@@ -185,6 +225,14 @@ def test_bad_input_is_one_line(demo, words, said, capsys):
     assert main(["race", str(demo), "--no-cache", *words]) == 2
     error = capsys.readouterr().err.strip()
     assert said in error
+    assert len(error.splitlines()) == 1
+
+
+def test_a_race_without_the_extra_is_one_line(demo, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "evosax.algorithms", None)
+    assert main(["race", str(demo), "--no-cache"]) == 2
+    error = capsys.readouterr().err.strip()
+    assert "pip install 'residyn[ga]'" in error
     assert len(error.splitlines()) == 1
 
 

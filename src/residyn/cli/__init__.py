@@ -6,6 +6,9 @@ matplotlib are imported inside the commands that need them; and whoever makes a 
 line that says what would be right, never a traceback (`_shell`).
 """
 
+import os
+import signal
+
 import typer
 
 from . import (
@@ -22,7 +25,7 @@ from . import (
     _simulate,
     _unload,
 )
-from ._shell import run
+from ._shell import INTERRUPTED, run
 
 app = typer.Typer(
     name="residyn",
@@ -66,8 +69,14 @@ app.command("new")(_example.new)
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the command with these words (those of the command line, if not given).
+    """Run the command with these words. Without any, those of the command line: the process then
+    ends here, for Python would wait for threads that still compile, or pull their memory away.
 
     **Returns:** the exit status.
     """
-    return run(app, args)
+    status = run(app, args)
+    if args is None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if status == INTERRUPTED:
+            os._exit(status)
+    return status

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import InputError, inside
-from ..files import write
+from ..files import check_writable, write
 from . import _options
 from ._experiment import bring, in_one_line, input_files, load
 from ._shell import Outputs, console, progress, set_up_jax
@@ -63,6 +63,9 @@ def effects(
         raise InputError("--json goes with --detectable EXPERIMENT")
     if plot is not None and name is None:
         raise InputError("--plot draws one effect: residyn effects NAME --plot FILE")
+    if plot is not None:
+        with inside("--plot"):
+            check_writable(plot)
     bring(own)
     with progress() as say:
         say("loading")

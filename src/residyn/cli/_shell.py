@@ -1,6 +1,7 @@
 """What all commands share: exit statuses, words, progress, output files, JAX's settings."""
 
 import contextlib
+import errno
 import itertools
 import json
 import multiprocessing
@@ -50,16 +51,24 @@ def run(app: typer.Typer, args: Sequence[str] | None) -> int:
     command = typer.main.get_command(app)
     try:
         words = list(sys.argv[1:] if args is None else args)
-        with command.make_context("residyn", words) as context:
-            command.invoke(context)
+        try:
+            with command.make_context("residyn", words) as context:
+                command.invoke(context)
+            status = DONE
+        except typer.Exit as end:
+            status = end.exit_code
         sys.stdout.flush()
-        return DONE
-    except typer.Exit as end:
-        return _flushed(end.exit_code)
+        return status
     except (KeyboardInterrupt, typer.Abort):
         return complain("interrupted", INTERRUPTED)
     except BrokenPipeError:
-        return _hang_up()
+        _hang_up()
+        return BROKEN_PIPE
+    except OSError as error:  # of files it is an InputError
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
+            return _unexpected(error)
+        _hang_up()
+        return complain(f"standard output: cannot be written ({error.strerror})", BAD_INPUT)
     except _UsageError as error:
         return complain(_usage(error), BAD_INPUT)
     except InputError as error:
@@ -67,12 +76,7 @@ def run(app: typer.Typer, args: Sequence[str] | None) -> int:
     except NoNumbers as error:
         return complain(str(error), NO_NUMBERS)
     except Exception as error:
-        if os.environ.get(TRACEBACK):
-            raise
-        what = f"{type(error).__name__}: {error}".splitlines()[0]
-        return complain(
-            f"this should not have happened, {what} (set {TRACEBACK}=1 to see where)", NO_NUMBERS
-        )
+        return _unexpected(error)
 
 
 def complain(line: str, status: int) -> int:
@@ -82,19 +86,19 @@ def complain(line: str, status: int) -> int:
     return status
 
 
-def _flushed(status: int) -> int:
-    try:
-        sys.stdout.flush()
-    except BrokenPipeError:
-        return _hang_up()
-    return status
+def _unexpected(error: Exception) -> int:
+    """A mistake of ours."""
+    if os.environ.get(TRACEBACK):
+        raise error
+    what = f"{type(error).__name__}: {error}".splitlines()[0]
+    return complain(
+        f"this should not have happened, {what} (set {TRACEBACK}=1 to see where)", NO_NUMBERS
+    )
 
 
-def _hang_up() -> int:
-    """Whoever read standard output has left: nothing is wrong, and nothing more is to be said."""
-    # Python flushes once more at exit, and would complain then.
+def _hang_up() -> None:
+    """Nothing more goes to standard output: Python flushes it at exit, and would complain then."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return BROKEN_PIPE
 
 
 def _usage(error: Any) -> str:

@@ -36,6 +36,7 @@ from .linalg import damped_step
 from .problem import Compressed, Problem, Unknowns, over_recordings, predict
 from .result import Fit, FitError, RecordingFit
 from .setup import Ready, ready
+from .watch import watching
 
 TENTH = 0.1
 """Times the noise, beyond which an integration error is worth a warning."""
@@ -61,6 +62,9 @@ def corrected(
     other minimum. `evaluate` gives residual and Jacobian of a problem."""
     problem, y = descent.problem, descent.unknowns
     fine, error = at_twice_the_steps(descent, recordings, evaluate)
+    watch = watching()
+    if watch is not None:
+        watch.descended(problem, y, 2)
     if not error <= TENTH:  # not small: shorter steps are called for
         return descent, error
     factor, count, n = np.asarray(fine.factor), y.numbers.shape[0], fine.predicted.shape[-1]
@@ -75,6 +79,8 @@ def corrected(
         return descent, error
     there = Unknowns(y.numbers + step.numbers, y.states + step.states)
     found = jax.device_get(evaluate(problem, there))
+    if watch is not None:
+        watch.descended(problem, there, 1)
     cost = float(np.sum(found.along**2) + np.sum(found.beside**2))
     return descent._replace(unknowns=there, compressed=found, cost=cost), error
 
@@ -89,7 +95,7 @@ def at_twice_the_steps(
     fine, own = finer(descent.problem, recordings), np.asarray(descent.compressed.predicted)
     angles = np.zeros(np.shape(fine.recorded.angles))
     angles[:, : own.shape[1]] = own
-    fine = eqx.tree_at(lambda p: p.recorded.angles, fine, angles)
+    fine = dataclasses.replace(fine, recorded=dataclasses.replace(fine.recorded, angles=angles))
     found = jax.device_get(evaluate(fine, descent.unknowns))
     return found, rms_over_noise(found.predicted, descent.beside(recordings))
 

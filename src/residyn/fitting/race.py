@@ -220,6 +220,8 @@ def race(
         evosax_or_missing()
     if integrator is not None:
         experiment = dataclasses.replace(experiment, integrator=integrator)
+    # Initial states of check recordings are fitted when a search is over: they take no part in it.
+    fitted = dataclasses.replace(experiment, recordings=experiment.fit_recordings)
     most = (
         math.inf if simulations is None else simulations,
         math.inf if seconds is None else seconds,
@@ -232,7 +234,7 @@ def race(
             for seed in range(repeats):
                 again = f", seed {seed}" if repeats > 1 else ""
                 say(f"{title}{again}")
-                run = _run(experiment, effects, name, method, seed, most, hear)
+                run = _run(fitted, effects, name, method, seed, most, hear)
                 done[name].append(run)
                 if run.fit is not None:
                     known = run.fit.model.labels

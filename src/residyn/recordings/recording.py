@@ -20,10 +20,15 @@ from .arrays import (
     doubtful_clock,
 )
 from .noise import noise_and_doubts
+from .outliers import outlier_mask
 from .release import window
-from .resampling import decimated, evenly_sampled
+from .resampling import block_means, decimated, evenly_sampled
 from .rest import SWINGS, rest_angles, swings
 from .toml import check_own, check_role
+
+MOST = 100_000
+"""Instants of a recording: where there are more, means of some after each other are taken. That
+leaves dozens for each period of anything that swings less than a thousand times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +108,10 @@ class Recording:
             force = None if force is None else force[part]
             check_enough(angle, part=start is not None or stop is not None)
             warnings += doubtful_clock(time)
+            many = -(-len(time) // MOST)
+            if many > 1:
+                time, angle, force, words = _means(time, angle, force, many)
+                warnings.append(words)
             understood = ""
             if rest is not None:
                 off, doubts = _rest(rest, time, angle)
@@ -112,7 +121,7 @@ class Recording:
             if noise is None:
                 sigma, doubts = noise_and_doubts(time, angle)
             else:
-                sigma = check_noise(noise, angle.shape[1])
+                sigma = check_noise(noise, angle.shape[1]) / many**0.5
                 still = np.nanmax(angle, axis=0) == np.nanmin(angle, axis=0)
                 doubts = [
                     f"q{j + 1} never moves: all its readings are the same"
@@ -157,6 +166,20 @@ class Recording:
     def missing(self) -> int:
         """How many readings are missing, all joints together."""
         return int(np.count_nonzero(np.isnan(self.angle)))
+
+
+def _means(
+    time: np.ndarray, angle: np.ndarray, force: np.ndarray | None, many: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, str]:
+    """Means over so many instants after each other, and what was done, in words."""
+    angle = np.where(outlier_mask(time, angle), np.nan, angle)  # or it would be in its mean
+    found = block_means(time, many), block_means(angle, many)
+    drive = None if force is None else block_means(force, many)
+    words = (
+        f"has {len(time)} samples: means of {many} are taken, which leaves {len(found[0])}; if the "
+        "arm swings faster than they tell, cut it with start and stop"
+    )
+    return *found, drive, words
 
 
 def _rest(rest: Any, time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, list[str]]:

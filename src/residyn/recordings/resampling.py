@@ -1,8 +1,10 @@
-"""A recording at equal steps, and at no more of them than its slowest mode needs."""
+"""A recording at equal steps, and at no more of them than are needed."""
 
 import math
+from typing import cast
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 from .outliers import outlier_mask
 
@@ -24,9 +26,7 @@ def decimated(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarr
     many = int(slowest_period(angle - angle.mean(axis=0)) / 40)
     if many < 2:
         return time, angle
-    whole = len(time) // many * many
-    mean = lambda x: x[:whole].reshape(-1, many, *x.shape[1:]).mean(axis=1)  # noqa: E731
-    return mean(time), mean(angle)
+    return block_means(time, many), block_means(angle, many)
 
 
 def slowest_period(motion: np.ndarray) -> float:
@@ -34,8 +34,19 @@ def slowest_period(motion: np.ndarray) -> float:
     count = len(motion)
     # Padded, so that a few swings in all are counted finely enough.
     shaped = motion * np.hanning(count)[:, None]
-    power = np.abs(np.fft.rfft(shaped, 8 * count, axis=0)[8:]) ** 2
+    length = cast(int, next_fast_len(8 * count, real=True))
+    power = np.abs(np.fft.rfft(shaped, length, axis=0)[8:]) ** 2
     large = power >= 0.02 * np.maximum(power.max(axis=0), 1e-300)
     peaks = large[1:-1] & (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])
     first = min((int(np.flatnonzero(p)[0]) for p in peaks.T if p.any()), default=0)
-    return 8 * count / (first + 9)
+    return length / (first + 9)
+
+
+def block_means(x: np.ndarray, many: int, most_missing: float = 0.5) -> np.ndarray:
+    """Means of so many rows after each other of x (N,) or (N, n); NaN where more than that share of
+    them is missing. A rest of fewer rows is left out."""
+    blocks = x[: len(x) // many * many].reshape(-1, many, *x.shape[1:])
+    seen = np.isfinite(blocks)
+    total = np.where(seen, blocks, 0.0).sum(axis=1)
+    enough = seen.mean(axis=1) >= 1 - most_missing
+    return np.where(enough, total / np.maximum(seen.sum(axis=1), 1), np.nan)

@@ -1,4 +1,4 @@
-"""JSON knows no infinities and no NaN: they are written as null."""
+"""JSON knows no infinities, no NaN and no scalars of NumPy."""
 
 import math
 from collections.abc import Mapping
@@ -6,11 +6,13 @@ from typing import Any
 
 
 def finite(value: Any) -> Any:
-    """The same value, with None for every number that is not finite."""
+    """The same value in Python's own numbers, with None for every one that is not finite."""
     if isinstance(value, Mapping):
         return {key: finite(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
         return [finite(each) for each in value]
+    if getattr(value, "shape", None) == ():
+        value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

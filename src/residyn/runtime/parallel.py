@@ -19,5 +19,8 @@ def side_by_side(calls: Sequence[Callable[[], Result]]) -> list[Result]:
 
     if len(calls) == 1:
         return [one(calls[0])]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    pool = ThreadPoolExecutor(os.cpu_count())
+    try:
         return list(pool.map(one, calls))
+    finally:  # whoever interrupts does not wait for what others compile
+        pool.shutdown(wait=False, cancel_futures=True)
