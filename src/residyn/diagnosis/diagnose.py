@@ -30,7 +30,7 @@ from ..recordings.experiment import Experiment
 from .candidate_tests import best_tests, in_play
 from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES
 from .forecast import held_out
-from .linearised_fit import LinearisedFit, evaluated, polish
+from .linearised_fit import LinearisedFit, evaluated, forget, polish
 from .missing_torque import missing_of, scene_of
 from .result import (
     Budget,
@@ -92,6 +92,8 @@ def diagnose(
     with jax.enable_x64(True):
         deadline = math.inf if budget is None else time.perf_counter() + budget
         scene, base, wild = scene_of(experiment, effects)
+        # What is found is of all runs; whether one has it for itself, `compare` asks afterwards.
+        experiment = experiment.owning([e.label for e in base])
         fits = Fits(experiment, scene, wild, starts)
         search = Search(scene, base, deadline=deadline, say=say)
         fits.begin(search.base)
@@ -146,7 +148,7 @@ class Fits:
             )
             return finish(self.experiment, t.numbers, found, began, polish, evaluated)
         except FitError:
-            lost = tried.intensity >= EXPLAINS_NOTHING  # no start is better than another one
+            lost = tried.complete < 0.5  # no start of a wrong model is better than another one
             return fit(self.experiment, effects=own, starts=1 if lost else self.starts)
 
     def _cut(self, numbers: np.ndarray, own: Sequence[AbstractEffect]) -> None:
@@ -249,6 +251,7 @@ def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...
             held = held_out(LinearisedFit.of(result))
             relative = model.log_evidence - best.log_evidence
             found.append(ModelState(labels[k - 1] if k else None, (), result, held, relative))
+    forget()
     return tuple(found)
 
 
@@ -259,8 +262,8 @@ class Posterior:
         self.search = search
         self.models = list(search.tried.values())
         logs = np.array([m.log_posterior for m in self.models])
-        self.total = float(logsumexp(logs))
-        self.each = np.exp(logs - self.total)
+        self.each = np.exp(logs - logsumexp(logs))
+        self.each /= self.each.sum()
         chosen = {"adequate": False, "missing": True}.get(self.verdict()[0])
         self.best: Tried = max(
             (m for m in self.models if chosen is None or bool(m.added) is chosen),

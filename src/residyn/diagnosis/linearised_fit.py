@@ -30,6 +30,7 @@ from ..fitting.problem import (
 from ..fitting.result import Fit, FitError, RecordingFit
 from ..fitting.setup import Ready, mechanism_of, reweighted
 from ..runtime.export_cache import kept
+from ..runtime.memory import give_back
 
 # A direction of the tangent this much shorter than the longest is rounding, or undetermined.
 _BLIND = 1e-5
@@ -234,6 +235,12 @@ def _look(problem: Problem, y: Unknowns):
 def evaluated(problem: Problem, y: Unknowns) -> Compressed:
     """Residual and Jacobian at these unknowns."""
     return minimum(problem, y, most=0).compressed()
+
+
+def forget(most: int = 16) -> None:
+    """Give back the memory of compiled models, 15 to 50 MB each, where there are more."""
+    _look.keep_at_most(most)
+    give_back()
 
 
 class Tangent(NamedTuple):

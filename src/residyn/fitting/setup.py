@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ from ..effects import AbstractEffect, effects_named
 from ..effects.own_numbers import with_own
 from ..errors import InputError, inside, quote
 from ..physics.bearings import AirBearing, without_bearings
+from ..physics.inertia import AbstractInertia
 from ..physics.mechanism import AbstractMechanism, ConstantInertia, PlanarArm
 from ..physics.modal import fastest, ringing
 from ..physics.model import Model
@@ -25,6 +26,8 @@ from ..runtime.export_cache import kept
 from ..simulation.integrator import Integrator, integrator_of
 from .layout import bucket, lay_out
 from .problem import Problem, Unknowns, posed
+
+_Bodies = TypeVar("_Bodies", bound=AbstractInertia)
 
 # Step of a fit times fastest angular frequency: good to 1e-6 of the amplitude, far below any noise.
 _STEP = 0.4
@@ -84,11 +87,11 @@ def model_for(mechanism: AbstractMechanism, effects: Sequence[str | AbstractEffe
     return model
 
 
-def richest(mechanisms: Sequence[AbstractMechanism]) -> AbstractMechanism:
+def richest(mechanisms: Sequence[_Bodies]) -> _Bodies:
     """Of the bodies of several recordings those on which most effects make sense: effects of the
     bearings, or of a load, go with an experiment if any of its recordings had them."""
 
-    def most(mechanism: AbstractMechanism) -> tuple[float, float]:
+    def most(mechanism: AbstractInertia) -> tuple[float, float]:
         bearings = float(mechanism.bearings.sum()) if isinstance(mechanism, PlanarArm) else 0.0
         return bearings, float(getattr(mechanism, "load", 0.0))
 
