@@ -206,7 +206,7 @@ def pendulum_table(folder: Path) -> None:
     """A two-link arm hanging in gravity, with its authors' masses and lengths."""
     _head("s", "model", "error, mrad", "each joint", "numbers")
     for start, stop in ((0, 4), (8, 13), (30, 40)):
-        for effects in MODELS:
+        for effects in (*MODELS, ["gravity", "printed_inertia_torque"]):
             fit = residyn.fit(pendulum(folder / "free_swing.csv", start, stop), effects=effects)
             each = ", ".join(f"{1e3 * x:.2f}" for x in fit.rmse)
             error = f"{1e3 * np.sqrt(np.mean(fit.rmse**2)):.2f}"
