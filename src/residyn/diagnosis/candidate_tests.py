@@ -18,8 +18,7 @@ import numpy as np
 
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting.layout import bucket
-from ..fitting.problem import posed
-from ..fitting.setup import mechanism_of
+from ..fitting.problem import mechanism_of, posed
 from ..physics.modal import fastest, modes
 from ..physics.model import Model
 from ..recordings.experiment import Experiment

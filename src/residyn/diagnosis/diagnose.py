@@ -20,11 +20,10 @@ from ..effects import AbstractEffect
 from ..filtering.law import number_slices, numbers_of
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import DEFAULT_STARTS, FitError, fit
-from ..fitting.descent import descend
-from ..fitting.drifting import without_drift
 from ..fitting.fit import finish
+from ..fitting.multistart import descend, without_drift
+from ..fitting.problem import ready
 from ..fitting.result import Fit
-from ..fitting.setup import ready
 from ..physics.motion import Motion
 from ..recordings.experiment import Experiment
 from .candidate_tests import best_tests, in_play
@@ -142,10 +141,8 @@ class Fits:
             here = ready(self.experiment, self.experiment.fit_recordings, own)
             states = np.stack([self._state(t, r) for r in here.recordings])
             begin = here.model.with_vector(jnp.asarray(t.numbers))
-            quiet, wild = lambda words: None, self._wild(here.recordings)
-            found = descend(
-                here, begin, t.numbers[None], wild, quiet, near=states[None], search=polish
-            )
+            wild = self._wild(here.recordings)
+            found = descend(here, begin, t.numbers[None], wild, near=states[None], search=polish)
             return finish(self.experiment, t.numbers, found, began, polish, evaluated)
         except FitError:
             lost = tried.complete < 0.5  # no start of a wrong model is better than another one

@@ -15,20 +15,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..fitting.least_squares import Polished
-from ..fitting.linalg import damped_step
-from ..fitting.problem import (
+from ..fitting.least_squares import (
     RUNAWAY,
     Compressed,
-    Problem,
-    Unknowns,
+    Polished,
     over_recordings,
     predict,
-    tight,
     whiten,
 )
+from ..fitting.linalg import damped_step
+from ..fitting.problem import Problem, Ready, Unknowns, reweighted, tight
 from ..fitting.result import Fit, FitError, RecordingFit
-from ..fitting.setup import Ready, mechanism_of, reweighted
 from ..runtime.export_cache import kept
 from ..runtime.memory import give_back
 
@@ -150,17 +147,9 @@ class LinearisedFit(NamedTuple):
 
     @classmethod
     def of(cls, fit: Fit) -> "LinearisedFit":
-        """Around the end of a fit. Call it, and its methods, in float64."""
+        """Around the end of a fit. Call its methods in float64."""
         fitted = tuple(r for r in fit.recordings if r.recording.role != "check")
-        recordings = tuple(r.recording for r in fitted)
-        mechanisms = tuple(mechanism_of(fit.experiment, r) for r in recordings)
-        # The step, and with it every shape, was chosen where the fit began.
-        begin = fit.model.with_vector(jnp.asarray([n.start for n in fit.numbers]))
-        ready = Ready(begin, recordings, mechanisms)
-        problem, _ = ready.problem(begin, [r.wild for r in fitted])
-        states = jnp.asarray(np.stack([r.state for r in fitted]))
-        at = problem.scaled(fit.model.vector(), states)
-        return cls(fit, fitted, problem, at, ready)
+        return cls(fit, fitted, fit.problem, fit.unknowns, fit.ready)
 
     @property
     def readings(self) -> int:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..effects import AbstractEffect
-from ..fitting.setup import richest
+from ..fitting.problem import richest
 from ..physics.inertia import AbstractInertia
 from ..physics.model import Model
 from ..physics.parameter import Parameter, Scales

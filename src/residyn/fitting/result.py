@@ -15,6 +15,7 @@ from ..recordings.segments import by_recording
 from ..runtime.json import number
 from ..runtime.presentation import TableResult
 from .history import History
+from .problem import Problem, Ready, Unknowns
 
 STRONG = 0.9
 """Correlations beyond this are named."""
@@ -100,6 +101,12 @@ class Fit(TableResult):
     reason: str
     steps: int
     seconds: float
+    ready: Ready
+    """The model on the bodies of each fitted recording, and the resolution of its motion."""
+    problem: Problem
+    """The least-squares problem that was solved, in float64."""
+    unknowns: Unknowns
+    """Its minimum."""
     open_groups: tuple[tuple[int, ...], ...] = ()
     """Indices of numbers of which the data determine only a combination."""
     integration_error: float = float("nan")

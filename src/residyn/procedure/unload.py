@@ -65,7 +65,7 @@ def unload(
         step_1 = None if given is not None else _step_1(experiment, say)
         covariance = step_1.covariance if isinstance(step_1, InertiaResult) else given
         say("carrying the errors over")
-        errors = carried(fitted, effects, covariance)
+        errors = carried(fitted, covariance)
         off = tuple(e.label for e in fitted.model.effects if e.of_bearings)
         poses = tuple(_pose(fitted, r, errors) for r in _poses(experiment))
         checks = []

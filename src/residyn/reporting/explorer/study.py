@@ -5,12 +5,12 @@ order of all candidates; the search adds tried models; and any set of effects th
 is fitted by least squares, from the tried model where there is one, else from the first order.
 """
 
+import dataclasses
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,12 +26,11 @@ from ...diagnosis.search import Search, Tried, settle, silenced, tried_alone
 from ...effects import AbstractEffect
 from ...filtering.trajectory import Prior, Scene, Trajectory
 from ...fitting import DEFAULT_STARTS, fit
-from ...fitting.descent import Descent, wild_beside
 from ...fitting.fit import finish
-from ...fitting.least_squares import polish
-from ...fitting.problem import Unknowns
+from ...fitting.lanes import alone
+from ...fitting.multistart import Descent, outliers_among, polishing
+from ...fitting.problem import Unknowns, ready
 from ...fitting.result import Fit, FitError
-from ...fitting.setup import ready
 from ...recordings.experiment import Experiment
 from .first_order import FirstOrder, first_order
 
@@ -126,7 +125,7 @@ class Study:
             if held:
                 self.say("smoothing the recordings that are held out")
                 here = ready(self.experiment, held, self.effects)
-                wild = wild_beside(here, [r.angle for r in here.recordings])
+                wild = outliers_among(here, [r.angle for r in here.recordings])
                 other = Scene(here.recordings, here.mechanisms, wild)
                 other.scales, other.torque = scene.scales, scene.torque  # the same priors
                 self._beside = other
@@ -258,26 +257,22 @@ class Study:
         for name, value in held.items():
             if name not in names or not np.isfinite(value):
                 raise ValueError(f"{name} = {value}: is no number of this model")
-        experiment = found.experiment
-        own = [e for e in found.model.effects if e.name not in ("spring", "damper")]
-        here = ready(experiment, experiment.fit_recordings, own)
         begin = found.model.with_values({k: jnp.asarray(float(v)) for k, v in held.items()})
-        fitted = [r for r in found.recordings if r.recording.role != "check"]
-        wild = [r.wild for r in fitted]
-        problem, _ = here.problem(begin, wild)
-        active = np.array([float(name not in held) for name in names])
-        problem = eqx.tree_at(lambda p: p.active, problem, active)
-        start = np.asarray(begin.vector())
-        states = np.stack([r.state for r in fitted])
+        problem = dataclasses.replace(
+            found.problem,
+            model=begin,
+            active=np.array([float(name not in held) for name in names]),
+        )
+        start, states = np.asarray(begin.vector()), found.problem.states(found.unknowns)
         y = problem.scaled(start, states)
-        out = polish(problem, Unknowns(np.asarray(y.numbers)[None], np.asarray(y.states)[None]),
-                     (1.0,))  # fmt: skip
+        starts = Unknowns(np.asarray(y.numbers)[None], np.asarray(y.states)[None])
+        out = alone(polishing(problem, starts, [1.0]))
         if not np.isfinite(out.cost):
             raise FitError("with these numbers the motion runs away")
-        descent = Descent(
-            problem, wild, out.unknowns, out.compressed, out.cost, out.steps, out.converged, 1, 1
-        )
-        return finish(experiment, start, descent, began)
+        outliers = [r.wild for r in found.recordings if r.recording.role != "check"]
+        ends = out.unknowns, out.compressed, out.cost, out.steps, out.converged
+        descent = Descent(found.ready, problem, outliers, *ends, starts=1, agreeing=1)
+        return finish(found.experiment, start, descent, began)
 
     # -- the search ---------------------------------------------------------------------------
 
