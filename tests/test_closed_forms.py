@@ -39,7 +39,7 @@ def test_dahls_friction_builds_up_exponentially_and_reverses():
     back = Motion.at(0.0, [0.04], [-1.0], [0.0, 0.0])._replace(turn=(0.05,))
     after = -1 + (1 + z) * np.exp(-0.01 / 0.02)
     np.testing.assert_allclose(dahl.torque(back, cart)[0], 3.0 * after, rtol=1e-12)
-    np.testing.assert_allclose(dahl.follow(back, cart), [after, 0.04], rtol=1e-12)
+    np.testing.assert_allclose(np.array(dahl.follow(back, cart)), [after, 0.04], rtol=1e-12)
 
 
 def test_dahls_friction_takes_coulombs_bite_where_it_is_stiff():
