@@ -150,6 +150,25 @@ class Fit(TableResult):
             return self.covariance / spread / spread[:, None]
 
     @property
+    def unseen(self) -> tuple[str, ...]:
+        """Effects whose strength is within two standard errors of none, and which have a shape (a
+        gap, a frequency): where nothing acts no shape can be told (Davies, Biometrika 64, 1977)."""
+        found, each = [], list(zip(self.numbers, self.model.fitted, strict=True))
+        for index, effect in enumerate(self.model.effects):
+            own = [(n, m.meaning.silent) for n, m in each if m.effect == index]
+            strengths = [(n, silent) for n, silent in own if silent is not None]
+            silent = [not n.determined or abs(n.value - s) < NEGATIVE * n.std for n, s in strengths]
+            if silent and all(silent) and len(strengths) < len(own):
+                found.append(effect.label)
+        return tuple(found)
+
+    @property
+    def stands(self) -> bool:
+        """Whether the numbers can be had: the search settled, or did not only along the shape of an
+        effect that is not seen, with a residual that is noise."""
+        return self.converged or (bool(self.unseen) and not self.misses)
+
+    @property
     def misses(self) -> bool:
         """Whether the residual is more than noise."""
         return self.reduced_chi2 > STRUCTURE
