@@ -194,6 +194,7 @@ NEXT = Test(
     theta2=0.3,
     air_bearings=True,
     extra_mass=None,
+    load=None,
     drive=None,
     duration=20.0,
     entropy=0.01,
