@@ -23,8 +23,8 @@ from scipy.optimize import least_squares
 import residyn
 from benchmarks._hidden_cases import specs
 from benchmarks.effects import experiment_of as on_bearings
-from residyn.fitting.descent import descend
-from residyn.fitting.setup import ready
+from residyn.fitting.multistart import descend
+from residyn.fitting.problem import ready
 from residyn.recordings.tables import ArmTable
 from tests import rig
 
@@ -141,9 +141,9 @@ def missing(seed: int, count: int, skip: int = 0) -> None:
             cost = np.inf
         wild = [np.zeros(case.q.shape, bool)]
         with jax.enable_x64(True):
-            here, near = ready(experiment, experiment.fit_recordings, ()), truth_of(case)
-            begin = here.model.with_vector(jnp.asarray(near))
-            nearby = descend(here, begin, near[None], wild, lambda words: None)
+            here = ready(experiment, experiment.fit_recordings, ())
+            truth = here.model.with_vector(jnp.asarray(truth_of(case)))
+            nearby = descend(here, truth, truth_of(case)[None], wild)
         total += 1
         if cost > (1 + LOWER) * nearby.cost:
             worse += 1

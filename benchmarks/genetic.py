@@ -30,11 +30,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import residyn
-from residyn.fitting.descent import descend, wild_beside
+from residyn.fitting.fit import levenberg_history
 from residyn.fitting.genetic import Genetic, Search, run, search_of
 from residyn.fitting.history import History, relative_error
-from residyn.fitting.setup import Ready, ready
-from residyn.fitting.trace import levenberg_history
+from residyn.fitting.multistart import descend, outliers_among
+from residyn.fitting.problem import Ready, ready
 from residyn.reporting.figures import convergence
 from tests import rig
 
@@ -141,7 +141,7 @@ def cases(rng: np.random.Generator, count: int, **recorded: float) -> Iterator[C
     for arm in rig.clean_cases(rng, count, **recorded):
         experiment = experiment_of(arm, arm.noise)
         here = ready(experiment, experiment.fit_recordings, ())
-        wild = wild_beside(here, [r.angle for r in here.recordings])
+        wild = outliers_among(here, [r.angle for r in here.recordings])
         look = search_of(here, wild, Genetic())
         y = look.problem.scaled(jnp.asarray(truth_of(arm)), jnp.asarray(released(arm)))
         yield Case(arm, experiment, here, wild, float(relative_error(look.problem, y)))

@@ -24,8 +24,8 @@ import numpy as np
 import residyn
 from residyn.fitting import FitError
 from residyn.fitting.integration import checked
-from residyn.fitting.problem import Problem, Unknowns, compressed, predict
-from residyn.fitting.setup import ready
+from residyn.fitting.least_squares import compressed, predict
+from residyn.fitting.problem import Problem, Unknowns, ready
 from tests.exact import EXACT, IMPLICIT, LaggingDrag, error_of, recorded, twenty_arms, two_joints
 
 REPEATS = 7

@@ -61,6 +61,7 @@ def main(kills: int = 200) -> None:
             assert len(set(names)) == len(names), f"a line is there twice: {names}"
             lost += len(set(before) - set(lines))
             before = lines
+            print(f"{done} kills, {len(names)} lines, {lost} lost", file=sys.stderr, flush=True)
             if len(names) == EXPERIMENTS:
                 rounds, before = rounds + 1, []
                 out.unlink()

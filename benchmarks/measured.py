@@ -1,30 +1,65 @@
-"""Fits of measured recordings, beside the published figures.
+"""Measured rigs: the tables that the field keeps, and what this package makes of the same data.
 
-    python -m benchmarks.measured FOLDER            fits
-    python -m benchmarks.measured FOLDER predict    loaded carts fitted, bare ones predicted
+    python -m benchmarks.measured TABLE [--data FOLDER]
 
-FOLDER holds `carts/` and `double_pendulum/` (see the docs for where they come from); neither is
-part of this repository.
+- `carts`: a cart on a spring; each run alone, springs and dampers, then with a friction
+- `loads`: bare carts predicted, by what loaded ones of the same spring and both of the other tell
+- `emps`: the positioning system by its official measure, beside its authors' four-parameter model
+- `pendulum`: three parts of one swing fitted, with one effect after the other
+- `horizon`: how long a prediction of that pendulum holds, beside its authors' model
+- `bouc_wen`: the hysteretic benchmark's equations, simulated here (needs no FOLDER)
+
+FOLDER holds `carts/`, `emps/` and `double_pendulum/` (the docs say where they come from); none is
+part of this repository. A table whose data is not there says so and is left out.
 """
 
+import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from scipy.optimize import least_squares
 
 import residyn
-from benchmarks.measured_diagnosis import cart, carts_of
-from residyn.recordings.tables import ArmTable
+from benchmarks._bouc_wen import bouc_wen
+from benchmarks.measured_diagnosis import cart, carts_of, emps, force_left, pendulum
+from residyn.recordings.recording import Recording
+from residyn.simulation.equation import Drive
 
 SPRINGS = {"high": 712.6, "low": 175.3}  # N/m, published
+G = 9.81
+
+
+def _row(*cells: Any) -> None:
+    print("| " + " | ".join(str(c) for c in cells) + " |", flush=True)
+
+
+def _head(*cells: str) -> None:
+    _row(*cells)
+    print("|" + " --- |" * len(cells))
+
+
+def _with_errors(fit: residyn.Fit, names: Sequence[str] = ()) -> str:
+    """The numbers whose names begin as given (all: none given)."""
+    return ", ".join(
+        f"{n.name} {n.value:.4g} ± {n.std:.1g}"
+        for n in fit.numbers
+        if not names or n.name.startswith(tuple(names))
+    )
+
+
+# -- carts ------------------------------------------------------------------------------------
 
 
 def carts(folder: Path) -> None:
-    """One cart on a spring, pulled by hand and let go."""
-    print("| recording | rms, spring + damper | + Coulomb friction | k, N/m | c, N s/m | F, N |")
-    print("|---|---|---|---|---|---|")
+    """Each run alone."""
+    _head("run", "rms, spring + damper", "+ Coulomb friction", "k, N/m", "c, N s/m", "F, N")
     viscous: dict[tuple[str, str], list[float]] = {}
-    with_friction: dict[tuple[str, str], list[float]] = {}
+    dry: dict[tuple[str, str], list[float]] = {}
     for path in sorted(folder.glob("*.csv")):
         spring, _, load, _ = path.stem.split("_")
         experiment = carts_of(cart(path))
@@ -32,67 +67,74 @@ def carts(folder: Path) -> None:
         mended = residyn.fit(experiment, effects=["coulomb_friction:cart"])
         k, c, level = (n.value for n in mended.numbers)
         viscous.setdefault((spring, load), []).append(base.numbers[1].value)
-        with_friction.setdefault((spring, load), []).append(c)
-        print(
-            f"| {path.stem} | {1e3 * base.rmse[0]:.3f} mm | {1e3 * mended.rmse[0]:.3f} mm ", end=""
-        )
-        print(f"| {k:.1f} ({k / SPRINGS[spring] - 1:+.1%}) | {c:.3f} | {level:.4f} |", flush=True)
-    for name, found in (("spring + damper", viscous), ("+ Coulomb friction", with_friction)):
+        dry.setdefault((spring, load), []).append(c)
+        errors = [f"{1e3 * f.rmse[0]:.3f} mm" for f in (base, mended)]
+        _row(path.stem, *errors, f"{k:.1f} ({k / SPRINGS[spring] - 1:+.1%})", f"{c:.3f}",
+             f"{level:.4f}")  # fmt: skip
+    print()
+    for name, found in (("spring + damper", viscous), ("+ Coulomb friction", dry)):
         for spring in SPRINGS:
             bare, loaded = (np.mean(found[spring, load]) for load in ("bare", "loaded"))
             print(f"{name}, {spring} spring: c {bare:.3f} bare, {loaded:.3f} loaded ", end="")
             print(f"({loaded / bare - 1:+.0%})")
 
 
-def double_pendulum(path: Path) -> None:
-    """A two-link arm hanging in gravity, with its authors' masses and lengths."""
-    m1, m2, a1, a2, l1, i1, i2 = 0.09384, 0.1376, 0.1086, 0.1168, 0.1727, 4.375e-4, 1.269e-3
-    table = ArmTable((l1, 0.2), i1 + m1 * a1**2 + m2 * l1**2, i2 + m2 * a2**2, m2 * a2)
-    time, angle, _, _ = residyn.recording.read_csv(path, 2)
-    sets = (
-        [],
-        ["gravity"],
-        ["gravity", "coulomb_friction"],
-        ["gravity", "printed_inertia_torque"],
-    )
-    print("| s | " + " | ".join(" + ".join(s) or "springs, dampers alone" for s in sets) + " |")
-    print("|---|" + "---|" * len(sets))
-    for start, stop in ((0, 4), (8, 13), (30, 40)):
-        print(f"| {start}-{stop} |", end="", flush=True)
-        for effects in sets:
-            recording = residyn.Recording.from_arrays(
-                time, angle, start=start, stop=stop, theta2=0.0
-            )
-            fit = residyn.fit(residyn.Experiment(table, (recording,)), effects=effects)
-            both = np.sqrt(np.mean(fit.rmse**2))
-            each = ", ".join(f"{1e3 * r:.2f}" for r in fit.rmse)
-            print(f" {1e3 * both:.2f} mrad ({each}) |", end="", flush=True)
-        print()
+def _runs(folder: Path, spring: str, load: str, role: str = "fit", **more: Any) -> list[Recording]:
+    paths = sorted(folder.glob(f"{spring}_spring_{load}_*.csv"))
+    return [cart(path, role, **more) for path in paths]
 
 
-def predict(folder: Path) -> None:
-    """The paper's third step with carts: the loaded runs fitted, the load taken off, the bare runs
-    predicted from their first readings."""
-    for spring in ("low", "high"):
-        loaded = [cart(p) for p in sorted(folder.glob(f"{spring}_spring_loaded_*.csv"))]
-        bare = [cart(p, "check") for p in sorted(folder.glob(f"{spring}_spring_bare_*.csv"))]
-        for effects in ([], ["coulomb_friction"], ["coulomb_friction", "hysteresis"]):
-            fit = residyn.fit(carts_of(*loaded, *bare), effects=effects)
-            swings = []
-            for r in fit.recordings:
-                if r.recording.role == "check":
-                    ends = [
-                        _last_swing(r.recording.time, x[:, 0])
-                        for x in (r.recording.angle, r.predicted)
-                    ]
-                    swings.append(ends[1] - ends[0])
+def loads(folder: Path) -> None:
+    """The paper's third step with carts: bare runs predicted, their initial states fitted and no
+    number. With the other spring's runs, each of which has a stiffness of its own, friction that
+    grows with the load is told from friction that does not."""
+    _head("spring", "fitted", "model", "error fitted, mm", "bare runs, mm", "c, F, mu", "swings")
+    dry, load = ["coulomb_friction"], ["coulomb_friction", "load_friction"]
+    for spring, other in (("low", "high"), ("high", "low")):
+        bare = _runs(folder, spring, "bare", "check")
+        own = _runs(folder, spring, "loaded")
+        others = [
+            r for x in ("loaded", "bare") for r in _runs(folder, other, x, own=("spring:cart",))
+        ]
+        cases = [("loaded", own, e) for e in ([], dry, ["load_friction"])]
+        cases += [(f"and the {other} spring's", [*own, *others], e) for e in (dry, load)]
+        for words, runs, effects in cases:
+            fit = residyn.fit(carts_of(*runs, *bare), effects=effects)
             assert fit.check_rmse is not None
-            print(
-                f"| {spring} | {' + '.join(['spring, damper', *effects])} "
-                f"| {1e3 * fit.rmse[0]:.3f} | {1e3 * fit.check_rmse[0]:.3f} "
-                f"| {', '.join(f'{s:+.2f}' for s in swings)} |",
-                flush=True,
+            numbers = _with_errors(fit, ("damper", *effects) if effects else ("damper",))
+            _row(spring, words, " + ".join(effects) or "spring, damper",
+                 f"{1e3 * fit.rmse[0]:.3f}", f"{1e3 * fit.check_rmse[0]:.3f}", numbers,
+                 ", ".join(f"{s:+.2f}" for s in _ends(fit)))  # fmt: skip
+    print()
+    _head("spring", "load", "c, N s/m", "F, N")
+    for spring in SPRINGS:
+        for load_ in ("bare", "loaded"):
+            fit = residyn.fit(carts_of(*_runs(folder, spring, load_)), effects=dry)
+            spread = _spread(fit, 3)
+            c, level = (f"{fit.numbers[i].value:.3f} ± {spread[i]:.3f}" for i in (1, 2))
+            _row(spring, load_, c, level)
+
+
+def _spread(fit: residyn.Fit, count: int) -> np.ndarray:
+    """(count,) standard errors where what is left is no noise: from the spread of the numbers over
+    fits of each run alone, over the root of how many there are."""
+    each = [
+        [n.value for n in residyn.fit(carts_of(r.recording), effects=["coulomb_friction"]).numbers]
+        for r in fit.recordings
+    ]
+    return np.std(each, axis=0, ddof=1)[:count] / np.sqrt(len(each))
+
+
+def _ends(fit: residyn.Fit) -> list[float]:
+    """By how much later than measured each predicted run comes down to a tenth, s."""
+    found = []
+    for r in fit.recordings:
+        if r.recording.role == "check":
+            seen, said = (
+                _last_swing(r.recording.time, x[:, 0]) for x in (r.recording.angle, r.predicted)
             )
+            found.append(said - seen)
+    return found
 
 
 def _last_swing(time: np.ndarray, x: np.ndarray) -> float:
@@ -101,10 +143,151 @@ def _last_swing(time: np.ndarray, x: np.ndarray) -> float:
     return float(time[np.flatnonzero(about > 0.1 * np.nanmax(about))[-1]] - time[0])
 
 
+# -- EMPS -------------------------------------------------------------------------------------
+
+
+def open_loop(model: residyn.Model, recording: Recording, first: int) -> np.ndarray:
+    """(N,) the position that the drive alone asks for, from the state at the first sample, which
+    least squares over the `first` samples gives."""
+    assert recording.drive is not None
+    t = jnp.asarray(recording.time - recording.time[0])
+    drive = Drive(0.0, float(t[-1]) / (len(t) - 1), recording.drive)
+
+    def run(q0, v0, part):
+        steps = 2 * len(part)
+        path = residyn.simulate(model, part, [q0], [v0], drive=drive, steps=steps)
+        return path.readings[:, 0]
+
+    measured = recording.angle[:, 0]
+    # Over so short a time the state enters as in free flight.
+    rest = measured[:first] - np.asarray(run(0.0, 0.0, t[:first]))
+    line = np.polynomial.polynomial.polyfit(np.asarray(t[:first]), rest, 1)
+    return np.asarray(run(float(line[0]), float(line[1]), t))
+
+
+def emps_table(folder: Path) -> None:
+    """Force residual of inverse dynamics, and the official measure: rms of the position in open
+    loop over the pulses (`validation`), after 20 samples."""
+    ten = emps(folder)
+    full = emps(folder, every=1).recordings
+    mechanism = residyn.ConstantInertia(ten.inertia.matrix, ("slide",), ("m",))  # pyright: ignore
+    published = mechanism + residyn.Damper("slide", 203.5) + residyn.CoulombFriction("slide", 20.39)
+    published = published + residyn.ConstantTorque("slide", -3.16)
+    cases: list[tuple[str, residyn.Model, str]] = [("its authors' four numbers", published, "")]
+    for effects in (
+        ["coulomb_friction", "constant_torque"],
+        ["coulomb_friction", "constant_torque", "asymmetric_damping"],
+        ["stribeck_friction", "constant_torque", "asymmetric_damping"],
+    ):
+        fit = residyn.fit(ten, effects=effects)
+        cases.append((" + ".join(["spring, damper", *effects]), fit.model, _with_errors(fit)))
+    _head("model", "force residual, identification", "validation", "open loop, identification, mm",
+          "validation, mm", "numbers")  # fmt: skip
+    for name, model, numbers in cases:
+        forces = [f"{100 * force_left(model, r):.2f} %" for r in ten.recordings]
+        errors = []
+        for recording in full:
+            off = open_loop(model, recording, 20) - recording.angle[:, 0]
+            errors.append(f"{1e3 * np.sqrt(np.mean(off[20:] ** 2)):.2f}")
+        _row(name, *forces, *errors, numbers)
+
+
+# -- the double pendulum ----------------------------------------------------------------------
+
+MODELS = (
+    ["gravity"],
+    ["gravity", "coulomb_friction"],
+    ["gravity", "air_drag"],
+    ["gravity", "air_drag", "coulomb_friction"],
+)
+
+
+def pendulum_table(folder: Path) -> None:
+    """A two-link arm hanging in gravity, with its authors' masses and lengths."""
+    _head("s", "model", "error, mrad", "each joint", "numbers")
+    for start, stop in ((0, 4), (8, 13), (30, 40)):
+        for effects in (*MODELS, ["gravity", "printed_inertia_torque"]):
+            fit = residyn.fit(pendulum(folder / "free_swing.csv", start, stop), effects=effects)
+            each = ", ".join(f"{1e3 * x:.2f}" for x in fit.rmse)
+            error = f"{1e3 * np.sqrt(np.mean(fit.rmse**2)):.2f}"
+            _row(f"{start} to {stop}", " + ".join(effects), error, each, _with_errors(fit))
+
+
+def horizon(folder: Path, window: float = 2.0, off: float = 0.1) -> None:
+    """Numbers fitted to 0 to 4 s and to 30 to 40 s together; from then on none is fitted but a
+    state, by least squares over `window` s; the prediction goes on until a joint is `off` rad from
+    what was measured. The authors' model is their inertias, lengths, g and two viscous joints."""
+    path = folder / "free_swing.csv"
+    whole = pendulum(path, 0, 80).recordings[0]
+    parts = [pendulum(path, a, b) for a, b in ((0, 4), (30, 40))]
+    both = residyn.Experiment(parts[0].inertia, tuple(p.recordings[0] for p in parts))
+    fits = [residyn.fit(both, effects=effects) for effects in MODELS]
+    mechanism = fits[0].model.mechanism
+    m1, m2, a1, a2, l1 = 0.09384, 0.1376, 0.1086, 0.1168, 0.1727
+    pull = residyn.Gravity((m1 * a1 + m2 * l1) * G, m2 * a2 * G, 0.0, 0.0)
+    viscous = residyn.Damper("shoulder", 2.37e-4), residyn.Damper("elbow", 1e-5)
+    authors = residyn.Model(mechanism, (pull, *viscous))
+    models = [("authors'", authors)]
+    models += [(" + ".join(e), f.model) for e, f in zip(MODELS, fits, strict=True)]
+    starts = (4, 8, 12, 16, 20, 24, 40, 45, 50, 55, 60)
+    _head("model", *(f"{s} s" for s in starts), "median, s")
+    for name, model in models:
+        ahead = [_holds(model, whole, float(s), window, off) for s in starts]
+        cells = [f"{x:.1f}" if x < whole.time[-1] - s - window - 0.1 else f"> {x:.1f}"
+                 for s, x in zip(starts, ahead, strict=True)]  # fmt: skip
+        _row(name, *cells, f"{np.median(ahead):.1f}")
+
+
+def _holds(model: residyn.Model, whole: Recording, start: float, window: float, off: float):
+    """Seconds after the window from `start` s on until the prediction is off."""
+    first, last = np.searchsorted(whole.time, [start, start + window])
+    time, angle = whole.time[first:] - whole.time[first], whole.angle[first:]
+    count = int(last - first)
+    guess = [np.polynomial.polynomial.polyfit(time[:8], x[:8], 2)[:2] for x in angle.T]
+
+    @jax.jit
+    def near(state):
+        path = residyn.simulate(model, time[:count], state[:2], state[2:], steps=4 * count)
+        return (path.readings - angle[:count]).ravel()
+
+    slopes: Any = jax.jit(jax.jacfwd(near))
+    found = least_squares(near, np.ravel(np.transpose(guess)), jac=slopes)
+    path = residyn.simulate(model, time, found.x[:2], found.x[2:], steps=2 * len(time))
+    wrong = np.abs(np.asarray(path.readings) - angle).max(axis=1) > off
+    wrong[:count] = False
+    return float((time[np.argmax(wrong)] if wrong.any() else time[-1]) - time[count])
+
+
+TABLES = {
+    "carts": (carts, "carts"),
+    "loads": (loads, "carts"),
+    "emps": (emps_table, "emps"),
+    "pendulum": (pendulum_table, "double_pendulum"),
+    "horizon": (horizon, "double_pendulum"),
+    "bouc_wen": (bouc_wen, None),
+}
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("tables", nargs="+", choices=TABLES, metavar="TABLE")
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), metavar="FOLDER")
+    options = parser.parse_args()
+    residyn.set_up()
+    for name in options.tables:
+        table, part = TABLES[name]
+        print(f"\n{name}\n")
+        if part is None:
+            table()  # pyright: ignore[reportCallIssue]
+        elif (options.data / part).is_dir():
+            with jax.enable_x64(True):
+                table(options.data / part)  # pyright: ignore[reportCallIssue]
+        else:
+            print(f"{options.data / part} is not there: left out", file=sys.stderr)
+
+
 if __name__ == "__main__":
-    data = Path(sys.argv[1])
-    if sys.argv[2:] == ["predict"]:
-        predict(data / "carts")
-        sys.exit()
-    carts(data / "carts")
-    double_pendulum(data / "double_pendulum" / "free_swing.csv")
+    main()

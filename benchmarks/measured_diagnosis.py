@@ -17,6 +17,7 @@ import argparse
 import json
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,12 +33,19 @@ SMOOTH = 3  # samples to either side
 MODULE = "benchmarks.measured_diagnosis"
 
 
-def cart(path: Path, role: str = "fit") -> residyn.Recording:
-    """A run, from its release on."""
+def cart(path: Path, role: str = "fit", own: Sequence[str] = ()) -> residyn.Recording:
+    """A run, from its release on; its weight is what presses the wheels."""
     load = LOAD if "loaded" in path.stem else 0.0
     time, angle, _, _ = residyn.recording.read_csv(path, 1)
     return residyn.Recording.from_arrays(
-        time, angle, start="release", name=path.stem, extra_mass=load, role=role
+        time,
+        angle,
+        start="release",
+        name=path.stem,
+        extra_mass=load,
+        load=9.81 * (BARE + load),
+        role=role,
+        own=own,
     )
 
 
@@ -78,7 +86,7 @@ def emps(folder: Path, every: int = 10) -> residyn.Experiment:
     return residyn.Experiment(InertiaTable(("slide",), ((SLIDE,),), ("m",)), tuple(recordings))
 
 
-def _force_left(fit: residyn.Fit, recording: residyn.Recording) -> float:
+def force_left(model: residyn.Model, recording: residyn.Recording) -> float:
     """EMPS' force residual as its authors give it: mass times acceleration and all torques less the
     drive, all through one smooth window; rms over the drive's."""
     import jax
@@ -94,7 +102,7 @@ def _force_left(fit: residyn.Fit, recording: residyn.Recording) -> float:
         q = recording.angle[:, 0]
         rate = np.gradient(q, dt)
         motion = Motion.at(0.0, (jnp.asarray(q),), (jnp.asarray(rate),), ())
-        felt = np.asarray(fit.model.torque(motion)[0]) - recording.drive[:, 0]
+        felt = np.asarray(model.torque(motion)[0]) - recording.drive[:, 0]
     inside = slice(2 * SMOOTH, -2 * SMOOTH)
     left = np.convolve(SLIDE * np.gradient(rate, dt) + felt, window, "same")[inside]
     drive = np.convolve(recording.drive[:, 0], window, "same")[inside]
@@ -143,7 +151,7 @@ def here(folder: Path, name: str) -> dict[str, Any]:
         "left": [r.share_of_spring for r in found.random_torque],
         "numbers": [f"{n.name} = {n.value:.4g} ± {n.std:.2g} {n.unit}" for n in found.fit.numbers],
         "forces": [
-            [100 * _force_left(r.fit, x) for x in experiment.recordings]
+            [100 * force_left(r.fit.model, x) for x in experiment.recordings]
             for r in (found.ladder if name == "emps" else ())
         ],
         "seconds": found.seconds,

@@ -21,9 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import residyn
-from residyn.fitting import descent
-from residyn.fitting.problem import compressed
-from residyn.fitting.setup import Ready, ready
+from residyn.fitting import initial_guess, lanes, multistart
+from residyn.fitting.least_squares import compressed
+from residyn.fitting.problem import Ready, ready
 from residyn.recordings.tables import ArmTable
 from tests import rig
 
@@ -58,11 +58,13 @@ def evaluations(experiment) -> None:
 
 
 PARTS = {
-    "closed-form start": (pipeline, "closed_form"),
-    "wild readings": (pipeline, "wild_beside"),
+    "closed-form start": (initial_guess, "closed_form"),
+    "outliers": (multistart, "outlier_mask"),
     "the problem's arrays": (Ready, "problem"),
-    "Levenberg-Marquardt": (descent, "polish"),
-    "errors, modes, words": (pipeline, "finish"),
+    "Levenberg-Marquardt": (lanes, "one_start"),
+    "covariance": (pipeline, "spread_of"),
+    "modes": (pipeline, "modes_of"),
+    "warnings": (pipeline, "warnings_for"),
 }
 
 

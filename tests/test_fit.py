@@ -1,22 +1,18 @@
 """The fit, end to end, on MuJoCo arms whose truth is known."""
 
 import dataclasses
-import importlib
 from pathlib import Path
-from types import SimpleNamespace
 
 import jax
 import numpy as np
 import pytest
 
 import residyn
-from residyn.fitting import multistart as begins
-from residyn.fitting.base_first import lonely
-from residyn.fitting.least_squares import Polished, together
-from residyn.fitting.problem import Compressed, Unknowns
+from residyn.fitting import initial_guess
+from residyn.fitting.least_squares import Compressed, Polished
+from residyn.fitting.multistart import distinct
+from residyn.fitting.problem import Unknowns, ready
 from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
-
-pipeline = importlib.import_module("residyn.fitting.fit")  # the package's `fit` is the function
 
 rig = pytest.importorskip("tests.rig")
 
@@ -276,7 +272,7 @@ def test_a_fit_of_a_second_recording_compiles_nothing(case, second, monkeypatch)
     monkeypatch.setattr(jax._src.compiler, "compile_or_get_cached", counting)
     again = residyn.fit(experiment(other), starts=3)
     names = [str(module.operation.attributes["sym_name"]) for module in compiled]
-    assert not any(own in name for name in names for own in ("stretch", "solve", "matri")), names
+    assert not any(own in name for name in names for own in ("one_start", "solve", "matri")), names
     if second == "slower arm":
         assert again.modes[0].frequency_hz == pytest.approx(
             first.modes[0].frequency_hz / 3, rel=1e-3
@@ -303,28 +299,10 @@ def test_starts_that_meet_go_on_as_one():
         seen = Compressed(np.zeros(0), np.diag([10.0, 1.0])[None], np.zeros((1, 2)), np.zeros(1))
         return Polished(at, seen, cost, 3, True, 1)
 
-    found = together(
+    found = distinct(
         [end(1.2, 9.0), end(1.0, 8.0), end(1.04, 8.5), end(1.01, 900.0), end(5.0, 300.0)]
     )
     assert [(float(e.unknowns.numbers[0]), e.agreeing) for e in found] == [(1.0, 3), (1.2, 1)]
-
-
-def test_a_start_that_leads_nowhere_is_not_the_last(monkeypatch, case):
-    """One start may be a bad one; six that lead nowhere are an error."""
-    asked, own = [], pipeline._fit
-
-    def lost(given, effects, starts, say):
-        asked.append(starts)
-        if starts == 1 or not effects:
-            raise residyn.FitError("no start led to finite numbers")
-        return own(given, (), 1, say)
-
-    monkeypatch.setattr(pipeline, "_fit", lost)
-    residyn.fit(experiment(case), effects=["gravity"], starts=1)
-    assert asked == [1, 6]
-    with pytest.raises(residyn.FitError):
-        residyn.fit(experiment(case), starts=1)
-    assert asked[2:] == [1, 6]
 
 
 def test_many_recordings_in_one_fit():
@@ -353,10 +331,10 @@ def test_a_start_stays_where_numbers_can_be(seed):
     """Gravity and springs pull alike in a small swing: noise must not drive them apart."""
     case = clean_case(seed, noise=5e-3)
     made = experiment(case, noise=5e-3)
-    here = pipeline.ready(made, made.fit_recordings, ["gravity"])
+    here = ready(made, made.fit_recordings, ["gravity"])
     with jax.enable_x64(True):
         wild = [np.zeros(r.angle.shape, bool) for r in here.recordings]
-        numbers, _ = begins.beginning(here, wild, 6)
+        numbers, _ = initial_guess.first_guess(here, wild, 6)
         assert np.all(np.abs(numbers) < 50 * here.typical())
 
 
@@ -458,7 +436,7 @@ def test_many_starts_are_no_worse_than_one_where_all_first_cycles_mislead():
 
 def ready_for():
     made = experiment(clean_case(0))
-    return pipeline.ready(made, made.fit_recordings, [])
+    return ready(made, made.fit_recordings, [])
 
 
 def test_of_candidates_that_are_alike_one_is_tried_first():
@@ -466,8 +444,8 @@ def test_of_candidates_that_are_alike_one_is_tried_first():
     factors = [(1e-3, 1.0), (1.1e-3, 1.2), (1.0, 1.0), (1.1, 3.0), (9.0, 1.0)]
     rows = [np.append(f * k, g * c) for f, g in factors]
     with jax.enable_x64(True):
-        assert begins._various(ready_for(), np.array(rows)) == [0, 2, 4, 1, 3]
-        assert begins._various(ready_for(), np.zeros((0, 4))) == []
+        assert initial_guess._various(ready_for(), np.array(rows)) == [0, 2, 4, 1, 3]
+        assert initial_guess._various(ready_for(), np.zeros((0, 4))) == []
 
 
 @pytest.mark.parametrize(
@@ -478,26 +456,7 @@ def test_the_step_is_one_that_most_starts_can_live_with(factors, sets):
     """Too slow a mode spoils all others; a single absurd one costs time for nothing."""
     rows = np.array([[16.0 * f, 16.0 * f, 0.1, 0.1] for f in factors])
     with jax.enable_x64(True):
-        assert np.asarray(begins.resolving(ready_for(), rows).vector())[0] == 16.0 * sets
-
-
-@pytest.mark.parametrize(
-    ("agreeing", "starts", "cost", "more"),
-    [(1, 6, 9e3, True), (2, 6, 9e3, False), (1, 6, 4e3, False), (1, 1, 9e3, False)],
-)
-def test_a_start_is_alone_if_no_other_ends_where_it_does(agreeing, starts, cost, more):
-    recorded = SimpleNamespace(weights=np.ones((1, 2000, 2)))
-    problem = SimpleNamespace(recorded=recorded)
-    ended = SimpleNamespace(agreeing=agreeing, starts=starts, cost=cost, problem=problem)
-    assert lonely(ended) is more
-
-
-def test_starts_of_which_no_two_agree_are_followed_by_more(case, fit, monkeypatch):
-    monkeypatch.setattr(pipeline, "lonely", lambda descent: descent.starts == 6)
-    found = residyn.fit(experiment(case))
-    assert (fit.starts, found.starts) == (6, 24)
-    assert found.agreeing_starts > 1
-    assert found.reduced_chi2 == pytest.approx(fit.reduced_chi2, rel=1e-5)
+        assert np.asarray(initial_guess.resolving(ready_for(), rows).vector())[0] == 16.0 * sets
 
 
 def test_a_base_that_no_arm_has_is_said_first():

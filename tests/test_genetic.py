@@ -12,11 +12,10 @@ import pytest
 import residyn
 from residyn.cli import main
 from residyn.fitting import Genetic, History, MissingExtra, evolution, levenberg_history, methods
-from residyn.fitting.descent import wild_beside
-from residyn.fitting.genes import box
-from residyn.fitting.genetic import Part, search_of
+from residyn.fitting.genetic import Part, box, search_of
 from residyn.fitting.history import relative_error
-from residyn.fitting.setup import ready
+from residyn.fitting.multistart import outliers_among
+from residyn.fitting.problem import ready
 from residyn.recordings.tables import ArmTable
 from residyn.reporting.figures import convergence
 from tests.legible import legible
@@ -93,7 +92,7 @@ def test_lost_readings_are_in_neither_norm(experiment):
     )
     with jax.enable_x64(True):
         here = ready(holed, holed.fit_recordings, ())
-        look = search_of(here, wild_beside(here, [angle]), Genetic())
+        look = search_of(here, outliers_among(here, [angle]), Genetic())
         y = look.genome.unknowns(jnp.full(8, 0.5), look.problem)
         found = float(relative_error(look.problem, y))
         bare = residyn.simulate(

@@ -14,7 +14,7 @@ import residyn
 from residyn.cli import main
 from residyn.fitting import FitError
 from residyn.fitting.integration import checked
-from residyn.fitting.setup import Ready, ready
+from residyn.fitting.problem import Ready, ready
 from residyn.recordings.tables import InertiaTable
 from tests.exact import EXACT, IMPLICIT, LaggingDrag, dry_motion, error_of, recorded, two_joints
 

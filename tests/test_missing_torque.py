@@ -1,5 +1,6 @@
 """The missing torque beside a known one, on MuJoCo data; and the curves that belong over it."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -106,11 +107,12 @@ def test_the_model_that_has_the_effect_lacks_nothing(friction):
 
 def test_the_right_effect_draws_the_curve(friction):
     table = residyn.recording.ArmTable((ARM.l1, ARM.l2), ARM.shoulder, ARM.elbow, ARM.coupling)
-    scene, effects, _ = scene_of(residyn.Experiment(table, (as_recording(friction),)), ())
-    search = Search(scene, effects)
-    search.extend(search.base)
-    model = search.tried[frozenset(["coulomb_friction:elbow"])]
-    (found,) = missing_of(scene, search.base, [(model, "coulomb_friction:elbow")])
+    with jax.enable_x64(True):
+        scene, effects, _ = scene_of(residyn.Experiment(table, (as_recording(friction),)), ())
+        search = Search(scene, effects)
+        search.extend(search.base)
+        model = search.tried[frozenset(["coulomb_friction:elbow"])]
+        (found,) = missing_of(scene, search.base, [(model, "coulomb_friction:elbow")])
     (best,) = found.curves_at(1)
     ((value, unit),) = best.values.values()
     assert unit == "N m"

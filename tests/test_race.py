@@ -15,9 +15,9 @@ import residyn
 from residyn.cli import main
 from residyn.demo import experiment_file
 from residyn.fitting import METHODS, MissingExtra, Race, genetic, least_squares
+from residyn.fitting.history import Watch
 from residyn.fitting.methods import GENETIC
 from residyn.fitting.race import ONE, TEN
-from residyn.fitting.watch import Watch
 
 ALL = [*METHODS, "optimistix.BFGS"]
 
@@ -158,7 +158,7 @@ def test_an_interrupted_race_keeps_what_is_done(experiment):
 
 def test_a_watch_stops_where_nothing_is_counted(monkeypatch):
     clock = iter(np.arange(100.0))
-    monkeypatch.setattr("residyn.fitting.watch.time.perf_counter", lambda: next(clock))
+    monkeypatch.setattr("residyn.fitting.history.time.perf_counter", lambda: next(clock))
     watch = Watch(most_seconds=3.0)  # at 0
     with watch.paused():  # from 1 to 2
         pass

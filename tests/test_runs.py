@@ -24,7 +24,8 @@ def release(load=0.0, friction=FRICTION, seed=0, rate=100.0, **more):
         cart = ConstantInertia([[MASS]], ["cart"], ["m"], load=load)
         model = cart + residyn.Spring("cart", STIFFNESS) + residyn.Damper("cart", DAMPING)
         model = model + residyn.CoulombFriction("cart", friction)
-        model = model + residyn.LoadFriction("cart", COEFFICIENT)
+        if load:
+            model = model + residyn.LoadFriction("cart", COEFFICIENT)
         t = np.arange(0.0, 5.0, 1 / rate)
         q = np.asarray(residyn.simulate(model, t, [0.1], steps=2000).q)
     noise = NOISE * np.random.default_rng(seed).standard_normal(q.shape)
@@ -164,3 +165,25 @@ def test_own_names_an_effect_that_exists():
     runs = release(seed=1), release(seed=2, own=["dampr:cart"])
     with pytest.raises(ValueError, match=r'there is no effect "dampr"; did you mean "damper"'):
         residyn.fit(residyn.Experiment(TABLE, runs))
+
+
+@pytest.mark.parametrize(("friction", "differs"), [(FRICTION, False), (1.2 * FRICTION, True)])
+def test_whether_runs_are_the_same_is_told_by_evidence(friction, differs):
+    runs = release(seed=1), release(friction=friction, seed=2, own=["coulomb_friction:cart"])
+    found = residyn.compare(residyn.Experiment(TABLE, runs), effects=["coulomb_friction"])
+    (run,) = found.runs
+    assert (run.effect, run.recording) == ("coulomb_friction:cart", "run2")
+    assert (run.probability > 0.5) == differs
+    assert abs(run.log_odds) > 3
+    assert found.to_dict()["runs"][0]["probability"] == run.probability
+    words = "differs in run2 from" if differs else "is the same in run2 as in"
+    assert any(f"coulomb_friction:cart {words} the other recordings" in w for w in found.words)
+
+
+def test_a_diagnosis_of_runs_that_may_differ_names_what_they_share():
+    runs = (
+        release(seed=1),
+        release(friction=0.35, seed=2, own=["coulomb_friction:cart"]),
+    )
+    found = residyn.diagnose(residyn.Experiment(TABLE, runs), max_effects=1)
+    assert found.added == ("coulomb_friction:cart",)

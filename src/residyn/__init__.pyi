@@ -21,6 +21,7 @@ from .diagnosis import detectable as detectable
 from .diagnosis import diagnose as diagnose
 from .diagnosis import plan as plan
 from .effects import CATALOGUE as CATALOGUE
+from .effects import AirDrag as AirDrag
 from .effects import AsymmetricDamping as AsymmetricDamping
 from .effects import AsymmetricStiffness as AsymmetricStiffness
 from .effects import BearingDrag as BearingDrag

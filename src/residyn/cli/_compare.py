@@ -32,4 +32,4 @@ def compare(
     if report is not None:
         out.write_report([(title(experiment), fit)], result)
         out.words.print(f"report: {report}", soft_wrap=True)
-    raise typer.Exit(DONE if fit.converged else complain(fit.reason, NO_NUMBERS))
+    raise typer.Exit(DONE if fit.stands else complain(fit.reason, NO_NUMBERS))

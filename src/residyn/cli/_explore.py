@@ -75,7 +75,7 @@ def explore(
 
 def _check(experiment, effects) -> None:
     """Complain of a wrong effect here, before any page opens."""
-    from ..fitting.setup import ready
+    from ..fitting.problem import ready
 
     try:
         ready(experiment, experiment.fit_recordings, effects)

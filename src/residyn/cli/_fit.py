@@ -87,7 +87,7 @@ def fit(
     if report is not None:
         out.write_report([(title(experiment), result)])
         out.words.print(f"report: {report}", soft_wrap=True)
-    if not result.converged:
+    if not result.stands:
         raise typer.Exit(complain(result.reason, NO_NUMBERS))
     if result.unphysical:
         names = ", ".join(n.name for n in result.unphysical)
@@ -106,6 +106,6 @@ def _beside(out: Outputs, one: "Fit", other: "Fit", report: str | None) -> NoRet
         out.write_report(headings(found))
         out.words.print(f"report: {report}", soft_wrap=True)
     for name, fit in (("A", one), ("B", other)):
-        if not fit.converged:
+        if not fit.stands:
             raise typer.Exit(complain(f"{name}: {fit.reason}", NO_NUMBERS))
     raise typer.Exit(DONE)

@@ -12,8 +12,8 @@ from ._experiment import bring, in_one_line, input_files, integrated_by, load, t
 from ._shell import DONE, INTERRUPTED, NO_NUMBERS, Outputs, complain, console, set_up_jax
 
 if TYPE_CHECKING:
+    from ..fitting.history import Watch
     from ..fitting.race import Race
-    from ..fitting.watch import Watch
 
 _Methods = Annotated[
     str | None,

@@ -90,7 +90,7 @@ def simulate(
     else:
         result = fitted(loaded, effects or [], starts)
         words.print(str(result), soft_wrap=True)
-        if not result.converged:
+        if not result.stands:
             status = complain(result.reason, NO_NUMBERS)
         predicted = _with_fit(result, shown, angles, rates)
     _write(paths, shown, predicted, noise, seed)

@@ -24,7 +24,6 @@ from ..filtering.law import (
     Laws,
     Table,
     along_readings,
-    catalogue_on,
     changes_bodies,
     group_of,
     joint_law,
@@ -49,6 +48,7 @@ from ..filtering.trajectory import Scene, Trajectory
 from ..physics.motion import Motion, split, stack
 from ..runtime.export_cache import kept
 from .evidence import (
+    CONTENDERS,
     conditional,
     half_normal,
     log_prior_intensity,
@@ -57,8 +57,6 @@ from .evidence import (
     subset,
     width_of,
 )
-
-_LINES = 5  # frequencies of each joint's random torque that a disturbance may have
 
 
 def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
@@ -70,7 +68,7 @@ def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
     """
     found = [
         e
-        for e in catalogue_on(scene.mechanisms[0])
+        for e in scene.catalogued
         if e.name not in ("spring", "damper") and e.label not in present and numbers_of(e)
     ]
     if scene.n == 1:
@@ -354,7 +352,7 @@ class Columns:
     def _part(self, group, wanted, frequencies, shape_of):
         """The columns of some effects by one program."""
         scene, t = self.scene, self.trajectory
-        most = _LINES * scene.n
+        most = CONTENDERS * scene.n
         members: dict[str, list[AbstractEffect]] = {}
         for effect in group:
             members.setdefault(law_name(effect), []).append(effect)
@@ -512,7 +510,7 @@ def spectral_lines(scene: Scene, trajectory: Trajectory) -> list[float]:
         f = np.fft.rfftfreq(4 * len(even), dt)
         power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(len(even)), 4 * len(even)))
         power = power * (f > 1.5 / span)
-        for _ in range(_LINES):
+        for _ in range(CONTENDERS):
             line = float(max(f[np.argmax(power)], 0.5 / span))
             power[np.abs(f - line) < 2.0 / span] = 0
             if all(abs(line - known) >= 1.0 / span for known in found):
@@ -522,49 +520,31 @@ def spectral_lines(scene: Scene, trajectory: Trajectory) -> list[float]:
 
 def extended(scene: Scene, trajectory: Trajectory, prior_of, found: Screened) -> Trajectory:
     """A model with one more effect, from the screen's answer."""
-    effect, shape = found.effect, found.shape
-    begun = with_numbers(effect, shaped_numbers(effect, shape))
-    effects = (*trajectory.effects, begun)
-    prior = prior_of(scene, effects)
-    P0 = len(trajectory.prior.mean)
-    u = np.zeros(scene.regressors(effects))
-    u[:P0] = trajectory.u[:P0]
-    phase = 0.0
-    values = list(found.regressors)
+    effect, own = found.effect, numbers_of(found.effect)
+    effects = (*trajectory.effects, with_numbers(effect, shaped_numbers(effect, found.shape)))
+    prior, first = prior_of(scene, effects), len(trajectory.prior.mean)
+    values, phase = list(found.regressors), 0.0
     if effect.oscillates:
-        phase = math.atan2(values[1], values[0])
-        values = [math.hypot(*values)]
-    values = iter(values)
+        values, phase = [math.hypot(*values)], math.atan2(values[1], values[0])
     # Dry friction is found from above: where it never holds a joint, no slope says that it might.
     least = 1.0 if effect.dry else 0.02
-    numbers = np.array(prior.mean)
-    for i, number in enumerate(numbers_of(effect), P0):
-        if number.silent is None:
-            numbers[i] = shape[number.field]
-        else:
-            x = next(values)
+    numbers, strong = np.array(prior.mean), iter(values)
+    numbers[first:] = [found.shape.get(x.field, 1.0) for x in own]
+    u = np.zeros(scene.regressors(effects))
+    u[:first] = trajectory.u[:first]
+    u[first : first + len(own)] = prior.regressors(numbers)[first:]
+    for i, number in enumerate(own, first):
+        if number.silent is not None:
+            x = next(strong)
             u[i] = max(x, least) if signed(effect, number) else x
-    shaped = prior.regressors(numbers)
-    for i, number in enumerate(numbers_of(effect), P0):
-        if number.silent is None:
-            u[i] = shaped[i]
-    n = scene.n
-    m0 = sum(len(e.memory) for e in trajectory.effects)
-    m = len(effect.memory)
-    room = scene.room(effects)
-    path = np.zeros((scene.K, 2 * n + room))
-    old = trajectory.path.shape[1]
+    old, known = trajectory.path.shape[1], sum(len(e.memory) for e in trajectory.effects)
+    path = np.zeros((scene.K, 2 * scene.n + scene.room(effects)))
     path[:, :old] = trajectory.path
-    first = np.zeros(room)
-    first[:m0] = trajectory.first[:m0]
-    if m:
-        path[:, 2 * n + m0 : 2 * n + m0 + m] = found.states + phase
-        first[m0 : m0 + m] = found.states[0] + phase
+    states = slice(known, known + len(effect.memory))
+    path[:, 2 * scene.n :][:, states] = found.states + phase
+    begin = np.zeros(scene.room(effects))
+    begin[:known] = trajectory.first[:known]
+    begin[states] = found.states[0] + phase
     return dataclasses.replace(
-        trajectory,
-        effects=effects,
-        prior=prior,
-        u=u,
-        path=path,
-        first=first,
+        trajectory, effects=effects, prior=prior, u=u, path=path, first=begin
     )

@@ -18,6 +18,7 @@ from .forecast import HeldOut, Horizon, held_out, horizon
 from .linearised_fit import LinearisedFit
 from .missing_torque import Missing, missing_of, scene_of
 from .residuals import Where, where
+from .runs import OwnNumbers, own_numbers
 from .search import Search
 
 
@@ -33,6 +34,8 @@ class Comparison(Result):
     """None if the fit of the first third did not settle."""
     missing_torque: tuple[Missing, ...]
     """One per fitted recording."""
+    runs: tuple[OwnNumbers, ...] = ()
+    """Whether recordings that have numbers of their own need them."""
 
     @property
     def p(self) -> float:
@@ -49,7 +52,7 @@ class Comparison(Result):
     @property
     def words(self) -> tuple[str, ...]:
         """The verdict: where the model fails, or that it does not, in a few sentences."""
-        return self._presented("sentences")
+        return (*self._presented("sentences"), *map(str, self.runs))
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of `residyn compare`: that of `fit`, and
@@ -61,6 +64,8 @@ class Comparison(Result):
           (in times the noise), `expected` (the ratio that a right model would leave, or null);
         - `horizon`: null, or `seconds` (of the fitted third), `fitted`, and `ahead`, a list of
           `start`, `stop` (s after the last fitted reading) and `joints`, with errors as above;
+        - `runs`: for each `effect` and `recording` that has numbers of its own, the `log_odds`,
+          nats, and the `probability` that they differ from those of the other recordings;
         - `missing_torque`: per joint its `rms` (in `unit`) and `share_of_spring`, the share of the
           spring torque's rms.
         """
@@ -71,6 +76,7 @@ class Comparison(Result):
             "where": self.where.to_dict(),
             "held_out": None if self.held_out is None else self.held_out.to_dict(joints),
             "horizon": None if self.horizon is None else self.horizon.to_dict(joints),
+            "runs": [each.to_dict() for each in self.runs],
             "missing_torque": summary(self.missing_torque),
         }
 
@@ -121,7 +127,8 @@ def compare_fit(
         if missing is None:
             say("smoothing the missing torque")
             missing = _missing(fitted, say)
-        return Comparison(fitted, found, *ahead, missing)
+        own = [e for e in fitted.model.effects if e.name not in ("spring", "damper")]
+        return Comparison(fitted, found, *ahead, missing, own_numbers(fitted.experiment, own))
 
 
 _CURVES = 2  # drawn beside a missing torque

@@ -20,17 +20,16 @@ from ..effects import AbstractEffect
 from ..filtering.law import number_slices, numbers_of
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import DEFAULT_STARTS, FitError, fit
-from ..fitting.descent import descend
-from ..fitting.drifting import without_drift
 from ..fitting.fit import finish
+from ..fitting.multistart import descend, without_drift
+from ..fitting.problem import ready
 from ..fitting.result import Fit
-from ..fitting.setup import ready
 from ..physics.motion import Motion
 from ..recordings.experiment import Experiment
 from .candidate_tests import best_tests, in_play
 from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES
 from .forecast import held_out
-from .linearised_fit import LinearisedFit, evaluated, polish
+from .linearised_fit import LinearisedFit, evaluated, forget, polish
 from .missing_torque import missing_of, scene_of
 from .result import (
     Budget,
@@ -92,6 +91,8 @@ def diagnose(
     with jax.enable_x64(True):
         deadline = math.inf if budget is None else time.perf_counter() + budget
         scene, base, wild = scene_of(experiment, effects)
+        # What is found is of all runs; whether one has it for itself, `compare` asks afterwards.
+        experiment = experiment.owning([e.label for e in base])
         fits = Fits(experiment, scene, wild, starts)
         search = Search(scene, base, deadline=deadline, say=say)
         fits.begin(search.base)
@@ -140,13 +141,11 @@ class Fits:
             here = ready(self.experiment, self.experiment.fit_recordings, own)
             states = np.stack([self._state(t, r) for r in here.recordings])
             begin = here.model.with_vector(jnp.asarray(t.numbers))
-            quiet, wild = lambda words: None, self._wild(here.recordings)
-            found = descend(
-                here, begin, t.numbers[None], wild, quiet, near=states[None], search=polish
-            )
+            wild = self._wild(here.recordings)
+            found = descend(here, begin, t.numbers[None], wild, near=states[None], search=polish)
             return finish(self.experiment, t.numbers, found, began, polish, evaluated)
         except FitError:
-            lost = tried.intensity >= EXPLAINS_NOTHING  # no start is better than another one
+            lost = tried.complete < 0.5  # no start of a wrong model is better than another one
             return fit(self.experiment, effects=own, starts=1 if lost else self.starts)
 
     def _cut(self, numbers: np.ndarray, own: Sequence[AbstractEffect]) -> None:
@@ -249,6 +248,7 @@ def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...
             held = held_out(LinearisedFit.of(result))
             relative = model.log_evidence - best.log_evidence
             found.append(ModelState(labels[k - 1] if k else None, (), result, held, relative))
+    forget()
     return tuple(found)
 
 
@@ -259,8 +259,8 @@ class Posterior:
         self.search = search
         self.models = list(search.tried.values())
         logs = np.array([m.log_posterior for m in self.models])
-        self.total = float(logsumexp(logs))
-        self.each = np.exp(logs - self.total)
+        self.each = np.exp(logs - logsumexp(logs))
+        self.each /= self.each.sum()
         chosen = {"adequate": False, "missing": True}.get(self.verdict()[0])
         self.best: Tried = max(
             (m for m in self.models if chosen is None or bool(m.added) is chosen),

@@ -15,21 +15,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..fitting.least_squares import Polished
-from ..fitting.linalg import damped_step
-from ..fitting.problem import (
+from ..fitting.least_squares import (
     RUNAWAY,
     Compressed,
-    Problem,
-    Unknowns,
+    Polished,
     over_recordings,
     predict,
-    tight,
     whiten,
 )
+from ..fitting.linalg import damped_step
+from ..fitting.problem import Problem, Ready, Unknowns, reweighted, tight
 from ..fitting.result import Fit, FitError, RecordingFit
-from ..fitting.setup import Ready, mechanism_of, reweighted
 from ..runtime.export_cache import kept
+from ..runtime.memory import give_back
 
 # A direction of the tangent this much shorter than the longest is rounding, or undetermined.
 _BLIND = 1e-5
@@ -149,17 +147,9 @@ class LinearisedFit(NamedTuple):
 
     @classmethod
     def of(cls, fit: Fit) -> "LinearisedFit":
-        """Around the end of a fit. Call it, and its methods, in float64."""
+        """Around the end of a fit. Call its methods in float64."""
         fitted = tuple(r for r in fit.recordings if r.recording.role != "check")
-        recordings = tuple(r.recording for r in fitted)
-        mechanisms = tuple(mechanism_of(fit.experiment, r) for r in recordings)
-        # The step, and with it every shape, was chosen where the fit began.
-        begin = fit.model.with_vector(jnp.asarray([n.start for n in fit.numbers]))
-        ready = Ready(begin, recordings, mechanisms)
-        problem, _ = ready.problem(begin, [r.wild for r in fitted])
-        states = jnp.asarray(np.stack([r.state for r in fitted]))
-        at = problem.scaled(fit.model.vector(), states)
-        return cls(fit, fitted, problem, at, ready)
+        return cls(fit, fitted, fit.problem, fit.unknowns, fit.ready)
 
     @property
     def readings(self) -> int:
@@ -234,6 +224,12 @@ def _look(problem: Problem, y: Unknowns):
 def evaluated(problem: Problem, y: Unknowns) -> Compressed:
     """Residual and Jacobian at these unknowns."""
     return minimum(problem, y, most=0).compressed()
+
+
+def forget(most: int = 16) -> None:
+    """Give back the memory of compiled models, 15 to 50 MB each, where there are more."""
+    _look.keep_at_most(most)
+    give_back()
 
 
 class Tangent(NamedTuple):

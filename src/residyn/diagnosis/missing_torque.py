@@ -20,8 +20,8 @@ from ..effects import AbstractEffect
 from ..filtering.grid import local_amplitude
 from ..filtering.law import number_slices, numbers_of
 from ..filtering.trajectory import Scene, Trajectory
-from ..fitting.descent import wild_beside
-from ..fitting.setup import ready
+from ..fitting.multistart import outliers_among
+from ..fitting.problem import ready
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
@@ -209,6 +209,6 @@ def missing_of(
 def scene_of(experiment: Experiment, effects: Sequence[str | AbstractEffect]):
     """The fitted recordings of an experiment as a scene, and the base model with some effects."""
     here = ready(experiment, experiment.fit_recordings, effects)
-    wild = wild_beside(here, [r.angle for r in here.recordings])
+    wild = outliers_among(here, [r.angle for r in here.recordings])
     scene = Scene(here.recordings, here.mechanisms, wild, correlation=CORRELATION)
     return scene, here.model.effects, wild

@@ -13,8 +13,10 @@ import functools
 import math
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from scipy.special import logsumexp
 
@@ -24,13 +26,17 @@ from ..filtering.law import number_slices, state_slices
 from ..filtering.linearised import Linear
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import FitError
+from ..runtime.memory import give_back
 from ..runtime.parallel import side_by_side
 from .columns import Columns, Screen, candidates, extended, spectral_lines
 from .evidence import (
+    CONTENDERS,
     EXPLAINS_NOTHING,
+    HOPELESS,
     INDISTINGUISHABLE,
     INTENSITIES,
     NEGLIGIBLE,
+    READINGS_LEAD,
     half_normals,
     log_prior_intensity,
     log_prior_model,
@@ -38,14 +44,10 @@ from .evidence import (
     prior_of,
 )
 
-CONTENDERS = 6
-"""Candidates of each screen that are iterated, and as many pairs whose members are."""
 _ITERATIONS = 16  # of one model, at the most
 _NEAR = 4  # random torques at which a model is judged while it moves
 _FALL = 2  # steps of the grid that the random torque may fall by in an iteration
-_SCREENED = 0.01  # random torque along which candidates are screened, at least: the readings lead
 _SETTLED = 0.1  # nats
-_HOPELESS = 30.0  # nats behind the best on the way
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -133,8 +135,8 @@ class _Step(NamedTuple):
     trajectory: Trajectory
     level: int
     """Index of the random torque of the last smoothing."""
-    descent: int
-    """How many louder torques are still to go through."""
+    descends: bool
+    """Whether it goes through louder torques on its way to none."""
     settling: int = 0
     """Iterations since."""
     evidences: np.ndarray = np.full(len(INTENSITIES), -np.inf)
@@ -144,13 +146,12 @@ class _Step(NamedTuple):
     @classmethod
     def of(cls, t: Trajectory, first: int) -> "_Step":
         """The beginning, with the loudest random torque `first`."""
-        if _sticks(t):
-            return cls(t, first, len(INTENSITIES) - 1 - first)
-        return cls(t, first - _FALL, 0)
+        descends = _sticks(t) and first < len(INTENSITIES) - 1
+        return cls(t, first if descends else first - _FALL, descends)
 
     def behind(self, best: float) -> bool:
         """Whether the model is hopelessly behind the best evidence of any."""
-        return self.settling > 2 and self.evidences.max() < best - _HOPELESS
+        return self.settling > 2 and self.evidences.max() < best - HOPELESS
 
     @property
     def share(self) -> float:
@@ -164,13 +165,16 @@ class _Step(NamedTuple):
         that it has, and where they lead; all evidences where it ends. None where it runs away."""
         t, linear = self.trajectory, scene.linearised(self.trajectory)
         level, settling, known, done = self.level + 1, 0, self.evidences, last
-        if self.descent == 0:
+        if not self.descends:
             first = min(max(self.level - 1, 0), len(INTENSITIES) - _NEAR)
-            near = np.arange(first, first + _NEAR)
-            known = self._evidences(scene, linear, near)
+            prior = log_prior_intensity(INTENSITIES)
+            known = self._evidences(scene, linear, np.arange(first, first + _NEAR))
+            likeliest = int(np.argmax(known + prior))
+            if likeliest == first > 0:  # it may be a louder one
+                known = self._evidences(scene, linear, np.arange(len(INTENSITIES)))
+                likeliest = int(np.argmax(known + prior))
             if not np.isfinite(known).any():
                 return None
-            likeliest = int(np.argmax(known + log_prior_intensity(INTENSITIES)))
             level, settling = min(likeliest, max(self.level, 0) + _FALL), self.settling + 1
             change = abs(known[level] - self.evidences[level])
             done |= level == self.level and bool(change < _SETTLED * self.share)
@@ -179,7 +183,8 @@ class _Step(NamedTuple):
         moved = scene.smoothed(t, linear, INTENSITIES[level], self.share)
         if moved is None:
             return None
-        return _Step(moved, level, max(self.descent - 1, 0), settling, known, done)
+        descends = self.descends and level < len(INTENSITIES) - 1
+        return _Step(moved, level, descends, settling, known, done)
 
     def _evidences(self, scene: Scene, linear: Linear, levels: np.ndarray) -> np.ndarray:
         """(I,) log evidences, -inf at other levels."""
@@ -213,14 +218,17 @@ def silenced(scene: Scene, t: Trajectory, intensity: float) -> Trajectory:
 _prepared: set[Any] = set()
 
 
-def prepare(scene: Scene, base: Sequence[AbstractEffect], wanted: Sequence[AbstractEffect]) -> None:
-    """Compile what a search runs, side by side, by running it once with zeros; once a process."""
+def prepare(
+    scene: Scene, base: Sequence[AbstractEffect], wanted: Sequence[AbstractEffect]
+) -> Future[Any] | None:
+    """Compile what a search runs, side by side, by running it once with zeros; once a process. What
+    the screen needs is ready when the result is."""
     t = scene.start(base, prior_of(scene, base))
     K, X, n, P = scene.K, t.path.shape[1], scene.n, len(t.u)
     laws, _ = scene.tabulated(t)
     key = laws.names, scene.joints, len(scene.recordings), K, X, P, type(scene.mechanisms[0])
     if key in _prepared:
-        return
+        return None
     _prepared.add(key)
     shapes = (X, X), (X, P), (X, n), (X,), (n, X), (n, P), (n,)
     system = System(*(np.zeros((K, *shape)) for shape in shapes))
@@ -228,14 +236,20 @@ def prepare(scene: Scene, base: Sequence[AbstractEffect], wanted: Sequence[Abstr
     unused = [np.zeros(0)] * 3
     linear = Linear(system, np.zeros((K, n)), *map(np.zeros, wide), *unused)
     columns = functools.partial(Columns, scene, t, wanted, [1.0], linear=linear)
-    side_by_side(
-        [
-            functools.partial(scene.linearised, t),
-            lambda: columns().gram([0.0]),
-            functools.partial(scene.evidences, t, linear, np.zeros(_NEAR)),
-            functools.partial(scene.smoothed, t, linear, 0.0),
-        ]
-    )
+    lighter = [
+        functools.partial(scene.evidences, t, linear, np.zeros(_NEAR)),
+        functools.partial(scene.smoothed, t, linear, 0.0),
+    ]
+    # The largest program by itself: together they would take too much memory.
+    side_by_side([functools.partial(scene.linearised, t), lambda: [call() for call in lighter]])
+    give_back()
+
+    def screened() -> None:
+        with jax.enable_x64(True):
+            columns().gram([0.0])
+        give_back()
+
+    return ThreadPoolExecutor(1).submit(screened)
 
 
 class OutOfTime(Exception):
@@ -273,7 +287,7 @@ class Search:
         self.screens: dict[frozenset[str], Screen] = {}
         """First-order evidence of all candidates beside the models that were extended."""
         say("smoothing the motion with the model")
-        prepare(scene, base, self.candidates)
+        self._ready = prepare(scene, base, self.candidates)
         alone = tried_alone(scene, base)
         self._keep((), alone.evidences, alone.best)
 
@@ -325,6 +339,8 @@ class Search:
         if key not in self.screens:
             trajectory, intensity = self.screening_motion(parent)
             self.say(f"screening {len(self.candidates)} candidates")
+            if self._ready is not None:
+                self._ready.result()
             lines = spectral_lines(self.scene, trajectory)
             effects = [e for e in self.candidates if self._may_join(e, trajectory)]
             columns = Columns(self.scene, trajectory, effects, lines)
@@ -365,7 +381,7 @@ class Search:
     def screening_motion(self, model: Tried) -> tuple[Trajectory, float]:
         """The motion that candidates are screened along, and its random torque: the likeliest, or
         one that still lets the readings lead."""
-        intensity = max(model.intensity, _SCREENED)
+        intensity = max(model.intensity, READINGS_LEAD)
         if intensity == model.intensity:
             return model.best, intensity
         system = self.scene.linearised(model.best)

@@ -11,6 +11,7 @@ from ..errors import InputError
 from ..physics.effect import AbstractEffect as AbstractEffect
 from ..physics.effect import JointEffect as JointEffect
 from ..physics.inertia import AbstractInertia
+from .air import AirDrag as AirDrag
 from .applied import ConstantTorque as ConstantTorque
 from .applied import PeriodicDisturbance as PeriodicDisturbance
 from .asymmetric_damping import AsymmetricDamping as AsymmetricDamping

@@ -33,9 +33,9 @@ RAMP = 0.4
 """Half-width of dry friction's ramp in steps: the Runge-Kutta step is stable above 1 / 2.78."""
 ROOM = 4
 """Room for a model's effects comes in multiples of this ..."""
-REGRESSORS = 8
+REGRESSORS = 12
 """... for its numbers, of this ..."""
-STATES = 2
+STATES = 3
 """... and for its internal states, of this."""
 
 
@@ -388,12 +388,6 @@ def states_along(effect: Any, numbers, mechanism, q, v, t, h, anew, z0):
 
     each = first(q), first(v), first(t), h, anew, mechanism
     return jnp.moveaxis(jax.lax.scan(step, z0, each)[1], 0, -1)
-
-
-def first_states(effect: AbstractEffect, mechanism: AbstractInertia, q0, v0) -> np.ndarray:
-    """(m,) internal states at a first instant of which nothing else is known."""
-    begun = effect.begin(Motion.at(0.0, tuple(map(float, q0)), tuple(map(float, v0))), mechanism)
-    return np.array([float(z) for z in begun])
 
 
 def stacked_mechanisms(mechanisms: Sequence[AbstractInertia]):

@@ -9,6 +9,7 @@ the rate, E clip(v / slow + hold, -1, 1): where friction can hold the joint, it 
 that holds it (`hold`), and `slow` is the rate that friction takes away in RAMP steps.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -22,6 +23,7 @@ from .kalman import System
 from .law import (
     RAMP,
     Laws,
+    Slopes,
     Slots,
     Table,
     along_follow,
@@ -198,86 +200,57 @@ def _added(x, rows, *start):
     return jax.lax.dynamic_update_slice(x, here + rows, start)
 
 
+def _plus(s: Sums, f: Slopes, r: int, j, state, column) -> Sums:
+    """The sums with an effect that acts on r joints from the j-th on: rows of `f` are r torques, r
+    levels, and rates."""
+    parts = (
+        ("torque", slice(r), j),
+        ("level", slice(r, 2 * r), j),
+        ("rate", slice(2 * r, None), state),
+    )
+    starts, new = ((), (j,), (j,), (state,), (column,)), {}
+    for name, rows, first in parts:
+        for by, slope, start in zip(("", "_q", "_v", "_z", "_u"), f, starts, strict=True):
+            if name + by in Sums._fields:
+                new[name + by] = _added(getattr(s, name + by), slope[rows], first, *start)
+    return s._replace(**new)
+
+
 def _summed(laws: Laws, table: Table, at: Nodes, mechanism, P: int):
     """`Sums` of a model at the nodes, and each effect's own torque."""
-    (n, N), M = at.q.shape, at.z.shape[0]
-    effects = laws.each
-    joint, whole = ([effects[i] for i in laws.of(g)] for g in ("joint", "whole"))
-    K, Ej, Ew = N // 3, len(table.joint.law), len(table.whole.law)
-    mj, mw = most_states(joint), most_states(whole)
-    pj, pw = most_numbers(joint), most_numbers(whole)
+    (n, N), M, effects = at.q.shape, at.z.shape[0], laws.each
+    groups = {g: [effects[i] for i in laws.of(g)] for g in ("joint", "whole")}
     # Room at the end, so that no block of rows would be moved to fit.
-    p, m = P + max(pj, pw), M + max(mj, mw)
+    p = P + max(map(most_numbers, groups.values()))
+    m = M + max(map(most_states, groups.values()))
     z = jnp.concatenate([at.z, jnp.zeros((m - M, N))])
     shapes = [(n,), (n, n), (n, n), (n, m), (n, p), (n,), (n, n), (n, n), (n, p)]
     shapes += [(m,), (m, n), (m, n), (m, m), (m, p)]
-    sums = Sums(*(jnp.zeros((*s, N)) for s in shapes))
+    sums, own = Sums(*[jnp.zeros((*s, N)) for s in shapes]), []
+    for group, slots, r in (("joint", table.joint, 1), ("whole", table.whole, n)):
+        known = groups[group]
+        room = most_states(known), most_numbers(known)
+        each = jnp.zeros((len(slots.law), 2 * r, N // 3))
+        along = along_joint if group == "joint" else along_whole
+        branches = [functools.partial(along, k, room) for k in known]
 
-    def of(slots: Slots, e):
-        return slots.law[e], slots.joint[e], slots.numbers[e], slots.slopes[e], slots.column[e]
+        def add(e, carry, slots=slots, room=room, branches=branches, r=r, group=group):
+            sums, each = carry
+            j, state, column = slots.joint[e], slots.state[e], slots.column[e]
+            states = jax.lax.dynamic_slice(z, (state, 0), (room[0], N))
+            args = at.q[j], at.v[j], at.time, states, slots.numbers[e]
+            if group == "whole":
+                args = mechanism, at.q, at.v, at.time, states, at.step, at.spread, slots.numbers[e]
+            f = jax.lax.switch(slots.law[e], branches, *args)
+            f = f._replace(by_number=f.by_number * slots.slopes[e][:, None])
+            torque = f.value[None, : 2 * r, : N // 3]
+            each = jax.lax.dynamic_update_slice(each, torque, (e, 0, 0))
+            return _plus(sums, f, r, j, state, column), each
 
-    def add_joint(e, carry):
-        s, each = carry
-        law, j, numbers, slopes, column = of(table.joint, e)
-        state = table.joint.state[e]
-        own = jax.lax.dynamic_slice(z, (state, 0), (mj, N))
-        branches = [lambda *a, k=k: along_joint(k, (mj, pj), *a) for k in joint]
-        f = jax.lax.switch(law, branches, at.q[j], at.v[j], at.time, own, numbers)
-        f = f._replace(by_number=f.by_number * slopes[:, None])
-        each = jax.lax.dynamic_update_slice(each, f.value[None, :2, :K], (e, 0, 0))
-        s = Sums(
-            torque=_added(s.torque, f.value[:1], j),
-            torque_q=_added(s.torque_q, f.by_q[:1], j, j),
-            torque_v=_added(s.torque_v, f.by_v[:1], j, j),
-            torque_z=_added(s.torque_z, f.by_z[:1], j, state),
-            torque_u=_added(s.torque_u, f.by_number[:1], j, column),
-            level=_added(s.level, f.value[1:2], j),
-            level_q=_added(s.level_q, f.by_q[1:2], j, j),
-            level_v=_added(s.level_v, f.by_v[1:2], j, j),
-            level_u=_added(s.level_u, f.by_number[1:2], j, column),
-            rate=_added(s.rate, f.value[2:], state),
-            rate_q=_added(s.rate_q, f.by_q[2:], state, j),
-            rate_v=_added(s.rate_v, f.by_v[2:], state, j),
-            rate_z=_added(s.rate_z, f.by_z[2:], state, state),
-            rate_u=_added(s.rate_u, f.by_number[2:], state, column),
-        )
-        return s, each
-
-    def add_whole(e, carry):
-        s, each = carry
-        law, _, numbers, slopes, column = of(table.whole, e)
-        state = table.whole.state[e]
-        own = jax.lax.dynamic_slice(z, (state, 0), (mw, N))
-        branches = [lambda *a, k=k: along_whole(k, (mw, pw), *a) for k in whole]
-        args = mechanism, at.q, at.v, at.time, own, at.step, at.spread, numbers
-        f = jax.lax.switch(law, branches, *args)
-        f = f._replace(by_number=f.by_number * slopes[:, None])
-        each = jax.lax.dynamic_update_slice(each, f.value[None, : 2 * n, :K], (e, 0, 0))
-        a, b = slice(n), slice(n, 2 * n)
-        s = Sums(
-            torque=s.torque + f.value[a],
-            torque_q=s.torque_q + f.by_q[a],
-            torque_v=s.torque_v + f.by_v[a],
-            torque_z=_added(s.torque_z, f.by_z[a], 0, state),
-            torque_u=_added(s.torque_u, f.by_number[a], 0, column),
-            level=s.level + f.value[b],
-            level_q=s.level_q + f.by_q[b],
-            level_v=s.level_v + f.by_v[b],
-            level_u=_added(s.level_u, f.by_number[b], 0, column),
-            rate=_added(s.rate, f.value[2 * n :], state),
-            rate_q=_added(s.rate_q, f.by_q[2 * n :], state, 0),
-            rate_v=_added(s.rate_v, f.by_v[2 * n :], state, 0),
-            rate_z=_added(s.rate_z, f.by_z[2 * n :], state, state),
-            rate_u=_added(s.rate_u, f.by_number[2 * n :], state, column),
-        )
-        return s, each
-
-    each_j, each_w = jnp.zeros((Ej, 2, K)), jnp.zeros((Ew, 2 * n, K))
-    if joint:
-        sums, each_j = jax.lax.fori_loop(0, table.joint.count, add_joint, (sums, each_j))
-    if whole:
-        sums, each_w = jax.lax.fori_loop(0, table.whole.count, add_whole, (sums, each_w))
-    return sums, each_j, each_w
+        if known:
+            sums, each = jax.lax.fori_loop(0, slots.count, add, (sums, each))
+        own.append(each)
+    return sums, *own
 
 
 def _asked(mechanism, q, v, a):

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..effects import AbstractEffect
+from ..fitting.problem import richest
 from ..physics.inertia import AbstractInertia
 from ..physics.model import Model
 from ..physics.parameter import Parameter, Scales
@@ -39,9 +40,6 @@ from .law import (
     with_numbers,
 )
 from .linearised import Instants, Linear, Point, linearise
-
-_FIRST = 3.0  # typical sizes that the first angle and rate may be off
-_MEMORY = 0.5  # typical sizes that an internal state may be off at first
 
 
 def _not_yet() -> np.ndarray:
@@ -127,7 +125,7 @@ class Scene:
         self.grid: Grid = lay_out(recordings, wild)
         g = self.grid
         self.joints = mechanisms[0].joints
-        self.catalogued = catalogue_on(mechanisms[0])
+        self.catalogued = catalogue_on(richest(mechanisms))
         self._laws: dict[tuple[str, ...], Laws] = {}
         self.n = n = len(self.joints)
         self.K = len(g.time)
@@ -231,20 +229,20 @@ class Scene:
         return found
 
     def noise(self, t: Trajectory) -> Noise:
-        """First state and random torque: of typical torques (rms) at intensity 1, correlated over
-        the scene's `correlation` in radians of a joint's ringing."""
+        """First state, known to its typical size, and random torque: of typical torques (rms) at
+        intensity 1, correlated over the scene's `correlation` in radians of a joint's ringing."""
         n, g = self.n, self.grid
         M = t.path.shape[1] - 2 * n
         mean, variance = np.zeros(2 * n + M), np.zeros(2 * n + M)
         mean[:n] = self.q[self.begins[0]]
         for j, s in enumerate(self.scales):
-            variance[j] = (_FIRST * s.amplitude) ** 2
-            variance[n + j] = (_FIRST * s.amplitude * s.frequency) ** 2
+            variance[j] = s.amplitude**2
+            variance[n + j] = (s.amplitude * s.frequency) ** 2
         for effect, own in zip(t.effects, state_slices(t.effects), strict=True):
             scale = self.scales[self.joint_of(effect)]
             for i, each in zip(range(own.start, own.stop), effect.memory, strict=True):
                 mean[2 * n + i] = t.first[i]
-                variance[2 * n + i] = (_MEMORY * float(each.dimension.size(scale))) ** 2
+                variance[2 * n + i] = float(each.dimension.size(scale)) ** 2
         loud = self.torque**2
         pace = np.array([s.frequency for s in self.scales]) / self.correlation
         decay = np.where(g.last[:, None], 0.0, np.exp(-g.step[:, None] * pace))

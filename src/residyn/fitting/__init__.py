@@ -7,12 +7,15 @@ from .bootstrap import bootstrap as bootstrap
 from .evolution import MissingExtra as MissingExtra
 from .fit import DEFAULT_STARTS as DEFAULT_STARTS
 from .fit import fit as fit
+from .fit import levenberg_history as levenberg_history
 from .genetic import Genetic as Genetic
 from .history import History as History
 from .implicit import Embedded as Embedded
 from .implicit import Solution as Solution
 from .implicit import embed as embed
 from .methods import METHODS as METHODS
+from .problem import mechanism_of as mechanism_of
+from .problem import model_for as model_for
 from .race import Race as Race
 from .race import race as race
 from .result import Fit as Fit
@@ -20,6 +23,3 @@ from .result import FitError as FitError
 from .result import Mode as Mode
 from .result import Number as Number
 from .result import RecordingFit as RecordingFit
-from .setup import mechanism_of as mechanism_of
-from .setup import model_for as model_for
-from .trace import levenberg_history as levenberg_history

@@ -12,18 +12,19 @@ import contextlib
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from functools import partial
 from typing import Any, NamedTuple
+
+import jax
 
 from ..effects import AbstractEffect
 from ..errors import InputError
 from ..recordings.experiment import Experiment, load
-from .abreast import lanes, together
-from .fit import DEFAULT_STARTS, fit
+from .fit import DEFAULT_STARTS, fitting
+from .lanes import Fitting, alone, lanes, together
 from .result import Fit, FitError
 from .result_lines import ResultLines, digest
 
-_ABREAST = 16  # fits on each device that is no CPU
+_TOGETHER = 16  # fits on each device that is no CPU
 _AHEAD = 64  # fits that an executor holds: enough for many workers, little memory
 
 
@@ -90,11 +91,11 @@ def fit_many(
             done = lines.done
         left = [(name, one) for name, one in named if name not in done]
         if executor is None:
-            width = lanes(batch, _ABREAST)
+            width = lanes(batch, _TOGETHER)
             fresh = _in_batches(left, effects, starts, say, width)
             every = _in_order(named, done, fresh)
         else:
-            every = _first(done, _abreast(left, effects, starts, say, executor))
+            every = _first(done, _by_executor(left, effects, starts, say, executor))
         for each in every:
             if lines is not None and not each.before:
                 told = {"name": each.name, "digest": digests[each.name]} | each.told
@@ -118,13 +119,15 @@ def _in_batches(left, effects, starts: int, say, width: int) -> Iterator[Each]:
     for count, (name, one) in enumerate(left, start=1):
         at = f"{name} ({count} of {len(left)}): "
         progress = lambda words, at=at: say(at + words)  # noqa: E731
-        works.append(partial(_fitted, name, one, effects, starts, progress))
+        works.append((name, one, effects, starts, progress))
     for first in range(0, len(works), width):
-        some = works[first : first + width]
-        yield from together(some) if width > 1 else [some[0]()]
+        with jax.enable_x64(True):
+            some = [_fitted(*each) for each in works[first : first + width]]
+            found = together(some) if width > 1 else [alone(some[0])]
+        yield from found
 
 
-def _abreast(left, effects, starts: int, say: Callable[[str], None], executor: Executor):
+def _by_executor(left, effects, starts: int, say: Callable[[str], None], executor: Executor):
     """Each as it is done, a few waiting their turn."""
     waiting: dict[Future[Each], str] = {}
     todo, count = list(reversed(left)), 0
@@ -146,7 +149,8 @@ def _abreast(left, effects, starts: int, say: Callable[[str], None], executor: E
 
 def _told(*given) -> Each:
     """What travels between processes: numbers, not the recordings they came from."""
-    return _fitted(*given)._replace(fit=None)
+    with jax.enable_x64(True):
+        return alone(_fitted(*given))._replace(fit=None)
 
 
 def _lost(name: str) -> Each:
@@ -159,12 +163,12 @@ def _fitted(
     one: str | os.PathLike[str] | Experiment,
     effects: Sequence[str | AbstractEffect],
     starts: int,
-    say: Callable[[str], None] | None = None,
-) -> Each:
+    say: Callable[[str], None] = lambda words: None,
+) -> Fitting[Each]:
     found, told = None, {"name": name}
     try:
         experiment = one if isinstance(one, Experiment) else load(one)
-        found = fit(experiment, effects=effects, starts=starts, progress=say)
+        found = yield from fitting(experiment, effects, starts, say)
         told |= found.to_dict()
     except (InputError, FitError, ValueError) as error:
         told["error"] = str(error)

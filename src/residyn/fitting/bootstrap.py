@@ -1,4 +1,4 @@
-"""How far numbers scatter: the same fit to many noises, abreast.
+"""How far numbers scatter: the same fit to many noises, side by side.
 
 A standard error is a prediction: were the recording made again, the numbers would differ by so
 much. The bootstrap does it again. It takes the fitted motion for the truth, adds fresh noise of the
@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from .abreast import lanes
 from .implicit import Embedded, embed
+from .lanes import lanes
 from .result import Fit
 
-_ABREAST = 64  # fits on each device; on a CPU, which has a cache and no lanes, one after the other
+_TOGETHER = 64  # fits on each device; on a CPU, which has a cache and no lanes, one after the other
 
 
 class Bootstrap(NamedTuple):
@@ -60,7 +60,7 @@ def bootstrap(
 
     - `draws`: how many fits, at least 2.
     - `seed`: the same seed gives the same noises, whatever the batch.
-    - `batch`: fits that run abreast on each device; None is what suits it (1 on a CPU).
+    - `batch`: fits that run side by side on each device; None is what suits it (1 on a CPU).
     - `progress`: called with a few words now and then.
 
     **Raises:** `ValueError` for fewer than two draws, or an empty batch.
@@ -68,7 +68,7 @@ def bootstrap(
     if draws < 2:
         raise ValueError(f"draws = {draws}: a spread needs at least two")
     devices = jax.devices()
-    width = min(lanes(batch, _ABREAST), -(-draws // len(devices)) * len(devices))
+    width = min(lanes(batch, _TOGETHER), -(-draws // len(devices)) * len(devices))
     with jax.enable_x64(True):
         fits = embed(fit)
         fitted = [r for r in fit.recordings if r.recording.role != "check"]

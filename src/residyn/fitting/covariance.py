@@ -1,4 +1,4 @@
-"""How well the data determine the numbers: covariance, and what they leave open.
+"""How well the data determine the numbers and the modes: covariance, and what they leave open.
 
 At the best fit the whitened residual's Jacobian J gives the covariance (J'J)^-1 of all unknowns;
 its block of the numbers has the initial states' uncertainty in it. Where a combination of numbers
@@ -10,10 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Eigenvalue of J'J with unit columns below which a combination has no effect on the prediction:
-# its standard error is 1e5 times that of its numbers alone.
-_BLIND = 1e-10
-_PART = 1e-3  # share of a blind combination beyond which a number belongs to it
+from ..physics.modal import modes_of as rings_of
+from ..physics.modal import state_matrices
+from ..physics.model import Model
+from .linalg import PART, information, inverse_of
+from .result import Mode, Number
 
 
 class Spread(NamedTuple):
@@ -29,35 +30,59 @@ class Spread(NamedTuple):
         return np.sqrt(np.where(np.isfinite(variance), variance, np.inf))
 
 
-def information(factors: np.ndarray, numbers: int) -> np.ndarray:
-    """(P, P) information J'J on the first P of L unknowns, the rest (states) taken out.
-
-    `factors` (R, L, L): each recording's triangular factor of J'J.
-    """
-    total = np.zeros((numbers, numbers))
-    for factor in factors:
-        # QR with the states first leaves, below them, the numbers' information alone.
-        states_first = np.roll(factor, -numbers, axis=1)
-        rest = np.asarray(np.linalg.qr(states_first, mode="r"))[-numbers:, -numbers:]
-        total += rest.T @ rest
-    return total
-
-
 def spread_of(factors: np.ndarray, sizes: np.ndarray, inflation: float) -> Spread:
     """Covariance of the numbers, scaled by `sizes` (P,), at the best fit, times `inflation`."""
-    square = information(factors, len(sizes))
-    diagonal = np.diag(square)
-    size = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    values, vectors = np.linalg.eigh(square / size / size[:, None])
-    blind = values < _BLIND
-    with np.errstate(divide="ignore"):
-        inverse = (vectors * np.where(blind, 0.0, 1.0 / np.where(blind, 1.0, values))) @ vectors.T
-    scale = sizes / size
-    covariance = inflation * inverse * scale * scale[:, None]
-    groups = []
-    for vector in vectors[:, blind].T:
-        group = tuple(int(i) for i in np.flatnonzero(np.abs(vector) > _PART))
-        groups.append(group)
+    inverse, blind, _ = inverse_of(information(factors, len(sizes)))
+    covariance = inflation * inverse * sizes * sizes[:, None]
+    groups = [tuple(int(i) for i in np.flatnonzero(np.abs(v) > PART)) for v in blind]
+    for group in groups:
         covariance[list(group), :] = np.nan
         covariance[:, list(group)] = np.nan
     return Spread(covariance, tuple(groups))
+
+
+def numbers_of(model: Model, start: np.ndarray, spread: Spread) -> tuple[Number, ...]:
+    """The fitted numbers with their errors."""
+    values, units = np.asarray(model.vector()), model.mechanism.units
+    found = []
+    for i, number in enumerate(model.fitted):
+        # A number of no one joint (gravity's moment, say) takes the unit of the first.
+        unit = units[number.joint or 0] if units else None
+        found.append(
+            Number(
+                name=number.name,
+                words=number.meaning.words,
+                value=float(values[i]),
+                std=float(spread.std[i]),
+                start=float(start[i]),
+                unit=number.meaning.dimension.unit(unit),
+                sign=number.meaning.sign,
+                determined=bool(np.isfinite(spread.std[i])),
+            )
+        )
+    return tuple(found)
+
+
+def modes_of(model: Model, covariance: np.ndarray) -> tuple[Mode, ...]:
+    """The modes that ring, with errors carried over from the numbers."""
+    vector = np.asarray(model.vector())
+    steps = np.diag(1e-6 * np.maximum(np.abs(vector), 1e-6))
+    beside = np.concatenate([vector[None], vector + steps, vector - steps])
+    # All at once: one by one, these small matrices would take as long as the search.
+    matrices = state_matrices(model, beside)
+    values = np.linalg.eigvals(np.asarray(matrices))
+    best, *others = (np.stack(rings_of(x)) for x in values)
+    up, down = np.split(np.asarray(others).reshape(-1, *best.shape), 2)
+    slopes = (up - down) / (2 * np.diag(steps)[:, None, None])
+    found = []
+    for i, (frequency, damping) in enumerate(best.T):
+        if frequency > 0 and abs(damping) < 1 - 1e-9:
+            spread = [_carried(slopes[:, j, i], covariance) for j in (0, 1)]
+            found.append(Mode(float(frequency), spread[0], float(damping), spread[1]))
+    return tuple(found)
+
+
+def _carried(slope: np.ndarray, covariance: np.ndarray) -> float:
+    """Standard error of a quantity with this slope in the numbers."""
+    use = slope != 0
+    return float(np.sqrt(slope[use] @ covariance[np.ix_(use, use)] @ slope[use]))

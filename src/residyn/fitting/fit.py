@@ -1,9 +1,8 @@
-"""From an experiment to a fit: start, descend, set wild readings aside, score, and say.
+"""From an experiment to a fit: guess, descend, judge.
 
 Everything numerical lives in the neighbours of this file; here is their order.
 """
 
-import contextlib
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
@@ -14,23 +13,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..effects import AbstractEffect
-from ..physics.modal import modes_of, state_matrices
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
-from .base_first import from_the_base, led_astray, lonely
-from .covariance import Spread, spread_of
-from .descent import Descent, descend, wild_beside
-from .drifting import without_drift
+from .covariance import modes_of, numbers_of, spread_of
+from .history import History, Watch, watched
+from .initial_guess import first_guess, resolving
 from .integration import TENTH, at_twice_the_steps, checked, corrected, refined, stable
-from .least_squares import Polished, evaluated, polish
-from .multistart import beginning, resolving
-from .problem import Compressed, Problem, Unknowns
-from .result import Fit, FitError, Mode, Number, RecordingFit
-from .setup import Ready, ready
+from .lanes import Fitting, alone, evaluating
+from .least_squares import Compressed
+from .multistart import Descent, descending, multistart, outliers_among, without_drift
+from .problem import Problem, Unknowns, mechanism_of, posed, ready
+from .result import Fit, FitError, RecordingFit
 
 DEFAULT_STARTS = 6
-_MORE = 4  # times as many starts, if no other one ended where the best one did
-_SAME = 1e-6  # of chi-square
 
 
 def fit(
@@ -54,8 +49,8 @@ def fit(
 
     - `experiment`: from `residyn.load`, or made of arrays.
     - `effects`: what to add to the springs and dampers: `name`, `name:joint`, or an effect.
-    - `starts`: how many starts to try, at least 1; if they lead nowhere, six are tried; if no
-      other one ends where the best does, above the noise, four times as many.
+    - `starts`: how many starts to try, at least 1; where they disagree above the noise, multiple
+      shooting begins from them, too.
     - `progress`: called with a few words as each phase begins.
     - `method`: "levenberg", or "genetic" for the paper's genetic algorithm on Eq. 17, which knows
       no `starts` and takes further arguments: those of `residyn.fitting.Genetic`. Others are
@@ -85,105 +80,88 @@ def fit(
 
 
 def _by(method: Any, experiment, effects, starts: int, say, search: dict[str, Any]) -> Fit:
-    from .methods import GENETIC, RANDOM, check_method
+    from .methods import GENETIC, LEVENBERG, RANDOM, check_method
 
     check_method(method)
-    if method == RANDOM:
-        from .random_starts import fit_random
-
-        return fit_random(experiment, effects, starts, progress=say, **search)
     if isinstance(method, str) and method in GENETIC:
         from .genetic import fit_genetic
 
         how = dataclasses.replace(GENETIC[method], **search)
         return fit_genetic(experiment, effects, how, say)
-    if method != "levenberg":
+    if method not in (LEVENBERG, RANDOM):
         from .minimise import fit_minimised
 
         return fit_minimised(experiment, effects, method, say, **search)
+    seed = search.pop("seed", 0) if method == RANDOM else None
     if search:
-        raise TypeError(f'{next(iter(search))} is no argument of method="levenberg"')
-    try:
-        return _fit(experiment, effects, starts, say)
-    except FitError:
-        if starts >= DEFAULT_STARTS:
-            raise
-        # The first start in closed form may be a bad one: others from it seldom are, too.
-        say(f"no start led anywhere: fitting from {DEFAULT_STARTS}")
-        return _fit(experiment, effects, DEFAULT_STARTS, say)
+        raise TypeError(f'{next(iter(search))} is no argument of method="{method}"')
+    return alone(fitting(experiment, effects, starts, say, seed))
 
 
-def _fit(experiment, effects, starts, progress) -> Fit:
+def fitting(
+    experiment: Experiment,
+    effects: Sequence[str | AbstractEffect],
+    starts: int,
+    progress: Callable[[str], None],
+    seed: int | None = None,
+) -> Fitting[Fit]:
+    """`fit` by Levenberg-Marquardt, for `lanes`; with a `seed`, from random starts instead of the
+    closed form. Run it in float64."""
     began = time.perf_counter()
     if starts < 1:
         raise ValueError(f"starts = {starts}: at least one start is needed")
     if not experiment.fit_recordings:
         raise ValueError('no recording has role = "fit": there is nothing to fit to')
     here = ready(experiment, experiment.fit_recordings, effects)
-    wild = wild_beside(here, [r.angle for r in here.recordings])
+    outliers = outliers_among(here, [r.angle for r in here.recordings])
+    base = lambda: ready(experiment, here.recordings, ())  # noqa: E731
 
-    progress("finding a start in closed form")
-    numbers, memory = beginning(here, wild, starts)
-    whole = experiment
-    experiment = without_drift(whole, here.model.with_vector(jnp.asarray(numbers[0])))
-    if experiment is not whole:
-        here = ready(experiment, experiment.fit_recordings, effects)
-        wild, memory = wild_beside(here, [r.angle for r in here.recordings]), None
+    if seed is None:
+        progress("finding a start in closed form")
+        numbers, memory = first_guess(here, outliers, starts)
+        whole = experiment
+        experiment = without_drift(whole, here.model.with_vector(jnp.asarray(numbers[0])))
+        if experiment is not whole:
+            here = ready(experiment, experiment.fit_recordings, effects)
+            outliers, memory = outliers_among(here, [r.angle for r in here.recordings]), None
+        progress(f"fitting from {starts} start{'s' * (starts > 1)}")
+        again = base if effects else None
+        guess = numbers, memory
+        try:
+            descent = yield from multistart(here, again, outliers, starts, progress, guess)
+        except FitError:
+            finer = stable(here, resolving(here, numbers))
+            if finer is None:
+                raise
+            progress("fitting with steps that are short enough")
+            descent = yield from multistart(finer, again, outliers, starts, progress, guess)
+    else:
+        from .genetic import drawn
 
-    progress(f"fitting from {starts} start{'s' * (starts > 1)}")
-    begin = resolving(here, numbers)
-    descent, failed = None, None
-    try:
-        descent = descend(here, begin, numbers, wild, progress, memory)
-    except FitError as error:
-        failed = error
-    if effects and starts > 1 and (descent is None or led_astray(descent)):
-        progress("fitting springs and dampers alone, to begin again from there")
-        bare = ready(experiment, here.recordings, ())
-        again = from_the_base(here, bare, numbers, memory, wild)
-        if again is not None and (descent is None or again.cost < descent.cost):
-            descent = again
-    if not effects and starts > 1 and descent is not None and lonely(descent):
-        numbers, memory = beginning(here, wild, _MORE * starts)
-        progress(
-            f"fitting from {len(numbers)} starts: no other of {starts} ended where the best one did"
-        )
-        afresh = resolving(here, numbers)
-        with contextlib.suppress(FitError):
-            again = descend(here, afresh, numbers, wild, progress, memory)
-            if again.cost < (1.0 + _SAME) * descent.cost:  # how many agree is known better, too
-                begin, descent = afresh, again
-    if descent is None:
-        assert failed is not None
-        again = stable(here, begin)
-        if again is None:
-            raise failed
-        progress("fitting with steps that are short enough")
-        here = again
-        descent = descend(here, begin, numbers, wild, progress, memory)
+        progress("drawing starts")
+        numbers = drawn(here, outliers, starts, seed)
+        progress(f"fitting from {starts} of them")
+        begin = here.model.with_vector(jnp.asarray(numbers[0]))
+        descent = yield from descending(here, begin, numbers, outliers, progress)
     progress("errors, modes and held-out recordings")
-    start = np.asarray(begin.vector())
-    found = finish(experiment, start, descent, began)
+    found = yield from finishing(experiment, numbers[0], descent, began)
     adapts = here.integrator is not None and here.integrator.adapts
     if found.integration_error > TENTH and not adapts:
         progress("fitting again with shorter integration steps")
-        again = _refined(here, descent, found.integration_error)
+        again = yield from _refined(descent, found.integration_error)
         if again is not None:
             usual = found.integration_steps, found.integration_error
-            found = dataclasses.replace(finish(experiment, start, again, began), shortened=usual)
+            found = yield from finishing(experiment, numbers[0], again, began)
+            found = dataclasses.replace(found, shortened=usual)
     return found
 
 
-def _refined(here: Ready, descent: Descent, error: float) -> Descent | None:
+def _refined(descent: Descent, error: float) -> Fitting[Descent | None]:
     """The descent from where it ended, with shorter steps; None if that leads nowhere."""
-    numbers = np.asarray(descent.problem.numbers(descent.unknowns))
-    states = np.asarray(descent.problem.states(descent.unknowns))
-    begin = here.model.with_vector(jnp.asarray(numbers))
-    quiet = lambda words: None  # noqa: E731
+    here = refined(descent.here, error)
+    numbers, states = descent.numbers[None], descent.states[None]
     try:
-        again = descend(
-            refined(here, error), begin, numbers[None], descent.wild, quiet, near=states[None]
-        )
+        again = yield from descending(here, descent.model, numbers, descent.outliers, near=states)
     except FitError:
         return None
     return again._replace(
@@ -191,25 +169,34 @@ def _refined(here: Ready, descent: Descent, error: float) -> Descent | None:
     )
 
 
-def finish(
+def finish(*given, **more) -> Fit:
+    """`finishing`, at once."""
+    return alone(finishing(*given, **more))
+
+
+def finishing(
     experiment: Experiment,
     start: np.ndarray,
     descent: Descent,
     began: float,
-    search: Callable[..., Polished] = polish,
-    evaluate: Callable[[Problem, Unknowns], Compressed] = evaluated,
+    search: Callable[..., Any] | None = None,
+    evaluate: Callable[[Problem, Unknowns], Compressed] | None = None,
     correct: bool = True,
-) -> Fit:
+) -> Fitting[Fit]:
     """What a fit returns, from where a descent ended; `start` (P,) is where it began. The error of
     the integration is taken from its numbers, unless they are no minimum (`correct`). Initial
-    states of check recordings are found by `search`; `evaluate` gives residual and Jacobian."""
+    states of check recordings are found by `search`, as in `descending`; `evaluate` gives residual
+    and Jacobian, if not the program of the descents."""
+
+    def evaluated(problem: Problem, y: Unknowns) -> Fitting[Compressed]:
+        return (yield from evaluating(problem, y)) if evaluate is None else evaluate(problem, y)
+
+    recordings = experiment.fit_recordings
     if correct:
-        descent, error = corrected(descent, experiment.fit_recordings, evaluate)
+        descent, error = yield from corrected(descent, recordings, evaluated)
     else:
-        error = at_twice_the_steps(descent, experiment.fit_recordings, evaluate)[1]
-    problem = descent.problem
-    model = problem.model.with_vector(jnp.asarray(problem.numbers(descent.unknowns)))
-    fitted = descent.beside(experiment.fit_recordings)
+        _, error = yield from at_twice_the_steps(descent, recordings, evaluated)
+    model, fitted = descent.model, descent.beside(recordings)
     unknown = len(start) + sum(f.state.size for f in fitted)
     readings = sum(int(f.used.sum()) for f in fitted)
     chi2 = descent.cost / max(1, readings - unknown)
@@ -217,14 +204,15 @@ def finish(
     # they grow with it.
     sizes = np.asarray(descent.problem.scale.numbers)
     spread = spread_of(np.asarray(descent.compressed.factor), sizes, max(1.0, chi2))
+    held_out = yield from _held_out(experiment, model, descent, search)
     return Fit(
         experiment=experiment,
         model=model,
-        numbers=_numbers(model, start, spread),
+        numbers=numbers_of(model, start, spread),
         covariance=spread.covariance,
-        recordings=(*fitted, *_held_out(experiment, model, descent, search)),
+        recordings=(*fitted, *held_out),
         reduced_chi2=chi2,
-        modes=_modes(model, spread.covariance),
+        modes=modes_of(model, spread.covariance),
         starts=descent.starts,
         agreeing_starts=descent.agreeing,
         converged=descent.converged,
@@ -234,77 +222,51 @@ def finish(
         seconds=time.perf_counter() - began,
         open_groups=spread.open_groups,
         integration_steps=int(descent.problem.steps),
+        problem=descent.problem,
+        unknowns=descent.unknowns,
+        ready=descent.here,
     )
 
 
 def _held_out(
-    experiment: Experiment, model: Model, descent: Descent, search: Callable[..., Polished]
-) -> list[RecordingFit]:
+    experiment: Experiment, model: Model, descent: Descent, search: Callable[..., Any] | None
+) -> Fitting[list[RecordingFit]]:
     """Check recordings beside the fitted model: only their initial states are fitted."""
-    # The effects themselves, not their names: bare recordings know no effect of bearings by name.
-    effects = [e for e in model.effects if e.name not in ("spring", "damper")]
-    group, found = len(descent.wild), []
+    group, found = len(descent.outliers), []
     numbers = np.asarray(model.vector())[None]
     for first in range(0, len(experiment.check_recordings), group):
         # As many at a time as were fitted, so that no other program need be compiled.
         some = experiment.check_recordings[first : first + group]
         filled = [*some, *[some[-1]] * (group - len(some))]
-        here = ready(experiment, filled, effects)._replace(finer=descent.finer)
-        begin = here.model.with_vector(model.vector())
-        wild = wild_beside(here, [r.angle for r in here.recordings])
-        quiet, like = lambda words: None, descent.problem
-        end = descend(here, begin, numbers, wild, quiet, like=like, search=search)
+        mechanisms = tuple(mechanism_of(experiment, r) for r in filled)
+        # The same effects, also where bare recordings know none of bearings.
+        begin = posed(model, mechanisms[0])
+        here = descent.here._replace(model=begin, recordings=tuple(filled), mechanisms=mechanisms)
+        outliers = outliers_among(here, [r.angle for r in here.recordings])
+        like = descent.problem
+        end = yield from descending(here, begin, numbers, outliers, like=like, search=search)
         found += end.beside(filled)[: len(some)]
     return found
-
-
-def _numbers(model: Model, start: np.ndarray, spread: Spread) -> tuple[Number, ...]:
-    values, units = np.asarray(model.vector()), model.mechanism.units
-    found = []
-    for i, number in enumerate(model.fitted):
-        # A number of no one joint (gravity's moment, say) takes the unit of the first.
-        unit = units[number.joint or 0] if units else None
-        found.append(
-            Number(
-                name=number.name,
-                words=number.meaning.words,
-                value=float(values[i]),
-                std=float(spread.std[i]),
-                start=float(start[i]),
-                unit=number.meaning.dimension.unit(unit),
-                sign=number.meaning.sign,
-                determined=bool(np.isfinite(spread.std[i])),
-            )
-        )
-    return tuple(found)
-
-
-def _modes(model: Model, covariance: np.ndarray) -> tuple[Mode, ...]:
-    """The modes that ring, with errors carried over from the numbers."""
-    vector = np.asarray(model.vector())
-    steps = np.diag(1e-6 * np.maximum(np.abs(vector), 1e-6))
-    beside = np.concatenate([vector[None], vector + steps, vector - steps])
-    # All at once: one by one, these small matrices would take as long as the search.
-    matrices = state_matrices(model, beside)
-    values = np.linalg.eigvals(np.asarray(matrices))
-    best, *others = (np.stack(modes_of(x)) for x in values)
-    up, down = np.split(np.asarray(others).reshape(-1, *best.shape), 2)
-    slopes = (up - down) / (2 * np.diag(steps)[:, None, None])
-    found = []
-    for i, (frequency, damping) in enumerate(best.T):
-        if frequency > 0 and abs(damping) < 1 - 1e-9:
-            spread = [_carried(slopes[:, j, i], covariance) for j in (0, 1)]
-            found.append(Mode(float(frequency), spread[0], float(damping), spread[1]))
-    return tuple(found)
-
-
-def _carried(slope: np.ndarray, covariance: np.ndarray) -> float:
-    """Standard error of a quantity with this slope in the numbers."""
-    use = slope != 0
-    return float(np.sqrt(slope[use] @ covariance[np.ix_(use, use)] @ slope[use]))
 
 
 def _reason(converged: bool) -> str:
     if converged:
         return "converged: the last step moved the fit by less than 1/100 of its error"
     return "step limit reached before the numbers settled"
+
+
+def levenberg_history(
+    experiment: Experiment,
+    *,
+    effects: Sequence[str | AbstractEffect] = (),
+    starts: int = DEFAULT_STARTS,
+) -> History:
+    """How Eq. 17 falls in a fit by Levenberg-Marquardt: the best of all starts.
+
+    A step counts as one simulation and one for every unknown, as that many are carried along for
+    the Jacobian, also where it covers a share of the recordings only. The objective, which is not
+    the one that is minimised, is that of all fitted readings.
+    """
+    with watched(Watch()) as watch:
+        fit(experiment, effects=effects, starts=starts)
+    return watch.history

@@ -12,24 +12,44 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from ..effects import AbstractEffect
+from ..physics.model import Number as Fitted
+from ..physics.parameter import RATIO, STIFFNESS, Dimension
 from ..recordings.experiment import Experiment
-from .descent import Descent, wild_beside
 from .evolution import evolve
 from .fit import DEFAULT_STARTS, finish
-from .genes import GENES, Genome, box, genome
-from .history import History, relative_error
-from .linalg import damped_step
-from .multistart import beginning, resolving
-from .problem import Compressed, Problem, compressed
+from .history import History, relative_error, watching
+from .initial_guess import first_guess, resolving
+from .least_squares import Compressed, compressed
+from .linalg import BLIND, damped_step
+from .multistart import Descent, outliers_among
+from .problem import Problem, Ready, Unknowns, ready
 from .result import Fit, FitError
-from .setup import Ready, ready
-from .watch import watching
 
+# Bounds in typical sizes (`Ready.typical`). Among 80 random arms the springs were 0.03 to 15 times
+# their typical size and the dampers 2e-4 to 0.13 times.
+_STIFF = (0.02, 20.0)
+_WEAK = (1e-4, 1.0)
+_EITHER_SIGN = 1.0
+_SHARE = 0.3  # of a number without dimension, about its silent value
+_GRID = 3.0  # times, beyond the ends of a shape's grid
+_LOGARITHMIC = 10.0  # bounds of one sign that are this many times apart are spread so
+
+# How far an initial state may lie from what the first readings say: a share of the joint's typical
+# angle and rate, and as many sigma. Internal states may be anything of their typical size.
+_SHARE_OF_STATE = 0.1
+_SIGMAS = 2.0
+_MEMORY = 2.0
+
+READINGS, GENES = "readings", "genes"
+
+_DRAWN = 100  # individuals, of which the best ones are random starts
 _LAST, _FALL = 0.1, 0.01  # settled: the last tenth of the generations gained less than 1 %
 _FAR = 1.0  # standard errors that least squares would still go
 
@@ -76,6 +96,111 @@ class Genetic:
             raise ValueError(f"generations = {self.generations}: at least one is needed")
 
 
+class Box(NamedTuple):
+    """Bounds of P numbers, (P,) each, and which of them are searched logarithmically."""
+
+    low: np.ndarray
+    high: np.ndarray
+    logarithmic: np.ndarray
+
+    def at(self, genes: Float[Array, " P"]) -> Float[Array, " P"]:
+        """The numbers, in their own units, at genes from 0 to 1."""
+        straight = self.low + genes * (self.high - self.low)
+        low, high = (jnp.where(self.logarithmic, x, 1.0) for x in (self.low, self.high))
+        curved = jnp.exp(jnp.log(low) + genes * jnp.log(high / low))
+        found = jnp.where(self.logarithmic, curved, straight)
+        return jnp.clip(found, self.low, self.high)  # rounding must not lead out of the box
+
+
+def box(
+    numbers: Sequence[Fitted],
+    typical: np.ndarray,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+) -> Box:
+    """The bounds of a search: those given by name, the others from typical sizes (P,).
+
+    **Raises:** `ValueError` for a name that the model does not have, and for bounds that are not
+    two finite numbers, the lower one first.
+    """
+    given = dict(bounds or {})
+    low, high = np.empty(len(numbers)), np.empty(len(numbers))
+    for i, (number, size) in enumerate(zip(numbers, typical, strict=True)):
+        low[i], high[i] = given.pop(number.name, None) or _usual(number, float(size))
+        if not (np.isfinite([low[i], high[i]]).all() and low[i] < high[i]):
+            raise ValueError(
+                f"bounds of {number.name}: ({low[i]:g}, {high[i]:g}) must be two finite numbers, "
+                "the lower one first"
+            )
+    if given:
+        known = ", ".join(n.name for n in numbers)
+        raise ValueError(
+            f"bounds of {next(iter(given))}: there is no such number; there are {known}"
+        )
+    return Box(low, high, (low > 0) & (high > _LOGARITHMIC * low))
+
+
+def _usual(number: Fitted, size: float) -> tuple[float, float]:
+    meaning = number.meaning
+    if meaning.silent is None:
+        grid = meaning.grid or (1.0,)
+        return min(grid) * size / _GRID, max(grid) * size * _GRID
+    if meaning.sign == "positive":
+        low, high = _STIFF if _is(meaning.dimension, STIFFNESS) else _WEAK
+        return low * size, high * size
+    reach = _SHARE if _is(meaning.dimension, RATIO) else _EITHER_SIGN
+    return meaning.silent - reach * size, meaning.silent + reach * size
+
+
+def _is(one: Dimension, other: Dimension) -> bool:
+    return (one.rotary, one.sliding) == (other.rotary, other.sliding)
+
+
+class Genome(NamedTuple):
+    """What the G genes of one individual mean: first the P numbers, then any initial states.
+
+    `states` (R, s) are those that the first readings give, in their own units, and `reach` (s,) how
+    far a gene may move them, if they are `free`.
+    """
+
+    box: Box
+    states: np.ndarray
+    reach: np.ndarray
+    free: bool
+
+    @property
+    def size(self) -> int:
+        """G."""
+        return len(self.box.low) + self.free * self.states.size
+
+    def unknowns(self, genes: Float[Array, " G"], problem: Problem) -> Unknowns:
+        """The individual as unknowns of a problem, scaled."""
+        count = len(self.box.low)
+        states = jnp.asarray(self.states)
+        if self.free:
+            states = states + (2 * genes[count:].reshape(states.shape) - 1) * self.reach
+        return problem.scaled(self.box.at(genes[:count]), states)
+
+
+def genome(
+    problem: Problem, bounds: Box, states: np.ndarray, noise: np.ndarray, initial: str
+) -> Genome:
+    """The genome of a problem whose first readings, of these sigmas (n,), give the initial states
+    (R, s).
+
+    `initial` is "readings" (these states are kept, as the paper keeps its known release) or "genes"
+    (each is a gene, too, about the reading).
+
+    **Raises:** `ValueError` for any other `initial`.
+    """
+    if initial not in (READINGS, GENES):
+        raise ValueError(f'initial = "{initial}": must be "{GENES}" or "{READINGS}"')
+    scale = np.asarray(problem.scale.states)[0]
+    share = _SHARE_OF_STATE + _SIGMAS * noise / scale[: len(noise)]
+    memory = np.full(len(scale) - 2 * len(noise), _MEMORY)
+    reach = np.concatenate([share, share, memory]) * scale
+    return Genome(bounds, states, reach, initial == GENES)
+
+
 class Search(NamedTuple):
     """What a genetic algorithm looks at: a problem, and what its genes mean there."""
 
@@ -110,8 +235,8 @@ def fit_genetic(
     if not experiment.fit_recordings:
         raise ValueError('no recording has role = "fit": there is nothing to fit to')
     here = ready(experiment, experiment.fit_recordings, effects)
-    wild = wild_beside(here, [r.angle for r in here.recordings])
-    look = search_of(here, wild, how)
+    outliers = outliers_among(here, [r.angle for r in here.recordings])
+    look = search_of(here, outliers, how)
     found = run(look, how, progress)
 
     progress("errors, modes and held-out recordings")
@@ -122,13 +247,13 @@ def fit_genetic(
         f"objective of Eq. 17: {found.history.objective[-1]:.4g}, "
         + ("settled" if settled else "still falling")
     )
-    return concluded(experiment, here, wild, found, done, settled, reason, began)
+    return concluded(experiment, here, outliers, found, done, settled, reason, began)
 
 
 def concluded(
     experiment: Experiment,
     here: Ready,
-    wild: list[np.ndarray],
+    outliers: list[np.ndarray],
     found: "Found",
     steps: int,
     settled: bool,
@@ -138,26 +263,50 @@ def concluded(
     """The fit of what a search has found, which did not end in a least-squares minimum."""
     model = here.model.with_vector(jnp.asarray(found.numbers))
     # Once more with the step that these numbers ask for.
-    problem, _ = here.problem(model, wild)
+    problem, _ = here.problem(model, outliers)
     at = jax.device_get(problem.scaled(jnp.asarray(found.numbers), jnp.asarray(found.states)))
     squeezed = jax.device_get(compressed(problem, at))
     cost = float(np.sum(squeezed.along**2) + np.sum(squeezed.beside**2))
     if not np.isfinite(cost):
         raise FitError("no individual led to finite numbers: is this the arm that was recorded?")
-    descent = Descent(problem, wild, at, squeezed, cost, steps, settled, starts=1, agreeing=1)
+    descent = Descent(here, problem, outliers, at, squeezed, cost, steps, settled, 1, 1)
     fit = finish(experiment, found.first, descent, began, evaluate=compressed, correct=False)
     far = _far(fit, squeezed, np.asarray(problem.scale.numbers))
     return dataclasses.replace(fit, reason=reason, history=found.history, short_of_minimum=far)
 
 
-def search_of(here: Ready, wild: Sequence[np.ndarray], how: Genetic) -> Search:
+def search_of(here: Ready, outliers: Sequence[np.ndarray], how: Genetic) -> Search:
     """The search of an experiment: the model, the step and the readings that
     Levenberg-Marquardt would have, so that both simulate alike; but not its start."""
-    begin = resolving(here, beginning(here, wild, DEFAULT_STARTS)[0])
+    begin = resolving(here, first_guess(here, outliers, DEFAULT_STARTS)[0])
     bounds = box(here.model.fitted, here.typical(), how.bounds)
-    problem, states = here.problem(begin, wild)
+    problem, states = here.problem(begin, outliers)
     noise = np.max([r.noise for r in here.recordings], axis=0)
     return Search(problem, genome(problem, bounds, states, noise, how.initial))
+
+
+def drawn(here: Ready, outliers: list[np.ndarray], starts: int, seed: int) -> np.ndarray:
+    """(S, P) numbers of the best of a hundred individuals, drawn as the first generation is: starts
+    that know nothing of the closed form, which shows what that is worth."""
+    look = search_of(here, outliers, Genetic())
+    genes = jnp.asarray(np.random.default_rng(seed).uniform(size=(_DRAWN, look.genome.size)))
+    values = np.asarray(_values(look, genes))
+    order = np.argsort(values)[:starts]
+    if (watch := watching()) is not None:
+        watch.add(_DRAWN, float(values[order[0]]))
+    return np.stack(
+        [np.asarray(look.genome.box.at(genes[i, : len(look.genome.box.low)])) for i in order]
+    )
+
+
+@eqx.filter_jit
+def _values(look: Search, genes):
+    def one(individual):
+        value = _objective(look, individual)
+        return jnp.where(jnp.isfinite(value), value, jnp.inf)
+
+    # Side by side, what dry friction seldom asks for would be computed always.
+    return jax.lax.map(one, genes) if look.problem.model.dry else jax.vmap(one)(genes)
 
 
 def run(look: Search, how: Genetic, progress: Callable[[str], None] = lambda words: None) -> Found:
@@ -214,7 +363,7 @@ def _far(fit: Fit, squeezed: Compressed, sizes: np.ndarray) -> tuple[str, float]
     farthest, and by how many standard errors; None if that is little."""
     factor = np.asarray(squeezed.factor)
     slope = np.einsum("rij,ri->rj", factor, squeezed.along)
-    step = damped_step(factor.transpose(0, 2, 1) @ factor, slope, len(sizes), 1e-10).numbers * sizes
+    step = damped_step(factor.transpose(0, 2, 1) @ factor, slope, len(sizes), BLIND).numbers * sizes
     std = np.array([n.std for n in fit.numbers])
     far = np.abs(step) / std
     if not far.size or not far.max() > _FAR:

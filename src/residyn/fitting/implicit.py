@@ -23,10 +23,9 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from ..physics.mechanism import AbstractMechanism
 from ..physics.model import Model
 from ..physics.parameter import all_floating, stacked
-from .least_squares import Stretch, rows, solver
-from .problem import Compressed, Problem, Unknowns, compressed, posed, predict, whiten
+from .least_squares import Compressed, Horizon, compressed, predict, rows, solver, whiten
+from .problem import Problem, Unknowns, posed, ready
 from .result import Fit
-from .setup import ready
 
 _STEPS = 60
 
@@ -222,7 +221,7 @@ def _minimum(problem: Problem, start: Unknowns):
         rows,
         solver(start),
         start,
-        args=Stretch(problem),
+        args=Horizon(problem),
         has_aux=True,
         options={"jac": "fwd"},
         max_steps=_STEPS,

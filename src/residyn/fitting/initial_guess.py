@@ -15,6 +15,8 @@ springs look soft, or negative: beside those candidates, others come from equati
 torque at every joint, which is then forgotten.
 """
 
+import itertools
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
@@ -23,14 +25,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
+from ..physics.modal import paces
 from ..physics.model import Model
 from ..physics.motion import Motion, split, stack
 from ..physics.parameter import stacked
 from ..recordings.recording import Recording
 from ..runtime.export_cache import kept
-from .beginnings import Beginnings, memory_along, oscillates, plain, tuned
 from .layout import AnyArray, bucket
+from .problem import Ready, posed
 from .smoothing import smooth, uniform
 
 _NARROWEST = 4  # samples in half a kernel
@@ -43,6 +47,86 @@ _CHUNK = 256  # instants whose equations are summed at a time
 _FAR = 10.0  # times its typical size: no number is looked for much further away
 _ROUNDING = 1e-14
 _ELSEWHERE = 0.1  # of a joint's swing: where it rings about, if not about zero
+_MOST = 48  # trials; beyond, shapes vary one at a time
+_LINES = 3  # frequencies tried for each periodic disturbance
+_SUBSTEPS = 2
+_LOOKED = 24  # candidates, the best ones, that are looked at
+_ALIKE = 0.2  # share by which shapes of one kind differ at most
+_PACE = 0.7  # and the logarithms of its modes' frequencies
+_ABSURD = 1e12  # rad/s
+_SLOWER = 0.75  # share of the starts that are no faster than the one that sets the step
+
+
+def first_guess(
+    here: Ready, outliers: Sequence[np.ndarray], starts: int
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Where the starts begin, the best one first: numbers (S, P), internal states (S, R, m)."""
+    found = closed_form(here.posed(), here.recordings, outliers, here.typical())
+    some = _various(here, found.numbers)[:starts] if starts > 1 else [0][: len(found.numbers)]
+    candidates = found.numbers[some] if some else here.typical()[None]
+    candidates = _turned(here.model, candidates)
+    more = starts - len(candidates)
+    numbers = np.vstack([candidates, perturbed(candidates[0], more)])
+    memory = found.memory[[*some, *some[:1] * more]] if some else None
+    return numbers, memory
+
+
+def _various(here: Ready, candidates: np.ndarray) -> list[int]:
+    """Indices of candidates (C, P), best first, those last that hardly differ from a better one: of
+    kernels that have all lost the fast mode, one is tried before any that has not."""
+    if not len(candidates):
+        return []
+    shapes = [n.meaning.silent is None for n in here.model.fitted]
+    seen = np.log(_paces(here, candidates[:_LOOKED]))
+    kinds, alike = [], []
+    for i, pace in enumerate(seen):
+        own = candidates[i][shapes]
+        near = any(
+            np.all(np.abs(pace - seen[k]) <= _PACE)
+            and np.all(np.abs(own - candidates[k][shapes]) <= _ALIKE * np.abs(own))
+            for k in kinds
+        )
+        (alike if near else kinds).append(i)
+    return [*kinds, *alike, *range(len(seen), len(candidates))]
+
+
+def _paces(here: Ready, numbers: np.ndarray) -> np.ndarray:
+    """(S, s) how fast a model's modes are with numbers (S, P), slowest first, rad/s, none slower
+    than a cycle in the longest recording."""
+    least = 2 * math.pi / max(r.duration for r in here.recordings)
+    return np.clip(paces(posed(here.model, here.mechanisms[0]), numbers), least, _ABSURD)
+
+
+def resolving(here: Ready, numbers: np.ndarray) -> Model:
+    """The start of numbers (S, P) by whose fastest mode all of them are integrated: no slower than
+    that of three in four.
+
+    A start from a wide kernel may have lost the fast mode. It costs nothing but itself, unless the
+    others are integrated with its step, and begin from where it would.
+    """
+    if len(numbers) > 1:
+        fast = _paces(here, numbers[:_LOOKED])[:, -1]
+        order = np.argsort(np.where(fast < _ABSURD, fast, 0.0), kind="stable")
+        numbers = numbers[order[math.ceil(_SLOWER * (len(order) - 1)) :]]
+    return here.model.with_vector(jnp.asarray(numbers[0]))
+
+
+def _turned(model: Model, numbers: np.ndarray) -> np.ndarray:
+    """Starts (S, P) of which no effect's number has a sign that physics does not allow: an inertia
+    below zero, however small, runs away. Springs and dampers stay: gravity may hold a joint."""
+    base = ("spring", "damper")
+    positive = [
+        n.meaning.sign == "positive" and model.effects[n.effect].name not in base
+        for n in model.fitted
+    ]
+    return np.where(positive, np.abs(numbers), numbers)
+
+
+class Trials(NamedTuple):
+    """(B, P) numbers, and (B, R, m) internal states at each recording's first sample."""
+
+    numbers: np.ndarray
+    memory: np.ndarray
 
 
 class Candidates(NamedTuple):
@@ -57,7 +141,7 @@ class Candidates(NamedTuple):
 def closed_form(
     models: Sequence[Model],
     recordings: Sequence[Recording],
-    wild: Sequence[np.ndarray],
+    outliers: Sequence[np.ndarray],
     sizes: np.ndarray,
 ) -> Candidates:
     """Candidate numbers for a model from its recordings (one model per recording's pose).
@@ -68,8 +152,10 @@ def closed_form(
     """
     if len(recordings) > _ENOUGH and not models[0].memory:
         some = np.linspace(0, len(recordings) - 1, _ENOUGH).round().astype(int)
-        models, recordings, wild = ([x[i] for i in some] for x in (models, recordings, wild))
-    grids = [uniform(r, w) for r, w in zip(recordings, wild, strict=True)]
+        models, recordings, outliers = (
+            [x[i] for i in some] for x in (models, recordings, outliers)
+        )
+    grids = [uniform(r, w) for r, w in zip(recordings, outliers, strict=True)]
     shortest = min(len(g.q) for g in grids)
     # What passed a kernel varies from sample to sample as slowly as the kernel does; a memory is
     # run along the motion, and wants all of it.
@@ -86,23 +172,23 @@ def closed_form(
 
     chunks = np.asarray(-(-max(q.shape[1] for q, *_ in each) // min(_CHUNK, longest)))
 
-    def solved(beginnings: Beginnings):
-        equations = jax.device_get(_equations(posed, beginnings, spacing, data, chunks))
-        return _solved(equations, np.asarray(beginnings.numbers), sizes, used // stride)
+    def solved(trials: Trials):
+        equations = jax.device_get(_equations(posed, trials, spacing, data, chunks))
+        return _solved(equations, np.asarray(trials.numbers), sizes, used // stride)
 
-    beginnings = plain(models[0], sizes, len(grids))
+    trials = plain(models[0], sizes, len(grids))
     if oscillates(models[0]):
-        first = jax.tree.map(lambda x: x[0], beginnings)
-        found = solved(beginnings)[0][:, 0, 0]
+        first = jax.tree.map(lambda x: x[0], trials)
+        found = solved(trials)[0][:, 0, 0]
         missing = jax.device_get(_missing(posed, first, found, spacing, data))
-        beginnings = tuned(models[0], beginnings, missing, spacing, fits)
-    numbers, spread = solved(beginnings)
-    # Without and with a constant torque, (K, 2, B): taken as further beginnings, unless there are
+        trials = tuned(models[0], trials, missing, spacing, fits)
+    numbers, spread = solved(trials)
+    # Without and with a constant torque, (K, 2, B): taken as further trials, unless there are
     # several already, which tell more.
-    elsewhere = len(beginnings.numbers) == 1 and any(_rests_elsewhere(g.q) for g in grids)
+    elsewhere = len(trials.numbers) == 1 and any(_rests_elsewhere(g.q) for g in grids)
     kinds = slice(None, None, -1) if elsewhere else slice(1)
     numbers, spread = numbers[:, kinds], spread[:, kinds]
-    memory = np.tile(beginnings.memory, (numbers.shape[1], 1, 1))
+    memory = np.tile(trials.memory, (numbers.shape[1], 1, 1))
     numbers = numbers.reshape(_LADDER, -1, numbers.shape[-1])
     spread = spread.reshape(_LADDER, -1)
     # A kernel wider than the slowest swing leaves only rest and drift, which any tiny stiffness
@@ -120,9 +206,9 @@ def closed_form(
 
 
 def _order(spread: np.ndarray) -> np.ndarray:
-    """Indices into the flat (kernels, beginnings), best first, hopeless ones left out.
+    """Indices into the flat (kernels, trials), best first, hopeless ones left out.
 
-    Every beginning's best kernel comes before any beginning's second: what tells shapes apart is
+    Every trial's best kernel comes before any trial's second: what tells shapes apart is
     the simulation.
     """
     rank = np.argsort(np.argsort(spread, axis=0, kind="stable"), axis=0, kind="stable")
@@ -168,7 +254,7 @@ def _memories(models, vector, z0, spacing, data):
 
 class _Equations(NamedTuple):
     """Linear equations for changes of U unknowns, the model's numbers (P,) and a constant torque at
-    every joint: J'J, J'e and e'e, for every kernel and beginning."""
+    every joint: J'J, J'e and e'e, for every kernel and trial."""
 
     square: AnyArray  # (K, B, U, U)
     slope: AnyArray  # (K, B, U)
@@ -177,7 +263,7 @@ class _Equations(NamedTuple):
 
 
 @kept(like=_Equations(0, 0, 0, 0))  # pyright: ignore[reportArgumentType]
-def _equations(models, beginnings: Beginnings, spacing, data, chunks) -> _Equations:
+def _equations(models, trials: Trials, spacing, data, chunks) -> _Equations:
     """The acceleration error and its slopes, summed over the first `chunks` chunks of instants."""
     joints = len(models.mechanism.joints)
     shape = [n.meaning.silent is None for n in models.fitted]
@@ -185,7 +271,7 @@ def _equations(models, beginnings: Beginnings, spacing, data, chunks) -> _Equati
     t = spacing[:, None] * jnp.arange(data[0].shape[2])
     chunk = min(_CHUNK, t.shape[1])
 
-    def one(vector, z0, data):  # one beginning and kernel; `data` over recordings
+    def one(vector, z0, data):  # one trial and kernel; `data` over recordings
         z = _memories(models, vector, z0, spacing, data)
         vector = jnp.concatenate([vector, jnp.zeros(joints)])
 
@@ -204,7 +290,7 @@ def _equations(models, beginnings: Beginnings, spacing, data, chunks) -> _Equati
         return jax.lax.fori_loop(0, chunks, add, empty)
 
     each = jax.vmap(one, in_axes=(0, 0, None))
-    sums = jax.vmap(each, in_axes=(None, None, 0))(*beginnings, data)
+    sums = jax.vmap(each, in_axes=(None, None, 0))(*trials, data)
     return _Equations(sums[0], sums[1], sums[2], jnp.sum(data[-1], axis=(1, 2)) * joints)
 
 
@@ -212,7 +298,7 @@ def _solved(
     equations: _Equations, vectors: np.ndarray, sizes: np.ndarray, halves: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Numbers (K, 2, B, P), without and with the constant torques, and their spread (K, 2, B), from
-    beginnings (B, P); `sizes` (P,) are typical, `halves` (K,) the kernels' half-widths in instants.
+    trials (B, P); `sizes` (P,) are typical, `halves` (K,) the kernels' half-widths in instants.
     """
     squares, slopes, total, readings = (np.asarray(x) for x in equations)
     own, found, spreads = vectors.shape[1], [], []
@@ -250,8 +336,8 @@ def _change(square: np.ndarray, slope: np.ndarray) -> np.ndarray:
 
 
 @kept(like=0)
-def _missing(models, beginning: Beginnings, numbers, spacing, data):
-    """The torque (K, R, G, n) that is missing beside numbers (K, P) found from one beginning."""
+def _missing(models, trial: Trials, numbers, spacing, data):
+    """The torque (K, R, G, n) that is missing beside numbers (K, P) found from one trial."""
     joints = len(models.mechanism.joints)
     t = spacing[:, None] * jnp.arange(data[0].shape[2])
 
@@ -260,7 +346,7 @@ def _missing(models, beginning: Beginnings, numbers, spacing, data):
         return stack(tuple(sum(z * x for z, x in zip(row, split(e), strict=True)) for row in rows))
 
     def one(found, data):
-        z = _memories(models, beginning.numbers, beginning.memory, spacing, data)
+        z = _memories(models, trial.numbers, trial.memory, spacing, data)
         vector = jnp.concatenate([found, jnp.zeros(joints)])
         left = _errors(_error, models, vector, data, z, t)
         # Of each recording's own model, which may hold what is no array: not for `jax.vmap`.
@@ -276,3 +362,164 @@ def perturbed(best: np.ndarray, count: int, spread: float = 0.3) -> np.ndarray:
     """
     factors = np.random.default_rng(0).standard_normal((count, len(best)))
     return best * np.exp(spread * factors)
+
+
+def plain(model: Model, sizes: np.ndarray, recordings: int) -> Trials:
+    """Every combination of the shapes' grid values, or, if these are many, one shape at a time."""
+    values = np.asarray(model.vector())
+    choices = [
+        tuple(g * size for g in n.meaning.grid) or (value,)
+        for n, value, size in zip(model.fitted, values, sizes, strict=True)
+    ]
+    if np.prod([len(c) for c in choices]) <= _MOST:
+        found = list(itertools.product(*choices))
+    else:
+        middle = [c[len(c) // 2] for c in choices]
+        found = [middle]
+        for i, c in enumerate(choices):
+            found += [(*middle[:i], x, *middle[i + 1 :]) for x in c if x != middle[i]]
+    numbers = np.asarray(found, float).reshape(-1, len(values))
+    return Trials(numbers, np.zeros((len(numbers), recordings, len(model.memory))))
+
+
+def oscillates(model: Model) -> bool:
+    """Whether an effect has a frequency to be found in a spectrum."""
+    return any(effect.oscillates for effect in model.effects)
+
+
+def tuned(
+    model: Model, trials: Trials, missing: np.ndarray, spacing: np.ndarray, fits: np.ndarray
+) -> Trials:
+    """The trials with frequencies and phases of periodic disturbances read off the torque
+    (K, R, G, n) that is missing without them, for those kernels K that fit."""
+    memory = [m.effect for m in model.memory]
+    for i, effect in enumerate(model.effects):
+        if not effect.oscillates:
+            continue
+        joint = model.mechanism.joints.index(effect.place)
+        found = lines(missing[fits][..., joint], spacing)
+        number = frequency_of(model, i)
+        first = trials.numbers[:1] if len(trials.numbers) * len(found) > _MOST else trials.numbers
+        same = np.unique(np.delete(first, number, axis=1), axis=0)
+        numbers, states = [], []
+        for frequency, phases in found:
+            for row in same:
+                numbers.append(np.insert(row, number, frequency))
+                states.append(trials.memory[0].copy())
+                states[-1][:, memory.index(i)] = phases
+        trials = Trials(np.asarray(numbers), np.asarray(states))
+    return trials
+
+
+def frequency_of(model: Model, index: int) -> int:
+    """Which of a model's fitted numbers is the frequency of its effect `index`."""
+    field = model.effects[index].oscillates
+    pairs = enumerate(model.fitted)
+    return next(k for k, n in pairs if n.effect == index and n.meaning.field == field)
+
+
+def lines(torque: np.ndarray, spacing: np.ndarray) -> list[tuple[float, np.ndarray]]:
+    """Strongest frequencies (Hz) of that of (K, R, G) torques which shows one best, and each
+    recording's phase there."""
+    _, recordings, length = torque.shape
+    dt = float(spacing.max())
+    frequencies = np.arange(0.5, 0.2 * length, 0.25) / (length * dt)
+    frequencies = frequencies[frequencies < 0.25 / dt]
+    # One window for all: without it a strong slow line would drown the others in its skirts.
+    window = np.hanning(length)
+    best = None
+    for kernel in torque:
+        waves = []
+        for r in range(recordings):
+            turn = np.exp(-2j * np.pi * np.outer(frequencies, np.arange(length) * spacing[r]))
+            waves.append(turn @ (window * kernel[r]))
+        power = np.sum([np.abs(w) ** 2 for w in waves], axis=0)
+        contrast = power.max() / max(np.median(power), 1e-300)
+        if best is None or contrast > best[0]:
+            best = (contrast, power, waves)
+    assert best is not None
+    _, power, waves = best
+    found = []
+    for _ in range(_LINES):
+        top = int(np.argmax(power))
+        # A sin(x + phase) has the transform (A/2i) exp(i phase).
+        found.append((frequencies[top], np.array([np.angle(1j * w[top]) for w in waves])))
+        power = np.where(np.abs(frequencies - frequencies[top]) < 2 / (length * dt), 0.0, power)
+    return found
+
+
+def memory_along(
+    model: Model, dt, q: Float[Array, "G n"], v: Float[Array, "G n"], z0: Float[Array, " m"]
+) -> Float[Array, "G m"]:
+    """Internal states of a model that is led along a motion sampled every `dt` s."""
+    if not model.memory:
+        return jnp.zeros((q.shape[0], 0))
+    first = Motion.at(0.0, q[0], v[0])
+    begin = stack(model.memory_begin(first)) + z0
+
+    def step(z, ends):
+        t, q0, q1, v0, v1 = ends
+        for k in range(_SUBSTEPS):
+            part = (k + 0.5) / _SUBSTEPS
+            middle = q0 + part * (q1 - q0), v0 + part * (v1 - v0)
+            h = dt / _SUBSTEPS
+            half = z + 0.5 * h * stack(model.memory_rate(Motion.at(t, *middle, z)))
+            z = z + h * stack(model.memory_rate(Motion.at(t, *middle, half)))
+        z = stack(model.memory_follow(Motion.at(t + dt, q1, v1, z)))
+        return z, z
+
+    t = dt * jnp.arange(q.shape[0] - 1)
+    path = jax.lax.scan(step, begin, (t, q[:-1], q[1:], v[:-1], v[1:]))[1]
+    return jnp.concatenate([begin[None], path])
+
+
+def torque_along(
+    model: Model, dt, q: Float[Array, "G n"], v: Float[Array, "G n"], z0: Float[Array, " m"]
+) -> Float[Array, "G n"]:
+    """Sum of a model's torques along a motion sampled every `dt` s, N m."""
+    z = memory_along(model, dt, q, v, z0)
+    t = dt * jnp.arange(q.shape[0])
+    return jax.vmap(lambda *x: stack(model.torque(Motion.at(*x))))(t, q, v, z)
+
+
+def memory_along_readings(
+    here: Ready,
+    outliers: Sequence[np.ndarray],
+    numbers: np.ndarray,
+    memory: np.ndarray | None,
+    at: Sequence[tuple[int, float]],
+) -> np.ndarray:
+    """(S, T, m) what internal states come to along the measured motion with numbers (S, P), from
+    `memory` (S, R, m), beyond what their effects would begin with there; `at` are T recordings and
+    times, s."""
+    from scipy.signal import savgol_filter
+
+    count = len(here.model.memory)
+    first = np.zeros((len(numbers), len(here.recordings), count)) if memory is None else memory
+    pairs = zip(here.posed(), here.recordings, outliers, strict=True)
+    paths, grids = [], []
+    for r, (model, recording, own) in enumerate(pairs):
+        grid = uniform(recording, own)
+        size = bucket(len(grid.q), *_INSTANTS)
+        q, v = (
+            np.asarray(savgol_filter(grid.q, 9, 3, deriv=k, delta=grid.dt, axis=0, mode="interp"))
+            for k in (0, 1)
+        )
+        q, v = (np.pad(x, ((0, size - len(x)), (0, 0)), "edge") for x in (q, v))
+        paths.append(np.asarray(_beyond(model, numbers, grid.dt, q, v, first[:, r])))
+        grids.append((recording.time[0], grid.dt, len(grid.q)))
+    found = []
+    for r, time in at:
+        start, dt, length = grids[r]
+        found.append(paths[r][:, min(round((time - start) / dt), length - 1)])
+    return np.stack(found, axis=1)
+
+
+@kept(like=0)
+def _beyond(model: Model, numbers, dt, q, v, z0):
+    def one(vector, z0):
+        own = model.with_vector(vector)
+        begin = jax.vmap(lambda q, v: stack(own.memory_begin(Motion.at(0.0, q, v))))(q, v)
+        return memory_along(own, dt, q, v, z0) - begin
+
+    return jax.vmap(one)(numbers, z0)

@@ -29,19 +29,18 @@ from ..physics.modal import fastest
 from ..physics.model import Model
 from ..recordings.recording import Recording
 from ..simulation.integrator import Integrator
-from .descent import Descent
+from .history import watching
+from .lanes import Fitting, evaluating
 from .layout import drives
-from .least_squares import RESIDUAL_TOLERANCE, evaluated
-from .linalg import damped_step
-from .problem import Compressed, Problem, Unknowns, over_recordings, predict
+from .least_squares import RESIDUAL_TOLERANCE, Compressed, over_recordings, predict
+from .linalg import BLIND, damped_step
+from .multistart import Descent
+from .problem import Problem, Ready, Unknowns, ready
 from .result import Fit, FitError, RecordingFit
-from .setup import Ready, ready
-from .watch import watching
 
 TENTH = 0.1
 """Times the noise, beyond which an integration error is worth a warning."""
 _TIGHTER = 2.0**5
-_BLIND = 1e-10  # as in `covariance`: directions below, of unit columns, the data do not see
 # Refined steps are to leave this share of the noise; no more than so many times as many are taken.
 _AIM, _MOST = 0.02, 8
 _ORDER, _ROUGH_ORDER = 5.0, 2.0
@@ -55,13 +54,13 @@ _STABLE = 3.0
 def corrected(
     descent: Descent,
     recordings: Sequence[Recording],
-    evaluate: Callable[[Problem, Unknowns], Compressed] = evaluated,
-) -> tuple[Descent, float]:
+    evaluate: Callable[[Problem, Unknowns], Fitting[Compressed]] = evaluating,
+) -> Fitting[tuple[Descent, float]]:
     """A descent's minimum without the error that integration has left in it, to first order, and
     that error, in times the noise; inf where twice the steps lead to no finite motion, and to no
     other minimum. `evaluate` gives residual and Jacobian of a problem."""
     problem, y = descent.problem, descent.unknowns
-    fine, error = at_twice_the_steps(descent, recordings, evaluate)
+    fine, error = yield from at_twice_the_steps(descent, recordings, evaluate)
     watch = watching()
     if watch is not None:
         watch.descended(problem, y, 2)
@@ -72,13 +71,13 @@ def corrected(
     slope = np.einsum("rij,ri->rj", factor, fine.along)
     # What is known beforehand of internal states has no such error.
     slope[:, count + 2 * n :] -= y.states[:, 2 * n :]
-    step = damped_step(square, slope, count, _BLIND)
+    step = damped_step(square, slope, count, BLIND)
     local = np.concatenate([np.tile(step.numbers, (len(step.states), 1)), step.states], axis=1)
     moved = np.sqrt(np.einsum("ra,rab,rb->", local, square, local))
     if not moved > RESIDUAL_TOLERANCE:  # the descent did not look any closer
         return descent, error
     there = Unknowns(y.numbers + step.numbers, y.states + step.states)
-    found = jax.device_get(evaluate(problem, there))
+    found = jax.device_get((yield from evaluate(problem, there)))
     if watch is not None:
         watch.descended(problem, there, 1)
     cost = float(np.sum(found.along**2) + np.sum(found.beside**2))
@@ -88,15 +87,15 @@ def corrected(
 def at_twice_the_steps(
     descent: Descent,
     recordings: Sequence[Recording],
-    evaluate: Callable[[Problem, Unknowns], Compressed] = evaluated,
-) -> tuple[Compressed, float]:
+    evaluate: Callable[[Problem, Unknowns], Fitting[Compressed]] = evaluating,
+) -> Fitting[tuple[Compressed, float]]:
     """The motion where a descent ended, but at twice the steps: how far it is from the descent's
     own, a residual like any other, with its Jacobian; and the same in times the noise."""
     fine, own = finer(descent.problem, recordings), np.asarray(descent.compressed.predicted)
     angles = np.zeros(np.shape(fine.recorded.angles))
     angles[:, : own.shape[1]] = own
     fine = dataclasses.replace(fine, recorded=dataclasses.replace(fine.recorded, angles=angles))
-    found = jax.device_get(evaluate(fine, descent.unknowns))
+    found = jax.device_get((yield from evaluate(fine, descent.unknowns)))
     return found, rms_over_noise(found.predicted, descent.beside(recordings))
 
 

@@ -1,50 +1,201 @@
-"""Levenberg-Marquardt from many starts at once.
+"""Least squares from one start: simulate, compress, and descend by Levenberg-Marquardt.
 
-Ringing makes a cruel cost: off by half a cycle at the end of the record, the fit sits in a wrong
-valley. Two things lead out of it. The closed-form start is already close. And each start first
-fits the first few cycles alone, where no phase can slip, then a longer stretch, then everything.
-
-Over the first cycles every start runs, many of them abreast under `vmap`: that is cheap, and it is
-where starts differ. Those that end in the same place go on as one, for they would take the same
-way; those that have fallen far behind do not go on. What is left descends one after the other, by
-the program of a single start, which is also that of few starts over the first cycles: none waits
-for another one, many starts cost little more than one, and few compile no more than one.
+One recording's residual depends on the numbers and its own initial state only, so its Jacobian J
+has few columns; and of J and the residual r only the small triangular factor of J'J, the projection
+of r on J's columns and the length of what is left of r matter to least squares. `compressed`
+returns just these. They stand in for thousands of residuals exactly: same cost, same gradient, same
+Gauss-Newton matrix. So the optimiser's own algebra costs nothing, and its cost does not grow with
+the number of samples.
 """
 
-import dataclasses
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
-import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
+from ..physics.model import Model
+from ..physics.motion import Scalar
 from ..runtime.export_cache import kept
-from .abreast import asked, gathered
-from .layout import read_of
-from .linalg import Arrowhead
-from .problem import Compressed, Problem, Unknowns, compressed
-from .watch import watching
+from ..simulation.interpolation import Nodes, read_rows
+from ..simulation.simulate import march
+from .layout import Recorded, read_of
+from .linalg import BorderedSolver
+from .problem import Problem, Unknowns, posed
 
-STEPS = 20  # of one call: between calls, the hopeless can be left
-_CALLS = 4
-_ABREAST = 10  # the same for starts abreast, where all wait for the last one
-_LANES = 16  # starts abreast: more gain nothing, and wait for more
-_FEW = 8  # starts that a CPU runs one after the other
+# A residual beyond this many sigma comes from a simulation that has run away.
+RUNAWAY = 1e6
+# Instants whose residuals are squared and summed at a time: their derivatives stay in the cache,
+# and how many there are need not be compiled in.
+_CHUNK = 256
+_AT_ONCE = 8  # recordings that a CPU takes together
+STEPS = 20  # of one call: between calls, the search can be ended
 # Steps end when the whitened residual moves by less than this many sigma, in total (sigma of the
 # noise; after the first call, of whatever the model misses the readings by, if that is more) ...
 RESIDUAL_TOLERANCE = 3e-3
 # ... and no unknown by more than this share of its scale.
 _UNKNOWN_TOLERANCE = 1e-5
-# A start this many times worse than the best after a stretch has lost its way.
-LOST = 25.0
-_SAME = 0.5  # starts that end within this many standard errors of another one have ended there
-_PART = 8  # the first cycles, where they are no more than this part of the readings
+
+
+def predict(problem: Problem, one: Recorded, numbers, state) -> Float[Array, "N n"]:
+    """Predicted readings of one recording (`one` without its leading axis)."""
+    model, nodes = _simulated(problem, one, numbers, state)
+    return read_rows(model, nodes, jnp.asarray(one.row), jnp.asarray(one.place))
+
+
+def _simulated(problem: Problem, one: Recorded, numbers, state, only=None) -> tuple[Model, Nodes]:
+    """The model with these numbers on one recording's bodies, and its motion, of which `only` the
+    first so many steps are taken, if that is given."""
+    n = one.angles.shape[-1]
+    model = posed(problem.model.with_vector(numbers), one.mechanism)
+    integrator = problem.integrator
+    adjoint = integrator and integrator.adjoint
+    return model, march(
+        model,
+        0.0,
+        one.duration,
+        state[:n],
+        state[n : 2 * n],
+        steps=problem.room if problem.fixed else jnp.asarray(problem.steps),
+        z0=state[2 * n :],
+        drive=one.drive,
+        room=None if problem.fixed else problem.room,
+        only=only,
+        adjoint=adjoint,
+        integrator=integrator,
+        tighter=1.0 if problem.tighter is None else jnp.asarray(problem.tighter),
+    )
+
+
+def whiten(one: Recorded, predicted) -> Float[Array, "N n"]:
+    """Whitened residual of one recording: (model - measurement) / sigma."""
+    misfit = (predicted - one.angles) * one.weights
+    sane = jnp.isfinite(misfit) & (jnp.abs(misfit) < RUNAWAY)
+    return jnp.where(sane, misfit, jnp.where(one.weights > 0, RUNAWAY, 0.0))
+
+
+class Compressed(NamedTuple):
+    """A least-squares problem at a point, one row per recording (L = P + s local unknowns)."""
+
+    predicted: Float[Array, "R N n"]  # readings, rad or m
+    factor: Float[Array, "R L L"]  # upper triangular, factor'factor = J'J
+    along: Float[Array, "R L"]  # residual projected on J's columns
+    beside: Float[Array, " R"]  # length of the rest of the residual
+
+
+@eqx.filter_jit  # inside a larger program too: it is traced once where it is used many times
+def compressed(problem: Problem, y: Unknowns, only: Scalar | None = None) -> Compressed:
+    """Residual and Jacobian at scaled unknowns, compressed; `only`: of the first so many steps."""
+    numbers, angles = problem.scale.numbers.shape[0], problem.recorded.angles
+    # What an effect remembered at the first sample is known to be of its typical size: a reading
+    # like any other, without which a silent effect's memory could be anything.
+    size = numbers + y.states.shape[1]
+    known = jnp.where(jnp.arange(size) >= numbers + 2 * angles.shape[-1], 1.0, 0.0)
+
+    instants = problem.recorded.row.shape[-1]
+    chunk = instants if problem.fixed else min(instants, _CHUNK)
+    chunks = _chunks(problem, only, chunk)
+
+    def one(recorded, scale, state):
+        # What an effect holds that is no array passes no transformation.
+        rest = eqx.filter(posed(problem.model, recorded.mechanism), eqx.is_array_like, inverse=True)
+
+        def simulated(z):
+            moved = problem.numbers(Unknowns(z[:numbers], y.states))
+            model, nodes = _simulated(problem, recorded, moved, scale * z[numbers:], only)
+            return (model.vector(), nodes.ends), (eqx.filter(model, eqx.is_array_like), nodes)
+
+        z = jnp.concatenate([y.numbers, state])
+        point, moving, (arrays, nodes) = jax.vmap(
+            lambda e: jax.jvp(simulated, (z,), (e,), has_aux=True), out_axes=(None, 0, None)
+        )(jnp.eye(len(z)))
+        model = eqx.combine(arrays, rest)
+
+        def seen(point, part):
+            vector, ends = point
+            here = model.with_vector(vector), nodes._replace(ends=ends)
+            predicted = read_rows(*here, part.row, part.place)
+            return whiten(part, predicted), predicted
+
+        def add(index, sums):
+            square, slope, total, readings = sums
+            first = index * chunk
+            part = eqx.tree_at(
+                read_of,
+                recorded,
+                [jax.lax.dynamic_slice_in_dim(x, first, chunk) for x in read_of(recorded)],
+            )
+            misfit, slopes, predicted = jax.vmap(
+                lambda d: jax.jvp(lambda p: seen(p, part), (point,), (d,), has_aux=True),
+                out_axes=(None, 0, None),
+            )(moving)
+            slopes = jnp.where(jnp.isfinite(slopes), slopes, 0.0).reshape(len(z), -1)
+            flat = misfit.reshape(-1)
+            return (
+                square + slopes @ slopes.T,
+                slope + slopes @ flat,
+                total + flat @ flat,
+                jax.lax.dynamic_update_slice_in_dim(readings, predicted, first, 0),
+            )
+
+        sums = (
+            jnp.diag(known),
+            known * z,
+            jnp.sum(known * z**2),
+            jnp.zeros_like(recorded.angles),
+        )
+        if problem.fixed:
+            square, slope, total, predicted = add(0, sums)
+        else:
+            square, slope, total, predicted = jax.lax.fori_loop(0, chunks, add, sums)
+        return Compressed(predicted, *_compress(square, slope, total))
+
+    return over_recordings(one, problem.model)(problem.recorded, problem.scale.states, y.states)
+
+
+def _chunks(problem: Problem, only, chunk: int):
+    """How many chunks of instants hold all that count."""
+    recorded, index = problem.recorded, jnp.arange(problem.recorded.row.shape[-1])
+    counts = index < recorded.count[:, None]
+    if only is not None:
+        counts &= recorded.row < only
+    return -(-jnp.max(jnp.sum(counts, axis=-1)) // chunk)
+
+
+def over_recordings(one: Callable, model: Model) -> Callable:
+    """`one`, of one recording, for all of them: side by side, a few at a time where a CPU's cache
+    cannot hold them all, or one after the other where dry friction asks what seldom happens: side
+    by side it would be computed every time."""
+
+    def each(*trees):
+        count = jax.tree.leaves(trees)[0].shape[0]
+        if count == 1:
+            found = one(*jax.tree.map(lambda x: x[0], trees))
+            return jax.tree.map(lambda x: x[None], found)
+        if model.dry:
+            return jax.lax.map(lambda x: one(*x), trees)
+        if count > 2 * _AT_ONCE and jax.default_backend() == "cpu":
+            return jax.lax.map(lambda x: one(*x), trees, batch_size=_AT_ONCE)
+        return jax.vmap(one)(*trees)
+
+    return each
+
+
+def _compress(square, slope, total):
+    diagonal = jnp.diag(square)
+    size = jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0))
+    # Columns of unit length: what rounding leaves of a combination that the data cannot see is then
+    # about 1e-16, and the tiny ridge keeps the factor real.
+    unit = square / size / size[:, None] + 1e-14 * jnp.eye(len(size))
+    unit = unit + jnp.diag(jnp.where(diagonal > 0, 0.0, 1.0))
+    lower = jnp.linalg.cholesky(unit) * size[:, None]
+    along = jax.scipy.linalg.solve_triangular(lower, slope, lower=True)
+    beside = jnp.sqrt(jnp.maximum(total - along @ along, 0.0))
+    return lower.T, along, beside
 
 
 class Polished(NamedTuple):
@@ -73,7 +224,7 @@ def _norm(tree) -> Float[Array, ""]:
     return optx.max_norm(tree) * (RESIDUAL_TOLERANCE / _UNKNOWN_TOLERANCE)
 
 
-class Stretch(NamedTuple):
+class Horizon(NamedTuple):
     """A problem over the first `only` integration steps of every recording."""
 
     problem: Problem
@@ -82,7 +233,7 @@ class Stretch(NamedTuple):
     """What the optimiser takes for one sigma, in sigma."""
 
     @classmethod
-    def of(cls, problem: Problem, share) -> "Stretch":
+    def of(cls, problem: Problem, share) -> "Horizon":
         """The first share (0 to 1) of every recording."""
         only = jnp.ceil(share * problem.steps).astype(int)
         counts = (problem.recorded.row < only)[..., None]
@@ -91,196 +242,54 @@ class Stretch(NamedTuple):
 
 
 @eqx.filter_custom_jvp
-def rows(y: Unknowns, stretch: Stretch) -> tuple[_Rows, Compressed]:
+def rows(y: Unknowns, horizon: Horizon) -> tuple[_Rows, Compressed]:
     """Compressed residual. Its Jacobian is known already, so it is attached, not derived."""
-    squeezed = compressed(stretch.problem, y, stretch.only)
-    return _Rows(squeezed.along / stretch.size, squeezed.beside / stretch.size), squeezed
+    squeezed = compressed(horizon.problem, y, horizon.only)
+    return _Rows(squeezed.along / horizon.size, squeezed.beside / horizon.size), squeezed
 
 
 @rows.def_jvp
 def _rows_jvp(primals, tangents):
-    (y, stretch), (dy, _) = primals, tangents
-    squeezed = compressed(stretch.problem, y, stretch.only)
+    (y, horizon), (dy, _) = primals, tangents
+    squeezed = compressed(horizon.problem, y, horizon.only)
     everywhere = jnp.broadcast_to(dy.numbers, (dy.states.shape[0], dy.numbers.shape[0]))
     local = jnp.concatenate([everywhere, dy.states], axis=1)
-    along = jnp.einsum("rij,rj->ri", squeezed.factor, local) / stretch.size
-    rows = _Rows(squeezed.along / stretch.size, squeezed.beside / stretch.size)
+    along = jnp.einsum("rij,rj->ri", squeezed.factor, local) / horizon.size
+    rows = _Rows(squeezed.along / horizon.size, squeezed.beside / horizon.size)
     still = jax.tree.map(jnp.zeros_like, squeezed)
     return (rows, squeezed), (_Rows(along, jnp.zeros_like(squeezed.beside)), still)
 
 
 def solver(y: Unknowns) -> optx.LevenbergMarquardt:
     """Levenberg-Marquardt of unknowns like these, with this module's stopping rule."""
-    step = lx.QR() if y.states.shape[0] == 1 else Arrowhead()
+    step = lx.QR() if y.states.shape[0] == 1 else BorderedSolver()
     return optx.LevenbergMarquardt(0.0, RESIDUAL_TOLERANCE, _norm, step)
 
 
-def descend(stretch: Stretch, y: Unknowns, steps: int = STEPS):
-    """One Levenberg-Marquardt descent: where it ended, steps, whether it converged, and J there."""
+ENDED = Unknowns(0, 0), Compressed(0, 0, 0, 0), 0, 0, 0  # pyright: ignore[reportArgumentType]
+
+
+def one_descent(problem: Problem, y: Unknowns, share, size):
+    """One start's descent: where it ended, J there, the cost, steps, whether it converged."""
+    return descended(Horizon.of(problem, share)._replace(size=size), y, STEPS)
+
+
+one_start = kept(like=ENDED)(one_descent)
+
+
+def descended(horizon: Horizon, y: Unknowns, most: int):
+    """`one_descent` of at most so many steps."""
     solution = optx.least_squares(
         rows,
         solver(y),
         y,
-        args=stretch,
+        args=horizon,
         has_aux=True,
         options={"jac": "fwd"},
-        max_steps=steps,
+        max_steps=most,
         throw=False,
     )
-    done = solution.result == optx.RESULTS.successful
-    return solution.value, solution.stats["num_steps"], done, solution.aux
-
-
-def polish(
-    problem: Problem,
-    starts: Unknowns,
-    shares: Sequence[float],
-    hopeless: Callable[[float], bool] = lambda cost: False,
-    size: float = 1.0,
-) -> Polished:
-    """Descend from every start (leading axis S) over growing shares (0 to 1) of the recordings.
-
-    `hopeless` is asked, now and then, whether a start that has not yet settled should be left where
-    it is, at this cost; `size` is the least rms residual to expect, in sigma.
-    """
-    if not gathered():
-        # Once, not in every call; an effect may hold what is no array.
-        arrays, rest = eqx.partition(problem, eqx.is_array_like)
-        problem = eqx.combine(jax.device_put(arrays), rest)
-    going, shares = _begun(starts), list(shares)
-    if len(going) > 1:
-        few = len(going) <= _FEW and (gathered() or jax.default_backend() == "cpu")
-        going = together(
-            [_alone(problem, each, shares[0], hopeless, size, calls=1) for each in going]
-            if few
-            else _abreast(problem, starts, shares[0], size)
-        )
-        # Those that had not settled go on where they are before more of the recording counts.
-        rest = [e if e.converged else _alone(problem, e, shares[0], hopeless, size) for e in going]
-        going, shares = together(rest), shares[1:] or shares
-    for share in shares:
-        going = together([_alone(problem, each, share, hopeless, size) for each in going])
-    return going[0]
-
-
-def _alone(
-    problem: Problem, start: Polished, share: float, hopeless, size: float, calls: int = _CALLS
-) -> Polished:
-    """One start's descent over a share of the recordings."""
-    readings = max(1, np.count_nonzero(problem.recorded.weights))
-    end, unit = start, size
-    for _ in range(calls):
-        here = problem, end.unknowns, np.asarray(float(share)), np.asarray(unit)
-        out = asked(_one_stretch, _stretch, *here)
-        before, watch = end.steps, watching()
-        end = _polished(jax.device_get(out), end)
-        if watch is not None:
-            watch.descended(problem, end.unknowns, end.steps - before)
-        if np.isfinite(end.cost):
-            unit = max(unit, math.sqrt(end.cost / readings))
-        if end.converged or (share == 1.0 and hopeless(end.cost)):
-            break
-        if watch is not None and watch.over():
-            break
-    return end
-
-
-def evaluated(problem: Problem, y: Unknowns) -> Compressed:
-    """Residual and Jacobian at these unknowns, by the program of the descents: nothing else need be
-    compiled. To an optimiser for which one sigma is infinite all is small, so it goes nowhere."""
-    out = asked(_one_stretch, _stretch, problem, y, np.asarray(1.0), np.asarray(np.inf))
-    return out[1]
-
-
-def _polished(out, start: Polished) -> Polished:
-    y, squeezed, cost, steps, good = out
-    return Polished(y, squeezed, float(cost), start.steps + int(steps), bool(good), start.agreeing)
-
-
-def _abreast(problem: Problem, starts: Unknowns, share: float, size: float) -> list[Polished]:
-    """Every start's descent over a share of the recordings."""
-    head, begun = _head(problem, share), _begun(starts)
-    lanes, found = min(len(begun), _LANES), []
-    for first in range(0, len(begun), lanes):
-        some = begun[first : first + lanes]
-        filled = [*some, *[some[-1]] * (lanes - len(some))]
-        y = jax.tree.map(lambda *x: np.stack(x), *(each.unknowns for each in filled))
-        out = _stretches(head, y, np.asarray(float(share)), np.asarray(size))
-        out = jax.device_get(out)
-        if (watch := watching()) is not None:
-            steps, best = int(np.sum(out[3][: len(some)])), int(np.argmin(out[2]))
-            watch.descended(problem, _row(out[0], best), steps)
-        found += [_polished(_row(out, i), start) for i, start in enumerate(some)]
-    return found
-
-
-def _begun(starts: Unknowns) -> list[Polished]:
-    """Starts that have not moved yet."""
-    nothing: Compressed = None  # pyright: ignore[reportAssignmentType]
-    starts, count = jax.device_get(starts), starts.numbers.shape[0]
-    return [Polished(_row(starts, i), nothing, math.inf, 0, False, 1) for i in range(count)]
-
-
-def together(ends: list[Polished]) -> list[Polished]:
-    """The different places where starts ended, the best one first, without those far behind."""
-    found: list[Polished] = []
-    for end in sorted(ends, key=lambda e: e.cost if math.isfinite(e.cost) else math.inf):
-        for i, other in enumerate(found):
-            if _distance(other, end) < _SAME:
-                found[i] = other._replace(agreeing=other.agreeing + end.agreeing)
-                break
-        else:
-            if not found or end.cost <= LOST * found[0].cost:
-                found.append(end)
-    return found
-
-
-def _distance(one: Polished, other: Polished) -> float:
-    """Between two ends, in standard errors of the first."""
-    numbers = np.asarray(other.unknowns.numbers) - one.unknowns.numbers
-    states = np.asarray(other.unknowns.states) - one.unknowns.states
-    local = np.concatenate([np.tile(numbers, (len(states), 1)), states], axis=1)
-    return float(np.linalg.norm(np.einsum("rij,rj->ri", one.compressed.factor, local)))
-
-
-def _head(problem: Problem, share: float) -> Problem:
-    """The problem with room for the first quarter only, if the share's readings lie there."""
-    instants, room = problem.recorded.row.shape[-1] // _PART, problem.room // _PART
-    only = math.ceil(share * int(problem.steps))
-    late = np.asarray(problem.recorded.weights)[:, instants:].any(axis=-1)
-    if only > room or np.any(late & (np.asarray(problem.recorded.row)[:, instants:] < only)):
-        return problem
-    first = [x[:, :instants] for x in read_of(problem.recorded)]
-    short = eqx.tree_at(lambda p: read_of(p.recorded), problem, first)
-    return dataclasses.replace(short, room=room)
-
-
-def _row(tree, index: int):
-    return jax.tree.map(lambda x: x[index], tree)
-
-
-_ENDED = Unknowns(0, 0), Compressed(0, 0, 0, 0), 0, 0, 0  # pyright: ignore[reportArgumentType]
-
-
-def _one_stretch(problem: Problem, y: Unknowns, share, size):
-    """One start's descent: where it ended, J there, the cost, steps, whether it converged."""
-    return _ended(Stretch.of(problem, share)._replace(size=size), y, STEPS)
-
-
-_stretch = kept(like=_ENDED)(_one_stretch)
-
-
-@kept(like=_ENDED)
-def _stretches(problem: Problem, y: Unknowns, share, size):
-    """`_stretch` for starts (S, ...) abreast."""
-    stage = Stretch.of(problem, share)._replace(size=size)
-    # See `over_recordings`: what dry friction seldom asks for must stay seldom.
-    if problem.model.dry:
-        return jax.lax.map(lambda start: _ended(stage, start, _ABREAST), y)
-    return jax.vmap(lambda start: _ended(stage, start, _ABREAST))(y)
-
-
-def _ended(stage: Stretch, y: Unknowns, most: int):
-    y, steps, good, squeezed = descend(stage, y, most)
+    squeezed, good = solution.aux, solution.result == optx.RESULTS.successful
     total = jnp.sum(squeezed.along**2) + jnp.sum(squeezed.beside**2)
-    return y, squeezed, jnp.where(jnp.isfinite(total), total, jnp.inf), steps, good
+    cost = jnp.where(jnp.isfinite(total), total, jnp.inf)
+    return solution.value, squeezed, cost, solution.stats["num_steps"], good

@@ -21,16 +21,14 @@ import optimistix as optx
 
 from ..effects import AbstractEffect
 from ..recordings.experiment import Experiment
-from .descent import wild_beside
 from .evolution import MissingExtra
 from .genetic import Found, Part, concluded
-from .history import History, relative_error
-from .least_squares import Stretch, rows
-from .multistart import beginning, resolving
-from .problem import Problem, Unknowns
+from .history import History, relative_error, watching
+from .initial_guess import first_guess, resolving
+from .least_squares import Horizon, rows
+from .multistart import outliers_among
+from .problem import Problem, Unknowns, ready
 from .result import Fit, FitError
-from .setup import ready
-from .watch import watching
 
 STEPS = 500
 _RATE = 0.02  # of an optax method that is named without one; unknowns are of order one
@@ -89,8 +87,8 @@ def fit_minimised(
     if not experiment.fit_recordings:
         raise ValueError('no recording has role = "fit": there is nothing to fit to')
     here = ready(experiment, experiment.fit_recordings, effects)
-    wild = wild_beside(here, [r.angle for r in here.recordings])
-    numbers, memory = beginning(here, wild, 1)
+    wild = outliers_among(here, [r.angle for r in here.recordings])
+    numbers, memory = first_guess(here, wild, 1)
     problem, states = here.problem(resolving(here, numbers), wild)
     if memory is not None and memory.size:
         states[..., -memory.shape[-1] :] = memory[0]
@@ -176,7 +174,7 @@ def _optax(method, problem: Problem):
 def _optimistix(method, problem: Problem):
     """The same for a minimiser or a least-squares solver of optimistix."""
     squares = isinstance(method, optx.AbstractLeastSquaresSolver)
-    given = Stretch(problem) if squares else problem
+    given = Horizon(problem) if squares else problem
 
     def function(y, args):
         return rows(y, args) if squares else (_objective(y, args), None)

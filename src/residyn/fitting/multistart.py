@@ -1,91 +1,562 @@
-"""Which starts are tried, and with whose step all of them are integrated.
+"""From several starts to the best minimum: growing horizons, and multiple shooting.
 
-A kernel of the closed-form start that is too wide has lost the fast mode, and its numbers are those
-of a slow arm. Noise and a rest that has moved can make several such candidates look the surest
-ones. So of candidates that are alike one is tried before all others, and the fastest mode, which
-sets the integration step and how far the first readings are looked at, is not that of the surest
-candidate but of what most of them can live with.
+Ringing makes a cruel cost: off by half a cycle at the end of the record, a descent ends in another
+minimum. So each start is first fitted to the first few cycles alone, where no phase can slip, then
+to a longer horizon, then to everything. Starts that end in the same place go on as one, and those
+that have fallen far behind do not go on.
+
+Where that ends above the noise and starts disagree, the first cycles were not enough, or they
+misled (a brake that slips in the first swing and holds then; 5 % of noise). Then comes *multiple
+shooting* (Bock and Plitt, 1984): recordings are cut into segments of a few cycles, each with an
+initial state of its own, read off the measurement. All readings count at once, and in no segment
+can a phase slip. To least squares, segments are recordings (`linalg`). From the numbers found so,
+the segments are joined: their states go, and the horizon grows once more.
 """
 
+import contextlib
+import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..physics.modal import paces
+from ..physics.modal import concrete_state_matrix, modes_of
 from ..physics.model import Model
-from .initial_guess import closed_form, perturbed
-from .problem import posed
-from .setup import Ready
+from ..physics.motion import split
+from ..recordings.experiment import Experiment
+from ..recordings.outliers import outlier_mask
+from ..recordings.recording import Recording
+from ..recordings.segments import segments_of
+from .history import watching
+from .initial_guess import first_guess, frequency_of, lines, memory_along_readings, resolving
+from .lanes import Fitting, Wanted, alone
+from .layout import bucket
+from .least_squares import Compressed, Polished
+from .problem import Problem, Ready, Unknowns, reweighted
+from .result import FitError, RecordingFit
+from .smoothing import uniform
 
-_LOOKED = 24  # candidates, the best ones, that are looked at
-_ALIKE = 0.2  # share by which shapes of one kind differ at most
-_PACE = 0.7  # and the logarithms of its modes' frequencies
-_ABSURD = 1e12  # rad/s
-_SLOWER = 0.75  # share of the starts that are no faster than the one that sets the step
-
-
-def beginning(
-    here: Ready, wild: Sequence[np.ndarray], starts: int
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Where the starts begin, the best one first: numbers (S, P), internal states (S, R, m)."""
-    found = closed_form(here.posed(), here.recordings, wild, here.typical())
-    some = _various(here, found.numbers)[:starts] if starts > 1 else [0][: len(found.numbers)]
-    candidates = found.numbers[some] if some else here.typical()[None]
-    candidates = _turned(here.model, candidates)
-    more = starts - len(candidates)
-    numbers = np.vstack([candidates, perturbed(candidates[0], more)])
-    memory = found.memory[[*some, *some[:1] * more]] if some else None
-    return numbers, memory
-
-
-def _various(here: Ready, candidates: np.ndarray) -> list[int]:
-    """Indices of candidates (C, P), best first, those last that hardly differ from a better one: of
-    kernels that have all lost the fast mode, one is tried before any that has not."""
-    if not len(candidates):
-        return []
-    shapes = [n.meaning.silent is None for n in here.model.fitted]
-    seen = np.log(_paces(here, candidates[:_LOOKED]))
-    kinds, alike = [], []
-    for i, pace in enumerate(seen):
-        own = candidates[i][shapes]
-        near = any(
-            np.all(np.abs(pace - seen[k]) <= _PACE)
-            and np.all(np.abs(own - candidates[k][shapes]) <= _ALIKE * np.abs(own))
-            for k in kinds
-        )
-        (alike if near else kinds).append(i)
-    return [*kinds, *alike, *range(len(seen), len(candidates))]
+_CALLS = 4  # of at most `least_squares.STEPS` steps
+_BEHIND = 25.0  # times the least cost: a start that is worse after a horizon has lost its way
+_SAME = 0.5  # starts that end within this many standard errors of another one have ended there
+_CYCLES = 3  # of the fastest mode, in the first horizon and in a segment
+_MOST_OUTLIERS = 0.05  # a larger share of readings is not a few outliers, it is another motion
+_ROUNDS = 3
+_MISLED = 2.0  # times the noise, where a law that sticks or rattles leaves more
+_ABSURD = 1e9  # rad or m
+_FAR = 5.0  # sigma: what is nearer to the model than this is no outlier beside it
+_USUAL = 0.5  # of the residual's own size: what an outlier must exceed, too
+_UNUSUAL = 2.0  # standard deviations of chi-square
+_SEGMENTS = 4, 64  # room for segments comes in powers of this, up to this
 
 
-def _paces(here: Ready, numbers: np.ndarray) -> np.ndarray:
-    """(S, s) how fast a model's modes are with numbers (S, P), slowest first, rad/s, none slower
-    than a cycle in the longest recording."""
-    least = 2 * math.pi / max(r.duration for r in here.recordings)
-    return np.clip(paces(posed(here.model, here.mechanisms[0]), numbers), least, _ABSURD)
+class Descent(NamedTuple):
+    """Where the best start ended."""
+
+    here: Ready
+    problem: Problem
+    outliers: list[np.ndarray]
+    unknowns: Unknowns
+    compressed: Compressed
+    cost: float
+    steps: int
+    converged: bool
+    starts: int
+    agreeing: int
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """(P,) the model's numbers."""
+        return np.asarray(self.problem.numbers(self.unknowns))
+
+    @property
+    def states(self) -> np.ndarray:
+        """(R, s) initial states."""
+        return np.asarray(self.problem.states(self.unknowns))
+
+    @property
+    def model(self) -> Model:
+        """The model with these numbers."""
+        return self.here.model.with_vector(jnp.asarray(self.numbers))
+
+    @property
+    def above_noise(self) -> bool:
+        """Whether chi-square is more than noise often makes it."""
+        readings = int(np.count_nonzero(self.problem.recorded.weights))
+        return self.cost > readings + _UNUSUAL * math.sqrt(2.0 * readings)
+
+    def beside(self, recordings: Sequence[Recording]) -> list[RecordingFit]:
+        """Each recording beside the model."""
+        predicted = _predictions(self.compressed, recordings)
+        parts = zip(recordings, predicted, self.outliers, self.states, strict=True)
+        return [RecordingFit(*part) for part in parts]
 
 
-def resolving(here: Ready, numbers: np.ndarray) -> Model:
-    """The start of numbers (S, P) by whose fastest mode all of them are integrated: no slower than
-    that of three in four.
+def multistart(
+    here: Ready,
+    base: Callable[[], Ready] | None,
+    outliers: list[np.ndarray],
+    starts: int,
+    progress: Callable[[str], None],
+    guess: tuple[np.ndarray, np.ndarray | None],
+) -> Fitting[Descent]:
+    """The best minimum from starts: numbers (S, P) and internal states (S, R, m).
 
-    A start from a wide kernel may have lost the fast mode. It costs nothing but itself, unless the
-    others are integrated with its step, and begin from where it would.
+    `base` gives the same recordings with springs and dampers alone, which lead on where effects do
+    not; None where they are the model.
+
+    **Raises:** `FitError` if nothing led anywhere.
     """
-    if len(numbers) > 1:
-        fast = _paces(here, numbers[:_LOOKED])[:, -1]
-        order = np.argsort(np.where(fast < _ABSURD, fast, 0.0), kind="stable")
-        numbers = numbers[order[math.ceil(_SLOWER * (len(order) - 1)) :]]
-    return here.model.with_vector(jnp.asarray(numbers[0]))
+    numbers, memory = guess
+    begin = resolving(here, numbers)
+    found: list[Descent] = []
+    failed: FitError | None = None
+    try:
+        found.append((yield from descending(here, begin, numbers, outliers, progress, memory)))
+    except FitError as error:
+        failed = error
+    if found and not _led_astray(found[0]):
+        return found[0]
+    progress("multiple shooting: segments with initial states of their own")
+    with contextlib.suppress(FitError):
+        shot = yield from _shooting(here, begin, numbers, memory, outliers, progress)
+        found += [] if shot is None else [shot]
+    if base is not None and starts > 1 and all(d.above_noise for d in found):
+        progress("fitting springs and dampers alone, to begin again from there")
+        found += yield from _from_the_base(here, base(), numbers, memory, outliers, progress)
+    if not found:
+        assert failed is not None
+        raise failed
+    best = min(found, key=lambda d: d.cost)
+    return best._replace(starts=starts, steps=sum(d.steps for d in found))
 
 
-def _turned(model: Model, numbers: np.ndarray) -> np.ndarray:
-    """Starts (S, P) of which no effect's number has a sign that physics does not allow: an inertia
-    below zero, however small, runs away. Springs and dampers stay: gravity may hold a joint."""
-    base = ("spring", "damper")
-    positive = [
-        n.meaning.sign == "positive" and model.effects[n.effect].name not in base
-        for n in model.fitted
-    ]
-    return np.where(positive, np.abs(numbers), numbers)
+def _led_astray(descent: Descent) -> bool:
+    """Whether starts ended in different places, and the best of them above the noise, or a law that
+    sticks or rattles well above it."""
+    readings = np.count_nonzero(descent.problem.recorded.weights)
+    misled = descent.here.model.rough and descent.cost > _MISLED * readings
+    return misled or (descent.agreeing < descent.starts and descent.above_noise)
+
+
+# -- one problem, growing horizons ---------------------------------------------------------------
+
+
+def descend(*given, **more) -> Descent:
+    """`descending`, at once."""
+    return alone(descending(*given, **more))
+
+
+def descending(
+    here: Ready,
+    begin: Model,
+    numbers: np.ndarray,
+    outliers: list[np.ndarray],
+    progress: Callable[[str], None] = lambda words: None,
+    memory: np.ndarray | None = None,
+    like: Problem | None = None,
+    near: np.ndarray | None = None,
+    growing: bool = False,
+    search: Callable[..., Polished] | None = None,
+) -> Fitting[Descent]:
+    """Descend from every row of `numbers` (S, P), and of `memory` (S, R, m); set outliers aside;
+    descend again if there were.
+
+    With `like`, the numbers stay as in `begin`, and that problem's compiled program serves. With
+    `near` (S, R, s), initial states which are near enough that no phase can slip, all readings
+    count from the first step on, unless the horizon is to be `growing`, too. `search` descends
+    instead of `polishing`.
+
+    **Raises:** `FitError` if no start led to a motion that could be.
+    """
+    frequency = here.frequency(begin)
+    problem, states = here.problem(begin, outliers, like, frequency=frequency)
+    if like is not None:
+        problem = eqx.tree_at(lambda p: p.active, problem, np.zeros_like(problem.active))
+    starts = len(numbers)
+    first = np.broadcast_to(states, (starts, *states.shape)).copy() if near is None else near
+    if memory is not None and memory.size:
+        first[..., -memory.shape[-1] :] = memory
+    y = Unknowns(numbers / problem.scale.numbers, first / problem.scale.states)
+    shares = horizons(here, frequency) if near is None or growing else [1.0]
+
+    def polished(problem: Problem, y: Unknowns, shares: Sequence[float]):
+        if search is not None:
+            return search(problem, y, shares)
+        return (yield from polishing(problem, y, shares))
+
+    out = yield from polished(problem, y, shares)
+    if len(shares) > 1 and not _sane(out, here.recordings):
+        out = yield from polished(problem, y, [1.0])
+    steps, agreeing = out.steps, out.agreeing
+    mirrored = _upright(problem, out.unknowns)
+    if mirrored is not None:
+        out = yield from polished(problem, _single(mirrored), [1.0])
+    for round_ in range(_ROUNDS + 1):
+        if not np.isfinite(out.cost):
+            raise FitError("no start led to finite numbers: is this the arm that was recorded?")
+        if not _sane(out, here.recordings):
+            raise FitError("no start led to a motion that could be: is this the arm recorded?")
+        predicted = _predictions(out.compressed, here.recordings)
+        pairs = zip(here.recordings, predicted, strict=True)
+        found = outliers_among(here, [r.angle - p for r, p in pairs], beside=True)
+        found = [new | old for new, old in zip(found, outliers, strict=True)]
+        settled = all((f == w).all() for f, w in zip(found, outliers, strict=True))
+        if settled or round_ == _ROUNDS or any(f.mean() > _MOST_OUTLIERS for f in found):
+            break
+        progress("fitting again without wild readings")
+        outliers = found
+        problem = reweighted(problem, outliers)
+        out = yield from polished(problem, _single(out.unknowns), [1.0])
+        steps += out.steps
+    return Descent(
+        here,
+        problem,
+        outliers,
+        out.unknowns,
+        out.compressed,
+        out.cost,
+        steps,
+        out.converged,
+        starts,
+        agreeing,
+    )
+
+
+def horizons(here: Ready, frequency: float) -> list[float]:
+    """The growing shares (0 to 1) of the recordings that a start is fitted to; `frequency` is the
+    fastest one, rad/s."""
+    longest = max(r.duration for r in here.recordings)
+    first = min(1.0, _CYCLES * 2 * math.pi / frequency / longest)
+    return sorted({first, math.sqrt(first), 1.0})
+
+
+def polishing(problem: Problem, starts: Unknowns, shares: Sequence[float]) -> Fitting[Polished]:
+    """Descend from every start (leading axis S) over growing shares (0 to 1) of the recordings."""
+    going, shares = _begun(starts), list(shares)
+    if len(going) > 1:
+        # Those that had not settled go on where they are before more of the recording counts.
+        going = distinct((yield from _further(problem, going, shares[0], calls=1)))
+        going = distinct((yield from _further(problem, going, shares[0])))
+        shares = shares[1:] or shares
+    for share in shares:
+        again = [end._replace(converged=False) for end in going]
+        going = distinct((yield from _further(problem, again, share)))
+    return going[0]
+
+
+def _further(
+    problem: Problem, ends: Sequence[Polished], share: float, calls: int = _CALLS
+) -> Fitting[list[Polished]]:
+    """Where those that have not settled end over a share of the recordings."""
+    readings = max(1, np.count_nonzero(problem.recorded.weights))
+    ends, units = list(ends), [1.0] * len(ends)
+    for _ in range(calls):
+        going = [i for i, end in enumerate(ends) if not end.converged]
+        if not going:
+            break
+        whole = np.asarray(float(share))
+        outs = yield [Wanted(problem, ends[i].unknowns, whole, np.asarray(units[i])) for i in going]
+        watch = watching()
+        for i, out in zip(going, outs, strict=True):
+            y, squeezed, cost, steps, good = jax.device_get(out)
+            before = ends[i]
+            ends[i] = Polished(
+                y, squeezed, float(cost), before.steps + int(steps), bool(good), before.agreeing
+            )
+            if np.isfinite(ends[i].cost):
+                units[i] = max(1.0, math.sqrt(ends[i].cost / readings))
+            if watch is not None:
+                watch.descended(problem, y, int(steps))
+        if watch is not None and watch.over():
+            break
+    return ends
+
+
+def _begun(starts: Unknowns) -> list[Polished]:
+    """Starts that have not moved yet."""
+    nothing: Compressed = None  # pyright: ignore[reportAssignmentType]
+    starts, count = jax.device_get(starts), starts.numbers.shape[0]
+    row = lambda i: jax.tree.map(lambda x: x[i], starts)  # noqa: E731
+    return [Polished(row(i), nothing, math.inf, 0, False, 1) for i in range(count)]
+
+
+def distinct(ends: Sequence[Polished]) -> list[Polished]:
+    """The different places where starts ended, the best one first, without those far behind."""
+    found: list[Polished] = []
+    for end in sorted(ends, key=lambda e: e.cost if math.isfinite(e.cost) else math.inf):
+        for i, other in enumerate(found):
+            if _distance(other, end) < _SAME:
+                found[i] = other._replace(agreeing=other.agreeing + end.agreeing)
+                break
+        else:
+            if not found or end.cost <= _BEHIND * found[0].cost:
+                found.append(end)
+    return found
+
+
+def _distance(one: Polished, other: Polished) -> float:
+    """Between two ends, in standard errors of the first."""
+    numbers = np.asarray(other.unknowns.numbers) - one.unknowns.numbers
+    states = np.asarray(other.unknowns.states) - one.unknowns.states
+    local = np.concatenate([np.tile(numbers, (len(states), 1)), states], axis=1)
+    return float(np.linalg.norm(np.einsum("rij,rj->ri", one.compressed.factor, local)))
+
+
+def _sane(out: Polished, recordings: Sequence[Recording]) -> bool:
+    """Whether a start ended in a motion that could be."""
+    if not np.isfinite(out.cost):
+        return False
+    return all(np.all(np.abs(x) < _ABSURD) for x in _predictions(out.compressed, recordings))
+
+
+def _upright(problem: Problem, at: Unknowns) -> Unknowns | None:
+    """The same point with all numbers of the sign that people write; None if they have it."""
+    if not problem.model.mirrors:
+        return None
+    states, n = np.array(problem.states(at)), len(problem.model.mechanism.joints)
+    model = problem.model.with_vector(jnp.asarray(problem.numbers(at)))
+    found = model
+    for state in states:
+        found, memory = model.upright(split(state[2 * n :]))
+        state[2 * n :] = [float(z) for z in memory]
+    if np.array_equal(found.vector(), model.vector()):
+        return None
+    return problem.scaled(found.vector(), jnp.asarray(states))
+
+
+def outliers_among(
+    here: Ready, readings: Sequence[np.ndarray], beside: bool = False
+) -> list[np.ndarray]:
+    """Readings far off their neighbours; `beside` the model, also far off the usual residual."""
+    found = []
+    for recording, x in zip(here.recordings, readings, strict=True):
+        noise = recording.noise
+        if beside:  # where the model misses something, the residual has corners of its own
+            noise = np.maximum(noise, _USUAL * 1.4826 * np.nanmedian(np.abs(x), axis=0))
+            if not np.any(np.abs(x) > _FAR * noise):
+                found.append(np.zeros(x.shape, bool))
+                continue
+        found.append(outlier_mask(recording.time, x, noise))
+    return found
+
+
+def _single(y: Unknowns) -> Unknowns:
+    """As starts, of which there is but one."""
+    return jax.tree.map(lambda x: np.asarray(x)[None], y)
+
+
+def _predictions(squeezed: Compressed, recordings: Sequence[Recording]) -> list[np.ndarray]:
+    pairs = zip(recordings, np.asarray(squeezed.predicted), strict=True)
+    return [x[: len(r.time)] for r, x in pairs]
+
+
+# -- multiple shooting ---------------------------------------------------------------------------
+
+
+def _shooting(
+    here: Ready,
+    begin: Model,
+    numbers: np.ndarray,
+    memory: np.ndarray | None,
+    outliers: list[np.ndarray],
+    progress: Callable[[str], None],
+) -> Fitting[Descent | None]:
+    """Where starts lead by multiple shooting; None if the recordings are no longer than a segment.
+
+    Internal states of a segment begin with what they come to along the measured motion.
+    """
+    # A start may have lost the fast mode, but the readings show it.
+    frequency = max(here.frequency(begin), float(here.pace.max()))
+    cycle = 2 * math.pi / frequency
+    most = max(1, _SEGMENTS[1] // len(here.recordings))
+    cut: list[Recording] = []
+    bad: list[np.ndarray] = []
+    first: list[int] = []
+    for r, own in zip(here.recordings, outliers, strict=True):
+        first.append(len(cut))
+        parts = segments_of(r, r.duration / min(most, max(1, round(r.duration / cycle / _CYCLES))))
+        cut += parts
+        bad += np.split(own, np.cumsum([len(p.time) for p in parts])[:-1])
+    if len(cut) == len(here.recordings):
+        return None
+    which = np.repeat(np.arange(len(first)), np.diff([*first, len(cut)]))
+    # Few sizes, few programs: what fills up has no weight.
+    filling = bucket(len(cut), _SEGMENTS[0], _SEGMENTS[0]) - len(cut)
+    cut += [cut[-1]] * filling
+    bad += [np.ones_like(bad[-1])] * filling
+    which = np.append(which, np.full(filling, which[-1]))
+    segments = here._replace(
+        recordings=tuple(cut), mechanisms=tuple(here.mechanisms[i] for i in which)
+    )
+    problem, states = segments.problem(begin, bad, frequency=frequency)
+    each = np.tile(states, (len(numbers), 1, 1))
+    if here.model.memory:
+        each[..., -len(here.model.memory) :] = memory_along_readings(
+            here, outliers, numbers, memory, [(int(r), cut[i].time[0]) for i, r in enumerate(which)]
+        )
+    y = Unknowns(numbers / problem.scale.numbers, each / problem.scale.states)
+    ends = distinct((yield from _further(problem, _begun(y), 1.0, calls=1)))[:2]
+    end = distinct((yield from _further(problem, ends, 1.0)))[0]
+    if not np.isfinite(end.cost):
+        return None
+    numbers = np.asarray(problem.numbers(end.unknowns))
+    joined = np.asarray(problem.states(end.unknowns))[first]
+    begin = here.model.with_vector(jnp.asarray(numbers))
+    found = []
+    for growing in (False, True):
+        with contextlib.suppress(FitError):
+            found.append(
+                (
+                    yield from descending(
+                        here,
+                        begin,
+                        numbers[None],
+                        outliers,
+                        progress,
+                        near=joined[None],
+                        growing=growing,
+                    )
+                )
+            )
+            if not found[-1].above_noise:
+                break
+    return min(found, key=lambda d: d.cost, default=None)
+
+
+# -- the nested model first ----------------------------------------------------------------------
+
+_STRENGTHS = 0.01, 0.3, 1.0  # of an effect's typical one
+_LINES = 2  # of the residual's spectrum
+_TURNS = 0.0, 0.5 * math.pi  # of an oscillation's phase
+_WEAK = 0.05  # of an oscillation's typical strength
+
+
+def _from_the_base(
+    here: Ready,
+    base: Ready,
+    guess: np.ndarray,
+    memory: np.ndarray | None,
+    outliers: list[np.ndarray],
+    progress: Callable[[str], None],
+) -> Fitting[list[Descent]]:
+    """Fits of a model from where springs and dampers alone end, which is found more surely: with
+    effects hardly there, weak, as is typical, and as guessed in closed form.
+
+    The frequency of an oscillation has as many minima as its recording has cycles. What springs and
+    dampers leave is linear in it, so that its spectrum is the likelihood of all of them.
+    """
+    numbers, states = first_guess(base, outliers, len(guess))
+    begin = resolving(base, numbers)
+    try:
+        end = yield from descending(base, begin, numbers, outliers, progress, states)
+    except FitError:
+        return []
+    rows = [(_typically(here, share), None, None) for share in _STRENGTHS]
+    rows += [(row, None, near) for row, near in _ringing(here, end)]
+    remembered = [None] * len(guess) if memory is None else memory[:, None]
+    rows += [(row, own, None) for row, own in zip(guess, remembered, strict=True)]
+    # Each by itself: of several, those that are behind after the first cycles would be left.
+    found = []
+    for row, own, near in rows:
+        numbers = np.concatenate([end.numbers, row[len(end.numbers) :]])
+        begin = here.model.with_vector(jnp.asarray(numbers))
+        with contextlib.suppress(FitError):
+            found.append(
+                (
+                    yield from descending(
+                        here, begin, numbers[None], outliers, progress, own, near=near
+                    )
+                )
+            )
+            if not found[-1].above_noise:
+                break
+    return found
+
+
+def _ringing(here: Ready, base: Descent) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Numbers (P,) and initial states (1, R, s) with which a weak oscillation begins, at a
+    frequency of the residual of springs and dampers; nothing without an oscillation."""
+    model, rows = here.model, []
+    memory = [m.effect for m in model.memory]
+    for i, effect in enumerate(model.effects):
+        if effect.oscillates is None:
+            continue
+        fits = base.beside(here.recordings)
+        left = [dataclasses.replace(f.recording, angle=f.residual) for f in fits]
+        grids = [uniform(r, w) for r, w in zip(left, base.outliers, strict=True)]
+        shortest = min(len(g.q) for g in grids)
+        each = np.stack([g.q[:shortest] for g in grids])  # (R, G, n)
+        spacing = np.array([g.dt for g in grids])
+        for frequency, phases in lines(np.moveaxis(each, -1, 0), spacing)[:_LINES]:
+            for turn in _TURNS:  # how late an angle answers a torque depends on the modes
+                numbers = _typically(here, _WEAK)
+                numbers[frequency_of(model, i)] = frequency
+                states = np.zeros((len(grids), len(memory)))
+                states[:, memory.index(i)] = phases + turn
+                rows.append((numbers, np.concatenate([base.states, states], axis=1)[None]))
+    return rows
+
+
+def _typically(here: Ready, share: float) -> np.ndarray:
+    """(P,) typical numbers, of strengths a share."""
+    inactive = [n.meaning.silent for n in here.model.fitted]
+    pairs = zip(inactive, here.typical(), strict=True)
+    return np.array([x if s is None else s + share * (x - s) for s, x in pairs])
+
+
+# -- segments that are never joined --------------------------------------------------------------
+
+_RINGS = 1.0  # cycles of a mode in the recording: fewer, and it holds nothing in place
+_SAMPLES = 40  # of a segment, at least
+_FEWEST = 8  # segments: a recording that would not make so many is left as it is
+
+
+def segment_length(model: Model, recording: Recording) -> float | None:
+    """How long the segments are to be that a recording is cut into, s; None if it is to stay whole.
+    `model` is about right: its modes decide.
+
+    A joint with a spring comes back: the error of a simulated swing stays of the size of the swing.
+    A driven joint without one integrates every newton that the model misses, twice, over the whole
+    recording. Its rate is forgotten within a time constant (inertia over damping), so that is how
+    long a segment is: what is missing then shows as a torque, at the instant at which it acts.
+    """
+    driven = recording.drive is not None and bool(np.any(recording.drive))
+    if not driven or recording.segment_of is not None:
+        return None
+    values = np.linalg.eigvals(np.asarray(concrete_state_matrix(model)))
+    frequency, damping = (np.asarray(x) for x in modes_of(values))
+    rings = (frequency * recording.duration > _RINGS) & (np.abs(damping) < 1 - 1e-9)
+    if rings.all():
+        return None
+    fades = -values.real[np.abs(values.imag) < 1e-9 * np.abs(values)]
+    if not fades.size or fades.max() <= 0:
+        return None
+    # Slower modes of other joints must be seen to ring in a segment, too.
+    longest = max([1.0 / float(fades.max()), *(1.0 / frequency[rings])])
+    least = _SAMPLES * float(np.median(np.diff(recording.time)))
+    seconds = max(longest, least)
+    return seconds if recording.duration > _FEWEST * seconds else None
+
+
+def without_drift(experiment: Experiment, model: Model) -> Experiment:
+    """The experiment with driven recordings of what nothing pulls back cut into segments; itself if
+    there are none. A warning of each says so."""
+    found: list[Recording] = []
+    for recording in experiment.recordings:
+        seconds = None if recording.role == "inertia" else segment_length(model, recording)
+        if seconds is None:
+            found.append(recording)
+            continue
+        doubt = (
+            "driven, and nothing pulls it back: a simulation of the whole drifts away. It is "
+            f"fitted in segments of {seconds:.2g} s, each with an initial state of its own"
+        )
+        found += segments_of(recording.saying([doubt]), seconds)
+    if len(found) == len(experiment.recordings):
+        return experiment
+    return dataclasses.replace(experiment, recordings=tuple(found))

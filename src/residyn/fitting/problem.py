@@ -1,37 +1,50 @@
-"""The fit as a least-squares problem: unknowns in, whitened residuals out.
+"""An experiment as a least-squares problem: what is unknown, and everything that is not.
 
 The unknowns are the model's numbers, shared by all recordings, and each recording's own initial
-state, which nobody measured. One recording's residual depends on the numbers and its own state
-only, so its Jacobian J has few columns; and of J and the residual r only the small triangular
-factor of J'J, the projection of r on J's columns and the length of what is left of r matter to
-least squares. `compressed` returns just these. They stand in for thousands of residuals exactly:
-same cost, same gradient, same Gauss-Newton matrix. So the optimiser's own algebra costs nothing,
-and its cost does not grow with the number of samples.
+state, which nobody measured. The rest is chosen once, before the search begins: the bodies that
+each recording saw, the integration step, the scales in which the unknowns are of order one, and
+first guesses of the states. A `Fit` carries its problem.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
-from ..physics.mechanism import AbstractMechanism
+from ..effects import AbstractEffect, effects_named
+from ..effects.own_numbers import with_own
+from ..errors import InputError, inside, quote
+from ..physics.bearings import AirBearing, without_bearings
+from ..physics.inertia import AbstractInertia
+from ..physics.mechanism import AbstractMechanism, ConstantInertia, PlanarArm
+from ..physics.modal import fastest, ringing
 from ..physics.model import Model
-from ..physics.motion import Scalar
-from ..simulation.integrator import Integrator
-from ..simulation.interpolation import Nodes, read_rows
-from ..simulation.simulate import march
-from .layout import AnyArray, Recorded, bucket, read_of
+from ..physics.motion import split
+from ..physics.parameter import Scales, all_floating
+from ..recordings.experiment import Experiment
+from ..recordings.recording import Recording
+from ..recordings.segments import by_recording
+from ..recordings.tables import ArmTable
+from ..runtime.export_cache import kept
+from ..simulation.integrator import Integrator, integrator_of
+from .layout import AnyArray, Recorded, bucket, lay_out, read_of
 
-# A residual beyond this many sigma comes from a simulation that has run away.
-RUNAWAY = 1e6
-# Instants whose residuals are squared and summed at a time: their derivatives stay in the cache,
-# and how many there are need not be compiled in.
-_CHUNK = 256
-_ABREAST = 8  # recordings that a CPU takes together
+_Bodies = TypeVar("_Bodies", bound=AbstractInertia)
+
+# Step of a fit times fastest angular frequency: good to 1e-6 of the amplitude, far below any noise.
+_STEP = 0.4
+_ROUGH_STEP = 0.2
+# A driven motion is as quick as its drive, whatever the modes: samples per step at most.
+_SAMPLES_DRIVEN = 5
+# Room for steps comes in powers of this, from this up, and room for readings: few compilations;
+# what is not used costs little.
+_ROOMS = 4, 2048
+_INSTANTS = 8, 4096
+_MANY = 32
 
 
 class Unknowns(NamedTuple):
@@ -79,6 +92,234 @@ class Problem(eqx.Module):
         return Unknowns(numbers / self.scale.numbers, states / self.scale.states)
 
 
+def posed(model: Model, mechanism: AbstractMechanism) -> Model:
+    """The model on another mechanism: another pose of the arm, or with its bearings off."""
+    return eqx.tree_at(lambda m: m.mechanism, model, mechanism)
+
+
+def mechanism_of(experiment: Experiment, recording: Recording) -> AbstractMechanism:
+    """The bodies of an experiment as they were in one recording (Eq. 2 and 5)."""
+    table = experiment.inertia
+    if isinstance(table, ArmTable):
+        if table.shoulder is None or table.elbow is None or table.coupling is None:
+            raise ValueError(
+                "[arm] has no inertias: free motion fixes stiffness and damping only relative to "
+                "them (Eq. 9), so measure them first and write them into [arm]"
+            )
+        arm = PlanarArm(
+            table.link_lengths,
+            table.shoulder,
+            table.elbow,
+            table.coupling,
+            recording.theta2,
+            [sum(b.joint == where for b in experiment.bearings) for where in ("elbow", "wrist")],
+            recording.load,
+            experiment.run_of(recording),
+        )
+        if not recording.air_bearings:
+            on = [AirBearing(b.joint, b.mass, b.inertia) for b in experiment.bearings]  # pyright: ignore
+            arm = without_bearings(arm, on)
+        return all_floating(arm)
+    if isinstance(table, AbstractMechanism):
+        return all_floating(table)
+    matrix = np.array(table.matrix, float)
+    matrix[0, 0] += recording.extra_mass
+    run = experiment.run_of(recording)
+    return ConstantInertia(matrix, table.joints, table.units, recording.load, run)
+
+
+def model_for(mechanism: AbstractMechanism, effects: Sequence[str | AbstractEffect] = ()) -> Model:
+    """The base model (a spring and a damper at every joint, Eq. 4) plus effects, all silent.
+
+    **Raises:** `ValueError`, in one line, for an effect that does not exist or is there twice.
+    """
+    model = Model(mechanism)
+    for effect in ("spring", "damper", *effects):
+        named = (
+            (effect,) if isinstance(effect, AbstractEffect) else effects_named(effect, mechanism)
+        )
+        for each in named:
+            model = model + all_floating(each)
+    return model
+
+
+def richest(mechanisms: Sequence[_Bodies]) -> _Bodies:
+    """Of the bodies of several recordings those on which most effects make sense: effects of the
+    bearings, or of a load, go with an experiment if any of its recordings had them."""
+
+    def most(mechanism: AbstractInertia) -> tuple[float, float]:
+        bearings = float(mechanism.bearings.sum()) if isinstance(mechanism, PlanarArm) else 0.0
+        return bearings, float(getattr(mechanism, "load", 0.0))
+
+    return max(mechanisms, key=most)
+
+
+def with_own_numbers(
+    effects: Iterable[AbstractEffect], experiment: Experiment, mechanism: AbstractMechanism
+) -> tuple[AbstractEffect, ...]:
+    """The effects, with numbers of their own for the recordings that ask for it.
+
+    **Raises:** `ValueError`, in one line, for an effect that does not exist, and where no fitted
+    recording is left for the shared numbers.
+    """
+    if not experiment.own:
+        return tuple(effects)
+    if isinstance(experiment.inertia, AbstractMechanism):
+        raise InputError("own goes with [arm] or [inertia], not with a mechanism of your own")
+    sharing = len(by_recording(experiment.fit_recordings))
+    runs: dict[str, list[tuple[int, str]]] = {}
+    for words, each in experiment.own.items():
+        with inside(f"{each[0][1]}: own"):
+            for effect in effects_named(words, mechanism):
+                runs[effect.label] = [*runs.get(effect.label, []), *each]
+            if len(each) >= sharing:
+                raise InputError(
+                    f"{quote(words)} is in every fitted recording: leave it out of one, which the "
+                    "others are compared with"
+                )
+    return tuple(with_own(e, runs.get(e.label, ())) for e in effects)
+
+
+class Ready(NamedTuple):
+    """Recordings, the model on each one's bodies, and the resolution that its motion needs."""
+
+    model: Model
+    recordings: tuple[Recording, ...]
+    mechanisms: tuple[AbstractMechanism, ...]
+    integrator: Integrator | None = None
+    """What integrates instead of fixed steps."""
+    finer: int = 1
+    """How many times as many steps are taken as usual."""
+
+    def posed(self, model: Model | None = None) -> list[Model]:
+        """The model as each recording saw it."""
+        return [posed(model or self.model, m) for m in self.mechanisms]
+
+    def problem(
+        self,
+        begin: Model,
+        outliers: Sequence[np.ndarray],
+        like: Problem | None = None,
+        fixed: bool = False,
+        frequency: float | None = None,
+    ) -> tuple[Problem, np.ndarray]:
+        """The least-squares problem near the model `begin`, and guessed initial states (R, s).
+
+        `like` gives the problem the shapes of another one, so that its compiled program serves;
+        `fixed` compiles the number of steps in; `frequency` is `begin`'s, if that is known.
+        """
+        frequency = self.frequency(begin) if frequency is None else frequency
+        steps = self.steps(begin, frequency)
+        readings = max(len(r.time) for r in self.recordings)
+        room, instants = steps, readings
+        if not fixed:
+            room = bucket(2 * steps, *_ROOMS)  # twice the steps tell how exact they are
+            # What is not there costs little but the room for it, which many recordings lack.
+            many = len(self.recordings) > _MANY
+            instants = bucket(readings) if many else bucket(readings, *_INSTANTS)
+        if like is not None:
+            room, instants = max(room, like.room), max(instants, like.recorded.row.shape[-1])
+        recorded = lay_out(self.recordings, self.mechanisms, outliers, steps, room, instants)
+        memory = np.zeros(len(begin.memory))
+        states = np.stack(
+            [
+                np.concatenate([_first_state(r, bad, frequency), memory])
+                for r, bad in zip(self.recordings, outliers, strict=True)
+            ]
+        )
+        size = self.amplitude
+        scales = _scales_of(begin, size, np.full(len(size), frequency))
+        memory = [m.meaning.dimension.size(scales(m.joint)) for m in begin.memory]
+        scale = Unknowns(
+            _sizes(begin, scales),
+            np.tile(np.concatenate([size, size * frequency, memory]), (len(states), 1)),
+        )
+        active = np.ones(len(begin.fitted))
+        tighter = None if self.integrator is None else np.asarray(1.0)
+        problem = Problem(
+            begin,
+            recorded,
+            scale,
+            active,
+            np.asarray(steps),
+            room,
+            fixed,
+            self.integrator,
+            tighter,
+        )
+        return problem, states
+
+    @property
+    def amplitude(self) -> np.ndarray:
+        """(n,) typical angle of each joint, rad or m."""
+        return np.max([_amplitude(r) for r in self.recordings], axis=0)
+
+    def frequency(self, begin: Model) -> float:
+        """Fastest angular frequency that the integration must follow, rad/s."""
+        adapts = self.integrator is not None and self.integrator.adapts
+        fast = max((ringing if adapts else fastest)(m) for m in self.posed(begin))
+        # No mode above the sampling's own limit can have been seen, none below one cycle matters.
+        least = max(2 * math.pi / r.duration for r in self.recordings)
+        most = max(math.pi / float(np.median(np.diff(r.time))) for r in self.recordings)
+        # In a wide swing the angles themselves turn the forces round.
+        units = begin.mechanism.units or ("rad",) * len(begin.mechanism.joints)
+        rotary = np.array([u == "rad" for u in units])
+        turning = max(float(_rate(r)[rotary].max(initial=0.0)) for r in self.recordings)
+        fast = math.hypot(fast, turning) if math.isfinite(fast) else most
+        return min(max(fast, least), most)
+
+    def steps(self, begin: Model, frequency: float | None = None) -> int:
+        """How many integration steps the longest recording needs; `frequency` is `begin`'s."""
+        frequency = self.frequency(begin) if frequency is None else frequency
+        longest = max(r.duration for r in self.recordings)
+        steps = longest * frequency / (_ROUGH_STEP if begin.rough else _STEP)
+        for r in self.recordings:
+            if r.drive is not None:
+                steps = max(steps, len(r.time) * longest / r.duration / _SAMPLES_DRIVEN)
+        return self.finer * max(16, math.ceil(steps))
+
+    def typical(self) -> np.ndarray:
+        """(P,) numbers of typical size, from the amplitudes and rates of the readings alone."""
+        scales = self.scales()
+        sizes = [n.meaning.dimension.size(scales(n.joint)) for n in self.model.fitted]
+        return np.array(sizes, float)
+
+    def scales(self) -> Callable[[int | None], Scales]:
+        """The scales of a joint's motion, from the amplitudes and rates of the readings alone."""
+        return _scales_of(self.model, self.amplitude, self.pace)
+
+    @property
+    def pace(self) -> np.ndarray:
+        """(n,) typical angular frequency of each joint's motion, rad/s."""
+        swing = np.max([np.nanquantile(_about(r), 0.99, axis=0) for r in self.recordings], axis=0)
+        rate = np.max([_rate(r) for r in self.recordings], axis=0)
+        least = max(2 * math.pi / r.duration for r in self.recordings)
+        return np.maximum(rate / np.maximum(swing, self.amplitude), least)
+
+
+def ready(
+    experiment: Experiment, recordings: Sequence[Recording], effects: Sequence[str | AbstractEffect]
+) -> Ready:
+    """Make recordings of an experiment ready to fit."""
+    mechanisms = tuple(mechanism_of(experiment, r) for r in recordings)
+    most = richest(mechanisms)
+    shared = model_for(most, effects).effects
+    model = Model(mechanisms[0], with_own_numbers(shared, experiment, most))
+    integrator = integrator_of(experiment.integrator)
+    if integrator is not None:
+        integrator.check(model)
+        integrator.check_forward()
+    return Ready(model, tuple(recordings), mechanisms, integrator)
+
+
+def reweighted(problem: Problem, outliers: Sequence[np.ndarray]) -> Problem:
+    """The problem with outliers (N, n) taken out."""
+    weights = np.array(problem.recorded.weights)
+    for own, bad in zip(weights, outliers, strict=True):
+        own[: len(bad)] *= ~bad
+    return eqx.tree_at(lambda p: p.recorded.weights, problem, weights)
+
+
 def tight(problem: Problem) -> Problem:
     """The problem with hardly more instants than its recordings have, for programs whose cost grows
     with what is there, read or not."""
@@ -91,163 +332,67 @@ def tight(problem: Problem) -> Problem:
     )
 
 
-def posed(model: Model, mechanism: AbstractMechanism) -> Model:
-    """The model on another mechanism: another pose of the arm, or with its bearings off."""
-    return eqx.tree_at(lambda m: m.mechanism, model, mechanism)
+def _sizes(model: Model, scales: Callable[[int | None], Scales]) -> np.ndarray:
+    """A size for every number, never zero: its value, or what its dimension is typically."""
+    sizes = []
+    for number, value in zip(model.fitted, np.asarray(model.vector()), strict=True):
+        typical = float(number.meaning.dimension.size(scales(number.joint)))
+        sizes.append(max(abs(value) if np.isfinite(value) else 0.0, 1e-2 * typical))
+    return np.asarray(sizes, float)
 
 
-def predict(problem: Problem, one: Recorded, numbers, state) -> Float[Array, "N n"]:
-    """Predicted readings of one recording (`one` without its leading axis)."""
-    model, nodes = _simulated(problem, one, numbers, state)
-    return read_rows(model, nodes, jnp.asarray(one.row), jnp.asarray(one.place))
+def _scales_of(
+    model: Model, amplitude: np.ndarray, pace: np.ndarray
+) -> Callable[[int | None], Scales]:
+    """The scales of one joint, or of the last one for what belongs to none; `pace` (n,) rad/s."""
+    inertia = np.asarray(_inertia(model.mechanism))
+    return lambda joint: Scales(*(_at(each, joint) for each in (inertia, pace, amplitude)))
 
 
-def _simulated(problem: Problem, one: Recorded, numbers, state, only=None) -> tuple[Model, Nodes]:
-    """The model with these numbers on one recording's bodies, and its motion, of which `only` the
-    first so many steps are taken, if that is given."""
-    n = one.angles.shape[-1]
-    model = posed(problem.model.with_vector(numbers), one.mechanism)
-    integrator = problem.integrator
-    adjoint = integrator and integrator.adjoint
-    return model, march(
-        model,
-        0.0,
-        one.duration,
-        state[:n],
-        state[n : 2 * n],
-        steps=problem.room if problem.fixed else jnp.asarray(problem.steps),
-        z0=state[2 * n :],
-        drive=one.drive,
-        room=None if problem.fixed else problem.room,
-        only=only,
-        adjoint=adjoint,
-        integrator=integrator,
-        tighter=1.0 if problem.tighter is None else jnp.asarray(problem.tighter),
-    )
+@kept(like=0)
+def _inertia(mechanism: AbstractMechanism):
+    """(n,) the diagonal of the mass matrix with all angles zero."""
+    n = len(mechanism.joints)
+    matrix = mechanism.mass_matrix(split(jnp.zeros(n)))
+    return jnp.stack([jnp.asarray(row[i], float) for i, row in enumerate(matrix)])
 
 
-def whiten(one: Recorded, predicted) -> Float[Array, "N n"]:
-    """Whitened residual of one recording: (model - measurement) / sigma."""
-    misfit = (predicted - one.angles) * one.weights
-    sane = jnp.isfinite(misfit) & (jnp.abs(misfit) < RUNAWAY)
-    return jnp.where(sane, misfit, jnp.where(one.weights > 0, RUNAWAY, 0.0))
+def _at(each: np.ndarray, joint: int | None) -> float:
+    return float(each[-1 if joint is None else joint])
 
 
-class Compressed(NamedTuple):
-    """A least-squares problem at a point, one row per recording (L = P + s local unknowns)."""
-
-    predicted: Float[Array, "R N n"]  # readings, rad or m
-    factor: Float[Array, "R L L"]  # upper triangular, factor'factor = J'J
-    along: Float[Array, "R L"]  # residual projected on J's columns
-    beside: Float[Array, " R"]  # length of the rest of the residual
+def _amplitude(recording: Recording) -> np.ndarray:
+    """(n,) rms angle about the middle of its range of values, at least a few sigma."""
+    return np.maximum(np.sqrt(np.nanmean(_about(recording) ** 2, axis=0)), 3 * recording.noise)
 
 
-@eqx.filter_jit  # inside a larger program too: it is traced once where it is used many times
-def compressed(problem: Problem, y: Unknowns, only: Scalar | None = None) -> Compressed:
-    """Residual and Jacobian at scaled unknowns, compressed; `only`: of the first so many steps."""
-    numbers, angles = problem.scale.numbers.shape[0], problem.recorded.angles
-    # What an effect remembered at the first sample is known to be of its typical size: a reading
-    # like any other, without which a silent effect's memory could be anything.
-    size = numbers + y.states.shape[1]
-    known = jnp.where(jnp.arange(size) >= numbers + 2 * angles.shape[-1], 1.0, 0.0)
-
-    instants = problem.recorded.row.shape[-1]
-    chunk = instants if problem.fixed else min(instants, _CHUNK)
-    chunks = _chunks(problem, only, chunk)
-
-    def one(recorded, scale, state):
-        # What an effect holds that is no array passes no transformation.
-        rest = eqx.filter(posed(problem.model, recorded.mechanism), eqx.is_array_like, inverse=True)
-
-        def simulated(z):
-            moved = problem.numbers(Unknowns(z[:numbers], y.states))
-            model, nodes = _simulated(problem, recorded, moved, scale * z[numbers:], only)
-            return (model.vector(), nodes.ends), (eqx.filter(model, eqx.is_array_like), nodes)
-
-        z = jnp.concatenate([y.numbers, state])
-        point, moving, (arrays, nodes) = jax.vmap(
-            lambda e: jax.jvp(simulated, (z,), (e,), has_aux=True), out_axes=(None, 0, None)
-        )(jnp.eye(len(z)))
-        model = eqx.combine(arrays, rest)
-
-        def seen(point, part):
-            vector, ends = point
-            here = model.with_vector(vector), nodes._replace(ends=ends)
-            predicted = read_rows(*here, part.row, part.place)
-            return whiten(part, predicted), predicted
-
-        def add(index, sums):
-            square, slope, total, readings = sums
-            first = index * chunk
-            part = eqx.tree_at(
-                read_of,
-                recorded,
-                [jax.lax.dynamic_slice_in_dim(x, first, chunk) for x in read_of(recorded)],
-            )
-            misfit, slopes, predicted = jax.vmap(
-                lambda d: jax.jvp(lambda p: seen(p, part), (point,), (d,), has_aux=True),
-                out_axes=(None, 0, None),
-            )(moving)
-            slopes = jnp.where(jnp.isfinite(slopes), slopes, 0.0).reshape(len(z), -1)
-            flat = misfit.reshape(-1)
-            return (
-                square + slopes @ slopes.T,
-                slope + slopes @ flat,
-                total + flat @ flat,
-                jax.lax.dynamic_update_slice_in_dim(readings, predicted, first, 0),
-            )
-
-        sums = (
-            jnp.diag(known),
-            known * z,
-            jnp.sum(known * z**2),
-            jnp.zeros_like(recorded.angles),
-        )
-        if problem.fixed:
-            square, slope, total, predicted = add(0, sums)
-        else:
-            square, slope, total, predicted = jax.lax.fori_loop(0, chunks, add, sums)
-        return Compressed(predicted, *_compress(square, slope, total))
-
-    return over_recordings(one, problem.model)(problem.recorded, problem.scale.states, y.states)
+def _about(recording: Recording) -> np.ndarray:
+    """(N, n) distance of every angle from the middle of its range of values."""
+    return np.abs(recording.angle - np.nanmedian(recording.angle, axis=0))
 
 
-def _chunks(problem: Problem, only, chunk: int):
-    """How many chunks of instants hold all that count."""
-    recorded, index = problem.recorded, jnp.arange(problem.recorded.row.shape[-1])
-    counts = index < recorded.count[:, None]
-    if only is not None:
-        counts &= recorded.row < only
-    return -(-jnp.max(jnp.sum(counts, axis=-1)) // chunk)
+def _rate(recording: Recording) -> np.ndarray:
+    """(n,) highest sustained rate of each joint, rad/s or m/s, from differences above the noise."""
+    lag = min(4, len(recording.time) - 1)
+    moved = np.abs(recording.angle[lag:] - recording.angle[:-lag])
+    moved = np.maximum(moved - 4 * recording.noise, 0.0)
+    rates = moved / (recording.time[lag:] - recording.time[:-lag])[:, None]
+    rates[~np.isfinite(rates)] = 0.0
+    return np.quantile(rates, 0.99, axis=0)
 
 
-def over_recordings(one: Callable, model: Model) -> Callable:
-    """`one`, of one recording, for all of them: abreast, a few at a time where a CPU's cache cannot
-    hold them all, or, where dry friction asks what seldom happens, one after the other, for abreast
-    it would have to be computed every time."""
-
-    def each(*trees):
-        count = jax.tree.leaves(trees)[0].shape[0]
-        if count == 1:
-            found = one(*jax.tree.map(lambda x: x[0], trees))
-            return jax.tree.map(lambda x: x[None], found)
-        if model.dry:
-            return jax.lax.map(lambda x: one(*x), trees)
-        if count > 2 * _ABREAST and jax.default_backend() == "cpu":
-            return jax.lax.map(lambda x: one(*x), trees, batch_size=_ABREAST)
-        return jax.vmap(one)(*trees)
-
-    return each
-
-
-def _compress(square, slope, total):
-    diagonal = jnp.diag(square)
-    size = jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0))
-    # Columns of unit length: what rounding leaves of a combination that the data cannot see is then
-    # about 1e-16, and the tiny ridge keeps the factor real.
-    unit = square / size / size[:, None] + 1e-14 * jnp.eye(len(size))
-    unit = unit + jnp.diag(jnp.where(diagonal > 0, 0.0, 1.0))
-    lower = jnp.linalg.cholesky(unit) * size[:, None]
-    along = jax.scipy.linalg.solve_triangular(lower, slope, lower=True)
-    beside = jnp.sqrt(jnp.maximum(total - along @ along, 0.0))
-    return lower.T, along, beside
+def _first_state(recording: Recording, outliers: np.ndarray, frequency: float) -> np.ndarray:
+    """(q0, v0) from a cubic through the first quarter cycle."""
+    time = recording.time - recording.time[0]
+    state = []
+    for joint in range(recording.angle.shape[1]):
+        use = np.flatnonzero(np.isfinite(recording.angle[:, joint]) & ~outliers[:, joint])
+        count = max(8, int(np.searchsorted(time[use], 1.5 / frequency)))
+        use = use[:count]
+        if len(use) < 4:  # of a cubic: a segment without readings
+            state.append((0.0, 0.0))
+            continue
+        window = time[use[-1]]
+        line = np.polynomial.polynomial.polyfit(time[use] / window, recording.angle[use, joint], 3)
+        state.append((line[0], line[1] / window))
+    return np.concatenate(np.transpose(state))

@@ -24,10 +24,9 @@ from ..runtime.json import number
 from ..runtime.presentation import TableResult
 from .evolution import evosax_or_missing
 from .fit import fit
-from .history import History
+from .history import History, Watch, watched
 from .methods import DEFAULT_METHODS, GENETIC, GIVEN, LEVENBERG, RANDOM, title_of
 from .result import Fit, FitError
-from .watch import Watch, watched
 
 TEN, ONE = 1.1, 1.01
 """Times the best objective: within 10 % and within 1 %."""

@@ -15,6 +15,7 @@ from ..recordings.segments import by_recording
 from ..runtime.json import number
 from ..runtime.presentation import TableResult
 from .history import History
+from .problem import Problem, Ready, Unknowns
 
 STRONG = 0.9
 """Correlations beyond this are named."""
@@ -100,6 +101,12 @@ class Fit(TableResult):
     reason: str
     steps: int
     seconds: float
+    ready: Ready
+    """The model on the bodies of each fitted recording, and the resolution of its motion."""
+    problem: Problem
+    """The least-squares problem that was solved, in float64."""
+    unknowns: Unknowns
+    """Its minimum."""
     open_groups: tuple[tuple[int, ...], ...] = ()
     """Indices of numbers of which the data determine only a combination."""
     integration_error: float = float("nan")
@@ -121,7 +128,7 @@ class Fit(TableResult):
 
     @property
     def whole(self) -> tuple[RecordingFit, ...]:
-        """`recordings`, with stretches of one recording put together again: what one draws."""
+        """`recordings`, with segments of one recording put together again: what one draws."""
         found = []
         for recording, which in by_recording([r.recording for r in self.recordings]):
             parts = [self.recordings[i] for i in which]
@@ -141,6 +148,25 @@ class Fit(TableResult):
         spread = np.sqrt(np.diag(self.covariance))
         with np.errstate(invalid="ignore", divide="ignore"):
             return self.covariance / spread / spread[:, None]
+
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """Effects whose strength is within two standard errors of none, and which have a shape (a
+        gap, a frequency): where nothing acts no shape can be told (Davies, Biometrika 64, 1977)."""
+        found, each = [], list(zip(self.numbers, self.model.fitted, strict=True))
+        for index, effect in enumerate(self.model.effects):
+            own = [(n, m.meaning.silent) for n, m in each if m.effect == index]
+            strengths = [(n, silent) for n, silent in own if silent is not None]
+            silent = [not n.determined or abs(n.value - s) < NEGATIVE * n.std for n, s in strengths]
+            if silent and all(silent) and len(strengths) < len(own):
+                found.append(effect.label)
+        return tuple(found)
+
+    @property
+    def stands(self) -> bool:
+        """Whether the numbers can be had: the search settled, or did not only along the shape of an
+        effect that is not seen, with a residual that is noise."""
+        return self.converged or (bool(self.unseen) and not self.misses)
 
     @property
     def misses(self) -> bool:

@@ -7,7 +7,7 @@ how much: at the best fit J'r = 0, so with A = J'J, d(numbers)/d(inertias) = -A_
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -15,22 +15,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..effects import AbstractEffect
 from ..fitting import Fit, Mode
-from ..fitting.covariance import information
 from ..fitting.layout import Recorded
-from ..fitting.problem import Problem, predict, whiten
-from ..fitting.setup import ready
+from ..fitting.least_squares import predict, whiten
+from ..fitting.linalg import PART, information, inverse_of
+from ..fitting.problem import Problem
 from ..physics.inertia import AbstractInertia
 from ..physics.mechanism import PlanarArm
 from ..physics.modal import modes, state_matrix
 from ..physics.model import Model
 
 NAMES = ("shoulder", "elbow", "coupling")
-_BLIND = 1e-10
-"""Eigenvalue of A with unit columns below which the recordings do not see a combination."""
-_PART = 1e-3
-"""Share of such a combination beyond which a number belongs to it."""
 _MATTERS = 1e-3
 """Share of a quantity by which a combination that is not seen may move it."""
 _REAL = 1e-9
@@ -64,25 +59,18 @@ class Carried(NamedTuple):
         return float(np.sqrt(seen + open_to**2))
 
 
-def carried(
-    fit: Fit, effects: Sequence[str | AbstractEffect], inertia: np.ndarray | None
-) -> Carried:
+def carried(fit: Fit, inertia: np.ndarray | None) -> Carried:
     """The errors of a fit and of the inertias (3, 3) behind it; None: they are exact."""
     count = len(fit.numbers)
     if inertia is None and np.isfinite(fit.covariance).all():
         # Nothing to be known beyond what the fit says already.
         nothing = np.zeros((0, count)), np.zeros((3, 3)), np.zeros((count, 3))
         return Carried(fit.covariance, *nothing)
-    square, values = _information(fit, effects), np.array([n.value for n in fit.numbers])
+    square, values = _information(fit), np.array([n.value for n in fit.numbers])
     own, cross = square[:count, :count], square[:count, count:]
-    diagonal = np.diag(own)
-    size = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    found, vectors = np.linalg.eigh(own * size * size[:, None])
-    seen, part = found > _BLIND, vectors * size[:, None]
-    inverse = (part[:, seen] / found[seen]) @ part[:, seen].T
+    inverse, vectors, size = inverse_of(own)
     # A combination is as large as the largest of its numbers: it may turn all of one into another.
-    unseen = part[:, ~seen].T
-    members = np.abs(vectors[:, ~seen].T) > _PART
+    unseen, members = vectors * size, np.abs(vectors) > PART
     ratios = np.divide(np.abs(values), np.abs(unseen), where=members, out=np.zeros(unseen.shape))
     blind = unseen * np.max(ratios, axis=1, initial=0.0)[:, None]
     return Carried(
@@ -93,13 +81,11 @@ def carried(
     )
 
 
-def _information(fit: Fit, effects: Sequence[str | AbstractEffect]) -> np.ndarray:
+def _information(fit: Fit) -> np.ndarray:
     """(P + 3, P + 3) J'J at the best fit, of the numbers and the inertias, with the recordings'
     initial states taken out."""
     fitted = [f for f in fit.recordings if f.recording.role == "fit"]
-    here = ready(fit.experiment, [f.recording for f in fitted], effects)
-    problem, _ = here.problem(fit.model, [f.wild for f in fitted])
-    numbers, factors = fit.model.vector(), []
+    problem, numbers, factors = fit.problem, fit.model.vector(), []
     for i, beside in enumerate(fitted):
         one = jax.tree.map(lambda x, i=i: x[i], problem.recorded)
         slopes = np.asarray(_slopes(problem, one, numbers, jnp.asarray(beside.state)))
@@ -148,9 +134,25 @@ class Rings(NamedTuple):
     """Whether it moves away from rest without ringing, as with a negative stiffness."""
 
 
-def modes_with_errors(model: Model, fitted: Model, errors: Carried) -> Rings:
-    """Modes and their errors; `errors` are those of the model `fitted`, of which `model` may lack
-    some effects."""
+class ModeSlopes(NamedTuple):
+    """A mode that rings: frequency (Hz) and damping ratio, and their slopes."""
+
+    values: np.ndarray
+    """(2,)"""
+    by_number: np.ndarray
+    """(2, P), inertias held."""
+    by_inertia: np.ndarray
+    """(2, 3), numbers held."""
+
+
+def slopes_of_modes(model: Model, fitted: Model) -> list[ModeSlopes]:
+    """The modes that ring, lowest first, with slopes in the numbers of the model `fitted`, of which
+    `model` may lack some effects."""
+    return _slopes_of_modes(model, fitted)[0]
+
+
+def _slopes_of_modes(model: Model, fitted: Model) -> tuple[list[ModeSlopes], np.ndarray]:
+    """They, and the state matrix."""
     # Friction of a point in the plane is smoothed near rest: that slope is the integrator's.
     for label in [e.label for e in model.effects if e.grips]:
         model = model.without(label)
@@ -159,13 +161,25 @@ def modes_with_errors(model: Model, fitted: Model, errors: Carried) -> Rings:
     matrix, values, by_number, by_inertia = map(np.asarray, _modes_and_slopes(model))
     slopes = np.zeros((*values.shape, len(names)))
     slopes[..., kept] = by_number
+    found = [
+        ModeSlopes(values[:, i], slopes[:, i], by_inertia[:, i])
+        for i, (frequency, damping) in enumerate(values.T)
+        if frequency > 0 and abs(damping) < 1 - 1e-9
+    ]
+    return found, matrix
+
+
+def modes_with_errors(model: Model, fitted: Model, errors: Carried) -> Rings:
+    """Modes and their errors; `errors` are those of the model `fitted`, of which `model` may lack
+    some effects."""
+    each, matrix = _slopes_of_modes(model, fitted)
     found = []
-    for i, (frequency, damping) in enumerate(values.T):
-        if frequency > 0 and abs(damping) < 1 - 1e-9:
-            spread = [
-                errors.std(float(values[j, i]), slopes[j, i], by_inertia[j, i]) for j in (0, 1)
-            ]
-            found.append(Mode(float(frequency), spread[0], float(damping), spread[1]))
+    for m in each:
+        frequency, damping = (
+            (float(x), errors.std(float(x), n, i))
+            for x, n, i in zip(m.values, m.by_number, m.by_inertia, strict=True)
+        )
+        found.append(Mode(*frequency, *damping))
     roots = np.linalg.eigvals(matrix)
     size = np.abs(roots)
     away = (np.abs(roots.imag) < _REAL * size) & (roots.real > _AWAY * size.max())

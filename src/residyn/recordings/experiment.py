@@ -7,6 +7,7 @@ Everything wrong with a file raises `InputError` with one clear line that names 
 import dataclasses
 import os
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -88,6 +89,17 @@ class Experiment:
             for label in self._runs[name]:
                 found.setdefault(label, []).append((number, name))
         return {label: tuple(runs) for label, runs in found.items()}
+
+    def owning(self, labels: Sequence[str]) -> "Experiment":
+        """The same, but that only these effects' numbers may be a run's own."""
+        if not self.own:
+            return self
+
+        def left(r: Recording) -> Recording:
+            own = [x for words in r.own for x in labels if x == words or x.startswith(words + ":")]
+            return dataclasses.replace(r, own=tuple(own))
+
+        return dataclasses.replace(self, recordings=tuple(map(left, self.recordings)))
 
     def run_of(self, recording: Recording) -> int:
         """The number of a recording's run; 0 if it has nothing of its own."""

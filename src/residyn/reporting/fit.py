@@ -241,9 +241,14 @@ def _integration(fit: Fit) -> Iterator[str]:
 
 
 def _search(fit: Fit) -> Iterator[str]:
-    if not fit.converged:
+    if not fit.stands:
         yield "the fit did not settle: treat the numbers as rough"
-    if fit.starts > 1 and fit.agreeing_starts < max(2, fit.starts // 3):
+    for label in fit.unseen if fit.stands else ():
+        yield (
+            f"{label} is not seen in these recordings: its strength is within two errors of none, "
+            "and of what does not act no shape can be told; the other numbers hold"
+        )
+    if not fit.unseen and fit.starts > 1 and fit.agreeing_starts < max(2, fit.starts // 3):
         yield (
             f"only {fit.agreeing_starts} of {fit.starts} starts led here: "
             "there may be a better minimum; try more starts"

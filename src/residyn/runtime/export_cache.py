@@ -106,6 +106,13 @@ class Kept:
         self._out = jax.tree.structure(like)
         self._programs: dict[Any, Callable] = {}
 
+    def keep_at_most(self, most: int) -> None:
+        """Where there are more programs, let go of them, and of all that JAX holds: a process that
+        meets ever new models does not grow for ever. What is asked for again is in the cache."""
+        if len(self._programs) > most:
+            self._programs.clear()
+            jax.clear_caches()
+
     def __call__(self, *args):
         leaves, structure = jax.tree.flatten(args)
         if _cache is None or any(isinstance(x, Tracer) for x in leaves):

@@ -9,9 +9,8 @@ import numpy as np
 from ...diagnosis.evidence import signed
 from ...effects import AbstractEffect
 from ...filtering.law import numbers_of, with_numbers
-from ...fitting.problem import posed
+from ...fitting.problem import mechanism_of, posed
 from ...fitting.result import Fit
-from ...fitting.setup import mechanism_of
 from ...physics.model import Model
 from ...recordings.experiment import Experiment
 from ...recordings.recording import Recording

@@ -6,7 +6,7 @@ import lineax as lx
 import numpy as np
 import pytest
 
-from residyn.fitting.linalg import Arrowhead
+from residyn.fitting.linalg import BorderedSolver
 from residyn.fitting.problem import Unknowns
 
 
@@ -41,7 +41,7 @@ def problem_of(recordings: int, numbers: int = 4, states: int = 5, equations: in
 def test_same_as_dense(recordings):
     operator, right = problem_of(recordings)
     ours, theirs = (
-        lx.linear_solve(operator, right, solver).value for solver in (Arrowhead(), lx.QR())
+        lx.linear_solve(operator, right, solver).value for solver in (BorderedSolver(), lx.QR())
     )
     for one, other in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
@@ -51,7 +51,7 @@ def test_more_unknowns_than_equations_of_a_recording():
     """The damping alone determines what the readings do not."""
     operator, right = problem_of(3, numbers=6, states=9, equations=8)
     ours, theirs = (
-        lx.linear_solve(operator, right, solver).value for solver in (Arrowhead(), lx.QR())
+        lx.linear_solve(operator, right, solver).value for solver in (BorderedSolver(), lx.QR())
     )
     for one, other in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-10)
@@ -62,7 +62,7 @@ def test_in_proportion_to_the_recordings():
 
     def room(recordings):
         operator, right = problem_of(recordings)
-        program = jax.jit(lambda x: lx.linear_solve(operator, x, Arrowhead()).value)
+        program = jax.jit(lambda x: lx.linear_solve(operator, x, BorderedSolver()).value)
         return program.lower(right).compile().memory_analysis().temp_size_in_bytes
 
     assert room(400) < 2.2 * room(200)

@@ -1,0 +1,99 @@
+"""Whether runs of one rig share their numbers: a test by evidence.
+
+A recording that has numbers of its own (`own`) says that they may differ, not that they do. Two
+models are compared: in one the run has its own, in the other it shares those of the rest. All else
+that is not known (the numbers, the first states, a random torque for what both lack) is integrated
+over, as in a diagnosis; so a number pays for itself or it does not (Occam's factor: MacKay, 2003,
+ch. 28), and a model that is wrong in other ways does not make every difference significant.
+"""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+
+from ..effects import AbstractEffect
+from ..recordings.experiment import Experiment
+from .missing_torque import scene_of
+from .search import tried_alone
+
+
+class OwnNumbers(NamedTuple):
+    """One effect's numbers in one run, beside those that the other recordings share."""
+
+    effect: str
+    """`name:place`."""
+    recording: str
+    log_odds: float
+    """Nats for numbers of its own, against shared ones, of equal prior probability."""
+
+    @property
+    def probability(self) -> float:
+        """That they differ."""
+        return 1.0 / (1.0 + math.exp(-max(min(self.log_odds, 700.0), -700.0)))
+
+    def __str__(self) -> str:
+        """One sentence."""
+        sure = max(self.probability, 1.0 - self.probability)
+        share = "> 99 %" if sure > 0.99 else f"{100 * sure:.0f} %"
+        if self.probability > 0.5:
+            return f"{self.effect} differs in {self.recording} from the other recordings ({share})."
+        return (
+            f"{self.effect} is the same in {self.recording} as in the other recordings ({share}): "
+            "it needs no own numbers."
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {**self._asdict(), "probability": self.probability}
+
+
+def own_numbers(
+    experiment: Experiment, effects: Sequence[str | AbstractEffect] = ()
+) -> tuple[OwnNumbers, ...]:
+    """For each effect and recording that has numbers of its own: whether it needs them.
+
+    Runs in float64 whatever JAX's setting.
+
+    **Arguments:** as of `residyn.fit`; an effect that is not in the model has no numbers to test.
+
+    **Raises:** `ValueError` for an effect that does not exist or does not go with this experiment.
+    """
+    if not experiment.own:
+        return ()
+    with jax.enable_x64(True):
+        scene, members, _ = scene_of(experiment, effects)
+        with_all = tried_alone(scene, members).log_evidence
+        found = []
+        for label, recording in _pairs(experiment, members):
+            beside = [e.label for e in members if e.label != label and e.name in label]
+            fewer = _sharing(experiment, label, recording, beside)
+            scene, shared, _ = scene_of(fewer, effects)
+            log_odds = with_all - tried_alone(scene, shared).log_evidence
+            found.append(OwnNumbers(label, recording, log_odds))
+    return tuple(found)
+
+
+def _pairs(experiment: Experiment, members: Sequence[AbstractEffect]) -> list[tuple[str, str]]:
+    return [
+        (effect.label, name)
+        for effect in members
+        for _, name in getattr(type(effect), "own_runs", ())
+    ]
+
+
+def _sharing(
+    experiment: Experiment, label: str, recording: str, beside: Sequence[str]
+) -> Experiment:
+    """The experiment with one recording sharing one effect's numbers; `beside` are the same effect
+    at other joints."""
+
+    def shared(r):
+        if (r.segment_of or r).name != recording:
+            return r
+        own = [x for words in r.own for x in (beside if words in label else [words])]
+        return dataclasses.replace(r, own=tuple(own))
+
+    return dataclasses.replace(experiment, recordings=tuple(map(shared, experiment.recordings)))

@@ -1,0 +1,173 @@
+"""Descents of one fit, or of many at once.
+
+A fit is a generator: it yields the descents that it wants and goes on from where they ended. Run
+`alone`, each descent is one call of a compiled program. Run `together`, the descents that several
+fits want at a time are lanes of one program (`jax.vmap`), divided among all devices; a fit that is
+done leaves its lane to the others. What a fit does around its descents (outliers, starts, held-out
+recordings) is written once, and the same.
+"""
+
+import dataclasses
+import math
+from collections.abc import Generator, Sequence
+from typing import Any, NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from ..runtime.export_cache import kept
+from .layout import read_of
+from .least_squares import ENDED, Compressed, Horizon, descended, one_descent, one_start
+from .problem import Problem, Unknowns
+
+Result = TypeVar("Result")
+_FEW = 8  # starts that a CPU runs one after the other
+_STARTS = 16  # starts side by side: more gain nothing, and wait for more
+_STEPS = 10  # of starts side by side, where all wait for the last one
+_PART = 8  # the first cycles, where they are no more than this part of the readings
+
+
+class Wanted(NamedTuple):
+    """A descent over the first `share` (0 to 1) of every recording; `size` is what counts as one
+    sigma, in sigma."""
+
+    problem: Problem
+    unknowns: Unknowns
+    share: np.ndarray
+    size: np.ndarray
+
+
+Fitting = Generator[list[Wanted], Sequence[Any], Result]
+"""What yields descents of one problem, is sent where they ended (`least_squares.ENDED`, each), and
+returns a result."""
+
+
+def evaluating(problem: Problem, y: Unknowns) -> Fitting[Compressed]:
+    """Residual and Jacobian at these unknowns, by the program of the descents: nothing else need be
+    compiled. To an optimiser for which one sigma is infinite all is small, so it goes nowhere."""
+    ((_, squeezed, *_),) = yield [Wanted(problem, y, np.asarray(1.0), np.asarray(np.inf))]
+    return squeezed
+
+
+def alone(fitting: Fitting[Result]) -> Result:
+    """The result of one fit, its descents one after the other."""
+    try:
+        wanted = next(fitting)
+        while True:
+            few = _FEW if jax.default_backend() == "cpu" else 1
+            many = len(wanted) > few and float(wanted[0].share) < 1.0
+            answer = _starts(wanted) if many else [one_start(*each) for each in wanted]
+            wanted = fitting.send(answer)
+    except StopIteration as end:
+        return end.value
+
+
+def _starts(wanted: list[Wanted]) -> list[Any]:
+    """Descents of many starts over the first cycles, side by side: cheap there, but all wait for
+    the last one, so they end early."""
+    share, size = wanted[0].share, np.max([each.size for each in wanted])
+    head, found = _head(wanted[0].problem, float(share)), []
+    width = min(len(wanted), _STARTS)
+    for first in range(0, len(wanted), width):
+        some = wanted[first : first + width]
+        filled = [*some, *[some[-1]] * (width - len(some))]
+        y = jax.tree.map(lambda *x: np.stack(x), *(each.unknowns for each in filled))
+        out = jax.device_get(_descents_of_starts(head, y, share, size))
+        found += [jax.tree.map(lambda x, i=i: x[i], out) for i in range(len(some))]
+    return found
+
+
+def _head(problem: Problem, share: float) -> Problem:
+    """The problem with room for its first part only, if the share's readings lie there."""
+    instants, room = problem.recorded.row.shape[-1] // _PART, problem.room // _PART
+    only = math.ceil(share * int(problem.steps))
+    late = np.asarray(problem.recorded.weights)[:, instants:].any(axis=-1)
+    if only > room or np.any(late & (np.asarray(problem.recorded.row)[:, instants:] < only)):
+        return problem
+    first = [x[:, :instants] for x in read_of(problem.recorded)]
+    short = eqx.tree_at(lambda p: read_of(p.recorded), problem, first)
+    return dataclasses.replace(short, room=room)
+
+
+@kept(like=ENDED)
+def _descents_of_starts(problem: Problem, y: Unknowns, share, size):
+    """`one_descent` of starts (S, ...) side by side."""
+    horizon = Horizon.of(problem, share)._replace(size=size)
+    # See `over_recordings`: what dry friction seldom asks for must stay seldom.
+    if problem.model.dry:
+        return jax.lax.map(lambda start: descended(horizon, start, _STEPS), y)
+    return jax.vmap(lambda start: descended(horizon, start, _STEPS))(y)
+
+
+def lanes(batch: int | None, usual: int) -> int:
+    """How many fits run at a time on all devices, `batch` on each; None is `usual`, 1 on a CPU.
+
+    **Raises:** `ValueError` for an empty batch.
+    """
+    devices = jax.devices()
+    if batch is None:
+        batch = 1 if devices[0].platform == "cpu" else usual
+    if batch < 1:
+        raise ValueError(f"batch = {batch}: must be at least 1")
+    return batch * len(devices)
+
+
+def together(fittings: Sequence[Fitting[Result]]) -> list[Result]:
+    """The results of some fits, descents of one shape run together. Call it in float64.
+
+    **Raises:** what the first fit that failed raised, when all have ended.
+    """
+    results: dict[int, Result] = {}
+    errors: list[Exception] = []
+    answers: dict[int, Sequence[Any] | None] = dict.fromkeys(range(len(fittings)))
+    width = len(jax.devices())
+    while width < len(fittings):  # few widths, few programs
+        width *= 2
+    while answers:
+        groups: dict[Any, list[tuple[int, Wanted]]] = {}
+        for index, answer in answers.items():
+            try:
+                wanted = fittings[index].send(answer)  # pyright: ignore[reportArgumentType]
+            except StopIteration as end:
+                results[index] = end.value
+            except Exception as error:
+                errors.append(error)
+            else:
+                for each in wanted:
+                    groups.setdefault(_shape(each), []).append((index, each))
+        answers = {}
+        for group in groups.values():
+            found = _in_lanes([each for _, each in group], width)
+            for (index, _), each in zip(group, found, strict=True):
+                answers.setdefault(index, []).append(each)  # pyright: ignore
+    for error in errors:
+        raise error
+    return [results[index] for index in range(len(fittings))]
+
+
+def _shape(wanted: Wanted) -> Any:
+    """All that tells one compiled program from another one."""
+    leaves, structure = jax.tree.flatten(wanted)
+    return structure, tuple(x.shape if eqx.is_array(x) else x for x in leaves)
+
+
+def _in_lanes(wanted: list[Wanted], width: int) -> list[Any]:
+    """Descents of one shape, `width` at a time, divided among all devices."""
+    divided = NamedSharding(Mesh(np.asarray(jax.devices()), ("fits",)), PartitionSpec("fits"))
+    found = []
+    for first in range(0, len(wanted), width):
+        some = wanted[first : first + width]
+        filled = [*some, *[some[-1]] * (width - len(some))]
+        arrays, rest = zip(*(eqx.partition(each, eqx.is_array) for each in filled), strict=True)
+        stacked = jax.tree.map(lambda *x: np.stack([np.asarray(each) for each in x]), *arrays)
+        out = jax.device_get(_descents(jax.device_put(stacked, divided), rest[0]))
+        found += [jax.tree.map(lambda x, i=i: x[i], out) for i in range(len(some))]
+    return found
+
+
+@eqx.filter_jit
+def _descents(stacked, rest):
+    """XLA divides the lanes as the inputs are divided."""
+    return jax.vmap(lambda arrays: one_descent(*eqx.combine(arrays, rest)))(stacked)
