@@ -26,7 +26,7 @@ from ...recordings.segments import by_recording
 from .first_order import ErrorGram, FirstOrder
 from .study import Study
 
-POINTS = 1000
+POINTS = 800
 """Instants of a recording that are drawn."""
 _RECORDINGS = 8  # that are drawn, at most
 
