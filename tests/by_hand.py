@@ -82,6 +82,7 @@ def a_fit(effects=(), slip=0.0, chi2=12.3, **changed):
         "covariance": correlation * std * std[:, None],
         "recordings": tuple(beside(r, s, slip) for r, s in zip(runs, SIZES, strict=True)),
         "reduced_chi2": chi2,
+        **dict.fromkeys(("ready", "problem", "unknowns")),  # of which nothing is said
         "modes": (Mode(0.36, 2e-4, 0.02, 1e-4), Mode(1.9, 1e-3, 0.02, 3e-4)),
         "starts": 6,
         "agreeing_starts": 5,
@@ -193,6 +194,7 @@ NEXT = Test(
     theta2=0.3,
     air_bearings=True,
     extra_mass=None,
+    load=None,
     drive=None,
     duration=20.0,
     entropy=0.01,

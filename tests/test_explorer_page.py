@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import shutil
 import subprocess
 import sys
@@ -14,8 +15,10 @@ from scipy.special import log_ndtr
 import residyn
 from residyn import demo
 from residyn.diagnosis.evidence import log_prior_model, subset
+from residyn.filtering.law import numbers_of
+from residyn.filtering.trajectory import number_slices
 from residyn.reporting.explorer import page
-from residyn.reporting.explorer.payload import payload
+from residyn.reporting.explorer.payload import Drawn, packed, payload
 from residyn.reporting.explorer.study import Study
 from tests.chromium import complaints, driver, until
 
@@ -61,8 +64,9 @@ def ask(browser, script, *arguments):
     body = (
         f"const done = arguments[arguments.length - 1], given = [...arguments].slice(0, -1);"
         f"Promise.all([{imports}]).then((all) => {{ const m = Object.assign({{}}, ...all);"
-        "const data = JSON.parse(document.getElementById('residyn-explorer-data').textContent);"
-        f"done((() => {{ {script} }})()); }}).catch((e) => done('failed: ' + e));"
+        "const message = document.getElementById('residyn-explorer-data').textContent;"
+        f"return m.opened(JSON.parse(message)).then((data) => {{ {script} }}).then(done);"
+        "}).catch((e) => done('failed: ' + e));"
     )
     return browser.execute_async_script(body, *arguments)
 
@@ -113,6 +117,25 @@ def test_linear_algebra_against_numpy(offline):
     assert form == pytest.approx(v @ chosen @ v, rel=1e-12)
 
 
+def test_arrays_arrive_as_they_were_sent(offline):
+    random = np.random.default_rng(4)
+    waves = np.cumsum(random.standard_normal((3, 500)), axis=1)
+    waves[1, 7] = np.nan
+    sent = {"a": {"b": [random.standard_normal((2, 5)), Drawn(waves)]}, "c": [1.5, math.inf]}
+    found = ask(
+        offline,
+        "return m.opened(given[0]).then((x) => [[...x.a.b[0].values], x.a.b[0].shape,"
+        "[...x.a.b[1].values].map((v) => Number.isNaN(v) ? null : v), x.c]);",
+        packed(sent),
+    )
+    assert found[0] == sent["a"]["b"][0].ravel().tolist()
+    assert found[1] == [2, 5]
+    drawn = np.array([math.nan if x is None else x for x in found[2]]).reshape(waves.shape)
+    half = np.nanmax(np.abs(waves)) / 32767 / 2
+    np.testing.assert_allclose(drawn, waves, atol=1.01 * half, rtol=0)
+    assert found[3] == [1.5, None]
+
+
 def test_the_normal_distribution_function_against_scipy(offline):
     x = [-300.0, -40.0, -5.0, -2.1, -2.0, -1.9, -0.3, 0.0, 0.7, 2.0, 2.9, 3.5, 8.0, 30.0]
     found = ask(offline, "return given[0].map(m.logNormal);", x)
@@ -142,8 +165,8 @@ def test_first_order_errors_are_pythons(offline, study):
     with jax.enable_x64(True):
         first = study.first_order()
     assert first is not None
-    rows = {row.effect.label: row.which for row in study.columns().rows}
-    for labels in ([], [FRICTION], [FRICTION, "gravity"]):
+    rows = {row.effect.label: row.which for row in study.columns.rows}
+    for labels in ([], [FRICTION, "gravity"], *([label] for label in rows)):
         which = [i for label in labels for i in rows[label]]
         found = ask(
             offline,
@@ -163,6 +186,22 @@ def test_the_first_order_of_nothing_added_is_the_fit(study):
     assert first is not None
     errors = first.fitted.times_noise(np.zeros(0), [])
     assert errors == pytest.approx(fit.rmse / fit.noise, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "added", [["cubic_stiffness:elbow"], ["cubic_stiffness:elbow", "cubic_stiffness:shoulder"]]
+)
+def test_a_refit_by_the_smoother_is_the_fit_where_nothing_sticks(study, added):
+    near, fit = study.refit(added), study.fit(added)
+    values = {
+        f"{e.label}.{n.name}": x
+        for e, own in zip(near.path.effects, number_slices(near.path.effects), strict=True)
+        for n, x in zip(numbers_of(e), near.path.numbers[own], strict=True)
+    }
+    off = [(values[n.name] - n.value) / n.std for n in fit.numbers]
+    assert np.max(np.abs(off)) < 0.2
+    assert near.fitted == pytest.approx(fit.rmse / fit.noise, rel=0.01)
+    assert near.held_out == pytest.approx(study.held_out(added, fit), rel=0.1)
 
 
 def test_words(offline):
@@ -229,8 +268,42 @@ def test_all_fits_at_400_pixels(data, tmp_path):
         browser.quit()
 
 
+def test_in_a_report_the_page_stands_for_the_tables_but_in_print_and_without_scripts(
+    data, tmp_path
+):
+    whole = page.standalone(data).replace("</body>", '<div class="in-full">tables</div></body>')
+    start = '<script type="module">import "explorer/explorer.js";</script>'
+    assert start in whole
+    path, bare = tmp_path / "page.html", tmp_path / "bare.html"
+    path.write_text(whole, encoding="utf-8")
+    bare.write_text(whole.replace(start, ""), encoding="utf-8")
+    browser = driver()
+
+    def seen(selector):
+        return browser.find_element("css selector", selector).is_displayed()
+
+    try:
+        browser.get(path.as_uri())
+        until(lambda: browser.find_elements("css selector", ".chip"), 20)
+        assert not seen(".in-full")
+        button = browser.find_elements("css selector", ".explorer > .actions button")[-1]
+        click(browser, button)
+        assert seen(".in-full")
+        click(browser, button)
+        assert not seen(".in-full")
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+        assert seen(".in-full")
+        assert not seen(".chip")
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+        browser.get(bare.as_uri())
+        assert seen(".in-full")
+        assert not seen(".explorer")
+    finally:
+        browser.quit()
+
+
 def test_a_payload_is_small_and_plain(data):
-    assert len(json.dumps(data, allow_nan=False)) < 2_000_000
+    assert len(json.dumps(packed(data), allow_nan=False)) < 1_000_000
 
 
 # -- live -------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import time
 
 import pytest
 
+import residyn
 from residyn import demo
 
 pytest.importorskip("starlette")
@@ -15,7 +16,6 @@ pytest.importorskip("httpx")
 from starlette.testclient import TestClient
 
 from residyn.errors import InputError
-from residyn.recordings import recording
 from residyn.reporting.explorer import page
 from residyn.reporting.explorer.files import ExperimentFiles
 from residyn.reporting.explorer.server import Explorer
@@ -40,7 +40,7 @@ class Idle:
 def client(monkeypatch):
     monkeypatch.setattr("residyn.reporting.explorer.server.Workbench", lambda *a, **k: Idle())
     with demo.experiment_file() as path:
-        experiment = recording.load(path)
+        experiment = residyn.load(path)
     explorer = Explorer(experiment, name="<b>bold</b>.toml", token="secret")
     return TestClient(explorer.app(PORT), base_url=OWN)
 
@@ -139,7 +139,7 @@ def test_a_recording_that_changes_and_one_that_is_new_are_offered(folder):
     assert len(check.time) == len(files.experiment.recordings[1].time) - 5
     # What is saved is an experiment file that says the same.
     (folder / "saved.toml").write_text(again.text)
-    saved = recording.load(folder / "saved.toml")
+    saved = residyn.load(folder / "saved.toml")
     assert [r.name for r in saved.recordings] == names
     assert (saved.recordings[2].noise == added.noise).all()
 

@@ -132,6 +132,7 @@ def unloaded(
     effects: Sequence[str],
     starts: int,
     inertia_std: Sequence[float] | None,
+    diagnosis: "Diagnosis | None" = None,
 ) -> "Unloading":
     """Take the bearings off, and show on the way what is being done.
 
@@ -143,7 +144,12 @@ def unloaded(
 
         with in_one_line():
             return unload(
-                experiment, effects=effects, starts=starts, inertia_std=inertia_std, progress=say
+                experiment,
+                effects=effects,
+                starts=starts,
+                inertia_std=inertia_std,
+                diagnosis=diagnosis,
+                progress=say,
             )
 
 

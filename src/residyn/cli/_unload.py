@@ -6,7 +6,7 @@ import typer
 
 from ..errors import InputError
 from . import _options
-from ._experiment import bring, input_files, load, title, unloaded
+from ._experiment import bring, diagnosed, input_files, load, title, unloaded
 from ._shell import DONE, NO_NUMBERS, Outputs, complain, progress, set_up_jax
 
 _InertiaStd = Annotated[
@@ -27,11 +27,23 @@ def unload(
     own: _options.Effects = None,
     starts: _options.Starts = _options.STARTS,
     inertia_std: _InertiaStd = None,
+    diagnose: Annotated[
+        bool,
+        typer.Option(
+            "--diagnose",
+            help="Diagnose first: the modes without bearings over all models that the recordings "
+            "leave in play, with their probabilities.",
+        ),
+    ] = False,
+    most: _options.MaxEffects = _options.MAX_EFFECTS,
+    budget: _options.Budget = None,
     json: _options.Json = None,
     report: _options.Report = None,
     no_cache: _options.NoCache = False,
 ) -> None:
     """Take the air bearings off, drag and friction too: how the arm rings in orbit."""
+    if budget is not None and not 0 < budget < float("inf"):
+        raise InputError(f"--budget {budget:g}: must be a number of seconds above 0")
     out = Outputs(json, report)
     std = _three(inertia_std)
     set_up_jax(not no_cache)
@@ -39,7 +51,8 @@ def unload(
     loaded = load(experiment)
     out.spare(input_files(experiment, loaded))
     try:
-        found = unloaded(loaded, effects or [], starts, std)
+        diagnosis = diagnosed(loaded, effects or [], most, starts, budget) if diagnose else None
+        found = unloaded(loaded, effects or [], starts, std, diagnosis)
     except InputError as error:
         raise InputError(f"{experiment}: {error}") from None
     out.words.print(f"{found.fit}\n{found}", soft_wrap=True)

@@ -35,12 +35,12 @@ from .planned import Outcome, Sweep, Test
 from .search import Tried
 
 _SAMPLES = 512
-_STEP = 0.2  # of an integration step, times the fastest angular frequency
+_STEP = 0.3  # of an integration step, times the fastest angular frequency
 _ELBOWS = 5  # elbow angles that are tried
 _FURTHEST = 0.75 * math.pi  # of them, unless limits are given
 _SIZES = (0.25, 0.5, 1.0)  # of the largest release
 _LOADS = (0.0, 0.5, 1.0)  # of the way from the least load to the largest
-_TWICE = 2.0  # angles, durations and loads that are tried, in those recorded, unless limited
+_TWICE = 2.0  # angles and loads that are tried, in those recorded, unless limits are given
 _DRIVES = (0.3, 1.0)  # of the largest torque of a motor
 _DURATIONS = (0.125, 0.25, 0.5, 1.0)  # of the longest
 _NEARLY = 0.95  # of what the longest recording tells, from which a shorter one is enough
@@ -91,7 +91,7 @@ def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Sett
     swing = np.array([s.amplitude for s in scene.scales])
     most = limits.each("angle", n)
     angle = np.array(most) if most else _TWICE * np.maximum(swing, 0.3 * swing.max())
-    duration = limits.duration or _TWICE * like.duration
+    duration = limits.duration or like.duration
     signs = [np.ones(1)] if n == 1 else [
         np.array(p) for p in ((1.0, 1.0), (1.0, -1.0), (1.0, 0.0), (0.0, 1.0))
     ]  # fmt: skip
@@ -114,25 +114,30 @@ def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Sett
 
 
 def _changes(experiment: Experiment, like: Recording, limits: Limits) -> list[dict]:
-    """What may be set on the rig beside the release."""
+    """What may be set on the rig beside the release: every combination."""
+    fitted = experiment.fit_recordings
+    choices: dict[str, list] = {}
     if isinstance(experiment.inertia, ArmTable):
         low, high = limits.theta2 or (-_FURTHEST, _FURTHEST)
-        elbows = list(np.linspace(low, high, _ELBOWS))
-        if low <= like.theta2 <= high:
-            elbows.append(like.theta2)
+        choices["theta2"] = _with(like.theta2, np.linspace(low, high, _ELBOWS))
         either = (True, False) if experiment.bearings else (like.air_bearings,)
-        on = limits.air_bearings or either
-        each = itertools.product(elbows, on)
-        return [{"theta2": float(e), "air_bearings": b} for e, b in dict.fromkeys(each)]
-    if isinstance(experiment.inertia, InertiaTable):
+        choices["air_bearings"] = list(limits.air_bearings or either)
+    elif isinstance(experiment.inertia, InertiaTable):
         own = float(np.asarray(experiment.inertia.matrix)[0][0])
-        largest = max([_TWICE * r.extra_mass for r in experiment.fit_recordings] + [own])
-        low, high = limits.extra_mass or (0.0, largest)
-        loads = [low + share * (high - low) for share in _LOADS]
-        if low <= like.extra_mass <= high:
-            loads.append(like.extra_mass)
-        return [{"extra_mass": float(x)} for x in dict.fromkeys(loads)]
-    return [{}]
+        largest = max([_TWICE * r.extra_mass for r in fitted] + [own])
+        masses = np.interp(_LOADS, (0, 1), limits.extra_mass or (0.0, largest))
+        choices["extra_mass"] = _with(like.extra_mass, masses)
+    loaded = max(r.load for r in fitted)
+    if limits.load or loaded > 0:
+        loads = np.interp(_LOADS, (0, 1), limits.load or (0.0, _TWICE * loaded))
+        choices["load"] = _with(like.load, loads)
+    return [dict(zip(choices, x, strict=True)) for x in itertools.product(*choices.values())]
+
+
+def _with(now: float, values: np.ndarray) -> list[float]:
+    """These values, and what is set now if it lies between them."""
+    each = [float(x) for x in values]
+    return list(dict.fromkeys([*each, *([now] if min(each) <= now <= max(each) else [])]))
 
 
 class Predictions:
@@ -235,7 +240,7 @@ def _distinct(settings: Sequence[Setting], mechanisms: Sequence) -> list:
     found = {}
     for s, m in zip(settings, mechanisms, strict=True):
         r = s.recording
-        found.setdefault((r.theta2, r.air_bearings, r.extra_mass), m)
+        found.setdefault((r.theta2, r.air_bearings, r.extra_mass), m)  # no load moves a mode
     return list(found.values())
 
 
@@ -329,6 +334,7 @@ def _test(
     told = worth(together(made), p, wanted)
     arm = isinstance(experiment.inertia, ArmTable)
     table = isinstance(experiment.inertia, InertiaTable)
+    loaded = any(x.recording.load for x in all_of_them.settings)
     k, j, readings = all_of_them.clearest(index, share)
     first, second = (models[0], models[min(1, len(models) - 1)])
     common = set(first.added) & set(second.added)
@@ -340,6 +346,7 @@ def _test(
         theta2=float(s.recording.theta2) if arm else None,
         air_bearings=s.recording.air_bearings if arm and experiment.bearings else None,
         extra_mass=float(s.recording.extra_mass) if table else None,
+        load=float(s.recording.load) if loaded else None,
         drive=s.drive,
         duration=share * all_of_them.duration,
         entropy=told.entropy,

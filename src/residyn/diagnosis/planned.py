@@ -67,6 +67,8 @@ class Test(Result):
     """Whether the bearings are on; None where there are none."""
     extra_mass: float | None
     """Load on the first coordinate, kg; None where that is not a choice."""
+    load: float | None
+    """On whatever rubs, N; None where the recordings state none."""
     drive: Sweep | None
     """What the motor does; None: nothing, the arm is released."""
     duration: float
@@ -107,6 +109,7 @@ class Test(Result):
             "theta2": self.theta2,
             "air_bearings": self.air_bearings,
             "extra_mass": self.extra_mass,
+            "load": self.load,
             "drive": None if drive is None else vars(drive) | {},
             "duration": self.duration,
             "entropy": number(self.entropy),

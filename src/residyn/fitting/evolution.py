@@ -73,7 +73,7 @@ def evolve(
     - `given`: a pytree that the objective needs; its arrays are traced, so that others of the same
       shapes run in the same compiled program. `objective` should be a function of a module.
     - `strategy`, `settings`: a name of `evosax.algorithms`, and what it takes beside `USUAL`.
-    - `one_by_one`: one individual after the other instead of abreast.
+    - `one_by_one`: one individual after the other instead of side by side.
     - `told`: called now and then with the generations done and the best objective.
     - `stop`: asked as often whether to end before all generations are done.
     - `compiled`: if given, both programs are run once before the search, and then this is called.

@@ -52,12 +52,12 @@ def read_of(recorded: Recorded) -> list[AnyArray]:
 def lay_out(
     recordings: Sequence[Recording],
     mechanisms: Sequence[AbstractMechanism],
-    wild: Sequence[np.ndarray],
+    outliers: Sequence[np.ndarray],
     steps: int,
     room: int,
     instants: int = 0,
 ) -> Recorded:
-    """Readings as they lie in `steps` equal steps a recording; `wild` (N, n) ones get no weight.
+    """Readings as they lie in `steps` equal steps a recording; `outliers` (N, n) get no weight.
 
     `instants` is the least N to lay out for.
     """
@@ -65,7 +65,7 @@ def lay_out(
     shape = len(recordings), longest, recordings[0].angle.shape[1]
     row, place = np.zeros(shape[:2], int), np.zeros(shape[:2])
     angles, weights = np.zeros(shape), np.zeros(shape)
-    for i, (r, bad) in enumerate(zip(recordings, wild, strict=True)):
+    for i, (r, bad) in enumerate(zip(recordings, outliers, strict=True)):
         count = len(r.time)
         part = (r.time - r.time[0]) / (r.time[-1] - r.time[0]) * steps
         row[i, :count] = np.clip(np.floor(part).astype(int), 0, steps - 1)

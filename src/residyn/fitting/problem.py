@@ -198,7 +198,7 @@ class Ready(NamedTuple):
     def problem(
         self,
         begin: Model,
-        wild: Sequence[np.ndarray],
+        outliers: Sequence[np.ndarray],
         like: Problem | None = None,
         fixed: bool = False,
         frequency: float | None = None,
@@ -219,12 +219,12 @@ class Ready(NamedTuple):
             instants = bucket(readings) if many else bucket(readings, *_INSTANTS)
         if like is not None:
             room, instants = max(room, like.room), max(instants, like.recorded.row.shape[-1])
-        recorded = lay_out(self.recordings, self.mechanisms, wild, steps, room, instants)
+        recorded = lay_out(self.recordings, self.mechanisms, outliers, steps, room, instants)
         memory = np.zeros(len(begin.memory))
         states = np.stack(
             [
                 np.concatenate([_first_state(r, bad, frequency), memory])
-                for r, bad in zip(self.recordings, wild, strict=True)
+                for r, bad in zip(self.recordings, outliers, strict=True)
             ]
         )
         size = self.amplitude
@@ -312,10 +312,10 @@ def ready(
     return Ready(model, tuple(recordings), mechanisms, integrator)
 
 
-def reweighted(problem: Problem, wild: Sequence[np.ndarray]) -> Problem:
-    """The problem with wild readings (N, n) taken out."""
+def reweighted(problem: Problem, outliers: Sequence[np.ndarray]) -> Problem:
+    """The problem with outliers (N, n) taken out."""
     weights = np.array(problem.recorded.weights)
-    for own, bad in zip(weights, wild, strict=True):
+    for own, bad in zip(weights, outliers, strict=True):
         own[: len(bad)] *= ~bad
     return eqx.tree_at(lambda p: p.recorded.weights, problem, weights)
 
@@ -381,12 +381,12 @@ def _rate(recording: Recording) -> np.ndarray:
     return np.quantile(rates, 0.99, axis=0)
 
 
-def _first_state(recording: Recording, wild: np.ndarray, frequency: float) -> np.ndarray:
+def _first_state(recording: Recording, outliers: np.ndarray, frequency: float) -> np.ndarray:
     """(q0, v0) from a cubic through the first quarter cycle."""
     time = recording.time - recording.time[0]
     state = []
     for joint in range(recording.angle.shape[1]):
-        use = np.flatnonzero(np.isfinite(recording.angle[:, joint]) & ~wild[:, joint])
+        use = np.flatnonzero(np.isfinite(recording.angle[:, joint]) & ~outliers[:, joint])
         count = max(8, int(np.searchsorted(time[use], 1.5 / frequency)))
         use = use[:count]
         if len(use) < 4:  # of a cubic: a segment without readings

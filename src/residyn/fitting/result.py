@@ -128,7 +128,7 @@ class Fit(TableResult):
 
     @property
     def whole(self) -> tuple[RecordingFit, ...]:
-        """`recordings`, with stretches of one recording put together again: what one draws."""
+        """`recordings`, with segments of one recording put together again: what one draws."""
         found = []
         for recording, which in by_recording([r.recording for r in self.recordings]):
             parts = [self.recordings[i] for i in which]

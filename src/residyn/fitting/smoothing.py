@@ -25,14 +25,14 @@ class Uniform(NamedTuple):
     dt: float
 
 
-def uniform(recording: Recording, wild: np.ndarray) -> Uniform:
-    """Resample to the median spacing, leaving out lost and wild readings."""
+def uniform(recording: Recording, outliers: np.ndarray) -> Uniform:
+    """Resample to the median spacing, leaving out missing readings and outliers."""
     time = recording.time
     dt = float(np.median(np.diff(time)))
     grid = np.arange(time[0], time[-1] + 1e-9 * dt, dt)
     q = np.empty((len(grid), recording.angle.shape[1]))
     good = np.ones(len(grid), bool)
-    seen = np.isfinite(recording.angle) & ~wild
+    seen = np.isfinite(recording.angle) & ~outliers
     even = len(grid) == len(time) and np.abs(grid - time).max() < _EVEN * dt
     for joint, use in enumerate(seen.T):
         if even and use.all():

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float, PyTree
 
-from .effect import AbstractEffect
+from .effect import AbstractEffect, JointEffect
 from .inertia import AbstractInertia
 from .motion import Joints, Motion, split, stack
 from .parameter import Memory, Parameter, parameters_of
@@ -56,9 +56,12 @@ class Model(eqx.Module):
             raise TypeError(f"{effect!r} is no effect: a model is a mechanism plus effects")
         if effect.label in self.labels:
             raise ValueError(f"{effect.label} is in the model already")
-        places = effect.places(self.mechanism)
-        if effect.place is not None and effect.place not in places:
-            raise ValueError(f"{effect.label}: {effect.name} goes with {', '.join(places)}")
+        if effect.place is not None:
+            # Not `places` of a joint's effect: a bare arm, or one without load, may be given one.
+            own = isinstance(effect, JointEffect)
+            places = self.mechanism.joints if own else effect.places(self.mechanism)
+            if effect.place not in places:
+                raise ValueError(f"{effect.label}: {effect.name} goes with {', '.join(places)}")
         return dataclasses.replace(self, effects=(*self.effects, effect))
 
     def __str__(self) -> str:

@@ -134,9 +134,25 @@ class Rings(NamedTuple):
     """Whether it moves away from rest without ringing, as with a negative stiffness."""
 
 
-def modes_with_errors(model: Model, fitted: Model, errors: Carried) -> Rings:
-    """Modes and their errors; `errors` are those of the model `fitted`, of which `model` may lack
-    some effects."""
+class ModeSlopes(NamedTuple):
+    """A mode that rings: frequency (Hz) and damping ratio, and their slopes."""
+
+    values: np.ndarray
+    """(2,)"""
+    by_number: np.ndarray
+    """(2, P), inertias held."""
+    by_inertia: np.ndarray
+    """(2, 3), numbers held."""
+
+
+def slopes_of_modes(model: Model, fitted: Model) -> list[ModeSlopes]:
+    """The modes that ring, lowest first, with slopes in the numbers of the model `fitted`, of which
+    `model` may lack some effects."""
+    return _slopes_of_modes(model, fitted)[0]
+
+
+def _slopes_of_modes(model: Model, fitted: Model) -> tuple[list[ModeSlopes], np.ndarray]:
+    """They, and the state matrix."""
     # Friction of a point in the plane is smoothed near rest: that slope is the integrator's.
     for label in [e.label for e in model.effects if e.grips]:
         model = model.without(label)
@@ -145,13 +161,25 @@ def modes_with_errors(model: Model, fitted: Model, errors: Carried) -> Rings:
     matrix, values, by_number, by_inertia = map(np.asarray, _modes_and_slopes(model))
     slopes = np.zeros((*values.shape, len(names)))
     slopes[..., kept] = by_number
+    found = [
+        ModeSlopes(values[:, i], slopes[:, i], by_inertia[:, i])
+        for i, (frequency, damping) in enumerate(values.T)
+        if frequency > 0 and abs(damping) < 1 - 1e-9
+    ]
+    return found, matrix
+
+
+def modes_with_errors(model: Model, fitted: Model, errors: Carried) -> Rings:
+    """Modes and their errors; `errors` are those of the model `fitted`, of which `model` may lack
+    some effects."""
+    each, matrix = _slopes_of_modes(model, fitted)
     found = []
-    for i, (frequency, damping) in enumerate(values.T):
-        if frequency > 0 and abs(damping) < 1 - 1e-9:
-            spread = [
-                errors.std(float(values[j, i]), slopes[j, i], by_inertia[j, i]) for j in (0, 1)
-            ]
-            found.append(Mode(float(frequency), spread[0], float(damping), spread[1]))
+    for m in each:
+        frequency, damping = (
+            (float(x), errors.std(float(x), n, i))
+            for x, n, i in zip(m.values, m.by_number, m.by_inertia, strict=True)
+        )
+        found.append(Mode(*frequency, *damping))
     roots = np.linalg.eigvals(matrix)
     size = np.abs(roots)
     away = (np.abs(roots.imag) < _REAL * size) & (roots.real > _AWAY * size.max())

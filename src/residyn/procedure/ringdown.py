@@ -44,20 +44,41 @@ def ring_down(
 ) -> RingDown:
     """Let a model go at rest from `q0`; `errors` are those of the model `fitted`, of which `model`
     may lack some effects. Without `draws` there is no band."""
+    path, found = draws_of(model, fitted, errors, times, q0, draws, seed)
+    return band_of(path, found)
+
+
+def draws_of(
+    model: Model,
+    fitted: Model,
+    errors: Carried,
+    times: Float[np.ndarray, " N"],
+    q0: Float[Array, " n"],
+    draws: int,
+    seed: int,
+) -> tuple[Trajectory, np.ndarray]:
+    """The motion of `ring_down`, and that of each draw (draws, N, n); of none where the recordings
+    leave a number open."""
     steps = steps_for(model, float(times[-1] - times[0]))
     names = [n.name for n in fitted.fitted]
     kept = [names.index(n.name) for n in model.fitted]
     open_to = bool(np.abs(errors.unseen[:, kept]).max(initial=0.0) > 0)
     path = simulate(model, times, q0, steps=steps)
     if open_to or draws == 0 or not np.isfinite(errors.numbers).all():
-        return RingDown(path, None, None)
+        return path, np.zeros((0, *np.shape(path.q)))
     rng = np.random.default_rng(seed)
     inertia = rng.standard_normal((draws, 3)) @ _root(errors.inertia).T
     own = rng.standard_normal((draws, len(names))) @ _root(errors.numbers).T
     numbers = (own + inertia @ errors.moved.T)[:, kept]
     found = np.asarray(_simulated(model, numbers, inertia, jnp.asarray(times), q0, steps))
     # What a draw cannot follow (a stiffness below zero, an arm that is none) lies outside.
-    found = np.where(np.isfinite(found), found, np.inf)
+    return path, np.where(np.isfinite(found), found, np.inf)
+
+
+def band_of(path: Trajectory, found: np.ndarray) -> RingDown:
+    """A motion with the band that holds 95 % of the draws (draws, N, n), if there are any."""
+    if not len(found):
+        return RingDown(path, None, None)
     low, high = np.percentile(found, _EDGES, axis=0, method="nearest")
     return RingDown(path, low, high)
 

@@ -12,16 +12,17 @@ from collections.abc import Callable, Sequence
 import jax
 import numpy as np
 
+from ..diagnosis import Diagnosis
 from ..effects import AbstractEffect
 from ..errors import InputError
 from ..fitting import DEFAULT_STARTS, Fit, FitError, RecordingFit, fit, mechanism_of, model_for
-from ..physics.mechanism import AbstractMechanism
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
 from ..recordings.tables import ArmTable
 from .carried import NAMES, Carried, carried, modes_with_errors
 from .inertia import inertia
+from .over_models import over_models
 from .result import InertiaResult
 from .unloaded import BareCheck, Pose, Unloading
 
@@ -34,6 +35,7 @@ def unload(
     effects: Sequence[str | AbstractEffect] = (),
     starts: int = DEFAULT_STARTS,
     inertia_std: Sequence[float] | np.ndarray | None = None,
+    diagnosis: Diagnosis | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Unloading:
     """Fit an arm on its air bearings, and take the bearings off: inertia, drag and friction.
@@ -49,6 +51,8 @@ def unload(
     - `inertia_std`: what step 1 leaves uncertain in shoulder, elbow (kg m^2) and coupling (kg m),
       bearings on: (3,) standard errors, or their (3, 3) covariance. If not given, that of the
       experiment's own recordings with `role = "inertia"`; without those the inertias are exact.
+    - `diagnosis`: of this experiment, from `residyn.diagnose`. Then the model is its likeliest one,
+      and `over_models` of the result has the modes without bearings over all models in play.
 
     **Returns:** an `Unloading`.
 
@@ -58,16 +62,23 @@ def unload(
     began = time.perf_counter()
     say = progress or (lambda words: None)
     _check(experiment)
+    if diagnosis is not None and (diagnosis.search is None or diagnosis.fits.whole != experiment):
+        raise ValueError("this diagnosis is of another experiment, or has not kept its search")
     given = None if inertia_std is None else _covariance(inertia_std)
     with jax.enable_x64(True):
-        effects = _named(experiment, effects)
-        fitted = fit(experiment, effects=effects, starts=starts, progress=say)
+        if diagnosis is None:
+            effects = _named(experiment, effects)
+            fitted = fit(experiment, effects=effects, starts=starts, progress=say)
+        else:
+            fitted = diagnosis.fit
+            effects = [e for e in fitted.model.effects if e.name not in _BASE]
         step_1 = None if given is not None else _step_1(experiment, say)
         covariance = step_1.covariance if isinstance(step_1, InertiaResult) else given
         say("carrying the errors over")
         errors = carried(fitted, covariance)
         off = tuple(e.label for e in fitted.model.effects if e.of_bearings)
         poses = tuple(_pose(fitted, r, errors) for r in _poses(experiment))
+        over = diagnosis and over_models(diagnosis, covariance, _poses(experiment), _bare, say)
         checks = []
         for beside in fitted.recordings:
             if beside.recording.role == "check" and not beside.recording.air_bearings:
@@ -80,6 +91,7 @@ def unload(
         check=tuple(checks),
         inertia_covariance=covariance,
         errors=errors,
+        over_models=over,
         step_1=step_1,
         seconds=time.perf_counter() - began,
     )
@@ -155,16 +167,17 @@ def _poses(experiment: Experiment) -> list[Recording]:
     return found
 
 
-def _at(fitted: Fit, recording: Recording, on: bool) -> AbstractMechanism:
-    """The arm in a recording's pose, with its bearings on or off (Eq. 5)."""
-    return mechanism_of(fitted.experiment, dataclasses.replace(recording, air_bearings=on))
+def _bare(experiment: Experiment, model: Model, recording: Recording) -> Model:
+    """A model in a recording's pose, without bearings and what they do (Eq. 18)."""
+    mechanism = mechanism_of(experiment, dataclasses.replace(recording, air_bearings=False))
+    return without_effects_of_bearings(dataclasses.replace(model, mechanism=mechanism))
 
 
 def _models(fitted: Fit, recording: Recording) -> tuple[Model, Model]:
     """With bearings, and without them and what they do (Eq. 18)."""
-    on = dataclasses.replace(fitted.model, mechanism=_at(fitted, recording, True))
-    off = dataclasses.replace(fitted.model, mechanism=_at(fitted, recording, False))
-    return on, without_effects_of_bearings(off)
+    on = mechanism_of(fitted.experiment, dataclasses.replace(recording, air_bearings=True))
+    with_them = dataclasses.replace(fitted.model, mechanism=on)
+    return with_them, _bare(fitted.experiment, fitted.model, recording)
 
 
 def _pose(fitted: Fit, recording: Recording, errors: Carried) -> Pose:

@@ -14,6 +14,7 @@ from ..runtime.presentation import Result
 from ..simulation.interpolation import Trajectory
 from .carried import NAMES, Carried, inertias
 from .decay import decay_of
+from .over_models import OverModels
 from .result import InertiaResult
 from .ringdown import DRAWS, RingDown, ring_down
 
@@ -117,6 +118,8 @@ class Unloading(Result):
     """Step 1 from the experiment's own driven tests, or why it cannot be done; None without any, or
     where its covariance was given."""
     seconds: float
+    over_models: OverModels | None = None
+    """The same over all models of a diagnosis, if there was one."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -212,6 +215,7 @@ class Unloading(Result):
             if self.inertia_covariance is None
             else dict(zip(NAMES, np.sqrt(np.diag(self.inertia_covariance)).tolist(), strict=True)),
             "physical": self.physical,
+            "over_models": None if self.over_models is None else self.over_models.to_dict(),
             "seconds": self.seconds,
             "warnings": [*self.fit.warnings, *self.warnings],
         }

@@ -7,14 +7,14 @@ from typing import Any
 
 from ..errors import InputError, number, quote
 
-KEYS = ("angle", "theta2", "air_bearings", "extra_mass", "duration", "drive")
+KEYS = ("angle", "theta2", "air_bearings", "extra_mass", "load", "duration", "drive")
 
 
 @dataclass(frozen=True)
 class Limits:
     """Limits of the next tests. What is None is not limited beyond what `residyn plan` tries by
-    itself: twice the angles and durations that were recorded, every elbow angle, bearings on and
-    off, twice the load, no motor."""
+    itself: twice the angles and loads that were recorded, as long as the longest, every elbow
+    angle, bearings on and off, no motor."""
 
     angle: Any = None
     """Largest angle at release, rad (m): a number, or one for each joint."""
@@ -24,6 +24,8 @@ class Limits:
     """true, false, or [true, false]: whether tests are made on the bearings, off them, or both."""
     extra_mass: Any = None
     """Least and largest load on the first coordinate, kg (constant inertia only)."""
+    load: Any = None
+    """Least and largest load on whatever rubs, N."""
     duration: Any = None
     """Longest recording, s."""
     drive: Any = None
@@ -38,7 +40,11 @@ class Limits:
                 if not each or (key == "angle" and not any(each)):
                     raise InputError(f"{key} = {quote(given)}: must be above 0 somewhere ({unit})")
                 object.__setattr__(self, key, tuple(each) if several else each[0])
-        for key, unit, least in (("theta2", "rad", -math.inf), ("extra_mass", "kg", 0.0)):
+        for key, unit, least in (
+            ("theta2", "rad", -math.inf),
+            ("extra_mass", "kg", 0.0),
+            ("load", "N", 0.0),
+        ):
             given = getattr(self, key)
             if given is not None:
                 right = f"must be two numbers ({unit}), the lower one first, as [a, b]"

@@ -13,6 +13,7 @@ _ABOUT = {
     "Atlas": "detectable",
     "InertiaResult": "inertia",
     "Unloading": "unload",
+    "OverModels": "over_models",
     "Race": "race",
 }
 

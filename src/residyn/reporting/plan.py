@@ -40,6 +40,8 @@ def setting_words(test: Test) -> str:
         words.append("on the air bearings" if test.air_bearings else "without the air bearings")
     if test.extra_mass is not None:
         words.append(f"with {plain(test.extra_mass, 3)} kg of load" if test.extra_mass else "bare")
+    if test.load is not None:
+        words.append(f"under a load of {plain(test.load, 3)} N")
     return ", ".join(words)
 
 

@@ -27,6 +27,7 @@ from .inertia import at_odds
 from .layout import Table, filled, printed, section, warned
 from .names import at_place, lower, unbroken, upper
 from .numbers import amount, plain, times, with_error
+from .over_models import models_table, modes_tables, narrowing_words
 
 _POOR = 0.05
 """Relative error of a predicted damping ratio beyond which it is said to be poor."""
@@ -271,6 +272,8 @@ def text(found: Unloading) -> str:
         if not pose.physical:
             lines += filled(_NOT_PHYSICAL, "    ")
     lines += filled(exact_words(found), "    ")
+    if found.over_models is not None:
+        lines.append(str(found.over_models))
     if found.check:
         note = "held-out recordings without bearings, predicted; the lowest mode's errors"
         lines += section("Check", note)
@@ -321,6 +324,12 @@ def page(found: Unloading) -> dict[str, Any]:
         "ring_down": plot.picture(words, plot.ring_down, found, sides),
         "band": unbroken(_band(found, sides)),
         "poses": [(plain(p.theta2, 4), _modes_table(p)) for p in found.poses],
+        "over": found.over_models
+        and {
+            "models": models_table(found.over_models),
+            "poses": modes_tables(found.over_models),
+            "narrows": narrowing_words(found.over_models),
+        },
         "exact": exact_words(found),
         "taken_off": _taken_off(found),
         "inertias": _inertias_table(found),

@@ -15,7 +15,7 @@ import jinja2
 import markupsafe
 
 from ...diagnosis.result import Diagnosis
-from .payload import payload
+from .payload import packed, payload
 from .study import Study
 
 _STATIC = importlib.resources.files("residyn.reporting.explorer") / "static"
@@ -99,7 +99,7 @@ def _embedded(data: dict[str, Any]) -> str:
             licence=static("uPlot.LICENSE.txt").splitlines()[2],
             uplot=markupsafe.Markup(static("uPlot.iife.min.js")),
             modules=_json({"imports": addresses}),
-            payload=_json(data),
+            payload=_json(packed(data)),
         )
     )
 

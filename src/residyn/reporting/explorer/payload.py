@@ -1,30 +1,32 @@
-"""What a page holds, as data: plain JSON, arrays as base64.
+"""What a page holds, as data: JSON, with all arrays in one compressed block of bytes.
 
 Everything that decides is in full double precision (Gram matrices); what is only drawn is at most
 `POINTS` instants of a recording, in 16 bits of its own range.
 """
 
 import base64
+import dataclasses
 import functools
+import math
+import zlib
 from collections.abc import Callable, Sequence
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import jax
 import numpy as np
 
 from ... import __version__
-from ...diagnosis.columns import Columns, strengths
-from ...diagnosis.evidence import FURTHER, INDISTINGUISHABLE, signed, width_of
+from ...diagnosis.columns import strengths
+from ...diagnosis.evidence import FURTHER, signed, width_of
 from ...diagnosis.missing_torque import missing_of
 from ...filtering.law import numbers_of
-from ...filtering.trajectory import Scene, Trajectory, number_slices
+from ...filtering.trajectory import Trajectory, number_slices
 from ...fitting.result import Fit
 from ...recordings.segments import by_recording
-from ...runtime.json import finite
-from .first_order import ErrorGram
+from .first_order import ErrorGram, FirstOrder
 from .study import Study
 
-POINTS = 1000
+POINTS = 800
 """Instants of a recording that are drawn."""
 _RECORDINGS = 8  # that are drawn, at most
 
@@ -44,23 +46,45 @@ def _in_double(work: Callable[_P, _R]) -> Callable[_P, _R]:
     return wrapped
 
 
-def floats(x) -> dict[str, Any]:
-    """An array in double precision."""
-    x = np.ascontiguousarray(x, "<f8")
-    return {"f8": base64.b64encode(x.tobytes()).decode(), "shape": list(x.shape)}
+class Drawn(NamedTuple):
+    """An array that is only drawn."""
+
+    values: Any
 
 
-def shorts(x) -> dict[str, Any]:
-    """An array in 16 bits of its largest size; what is not finite is -32768."""
-    x = np.asarray(x, float)
-    seen = np.isfinite(x)
-    size = float(np.max(np.abs(x[seen]), initial=0.0)) / 32767 or 1.0
-    whole = np.where(seen, np.round(np.where(seen, x, 0.0) / size), -32768).astype("<i2")
-    return {
-        "i2": base64.b64encode(np.ascontiguousarray(whole).tobytes()).decode(),
-        "scale": size,
-        "shape": list(x.shape),
-    }
+def packed(tree: Any) -> dict[str, Any]:
+    """Any nesting of dictionaries and lists as plain JSON: `tree`, in which an array is where its
+    bytes begin in `bytes`, and what is not finite is null.
+
+    Doubles as they are, `Drawn` in 16 bits of its largest size and as second differences along the
+    last axis, which are small; the first bytes of all numbers first, and so on. Then zlib.
+    """
+    block = bytearray()
+
+    def put(whole: np.ndarray, **about: Any) -> dict[str, Any]:
+        about = {"at": len(block), "shape": list(whole.shape), **about}
+        size = whole.dtype.itemsize
+        block.extend(np.ascontiguousarray(whole).view("u1").reshape(-1, size).T.tobytes())
+        return about
+
+    def walk(x: Any) -> Any:
+        if isinstance(x, Drawn):
+            values = np.asarray(x.values, float)
+            seen = np.isfinite(values)
+            size = float(np.max(np.abs(values[seen]), initial=0.0)) / 32767 or 1.0
+            whole = np.where(seen, np.round(np.where(seen, values, 0.0) / size), -32768)
+            steps = np.diff(np.diff(whole.astype("<i4"), prepend=0), prepend=0)
+            return put(steps.astype("<u2"), scale=size)
+        if isinstance(x, np.ndarray):
+            return put(x.astype("<f8"))
+        if isinstance(x, dict):
+            return {key: walk(value) for key, value in x.items()}
+        if isinstance(x, list | tuple):
+            return [walk(value) for value in x]
+        return None if isinstance(x, float) and not math.isfinite(x) else x
+
+    found = walk(tree)
+    return {"tree": found, "bytes": base64.b64encode(zlib.compress(bytes(block), 9)).decode()}
 
 
 def thinned(count: int) -> np.ndarray:
@@ -78,10 +102,9 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
     experiment, search = study.experiment, study.search
     units = experiment.units or ("rad",) * len(experiment.joints)
     order = [s.effect.label for s in study.screen.ranked]
-    first = study.first_order()
-    shown = _shown(study)
     held = "check recordings" if experiment.check_recordings else "last third"
-    return finite({
+    first = study.first_order()
+    return {
         "version": __version__,
         "live": live,
         "name": name,
@@ -91,40 +114,27 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
         "base": list(search.fixed),
         "with": [e if isinstance(e, str) else e.label for e in study.effects],
         "held_out": held,
-        "noise": study.fit(()).noise.tolist(),
-        "recordings": [_recording(r) for r in shown],
+        "recordings": [_recording(r) for r in _shown(study)],
         "candidates": [_candidate(study, label) for label in order],
         "prior": {"further": FURTHER, "candidates": len(search.candidates)},
-        "indistinguishable": INDISTINGUISHABLE,
         "screen": _screen(study),
-        "first": None if first is None else {
-            "fitted": _errors(first.fitted),
-            "held_out": _errors(first.held_out),
-            "predicted": [
-                _response(first.time[i], first.predicted[i]) for i in range(len(shown))
-            ],
-        },
+        "first": None if first is None else _first(study, first),
         "missing": _missing(study),
         **searched(study),
-    })  # fmt: skip
+    }  # fmt: skip
 
 
 @_in_double
-def searched(study: Study) -> dict[str, Any]:
-    """What a search and fits have added since: `tried`, `screened`, `fits`, `verdict`."""
+def searched(study: Study, since: int = 0) -> dict[str, Any]:
+    """What a search and fits have added: `tried`, `screened`, `verdict`, and `fits` but for the
+    first `since` of them; how many there are is `known`."""
     found = study.found
-    tried = list(study.search.tried.values())
-    fits = [fitted(study, sorted(k), f) for k, f in list(study.fits.items())]
-    known = {tuple(f["added"]) for f in fits}
-    fits += [
-        f for t in tried if tuple(sorted(t.added)) not in known and (f := smoothed(study, t.added))
-    ]
-    return finite({
+    tried, fits = list(study.search.tried.values()), list(study.fits.items())
+    return {
         "tried": [
             {
                 "added": list(t.added),
                 "log_evidence": t.log_evidence - study.search.base.log_evidence,
-                "complete": t.complete,
             }
             for t in tried
         ],
@@ -133,7 +143,12 @@ def searched(study: Study) -> dict[str, Any]:
             for key, screen in list(study.search.screens.items())
             if key
         ],
-        "fits": fits,
+        "fits": [fitted(study, sorted(k), f) for k, f in fits[since:]]
+        + [
+            f for t in tried
+            if frozenset(t.added) not in study.fits and (f := refitted(study, t.added))
+        ],
+        "known": len(fits),
         "verdict": None if found is None else {
             "verdict": found.verdict,
             "probability": found.verdict_probability,
@@ -141,72 +156,71 @@ def searched(study: Study) -> dict[str, Any]:
             "words": list(found.words),
             "lookalikes": [list(x) for x in found.lookalikes],
         },
-    })  # fmt: skip
+    }  # fmt: skip
 
 
 @_in_double
 def fitted(study: Study, added: Sequence[str], found: Fit, held: Sequence[str] = ()):
     """One least-squares fit; numbers by the names in `held` were not fitted."""
-    beside = study.held_out(added, found)
     shown = {id(r): i for i, r in enumerate(_shown(study))}
     curves: list[Any] = [None] * len(shown)
     for one in found.whole:
         i = shown.get(id(one.recording))
         if i is not None:
-            curves[i] = shorts(one.predicted[thinned(len(one.recording.time))].T)
-    return finite({
+            curves[i] = Drawn(one.predicted[thinned(len(one.recording.time))].T)
+    return {
         "added": list(added),
         "how": "refitted",
         "fitted": (found.rmse / found.noise).tolist(),
-        "held_out": None if beside is None else beside.tolist(),
+        "held_out": _listed(study.held_out(added, found)),
         "numbers": [
-            {"name": n.name, "words": n.words, "value": n.value, "std": n.std, "unit": n.unit,
-             "held": n.name in held, "positive": n.sign == "positive"}
-            for n in found.numbers
+            _number(n.name, n.value, n.std, n.unit, n.sign, held) for n in found.numbers
         ],
         "curves": curves,
-        "torque": _torque(study, found),
-        "seconds": found.seconds,
-    })  # fmt: skip
+        "torque": _torque(study, study.motion(added), {n.name: n.value for n in found.numbers}),
+    }  # fmt: skip
 
 
 @_in_double
-def smoothed(study: Study, added: Sequence[str]) -> dict[str, Any] | None:
-    """A fit by the smoother; None if it does not settle."""
-    found = study.quick(added)
+def refitted(study: Study, added: Sequence[str]) -> dict[str, Any] | None:
+    """Least squares by the smoother; None if it does not settle."""
+    found = study.refit(added)
     if found is None:
         return None
     scene, path, shown = study.search.scene, found.path, _shown(study)
-    seen = np.asarray(scene.linearised(path).seen)
     curves: list[Any] = [None] * len(shown)
     for i, r in enumerate(scene.recordings[: len(shown)]):
         own = np.flatnonzero((scene.grid.run == i) & (np.arange(scene.K) < scene.grid.real))
         at = r.time[thinned(len(r.time))] - r.time[0]
-        curves[i] = shorts([np.interp(at, scene.grid.time[own], x) for x in seen[own].T])
+        curves[i] = Drawn([np.interp(at, scene.grid.time[own], x) for x in found.predicted[own].T])
     units = scene.mechanisms[0].units
     numbers: list[dict[str, Any]] = []
-    assert path.covariance is not None
     slopes = path.prior.slopes(path.u)
     grown = np.maximum(1.0, np.max(found.fitted))  # where the residual is no noise
     spread = grown * np.sqrt(np.diag(path.covariance)[: len(slopes)]) * np.abs(slopes)
     for effect, own in zip(path.effects, number_slices(path.effects), strict=True):
         unit = units[scene.joint_of(effect)] if units else None
         for n, x, std in zip(numbers_of(effect), path.numbers[own], spread[own], strict=True):
-            numbers.append({
-                "name": f"{effect.label}.{n.name}", "words": n.words, "value": float(x),
-                "std": float(std), "unit": n.dimension.unit(unit), "held": False,
-                "positive": n.sign == "positive",
-            })  # fmt: skip
+            name = f"{effect.label}.{n.name}"
+            numbers.append(_number(name, float(x), float(std), n.dimension.unit(unit), n.sign))
     return {
         "added": sorted(added),
         "how": "smoothed",
         "fitted": found.fitted.tolist(),
-        "held_out": None if found.held_out is None else found.held_out.tolist(),
+        "held_out": _listed(found.held_out),
         "numbers": numbers,
         "curves": curves,
-        "torque": _along_itself(study, path),
-        "seconds": None,
+        "torque": _torque(study, path),
     }
+
+
+def _number(name: str, value: float, std: float, unit: str, sign: str, held: Sequence[str] = ()):
+    return {"name": name, "value": value, "std": std, "unit": unit, "held": name in held,
+            "positive": sign == "positive"}  # fmt: skip
+
+
+def _listed(x: np.ndarray | None) -> list[float] | None:
+    return None if x is None else x.tolist()
 
 
 # -- parts -----------------------------------------------------------------------------------
@@ -225,8 +239,8 @@ def _recording(r):
         "role": r.role,
         "start": float(r.time[0]),
         "noise": r.noise.tolist(),
-        "time": floats(r.time[at] - r.time[0]),
-        "angle": shorts(r.angle[at].T),
+        "time": r.time[at] - r.time[0],
+        "angle": Drawn(r.angle[at].T),
     }
 
 
@@ -245,9 +259,10 @@ def _candidate(study: Study, label: str):
         "equation": effect.equation,
         "looks_like": effect.looks_like,
         "extends": effect.extends,
+        "rough": effect.dry or effect.follows,
+        "columns": list(next(r.which for r in study.columns.rows if r.effect.label == label)),
         "rows": [list(r.which) for r in rows],
         "best": [r.which for r in rows].index(s.which),
-        "gain": s.gain,
         "oscillates": effect.oscillates is not None,
         "shape": [
             {"name": n.name, "words": n.words, "value": s.shape[n.field],
@@ -273,37 +288,42 @@ def _screen(study: Study):
     screen = study.screen
     return {
         "weights": list(map(float, screen.weights)),
-        "grams": [floats(_upper(g)) for g in screen.grams],
+        "grams": [_upper(g) for g in screen.grams],
         "size": len(screen.grams[0]),
-        "likeliest_base_means": [floats(m) for m in screen.base_means],
+        "likeliest_base_means": list(screen.base_means),
     }
 
 
 def _upper(g: np.ndarray) -> np.ndarray:
-    return g[np.triu_indices(len(g))]
+    """The upper triangles (..., n (n + 1) / 2) of symmetric matrices."""
+    rows, columns = np.triu_indices(g.shape[-1])
+    return g[..., rows, columns]
 
 
-def _errors(e: ErrorGram):
+def _first(study: Study, first: FirstOrder):
+    """The first order; each column's predictions by themselves."""
+
+    def errors(e: ErrorGram):
+        return {"size": e.solve.shape[-1], "solve": _upper(e.solve), "joints": _upper(e.joints),
+                "noise": e.noise.tolist(), "readings": e.readings.tolist()}  # fmt: skip
+
+    def response(time: np.ndarray, predicted: np.ndarray):
+        at = thinned(len(time))
+        base, *columns = np.moveaxis(predicted[at], -1, 0)
+        return {"time": time[at], "base": Drawn(base.T), "columns": [Drawn(c.T) for c in columns]}
+
+    shown = range(len(_shown(study)))
     return {
-        "solve": floats(e.solve),
-        "joints": floats(e.joints),
-        "noise": e.noise.tolist(),
-        "readings": e.readings.tolist(),
+        "fitted": errors(first.fitted),
+        "held_out": errors(first.held_out),
+        "predicted": [response(first.time[i], first.predicted[i]) for i in shown],
     }
-
-
-def _response(time: np.ndarray, predicted: np.ndarray):
-    """A recording's predictions (N, n, 1 + C), each column in 16 bits of its own."""
-    at = thinned(len(time))
-    base, *columns = np.moveaxis(predicted[at], -1, 0)
-    return {"time": floats(time[at]), "base": shorts(base.T),
-            "columns": [shorts(c.T) for c in columns]}  # fmt: skip
 
 
 def _missing(study: Study):
     search = study.search
     scene, g = search.scene, search.scene.grid
-    columns = study.columns()
+    columns = study.columns
     P = sum(len(numbers_of(e)) for e in study.loud.effects)
     by_number = np.moveaxis(np.asarray(columns.linear.by_number), -1, 0)
     found = []
@@ -314,8 +334,8 @@ def _missing(study: Study):
         found.append({
             "recording": each.recording,
             "units": list(each.units),
-            "time": floats(t.time[at] - scene.recordings[i].time[0]),
-            **{k: shorts(getattr(t, k)[at].T)
+            "time": t.time[at] - scene.recordings[i].time[0],
+            **{k: Drawn(getattr(t, k)[at].T)
                for k in ("angle", "rate", "amplitude", "torque", "std")},
             "columns": _sparse(columns.torque[own[at]]),
             "base": _sparse(by_number[own[at]][..., :P]),
@@ -326,56 +346,23 @@ def _missing(study: Study):
 def _sparse(x: np.ndarray):
     """Columns (N, n, C): for each its nonzero joints."""
     return [
-        {str(j): shorts(x[:, j, c]) for j in range(x.shape[1]) if np.any(x[:, j, c])}
+        {str(j): Drawn(x[:, j, c]) for j in range(x.shape[1]) if np.any(x[:, j, c])}
         for c in range(x.shape[2])
     ]
 
 
-def _torque(study: Study, found: Fit):
-    """Per drawn fitted recording (n, N): the torque that a fit says the base model lacks along the
-    smoothed motion: that of its further effects, and of the change of the others' numbers."""
-    search, t = study.search, study.loud
-    scene, g = search.scene, search.scene.grid
-    known = search.tried.get(frozenset(found.model.labels) - frozenset(search.base.best.labels))
-    if known is not None:  # along its own smoothed motion, where it sticks as it should
-        return _along_itself(study, known.best)
-    values = {n.name: n.value for n in found.numbers}
-    names = [f"{e.label}.{n.name}" for e in t.effects for n in numbers_of(e)]
-    numbers = np.array([values[n] for n in names])
-    change = t.prior.regressors(numbers) - t.u[: len(numbers)]
-    by_number = np.moveaxis(np.asarray(scene.linearised(t).by_number), -1, 0)
-    total = by_number[..., : len(change)] @ change
-    for effect in found.model.effects:
-        if effect.label in t.labels or effect.senses:
-            continue
-        own = numbers_of(effect)
-        value = {n.field: values[f"{effect.label}.{n.name}"] for n in own}
-        shape = {n.field: value[n.field] for n in own if n.silent is None}
-        columns = Columns(scene, t, [effect], [], {effect.label: shape}).torque
-        u = np.array([
-            (value[n.field] - float(n.silent or 0.0)) / width_of(scene, effect, n)
-            for n in strengths(effect)
-        ])  # fmt: skip
-        if effect.oscillates:  # the phase is the recording's own: whatever it lacks most
-            lacks = missing_of(scene, search.base)
-            lack = np.concatenate([m.torque.torque for m in lacks]).ravel()
-            u = np.linalg.lstsq(columns[: g.real].reshape(len(lack), -1), lack, rcond=None)[0]
-        total = total + columns @ u
-    return _cut(scene, total)
-
-
-def _along_itself(study: Study, path: Trajectory) -> list[dict[str, Any]]:
-    """The torque that a model has beyond the base model's, each along its own motion."""
-    scene = study.search.scene
-    own, before = (scene.torques(t) for t in (path, study.search.base.best))
-    total = np.sum([*own.values()], axis=0) - np.sum([*before.values()], axis=0)
-    return _cut(scene, total)
-
-
-def _cut(scene: Scene, torque: np.ndarray) -> list[dict[str, Any]]:
-    """A torque (K, n), thinned, for each recording that is drawn."""
-    g, out = scene.grid, []
-    for i in range(min(len(scene.recordings), _RECORDINGS)):
-        own = np.flatnonzero((g.run == i) & (np.arange(scene.K) < g.real))
-        out.append(shorts(torque[own[thinned(len(own))]].T))
+def _torque(study: Study, path: Trajectory, values: dict[str, float] | None = None):
+    """Per drawn fitted recording (n, N): the torque that a model has beyond the base model's, each
+    along its own motion; with the numbers of a fit, if those are given."""
+    if values is not None:
+        names = [f"{e.label}.{n.name}" for e in path.effects for n in numbers_of(e)]
+        numbers = np.array([values[n] for n in names])
+        u = np.zeros_like(path.u)
+        u[: len(numbers)] = path.prior.regressors(numbers)
+        path = dataclasses.replace(path, u=u)
+    torque = study.torque(path) - study.base_torque
+    g, out = study.search.scene.grid, []
+    for i in range(min(len(study.search.scene.recordings), _RECORDINGS)):
+        own = np.flatnonzero((g.run == i) & (np.arange(len(torque)) < g.real))
+        out.append(Drawn(torque[own[thinned(len(own))]].T))
     return out

@@ -25,6 +25,7 @@ from ...recordings.experiment import Experiment
 from . import page
 from .files import ExperimentFiles
 from .hidden import hide_one
+from .payload import packed
 from .workbench import Workbench, Worker
 
 POLICY = (
@@ -57,7 +58,8 @@ class Explorer:
     ):
         """`name` of the experiment on a command line; `files`: where it was read from."""
         self.token, self.name, self.effects = token or secrets.token_urlsafe(24), name, effects
-        self.worker, self.quick_worker = Worker(), Worker()
+        newest: dict[str, int] = {}
+        self.worker, self.quick_worker = Worker(newest), Worker(newest)
         self.studies = {0: Workbench(experiment, effects, name, files)}
         self.random = np.random.default_rng()
 
@@ -71,7 +73,6 @@ class Explorer:
             Route(f"{base}/api/{{study:int}}/payload", self._payload),
             Route(f"{base}/api/{{study:int}}/searched", self._searched),
             Route(f"{base}/api/{{study:int}}/fit", self._fit, methods=["POST"]),
-            Route(f"{base}/api/{{study:int}}/quick", self._quick, methods=["POST"]),
             Route(f"{base}/api/{{study:int}}/reload", self._reload, methods=["POST"]),
             Route(f"{base}/api/{{study:int}}/hide", self._hide, methods=["POST"]),
             Route(f"{base}/api/{{study:int}}/reveal", self._reveal, methods=["POST"]),
@@ -115,29 +116,25 @@ class Explorer:
         bench = self._bench(request)
         if bench is None or bench.study is None:
             return _gone()
-        return JSONResponse(await self.worker.do(bench.searched))
+        since = request.query_params.get("since", "0")
+        since = int(since) if since.isdigit() else 0
+        return JSONResponse(await self.worker.do(lambda: packed(bench.searched(since))))
 
     async def _fit(self, request: Request) -> Response:
-        return await self._fitted(request, self.worker, lambda bench: bench.fit)
-
-    async def _quick(self, request: Request) -> Response:
-        def quick(bench: Workbench):
-            return lambda added, held: bench.quick(added)
-
-        return await self._fitted(request, self.quick_worker, quick)
-
-    async def _fitted(self, request: Request, worker: Worker, how) -> Response:
         bench = self._bench(request)
         if bench is None or bench.study is None:
             return _gone()
         asked = await _asked(request)
         try:
-            window, number = str(asked["window"]), int(asked["number"])
+            window, number, quick = str(asked["window"]), int(asked["number"]), asked["quick"]
             added = [str(x) for x in asked["added"]]
             held = {str(k): float(v) for k, v in asked.get("held", {}).items()}
         except (KeyError, TypeError, ValueError, AttributeError):
-            return JSONResponse({"error": "a fit needs window, number and added"}, 400)
-        found = await worker.newest(window, number, lambda: how(bench)(added, held))
+            return JSONResponse({"error": "a fit needs window, number, added and quick"}, 400)
+        worker = self.quick_worker if quick is True else self.worker
+        found = await worker.newest(
+            window, number, lambda: packed(bench.fit(added, held, quick is True))
+        )
         return JSONResponse({"superseded": True} if found is None else found)
 
     async def _reload(self, request: Request) -> Response:

@@ -5,8 +5,9 @@ order of all candidates; the search adds tried models; and any set of effects th
 is fitted by least squares, from the tried model where there is one, else from the first order.
 """
 
+import copy
 import dataclasses
-import threading
+import functools
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
@@ -19,33 +20,47 @@ from ...diagnosis.columns import Columns, Screened, extended
 from ...diagnosis.diagnose import MOST_EFFECTS, Fits, concluded
 from ...diagnosis.evidence import INTENSITIES, prior_of
 from ...diagnosis.forecast import HeldOut, held_out
-from ...diagnosis.linearised_fit import LinearisedFit
+from ...diagnosis.linearised_fit import LinearisedFit, evaluated, polish
 from ...diagnosis.missing_torque import scene_of
 from ...diagnosis.result import Diagnosis
-from ...diagnosis.search import Search, Tried, settle, silenced, tried_alone
+from ...diagnosis.search import Search, Tried, settle, tried_alone
 from ...effects import AbstractEffect
 from ...filtering.trajectory import Prior, Scene, Trajectory
 from ...fitting import DEFAULT_STARTS, fit
 from ...fitting.fit import finish
-from ...fitting.lanes import alone
-from ...fitting.multistart import Descent, outliers_among, polishing
+from ...fitting.multistart import Descent, outliers_among
 from ...fitting.problem import Unknowns, ready
 from ...fitting.result import Fit, FitError
 from ...recordings.experiment import Experiment
 from .first_order import FirstOrder, first_order
 
-_STEPS = 8  # of Gauss and Newton, of a quick fit
-_SETTLED = 0.01  # of the error, in its last step
+_STEPS = 12  # of Gauss and Newton, at the most
+_WHOLE = 2  # steps that are whole where a joint may stick, before they are averaged
+_SETTLED = 0.2  # standard errors: a last step that moves no number by more
+_NEAR = 0.01  # of the error: the same where a joint may stick, which swings about its end
 _WORSE = 1.02  # of chi-square: with an effect more, a minimum above this is another one's
 
 
-class Quick(NamedTuple):
-    """A fit by the smoother."""
+class Refit(NamedTuple):
+    """Least squares by the smoother."""
 
     path: Trajectory
+    predicted: np.ndarray
+    """(K, n) readings, rad or m."""
     fitted: np.ndarray
     """(n,) rms error over the noise."""
     held_out: np.ndarray | None
+
+
+class Beside(NamedTuple):
+    """Where predictions are tested."""
+
+    scene: Scene
+    """The check recordings, or the fitted ones without their last thirds."""
+    path: Trajectory | None
+    """The base model's smoothed motion there; None for the last thirds."""
+    counts: np.ndarray
+    """(K,) bool: which instants are held out."""
 
 
 class Study:
@@ -86,11 +101,7 @@ class Study:
         )
         with jax.enable_x64(True):
             self._keep(found.search, found.fits)
-        self.found = found
-        for step in found.ladder:
-            added = [x for x in step.fit.model.labels if x not in found.base.model.labels]
-            self.fits[frozenset(added)] = step.fit
-            self._held[frozenset(added)] = step.held_out
+        self._learn(found)
         return self
 
     def _keep(self, search: Search, fits: Fits) -> None:
@@ -98,9 +109,7 @@ class Study:
         self.fits: dict[frozenset[str], Fit] = {}
         self.found: Diagnosis | None = None
         self._held: dict[frozenset[str], HeldOut | None] = {}
-        self._lock = threading.RLock()
-        self._quick: dict[frozenset[str], Quick | None] = {}
-        self._beside: Scene | None = None
+        self._refits: dict[frozenset[str], Refit | None] = {}
         self.screen = search.screen(search.base)
         self.loud, self.intensity = search.screening_motion(search.base)
         self.shapes = {s.effect.label: s.shape for s in self.screen.ranked}
@@ -110,86 +119,111 @@ class Study:
         """Candidates, by name."""
         return tuple(s.effect.label for s in self.screen.ranked)
 
-    def columns(self, scene: Scene | None = None, trajectory=None) -> Columns:
-        """Every candidate at its likeliest shape, along the base model's motion."""
+    def columns_along(self, scene: Scene, path: Trajectory) -> Columns:
+        """Every candidate at its likeliest shape, along a motion."""
         effects = [s.effect for s in self.screen.ranked]
-        return Columns(
-            scene or self.search.scene, trajectory or self.loud, effects, [], self.shapes
-        )
+        return Columns(scene, path, effects, [], self.shapes)
+
+    @functools.cached_property
+    def columns(self) -> Columns:
+        """The same along the base model's motion."""
+        with jax.enable_x64(True):
+            return self.columns_along(self.search.scene, self.loud)
 
     def first_order(self) -> FirstOrder | None:
         """What each candidate does to the readings, fitted and held out."""
-        fitted, held = self.experiment.fit_recordings, self.experiment.check_recordings
-        beside, scene = None, self.search.scene
+        e, beside = self.experiment, self.beside
+        noise = np.stack([r.noise for r in (*e.fit_recordings, *e.check_recordings)])
         with jax.enable_x64(True):
-            if held:
-                self.say("smoothing the recordings that are held out")
-                here = ready(self.experiment, held, self.effects)
-                wild = outliers_among(here, [r.angle for r in here.recordings])
-                other = Scene(here.recordings, here.mechanisms, wild)
-                other.scales, other.torque = scene.scales, scene.torque  # the same priors
-                self._beside = other
-                base = tuple(self.loud.effects)
-                best = tried_alone(other, base).best
-                led = other.smoothed(best, other.linearised(best), self.intensity)
-                beside = self.columns(other, led or best)
-            noise = np.stack([r.noise for r in (*fitted, *held)])
-            return first_order(self.columns(), beside, noise)
+            path = beside.path
+            other = None if path is None else self.columns_along(beside.scene, path)
+            return first_order(self.columns, other, noise)
 
-    # -- without compiling anything -----------------------------------------------------------
+    @functools.cached_property
+    def beside(self) -> Beside:
+        """The readings that are held out."""
+        held, scene = self.experiment.check_recordings, self.search.scene
+        with jax.enable_x64(True):
+            if not held:
+                g, other = scene.grid, copy.copy(scene)
+                ends = np.array([r.duration for r in scene.recordings])[g.run]
+                late = g.time > 2 / 3 * ends
+                other.grid = g._replace(seen=g.seen & ~late[:, None])
+                other.readings = scene.readings._replace(seen=jnp.asarray(other.grid.seen))
+                return Beside(other, None, late)
+            self.say("smoothing the recordings that are held out")
+            here = ready(self.experiment, held, self.effects)
+            wild = outliers_among(here, [r.angle for r in here.recordings])
+            other = Scene(here.recordings, here.mechanisms, wild)
+            other.scales, other.torque = scene.scales, scene.torque
+            best = tried_alone(other, tuple(self.loud.effects)).best
+            led = other.smoothed(best, other.linearised(best), self.intensity)
+            return Beside(other, led or best, np.ones(other.K, bool))
 
-    def quick(self, added: Sequence[str]) -> "Quick | None":
-        """The base model and some candidates, fitted by the smoother without a random torque: least
-        squares by Gauss and Newton, with the programs that the screen has used. None if that does
+    # -- by the smoother, without compiling anything ------------------------------------------
+
+    def refit(self, added: Sequence[str]) -> Refit | None:
+        """The base model and some candidates by least squares: Gauss and Newton on the whole
+        motion, from the first order, with the programs that the screen has used. None if that does
         not settle.
 
         **Raises:** `ValueError` for what is no candidate.
         """
         key = frozenset(added)
         self._check(key)
-        if key not in self._quick:
-            known = self.search.tried.get(key)
+        if key not in self._refits:
             with jax.enable_x64(True):
-                self._quick[key] = self._quickly(known) if known else self._from_afar(tuple(added))
-        return self._quick[key]
+                self._refits[key] = self._refitted(key, tuple(added))
+        return self._refits[key]
 
-    def _from_afar(self, added: tuple[str, ...]) -> "Quick | None":
-        """A model that was not tried: straight from the first order if it is smooth, else from the
-        readings' lead to its own, as the search would."""
-        guess = self._guessed(added)
-        found = None if _sticks(guess.best) else self._quickly(guess)
-        if found is not None:
-            return found
-        (settled,) = settle(self.search.scene, [guess.best], self.intensity)
-        return None if settled is None else self._quickly(Tried(added, *settled, log_prior=0.0))
+    def _refitted(self, key: frozenset[str], added: tuple[str, ...]) -> Refit | None:
+        scene, known = self.search.scene, self.search.tried.get(key)
+        start = known.best if known else self._guessed(added).best
+        found = silent(scene, start)
+        if found is None and known is None:  # let the readings lead it to its own motion
+            (settled,) = settle(scene, [start], self.intensity)
+            found = None if settled is None else silent(scene, settled[1])
+        if found is None:
+            return None
+        path, predicted = found
+        return Refit(path, predicted, times_noise(scene, predicted), self._held_out_by(path))
 
-    def _quickly(self, model: Tried) -> "Quick | None":
-        scene, before = self.search.scene, None
-        path = silenced(scene, model.best, model.intensity)
-        for _ in range(_STEPS):
-            moved = scene.smoothed(path, scene.linearised(path), 0.0)
-            if moved is None:
-                return None
-            errors, path = times_noise(scene, moved), moved
-            if before is not None and np.allclose(errors, before, rtol=_SETTLED):
-                return Quick(path, errors, self._held_out_by(path))
-            before = errors
-        return None
+    def motion(self, added: Sequence[str]) -> Trajectory:
+        """The motion of a model, as well as it is known."""
+        known, near = self.search.tried.get(frozenset(added)), self.refit(added)
+        if known is not None:  # where it sticks as it should
+            return known.best
+        return self._guessed(tuple(added)).best if near is None else near.path
+
+    def torque(self, path: Trajectory) -> np.ndarray:
+        """(K, n) what all effects of a model resist with along its motion, N m."""
+        return np.sum([*self.search.scene.torques(path).values()], axis=0)
+
+    @functools.cached_property
+    def base_torque(self) -> np.ndarray:
+        """The same of the base model."""
+        return self.torque(self.search.base.best)
 
     def _held_out_by(self, path: Trajectory) -> np.ndarray | None:
-        """(n,) errors on the check recordings, of which only the first states are fitted."""
-        other = self._beside
-        if other is None:
+        """(n,) errors on what was held out. Of check recordings only the first states are fitted;
+        last thirds are predicted from the rest."""
+        other, begin, counts = self.beside
+        if begin is not None:
+            numbers, room = path.numbers, len(path.first)
+            known = Prior(numbers, np.full(len(numbers), 1e-9), np.zeros(len(numbers), bool))
+            n = 2 * other.n
+            path = dataclasses.replace(
+                path, prior=known, u=np.zeros_like(path.u), spread=begin.spread,
+                path=np.concatenate([begin.path[:, :n], np.zeros((other.K, room))], axis=1),
+            )  # fmt: skip
+            if any(e.memory for e in path.effects):  # of which nothing is known there
+                (led,) = settle(other, [path], INTENSITIES[0])
+                path = path if led is None else led[1]
+        found = silent(other, path)
+        if found is None:
             return None
-        numbers = path.numbers
-        known = Prior(numbers, np.full(len(numbers), 1e-9), np.zeros(len(numbers), bool))
-        led, loud = other.start(path.effects, known), INTENSITIES[0]
-        if _sticks(path):  # that takes more steps
-            (found,) = settle(other, [led], loud)
-            led = led if found is None else found[1]
-        led = silenced(other, led, loud)
-        end = other.smoothed(led, other.linearised(led), 0.0)
-        return None if end is None else times_noise(other, end)
+        measured = other if begin is not None else self.search.scene
+        return times_noise(measured, found[1], counts)
 
     def _check(self, key: frozenset[str]) -> None:
         for label in key - set(self.labels):
@@ -205,9 +239,9 @@ class Study:
         """
         key = frozenset(added)
         self._check(key)
-        with self._lock, jax.enable_x64(True):
+        with jax.enable_x64(True):
             if key not in self.fits:
-                self.fits[key] = self._fitted(tuple(added))
+                self.fits.setdefault(key, self._fitted(tuple(added)))
             found = self.fits[key]
             return self._holding(found, held) if held else found
 
@@ -218,15 +252,21 @@ class Study:
         key = frozenset(added)
         if found is not self.fits.get(key):
             return None
-        with self._lock, jax.enable_x64(True):
-            if key not in self._held:
+        if key not in self._held:
+            with jax.enable_x64(True):
                 self._held[key] = held_out(LinearisedFit.of(found))
-            beside = self._held[key]
+        beside = self._held[key]
         return None if beside is None else beside.held_out.ratio
 
     def _fitted(self, added: tuple[str, ...]) -> Fit:
         known = self.search.tried.get(frozenset(added))
-        found = self.least_squares.of(known or self._guessed(added))
+        if known is None:
+            near = self.refit(added)
+            known = self._guessed(added)
+            if near is not None:
+                none = np.where(np.array(INTENSITIES) == 0, 0.0, -np.inf)
+                known = dataclasses.replace(known, evidences=none, best=near.path)
+        found = self.least_squares.of(known)
         if added:
             base = self.fits.get(frozenset())
             if base is not None and found.reduced_chi2 > _WORSE * base.reduced_chi2:
@@ -258,21 +298,17 @@ class Study:
             if name not in names or not np.isfinite(value):
                 raise ValueError(f"{name} = {value}: is no number of this model")
         begin = found.model.with_values({k: jnp.asarray(float(v)) for k, v in held.items()})
-        problem = dataclasses.replace(
-            found.problem,
-            model=begin,
-            active=np.array([float(name not in held) for name in names]),
-        )
+        active = np.array([float(name not in held) for name in names])
+        problem = dataclasses.replace(found.problem, model=begin, active=active)
         start, states = np.asarray(begin.vector()), found.problem.states(found.unknowns)
-        y = problem.scaled(start, states)
-        starts = Unknowns(np.asarray(y.numbers)[None], np.asarray(y.states)[None])
-        out = alone(polishing(problem, starts, [1.0]))
+        at = problem.scaled(start, states)
+        out = polish(problem, Unknowns(*(np.asarray(x)[None] for x in at)), (1.0,))
         if not np.isfinite(out.cost):
             raise FitError("with these numbers the motion runs away")
         outliers = [r.wild for r in found.recordings if r.recording.role != "check"]
         ends = out.unknowns, out.compressed, out.cost, out.steps, out.converged
         descent = Descent(found.ready, problem, outliers, *ends, starts=1, agreeing=1)
-        return finish(found.experiment, start, descent, began)
+        return finish(found.experiment, start, descent, began, polish, evaluated, correct=False)
 
     # -- the search ---------------------------------------------------------------------------
 
@@ -283,13 +319,15 @@ class Study:
             self.search.say = say
             self.search.run(most)
             found = concluded(self.search, self.least_squares, began, say)
-            with self._lock:
-                self.found = found
-                for step in found.ladder:
-                    added = [x for x in step.fit.model.labels if x not in found.base.model.labels]
-                    self.fits.setdefault(frozenset(added), step.fit)
-                    self._held.setdefault(frozenset(added), step.held_out)
+        self._learn(found)
         return found
+
+    def _learn(self, found: Diagnosis) -> None:
+        for step in found.ladder:
+            key = frozenset(step.fit.model.labels) - frozenset(found.base.model.labels)
+            self.fits.setdefault(key, step.fit)
+            self._held.setdefault(key, step.held_out)
+        self.found = found
 
     def stop(self) -> None:
         """End a search that runs."""
@@ -301,13 +339,42 @@ def _sticks(path: Trajectory) -> bool:
     return any(e.dry or e.follows for e in path.effects)
 
 
-def times_noise(scene: Scene, path: Trajectory) -> np.ndarray:
-    """(n,) rms error over the noise of a motion without a random torque."""
+def silent(scene: Scene, path: Trajectory) -> tuple[Trajectory, np.ndarray] | None:
+    """A model without a random torque, from a motion near the readings: Gauss and Newton until the
+    numbers stand still, and the readings (K, n) that it predicts. None where that does not settle.
+
+    Where a joint may stick whole steps swing about the end, and averages of them converge to it.
+    """
+    rough, before = _sticks(path), np.full(scene.n, np.nan)
+    linear = scene.linearised(path)
+    for k in range(_STEPS):
+        share = 2.0 / (2.0 + k) if rough and k >= _WHOLE else 1.0
+        moved = scene.smoothed(path, linear, 0.0, share)
+        if moved is None:
+            return None
+        linear = scene.linearised(moved)
+        predicted = np.asarray(linear.seen)
+        errors, count = times_noise(scene, predicted), len(moved.prior.mean)
+        std = np.sqrt(np.diag(moved.covariance)[:count]) * max(1.0, np.max(errors))
+        step = np.max(np.abs(moved.u - path.u)[:count] / std)
+        path = moved
+        if step < _SETTLED * share:
+            return path, predicted
+        averaged = rough and k >= _WHOLE + 3
+        if averaged and np.allclose(errors, before, rtol=_NEAR * share):
+            return path, predicted
+        before = errors
+    return None
+
+
+def times_noise(scene: Scene, predicted: np.ndarray, counts: np.ndarray | None = None):
+    """(n,) rms error over the noise of predictions (K, n) of the readings, at all instants or at
+    some."""
     g = scene.grid
-    seen = np.asarray(scene.linearised(path).seen)
-    left = (g.angle - seen) * g.seen
+    use = g.seen if counts is None else g.seen & counts[:, None]
+    left = (g.angle - predicted) * use
     noise = np.stack([r.noise for r in scene.recordings])
-    each = g.seen * noise[g.run] ** 2 / g.variance  # readings in an average
-    energy = left**2 * each + (each - g.seen) * noise[g.run] ** 2
+    each = use * noise[g.run] ** 2 / g.variance  # readings in an average
+    energy = left**2 * each + (each - use) * noise[g.run] ** 2
     typical = np.sqrt(np.mean(noise**2, axis=0))
     return np.sqrt(energy.sum(0) / np.maximum(each.sum(0), 1)) / typical

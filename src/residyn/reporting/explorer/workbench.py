@@ -7,9 +7,11 @@ begun.
 """
 
 import asyncio
+import contextlib
 import json
 import queue
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -17,8 +19,11 @@ from ...errors import InputError
 from ...fitting.result import FitError
 from ...recordings.experiment import Experiment
 from .files import ExperimentFiles
-from .payload import fitted, payload, searched, smoothed
+from .payload import fitted, packed, payload, refitted, searched
 from .study import Study
+
+_IDLE = 2.0  # s without a question, after which work ahead is begun
+_AHEAD = 8  # effects: as many as the page shows first
 
 
 class Workbench:
@@ -42,6 +47,8 @@ class Workbench:
         self.version = 0
         """Counts what the search has added."""
         self.stopped, self._tried = False, 1
+        self.asked, self.looked_at = time.monotonic(), ()
+        """When somebody last asked for a fit, and of which effects."""
         self.thread = threading.Thread(target=self._work, daemon=True)
         self.thread.start()
 
@@ -49,19 +56,39 @@ class Workbench:
         try:
             study = Study(self.experiment, self.effects, say=self._say)
             toml = None if self.files is None else self.files.text
-            self.text = json.dumps(
-                payload(study, live=True, name=self.name, toml=toml), ensure_ascii=False
-            )
+            self.text = json.dumps(packed(payload(study, live=True, name=self.name, toml=toml)))
             self.study = study
             study.diagnose(self._say)
             self.version += 1
             self.words = ""
+            self._ahead(study)
         except _Stopped:
             self.words = ""
         except (FitError, InputError, ValueError) as error:
             self.error = " ".join(str(error).split())
         except Exception as error:
             self.error = f"this should not have happened, {type(error).__name__}: {error}"
+
+    def _ahead(self, study: Study) -> None:
+        """While nobody asks, fit what is likely to be asked for next: beside the model that
+        somebody looks at, one more of the most probable effects."""
+        tried: set[frozenset[str]] = set()
+        while not self.stopped:
+            time.sleep(0.2)
+            beside, found = self.looked_at, self.study and study.found
+            if time.monotonic() - self.asked < _IDLE or found is None:
+                continue
+            likely = [c.effect for c in found.candidates if c.effect not in beside][:_AHEAD]
+            next_ = [frozenset((*beside, x)) for x in likely]
+            todo = [k for k in next_ if k not in study.fits and k not in tried]
+            if not todo:
+                continue
+            tried.add(todo[0])
+            near = study.refit(sorted(todo[0]))
+            if near is not None:  # what does not settle takes many starts: only if it is asked for
+                with contextlib.suppress(FitError):
+                    study.fit(sorted(todo[0]))
+                    self.version += 1
 
     def _say(self, words: str) -> None:
         if self.stopped:
@@ -82,26 +109,24 @@ class Workbench:
             "new": [] if self.files is None else self.files.new(),
         }
 
-    def searched(self) -> dict[str, Any]:
-        """What the search has added."""
+    def searched(self, since: int) -> dict[str, Any]:
+        """What the search has added, and fits but for the first so many."""
         assert self.study is not None
-        return searched(self.study)
+        return searched(self.study, since)
 
-    def fit(self, added: list[str], held: dict[str, float]) -> dict[str, Any]:
-        """The fit that a page asks for, or `error` in a line."""
-        assert self.study is not None
+    def fit(self, added: list[str], held: dict[str, float], quick: bool) -> dict[str, Any]:
+        """The fit that a page asks for, or `error` in a line. A `quick` one is by the smoother; it
+        is null if that does not settle."""
+        study, self.asked, self.looked_at = self.study, time.monotonic(), tuple(sorted(added))
+        assert study is not None
         try:
-            return {"fit": fitted(self.study, sorted(added), self.study.fit(added, held), [*held])}
+            if quick and frozenset(added) not in study.fits:
+                return {"fit": refitted(study, sorted(added))}
+            return {"fit": fitted(study, sorted(added), study.fit(added, held), [*held])}
         except (FitError, ValueError) as error:
             return {"error": " ".join(str(error).split())}
-
-    def quick(self, added: list[str]) -> dict[str, Any]:
-        """The same by the smoother, at once; `fit` is null if that does not settle."""
-        assert self.study is not None
-        try:
-            return {"fit": smoothed(self.study, sorted(added))}
-        except ValueError as error:
-            return {"error": " ".join(str(error).split())}
+        finally:
+            self.asked = time.monotonic()
 
     def stop(self) -> None:
         """End what is under way, at its next step."""
@@ -117,9 +142,10 @@ class _Stopped(Exception):
 class Worker:
     """One thread for what windows wait for."""
 
-    def __init__(self):
+    def __init__(self, newest: dict[str, int] | None = None):
+        """`newest`: what each window asked for last, if several workers are asked by the same."""
         self._jobs: queue.Queue = queue.Queue()
-        self._newest: dict[str, int] = {}
+        self._newest = {} if newest is None else newest
         threading.Thread(target=self._run, daemon=True).start()
 
     async def newest(self, window: str, number: int, work: Callable[[], Any]) -> Any:

@@ -201,7 +201,9 @@ def _words(curve: Curve) -> str:
 
 def _against(ax: Axes, x, tau, own) -> None:
     every = max(1, len(x) // _DOTS)
-    ax.plot(x[::every], tau[::every], ".", color=RESIDUAL, ms=2.6, alpha=0.45, mew=0)
+    # One by one dots are long.
+    dots = {"ms": 2.6, "alpha": 0.45, "mew": 0, "rasterized": True}
+    ax.plot(x[::every], tau[::every], ".", color=RESIDUAL, **dots)
     if own is not None:
         ax.plot(x, own, color=MODEL, lw=0.6, alpha=0.7)
     middle = _middle(x, tau)

@@ -1,45 +1,67 @@
-// Arrays as the payload has them: base64 of doubles, or of 16 bits and a scale.
+// Messages as they are sent, and the arrays in them.
 
-function bytes(text) {
-  return Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer;
+/** The bytes of a number apart, the first ones of all first, as whole numbers side by side. */
+function joined(bytes, at, count, size) {
+  const found = new Uint8Array(count * size);
+  for (let b = 0; b < size; b++) {
+    for (let k = 0; k < count; k++) found[k * size + b] = bytes[at + b * count + k];
+  }
+  return found.buffer;
 }
 
-const unpacked = new WeakMap();
-
-/** A flat array of numbers, not to be changed; what was not finite is NaN. */
-export function flat(packed) {
-  if (!unpacked.has(packed)) unpacked.set(packed, unpack(packed));
-  return unpacked.get(packed);
+/** Numbers of 16 bits from their second differences along rows; what was not finite is NaN. */
+function drawnValues(steps, width, scale) {
+  const found = new Float64Array(steps.length);
+  const whole = new Int16Array(1);
+  for (let first = 0; first < steps.length; first += width) {
+    let [value, slope] = [0, 0];
+    for (let k = first; k < first + width; k++) {
+      slope += steps[k];
+      value += slope;
+      whole[0] = value; // modulo 2^16
+      found[k] = whole[0] === -32768 ? NaN : whole[0] * scale;
+    }
+  }
+  return found;
 }
 
-function unpack(packed) {
-  if (packed.f8 !== undefined) return new Float64Array(bytes(packed.f8));
-  const whole = new Int16Array(bytes(packed.i2));
-  return Float64Array.from(whole, (x) => (x === -32768 ? NaN : x * packed.scale));
+/**
+ * A message of the server or of a report: its tree, with arrays as { values, shape }. Python:
+ * payload.packed.
+ */
+export async function opened(message) {
+  if (!message.tree) return message;
+  const packed = Uint8Array.from(atob(message.bytes), (letter) => letter.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
+  const walk = (x) => {
+    if (Array.isArray(x)) return x.map(walk);
+    if (x === null || typeof x !== "object") return x;
+    if (x.at === undefined) {
+      return Object.fromEntries(Object.entries(x).map(([key, value]) => [key, walk(value)]));
+    }
+    const count = x.shape.reduce((product, n) => product * n, 1);
+    const values =
+      x.scale === undefined
+        ? new Float64Array(joined(bytes, x.at, count, 8))
+        : drawnValues(new Uint16Array(joined(bytes, x.at, count, 2)), x.shape.at(-1), x.scale);
+    return { values, shape: x.shape };
+  };
+  return walk(message.tree);
 }
 
 /** The rows of an array of two dimensions. */
-export function rows(packed) {
-  const all = flat(packed);
-  const width = packed.shape[1];
-  return Array.from({ length: packed.shape[0] }, (_, i) => all.subarray(i * width, (i + 1) * width));
+export function rows({ values, shape }) {
+  const width = shape[1];
+  return Array.from({ length: shape[0] }, (_, i) => values.subarray(i * width, (i + 1) * width));
 }
 
-/** A symmetric matrix of n rows, packed by the rows of its upper triangle, as a function. */
-export function symmetric(packed, n) {
-  const all = flat(packed);
+/** A symmetric matrix of n rows, of which the upper triangle stands by rows, as a function. */
+export function symmetric(upper, n) {
   return (i, j) => {
     const [a, b] = i < j ? [i, j] : [j, i];
-    return all[a * n - (a * (a - 1)) / 2 + (b - a)];
+    return upper[a * n - (a * (a - 1)) / 2 + (b - a)];
   };
-}
-
-/** Square matrices, a function each, from an array (m, n, n) or (n, n). */
-export function squares(packed) {
-  const all = flat(packed);
-  const n = packed.shape.at(-1);
-  const count = packed.shape.length === 3 ? packed.shape[0] : 1;
-  return Array.from({ length: count }, (_, k) => (i, j) => all[(k * n + i) * n + j]);
 }
 
 /** For drawing: null where there is no number. */

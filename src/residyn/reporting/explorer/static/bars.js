@@ -11,21 +11,45 @@ export class Bars {
     this.most = 2;
     const words = heldOut === "last third" ? "last third, held out" : "held out";
     for (const joint of joints) {
-      for (const [kind, name] of [["fitted", "fitted"], ["held", words]]) {
+      for (const [kind, name] of [
+        ["fitted", "fitted"],
+        ["held", words],
+      ]) {
         const fill = element("span", { class: `fill ${kind}` });
         const ghost = element("span", { class: "ghost", title: "springs and dampers alone" });
         const value = element("span", { class: "value" });
-        const track = element("span", { class: "track" }, ghost, fill, element("span", { class: "noise" }));
+        const track = element(
+          "span",
+          { class: "track" },
+          ghost,
+          fill,
+          element("span", { class: "noise" }),
+        );
         place.append(
-          element("div", { class: "bar" },
-            element("span", { class: "name" }, kind === "fitted" ? element("b", {}, joint) : "",
-              element("small", {}, ` ${name}`)), track, value));
+          element(
+            "div",
+            { class: "bar" },
+            element(
+              "span",
+              { class: "name" },
+              kind === "fitted" ? element("b", {}, joint) : "",
+              element("small", {}, ` ${name}`),
+            ),
+            track,
+            value,
+          ),
+        );
         this.rows.push({ fill, ghost, value, kind });
       }
     }
-    place.append(element("p", { class: "note" },
-      "Root mean square of measured minus model, in times the noise of a reading. " +
-      "The dashed line is the noise: no bar can fall further. Thin marks: springs and dampers alone."));
+    place.append(
+      element(
+        "p",
+        { class: "note" },
+        "Root mean square of measured minus model, in times the noise of a reading. " +
+          "The dashed line is the noise: no bar can fall further. Thin marks: springs and dampers alone.",
+      ),
+    );
   }
 
   share(x) {

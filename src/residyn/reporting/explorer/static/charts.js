@@ -20,7 +20,8 @@ function axis(label, c, side) {
     size: side === 2 ? 30 : 58,
     grid: { stroke: () => c().line, width: 1 },
     ticks: { stroke: () => c().line, width: 1, size: 4 },
-    values: side === 2 ? undefined : (_, ticks) => ticks.map((x) => String(Number(x.toPrecision(6)))),
+    values:
+      side === 2 ? undefined : (_, ticks) => ticks.map((x) => String(Number(x.toPrecision(6)))),
   };
 }
 
@@ -146,7 +147,11 @@ export class CloudChart extends Chart {
         series: [{}, silent, silent],
         hooks: { draw: [(u) => this.points(u)] },
       },
-      [[0, 1], [null, null], [null, null]],
+      [
+        [0, 1],
+        [null, null],
+        [null, null],
+      ],
     );
   }
 

@@ -6,7 +6,8 @@ export function element(tag, attributes = {}, ...children) {
   for (const [name, value] of Object.entries(attributes)) {
     if (typeof value === "function") found.addEventListener(name, value);
     else if (value === true) found.setAttribute(name, "");
-    else if (value !== false && value !== null && value !== undefined) found.setAttribute(name, value);
+    else if (value !== false && value !== null && value !== undefined)
+      found.setAttribute(name, value);
   }
   found.append(...children.filter((c) => c !== null && c !== ""));
   return found;

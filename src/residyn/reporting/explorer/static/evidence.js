@@ -13,7 +13,7 @@ export class Evidence {
   constructor(data) {
     this.candidates = new Map(data.candidates.map((c) => [c.label, c]));
     this.weights = data.screen.weights;
-    this.grams = data.screen.grams.map((g) => symmetric(g, data.screen.size));
+    this.grams = data.screen.grams.map((g) => symmetric(g.values, data.screen.size));
     this.prior = data.prior;
     this.tried = new Map();
     this.screened = new Map();
@@ -41,7 +41,8 @@ export class Evidence {
    */
   gainOf(pairs) {
     const columns = pairs.flatMap(([, which]) => which);
-    if (!columns.length) return { gain: logSumExp(this.weights), mean: [], spread: [], likeliest: 0 };
+    if (!columns.length)
+      return { gain: logSumExp(this.weights), mean: [], spread: [], likeliest: 0 };
     const each = this.grams.map((gram, k) => {
       const found = subset(gram, columns);
       let gain = found.gain + this.weights[k];

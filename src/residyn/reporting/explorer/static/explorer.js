@@ -1,6 +1,6 @@
 // The page: what is on it, and what follows from a click.
 
-import { drawn, flat, rows } from "./arrays.js";
+import { drawn, opened, rows } from "./arrays.js";
 import { Bars } from "./bars.js";
 import { CloudChart, TimeChart, colours } from "./charts.js";
 import { element, fill } from "./elements.js";
@@ -27,17 +27,26 @@ class Page {
     this.fits = new Map(); // by model
     this.found = data.verdict;
     this.keep(data.fits);
-    this.time = data.recordings.map((r) => flat(r.time));
+    this.fetched = data.known; // fits that the server has told of
+    this.time = data.recordings.map((r) => r.time.values);
     this.angle = data.recordings.map((r) => rows(r.angle));
     this.missing = data.missing.map((m) => ({
-      time: flat(m.time),
+      time: m.time.values,
       ...Object.fromEntries(
         ["angle", "rate", "amplitude", "torque", "std"].map((k) => [k, rows(m[k])]),
       ),
     }));
     this.state = new State({
-      chosen: [], held: new Map(), model: null, working: "", stretch: null,
-      recording: 0, joint: this.loudest(), steps: [], found: data.verdict, error: "",
+      chosen: [],
+      held: new Map(),
+      model: null,
+      working: "",
+      stretch: null,
+      recording: 0,
+      joint: this.loudest(),
+      steps: [],
+      found: data.verdict,
+      error: "",
     });
     this.colours = colours(root);
     this.build();
@@ -90,7 +99,10 @@ class Page {
     const key = keyOf(known);
     const seen = steps.some((s) => s.key === key);
     this.state.set({
-      chosen: known, held: new Map(), model, error: "",
+      chosen: known,
+      held: new Map(),
+      model,
+      error: "",
       steps: seen ? steps : [...steps, { key, labels: known }],
     });
     if (quietly) this.drawStatus();
@@ -103,13 +115,19 @@ class Page {
     this.choose([...chosen.filter((x) => !this.evidence.conflict(x, label)), label]);
   }
 
+  /** Whether a joint or a brake may stick with these effects. */
+  rough(labels) {
+    return labels.some((label) => this.evidence.candidates.get(label).rough);
+  }
+
   /** Ask the server for the exact fit of what is shown. */
   async refit() {
     const { chosen, held } = this.state.values;
     const known = this.fits.get(keyOf(chosen));
-    const asked = (this.asked = {});
+    const asked = {};
+    this.asked = asked;
     for (const quick of held.size || known ? [false] : [true, false]) {
-      if (!quick && this.state.get("model").how === "smoothed") {
+      if (!quick && this.state.get("model").how === "smoothed" && !this.rough(chosen)) {
         // What is seen is least squares already; the rest waits until nobody clicks.
         await new Promise((resolve) => setTimeout(resolve, IDLE));
         if (asked !== this.asked) return;
@@ -159,11 +177,23 @@ class Page {
       element("button", { type: "button", class: "action", click, ...more }, words);
     this.verdict = element("p", { class: "verdict", "aria-live": "polite" });
     this.status = element("p", { class: "status", "aria-live": "polite" });
-    this.chips = element("div", { class: "chips", role: "group", "aria-label": "most probable effects" });
-    this.more = element("div", { class: "chips", role: "group", "aria-label": "all other effects" });
+    this.chips = element("div", {
+      class: "chips",
+      role: "group",
+      "aria-label": "most probable effects",
+    });
+    this.more = element("div", {
+      class: "chips",
+      role: "group",
+      "aria-label": "all other effects",
+    });
     this.moreTitle = element("summary", {});
     const barsPlace = element("div", { class: "bars" });
-    const stairsPlace = element("div", { class: "stairs", role: "group", "aria-label": "models looked at" });
+    const stairsPlace = element("div", {
+      class: "stairs",
+      role: "group",
+      "aria-label": "models looked at",
+    });
     const numbersPlace = element("div", {});
     this.tabs = element("div", { class: "tabs" });
     this.jointTabs = element("div", { class: "tabs" });
@@ -174,60 +204,131 @@ class Page {
     this.clouds = element("div", { class: "clouds" });
     this.said = element("span", { class: "said", role: "status" });
     this.bars = new Bars(barsPlace, data.joints, data.held_out);
-    this.stairs = new Staircase(stairsPlace, (labels) => this.choose(labels), (label) => this.name(label));
+    this.stairs = new Staircase(
+      stairsPlace,
+      (labels) => this.choose(labels),
+      (label) => this.name(label),
+    );
     this.numbers = new Numbers(numbersPlace, {
       live: this.server !== null,
       onMove: (name, value) => this.move(name, value),
       onHold: (name, value) => this.hold(name, value),
     });
     const panel = (title, words, ...children) =>
-      element("section", { class: "panel" }, element("h2", {}, title),
-        words ? element("p", { class: "note" }, words) : null, ...children);
+      element(
+        "section",
+        { class: "panel" },
+        element("h2", {}, title),
+        words ? element("p", { class: "note" }, words) : null,
+        ...children,
+      );
     this.banner = element("div", { class: "banner", role: "status" });
     const hide = this.server
       ? button("Hide one", () => this.hide(), {
-          title: "hide an effect in a simulated copy of this arm, and find it" })
+          title: "hide an effect in a simulated copy of this arm, and find it",
+        })
       : null;
     fill(
       root,
-      element("header", {},
+      element(
+        "header",
+        {},
         element("p", { class: "kind" }, `residyn explore: ${data.name}`),
-        this.verdict, this.status, this.banner),
-      element("div", { class: "columns" },
-        panel("Add an effect",
+        this.verdict,
+        this.status,
+        this.banner,
+      ),
+      element(
+        "div",
+        { class: "columns" },
+        panel(
+          "Add an effect",
           "A click adds it to the model or takes it away. Each number: how probable it is that this is missing next.",
           this.chips,
           element("details", {}, this.moreTitle, this.more),
-          element("div", { class: "actions" },
+          element(
+            "div",
+            { class: "actions" },
             button("Copy as command", () => this.copy()),
-            button("Save as TOML", () => this.save()), hide, this.said)),
-        panel("Watch the error fall", "", barsPlace, element("h3", {}, "Models so far"), stairsPlace)),
-      panel("Measured, model and what is left",
+            button("Save as TOML", () => this.save()),
+            hide,
+            this.said,
+          ),
+        ),
+        panel(
+          "Watch the error fall",
+          "",
+          barsPlace,
+          element("h3", {}, "Models so far"),
+          stairsPlace,
+        ),
+      ),
+      panel(
+        "Measured, model and what is left",
         "Drag across a chart to choose a stretch of time; it is marked everywhere.",
-        element("div", { class: "legend" },
-          element("span", { class: "key measured" }, "measured"), element("span", { class: "key model" }, "model"),
+        element(
+          "div",
+          { class: "legend" },
+          element("span", { class: "key measured" }, "measured"),
+          element("span", { class: "key model" }, "model"),
           element("span", { class: "key residual" }, "measured less model"),
-          element("span", { class: "key band" }, "noise, 2 sigma")),
+          element("span", { class: "key band" }, "noise, 2 sigma"),
+        ),
         this.tabs,
-        element("div", { class: "stretch" },
-          element("label", {}, "from ", this.from), element("label", {}, "to ", this.to), this.whole),
-        this.curves),
-      panel("The torque that springs and dampers lack",
+        element(
+          "div",
+          { class: "stretch" },
+          element("label", {}, "from ", this.from),
+          element("label", {}, "to ", this.to),
+          this.whole,
+        ),
+        this.curves,
+      ),
+      panel(
+        "The torque that springs and dampers lack",
         "Grey: what the motion asks for, with the band in which it lies 19 times in 20. Blue: what the effects above would make of it. Friction is a step against the rate, a stiffening spring an S against the angle, hysteresis a loop.",
-        this.jointTabs, this.clouds),
-      panel("Numbers", this.server ? "Move a number and the model's curve follows; the others are then fitted again beside it." : "",
-        numbersPlace),
+        this.jointTabs,
+        this.clouds,
+      ),
+      panel(
+        "Numbers",
+        this.server
+          ? "Move a number and the model's curve follows; the others are then fitted again beside it."
+          : "",
+        numbersPlace,
+      ),
     );
     root.hidden = false;
+    this.replaceTheRest(button);
+  }
+
+  /** In a report the page stands for all tables and pictures; a button shows them. */
+  replaceTheRest(button) {
+    if (!document.querySelector(".in-full")) return;
+    const turn = (shown) => {
+      document.body.classList.toggle("explored", !shown);
+      more.setAttribute("aria-expanded", String(shown));
+      more.textContent = shown ? "Hide tables and pictures" : "All tables and pictures";
+    };
+    const more = button("", () => turn(more.getAttribute("aria-expanded") === "false"));
+    root.append(element("div", { class: "actions" }, more));
+    turn(false);
   }
 
   slider(words, end) {
     return element("input", {
-      type: "range", min: 0, max: 1000, step: 1, value: 1000 * end, "aria-label": `${words}, s`,
+      type: "range",
+      min: 0,
+      max: 1000,
+      step: 1,
+      value: 1000 * end,
+      "aria-label": `${words}, s`,
       input: () => {
         const last = this.time[this.state.get("recording")].at(-1);
         const [a, b] = [this.from, this.to].map((s) => (last * Number(s.value)) / 1000);
-        this.state.set({ stretch: Math.abs(b - a) < last / 200 ? null : [Math.min(a, b), Math.max(a, b)] });
+        this.state.set({
+          stretch: Math.abs(b - a) < last / 200 ? null : [Math.min(a, b), Math.max(a, b)],
+        });
       },
     });
   }
@@ -246,43 +347,69 @@ class Page {
       this.curves.append(element("div", {}, element("h3", {}, joint), ...place));
       const shared = { sync: "time", zoomed: true, onStretch, colours: c };
       const curves = new TimeChart(place[0], {
-        ...shared, height: 190, label: `angle, ${data.units[j]}`,
-        series: [{ colour: "measured", width: 4 }, { colour: "model", width: 1.5 }],
+        ...shared,
+        height: 190,
+        label: `angle, ${data.units[j]}`,
+        series: [
+          { colour: "measured", width: 4 },
+          { colour: "model", width: 1.5 },
+        ],
       });
       const left = new TimeChart(place[1], {
-        ...shared, height: 130, label: `left, ${data.units[j]}`,
+        ...shared,
+        height: 130,
+        label: `left, ${data.units[j]}`,
         series: [{ width: 0, band: true }, { width: 0 }, { colour: "residual", width: 1.2 }],
       });
       return [curves, left];
     });
-    const of = (words, after = "") => () => `${words}, ${data.units[this.state.get("joint")]}${after}`;
+    const of =
+      (words, after = "") =>
+      () =>
+        `${words}, ${data.units[this.state.get("joint")]}${after}`;
     const torque = () => `torque, ${data.missing[0].units[this.state.get("joint")]}`;
     const labels = { angle: of("angle"), rate: of("rate", "/s"), amplitude: of("amplitude") };
     const spot = (title, wide) => {
       const place = element("div", { class: "chart" });
-      this.clouds.append(element("div", { class: wide ? "wide" : null }, element("h3", {}, title), place));
+      this.clouds.append(
+        element("div", { class: wide ? "wide" : null }, element("h3", {}, title), place),
+      );
       return place;
     };
     this.torque = new TimeChart(spot("against time", true), {
-      height: 200, label: torque, zoomed: false, sync: "time", onStretch, colours: c,
-      series: [{ width: 0, band: true }, { width: 0 }, { colour: "measured", width: 1.2 },
-        { colour: "model", width: 1.5 }],
+      height: 200,
+      label: torque,
+      zoomed: false,
+      sync: "time",
+      onStretch,
+      colours: c,
+      series: [
+        { width: 0, band: true },
+        { width: 0 },
+        { colour: "measured", width: 1.2 },
+        { colour: "model", width: 1.5 },
+      ],
     });
     this.against = ["rate", "angle", "amplitude"].map((what) => [
-      what, new CloudChart(spot(`against ${what}`), { height: 220, labels: [labels[what], torque], colours: c }),
+      what,
+      new CloudChart(spot(`against ${what}`), {
+        height: 220,
+        labels: [labels[what], torque],
+        colours: c,
+      }),
     ]);
     this.charts = [...this.pairs.flat(), this.torque, ...this.against.map(([, chart]) => chart)];
     this.scheme = matchMedia("(prefers-color-scheme: dark)");
     this.recolour = () => {
       this.colours = colours(root);
-      this.charts.forEach((chart) => chart.redraw());
+      for (const chart of this.charts) chart.redraw();
     };
     this.scheme.addEventListener("change", this.recolour);
   }
 
   destroy() {
     this.scheme.removeEventListener("change", this.recolour);
-    this.charts.forEach((chart) => chart.destroy());
+    for (const chart of this.charts) chart.destroy();
     this.gone = true;
   }
 
@@ -302,7 +429,10 @@ class Page {
     const { data } = this;
     this.bars.draw(model, this.base);
     this.numbers.draw(model, held);
-    this.stairs.draw(steps.map((s) => ({ ...s, model: this.stored(s.labels) })), keyOf(chosen));
+    this.stairs.draw(
+      steps.map((s) => ({ ...s, model: this.stored(s.labels) })),
+      keyOf(chosen),
+    );
     const best = [...this.evidence.probabilities(chosen)]
       .filter(([label]) => !chosen.includes(label))
       .sort((a, b) => b[1].probability - a[1].probability)[0];
@@ -310,8 +440,14 @@ class Page {
     const likeliest = weighed && best[1].probability > 0.05 ? { label: best[0], ...best[1] } : null;
     const shown = held.size ? { ...model, how: "by hand" } : model;
     const told = verdict({
-      model: shown, base: this.base, chosen, candidates: this.evidence.candidates,
-      joints: data.joints, heldOut: data.held_out, likeliest, found,
+      model: shown,
+      base: this.base,
+      chosen,
+      candidates: this.evidence.candidates,
+      joints: data.joints,
+      heldOut: data.held_out,
+      likeliest,
+      found,
     });
     this.verdict.textContent = told.words.join(" ");
     this.verdict.classList.toggle("good", told.good);
@@ -319,10 +455,11 @@ class Page {
 
   drawStatus() {
     const { model, working, error } = this.state.values;
+    const rough = this.rough(model.added);
     const words = {
       refitted: "refitted: every number of this model by least squares",
-      smoothed: "refitted: least squares by the smoother",
-      "first order": "first order: predicted, nothing fitted yet",
+      smoothed: `refitted: least squares by the smoother${rough ? ", to about 1 % where a joint sticks" : ""}`,
+      "first order": `first order: predicted, nothing fitted yet${rough ? "; where a joint sticks this can be far off" : ""}`,
     };
     this.status.className = `status ${error ? "error" : working ? "working" : model.how.replace(" ", "-")}`;
     const live = working ? `; ${working} ...` : "";
@@ -346,14 +483,26 @@ class Page {
       const { probability, exact } = probabilities.get(label);
       const pressed = chosen.includes(label);
       const weighed = exact || this.state.get("found") || !this.server || this.stopped;
-      const found = element("button", {
-        type: "button", class: "chip", "aria-pressed": String(pressed), "data-effect": label,
-        title: [own.equation, own.looks_like, exact ? "" : "probability to first order"].filter(Boolean).join("; "),
-        click: () => this.toggle(label),
-      },
-        element("span", { class: "title" }, own.title,
-          own.place ? element("small", {}, ` ${own.place}`) : ""),
-        element("span", { class: "p" }, weighed ? percent(probability) : "being weighed"));
+      const found = element(
+        "button",
+        {
+          type: "button",
+          class: "chip",
+          "aria-pressed": String(pressed),
+          "data-effect": label,
+          title: [own.equation, own.looks_like, exact ? "" : "probability to first order"]
+            .filter(Boolean)
+            .join("; "),
+          click: () => this.toggle(label),
+        },
+        element(
+          "span",
+          { class: "title" },
+          own.title,
+          own.place ? element("small", {}, ` ${own.place}`) : "",
+        ),
+        element("span", { class: "p" }, weighed ? percent(probability) : "being weighed"),
+      );
       found.style.setProperty("--p", `${weighed ? 100 * probability : 0}%`);
       return found;
     };
@@ -368,15 +517,19 @@ class Page {
   drawCurves() {
     const { model, recording, stretch } = this.state.values;
     const time = this.time[recording];
-    const predicted = model.predicted ? model.predicted[recording] : this.curvesOf(model, recording);
+    const predicted = model.predicted
+      ? model.predicted[recording]
+      : this.curvesOf(model, recording);
     this.pairs.forEach(([curves, left], j) => {
       const measured = this.angle[recording][j];
       const own = predicted ? predicted[j] : measured.map(() => NaN);
       const noise = 2 * this.data.recordings[recording].noise[j];
       const x = Array.from(time);
       curves.draw([x, drawn(measured), drawn(own)], stretch);
-      left.draw([x, x.map(() => noise), x.map(() => -noise),
-        drawn(measured.map((y, k) => y - own[k]))], stretch);
+      left.draw(
+        [x, x.map(() => noise), x.map(() => -noise), drawn(measured.map((y, k) => y - own[k]))],
+        stretch,
+      );
     });
   }
 
@@ -406,20 +559,41 @@ class Page {
   drawControls() {
     const { recording, joint, stretch } = this.state.values;
     const tab = (words, chosen, click) =>
-      element("button", { type: "button", class: "tab", "aria-pressed": String(chosen), click }, words);
-    const names = this.data.recordings.map((r) => (r.role === "check" ? `${r.name} (held out)` : r.name));
+      element(
+        "button",
+        { type: "button", class: "tab", "aria-pressed": String(chosen), click },
+        words,
+      );
+    const names = this.data.recordings.map((r) =>
+      r.role === "check" ? `${r.name} (held out)` : r.name,
+    );
     const again = (place, ...tabs) => {
       const focused = [...place.children].indexOf(document.activeElement);
       fill(place, ...tabs);
       if (focused >= 0) place.children[focused]?.focus();
     };
-    again(this.tabs, ...(names.length < 2 ? [] : names.map((name, i) =>
-      tab(name, i === recording, () => this.state.set({ recording: i, stretch: null })))));
-    again(this.jointTabs, ...(this.data.joints.length < 2 ? [] : this.data.joints.map((name, j) =>
-      tab(name, j === joint, () => this.state.set({ joint: j })))));
+    again(
+      this.tabs,
+      ...(names.length < 2
+        ? []
+        : names.map((name, i) =>
+            tab(name, i === recording, () => this.state.set({ recording: i, stretch: null })),
+          )),
+    );
+    again(
+      this.jointTabs,
+      ...(this.data.joints.length < 2
+        ? []
+        : this.data.joints.map((name, j) =>
+            tab(name, j === joint, () => this.state.set({ joint: j })),
+          )),
+    );
     const last = this.time[recording].at(-1);
     const [a, b] = stretch ?? [0, last];
-    for (const [slider, t] of [[this.from, a], [this.to, b]]) {
+    for (const [slider, t] of [
+      [this.from, a],
+      [this.to, b],
+    ]) {
       if (document.activeElement !== slider || !stretch) slider.value = String((1000 * t) / last);
       slider.setAttribute("aria-valuetext", `${t.toFixed(2)} s`);
     }
@@ -472,10 +646,14 @@ class Page {
       }
       if (this.gone) return;
       if (state.version !== version) {
-        const news = await this.server.get("searched");
+        const news = await this.server.get(`searched?since=${this.fetched}`);
         if (this.gone) return;
         version = state.version;
         this.keep(news.fits);
+        const { chosen, held, model } = this.state.values;
+        const better = this.fits.get(keyOf(chosen));
+        if (better && model.how !== "refitted" && !held.size) this.state.set({ model: better });
+        this.fetched = news.known;
         this.evidence.keep(news);
         this.drawModel();
         this.drawChips();
@@ -487,7 +665,8 @@ class Page {
   }
 
   news(state, hidden) {
-    const button = (words, click) => element("button", { type: "button", class: "action", click }, words);
+    const button = (words, click) =>
+      element("button", { type: "button", class: "action", click }, words);
     const reload = async (add) => {
       const found = await this.server.post("reload", { add });
       if (found.error) return this.state.set({ error: found.error });
@@ -497,21 +676,47 @@ class Page {
     if (key === this.told) return;
     this.told = key;
     const parts = [];
-    if (state.words) parts.push(element("span", { class: "searching" }, `Searching for what is missing: ${state.words} ...`));
+    if (state.words)
+      parts.push(
+        element(
+          "span",
+          { class: "searching" },
+          `Searching for what is missing: ${state.words} ...`,
+        ),
+      );
     if (state.error) parts.push(element("span", {}, state.error));
     if (state.changed.length) {
-      parts.push(element("span", {}, `${state.changed.join(", ")} changed on disk. `, button("Read again", () => reload([]))));
+      parts.push(
+        element(
+          "span",
+          {},
+          `${state.changed.join(", ")} changed on disk. `,
+          button("Read again", () => reload([])),
+        ),
+      );
     }
     for (const name of state.new.slice(0, 3)) {
-      parts.push(element("span", {}, `New in the folder: ${name}. `, button("Add this recording", () => reload([name]))));
+      parts.push(
+        element(
+          "span",
+          {},
+          `New in the folder: ${name}. `,
+          button("Add this recording", () => reload([name])),
+        ),
+      );
     }
     if (hidden) {
       const told = element("span", {});
-      parts.push(element("span", {}, "An effect is hidden in this simulated arm: which one? "), button("Tell me", async () => {
-        const { hidden: label } = await this.server.post("reveal", {});
-        const right = this.state.get("chosen").includes(label);
-        told.textContent = ` It was ${this.name(label)}.${right ? " You have it." : ""}`;
-      }), button("Back to the recordings", () => open(this.server, this.server.home ?? 0, false)), told);
+      parts.push(
+        element("span", {}, "An effect is hidden in this simulated arm: which one? "),
+        button("Tell me", async () => {
+          const { hidden: label } = await this.server.post("reveal", {});
+          const right = this.state.get("chosen").includes(label);
+          told.textContent = ` It was ${this.name(label)}.${right ? " You have it." : ""}`;
+        }),
+        button("Back to the recordings", () => open(this.server, this.server.home ?? 0, false)),
+        told,
+      );
     }
     fill(this.banner, ...parts);
   }
@@ -525,8 +730,20 @@ async function open(server, study, hidden) {
   page?.destroy();
   server.study = study;
   const words = element("p", { class: "status working" }, "loading");
-  fill(root, element("header", {}, element("p", { class: "kind" }, "residyn explore"),
-    element("p", { class: "verdict" }, "Smoothing the recorded motion, and looking at all effects."), words));
+  fill(
+    root,
+    element(
+      "header",
+      {},
+      element("p", { class: "kind" }, "residyn explore"),
+      element(
+        "p",
+        { class: "verdict" },
+        "Smoothing the recorded motion, and looking at all effects.",
+      ),
+      words,
+    ),
+  );
   try {
     const data = await server.payload((said) => (words.textContent = `${said} ...`));
     page = new Page(data, server);
@@ -538,5 +755,5 @@ async function open(server, study, hidden) {
 }
 
 const inside = document.getElementById("residyn-explorer-data");
-if (inside) page = new Page(JSON.parse(inside.textContent), null);
+if (inside) page = new Page(await opened(JSON.parse(inside.textContent)), null);
 else open(new Server(), 0, false);

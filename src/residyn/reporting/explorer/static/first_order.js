@@ -1,12 +1,12 @@
 // What effects would do to the error, the curves and the torque, before anything is fitted.
 
-import { at, flat, rows, squares } from "./arrays.js";
+import { at, rows, symmetric } from "./arrays.js";
 import { quadratic, subset } from "./linear_algebra.js";
 
 class ErrorGram {
   constructor(packed) {
-    this.solve = squares(packed.solve)[0];
-    this.joints = squares(packed.joints);
+    this.solve = symmetric(packed.solve.values, packed.size);
+    this.joints = rows(packed.joints).map((upper) => symmetric(upper, packed.size));
     this.noise = packed.noise;
     this.readings = packed.readings;
   }
@@ -33,14 +33,7 @@ export class FirstOrder {
     if (!this.known) return;
     this.fitted = new ErrorGram(data.first.fitted);
     this.heldOut = new ErrorGram(data.first.held_out);
-    // Columns of the first order are those of the likeliest shapes, in the order of candidates.
-    this.columns = new Map();
-    let next = 0;
-    for (const c of data.candidates) {
-      const count = c.rows[c.best].length;
-      this.columns.set(c.label, Array.from({ length: count }, (_, i) => next + i));
-      next += count;
-    }
+    this.columns = new Map(data.candidates.map((c) => [c.label, c.columns])); // at likeliest shapes
   }
 
   which(labels) {
@@ -72,7 +65,7 @@ export class FirstOrder {
           for (let t = 0; t < row.length; t++) total[j][t] += strengths[k] * row[t];
         });
       });
-      const [time, wanted] = [flat(one.time), flat(data.recordings[i].time)];
+      const [time, wanted] = [one.time.values, data.recordings[i].time.values];
       return total.map((row) => at(time, row, wanted));
     });
     return model;
@@ -85,13 +78,17 @@ export class FirstOrder {
     for (const label of labels) {
       const own = this.evidence.candidates.get(label);
       const add = (n, value, std) =>
-        numbers.push({ name: `${label}.${n.name}`, words: n.words, unit: n.unit, value, std });
+        numbers.push({ name: `${label}.${n.name}`, unit: n.unit, value, std });
       own.strengths.forEach((strength, i) => {
         let u = found.mean[first + i];
         if (own.oscillates) u = Math.hypot(...found.mean.slice(first, first + 2));
-        add(strength, strength.silent + strength.width * u, strength.width * found.spread[first + i]);
+        add(
+          strength,
+          strength.silent + strength.width * u,
+          strength.width * found.spread[first + i],
+        );
       });
-      own.shape.forEach((shape) => add(shape, shape.value, null));
+      for (const shape of own.shape) add(shape, shape.value, null);
       first += own.rows[own.best].length;
     }
     return numbers;
@@ -101,22 +98,21 @@ export class FirstOrder {
   torque(labels, found) {
     const columns = this.which(labels);
     const means = this.data.screen.likeliest_base_means[found.likeliest];
-    const shift = flat(means);
+    const shift = means.values;
     const width = means.shape[1];
     const screened = this.evidence.best(labels).flatMap(([, which]) => which);
     return this.data.missing.map((one) => {
       const length = one.time.shape[0];
       const total = this.data.joints.map(() => new Float64Array(length));
       const add = (sparse, factor) => {
-        for (const [joint, packed] of Object.entries(sparse)) {
-          const values = flat(packed);
+        for (const [joint, { values }] of Object.entries(sparse)) {
           for (let k = 0; k < length; k++) total[joint][k] += factor * values[k];
         }
       };
-      columns.forEach((c, i) => add(one.columns[c], found.mean[i]));
+      for (const [i, c] of columns.entries()) add(one.columns[c], found.mean[i]);
       one.base.forEach((sparse, p) => {
         let change = 0;
-        screened.forEach((c, i) => (change += shift[p * width + 1 + c] * found.mean[i]));
+        for (const [i, c] of screened.entries()) change += shift[p * width + 1 + c] * found.mean[i];
         add(sparse, change);
       });
       return total;

@@ -61,7 +61,10 @@ export function inverseDiagonal(L, n) {
 export function subset(gram, columns) {
   const n = columns.length;
   const L = cholesky((i, j) => gram(columns[i] + 1, columns[j] + 1) + (i === j ? 1 : 0), n);
-  const x = forward(L, columns.map((c) => -gram(c + 1, 0)));
+  const x = forward(
+    L,
+    columns.map((c) => -gram(c + 1, 0)),
+  );
   let gain = 0;
   for (let i = 0; i < n; i++) gain += 0.5 * x[i] * x[i] - Math.log(L[i * n + i]);
   return { gain, mean: backward(L, x), spread: inverseDiagonal(L, n).map(Math.sqrt) };

@@ -54,16 +54,23 @@ export class Numbers {
         row.range = { low, high: n.value + span };
         const read = () => low + ((row.range.high - low) * Number(row.slider.value)) / STEPS;
         row.slider = element("input", {
-          type: "range", min: 0, max: STEPS, step: 1, "aria-label": n.name,
+          type: "range",
+          min: 0,
+          max: STEPS,
+          step: 1,
+          "aria-label": n.name,
           input: () => this.onMove(n.name, read()),
           change: () => this.onHold(n.name, read()),
         });
         row.hold = element("input", {
-          type: "checkbox", "aria-label": `hold ${n.name}`,
+          type: "checkbox",
+          "aria-label": `hold ${n.name}`,
           change: () => this.onHold(n.name, row.hold.checked ? read() : null),
         });
-        cells.push(element("td", { class: "slide" }, row.slider),
-          element("td", {}, element("label", { class: "hold" }, row.hold, " hold")));
+        cells.push(
+          element("td", { class: "slide" }, row.slider),
+          element("td", {}, element("label", { class: "hold" }, row.hold, " hold")),
+        );
       }
       this.rows.set(n.name, row);
       return element("tr", {}, ...cells);

@@ -1,5 +1,7 @@
 // The live server: what the page asks it for. Nothing here runs in a report.
 
+import { opened } from "./arrays.js";
+
 /** A random name of this window, so that two do not disturb each other. */
 const WINDOW = crypto.randomUUID?.() ?? String(Math.random());
 
@@ -11,7 +13,7 @@ export class Server {
 
   async get(what) {
     const answer = await fetch(`api/${this.study}/${what}`, { cache: "no-store" });
-    return answer.json();
+    return opened(await answer.json());
   }
 
   async post(what, body) {
@@ -20,15 +22,19 @@ export class Server {
       headers: { "Content-Type": "application/json" },
       body: JSON.stringify(body),
     });
-    return answer.json();
+    return opened(await answer.json());
   }
 
   /** A fit, by the smoother if it is to be quick; null if a newer one was asked for meanwhile. */
   async fit(added, held, quick) {
     const number = ++this.number;
     const study = this.study;
-    const found = await this.post(quick ? "quick" : "fit", {
-      window: WINDOW, number, added, held: Object.fromEntries(held),
+    const found = await this.post("fit", {
+      window: WINDOW,
+      number,
+      added,
+      quick,
+      held: Object.fromEntries(held),
     });
     if (number !== this.number || study !== this.study || found.superseded) return null;
     return found;

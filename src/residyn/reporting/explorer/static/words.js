@@ -59,7 +59,9 @@ export function verdict({ model, base, chosen, candidates, joints, heldOut, like
   );
   const words = [];
   if (!chosen.length) {
-    const each = joints.map((joint, j) => `${times(model.fitted[j])} times the noise at the ${joint}`);
+    const each = joints.map(
+      (joint, j) => `${times(model.fitted[j])} times the noise at the ${joint}`,
+    );
     words.push(
       noise
         ? "Springs and dampers leave nothing but noise: nothing is missing."
@@ -71,9 +73,10 @@ export function verdict({ model, base, chosen, candidates, joints, heldOut, like
     const from = base.fitted[j];
     const to = model.fitted[j];
     const verb = to < 0.98 * from ? "falls" : to > 1.02 * from ? "rises" : "stays";
-    falls += verb === "stays"
-      ? `stays at ${times(to)} times the noise`
-      : `${verb} from ${times(from)} to ${times(to)} times the noise`;
+    falls +=
+      verb === "stays"
+        ? `stays at ${times(to)} times the noise`
+        : `${verb} from ${times(from)} to ${times(to)} times the noise`;
     if (base.held_out && model.held_out) {
       falls += `, and on ${heldOut === "last third" ? "the last third, held out," : "the held-out recordings"}`;
       falls += ` from ${times(base.held_out[j])} to ${times(model.held_out[j])}`;
@@ -86,7 +89,7 @@ export function verdict({ model, base, chosen, candidates, joints, heldOut, like
     const sure = likeliest.exact ? "" : ", to first order";
     words.push(`Most probable next: ${name} (${percent(likeliest.probability)}${sure}).`);
   }
-  if (noise && found && found.lookalikes.length) {
+  if (noise && found?.lookalikes.length) {
     const group = found.lookalikes.find((g) => g.some((x) => chosen.includes(x)));
     if (group) {
       const rest = group.filter((x) => !chosen.includes(x) && candidates.has(x));
@@ -110,7 +113,7 @@ export function command(name, labels) {
 
 /** A file that holds the experiment and, as comments, the model. */
 export function toml(text, line, numbers) {
-  const safe = (x) => String(x).replace(/[\u0000-\u001f]/g, " ");
+  const safe = (x) => String(x).replace(/\p{Cc}/gu, " ");
   const model = numbers.map((n) => `#   ${safe(n.name)} = ${measured(n.value, n.std, n.unit)}`);
   const head = ["", "# The model that was looked at:", `#   ${safe(line)}`, ...model, ""];
   return `${(text ?? "").replace(/\n*$/, "\n")}${head.join("\n")}`;

@@ -1,0 +1,59 @@
+"""What is said of step 3 over all models in play: their probabilities, bands, and what to do."""
+
+from ..procedure.over_models import OverModels, Spread
+from .layout import Table, filled, printed
+from .names import upper
+from .numbers import percent, plain, with_error
+from .plan import motion_words, named, setting_words
+
+_NAMES = {"frequency_hz": ("frequency", "Hz"), "damping_ratio": ("damping ratio", "")}
+
+
+def text(found: OverModels) -> str:
+    """In 80 columns."""
+    out = ["[[In orbit, over all models]]", *printed(models_table(found))]
+    for theta2, table in modes_tables(found):
+        out += [f"[[Modes over all models]]  elbow at {theta2} rad", *printed(table)]
+    return "\n".join([*out, *filled(narrowing_words(found), "    ")])
+
+
+def models_table(found: OverModels) -> Table:
+    """The models in play."""
+    rows = [[named(m.added, found.joints), percent(m.probability)] for m in found.models]
+    return Table(["model", "probability"], rows)
+
+
+def modes_tables(found: OverModels) -> list[tuple[str, Table]]:
+    """Of each elbow angle, the modes without bearings, and what their uncertainty comes from."""
+    tables = []
+    for theta2, modes in found.poses:
+        rows = []
+        for i, mode in enumerate(modes, 1):
+            for key, (words, unit) in _NAMES.items():
+                x: Spread = getattr(mode, key)
+                low, high = (with_error(v, x.std)[0] for v in (x.low, x.high))
+                shares = (x.from_name, x.from_numbers, x.from_inertias)
+                band = f"{low} to {high} {unit}".rstrip()
+                rows.append([f"{i} {words}", band, *map(percent, shares)])
+            if mode.rings < 0.995:
+                rows.append([f"{i} rings with", percent(mode.rings), "", "", ""])
+        head = ["mode", "95 % band", "from name", "numbers", "inertias"]
+        tables.append((plain(theta2, 4), Table(head, rows)))
+    return tables
+
+
+def narrowing_words(found: OverModels) -> str:
+    """What is known worst of the lowest mode, and the test that would narrow it most; empty if none
+    was sought."""
+    test = found.next_test
+    if test is None or test.band is None or found.narrows is None:
+        return ""
+    spread: Spread = getattr(found.poses[0][1][0], found.narrows)
+    what, unit = _NAMES[found.narrows]
+    now, then = (f"+/- {plain(x, 2)} {unit}".rstrip() for x in (1.96 * spread.std, test.band))
+    setting = setting_words(test)
+    return (
+        f"The {what} of mode 1 is what is known worst: {now} (95 %). {upper(motion_words(test))}"
+        f"{f' ({setting})' if setting else ''}, and record {plain(test.duration, 2)} s: that is "
+        f"expected to narrow it to {then}."
+    )

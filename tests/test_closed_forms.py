@@ -1,0 +1,60 @@
+"""Effects that rigs showed, against closed forms."""
+
+import jax
+import numpy as np
+import pytest
+
+import residyn
+from residyn.physics.motion import Motion
+
+
+@pytest.fixture(autouse=True)
+def double():
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.mark.parametrize("rate", [2.0, -3.0])
+def test_air_drags_on_a_straight_arm_as_on_one_link(rate):
+    """The integral of c (s w)^2 s ds from 0 to L = l1 + l2 is c L^4 w^2 / 4."""
+    arm = residyn.PlanarArm([0.3, 0.5], 1.0, 0.5, 0.6)
+    torque = residyn.AirDrag(0.7).torque(Motion.at(0.0, [0.4, 0.0], [rate, 0.0]), arm)
+    np.testing.assert_allclose(torque[0], 0.7 * 0.8**4 / 4 * rate * abs(rate), rtol=1e-12)
+
+
+def test_air_drags_on_a_turning_elbow_as_on_its_link_alone():
+    arm = residyn.PlanarArm([0.3, 0.5], 1.0, 0.5, 0.6)
+    torque = residyn.AirDrag(0.7).torque(Motion.at(0.0, [0.4, 1.1], [0.0, 2.0]), arm)
+    np.testing.assert_allclose(torque[1], 0.7 * 0.5**4 / 4 * 2.0**2, rtol=1e-12)
+
+
+def test_dahls_friction_builds_up_exponentially_and_reverses():
+    """From z = 0 over a way x: 1 - exp(-x/y); from there back over w: -1 + (1 + z) exp(-w/y)."""
+    cart = residyn.ConstantInertia([[1.0]], ["cart"], ["m"])
+    dahl = residyn.DahlFriction("cart", level=3.0, way=0.02)
+    there = Motion.at(0.0, [0.05], [1.0], [0.0, 0.0])._replace(turn=(0.05,))
+    z = 1 - np.exp(-0.05 / 0.02)
+    np.testing.assert_allclose(dahl.torque(there, cart)[0], 3.0 * z, rtol=1e-12)
+    # It turned round at 0.05 within the step and is at 0.04 now.
+    back = Motion.at(0.0, [0.04], [-1.0], [0.0, 0.0])._replace(turn=(0.05,))
+    after = -1 + (1 + z) * np.exp(-0.01 / 0.02)
+    np.testing.assert_allclose(dahl.torque(back, cart)[0], 3.0 * after, rtol=1e-12)
+    np.testing.assert_allclose(np.array(dahl.follow(back, cart)), [after, 0.04], rtol=1e-12)
+
+
+def test_dahls_friction_takes_coulombs_bite_where_it_is_stiff():
+    """The amplitude falls by 4 F / k a cycle, but for the way over which it builds up."""
+    cart = residyn.ConstantInertia([[1.0]], ["cart"], ["m"])
+    model = cart + residyn.Spring("cart", 100.0) + residyn.DahlFriction("cart", 0.2, 1e-3)
+    t = np.linspace(0.0, 2 * np.pi / 10 * 3, 3001)
+    q = np.asarray(residyn.simulate(model, t, [0.1], steps=6000).q)[:, 0]
+    peaks = [q[0], *(q[i] for i in range(1, 3000) if q[i - 1] < q[i] >= q[i + 1])]
+    np.testing.assert_allclose(np.diff(peaks), -4 * 0.2 / 100, rtol=0.05)
+
+
+def test_cogging_repeats_and_derives_from_a_potential():
+    cogging = residyn.Cogging("cart", sine=2.0, cosine=0.5, period=0.1)
+    cart = residyn.ConstantInertia([[1.0]], ["cart"], ["m"])
+    at = [float(cogging.torque(Motion.at(0.0, [q], [0.0]), cart)[0]) for q in (0.03, 0.13, 0.0)]
+    np.testing.assert_allclose(at[0], at[1], rtol=1e-9)
+    assert at[2] == 0.0

@@ -1,0 +1,135 @@
+"""Step 3 over models: the mixture's bands, and where its variance comes from."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import residyn
+from residyn.diagnosis.candidate_tests import Rival
+from residyn.diagnosis.evidence import prior_of
+from residyn.diagnosis.missing_torque import scene_of
+from residyn.diagnosis.planned import InPlay
+from residyn.diagnosis.search import Tried, settle, tried_alone
+from residyn.effects import BearingDrag
+from residyn.procedure.carried import NAMES, inertias, slopes_of_modes
+from residyn.procedure.over_models import (
+    ModeOver,
+    OverModels,
+    Spread,
+    _errors,
+    _quantity,
+    _spread,
+    quantile,
+)
+from residyn.procedure.unload import _bare
+from residyn.recordings.tables import ArmTable, Bearing
+from tests.by_hand import NEXT
+
+ARM = ArmTable((0.4, 0.4), 1.2, 0.6, 1.4)
+BEARINGS = (Bearing("elbow", 0.1, 1e-4), Bearing("wrist", 0.1, 1e-4))
+NOISE = 1e-3
+
+
+@pytest.fixture(autouse=True)
+def float64():
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.fixture(scope="module")
+def two():
+    """An arm on bearings that drag, and what springs and dampers make of it, with drag and
+    without."""
+    with jax.enable_x64(True):
+        time = np.arange(0.0, 8.0, 0.02)
+        still = residyn.Recording.from_arrays(time, np.sin(time)[:, None] * [1, 1], noise=NOISE)
+        experiment = residyn.Experiment(ARM, (still,), BEARINGS)
+        mechanism = residyn.fitting.mechanism_of(experiment, still)
+        model = residyn.fitting.model_for(mechanism, ["bearing_drag"])
+        truth = model.with_values({
+            "spring:shoulder.stiffness": 40.0, "spring:elbow.stiffness": 30.0,
+            "damper:shoulder.damping": 0.2, "damper:elbow.damping": 0.1,
+            "bearing_drag.coefficient": 0.4,
+        })  # fmt: skip
+        q = np.asarray(residyn.simulate(truth, time, [0.2, -0.15]).q)
+        q = q + NOISE * np.random.default_rng(0).standard_normal(q.shape)
+        made = residyn.Recording.from_arrays(time, q, noise=NOISE, theta2=1.0)
+        made = dataclasses.replace(made, theta2=0.0)
+        experiment = residyn.Experiment(ARM, (made,), BEARINGS)
+        scene, base, _ = scene_of(experiment, ())
+        both = (*base, BearingDrag())
+        (found,) = settle(scene, [scene.start(both, prior_of(scene, both))], 1.0)
+        assert found is not None
+        models = [tried_alone(scene, base), Tried(("bearing_drag",), *found, log_prior=0.0)]
+        return experiment, scene, models, truth
+
+
+def test_inertias_that_are_off_by_one_share_move_stiffness_and_damping_by_it(two):
+    """Eq. 9."""
+    _, scene, (base, _), _ = two
+    rival = Rival.of(scene, base)
+    errors = _errors(scene, rival, base, np.eye(3))
+    sizes = np.asarray(inertias(scene.mechanisms[0]))
+    np.testing.assert_allclose(errors.moved @ sizes, base.best.numbers, rtol=0.02)
+
+
+def test_so_they_move_no_frequency_on_the_bearings(two):
+    _, scene, (base, _), _ = two
+    rival = Rival.of(scene, base)
+    sizes = np.asarray(inertias(scene.mechanisms[0]))
+    errors = _errors(scene, rival, base, np.outer(sizes, sizes) * 0.01)
+    for which in (0, 1):
+        modes = slopes_of_modes(rival.model, rival.model)
+        wanted = _quantity([modes[0]], [errors], which)
+        assert np.sqrt(wanted.rest[0]) < 1e-3 * abs(wanted.mean[0])
+
+
+def test_damping_in_orbit_with_and_without_the_name(two):
+    """Springs and dampers alone keep the drag; the band over both models holds the truth."""
+    experiment, scene, models, truth = two
+    recording = experiment.recordings[0]
+    off = _bare(experiment, truth, recording)
+    expected = slopes_of_modes(off, truth)[0].values[1]
+    rivals = [Rival.of(scene, m) for m in models]
+    errors = [_errors(scene, r, m, None) for r, m in zip(rivals, models, strict=True)]
+    modes = [slopes_of_modes(_bare(experiment, r.model, recording), r.model)[0] for r in rivals]
+    wanted = _quantity(modes, errors, 1)
+    p = np.exp([m.log_evidence for m in models] - np.max([m.log_evidence for m in models]))
+    spread = _spread(wanted, p / p.sum(), [r.root for r in rivals])
+    assert spread.low < expected < spread.high
+    assert abs(wanted.mean[0] - expected) > 10 * spread.std  # what the base model says
+    assert spread.from_name + spread.from_numbers + spread.from_inertias == pytest.approx(1.0)
+
+
+def test_quantiles_of_a_mixture():
+    p, mean, std = np.array([0.3, 0.7]), np.array([0.0, 5.0]), np.array([1.0, 2.0])
+    for q in (0.025, 0.5, 0.975):
+        x = quantile(q, p, mean, std)
+        assert p @ norm.cdf((x - mean) / std) == pytest.approx(q, abs=1e-9)
+    assert quantile(0.975, np.ones(1), np.zeros(1), np.ones(1)) == pytest.approx(1.959964, abs=1e-5)
+
+
+def test_it_reads_in_80_columns():
+    known = Spread(0.5, 0.49, 0.51, 0.005, 0.2, 0.5, 0.3)
+    found = OverModels(
+        models=(InPlay(("bearing_drag",), 0.7), InPlay((), 0.3)),
+        left_out=0.0,
+        poses=((0.3, (ModeOver(known, known, 1.0),) * 2),),
+        next_test=dataclasses.replace(NEXT, band=0.004),
+        narrows="damping_ratio",
+        bare=(),
+        joints=("shoulder", "elbow"),
+    )
+    text = str(found)
+    assert max(map(len, text.splitlines())) <= 80
+    assert "drag of the air bearings" in text
+    assert "70 %" in text
+    assert "0.4900 to 0.5100 Hz" in text
+    assert "expected to narrow it to +/- 0.0040." in " ".join(text.split())
+    assert list(found.to_dict()) == [
+        "models", "left_out", "poses", "narrows", "next_test",
+    ]  # fmt: skip
+    assert len(NAMES) == 3
