@@ -166,7 +166,7 @@ def test_the_error_grows_with_the_horizon(wrong):
 def test_json_is_the_fits_and_more(clean):
     found = clean.to_dict()
     assert found.items() >= clean.fit.to_dict().items()
-    more = {"words", "where", "held_out", "horizon", "missing_torque"}
+    more = {"words", "where", "held_out", "horizon", "missing_torque", "runs"}
     assert set(found) - set(clean.fit.to_dict()) == more
     where = found["where"]
     assert set(where) == {"white", "joint", "time", "amplitude", "frequency"}
