@@ -11,7 +11,6 @@ noise, four numbers and four initial states. "Warm" is the second and later fits
 "first" compiles. SciPy starts 40 % off; its time says nothing where it ends in a wrong valley.
 """
 
-import importlib
 import sys
 import time
 from pathlib import Path
@@ -21,15 +20,13 @@ import jax.numpy as jnp
 import numpy as np
 
 import residyn
-from residyn.fitting import initial_guess, lanes, multistart
+from residyn.fitting import conclusion, initial_guess, lanes, multistart
 from residyn.fitting.least_squares import compressed
 from residyn.fitting.problem import Ready, ready
 from residyn.recordings.tables import ArmTable
 from tests import rig
 
 from .fit_quality import experiment_of, scipy_fit
-
-pipeline = importlib.import_module("residyn.fitting.fit")  # the package's `fit` is the function
 
 REPEATS = 15
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "scaling.svg"
@@ -62,9 +59,8 @@ PARTS = {
     "outliers": (multistart, "outlier_mask"),
     "the problem's arrays": (Ready, "problem"),
     "Levenberg-Marquardt": (lanes, "one_start"),
-    "covariance": (pipeline, "spread_of"),
-    "modes": (pipeline, "modes_of"),
-    "warnings": (pipeline, "warnings_for"),
+    "covariance": (conclusion, "spread_of"),
+    "modes": (conclusion, "modes_of"),
 }
 
 

@@ -20,7 +20,7 @@ from ..effects import AbstractEffect
 from ..filtering.law import number_slices, numbers_of
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import DEFAULT_STARTS, FitError, fit
-from ..fitting.fit import finish
+from ..fitting.conclusion import finish
 from ..fitting.multistart import descend, without_drift
 from ..fitting.problem import ready
 from ..fitting.result import Fit

@@ -5,7 +5,6 @@ from .batch import fit_many as fit_many
 from .bootstrap import Bootstrap as Bootstrap
 from .bootstrap import bootstrap as bootstrap
 from .evolution import MissingExtra as MissingExtra
-from .fit import DEFAULT_STARTS as DEFAULT_STARTS
 from .fit import fit as fit
 from .fit import levenberg_history as levenberg_history
 from .genetic import Genetic as Genetic
@@ -14,6 +13,7 @@ from .implicit import Embedded as Embedded
 from .implicit import Solution as Solution
 from .implicit import embed as embed
 from .methods import METHODS as METHODS
+from .multistart import DEFAULT_STARTS as DEFAULT_STARTS
 from .problem import mechanism_of as mechanism_of
 from .problem import model_for as model_for
 from .race import Race as Race

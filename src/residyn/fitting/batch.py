@@ -19,8 +19,9 @@ import jax
 from ..effects import AbstractEffect
 from ..errors import InputError
 from ..recordings.experiment import Experiment, load
-from .fit import DEFAULT_STARTS, fitting
+from .fit import fitting
 from .lanes import Fitting, alone, lanes, together
+from .multistart import DEFAULT_STARTS
 from .result import Fit, FitError
 from .result_lines import ResultLines, digest
 

@@ -10,22 +10,27 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from ..effects import AbstractEffect
-from ..physics.model import Model
 from ..recordings.experiment import Experiment
-from .covariance import modes_of, numbers_of, spread_of
+from .conclusion import finishing
+from .genetic import drawn, fit_genetic
 from .history import History, Watch, watched
 from .initial_guess import first_guess, resolving
-from .integration import TENTH, at_twice_the_steps, checked, corrected, refined, stable
-from .lanes import Fitting, alone, evaluating
-from .least_squares import Compressed
-from .multistart import Descent, descending, multistart, outliers_among, without_drift
-from .problem import Problem, Unknowns, mechanism_of, posed, ready
-from .result import Fit, FitError, RecordingFit
-
-DEFAULT_STARTS = 6
+from .integration import TENTH, checked, refined, stable
+from .lanes import Fitting, alone
+from .methods import GENETIC, LEVENBERG, RANDOM, check_method
+from .minimise import fit_minimised
+from .multistart import (
+    DEFAULT_STARTS,
+    Descent,
+    descending,
+    multistart,
+    outliers_among,
+    without_drift,
+)
+from .problem import ready
+from .result import Fit, FitError
 
 
 def fit(
@@ -80,17 +85,11 @@ def fit(
 
 
 def _by(method: Any, experiment, effects, starts: int, say, search: dict[str, Any]) -> Fit:
-    from .methods import GENETIC, LEVENBERG, RANDOM, check_method
-
     check_method(method)
     if isinstance(method, str) and method in GENETIC:
-        from .genetic import fit_genetic
-
         how = dataclasses.replace(GENETIC[method], **search)
         return fit_genetic(experiment, effects, how, say)
     if method not in (LEVENBERG, RANDOM):
-        from .minimise import fit_minimised
-
         return fit_minimised(experiment, effects, method, say, **search)
     seed = search.pop("seed", 0) if method == RANDOM else None
     if search:
@@ -136,8 +135,6 @@ def fitting(
             progress("fitting with steps that are short enough")
             descent = yield from multistart(finer, again, outliers, starts, progress, guess)
     else:
-        from .genetic import drawn
-
         progress("drawing starts")
         numbers = drawn(here, outliers, starts, seed)
         progress(f"fitting from {starts} of them")
@@ -167,92 +164,6 @@ def _refined(descent: Descent, error: float) -> Fitting[Descent | None]:
     return again._replace(
         steps=descent.steps + again.steps, starts=descent.starts, agreeing=descent.agreeing
     )
-
-
-def finish(*given, **more) -> Fit:
-    """`finishing`, at once."""
-    return alone(finishing(*given, **more))
-
-
-def finishing(
-    experiment: Experiment,
-    start: np.ndarray,
-    descent: Descent,
-    began: float,
-    search: Callable[..., Any] | None = None,
-    evaluate: Callable[[Problem, Unknowns], Compressed] | None = None,
-    correct: bool = True,
-) -> Fitting[Fit]:
-    """What a fit returns, from where a descent ended; `start` (P,) is where it began. The error of
-    the integration is taken from its numbers, unless they are no minimum (`correct`). Initial
-    states of check recordings are found by `search`, as in `descending`; `evaluate` gives residual
-    and Jacobian, if not the program of the descents."""
-
-    def evaluated(problem: Problem, y: Unknowns) -> Fitting[Compressed]:
-        return (yield from evaluating(problem, y)) if evaluate is None else evaluate(problem, y)
-
-    recordings = experiment.fit_recordings
-    if correct:
-        descent, error = yield from corrected(descent, recordings, evaluated)
-    else:
-        _, error = yield from at_twice_the_steps(descent, recordings, evaluated)
-    model, fitted = descent.model, descent.beside(recordings)
-    unknown = len(start) + sum(f.state.size for f in fitted)
-    readings = sum(int(f.used.sum()) for f in fitted)
-    chi2 = descent.cost / max(1, readings - unknown)
-    # Errors assume that the residual is white noise of the size that was stated; where it is larger
-    # they grow with it.
-    sizes = np.asarray(descent.problem.scale.numbers)
-    spread = spread_of(np.asarray(descent.compressed.factor), sizes, max(1.0, chi2))
-    held_out = yield from _held_out(experiment, model, descent, search)
-    return Fit(
-        experiment=experiment,
-        model=model,
-        numbers=numbers_of(model, start, spread),
-        covariance=spread.covariance,
-        recordings=(*fitted, *held_out),
-        reduced_chi2=chi2,
-        modes=modes_of(model, spread.covariance),
-        starts=descent.starts,
-        agreeing_starts=descent.agreeing,
-        converged=descent.converged,
-        reason=_reason(descent.converged),
-        steps=descent.steps,
-        integration_error=error,
-        seconds=time.perf_counter() - began,
-        open_groups=spread.open_groups,
-        integration_steps=int(descent.problem.steps),
-        problem=descent.problem,
-        unknowns=descent.unknowns,
-        ready=descent.here,
-    )
-
-
-def _held_out(
-    experiment: Experiment, model: Model, descent: Descent, search: Callable[..., Any] | None
-) -> Fitting[list[RecordingFit]]:
-    """Check recordings beside the fitted model: only their initial states are fitted."""
-    group, found = len(descent.outliers), []
-    numbers = np.asarray(model.vector())[None]
-    for first in range(0, len(experiment.check_recordings), group):
-        # As many at a time as were fitted, so that no other program need be compiled.
-        some = experiment.check_recordings[first : first + group]
-        filled = [*some, *[some[-1]] * (group - len(some))]
-        mechanisms = tuple(mechanism_of(experiment, r) for r in filled)
-        # The same effects, also where bare recordings know none of bearings.
-        begin = posed(model, mechanisms[0])
-        here = descent.here._replace(model=begin, recordings=tuple(filled), mechanisms=mechanisms)
-        outliers = outliers_among(here, [r.angle for r in here.recordings])
-        like = descent.problem
-        end = yield from descending(here, begin, numbers, outliers, like=like, search=search)
-        found += end.beside(filled)[: len(some)]
-    return found
-
-
-def _reason(converged: bool) -> str:
-    if converged:
-        return "converged: the last step moved the fit by less than 1/100 of its error"
-    return "step limit reached before the numbers settled"
 
 
 def levenberg_history(

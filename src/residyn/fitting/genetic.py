@@ -22,13 +22,13 @@ from ..effects import AbstractEffect
 from ..physics.model import Number as Fitted
 from ..physics.parameter import RATIO, STIFFNESS, Dimension
 from ..recordings.experiment import Experiment
+from .conclusion import finish
 from .evolution import evolve
-from .fit import DEFAULT_STARTS, finish
 from .history import History, relative_error, watching
 from .initial_guess import first_guess, resolving
 from .least_squares import Compressed, compressed
 from .linalg import BLIND, damped_step
-from .multistart import Descent, outliers_among
+from .multistart import DEFAULT_STARTS, Descent, outliers_among
 from .problem import Problem, Ready, Unknowns, ready
 from .result import Fit, FitError
 

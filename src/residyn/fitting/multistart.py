@@ -40,6 +40,8 @@ from .problem import Problem, Ready, Unknowns, reweighted
 from .result import FitError, RecordingFit
 from .smoothing import uniform
 
+DEFAULT_STARTS = 6
+
 _CALLS = 4  # of at most `least_squares.STEPS` steps
 _BEHIND = 25.0  # times the least cost: a start that is worse after a horizon has lost its way
 _SAME = 0.5  # starts that end within this many standard errors of another one have ended there

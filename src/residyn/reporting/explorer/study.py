@@ -27,7 +27,7 @@ from ...diagnosis.search import Search, Tried, settle, tried_alone
 from ...effects import AbstractEffect
 from ...filtering.trajectory import Prior, Scene, Trajectory
 from ...fitting import DEFAULT_STARTS, fit
-from ...fitting.fit import finish
+from ...fitting.conclusion import finish
 from ...fitting.multistart import Descent, outliers_among
 from ...fitting.problem import Unknowns, ready
 from ...fitting.result import Fit, FitError
