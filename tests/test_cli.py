@@ -259,6 +259,14 @@ def test_two_models_side_by_side(command, fitted):
     assert (end.status, end.err.count("\n")) == (2, 1)
 
 
+def test_what_is_not_seen_is_a_warning_and_the_fit_stands(command):
+    end = command("fit", "cart.toml", "--with", "hysteresis", "--json", "unseen.json")
+    assert end.status == 0, end.err
+    assert "hysteresis:cart is not seen in these recordings" in end.out
+    found = json.loads(Path("unseen.json").read_text())["parameters"]["spring:cart.stiffness"]
+    assert abs(found["value"] - STIFFNESS) < 5 * found["std"] < 0.1 * STIFFNESS
+
+
 def test_json_on_standard_output_is_alone_there(command, fitted):
     end = command("fit", "cart.toml", "--json", "-")
     assert end.status == 0
@@ -321,7 +329,7 @@ def test_a_bug_is_one_line_too(command, monkeypatch):
 def test_a_fit_that_did_not_settle_prints_and_is_exit_status_1(command, monkeypatch):
     class Rough:
         misses = False
-        converged, reason = False, "step limit reached"
+        converged, stands, reason = False, False, "step limit reached"
         to_dict = staticmethod(dict)
 
         def __str__(self):
