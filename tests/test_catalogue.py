@@ -2,7 +2,6 @@
 
 import dataclasses
 import warnings
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +11,7 @@ import pytest
 import residyn
 from residyn.diagnosis.columns import candidates
 from residyn.effects import CATALOGUE, effects_named
+from residyn.filtering.trajectory import Scene
 from residyn.physics.motion import Motion
 from residyn.physics.parameter import Scales, parameters_of
 
@@ -248,7 +248,9 @@ def readings(model, t):
 
 def test_what_slides_feels_no_sine_of_an_angle():
     def names(mechanism):
-        scene = SimpleNamespace(mechanisms=[mechanism], n=1, grid=SimpleNamespace(drive=0.0))
+        t = np.linspace(0.0, 10.0, 500)
+        recording = residyn.Recording.from_arrays(t, np.cos(3.0 * t), noise=1e-3)
+        scene = Scene([recording], [mechanism], [np.zeros((500, 1), bool)])
         return [e.name for e in candidates(scene, ())]
 
     slide = residyn.ConstantInertia([[1.0]], ["cart"], ["m"])

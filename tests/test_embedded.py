@@ -49,11 +49,14 @@ def test_it_ends_where_the_fit_did(fit, embedded):
     errors = np.array([n.std for n in fit.numbers])
     assert bool(found.converged)
     assert embedded.names == tuple(n.name for n in fit.numbers)
-    np.testing.assert_allclose(found.numbers, numbers_of(fit), atol=1e-2 * errors.min())
+    # The fit takes the error of the integration off its numbers; this is the minimum of its steps.
+    assert fit.integration_error < 0.1
+    assert np.all(np.abs(found.numbers - numbers_of(fit)) < 0.05 * errors)
     inflation = max(1.0, fit.reduced_chi2)
     np.testing.assert_allclose(found.covariance * inflation, fit.covariance, rtol=1e-3, atol=1e-12)
     (predicted,) = embedded.readings(found.predicted)
-    np.testing.assert_allclose(predicted, fit.recordings[0].predicted, atol=1e-6)
+    noise = fit.recordings[0].recording.noise.min()
+    np.testing.assert_allclose(predicted, fit.recordings[0].predicted, atol=0.01 * noise)
     assert float(embedded.chi2(found.numbers, found.states)) == pytest.approx(float(found.chi2))
     # The minimum is one: a small step in any number makes it worse.
     for i, error in enumerate(errors):

@@ -101,7 +101,7 @@ def test_a_drive_that_jumps_is_followed(smooth):
     driven = dataclasses.replace(recording, drive=drive)
     made = dataclasses.replace(smooth, recordings=(driven,))
     with jax.enable_x64(True):
-        from residyn.fitting.problem import predict
+        from residyn.fitting.least_squares import predict
 
         model = two_joints()
         found = []
