@@ -192,7 +192,7 @@ def test_an_experiment_reads_markers_and_says_what_it_mended(tmp_path):
     assert seen.name == "trial.csv"
     assert seen.theta2 == pytest.approx(pose[1], abs=2e-3)
     np.testing.assert_allclose(np.ptp(seen.angle - angle, axis=0)[0], 0, atol=1e-4)
-    assert seen.missing == 5
+    assert seen.lost == 5
     text = "\n".join(loaded.warnings)
     assert 'trial.csv: "Elbow" and "Wrist" had exchanged labels from 3 to 3.99 s' in text
     assert 'trial.csv: "Wrist": lost in 5 of 1500 frames' in text

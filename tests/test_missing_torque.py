@@ -85,7 +85,7 @@ def test_lost_uneven_and_wild_samples_do_not_spoil_it(friction):
     wild = rng.choice(np.arange(20, 980), 5, replace=False)
     angle[wild, 1] += 40 * NOISE * rng.choice([-1.0, 1.0], 5)
     spoilt = as_recording(friction, keep, angle)
-    bad = residyn.recording.outlier_mask(spoilt.time, spoilt.angle, NOISE)
+    bad = residyn.recording.wild_samples(spoilt.time, spoilt.angle, NOISE)
     found = missing_torque(base(), spoilt, wild=bad)
     correlation, held = agreement(found, friction, 1)
     assert correlation > 0.9

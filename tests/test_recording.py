@@ -436,7 +436,7 @@ def test_counts_and_keeps_what_was_lost():
     t, q, _ = ringing(np.random.default_rng(0))
     q[10:15] = np.nan
     here = Recording.from_arrays(t, np.stack([q, q], axis=1))
-    assert here.missing == 10
+    assert here.lost == 10
     assert here.joints == 2
     assert np.isnan(here.angle[10:15]).all()
     with pytest.raises(ValueError, match="read-only"):
@@ -484,7 +484,7 @@ def test_refuses_arrays(change, words):
 def test_a_masked_reading_is_a_lost_one():
     t, q, _ = ringing(np.random.default_rng(0))
     here = Recording.from_arrays(t, np.ma.masked_array(q, np.arange(len(q)) < 3))
-    assert here.missing == 3
+    assert here.lost == 3
 
 
 def test_a_gap_in_the_drive_is_filled_and_said():
@@ -783,7 +783,7 @@ def test_a_million_samples_become_means_and_that_is_said():
     np.testing.assert_allclose(here.noise, 1e-3 / np.sqrt(11), rtol=0.02)
     truth = 0.1 * np.exp(-0.02 * here.time) * np.cos(9 * here.time)
     assert np.nanmax(np.abs(here.angle[:, 0] - truth)) < 3e-3
-    assert here.missing == 3
+    assert here.lost == 3
     assert "has 1000001 samples: means of 11 are taken, which leaves 90909" in here.warnings[0]
     given = Recording.from_arrays(t, q, noise=1e-3)
     np.testing.assert_allclose(given.noise, 1e-3 / np.sqrt(11))

@@ -103,7 +103,7 @@ def missing_torque(
     - `model`: on this recording's mechanism, whatever effects it has. Its numbers are estimated
       again, beside the missing torque.
     - `recording`: readings and their noise; samples may be lost or uneven, and the motion driven.
-    - `wild`: (N, n) readings to leave out, as from `residyn.recording.outlier_mask`.
+    - `wild`: (N, n) readings to leave out, as from `residyn.recording.wild_samples`.
 
     **Returns:** a `MissingTorque`.
     """

@@ -163,7 +163,7 @@ class Recording:
         return self.angle.shape[1]
 
     @property
-    def missing(self) -> int:
+    def lost(self) -> int:
         """How many readings are missing, all joints together."""
         return int(np.count_nonzero(np.isnan(self.angle)))
 
