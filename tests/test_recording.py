@@ -783,7 +783,7 @@ def test_a_million_samples_become_means_and_that_is_said():
     np.testing.assert_allclose(here.noise, 1e-3 / np.sqrt(11), rtol=0.02)
     truth = 0.1 * np.exp(-0.02 * here.time) * np.cos(9 * here.time)
     assert np.nanmax(np.abs(here.angle[:, 0] - truth)) < 3e-3
-    assert here.lost == 3
+    assert here.lost == 4
     assert "has 1000001 samples: means of 11 are taken, which leaves 90909" in here.warnings[0]
     given = Recording.from_arrays(t, q, noise=1e-3)
     np.testing.assert_allclose(given.noise, 1e-3 / np.sqrt(11))
