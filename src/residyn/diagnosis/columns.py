@@ -217,7 +217,7 @@ def columns(
             torque, z = of_place(effect, place, numbers, width)
             torques[place].append(torque)
             states.append(z)
-    W = _responses(instants.step, by_x, -by_torque)
+    W = responses(instants.step, by_x, -by_torque)
     steps, begins = [], []
     for place, each in enumerate(torques):
         if each:
@@ -291,7 +291,7 @@ def _strengths(effect, unit, mechanism, q, v, at, z, numbers):
     return over(q, v, at.time, z, at.step, at.spread, mechanism)
 
 
-def _responses(h, by_x, by_torque):
+def responses(h, by_x, by_torque):
     """How a Runge-Kutta step answers to a unit torque at its beginning, middle and end, each
     (X, n, K)."""
     X, K = by_x.shape[0], h.shape[0]

@@ -60,6 +60,12 @@ CONTENDERS = 6
 """Candidates of each screen whose nonlinear evidence is worked out, as many pairs whose members
 are, and as many frequencies of each joint that a disturbance may have: of 780 pairs at first order
 the true one was among the first two on seven arms of eight, single effects of 1 % first on all."""
+CURVE_AMPLITUDES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+"""Prior standard deviations of a free curve, in the spring's torque at full swing: half a decade
+apart, all alike, as a law without a name may be of any size that an effect has."""
+CURVE_LENGTHS = (0.08, 0.2, 0.5, 1.5)
+"""Correlation lengths of a free curve, in the visited range of its variable: from what its splines
+can just follow to a bend over the whole range."""
 EXPLAINS_NOTHING = WIDTH
 """Random torque from which a model is none of the motion at all: what it lacks is then as large as
 effects are expected to be."""

@@ -199,7 +199,9 @@ class Scene:
 
     def tabulated(self, t: Trajectory) -> tuple[Laws, Table]:
         """A model as data, and the laws of the program that takes it."""
-        laws = self._laws.get(t.labels) or laws_for(t.effects, self.catalogued)
+        laws = self._laws.get(t.labels)
+        if laws is None or laws.others:  # the others may hold data of their own: a free curve's
+            laws = laws_for(t.effects, self.catalogued)
         self._laws[t.labels] = laws
         slopes = t.prior.slopes(t.u)
         return laws, tabulated(laws, t.effects, self.joints, t.numbers, slopes, len(t.first))

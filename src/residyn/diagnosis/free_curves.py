@@ -1,0 +1,378 @@
+"""A law without a name: a free curve of one variable, as columns of the same filter.
+
+A torque f(x) of the angle, the rate or time, or such a curve times the angle, the rate or the
+direction of sliding, is a sum of cubic B-splines. Their heights have a Gaussian process prior
+(squared exponential; any curve, an odd or an even one), so along a motion each spline is a column,
+and the evidence of the curve is that of a linear Gaussian model (Rasmussen, Williams, Gaussian
+Processes for Machine Learning, 2006, ch. 2 and 5). Amplitude and length are summed over. A curve
+contains every named law of its variable; it pays for that freedom in its evidence, as any model
+does.
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.special import logsumexp
+
+from ..effects import JointEffect
+from ..filtering.kalman import Evidences, gram
+from ..filtering.linearised import Instants, Linear, nodes
+from ..filtering.trajectory import Scene, Trajectory
+from ..runtime.export_cache import kept
+from .columns import responses
+from .evidence import (
+    CURVE_AMPLITUDES,
+    CURVE_LENGTHS,
+    INTENSITIES,
+    conditional,
+    half_normals,
+    log_prior_intensity,
+)
+
+SPLINES = 32
+"""Of one curve."""
+WIDE = 4 * SPLINES
+"""Columns of one pass of the filter: one compiled program serves every pass."""
+_ITERATIONS = 8
+_SETTLED = 0.1  # nats
+_NEAR, _FALL = 3, 2  # random torques looked at in an iteration, and that it may fall by
+_LIGHT = 1e-3  # posterior of a prior's width and length below which it is left out of the band
+
+
+class Kind(NamedTuple):
+    """What a curve is of: torque = factor f(variable)."""
+
+    variable: str
+    """"angle", "rate" or "time"."""
+    factor: str = ""
+    """"angle", "rate", "direction" (of sliding), or none."""
+
+
+KINDS = (
+    Kind("angle"),
+    Kind("rate"),
+    Kind("time"),
+    Kind("angle", "rate"),
+    Kind("angle", "direction"),
+    Kind("time", "angle"),
+    Kind("time", "rate"),
+    Kind("time", "direction"),
+)
+"""All that are tried at each joint: a torque; a damping and a friction that change with the angle;
+a stiffness, a damping and a friction that change with time."""
+
+
+def spline(x: Any) -> Any:
+    """The cubic B-spline about 0 whose knots are one apart."""
+    a = jnp.abs(x)
+    inner = 2 / 3 - a**2 + a**3 / 2
+    return jnp.where(a < 1, inner, jnp.maximum(2 - a, 0.0) ** 3 / 6)
+
+
+def splines(x: Any, low: Any, high: Any) -> Any:
+    """(SPLINES, ...) their values at x; they cover low to high."""
+    at = jnp.clip((x - low) / (high - low), 0.0, 1.0) * (SPLINES - 3) + 1
+    return spline(at - jnp.arange(SPLINES, dtype=float).reshape(-1, *[1] * jnp.ndim(x)))
+
+
+class FreeCurve(JointEffect):
+    """A free curve with given heights, as an effect without numbers."""
+
+    name = "free_curve"
+    title = "A free curve"
+    variable: Any
+    """(3,) shares of angle, rate and time: as data, so that one compiled program has all kinds."""
+    factor: Any
+    """(3,) shares of angle, rate and 1."""
+    low: Any
+    high: Any
+    heights: Any
+
+    def joint_torque(self, motion):
+        of, by = self.variable, self.factor
+        x = of[0] * motion.q + of[1] * motion.v + of[2] * motion.t
+        factor = by[0] * motion.q + by[1] * motion.v + by[2]
+        return factor * jnp.sum(self.heights * splines(x, self.low, self.high))
+
+
+class FreeFriction(FreeCurve):
+    """A free curve times the direction of sliding."""
+
+    name = "free_friction"
+    dry = True
+
+    def joint_torque(self, motion):
+        return motion.direction * super().joint_torque(motion)
+
+
+@kept(like=(0, 0, 0, 0, 0))
+def _along(instants: Instants, path, spread, held, by_x, by_torque, sliding):
+    """Angles, rates, times and directions at the nodes, and (3, X, n, K) how a step answers to a
+    unit torque at its beginning, middle and end."""
+    at = nodes(instants, path, spread, held)
+    direction = jax.scipy.special.erf(at.v / (math.sqrt(2) * at.spread))
+    direction = jnp.where(jnp.abs(sliding) < 1, sliding, direction)
+    answers = jnp.stack(responses(instants.step, by_x, -by_torque))
+    answers = jnp.where(instants.last, 0.0, answers)
+    return at.q, at.v, at.time, direction, answers
+
+
+class Along:
+    """A model's motion, for columns of functions of it."""
+
+    def __init__(self, scene: Scene, t: Trajectory, linear: Linear | None = None):
+        self.scene, self.trajectory = scene, t
+        self.linear: Linear = scene.linearised(t) if linear is None else linear
+        _, table = scene.tabulated(t)
+        found = _along(
+            scene.instants, t.path, t.spread, table.held,
+            self.linear.by_x, self.linear.by_torque, self.linear.direction,
+        )  # fmt: skip
+        self.q, self.v, self.time, self.direction, self._answers = map(np.asarray, found)
+        self.real = np.tile(np.arange(scene.K) < scene.grid.real, 3)
+
+    def variable(self, name: str, joint: int) -> np.ndarray:
+        """(3 K,) a variable at the beginnings, middles and ends of the steps."""
+        return {"angle": self.q[joint], "rate": self.v[joint], "time": self.time}[name]
+
+    def factor(self, name: str, joint: int) -> np.ndarray:
+        """(3 K,) what a curve is multiplied by."""
+        each = {"angle": self.q, "rate": self.v, "direction": self.direction}
+        return each[name][joint] if name else np.ones(self.q.shape[1])
+
+    def span(self, variable: str, joint: int) -> tuple[float, float]:
+        """The visited range of a variable."""
+        x = self.variable(variable, joint)[self.real]
+        return float(x.min()), float(x.max())
+
+    def gram(
+        self, joint: int, torques: np.ndarray, intensities: Sequence[float] | np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(I,) log normalisers, and the (I, 1 + P + C, 1 + P + C) Gram matrices of whitened
+        innovations with C torques (C, 3 K), N m, at one joint."""
+        K, count = self.scene.K, len(torques)
+        wide = np.zeros((WIDE * math.ceil(count / WIDE), 3, K))
+        wide[:count] = torques.reshape(count, 3, K)
+        B = np.einsum("axk,cak->kxc", self._answers[:, :, joint], wide, optimize=True)
+        read = np.zeros((K, self.scene.n, B.shape[-1]))
+        noise = self.scene.noise(self.trajectory)
+        args = self.linear.system, (B, read), self.scene.readings, noise
+        found = [gram(*args, np.asarray(x, float)) for x in intensities]
+        keep = 1 + len(self.trajectory.u) + count
+        return np.array([t for t, _ in found]), np.stack([
+            np.asarray(g)[:keep, :keep] for _, g in found
+        ])  # fmt: skip
+
+
+class Place(NamedTuple):
+    """A free curve to be found: what of, at which joint, over which range."""
+
+    kind: Kind
+    joint: int
+    low: float
+    high: float
+
+    @classmethod
+    def visited(cls, along: Along, kind: Kind, joint: int) -> "Place":
+        """Over the range that a motion visits."""
+        return cls(kind, joint, *along.span(kind.variable, joint))
+
+    @property
+    def key(self) -> tuple[Kind, int]:
+        """What tells it from others."""
+        return self.kind, self.joint
+
+    def columns(self, along: Along) -> np.ndarray:
+        """(SPLINES, 3 K) torques of unit heights."""
+        x = along.variable(self.kind.variable, self.joint)
+        each = np.asarray(splines(x, self.low, self.high))
+        return along.factor(self.kind.factor, self.joint) * each
+
+    def unit(self, scene: Scene) -> float:
+        """Typical height: the spring's torque at full swing over the factor's typical size."""
+        s = scene.scales[self.joint]
+        size = {"angle": s.amplitude, "rate": s.amplitude * s.frequency}
+        return float(scene.torque[self.joint]) / size.get(self.kind.factor, 1.0)
+
+    def effect(self, scene: Scene, heights: np.ndarray) -> FreeCurve:
+        """The curve with these heights."""
+        made = FreeFriction if self.kind.factor == "direction" else FreeCurve
+        variable = np.array([self.kind.variable == x for x in ("angle", "rate", "time")], float)
+        factor = np.array([self.kind.factor == x for x in ("angle", "rate")], float)
+        factor = np.append(factor, 1.0 - factor.sum())
+        data = variable, factor, self.low, self.high, heights
+        return made(scene.joints[self.joint], *(np.asarray(x, float) for x in data))
+
+
+@functools.cache
+def _roots(low: float, high: float) -> np.ndarray:
+    """(H, SPLINES, SPLINES) square roots of the covariance of heights under each prior, at a
+    typical height of 1; `low`, `high` in units of the range."""
+    at = np.linspace(low, high, SPLINES - 2)
+    step = at[1] - at[0]
+    at = np.concatenate([[at[0] - step], at, [at[-1] + step]])
+    found = []
+    for length in CURVE_LENGTHS:
+        near, far = (np.exp(-0.5 * ((at[:, None] - s * at) / length) ** 2) for s in (1, -1))
+        # Any curve; its odd part; its even part (Duvenaud, PhD thesis, Cambridge 2014, ch. 2).
+        for covariance in (near, 0.5 * (near - far), 0.5 * (near + far)):
+            e, vectors = np.linalg.eigh(covariance)
+            root = vectors * np.sqrt(np.maximum(e, 0.0))
+            found += [a * root for a in CURVE_AMPLITUDES]
+    return np.stack(found)
+
+
+class Posterior(NamedTuple):
+    """A free curve beside a model, given the readings."""
+
+    evidences: np.ndarray
+    """(I,) log evidence of model and curve under each random torque."""
+    mean: np.ndarray
+    """(SPLINES,) heights."""
+    covariance: np.ndarray
+    """(SPLINES, SPLINES)"""
+
+
+def _mixed(weights, means, covariances) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance of a mixture."""
+    mean = np.tensordot(weights, means, 1)
+    off = means - mean
+    return mean, np.tensordot(weights, covariances + off[:, :, None] * off[:, None, :], 1)
+
+
+def shifted(gram: np.ndarray, first: int, at: np.ndarray) -> np.ndarray:
+    """A Gram matrix whose readings' row is where columns from `first` on, which the system is
+    linearised with at some values, are 0."""
+    move = np.eye(len(gram))
+    move[first : first + len(at), 0] = -at
+    return move.T @ gram @ move
+
+
+def posterior(
+    along: Along, place: Place, intensities: Sequence[float] | np.ndarray, at: np.ndarray
+) -> Posterior:
+    """A curve beside a model that holds it at heights `at` already."""
+    totals, grams = along.gram(place.joint, place.columns(along), intensities)
+    P = len(along.trajectory.u)
+    grams = np.stack([shifted(g, 1 + P, at) for g in grams])
+    return _posterior(along, place, intensities, totals, grams)
+
+
+def _posterior(along: Along, place: Place, intensities, totals, grams) -> Posterior:
+    P, size = len(along.trajectory.u), place.high - place.low
+    roots = place.unit(along.scene) * _roots(place.low / size, place.high / size)
+    evidences, each, means, covariances = [], [], [], []
+    for total, square in zip(totals, grams, strict=True):
+        base, rest = conditional(square, P)
+        inner = np.swapaxes(roots, 1, 2) @ rest[1:, 1:] @ roots + np.eye(SPLINES)
+        inverse = np.linalg.inv(inner)
+        slope = np.swapaxes(roots, 1, 2) @ rest[1:, 0]
+        z = -(inverse @ slope[..., None])[..., 0]
+        gains = -0.5 * np.sum(slope * z, -1) - 0.5 * np.linalg.slogdet(inner)[1]
+        weights = np.exp(gains - logsumexp(gains))
+        keep = weights > _LIGHT
+        heights = (roots[keep] @ z[keep][..., None])[..., 0]
+        spread = roots[keep] @ inverse[keep] @ np.swapaxes(roots[keep], 1, 2)
+        mean, covariance = _mixed(weights[keep] / weights[keep].sum(), heights, spread)
+        gain = logsumexp(gains) - math.log(len(gains))
+        evidences.append(total + base + gain + _signs(along, square, roots[np.argmax(gains)]))
+        each.append((mean, covariance))
+    evidences = np.array(evidences)
+    evidences = np.where(np.isfinite(evidences), evidences, -np.inf)
+    logs = evidences + log_prior_intensity(intensities)
+    weights = np.exp(logs - logsumexp(logs))
+    means, covariances = (np.stack(x) for x in zip(*each, strict=True))
+    return Posterior(evidences, *_mixed(weights, means, covariances))
+
+
+def _signs(along: Along, square: np.ndarray, root: np.ndarray) -> float:
+    """What the half-normal priors of the model's own numbers add, beside the curve."""
+    P = len(along.trajectory.u)
+    scale = np.eye(1 + P + SPLINES)
+    scale[1 + P :, 1 + P :] = root
+    square = scale.T @ square @ scale
+    inverse = np.linalg.inv(square[1:, 1:] + np.eye(P + SPLINES))
+    mean, std = -inverse @ square[1:, 0], np.sqrt(np.diag(inverse))
+    found = Evidences(np.zeros(1), mean[None, :P], std[None, :P])
+    return float(half_normals(along.trajectory.effects, found)[0])
+
+
+class Screened(NamedTuple):
+    """A free curve beside a model, to first order."""
+
+    place: Place
+    log_evidence: float
+    """Random torques summed over."""
+    posterior: Posterior
+
+
+def screen(along: Along, intensities: Sequence[float]) -> list[Screened]:
+    """Every free curve beside a model, to first order, the best first."""
+    found, P = [], len(along.trajectory.u)
+    for joint in range(along.scene.n):
+        for k in range(0, len(KINDS), WIDE // SPLINES):
+            kinds = KINDS[k : k + WIDE // SPLINES]
+            places = [Place.visited(along, kind, joint) for kind in kinds]
+            torques = np.concatenate([p.columns(along) for p in places])
+            totals, grams = along.gram(joint, torques, intensities)
+            for i, place in enumerate(places):
+                own = 1 + P + SPLINES * i
+                keep = np.r_[0 : 1 + P, own : own + SPLINES]
+                each = grams[:, keep[:, None], keep]
+                post = _posterior(along, place, intensities, totals, each)
+                logs = post.evidences + log_prior_intensity(intensities)
+                found.append(Screened(place, float(logsumexp(logs)), post))
+    return sorted(found, key=lambda s: -s.log_evidence)
+
+
+class Settled(NamedTuple):
+    """A model with a free curve, iterated to its evidence."""
+
+    place: Place
+    trajectory: Trajectory
+    """Of the model with the curve."""
+    evidences: np.ndarray
+    """(I,) at each of `INTENSITIES`."""
+    mean: np.ndarray
+    """(SPLINES,) heights of the curve."""
+    covariance: np.ndarray
+    at: np.ndarray
+    """(SPLINES,) heights that `trajectory` has."""
+
+
+def settle(scene: Scene, start: Trajectory, first: Screened, loudest: float) -> Settled | None:
+    """Iterate a model and a free curve to their motion: curve and evidences along the motion, then
+    the motion with that curve. None if it runs away."""
+    place, heights = first.place, first.posterior.mean
+    level = next(k for k, x in enumerate(INTENSITIES) if x <= loudest)
+    before, prior = -math.inf, log_prior_intensity(INTENSITIES)
+
+    def with_curve(t: Trajectory, heights) -> Trajectory:
+        own = [e for e in t.effects if not isinstance(e, FreeCurve)]
+        return dataclasses.replace(t, effects=(*own, place.effect(scene, heights)))
+
+    t = with_curve(start, heights)
+    for turn in range(_ITERATIONS):
+        moved = scene.smoothed(t, scene.linearised(t), INTENSITIES[level])
+        if moved is None:
+            return None
+        t, along = moved, Along(scene, moved)
+        near = np.arange(max(level - 1, 0), min(level + _NEAR, len(INTENSITIES)))
+        found = posterior(along, place, np.array(INTENSITIES)[near], heights)
+        likeliest = int(near[np.argmax(found.evidences + prior[near])])
+        here = float(found.evidences.max())
+        if not np.isfinite(here):
+            return None
+        settled = likeliest == level and abs(here - before) < _SETTLED
+        if settled or turn == _ITERATIONS - 1:
+            found = posterior(along, place, INTENSITIES, heights)
+            return Settled(place, t, found.evidences, found.mean, found.covariance, heights)
+        level, before, heights = min(likeliest, level + _FALL), here, found.mean
+        t = with_curve(t, heights)
+    return None
