@@ -47,8 +47,11 @@ oldest:
 	$(OLDEST)/bin/python -m pip install --quiet --disable-pip-version-check \
 	  --constraint $(OLDEST)/constraints.txt --editable ".[test]"
 	$(OLDEST)/bin/residyn demo --report $(OLDEST)/demo.html
-	$(OLDEST)/bin/python -m pytest -n 2 --dist loadfile $(addprefix tests/test_,$(addsuffix .py,catalogue cli \
-	  explorer_server genetic integrators lab_files many own_effects physics publish recording))
+	$(OLDEST)/bin/python -m pytest -n 2 --dist loadfile \
+	  $(addprefix tests/,$(addsuffix .py,cli/test_cli effects/test_catalogue effects/test_own_effects \
+	  fitting/test_batch fitting/test_genetic physics/test_equation_of_motion recordings/test_lab_files \
+	  recordings/test_recording reporting/explorer/test_explorer_server reporting/test_published_tables \
+	  simulation/test_integrators))
 
 .venv/.venv:
 	@test -n "$(PYTHON)" || { echo "residyn needs Python 3.11 or newer (set PYTHON=...)"; exit 1; }

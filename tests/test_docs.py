@@ -63,6 +63,22 @@ def test_what_is_not_run_says_why(path):
     assert text.count("<!-- output") == sum(b.output is not None for b in blocks.blocks(text))
 
 
+WRITTEN = sorted([*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "benchmarks" / "README.md"])
+
+
+@pytest.mark.parametrize("path", WRITTEN, ids=name_of)
+def test_every_file_that_a_page_names_exists(path):
+    """Paths from the root (`src/...`, `tests/...`), and modules of the package
+    as `folder/module.py`. Files of an example block are the reader's own."""
+    prose = re.sub(r"^```(?!text).*?^```", "", path.read_text(), flags=re.MULTILINE | re.DOTALL)
+    folders = "|".join(p.name for p in (ROOT / "src" / "residyn").iterdir() if p.is_dir())
+    begins = f"(?:src|tests|docs|benchmarks|{folders})"
+    named = re.findall(rf"(?<![\w/.-])({begins}/[\w./-]*\w/?)", prose)
+    roots = ROOT, ROOT / "src" / "residyn"
+    lost = {name for name in named if not any((root / name).exists() for root in roots)}
+    assert not lost
+
+
 def test_blocks_are_found_with_what_is_said_of_them():
     page = """
 <!-- output from "b" to "c" -->

@@ -104,6 +104,14 @@ def test_every_module_has_a_place():
     assert {parts[0] for parts in TREES} == set(RANK)
 
 
+def test_tests_mirror_the_tree():
+    """A folder of tests is one of the package. Beside the folders: what concerns no single one."""
+    here = Path(__file__).parent
+    for path in here.rglob("test_*.py"):
+        folder = path.parent.relative_to(here)
+        assert (SOURCE / folder).is_dir(), f"no folder residyn/{folder} for {path.name}"
+
+
 def test_importing_changes_no_setting_and_draws_nothing():
     code = (
         "import jax; before = dict(jax.config.values); import residyn, sys;"

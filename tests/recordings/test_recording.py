@@ -19,7 +19,7 @@ from residyn.recordings.recording import Recording
 from residyn.recordings.release import release_time
 from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 measured = pytest.mark.skipif(not DATA.is_dir(), reason="no measured recordings here")
 
 ARM = """[arm]

@@ -16,7 +16,7 @@ from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
 
 rig = pytest.importorskip("tests.rig")
 
-DATA = Path(__file__).parents[2] / "shared" / "data"
+DATA = Path(__file__).parents[3] / "shared" / "data"
 
 
 def experiment(case, *, noise=None, **changes) -> residyn.Experiment:

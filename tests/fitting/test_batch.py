@@ -62,12 +62,12 @@ def test_two_devices_share_the_fits(tmp_path):
     script = tmp_path / "two.py"
     script.write_text(
         "import jax, numpy as np, residyn\n"
-        "from tests.test_many import experiment\n"
+        "from tests.fitting.test_batch import experiment\n"
         "assert len(jax.devices()) == 2\n"
         "fit = residyn.fit(experiment(), starts=1)\n"
         "np.save('numbers.npy', residyn.bootstrap(fit, 10, seed=2, batch=3).numbers)\n"
     )
-    root = Path(__file__).parents[1]
+    root = Path(__file__).parents[2]
     subprocess.run(
         [sys.executable, str(script)],
         cwd=tmp_path,

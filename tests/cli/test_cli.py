@@ -465,7 +465,7 @@ def test_demo_from_end_to_end(command, folder, monkeypatch):
         f"Hidden was: {HIDDEN}. Right.",
     ):
         assert said in end.out
-    assert first in (Path(__file__).parents[1] / "README.md").read_text()
+    assert first in (Path(__file__).parents[2] / "README.md").read_text()
 
 
 def test_the_defaults_are_pythons_own():

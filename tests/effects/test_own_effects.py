@@ -12,7 +12,7 @@ import residyn
 from residyn import effects
 from residyn.cli import main
 
-README = Path(__file__).parents[1] / "README.md"
+README = Path(__file__).parents[2] / "README.md"
 
 
 @pytest.fixture(autouse=True)

@@ -30,7 +30,7 @@ from tests.rig.arm import paper_twin
 from tests.rig.driven import paper_tests
 from tests.rig.unloaded import INERTIA, MASS, Release, off_bearings, releases
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAPER = ArmTable((0.4, 0.4), 1.1662, 0.5790, 1.4384)
 """Bearings on, from the paper's step 1."""
 BOTH = (Bearing("elbow", MASS, INERTIA), Bearing("wrist", MASS, INERTIA))
@@ -570,7 +570,7 @@ def test_every_slip_in_the_docs_is_held_by_a_test_that_exists():
     table = [line for line in page.splitlines() if line.startswith("|")][2:]
     defined = {
         name
-        for path in (ROOT / "tests").glob("test_*.py")
+        for path in (ROOT / "tests").rglob("test_*.py")
         for name in re.findall(r"^def (test_\w+)", path.read_text(), flags=re.M)
     }
     assert len(table) >= 8

@@ -7,7 +7,7 @@ from residyn.cli import main
 from residyn.demo import EXAMPLES
 from residyn.errors import InputError
 from residyn.recordings.experiment import load
-from tests.test_dialects import COLUMNS, DIALECTS, T, table
+from tests.recordings.test_csv_dialects import COLUMNS, DIALECTS, T, table
 
 Q = np.stack([0.2 * np.cos(40 * T), -0.1 * np.cos(70 * T)], axis=1)
 FILLED = {"link_lengths": "[0.4, 0.4]", "shoulder": "1.2", "elbow": "0.6", "coupling": "1.4"}

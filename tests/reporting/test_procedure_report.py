@@ -16,7 +16,7 @@ from residyn.recordings.experiment import Experiment
 from residyn.reporting import figures as plot
 from residyn.reporting import render_page
 from tests.legible import legible
-from tests.test_unload import BOTH, GROWS, PAPER, STEP_2, from_numbers
+from tests.procedure.test_unload import BOTH, GROWS, PAPER, STEP_2, from_numbers
 
 NASTY = "<b>& 'arm'"
 
@@ -171,7 +171,7 @@ def test_the_example_of_step_3_is_what_the_rig_does_in_orbit(tmp_path, capsys):
     from tests.rig.arm import paper_twin
     from tests.rig.unloaded import off_bearings
 
-    readme = (Path(__file__).parents[1] / "README.md").read_text()
+    readme = (Path(__file__).parents[2] / "README.md").read_text()
     line = next(x for x in readme.splitlines() if x.startswith("residyn unload "))
     command = demo.EXAMPLES["bearings"][2].split()
     assert set(command) - {"residyn"} <= set(line.split())

@@ -11,10 +11,10 @@ from residyn.recordings.csv import read_csv, write_csv
 from residyn.recordings.experiment import load
 from residyn.recordings.recording import Recording
 from residyn.recordings.sanity import not_free
-from rig import draw
-from rig.cases import clean_cases
-from rig.hidden import hidden_cases
-from tests.test_recording import DATA, measured
+from tests.recordings.test_recording import DATA, measured
+from tests.rig import draw
+from tests.rig.cases import clean_cases
+from tests.rig.hidden import hidden_cases
 
 ALONE = ("bearing", "wrist_flexibility", "coupling", "gravity")
 UNITS = ("rad", "rad")

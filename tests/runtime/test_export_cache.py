@@ -17,7 +17,7 @@ from residyn.physics.parameter import all_floating
 from residyn.runtime import cache_files as _cache
 from residyn.runtime import export_cache as kept
 from residyn.runtime.export_cache import keep_in
-from rig import paper_twin, record
+from tests.rig import paper_twin, record
 
 
 @pytest.fixture
