@@ -5,6 +5,7 @@ squares then gives the numbers of the models on the way, their standard errors, 
 error on readings that were fitted and on readings that were not.
 """
 
+import datetime
 import math
 import threading
 import time
@@ -29,6 +30,7 @@ from ..recordings.experiment import Experiment
 from .candidate_tests import best_tests, in_play
 from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES
 from .forecast import held_out
+from .law import curve_models, laws_of
 from .linearised_fit import LinearisedFit, evaluated, forget, polish
 from .missing_torque import missing_of, scene_of
 from .result import (
@@ -97,6 +99,9 @@ def diagnose(
         search = Search(scene, base, deadline=deadline, say=say)
         fits.begin(search.base)
         search.run(max_effects)
+        if search.stopped is None:
+            say("looking for a law without a name")
+            search.curves = curve_models(search)
         say("fitting the models on the way")
         return concluded(search, fits, began, say)
 
@@ -202,6 +207,10 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
         say("looking for the experiment that would tell them apart")
         rivals, p, _ = in_play(posterior.models, posterior.each)
         advice = next(iter(best_tests(fits.whole, scene, rivals, p).tests), None)
+    if search.curves:
+        say("looking for its formula")
+    source = _source(fits.whole)
+    laws = laws_of(search, search.curves, posterior.of_curves, best.log_evidence, fits, source)
     drawn = [best] if best.added else []
     shown = [(search.tried.get(frozenset([x]), best), x) for x in best.added]
     rivals = [
@@ -223,6 +232,7 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
         next_experiment=advice,
         missing=missing,
         still_missing=still,
+        laws=laws,
         random_torque=_random_torque(scene, best),
         intensity=float(np.dot(best.weights, INTENSITIES)),
         explains_nothing=best.intensity >= EXPLAINS_NOTHING,
@@ -231,6 +241,13 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
         search=search,
         fits=fits,
     )
+
+
+def _source(experiment: Experiment) -> str:
+    """Where and when a law was found."""
+    names = [r.name for r in experiment.fit_recordings]
+    more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+    return f"found in {names[0]}{more}, {datetime.date.today().isoformat()}"
 
 
 def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...]:
@@ -257,27 +274,37 @@ class Posterior:
 
     def __init__(self, search: Search):
         self.search = search
-        self.models = list(search.tried.values())
-        logs = np.array([m.log_posterior for m in self.models])
-        self.each = np.exp(logs - logsumexp(logs))
-        self.each /= self.each.sum()
-        chosen = {"adequate": False, "missing": True}.get(self.verdict()[0])
+        self.models, self.curves = list(search.tried.values()), search.curves
+        logs = np.array([m.log_posterior for m in [*self.models, *self.curves]])
+        each = np.exp(logs - logsumexp(logs))
+        self.each, self.of_curves = np.split(each / each.sum(), [len(self.models)])
+        """Probability of each model with names only, and of each with a free curve."""
+        verdict = self.verdict()[0]
+        chosen = {"adequate": False, "missing": True}.get(verdict)
         self.best: Tried = max(
             (m for m in self.models if chosen is None or bool(m.added) is chosen),
             key=lambda m: m.log_posterior,
         )
-        """The likeliest model of those that the verdict speaks of."""
+        """The likeliest model of those that the verdict speaks of, without its free curve."""
+        if chosen is None and self.curves:
+            top = max([*self.models, *self.curves], key=lambda m: m.log_posterior)
+            self.best = top if isinstance(top, Tried) else top.parent
 
     def of(self, chosen: Callable[[frozenset[str]], bool]) -> float:
         """Probability of all models whose set of added effects is chosen."""
-        sets = (frozenset(m.added) for m in self.models)
-        return float(sum(p for p, s in zip(self.each, sets, strict=True) if chosen(s)))
+        every = zip([*self.models, *self.curves], [*self.each, *self.of_curves], strict=True)
+        return float(sum(p for m, p in every if chosen(frozenset(m.added))))
 
     def verdict(self) -> tuple[Verdict, float]:
         """The likeliest of the three, and its probability."""
         sums = {"adequate": 0.0, "missing": 0.0, "unexplained": 0.0}
         for model, p in zip(self.models, self.each, strict=True):
             complete = model.complete
+            sums["missing" if model.added else "adequate"] += p * complete
+            sums["unexplained"] += p * (1.0 - complete)
+        for model, p in zip(self.curves, self.of_curves, strict=True):
+            # A law without a name is no explanation by the catalogue, unless it is negligible.
+            complete = 0.0 if model.matters else model.complete
             sums["missing" if model.added else "adequate"] += p * complete
             sums["unexplained"] += p * (1.0 - complete)
         likeliest: Verdict = max(sums, key=lambda v: sums[v])  # pyright: ignore

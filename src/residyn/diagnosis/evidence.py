@@ -92,7 +92,7 @@ def prior_of(scene: Scene, effects: Sequence[AbstractEffect]) -> Prior:
     """The prior of a model's numbers.
 
     A spring is known within its own typical size, a strength to be within `WIDTH` of nothing, a
-    shape within an e-fold of the middle of its grid.
+    shape within an e-fold of the middle of its grid, or of its value if it has none.
     """
     rows = []
     for effect in effects:
@@ -101,7 +101,8 @@ def prior_of(scene: Scene, effects: Sequence[AbstractEffect]) -> Prior:
             if effect.name == "spring":
                 rows.append((size, size, False))
             elif number.silent is None:
-                middle = math.exp(np.mean(np.log([g * size for g in number.grid] or [size])))
+                known = [g * size for g in number.grid] or [float(getattr(effect, number.field))]
+                middle = math.exp(np.mean(np.log(known)))
                 rows.append((middle, SHAPE, True))
             else:
                 rows.append((number.silent, width_of(scene, effect, number), False))

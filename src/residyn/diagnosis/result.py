@@ -15,6 +15,7 @@ from ..fitting.result import Fit
 from ..runtime.presentation import TableResult
 from .compare import Comparison, compare_fit
 from .forecast import HeldOut
+from .law import Law
 from .missing_torque import Missing
 from .planned import Test
 from .residuals import number
@@ -178,6 +179,9 @@ class Diagnosis(TableResult):
     """The torque that the base model lacks, one per fitted recording."""
     still_missing: tuple[Missing, ...]
     """The torque that the likeliest model lacks."""
+    laws: tuple[Law, ...]
+    """Laws without a name that may be missing, the likeliest first; the first has a class to be
+    written (`found`) where it has most of the probability."""
     random_torque: tuple[RandomTorque, ...]
     """How large that is, per joint."""
     intensity: float
@@ -241,6 +245,7 @@ class Diagnosis(TableResult):
             "next_experiment": None
             if self.next_experiment is None
             else self.next_experiment.to_dict(),
+            "laws": [law.to_dict() for law in self.laws],
             "missing_torque": summary(self.missing),
             "random_torque": {r.joint: r.to_dict() for r in self.random_torque},
             "budget": {

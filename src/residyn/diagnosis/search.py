@@ -282,6 +282,8 @@ class Search:
         self.fixed = tuple(e.label for e in base)
         self.candidates = candidates(scene, self.fixed)
         self.tried: dict[frozenset[str], Tried] = {}
+        self.curves: list[Any] = []
+        """`law.CurveModel`s: models with a law that has no name."""
         self.stopped: str | None = None
         """Why the search ended early, if it did: "interrupted" or "budget"."""
         self.screens: dict[frozenset[str], Screen] = {}

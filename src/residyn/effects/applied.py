@@ -42,7 +42,9 @@ class PeriodicDisturbance(JointEffect):
     memory = (Memory("phase", Dimension("rad", "rad", lambda s: 3.0)),)
 
     level: Scalar = param("amplitude of the torque", TORQUE, sign="positive", name="torque")
-    frequency: Scalar = param("its frequency", FREQUENCY, sign="positive", silent=None, default=1.0)
+    frequency: Scalar = param(
+        "its frequency", FREQUENCY, sign="positive", silent=None, default=1.0, grid=(1.0,)
+    )
 
     def upright(self, memory):
         turned = jnp.where(self.level < 0, memory[0] + math.pi, memory[0])

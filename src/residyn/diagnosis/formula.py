@@ -1,0 +1,329 @@
+"""A formula for a free curve: at most three terms out of a small grammar.
+
+A term is a function of one variable, with up to two shape numbers on a grid. Along the curve's
+motion every term is a column beside the model, so the evidence of any sum of terms is a Cholesky
+factorisation of a few rows of one Gram matrix: strengths are integrated out in closed form, shapes
+are summed over their grids. Sums are sought by adding the best term to the best sums. The likeliest
+becomes an effect, and is then iterated and fitted as any effect is.
+"""
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import logsumexp
+
+from ..effects.found import FoundLaw, FoundNumber
+from ..filtering.trajectory import Scene
+from .evidence import (
+    INDISTINGUISHABLE,
+    INTENSITIES,
+    WIDTH,
+    conditional,
+    log_prior_intensity,
+    log_prior_model,
+    subset,
+)
+from .free_curves import Along, Place, Settled, shifted
+
+MOST_TERMS = 3
+_KEPT = 12  # sums that a further term is tried with
+_FINE = 9  # values of a shape between its neighbours on the grid
+
+
+class Term(NamedTuple):
+    """A term of the grammar; texts are of `x`, its scale `{x0}` and its shapes by name."""
+
+    family: str
+    parts: tuple[str, ...]
+    """Expressions, each with a strength of its own."""
+    words: tuple[str, ...]
+    """The same for people, of `{x}`."""
+    shapes: tuple[tuple[str, tuple[float, ...]], ...] = ()
+    """Names, and grids in units of the variable's scale."""
+
+
+def _power(p: float, odd: bool) -> Term:
+    size = f"(x / {{x0}}) ** {p:g}" if p % 1 == 0 else f"jnp.abs(x / {{x0}}) ** {p:g}"
+    if odd != (p % 2 == 1):
+        size = f"jnp.abs(x / {{x0}}) ** {p:g}"
+        size = f"jnp.sign(x) * {size}" if odd else size
+        word = f"sign({{x}}) |{{x}}/{{x0}}|^{p:g}" if odd else f"|{{x}}/{{x0}}|^{p:g}"
+    else:
+        word = f"({{x}}/{{x0}})^{p:g}"
+    return Term("power", (size,), (word,))
+
+
+_WIDTHS = 0.05, 0.1, 0.2, 0.5
+_SATURATION = Term("saturation", ("jnp.tanh(x / {width})",), ("tanh({x}/width)",),
+                   (("width", _WIDTHS),))  # fmt: skip
+_EXPONENTIALS = (
+    Term("exponential", ("jnp.exp((x - {x0}) / {rise})",), ("exp(({x} - {x0})/rise)",),
+         (("rise", _WIDTHS),)),
+    Term("exponential", ("jnp.exp(-(x + {x0}) / {rise})",), ("exp(-({x} + {x0})/rise)",),
+         (("rise", _WIDTHS),)),
+)  # fmt: skip
+_TURN = "2 * jnp.pi * x / {period}"
+_SINE = Term(
+    "sine",
+    (f"jnp.sin({_TURN})", f"jnp.cos({_TURN})"),
+    ("sin(2 pi {x}/period)", "cos(2 pi {x}/period)"),
+    (("period", tuple(4.0 / n for n in range(1, 25))),),
+)
+_Z = "((x + {x0} - {centre}) / {width})"
+_WELL = Term(
+    "well",
+    (f"{_Z} * jnp.exp(0.5 - 0.5 * {_Z} ** 2)",),
+    ("z exp((1 - z^2)/2), z = ({x} + {x0} - centre)/width",),
+    (("centre", tuple(0.1 * n for n in range(1, 20))), ("width", (0.05, 0.1, 0.2, 0.4))),
+)
+_ANGLE = (
+    *(_power(p, True) for p in (1.5, 2, 3, 5, 7)),
+    *(_power(p, False) for p in (1, 2, 4)),
+    _SATURATION, *_EXPONENTIALS, _SINE, _WELL,
+)  # fmt: skip
+_RATE = (
+    *(_power(p, True) for p in (1.5, 2, 3, 5)),
+    *(_power(p, False) for p in (1, 1.5, 2, 3)),
+    _SATURATION, *_EXPONENTIALS,
+)  # fmt: skip
+_CONSTANT = Term("constant", ("1.0",), ("",))
+_LINEAR = Term("power", ("x / {x0}",), ("{x}/{x0}",))
+_TIME = (
+    _LINEAR,
+    _power(2, False),
+    Term("exponential", ("jnp.exp(-x / {decay})",), ("exp(-{x}/decay)",),
+         (("decay", (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)),)),
+    Term("saturation", ("jnp.tanh((x - {centre}) / {width})",), ("tanh(({x} - centre)/width)",),
+         (("centre", tuple(0.05 * n for n in range(1, 20))), ("width", (0.01, 0.03, 0.1, 0.3)))),
+)  # fmt: skip
+
+
+def grammar(place: Place) -> tuple[Term, ...]:
+    """The terms that a curve of this kind may be a sum of. What springs and dampers are already is
+    left out; a constant is left in where it is neither."""
+    variable, factor = place.kind
+    if variable == "time":
+        own = _TIME if factor in ("angle", "rate") else (_CONSTANT, *_TIME)
+    elif factor:
+        own = (_LINEAR, *_ANGLE) if factor == "rate" else (_CONSTANT, _LINEAR, *_ANGLE)
+    else:
+        own = (_CONSTANT, *_ANGLE) if variable == "angle" else _RATE
+    return own
+
+
+class Column(NamedTuple):
+    """A term at one value of its shapes."""
+
+    term: Term
+    shape: tuple[float, ...]
+    price: float
+    """Log of the number of values on its grid."""
+    scale: float
+    """Of the variable: the unit of the grid."""
+
+
+class Sum(NamedTuple):
+    """A sum of terms, to first order."""
+
+    columns: tuple[Column, ...]
+    log_evidence: float
+    """With the prior of its terms and shapes."""
+    log_prior: float
+    """Of the choice of its terms."""
+    strengths: np.ndarray
+    """One for each part of each term, in the height's unit."""
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """Kinds of its terms."""
+        return tuple(c.term.family for c in self.columns)
+
+
+def scale_of(place: Place) -> float:
+    """The variable's scale: its largest visited value, to two digits."""
+    return float(f"{max(abs(place.low), abs(place.high)):.1e}")
+
+
+def _value(expression: str, x: np.ndarray, x0: float, shapes: dict[str, float]) -> np.ndarray:
+    """A term's expression at x: the text that the class will have, with NumPy in JAX's place."""
+    code = expression.format(x0=repr(x0), **{k: repr(v) for k, v in shapes.items()})
+    with np.errstate(over="ignore"):
+        return eval(code, {"jnp": np, "x": x}) * np.ones_like(x)
+
+
+def _columns(place: Place) -> list[Column]:
+    x0, found = scale_of(place), []
+    for term in grammar(place):
+        grids = [[x0 * g for g in grid] for _, grid in term.shapes]
+        values = list(itertools.product(*grids))
+        found += [Column(term, v, math.log(len(values)), x0) for v in values]
+    return found
+
+
+def _around(column: Column, shape: int, finer: float) -> list[Column]:
+    """Values of one shape, as far as its neighbours on the grid over `finer`."""
+    grid, here = np.array(sorted(column.term.shapes[shape][1])), column.shape[shape]
+    scale = here / grid[int(np.argmin(np.abs(grid * column.scale - here)))]
+    i = int(np.argmin(np.abs(grid * column.scale - here)))
+    low, high = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
+    low, high = (here + scale * (x - grid[i]) / finer for x in (low, high))
+    return [
+        column._replace(shape=(*column.shape[:shape], float(x), *column.shape[shape + 1 :]))
+        for x in np.linspace(low, high, _FINE)
+    ]
+
+
+class Sums:
+    """All sums of some columns beside a model, to first order."""
+
+    def __init__(self, along: Along, settled: Settled, columns: list[Column]):
+        self.columns, place = columns, settled.place
+        self.terms = len(grammar(place))
+        self.width = WIDTH * place.unit(along.scene)
+        x, x0 = along.variable(place.kind.variable, place.joint), scale_of(place)
+        factor, rows, ends = along.factor(place.kind.factor, place.joint), [], [0]
+        for column in columns:
+            names = (name for name, _ in column.term.shapes)
+            shapes = dict(zip(names, column.shape, strict=True))
+            each = [self.width * factor * _value(part, x, x0, shapes) for part in column.term.parts]
+            rows += each
+            ends.append(ends[-1] + len(each))
+        self.which = [tuple(range(a, b)) for a, b in itertools.pairwise(ends)]
+        # The system holds the curve: its own columns take it away again.
+        torques = np.concatenate([place.columns(along), np.stack(rows)])
+        logs = np.where(np.isfinite(settled.evidences), settled.evidences, -np.inf)
+        logs = logs + log_prior_intensity(INTENSITIES)
+        used = np.argsort(-logs)[:2]
+        totals, grams = along.gram(place.joint, torques, np.array(INTENSITIES)[used])
+        P, count, bases, rests = len(along.trajectory.u), len(settled.at), [], []
+        for total, square in zip(totals, grams, strict=True):
+            square = shifted(square, 1 + P, settled.at)
+            keep = np.r_[0 : 1 + P, 1 + P + count : len(square)]
+            base, rest = conditional(square[np.ix_(keep, keep)], P)
+            bases.append(total + base)
+            rests.append(rest)
+        self.bases = np.array(bases) + log_prior_intensity(np.array(INTENSITIES)[used])
+        self.rests = np.stack(rests)
+
+    def of(self, sets: list[tuple[int, ...]]) -> list[Sum]:
+        """Sums of these columns."""
+        which = [tuple(i for k in each for i in self.which[k]) for each in sets]
+        found: list[Sum | None] = [None] * len(sets)
+        for size in {len(w) for w in which}:
+            own = [i for i, w in enumerate(which) if len(w) == size]
+            gain, mean, _ = subset(self.rests, [which[i] for i in own])
+            each = gain + self.bases[:, None]
+            top = np.argmax(each, axis=0)
+            for k, i in enumerate(own):
+                columns = tuple(self.columns[j] for j in sets[i])
+                prior = log_prior_model(len(columns), self.terms)
+                evidence = float(logsumexp(each[:, k])) - sum(c.price for c in columns)
+                strengths = self.width * mean[top[k], k]
+                found[i] = Sum(columns, evidence + prior, prior, strengths)
+        return [s for s in found if s is not None]
+
+    def best(self) -> list[tuple[tuple[int, ...], Sum]]:
+        """The likeliest sums, the best first: the best so far with each further term."""
+        every: dict[tuple[int, ...], Sum] = {}
+        last: list[tuple[int, ...]] = [()]
+        for _ in range(MOST_TERMS):
+            every_k = range(len(self.columns))
+            new = {tuple(sorted((*s, k))) for s in last for k in every_k if self._may_join(k, s)}
+            sets = sorted(new)
+            found = dict(zip(sets, self.of(sets), strict=True))
+            every |= found
+            last = sorted(found, key=lambda s: -found[s].log_evidence)[:_KEPT]
+        return sorted(every.items(), key=lambda item: -item[1].log_evidence)
+
+    def _may_join(self, k: int, others: tuple[int, ...]) -> bool:
+        """Whether a sum takes a term: each once, but sines of several periods."""
+        term = self.columns[k].term
+        return k not in others and (
+            term is _SINE or all(self.columns[i].term is not term for i in others)
+        )
+
+
+def likeliest(along: Along, settled: Settled) -> list[Sum]:
+    """For a curve the likeliest sum of one, of two and of three terms, shapes refined beyond their
+    grids: those that cannot be told from the likeliest, which comes first."""
+    columns = _columns(settled.place)
+    alone = Sums(along, settled, columns)
+    singles = alone.of([(k,) for k in range(len(columns))])
+    for term in {id(c.term): c.term for c in columns if c.term.shapes}.values():
+        own = [s for s in singles if s.columns[0].term is term]
+        best = max(own, key=lambda s: s.log_evidence)
+        columns += _refined(along, settled, best).columns
+    every = Sums(along, settled, columns).best()
+    tops = [
+        next((s for k, s in every if len(k) == size), None) for size in range(1, MOST_TERMS + 1)
+    ]
+    refined = [_refined(along, settled, s) for s in tops if s is not None]
+    refined.sort(key=lambda s: -s.log_evidence)
+    least = refined[0].log_evidence - INDISTINGUISHABLE
+    return [s for s in refined if s.log_evidence > least]
+
+
+def _refined(along: Along, settled: Settled, found: Sum) -> Sum:
+    """The sum with the shapes of its terms moved between their neighbours on the grid."""
+    for finer in (1.0, 1.0, 4.0, 4.0):
+        for i in range(len(found.columns)):
+            for shape in range(len(found.columns[i].term.shapes)):
+                rest = [c for k, c in enumerate(found.columns) if k != i]
+                tried = _around(found.columns[i], shape, finer)
+                sums = Sums(along, settled, [*rest, *tried])
+                own = range(len(rest))
+                sets = [(*own[:i], len(rest) + k, *own[i:]) for k in range(len(tried))]
+                best = max(sums.of(sets), key=lambda s: s.log_evidence)
+                found = max(found, best, key=lambda s: s.log_evidence)
+    return found
+
+
+_LETTERS = "abcdefg"
+_SYMBOLS = {"angle": "q", "rate": "q'", "time": "t"}
+_STRENGTH = {"": "TORQUE", "direction": "TORQUE", "angle": "STIFFNESS", "rate": "DAMPING"}
+_SHAPE = {"angle": "ANGLE", "rate": "RATE", "time": "DURATION"}
+_FACTOR = {"": "", "angle": "q ", "rate": "q' ", "direction": "sign(q') "}
+
+
+def _unit(scene: Scene, place: Place) -> str:
+    units = scene.mechanisms[0].units
+    kind = units[place.joint] if units else "rad"
+    return {"angle": kind, "rate": f"{kind}/s", "time": "s"}[place.kind.variable]
+
+
+def written(scene: Scene, place: Place, found: Sum, source: str) -> FoundLaw:
+    """A sum of terms as a law that can be written as a class."""
+    x0, (variable, factor) = scale_of(place), place.kind
+    numbers: list[FoundNumber] = []
+    shapes: list[FoundNumber] = []
+    code, words, letters = [], [], iter(_LETTERS)
+    strengths, unit = iter(found.strengths), _unit(scene, place)
+    taken: dict[str, int] = {}
+    for column in found.columns:
+        names = {}
+        for (name, _), value in zip(column.term.shapes, column.shape, strict=True):
+            taken[name] = taken.get(name, 0) + 1
+            names[name] = name if taken[name] == 1 else f"{name}{taken[name]}"
+            named = names[name], f"{name} of the {column.term.family}", _SHAPE[variable]
+            shapes.append(FoundNumber(*named, value, False))
+        for part, word in zip(column.term.parts, column.term.words, strict=True):
+            letter = next(letters)
+            named = letter, f"strength of its {column.term.family}", _STRENGTH[factor]
+            numbers.append(FoundNumber(*named, float(next(strengths)), True))
+            own = part.format(x0=repr(x0), **{k: f"self.{v}" for k, v in names.items()})
+            code.append(f"self.{letter}" if own == "1.0" else f"self.{letter} * {own}")
+            said = word.format(x=_SYMBOLS[variable], x0=f"{x0:g}")
+            for name, own_name in names.items():
+                said = said.replace(name, own_name)
+            words.append(f"{letter} {said}".strip())
+    sums = " + ".join(words)
+    by = _FACTOR[factor]
+    equation = f"{by}({sums})" if by and len(words) > 1 else f"{by}{sums}"
+    if any("{x0}" in part for c in found.columns for part in c.term.parts):
+        equation += f" ({_SYMBOLS[variable]} in {unit})"
+    return FoundLaw(
+        scene.joints[place.joint], variable, factor, equation, source,
+        tuple(numbers + shapes), " + ".join(code),
+    )  # fmt: skip
