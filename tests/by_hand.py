@@ -224,6 +224,7 @@ def a_diagnosis(verdict, ladder, **changed):
         "next_experiment": None,
         "missing": (a_missing_torque(ladder[0].fit, 0.2),),
         "still_missing": (a_missing_torque(ladder[-1].fit, 0.0),),
+        "laws": (),
         "random_torque": torques(1e-3),
         "intensity": 1e-4,
         "explains_nothing": False,

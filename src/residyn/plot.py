@@ -6,6 +6,7 @@ from .reporting.figures import convergence as convergence
 from .reporting.figures import errors as errors
 from .reporting.figures import horizon as horizon
 from .reporting.figures import ladder as ladder
+from .reporting.figures import law as law
 from .reporting.figures import missing_torque as missing_torque
 from .reporting.figures import overlay as overlay
 from .reporting.figures import ring_down as ring_down

@@ -18,12 +18,13 @@ def diagnose(
     json: _options.Json = None,
     report: _options.Report = None,
     table: _options.Table = None,
+    found_file: _options.Found = None,
     no_cache: _options.NoCache = False,
 ) -> None:
     """Name the effect that is missing, add it, and see the error fall."""
     if budget is not None and not 0 < budget < float("inf"):
         raise InputError(f"--budget {budget:g}: must be a number of seconds above 0")
-    out = Outputs(json, report, table)
+    out = Outputs(json, report, table, found_file)
     set_up_jax(not no_cache)
     bring(own)
     loaded = load(experiment)
@@ -32,6 +33,7 @@ def diagnose(
     out.words.print(str(found), soft_wrap=True)
     out.write_json(found.to_dict())
     out.write_table(found)
+    out.write_found(found)
     if report is not None:
         out.write_report(models(found, title(experiment)), diagnosis=found)
         out.words.print(f"report: {report}", soft_wrap=True)

@@ -78,6 +78,16 @@ Budget = Annotated[
         show_default=False,
     ),
 ]
+Found = Annotated[
+    str | None,
+    typer.Option(
+        "--found",
+        metavar="FILE.py",
+        help="If a law without a name is found, write it as an effect into this file, for "
+        "--effects FILE.py.",
+        show_default=False,
+    ),
+]
 Method = Annotated[
     str,
     typer.Option(

@@ -154,12 +154,20 @@ def progress() -> Iterator[Callable[[str], None]]:
 class Outputs:
     """Where results go. Made before the long work, so that a wrong path costs no waiting."""
 
-    def __init__(self, json_file: str | None, report: str | None, table: str | None = None):
-        self.json_file, self.report, self.table = json_file, report, table
+    def __init__(
+        self,
+        json_file: str | None,
+        report: str | None,
+        table: str | None = None,
+        found: str | None = None,
+    ):
+        self.json_file, self.report, self.table, self.found = json_file, report, table, found
         if report == "-":
             raise InputError("--report -: a report needs the name of a file")
         if table is not None and Path(table).suffix not in _TABLES:
             raise InputError(f"--table {table}: must end in {' or '.join(_TABLES)}")
+        if found is not None and Path(found).suffix != ".py":
+            raise InputError(f"--found {found}: must end in .py")
         each = [(option, path) for option, path in self._files if path != "-"]
         for (one, path), (other, own) in itertools.combinations(each, 2):
             if _same(path, own):
@@ -171,7 +179,12 @@ class Outputs:
     @property
     def _files(self) -> list[tuple[str, str]]:
         """(option, path) of all that were asked for."""
-        each = ("--json", self.json_file), ("--report", self.report), ("--table", self.table)
+        each = (
+            ("--json", self.json_file),
+            ("--report", self.report),
+            ("--table", self.table),
+            ("--found", self.found),
+        )
         return [(option, path) for option, path in each if path is not None]
 
     @property
@@ -208,6 +221,20 @@ class Outputs:
         with inside("--table"):
             write(self.table, text)
         self.words.print(f"table: {self.table}", soft_wrap=True)
+
+    def write_found(self, result: "Diagnosis") -> None:
+        """Write the law without a name as an effect, if it was asked for and there is one."""
+        if self.found is None:
+            return
+        law = next((law.found for law in result.laws if law.found is not None), None)
+        if law is None:
+            self.words.print(f"no law without a name was found: {self.found} is not written")
+            return
+        with inside("--found"):
+            write(self.found, law.text(Path(self.found).name))
+        self.words.print(
+            f"law: {self.found} (--effects {self.found} --with {law.label})", soft_wrap=True
+        )
 
     def write_report(
         self,

@@ -6,6 +6,7 @@ from .compare import compare_fit as compare_fit
 from .detectable import Atlas as Atlas
 from .detectable import detectable as detectable
 from .diagnose import diagnose as diagnose
+from .law import Law as Law
 from .missing_torque import Curve as Curve
 from .missing_torque import Missing as Missing
 from .missing_torque import MissingTorque as MissingTorque

@@ -210,7 +210,9 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
     if search.curves:
         say("looking for its formula")
     source = _source(fits.whole)
-    laws = laws_of(search, search.curves, posterior.of_curves, best.log_evidence, fits, source)
+    laws = laws_of(
+        search, search.curves, posterior.of_curves.tolist(), best.log_evidence, fits, source
+    )
     drawn = [best] if best.added else []
     shown = [(search.tried.get(frozenset([x]), best), x) for x in best.added]
     rivals = [

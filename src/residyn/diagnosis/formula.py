@@ -29,6 +29,7 @@ from .free_curves import Along, Place, Settled, shifted
 
 MOST_TERMS = 3
 _KEPT = 12  # sums that a further term is tried with
+_FINER = 1.0, 4.0, 16.0, 16.0  # shares of the way to a shape's neighbours on its grid
 _FINE = 9  # values of a shape between its neighbours on the grid
 
 
@@ -204,7 +205,7 @@ class Sums:
             base, rest = conditional(square[np.ix_(keep, keep)], P)
             bases.append(total + base)
             rests.append(rest)
-        self.bases = np.array(bases) + log_prior_intensity(np.array(INTENSITIES)[used])
+        self.bases = np.array(bases) + log_prior_intensity([INTENSITIES[k] for k in used])
         self.rests = np.stack(rests)
 
     def of(self, sets: list[tuple[int, ...]]) -> list[Sum]:
@@ -267,7 +268,7 @@ def likeliest(along: Along, settled: Settled) -> list[Sum]:
 
 def _refined(along: Along, settled: Settled, found: Sum) -> Sum:
     """The sum with the shapes of its terms moved between their neighbours on the grid."""
-    for finer in (1.0, 1.0, 4.0, 4.0):
+    for finer in _FINER:
         for i in range(len(found.columns)):
             for shape in range(len(found.columns[i].term.shapes)):
                 rest = [c for k, c in enumerate(found.columns) if k != i]

@@ -26,6 +26,7 @@ from ..fitting.result import Fit
 from ..physics.parameter import parameters_of
 from . import figures as plot
 from . import latex as tex
+from . import laws
 from .compare import clearest, failing, pairs
 from .fit import residuals
 from .layout import Table, filled, printed, section, separated, tabular
@@ -88,6 +89,7 @@ def sentences(found: Diagnosis) -> tuple[str, ...]:
         return (*words, *_nothing_explained(found))
     words += _families(found) if found.added else [_none_named(found)]
     words += _laws(found)
+    words += laws.sentences(found)
     words += _others(found)
     words += _fall(found)
     words += _left(found)
@@ -412,7 +414,8 @@ def _damper(found: Diagnosis, joint: int) -> float:
 
 def text(found: Diagnosis) -> str:
     """The whole printout."""
-    parts = models(found), candidates(found), lookalikes(found), next_experiment(found)
+    parts = models(found), candidates(found), laws.text(found), lookalikes(found)
+    parts = *parts, next_experiment(found)
     lines = [line for part in parts for line in part]
     return "\n".join([*filled(" ".join(found.words)), "", *lines, "", str(found.fit)])
 
@@ -516,6 +519,7 @@ def diagnosed(found: Diagnosis) -> dict[str, Any]:
         "still": after[0],
         "more_still": after[1],
         "remainder": _remainder_table(found.random_torque),
+        "laws": laws.page(found),
         "alike": list(_alike(found)),
         "next": "" if found.next_experiment is None else found.next_experiment.words,
         "outcomes": found.next_experiment and outcomes(found.next_experiment),

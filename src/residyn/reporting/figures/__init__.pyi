@@ -7,6 +7,7 @@ from .falling import errors as errors
 from .falling import ladder as ladder
 from .inline import picture as picture
 from .inline import svg as svg
+from .law import law as law
 from .motion import overlay as overlay
 from .motion import spectrum as spectrum
 from .procedure import composite_inertia as composite_inertia

@@ -1,0 +1,56 @@
+"""A law without a name, drawn against its variable."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ...diagnosis.law import Law
+from ...physics.motion import JointMotion
+from ..names import lower, title
+from .style import BAND, DASHED, FAINT, INK, JOINTS, NARROW, RESIDUAL, SHADE, WIDE, styled
+
+
+@styled
+def law(found: Law, *, narrow: bool = False) -> Figure:
+    """A free curve with its 95 % band over the visited range, and through it the named laws of the
+    same variable, each fitted alone; below it, how often the range was visited.
+
+    All are drawn less the line (of a stiffness or damping: less the constant) that springs and
+    dampers take up.
+    """
+    size = (NARROW, 4.4) if narrow else (WIDE, 4.2)
+    figure = Figure(figsize=size, layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(6, 1))
+    x, y, band = found.grid, found.mean, 1.96 * found.std
+    above.fill_between(x, y - band, y + band, color=BAND, lw=0, label="95 % band")
+    above.plot(x, y, color=INK, lw=1.4, label="free curve")
+    if found.formula is not None and found.found is not None:
+        above.plot(x, formula_values(found), color=RESIDUAL, lw=1.2, label="formula")
+    for (label, values), colour in zip(found.named, (JOINTS[0], *JOINTS[2:]), strict=False):
+        above.plot(x, values, color=colour, lw=1.0, ls=DASHED, label=lower(title(label)))
+    above.axhline(0.0, color=FAINT, lw=0.6, zorder=0)
+    size = 1.15 * float(np.max(np.abs(y) + band)) or 1.0
+    above.set(ylabel=f"at the {found.joint} ({found.unit})", ylim=(-size, size))
+    below.fill_between(x, 0.0, found.visits, color=SHADE, step="mid")
+    below.step(x, found.visits, where="mid", color=FAINT, lw=0.7)
+    below.set(xlabel=f"{found.variable} ({found.variable_unit})", yticks=(), ylabel="visits")
+    figure.legend(
+        *above.get_legend_handles_labels(), loc="outside lower left", ncols=1 if narrow else 4
+    )
+    return figure
+
+
+def formula_values(found: Law) -> np.ndarray:
+    """The formula on the grid, less what springs and dampers take up."""
+    assert found.found is not None
+    effect: Any = found.found.kind()(found.joint)  # pyright: ignore[reportCallIssue]
+    values = []
+    for x in found.grid:
+        at = {"time": 0.0, "angle": 0.0, "rate": 0.0}
+        if found.factor in at:
+            at[found.factor] = 1.0
+        at[found.variable] = x
+        t, q, v = at.values()
+        values.append(float(effect.joint_torque(JointMotion(t, q, v, 1.0, (), q))))
+    return found.on_grid(np.array(values))

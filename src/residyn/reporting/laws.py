@@ -1,0 +1,108 @@
+"""All that is said of laws without a name: sentences, the printout, the page."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ..diagnosis.law import Law
+from ..diagnosis.result import Diagnosis
+from . import figures as plot
+from .layout import Table, filled, printed, section
+from .names import at_place, listed, lower, modal
+from .numbers import measured, nats, percent, times
+
+_WHAT = {"": "torque", "direction": "friction", "angle": "stiffness", "rate": "damping"}
+
+
+def what(law: Law, joints: tuple[str, ...] | list[str]) -> str:
+    """ "a torque at the elbow that depends on the rate"."""
+    where = f" at the {law.joint}" if len(joints) > 1 else ""
+    how = "changes with" if law.variable == "time" else "depends on the"
+    return f"a {_WHAT[law.factor]}{where} that {how} {law.variable}"
+
+
+def formula(law: Law) -> str:
+    """Equation and numbers; empty where there is none."""
+    if law.formula is None:
+        return ""
+    each = law.formula.parameters.items()
+    numbers = [f"{name} {measured(value, std, unit)}" for name, (value, std, unit) in each]
+    return f"{law.formula.equation}, {listed(numbers)}"
+
+
+def sentences(found: Diagnosis) -> Iterator[str]:
+    """What is known of the likeliest law."""
+    if not found.laws:
+        return
+    law, *others = found.laws
+    rest = [f"{what(x, found.fit.joints)} ({percent(x.probability)})" for x in others]
+    beside = ""
+    if law.beside:
+        names = [lower(at_place(x, found.fit.joints)) for x in law.beside]
+        beside = f" beside {listed(names)}"
+    first = f"What has no name {modal(law.probability)} {what(law, found.fit.joints)}{beside}"
+    told = formula(law)
+    yield f"{first} ({percent(law.probability)})" + (f": {told}." if told else ".")
+    held = _held_out(found, law)
+    if held:
+        yield held
+    if rest:
+        yield f"It may also be {' or '.join(rest)}."
+
+
+def _held_out(found: Diagnosis, law: Law) -> str:
+    last = found.ladder[-1].held_out
+    if law.held_out is None or last is None:
+        return ""
+    before, after = last.held_out.ratio, law.held_out.held_out.ratio
+    j = found.fit.joints.index(law.joint)
+    if not np.isfinite([before[j], after[j]]).all():
+        return ""
+    return (
+        f"With it the held-out error falls from {times(float(before[j]))} to "
+        f"{times(float(after[j]))} times the noise."
+    )
+
+
+def text(found: Diagnosis) -> list[str]:
+    """The part of the printout."""
+    if not found.laws:
+        return []
+    rows = []
+    for law in found.laws:
+        name = what(law, found.fit.joints)
+        lines = [name[0].upper() + name[1:]]
+        lines += filled(formula(law), "  ", width=60) if law.formula else []
+        rows.append(["\n".join(lines), percent(law.probability), nats(law.log_evidence)])
+    note = (
+        "free curves of one variable: probability, and log evidence (nats) relative to the best "
+        "model with names only"
+    )
+    table = Table(["", "probability", "log evidence"], rows)
+    out = [*section("Laws without a name", note), *printed(table)]
+    first = found.laws[0]
+    if first.found is not None:
+        kind = "its formula" if first.formula else "its curve, as a table"
+        out.append(f"    {kind} as a class, for --with {first.found.label}: --found FILE writes it")
+    return out
+
+
+def page(found: Diagnosis) -> dict[str, Any] | None:
+    """What the template says of them; None where there are none."""
+    if not found.laws:
+        return None
+    law = found.laws[0]
+    alt = f"{what(law, found.fit.joints)}: its curve with the 95 % band"
+    rows = [
+        [what(x, found.fit.joints), percent(x.probability), nats(x.log_evidence), formula(x)]
+        for x in found.laws
+    ]
+    head = ["law", "probability", "log evidence (nats)", "formula"]
+    return {
+        "words": list(sentences(found)),
+        "picture": plot.picture(alt, plot.law, law),
+        "table": Table(head, rows, left=(0, 3)),
+        "source": None if law.found is None else law.found.text(),
+        "name": None if law.found is None else law.found.label,
+    }
