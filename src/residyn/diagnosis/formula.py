@@ -17,6 +17,7 @@ from scipy.special import logsumexp
 from ..effects.found import FoundLaw, FoundNumber
 from ..filtering.trajectory import Scene
 from .evidence import (
+    FURTHER,
     INDISTINGUISHABLE,
     INTENSITIES,
     WIDTH,
@@ -219,7 +220,8 @@ class Sums:
             top = np.argmax(each, axis=0)
             for k, i in enumerate(own):
                 columns = tuple(self.columns[j] for j in sets[i])
-                prior = log_prior_model(len(columns), self.terms)
+                # There is one term at least.
+                prior = log_prior_model(len(columns), self.terms) - math.log(FURTHER)
                 evidence = float(logsumexp(each[:, k])) - sum(c.price for c in columns)
                 strengths = self.width * mean[top[k], k]
                 found[i] = Sum(columns, evidence + prior, prior, strengths)

@@ -118,7 +118,7 @@ def minimum(problem: Problem, at: Unknowns, size: float = 1.0, most: int = _STEP
         size_of = np.einsum("ra,rab,rb->", step, here.square, step)
         converged = min(gain, size_of) < (_SETTLED * size) ** 2
         damping, here = max(0.1 * damping, _DAMPING[0]), there
-    return here._replace(steps=steps, converged=converged or damping > _DAMPING[1])
+    return here._replace(steps=steps, converged=bool(converged or damping > _DAMPING[1]))
 
 
 def polish(problem: Problem, starts: Unknowns, shares: Sequence[float], hopeless=None) -> Polished:
