@@ -30,6 +30,7 @@ class System(NamedTuple):
     Hu: Any  # (K, n, P)
     hc: Any  # (K, n)
     Ht: Any  # (K, n, n)
+    unsure: Any  # (K, n) variances of readings beyond their noise
 
 
 class Readings(NamedTuple):
@@ -97,7 +98,7 @@ def _filter(system: System, readings: Readings, noise: Noise, gains: bool = True
         for j in range(n):  # a reading after the other: no matrix is inverted
             row = jnp.concatenate([s.Hx[j], s.Ht[j]])
             Vh = _times(V, row)
-            S = jnp.sum(row * Vh) + r.variance[j]
+            S = jnp.sum(row * Vh) + r.variance[j] + s.unsure[j]
             said = jnp.concatenate([(r.y[j] - s.hc[j])[None], -s.Hu[j]])
             new = jnp.where(r.seen[j], said - _times(M.T, row), 0.0)
             gain = jnp.where(r.seen[j], Vh / S, 0.0)

@@ -353,7 +353,7 @@ def transition(h, M, X: int):
     return jnp.eye(X, W)[..., None] + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
-@kept(like=Linear(System(*[0] * 8), *[0] * 8))
+@kept(like=Linear(System(*[0] * 9), *[0] * 8))
 def linearise(laws: Laws, table: Table, instants: Instants, point: Point) -> Linear:
     """A model as a linear system along a motion."""
     (K, X), P, n = point.path.shape, point.u.shape[0], point.spread.shape[1]
@@ -391,7 +391,10 @@ def linearise(laws: Laws, table: Table, instants: Instants, point: Point) -> Lin
     def first(x):
         return jnp.moveaxis(x, -1, 0)
 
-    system = System(*map(first, (A, B, T, c, Hx, Hu, hc, Ht)))
+    # An acceleration tells which way friction acts; near a reversal nobody knows beforehand.
+    jump = (cut.level**2 * (1 - f.direction**2))[None, :, :K]
+    unsure = jnp.sum(Ht**2 * jump, axis=1)
+    system = System(*map(first, (A, B, T, c, Hx, Hu, hc, Ht, unsure)))
     by_number = torque_u[..., :K] + cut.level_u[..., :K] * f.direction[:, None, :K]
     return Linear(
         system, seen.T, f.f[n : 2 * n], f.direction, f.by_x, f.by_torque, by_number,
@@ -497,7 +500,7 @@ def derivatives(at: Nodes, f: Field, orders: tuple[int, ...]) -> tuple[Seen, See
 def _readings(laws: Laws, table: Table, instants: Instants, at: Nodes, f: Field, point: Point):
     """Slopes of the readings in the state (n, X, K), in the random torque (n, n, K) and in the
     regressors (n, P, K), and the readings (n, K)."""
-    n, K, P = at.q.shape[0], instants.step.shape[0], point.u.shape[0]
+    n, P = at.q.shape[0], point.u.shape[0]
     known = [laws.each[i] for i in laws.of("sensor")]
     slots, p = table.sensor, most_numbers(known)
     mechanism = jax.tree.map(lambda x: x[0], instants.mechanisms)

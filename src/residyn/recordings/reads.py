@@ -36,11 +36,11 @@ def check_reads(reads: Any, joints: int) -> tuple[str, ...]:
     return tuple(words)
 
 
-def reading_units(
-    units: Sequence[str] | None, orders: Sequence[int]
-) -> tuple[str, ...] | None:
+def reading_units(units: Sequence[str] | None, orders: Sequence[int]) -> tuple[str, ...] | None:
     """The units of readings, where joints are in these units: "rad/s" of a rate."""
-    return units and tuple(u + PER_TIME[k] for u, k in zip(units, orders, strict=True))
+    if units is None:
+        return None
+    return tuple(u + PER_TIME[k] for u, k in zip(units, orders, strict=True))
 
 
 def angles_from(time: np.ndarray, reading: np.ndarray, orders: Sequence[int]) -> np.ndarray:
