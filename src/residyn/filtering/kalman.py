@@ -183,7 +183,7 @@ def smooth(system: System, readings: Readings, noise: Noise, intensity) -> Smoot
     L, out = _filter(system, readings, noise.at(intensity))
     white = out.white.reshape(-1, out.white.shape[-1])
     evidence, u, factor = _integrated(L, white.T @ white)
-    (K, n), D = readings.y.shape, out.F.shape[-1]
+    n, D = readings.y.shape[1], out.F.shape[-1]
     H = jnp.concatenate([system.Hx, system.Ht], -1)
     known = jnp.concatenate([jnp.ones(1), u])
     mean, new = out.means @ known, out.white @ known * jnp.sqrt(out.S)
