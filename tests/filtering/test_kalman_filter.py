@@ -32,6 +32,8 @@ def a_system(K=12, X=3, n=2, P=3, seed=0):
         rng.standard_normal((K, n, X)),
         rng.standard_normal((K, n, P)),
         rng.standard_normal((K, n)),
+        rng.standard_normal((K, n, n)),
+        rng.uniform(0.0, 0.5, (K, n)),
     )
     seen = np.ones((K, n), bool)
     seen[4, 1] = False
@@ -59,10 +61,10 @@ def joint_gaussian(system, readings, noise):
     for k in range(K):
         states.append(state)
         state_constants.append(const)
-        read = system.Hx[k] @ state[:X]
+        read = system.Hx[k] @ state[:X] + system.Ht[k] @ state[X:]
         read[:, D : D + P] += system.Hu[k]
         rows.append(read)
-        constants.append(system.Hx[k] @ const[:X] + system.hc[k])
+        constants.append(system.Hx[k] @ const[:X] + system.Ht[k] @ const[X:] + system.hc[k])
         F = np.block([[system.A[k], system.T[k]], [np.zeros((n, X)), np.diag(noise.decay[k])]])
         state, const = F @ state, F @ const
         state[:X, D : D + P] += system.B[k]
@@ -72,7 +74,7 @@ def joint_gaussian(system, readings, noise):
     keep = np.asarray(readings.seen).reshape(-1)
     H = np.concatenate(rows)[keep]
     mean = (np.concatenate(constants) + np.concatenate(rows) @ means)[keep]
-    noise_of = np.asarray(readings.variance).reshape(-1)[keep]
+    noise_of = np.asarray(readings.variance + system.unsure).reshape(-1)[keep]
     covariance = H * variances @ H.T + np.diag(noise_of)
     y = np.asarray(readings.y).reshape(-1)[keep]
     return y, mean, covariance, H, means, variances, states, state_constants

@@ -155,6 +155,36 @@ def test_bad_keys_are_told_in_one_line(tmp_path, keys, says):
         residyn.load(tmp_path / "x.toml")
 
 
+def test_runs_sampled_otherwise_with_wild_readings_and_let_go_by_hand_give_one_fit():
+    """One is read slowly and unevenly, one has spikes, one begins in the hand that pulls it."""
+    whole, fast, slow = release(seed=4), release(seed=5, rate=250.0), release(seed=6, rate=400.0)
+    rng = np.random.default_rng(7)
+    some = np.sort(rng.choice(len(slow.time), 150, replace=False))
+    spiked = np.array(fast.angle)
+    spiked[[200, 511, 512, 900]] += 0.02
+    pulled = 0.1 * np.sin(np.linspace(0.0, np.pi / 2, 80)) ** 2
+    pulled = np.concatenate([pulled, np.full(60, 0.1)])[:, None]
+    pulled = pulled + NOISE * rng.standard_normal(pulled.shape)
+    clock = np.arange(len(pulled) + len(whole.time)) / 100.0
+    by_hand = np.concatenate([pulled, whole.angle])
+    runs = (
+        Recording.from_arrays(slow.time[some], slow.angle[some], name="slow"),
+        Recording.from_arrays(fast.time, spiked, name="spiked"),
+        Recording.from_arrays(clock, by_hand, name="by hand", start="release"),
+    )
+    assert runs[2].time[0] >= 1.4 - 0.02  # no part of the pull
+    fit = residyn.fit(residyn.Experiment(TABLE, runs), effects=["coulomb_friction"])
+    assert [int(r.wild.sum()) for r in fit.recordings] == [0, 4, 0]
+    for name, true in (
+        ("spring:cart.stiffness", STIFFNESS),
+        ("damper:cart.damping", DAMPING),
+        ("coulomb_friction:cart.torque", FRICTION),
+    ):
+        found = number(fit, name)
+        assert abs(found.value - true) < 4 * found.std, name
+    assert fit.reduced_chi2 < 1.2
+
+
 def test_own_must_leave_one_recording_to_compare_with():
     runs = [release(seed=i, own=["damper:cart"]) for i in (1, 2)]
     with pytest.raises(InputError, match=r'run1: own: "damper:cart" is in every fitted recording'):

@@ -51,6 +51,7 @@ def first_angles(
     """Angles at the first instant: a parabola of the known slope through the first readings."""
     from ..physics.modal import fastest
 
+    recording = recording.as_angles
     time = recording.time - recording.time[0]
     # Up to here, a swing at the fastest mode is a parabola within 0.3 %.
     window = 0.5 / max(fastest(_posed(model, experiment, recording)), 1e-9)
@@ -94,6 +95,7 @@ def motion(
         z0=memory,
         drive=drive,
         integrator=experiment.integrator,
+        orders=recording.orders,
     )
     found = np.asarray(path.readings)
     if not np.isfinite(found).all():

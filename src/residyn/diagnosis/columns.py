@@ -71,6 +71,8 @@ def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
         for e in scene.catalogued
         if e.name not in ("spring", "damper") and e.label not in present and numbers_of(e)
     ]
+    orders = scene.recordings[0].orders
+    found = [e for e in found if not (e.of_angles and orders[scene.joint_of(e)])]
     if scene.n == 1:
         found = [e for e in found if not (e.senses and _not_an_offset(e))]
     return found
@@ -208,10 +210,11 @@ def columns(
         torque, z = over(numbers, phases)
         return torque.reshape(-1, *torque.shape[-2:]), z.reshape(-1, K)
 
+    seen, rate, pushed = _seen(model[0].orders or (0,) * n, at, by_x, by_torque, acceleration)
     for place, effect, numbers, width in _places(laws, shaped, n):
         if effect.senses:
-            _, _, by_number, _, late = along_readings(effect, first, at.q[:, :K], numbers[0])
-            own = by_number - at.v[:, None, :K] * late[..., None]
+            _, _, by_number, _, late = along_readings(effect, first, seen, numbers[0])
+            own = by_number - rate[:, None] * late[..., None]
             readings.append(own[:, _which(effect)] * width[:, None])
         else:
             torque, z = of_place(effect, place, numbers, width)
@@ -240,8 +243,23 @@ def columns(
 
     B = [jnp.where(instants.last, 0.0, x) for x in steps]
     rows = jnp.concatenate([jnp.zeros((0, K)), *states])
-    B, read = filled(B, by_x.shape[0], 0, C), filled(readings, n, acting, 0)
-    return B, read, filled(begins, n, 0, C), rows
+    B, torque = filled(B, by_x.shape[0], 0, C), filled(begins, n, 0, C)
+    read = filled(readings, n, acting, 0)
+    if 2 in model[0].orders:
+        read = read - jnp.einsum("ijk,kjc->kic", pushed, torque)
+    return B, read, torque, rows
+
+
+def _seen(orders, at, by_x, by_torque, acceleration):
+    """(n, K) what is read, its rate, and (n, n, K) what a torque adds to it at once: to an
+    acceleration."""
+    n, K = at.q.shape[0], at.q.shape[1] // 3
+    q, v, a = at.q[:, :K], at.v[:, :K], acceleration[:, :K]
+    turns = by_x[n : 2 * n, : 2 * n, :K]
+    each = [q, v, a, jnp.sum(turns * jnp.concatenate([v, a])[None], axis=1)]
+    seen, rate = (jnp.stack([each[k + more][j] for j, k in enumerate(orders)]) for more in (0, 1))
+    accelerates = np.array(orders) == 2
+    return seen, rate, by_torque[n : 2 * n, :, :K] * accelerates[:, None, None]
 
 
 def _which(effect: AbstractEffect) -> np.ndarray:

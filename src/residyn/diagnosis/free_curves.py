@@ -135,6 +135,10 @@ class Along:
             self.linear.by_x, self.linear.by_torque, self.linear.direction,
         )  # fmt: skip
         self.q, self.v, self.time, self.direction, self._answers = map(np.asarray, found)
+        n, K, orders = scene.n, scene.K, np.array(scene.orders)
+        # What a torque adds at once to a reading: to an acceleration.
+        self._pushed = np.asarray(self.linear.by_torque)[n : 2 * n, :, :K]
+        self._pushed = self._pushed * (orders == 2)[:, None, None]
         self.real = np.tile(np.arange(scene.K) < scene.grid.real, 3)
 
     def variable(self, name: str, joint: int) -> np.ndarray:
@@ -160,7 +164,7 @@ class Along:
         wide = np.zeros((WIDE * math.ceil(count / WIDE), 3, K))
         wide[:count] = torques.reshape(count, 3, K)
         B = np.einsum("axk,cak->kxc", self._answers[:, :, joint], wide, optimize=True)
-        read = np.zeros((K, self.scene.n, B.shape[-1]))
+        read = -np.einsum("ik,ck->kic", self._pushed[:, joint], wide[:, 0])
         noise = self.scene.noise(self.trajectory)
         args = self.linear.system, (B, read), self.scene.readings, noise
         found = [gram(*args, np.asarray(x, float)) for x in intensities]

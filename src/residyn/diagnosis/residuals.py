@@ -179,7 +179,7 @@ def swing(beside: RecordingFit, period: float) -> np.ndarray:
     begin = np.clip(time - period / 2, time[0], time[-1] - period)
     low = np.searchsorted(time, begin - 1e-9 * period)
     high = np.searchsorted(time, begin + period * (1 + 1e-9), side="right")
-    angle = np.where(used, beside.recording.angle, 0.0)
+    angle = np.where(used, beside.recording.as_angles.angle, 0.0)
     middle = angle.sum(axis=0) / np.maximum(used.sum(axis=0), 1)
     angle = np.where(used, angle - middle, 0.0)  # so that small swings about a large rest survive
     total = [

@@ -230,7 +230,7 @@ def prepare(
     if key in _prepared:
         return None
     _prepared.add(key)
-    shapes = (X, X), (X, P), (X, n), (X,), (n, X), (n, P), (n,)
+    shapes = (X, X), (X, P), (X, n), (X,), (n, X), (n, P), (n,), (n, n), (n,)
     system = System(*(np.zeros((K, *shape)) for shape in shapes))
     wide = (n, 3 * K), (n, 3 * K), (X, X, 3 * K), (X, n, 3 * K)
     unused = [np.zeros(0)] * 3

@@ -28,6 +28,7 @@ class SensorOffset(_SensorEffect):
     """The sensor's zero is not the spring's."""
 
     name = "sensor_offset"
+    of_angles = True
     title = "Sensor offset"
     family = "offset"
     equation = "reading = q + o"
@@ -60,6 +61,7 @@ class SensorCurve(_SensorEffect):
     """The sensor's scale changes along its range."""
 
     name = "sensor_curve"
+    of_angles = True
     title = "Curved sensor"
     equation = "reading = q + b q^2"
     looks_like = "swings wider to one side, at twice the share for twice the swing; a shifted mean"

@@ -67,7 +67,8 @@ class Spectrum(NamedTuple):
     pace: np.ndarray
     """(F,) angular frequencies, rad/s."""
     lines: np.ndarray
-    """(n, F) Fourier coefficients of the windowed angles about their mean, rad or m."""
+    """(n, F) Fourier coefficients of the windowed angles about their mean, rad or m; of a reading
+    of order k, its own over (i pace)^k."""
     signal: np.ndarray
     """(n, F) power beyond the noise, 0 where nothing stands out of it."""
 
@@ -88,7 +89,9 @@ class Spectrum(NamedTuple):
             lines.append(found)
             signal.append(np.where(wide > _SURE * unit, np.maximum(wide - unit, 0.0), 0.0))
         pace = 2 * math.pi * np.fft.rfftfreq(len(even), dt)
-        return cls(pace, np.stack(lines), np.stack(signal))
+        once = np.append(0.0, -1j / pace[1:])  # of a constant there is no integral
+        down = once ** np.array(recording.orders)[:, None]
+        return cls(pace, np.stack(lines) * down, np.stack(signal) * np.abs(down) ** 2)
 
     @property
     def fastest(self) -> float:

@@ -2,7 +2,7 @@
 
     x_{k+1} = A x_k + B u + T tau_k + c          x: angles, rates, internal states
     tau_{k+1} = decay tau_k + white noise         random torques, one a joint (Ornstein-Uhlenbeck)
-    y_k = Hx x_k + Hu u + hc + noise              readings
+    y_k = Hx x_k + Ht tau_k + Hu u + hc + noise   readings
 
 The regressors u (numbers of the model, each with a unit normal prior) are constant. The filter's
 gains do not depend on them, so readings and the response to every regressor are right-hand sides of
@@ -29,6 +29,8 @@ class System(NamedTuple):
     Hx: Any  # (K, n, X)
     Hu: Any  # (K, n, P)
     hc: Any  # (K, n)
+    Ht: Any  # (K, n, n)
+    unsure: Any  # (K, n) variances of readings beyond their noise
 
 
 class Readings(NamedTuple):
@@ -94,9 +96,9 @@ def _filter(system: System, readings: Readings, noise: Noise, gains: bool = True
         s, r, decay, growth = at
         white, steps, sizes = [], [], []
         for j in range(n):  # a reading after the other: no matrix is inverted
-            row = jnp.concatenate([s.Hx[j], jnp.zeros(n)])
+            row = jnp.concatenate([s.Hx[j], s.Ht[j]])
             Vh = _times(V, row)
-            S = jnp.sum(row * Vh) + r.variance[j]
+            S = jnp.sum(row * Vh) + r.variance[j] + s.unsure[j]
             said = jnp.concatenate([(r.y[j] - s.hc[j])[None], -s.Hu[j]])
             new = jnp.where(r.seen[j], said - _times(M.T, row), 0.0)
             gain = jnp.where(r.seen[j], Vh / S, 0.0)
@@ -181,8 +183,8 @@ def smooth(system: System, readings: Readings, noise: Noise, intensity) -> Smoot
     L, out = _filter(system, readings, noise.at(intensity))
     white = out.white.reshape(-1, out.white.shape[-1])
     evidence, u, factor = _integrated(L, white.T @ white)
-    (K, n), D = readings.y.shape, out.F.shape[-1]
-    H = jnp.concatenate([system.Hx, jnp.zeros((K, n, n))], -1)
+    n, D = readings.y.shape[1], out.F.shape[-1]
+    H = jnp.concatenate([system.Hx, system.Ht], -1)
     known = jnp.concatenate([jnp.ones(1), u])
     mean, new = out.means @ known, out.white @ known * jnp.sqrt(out.S)
     V, gains, S, F = out.variance, out.gains, out.S, out.F

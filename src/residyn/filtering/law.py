@@ -88,6 +88,8 @@ class Laws(NamedTuple):
     names: tuple[str, ...]
     """`name` of what acts at one joint, else its label."""
     others: tuple[AbstractEffect, ...] = ()
+    orders: tuple[int, ...] = ()
+    """Which derivative is read of each joint; () is angles."""
 
     @property
     def each(self) -> tuple[AbstractEffect, ...]:

@@ -353,7 +353,7 @@ def transition(h, M, X: int):
     return jnp.eye(X, W)[..., None] + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
-@kept(like=Linear(System(*[0] * 7), *[0] * 8))
+@kept(like=Linear(System(*[0] * 9), *[0] * 8))
 def linearise(laws: Laws, table: Table, instants: Instants, point: Point) -> Linear:
     """A model as a linear system along a motion."""
     (K, X), P, n = point.path.shape, point.u.shape[0], point.spread.shape[1]
@@ -378,7 +378,7 @@ def linearise(laws: Laws, table: Table, instants: Instants, point: Point) -> Lin
     phi = transition(h, field, X)
     phi = _followed(laws, table, at, bodies, instants.run, phi, X + 1 + n)
     A, c, T, B = phi[:, :X], phi[:, X], phi[:, X + 1 : X + 1 + n], phi[:, X + 1 + n :]
-    Hx, Hu, seen = _readings(laws, table, instants, at, f, point)
+    Hx, Ht, Hu, seen = _readings(laws, table, instants, at, f, point)
     path = x[:, :K]
     hc = seen - jnp.sum(Hx * path[None], 1) - jnp.sum(Hu * point.u[:, None], 1)
     last = instants.last
@@ -391,7 +391,10 @@ def linearise(laws: Laws, table: Table, instants: Instants, point: Point) -> Lin
     def first(x):
         return jnp.moveaxis(x, -1, 0)
 
-    system = System(*map(first, (A, B, T, c, Hx, Hu, hc)))
+    # An acceleration tells which way friction acts; near a reversal nobody knows beforehand.
+    jump = (cut.level**2 * (1 - f.direction**2))[None, :, :K]
+    unsure = jnp.sum(Ht**2 * jump, axis=1)
+    system = System(*map(first, (A, B, T, c, Hx, Hu, hc, Ht, unsure)))
     by_number = torque_u[..., :K] + cut.level_u[..., :K] * f.direction[:, None, :K]
     return Linear(
         system, seen.T, f.f[n : 2 * n], f.direction, f.by_x, f.by_torque, by_number,
@@ -460,13 +463,45 @@ def _followed_by(known, slots: Slots, at: Nodes, mechanism, phi, inputs: int):
     return jax.lax.fori_loop(0, slots.count, step, spare)[:X]
 
 
+class Seen(NamedTuple):
+    """What is read of n joints at K instants, and its slopes."""
+
+    value: Any  # (n, K)
+    by_x: Any  # (n, X, K)
+    by_torque: Any  # (n, n, K)
+    by_u: Any  # (n, P, K)
+
+
+def derivatives(at: Nodes, f: Field, orders: tuple[int, ...]) -> tuple[Seen, Seen, Seen]:
+    """What is read of each joint, its angle or the derivative of order `orders`, and the first two
+    derivatives of that.
+
+    The derivative of y = h x is h f, f being the equation of motion. From the third derivative of
+    an angle on, that leaves out how slopes change, and the rate of a drive: those are of use only
+    as corrections, of a delay or an average.
+    """
+    n, K, X, P = at.q.shape[0], at.q.shape[1] // 3, f.f.shape[0], f.by_u.shape[1]
+    f = Field(*(x[..., :K] for x in f))
+    angle = jnp.broadcast_to(jnp.eye(n, X)[..., None], (n, X, K))
+    each = [Seen(at.q[:, :K], angle, jnp.zeros((n, n, K)), jnp.zeros((n, P, K)))]
+    for _ in range(2 + max(orders, default=0)):
+        h = each[-1].by_x
+        slopes = (_product(h, x) for x in (f.by_x, f.by_torque, f.by_u))
+        each.append(Seen(jnp.sum(h * f.f[None], axis=1), *slopes))
+
+    def of_order(more: int) -> Seen:
+        own = [each[k + more] for k in orders or (0,) * n]
+        rows = ([x[j] for j, x in enumerate(part)] for part in zip(*own, strict=True))
+        return Seen(*map(jnp.stack, rows))
+
+    return of_order(0), of_order(1), of_order(2)
+
+
 def _readings(laws: Laws, table: Table, instants: Instants, at: Nodes, f: Field, point: Point):
-    """Slopes of the readings in the state (n, X, K) and in the regressors (n, P, K), and the
-    readings (n, K)."""
-    n, K, P = at.q.shape[0], instants.step.shape[0], point.u.shape[0]
+    """Slopes of the readings in the state (n, X, K), in the random torque (n, n, K) and in the
+    regressors (n, P, K), and the readings (n, K)."""
+    n, P = at.q.shape[0], point.u.shape[0]
     known = [laws.each[i] for i in laws.of("sensor")]
-    q, v, a = at.q[:, :K], at.v[:, :K], f.f[n : 2 * n, :K]
-    a_x, a_u = f.by_x[n : 2 * n, :, :K], f.by_u[n : 2 * n, :, :K]
     slots, p = table.sensor, most_numbers(known)
     mechanism = jax.tree.map(lambda x: x[0], instants.mechanisms)
     delay, delay_u = jnp.zeros(n), jnp.zeros((n, P + p))
@@ -480,23 +515,25 @@ def _readings(laws: Laws, table: Table, instants: Instants, at: Nodes, f: Field,
             return delay + d, _added(delay_u, d_u * slots.slopes[e], 0, slots.column[e])
 
         delay, delay_u = jax.lax.fori_loop(0, slots.count, late, (delay, delay_u))
-    # q(t - d), averaged: q - d q' + (d^2 / 2 + spread) q''.
-    w = 0.5 * delay[:, None] ** 2 + instants.spread
-    value = q - delay[:, None] * v + w * a
-    Hx = w[:, None] * a_x
-    Hx = Hx.at[:, :n].add(jnp.eye(n)[..., None])
-    Hx = Hx.at[:, n : 2 * n].add(-(jnp.eye(n) * delay)[..., None])
-    Hu = jnp.pad(w[:, None] * a_u, ((0, 0), (0, p), (0, 0)))
-    Hu = Hu + (-v + delay[:, None] * a)[:, None] * delay_u[..., None]
+    # r(t - d), averaged: r - d r' + (d^2 / 2 + spread) r''.
+    r, rate, bend = derivatives(at, f, laws.orders)
+    d, w = delay[:, None], 0.5 * delay[:, None] ** 2 + instants.spread
+    value = r.value - d * rate.value + w * bend.value
+    Hx, Ht, Hu = (
+        here - d[..., None] * once + w[:, None] * twice
+        for here, once, twice in zip(r[1:], rate[1:], bend[1:], strict=True)
+    )
+    Hu = jnp.pad(Hu, ((0, 0), (0, p), (0, 0)))
+    Hu = Hu + (-rate.value + d * bend.value)[:, None] * delay_u[..., None]
     if known:
 
         def seen(e, carry):
-            value, Hx, Hu = carry
+            value, Hx, Ht, Hu = carry
             found = jax.lax.switch(slots.law[e], branches, value, slots.numbers[e])
             value, by_angle, by_number, _, _ = found
-            Hx, Hu = _product(by_angle, Hx), _product(by_angle, Hu)
+            Hx, Ht, Hu = (_product(by_angle, x) for x in (Hx, Ht, Hu))
             own = by_number * slots.slopes[e][:, None]
-            return value, Hx, _added(Hu, own, 0, slots.column[e])
+            return value, Hx, Ht, _added(Hu, own, 0, slots.column[e])
 
-        value, Hx, Hu = jax.lax.fori_loop(0, slots.count, seen, (value, Hx, Hu))
-    return Hx, Hu[:, :P], value
+        value, Hx, Ht, Hu = jax.lax.fori_loop(0, slots.count, seen, (value, Hx, Ht, Hu))
+    return Hx, Ht, Hu[:, :P], value

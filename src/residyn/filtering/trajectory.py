@@ -126,6 +126,7 @@ class Scene:
         g = self.grid
         self.joints = mechanisms[0].joints
         self.catalogued = catalogue_on(richest(mechanisms))
+        self.orders = recordings[0].orders if any(recordings[0].orders) else ()
         self._laws: dict[tuple[str, ...], Laws] = {}
         self.n = n = len(self.joints)
         self.K = len(g.time)
@@ -136,15 +137,19 @@ class Scene:
         for i in range(len(recordings)):
             own = np.flatnonzero((g.run == i) & (np.arange(self.K) < g.real))
             for j in range(n):
-                use = own[g.seen[own, j]]
-                q[own, j] = np.interp(g.time[own], g.time[use], g.angle[use, j]) if len(use) else 0
+                time, angle, use = g.time[own], g.angle[own, j], g.seen[own, j]
+                if self.orders and self.orders[j]:
+                    r = recordings[i].as_angles
+                    time, angle, use = r.time - r.time[0], r.angle[:, j], np.isfinite(r.angle[:, j])
+                q[own, j] = np.interp(g.time[own], time[use], angle[use]) if use.any() else 0
             v[own] = np.gradient(q[own], g.time[own], axis=0)
         q[g.real :], v[g.real :] = q[g.real - 1], 0.0
         self.q, self.v = q, v
         seen = np.arange(self.K) < g.real
         rows = mechanisms[0].mass_matrix((0.0,) * n)
         inertia = np.array([[float(x) for x in row] for row in rows])
-        amplitude = np.maximum(np.std(q[seen], axis=0), 3 * np.sqrt(g.variance[0]))
+        noise = np.sqrt(g.variance[0]) * recordings[0].as_angles.noise / recordings[0].noise
+        amplitude = np.maximum(np.std(q[seen], axis=0), 3 * noise)
         long = int(np.argmax([r.duration for r in recordings]))
         stiffness = Spectrum.of(recordings[long], wild[long]).stiffness(inertia)
         slowest = 2 * math.pi / recordings[long].duration
@@ -201,7 +206,7 @@ class Scene:
         """A model as data, and the laws of the program that takes it."""
         laws = self._laws.get(t.labels)
         if laws is None or laws.others:  # the others may hold data of their own: a free curve's
-            laws = laws_for(t.effects, self.catalogued)
+            laws = laws_for(t.effects, self.catalogued)._replace(orders=self.orders)
         self._laws[t.labels] = laws
         slopes = t.prior.slopes(t.u)
         return laws, tabulated(laws, t.effects, self.joints, t.numbers, slopes, len(t.first))

@@ -165,7 +165,9 @@ def closed_form(
     halves = np.array([round(_NARROWEST * 1.5**i) for i in range(_LADDER)])
     fits = halves <= max(_NARROWEST, shortest // 8)
     used = np.where(fits, halves, _NARROWEST)  # always as many: one compiled program
-    each = [smooth(g, used, r.noise, stride) for g, r in zip(grids, recordings, strict=True)]
+    each = [
+        smooth(g, used, r.as_angles.noise, stride) for g, r in zip(grids, recordings, strict=True)
+    ]
     data = tuple(_side_by_side(parts, longest) for parts in zip(*each, strict=True))
     posed = stacked(models)
     spacing = np.array([g.dt * stride for g in grids])

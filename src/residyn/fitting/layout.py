@@ -34,6 +34,8 @@ class Recorded(eqx.Module):
     count: Int[AnyArray, " R"]  # of the N, how many instants are its own
     mechanism: AbstractMechanism
     drive: Piecewise | None
+    orders: tuple[int, ...] = eqx.field(static=True, default=())
+    """(n,) which derivative was read of each joint; () is angles."""
 
 
 def bucket(count: int, base: int = 2, least: int = 16) -> int:
@@ -82,6 +84,7 @@ def lay_out(
         count=np.array([len(r.time) for r in recordings]),
         mechanism=stacked(mechanisms),
         drive=drives(recordings, steps, room),
+        orders=recordings[0].orders if any(recordings[0].orders) else (),
     )
 
 

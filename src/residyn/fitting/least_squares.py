@@ -44,7 +44,7 @@ _UNKNOWN_TOLERANCE = 1e-5
 def predict(problem: Problem, one: Recorded, numbers, state) -> Float[Array, "N n"]:
     """Predicted readings of one recording (`one` without its leading axis)."""
     model, nodes = _simulated(problem, one, numbers, state)
-    return read_rows(model, nodes, jnp.asarray(one.row), jnp.asarray(one.place))
+    return read_rows(model, nodes, jnp.asarray(one.row), jnp.asarray(one.place), one.orders)
 
 
 def _simulated(problem: Problem, one: Recorded, numbers, state, only=None) -> tuple[Model, Nodes]:
@@ -118,7 +118,7 @@ def compressed(problem: Problem, y: Unknowns, only: Scalar | None = None) -> Com
         def seen(point, part):
             vector, ends = point
             here = model.with_vector(vector), nodes._replace(ends=ends)
-            predicted = read_rows(*here, part.row, part.place)
+            predicted = read_rows(*here, part.row, part.place, part.orders)
             return whiten(part, predicted), predicted
 
         def add(index, sums):

@@ -305,11 +305,23 @@ def ready(
     most = richest(mechanisms)
     shared = model_for(most, effects).effects
     model = Model(mechanisms[0], with_own_numbers(shared, experiment, most))
+    _goes_with_readings(model, recordings)
     integrator = integrator_of(experiment.integrator)
     if integrator is not None:
         integrator.check(model)
         integrator.check_forward()
     return Ready(model, tuple(recordings), mechanisms, integrator)
+
+
+def _goes_with_readings(model: Model, recordings: Sequence[Recording]) -> None:
+    """**Raises:** `InputError` for a sensor's offset or curvature where a derivative is read."""
+    joints, first = model.mechanism.joints, recordings[0]
+    for effect in model.effects:
+        if effect.of_angles and first.orders[joints.index(effect.place)]:
+            raise InputError(
+                f"{effect.label} is of readings of angles, and {first.name} reads something else: "
+                'rest = "estimate" takes off the zero of such a sensor'
+            )
 
 
 def reweighted(problem: Problem, outliers: Sequence[np.ndarray]) -> Problem:
@@ -363,16 +375,19 @@ def _at(each: np.ndarray, joint: int | None) -> float:
 
 def _amplitude(recording: Recording) -> np.ndarray:
     """(n,) rms angle about the middle of its range of values, at least a few sigma."""
-    return np.maximum(np.sqrt(np.nanmean(_about(recording) ** 2, axis=0)), 3 * recording.noise)
+    noise = recording.as_angles.noise
+    return np.maximum(np.sqrt(np.nanmean(_about(recording) ** 2, axis=0)), 3 * noise)
 
 
 def _about(recording: Recording) -> np.ndarray:
     """(N, n) distance of every angle from the middle of its range of values."""
-    return np.abs(recording.angle - np.nanmedian(recording.angle, axis=0))
+    angle = recording.as_angles.angle
+    return np.abs(angle - np.nanmedian(angle, axis=0))
 
 
 def _rate(recording: Recording) -> np.ndarray:
     """(n,) highest sustained rate of each joint, rad/s or m/s, from differences above the noise."""
+    recording = recording.as_angles
     lag = min(4, len(recording.time) - 1)
     moved = np.abs(recording.angle[lag:] - recording.angle[:-lag])
     moved = np.maximum(moved - 4 * recording.noise, 0.0)
@@ -383,6 +398,7 @@ def _rate(recording: Recording) -> np.ndarray:
 
 def _first_state(recording: Recording, outliers: np.ndarray, frequency: float) -> np.ndarray:
     """(q0, v0) from a cubic through the first quarter cycle."""
+    recording = recording.as_angles
     time = recording.time - recording.time[0]
     state = []
     for joint in range(recording.angle.shape[1]):

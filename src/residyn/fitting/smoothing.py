@@ -27,19 +27,19 @@ class Uniform(NamedTuple):
 
 def uniform(recording: Recording, outliers: np.ndarray) -> Uniform:
     """Resample to the median spacing, leaving out missing readings and outliers."""
-    time = recording.time
+    time, angle = recording.time, recording.as_angles.angle
     dt = float(np.median(np.diff(time)))
     grid = np.arange(time[0], time[-1] + 1e-9 * dt, dt)
-    q = np.empty((len(grid), recording.angle.shape[1]))
+    q = np.empty((len(grid), angle.shape[1]))
     good = np.ones(len(grid), bool)
-    seen = np.isfinite(recording.angle) & ~outliers
+    seen = np.isfinite(angle) & ~outliers
     even = len(grid) == len(time) and np.abs(grid - time).max() < _EVEN * dt
     for joint, use in enumerate(seen.T):
         if even and use.all():
-            q[:, joint] = recording.angle[:, joint]
+            q[:, joint] = angle[:, joint]
             continue
         known = time[use]
-        q[:, joint] = _cubic(known, recording.angle[use, joint], grid)
+        q[:, joint] = _cubic(known, angle[use, joint], grid)
         after = np.searchsorted(known, grid).clip(1, len(known) - 1)
         good &= np.diff(known)[after - 1] < 4.5 * dt
     drive = np.zeros_like(q)

@@ -36,6 +36,7 @@ class AbstractEffect(eqx.Module):
     - `follows`: True if `follow` does something.
     - `grips`: True if `crawls`, `holds`, `lost_speed` and `speed_spread` do something.
     - `senses`: True if it acts on the readings instead of the motion.
+    - `of_angles`: True if its numbers mean something for readings of angles only.
     - `oscillates`: the field that holds a frequency of its own, which a fit starts from a spectrum.
     - `extends`: the effect that it is with its further numbers silent, if it is another one's law
       with more to it.
@@ -56,6 +57,7 @@ class AbstractEffect(eqx.Module):
     follows: ClassVar[bool] = False
     grips: ClassVar[bool] = False
     senses: ClassVar[bool] = False
+    of_angles: ClassVar[bool] = False
     oscillates: ClassVar[str | None] = None
     extends: ClassVar[str | None] = None
     resembles: ClassVar[tuple[str, ...]] = ()

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from ..errors import InputError, quote
+from .reads import PER_TIME, READS
 
 _TIMES = ("t", "time", "zeit", "temps", "tiempo", "tempo")
 _UNITS: dict[str, dict[str, tuple[float, tuple[str, ...]]]] = {
@@ -31,6 +32,22 @@ _UNITS: dict[str, dict[str, tuple[float, tuple[str, ...]]]] = {
         "m": (1.0, ("meter", "meters", "metre", "metres")),
         "cm": (1e-2, ("centimeter", "centimeters")),
         "mm": (1e-3, ("millimeter", "millimeters")),
+    },
+    "rad/s": {
+        "rad/s": (1.0, ("rad/sec", "radian/s", "1/s")),
+        "deg/s": (0.017453292519943295, ("°/s", "deg/sec", "dps", "º/s")),
+        "mrad/s": (1e-3, ()),
+        "rpm": (0.10471975511965977, ("1/min", "rev/min")),
+    },
+    "m/s": {"m/s": (1.0, ("m/sec",)), "cm/s": (1e-2, ()), "mm/s": (1e-3, ())},
+    "rad/s^2": {
+        "rad/s^2": (1.0, ("rad/s²", "rad/s2", "rad/s/s", "rad/s**2")),
+        "deg/s^2": (0.017453292519943295, ("°/s²", "°/s^2", "deg/s²", "deg/s2", "deg/s/s")),
+    },
+    "m/s^2": {
+        "m/s^2": (1.0, ("m/s²", "m/s2", "m/s/s", "m/s**2")),
+        "mm/s^2": (1e-3, ("mm/s²", "mm/s2")),
+        "g": (9.80665, ()),
     },
     "N m": {"N m": (1.0, ("nm", "n*m", "n·m", "n-m")), "mN m": (1e-3, ("mnm", "mn*m", "mn·m"))},
     "N": {"N": (1.0, ("newton", "newtons")), "mN": (1e-3, ())},
@@ -102,6 +119,8 @@ class Joints(NamedTuple):
 
     names: tuple[str, ...]
     units: tuple[str, ...] | None = None
+    orders: tuple[int, ...] = ()
+    """Which derivative was read of each joint; () is angles."""
 
     @property
     def angles(self) -> list[str]:
@@ -117,7 +136,10 @@ class Joints(NamedTuple):
         """The SI units that a column may be in."""
         if name == "t":
             return ("s",)
-        turning, sliding = ("rad", "m") if name[0] == "q" else ("N m", "N")
+        turning, sliding = "N m", "N"
+        if name[0] == "q":
+            order = self.orders[int(name[1:]) - 1] if self.orders else 0
+            turning, sliding = (unit + PER_TIME[order] for unit in ("rad", "m"))
         if self.units is None:
             return (turning, sliding)
         return (turning if self.units[int(name[1:]) - 1] == "rad" else sliding,)
@@ -265,6 +287,12 @@ def _unit(
         unit = _known(word, kind)
         if unit is not None:
             return unit, _UNITS[kind][unit][0], True
+    if name[0] == "q" and own is None:
+        for order, reads in enumerate(READS):
+            if any(_known(word, base + PER_TIME[order]) for base in ("rad", "m")):
+                raise InputError(
+                    f"{where}: must be {allowed}, or reads = {quote(reads)} says what it is"
+                )
     hint = (
         "" if own is not None else f', or units = {{ {name} = "{allowed.split(",")[0]}" }} says it'
     )

@@ -22,6 +22,7 @@ from .columns import Joints, Layout
 from .formats import has_markers, read_table
 from .limits import Limits
 from .motion_capture.angles import read as read_markers
+from .reads import READS, check_reads, reading_units
 from .recording import Recording
 from .sanity import not_free
 from .segments import by_recording
@@ -57,6 +58,12 @@ class Experiment:
                     f"{recording.name}: angle has {recording.joints} joints, the experiment has "
                     f"{len(self.joints)}: {', '.join(self.joints)}"
                 )
+            first = self._braked[0] if self._braked else recording
+            if recording.role != "inertia" and recording.orders != first.orders:
+                raise InputError(
+                    f"{recording.name}: reads is not as in {first.name}: recordings that are "
+                    "fitted together read the same of each joint"
+                )
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -69,9 +76,19 @@ class Experiment:
         return self.inertia.units
 
     @property
+    def reading_units(self) -> tuple[str, ...] | None:
+        """ "rad", "m/s", ...: of what was read of each joint, or None if not known."""
+        orders = self._braked[0].orders if self._braked else (0,) * len(self.joints)
+        return reading_units(self.units, orders)
+
+    @property
     def fit_recordings(self) -> tuple[Recording, ...]:
         """Those with role "fit"."""
         return tuple(r for r in self.recordings if r.role == "fit")
+
+    @property
+    def _braked(self) -> tuple[Recording, ...]:
+        return tuple(r for r in self.recordings if r.role != "inertia")
 
     @property
     def check_recordings(self) -> tuple[Recording, ...]:
@@ -166,7 +183,7 @@ def _read(
     given = {key: options.pop(key, None) for key in ("columns", "units", "separator", "decimal")}
     marked = has_markers(path)
     if marked:
-        for key, value in (given | {"rest": options.get("rest")}).items():
+        for key, value in (given | {key: options.get(key) for key in ("rest", "reads")}).items():
             if value is not None:
                 raise InputError(f"{file}: {key} does not go with markers; leave it out")
         recording = _from_markers(path, inertia, name=file, **options)
@@ -179,12 +196,15 @@ def _read(
                 )
         with inside(file):
             layout = Layout(**given)
-        table = read_table(path, Joints(inertia.joints, inertia.units), layout)
+        with inside(file):
+            kinds = check_reads(options.get("reads", "angle"), len(inertia.joints))
+        orders = tuple(map(READS.index, kinds))
+        table = read_table(path, Joints(inertia.joints, inertia.units, orders), layout)
         time, angle, drive = table.time, table.angle, table.drive
         recording = Recording.from_arrays(time, angle, drive=drive, name=file, **options)
         said = "; ".join(filter(None, [table.understood, recording.understood]))
         recording = dataclasses.replace(recording, understood=said)
-        odd = not_free(recording, inertia.units, table.stated, options)
+        odd = not_free(recording, reading_units(inertia.units, orders), table.stated, options)
         if odd is not None and recording.role != "inertia":
             raise InputError(f"{file}: {odd.words}")
     if recording.role == "inertia" and drive is None:
@@ -217,7 +237,7 @@ def _in_degrees(experiment: Experiment) -> list[str]:
     doubts = []
     for recording, _ in by_recording(experiment.recordings):
         sizes = np.nanquantile(np.abs(recording.angle), 0.99, axis=0)
-        units = experiment.units or ("",) * len(sizes)
+        units = experiment.reading_units or ("",) * len(sizes)
         large = [
             f"q{j + 1} reaches {size:.3g}"
             for j, (size, unit) in enumerate(zip(sizes, units, strict=True))

@@ -5,6 +5,7 @@ line; whatever is merely doubtful is a warning.
 """
 
 import dataclasses
+import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +22,7 @@ from .arrays import (
 )
 from .noise import noise_and_doubts
 from .outliers import outlier_mask
+from .reads import READS, angles_from, check_reads
 from .release import window
 from .resampling import block_means, decimated, evenly_sampled
 from .rest import SWINGS, rest_angles, swings
@@ -40,11 +42,11 @@ class Recording:
     time: np.ndarray
     """(N,) s, strictly increasing, on the recording's own clock."""
     angle: np.ndarray
-    """(N, n) rad or m; NaN where one is missing."""
+    """(N, n) readings, rad or m, or a derivative of that (`reads`); NaN where one is missing."""
     drive: np.ndarray | None
     """(N, n) N m or N, or None for free motion."""
     noise: np.ndarray
-    """(n,) sigma of one reading, rad or m."""
+    """(n,) sigma of one reading, in its unit."""
     noise_given: bool
     """False where the noise was estimated from the data."""
     theta2: float = 0.0
@@ -59,6 +61,8 @@ class Recording:
     """What presses a load-dependent friction, N."""
     own: tuple[str, ...] = ()
     """Effects, `name:place`, whose numbers this recording has for itself."""
+    reads: tuple[str, ...] = ()
+    """(n,) what was read of each joint: "angle", "rate" or "acceleration"; () is angles."""
     warnings: tuple[str, ...] = ()
     """What is doubtful, a line each that names the recording."""
     segment_of: "Recording | None" = None
@@ -84,6 +88,7 @@ class Recording:
         load: float = 0.0,
         own: Iterable[str] = (),
         rest: Any = None,
+        reads: Any = "angle",
     ) -> "Recording":
         """Check a recording, cut it from `start` to `stop`, estimate its noise if not given.
 
@@ -91,17 +96,22 @@ class Recording:
 
         - `time`: (N,) s, strictly increasing.
         - `angle`: (N,) or (N, n) rad or m; NaN where one is missing.
+        - `reads`: "angle", "rate" (`angle` is in rad/s or m/s) or "acceleration" (rad/s^2, m/s^2),
+          for all joints, or a list with one for each.
         - `drive`: shaped as `angle`, N m or N; NaN is interpolated over.
         - `noise`: sigma of one reading, a number or one per joint.
         - `start`, `stop`: s on the recording's own clock; `start` may be "release", the instant
           from which the motion is free.
         - `rest`: where the joints rest, (n,) rad or m, which is taken off; "estimate" finds it in
-          the ringing. None is zero.
+          the ringing. None is zero. Of a rate or an acceleration it is the sensor's own zero.
         - the others: the fields of the same name.
         """
         name = str(name)
         with inside(name):
             time, angle = check_table(time, angle)
+            kinds = check_reads(reads, angle.shape[1])
+            if role == "inertia" and set(kinds) != {"angle"}:
+                raise InputError('reads: role = "inertia" needs angles')
             force, warnings = check_drive(drive, time, angle)
             part = window(time, angle, start, stop)
             time, angle = time[part], angle[part]
@@ -143,6 +153,7 @@ class Recording:
                 extra_mass=number("extra_mass", extra_mass, "kg", least=0),
                 load=number("load", load, "N", least=0),
                 own=check_own(own, role),
+                reads=kinds,
                 warnings=tuple(f"{name}: {warning}" for warning in [*warnings, *doubts]),
                 understood=understood,
             )
@@ -161,6 +172,29 @@ class Recording:
     def joints(self) -> int:
         """How many joints were read."""
         return self.angle.shape[1]
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """(n,) which derivative of its angle was read of each joint."""
+        return tuple(map(READS.index, self.reads)) or (0,) * self.joints
+
+    @functools.cached_property
+    def as_angles(self) -> "Recording":
+        """The recording with integrals of what was read as derivatives (`reads.angles_from`), for
+        first guesses and typical sizes; itself where angles were read."""
+        if not any(self.orders):
+            return self
+        if self.segment_of is not None:
+            whole = self.segment_of.as_angles
+            first = int(np.searchsorted(whole.time, self.time[0]))
+            angle, noise = whole.angle[first : first + len(self.time)], whole.noise
+        else:
+            angle = angles_from(self.time, self.angle, self.orders)
+            # As large beside its motion as the noise of the readings beside theirs.
+            sizes = [np.nanstd(x, axis=0) for x in (angle, self.angle)]
+            noise = self.noise * sizes[0] / np.maximum(sizes[1], 1e-300)
+            noise = np.where(noise > 0, noise, self.noise)
+        return dataclasses.replace(self, angle=angle, noise=noise, reads=())
 
     @property
     def lost(self) -> int:

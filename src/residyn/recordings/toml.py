@@ -43,6 +43,7 @@ _KEYS = {
         "extra_mass",
         "load",
         "own",
+        "reads",
         "markers",
         "normal",
     ),

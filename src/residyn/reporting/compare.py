@@ -84,7 +84,8 @@ def _tells(cell: Cell) -> bool:
 def _left(found: Comparison) -> str:
     """ "3.5 mrad at the shoulder (7.1 times the noise) and 3.1 mrad at the elbow (6 times)"."""
     words, at = [], found.where
-    for joint, unit, rmse, cell in zip(at.joints, at.units, found.fit.rmse, at.joint, strict=True):
+    units = found.fit.experiment.reading_units or at.units
+    for joint, unit, rmse, cell in zip(at.joints, units, found.fit.rmse, at.joint, strict=True):
         noise = "" if words else " the noise"
         size = amount(float(rmse), unit, 2)
         words.append(f"{size} at the {joint} ({times(cell.ratio)} times{noise})")
@@ -269,9 +270,9 @@ def _outside(found: Comparison) -> list[str]:
     held = found.held_out
     if held is None:
         return []
-    rows = []
+    rows, units = [], found.fit.experiment.reading_units or found.where.units
     for label, error in (("held out", held.held_out), ("fitted", held.fitted)):
-        sizes = zip(error.rmse, found.where.units, error.ratio, strict=True)
+        sizes = zip(error.rmse, units, error.ratio, strict=True)
         rows.append((label, [f"{amount(x, unit)}{_x(r):>8}" for x, unit, r in sizes]))
     if held.held_out.expected is not None:
         rows.append(("a right model: held out", [_x(x) for x in held.held_out.expected]))

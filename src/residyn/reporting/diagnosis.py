@@ -561,7 +561,7 @@ def _evidence(found: Diagnosis) -> list[tuple[Missing, int]]:
 
 def _models_table(found: Diagnosis) -> Table:
     joints, held, rows = found.fit.joints, _held(found) is not None, []
-    units = found.fit.experiment.units or (None,) * len(joints)
+    units = found.fit.experiment.reading_units or (None,) * len(joints)
     for step in found.ladder:
         sizes = [step.fit.rmse, _held_out(step)][: 1 + held]
         cells = [
@@ -617,7 +617,7 @@ def latex(found: Diagnosis) -> str:
 
 def _models_latex(found: Diagnosis) -> str:
     joints, held = found.fit.joints, _held(found) is not None
-    units = found.fit.experiment.units or ("",) * len(joints)
+    units = found.fit.experiment.reading_units or ("",) * len(joints)
     scales = [
         prefixed(name, float(min(r.fit.rmse[j] for r in found.ladder)))
         for j, name in enumerate(units)
@@ -664,7 +664,7 @@ def _candidates_latex(found: Diagnosis) -> str:
 def csv(found: Diagnosis) -> str:
     """One line for each number: which table and which line of it, name, value, std, unit."""
     rows: list[tuple[object, ...]] = []
-    units = found.fit.experiment.units or ("",) * len(found.fit.joints)
+    units = found.fit.experiment.reading_units or ("",) * len(found.fit.joints)
     for step in found.ladder:
         own = "ladder", base_name(step.fit) if step.added is None else f"+ {step.added}"
         for name, joint, x, u in residuals(step.fit):

@@ -68,7 +68,7 @@ def joint_errors(fit: Fit) -> list[JointError]:
     motion = np.sqrt(np.nanmean(np.concatenate(centred) ** 2, axis=0)).tolist()
     noise = [None] * len(motion) if not held else _noise(held).tolist()
     check = [None] * len(motion) if fit.check_rmse is None else fit.check_rmse.tolist()
-    units = fit.experiment.units or (None,) * len(motion)
+    units = fit.experiment.reading_units or (None,) * len(motion)
     own = fit.rmse.tolist(), _noise(fitted).tolist(), motion, check, noise
     return [JointError(*row) for row in zip(fit.joints, units, *own, strict=True)]
 
@@ -201,7 +201,7 @@ def _signs(fit: Fit) -> Iterator[str]:
 
 def _misfit(fit: Fit) -> Iterator[str]:
     if fit.misses:
-        worst, units = int(np.argmax(fit.rmse / fit.noise)), fit.experiment.units
+        worst, units = int(np.argmax(fit.rmse / fit.noise)), fit.experiment.reading_units
         unit = f" {units[worst]}" if units else ""
         yield (
             f"the residual at {fit.joints[worst]} is {fit.rmse[worst] / fit.noise[worst]:.3g} "
@@ -449,7 +449,7 @@ def csv(fit: Fit) -> str:
 
 def residuals(fit: Fit) -> list[tuple[str, str, float, str]]:
     """(name, joint, value, unit) of every rms residual, and of the noise."""
-    units = fit.experiment.units or ("",) * len(fit.joints)
+    units = fit.experiment.reading_units or ("",) * len(fit.joints)
     each = [("rmse", fit.rmse), ("check_rmse", fit.check_rmse), ("noise", fit.noise)]
     return [
         (name, joint, float(x), u)

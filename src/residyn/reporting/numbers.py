@@ -9,6 +9,10 @@ import math
 _PREFIXES = {
     "rad": ((1.0, "rad"), (1e-3, "mrad"), (1e-6, "µrad")),
     "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm")),
+    "rad/s": ((1.0, "rad/s"), (1e-3, "mrad/s"), (1e-6, "µrad/s")),
+    "m/s": ((1.0, "m/s"), (1e-3, "mm/s"), (1e-6, "µm/s")),
+    "rad/s^2": ((1.0, "rad/s²"), (1e-3, "mrad/s²")),
+    "m/s^2": ((1.0, "m/s²"), (1e-3, "mm/s²")),
     "": ((1.0, ""), (1e-3, "×10⁻³"), (1e-6, "×10⁻⁶")),  # a joint whose unit is not known
 }
 _CERTAIN = 0.995

@@ -284,7 +284,7 @@ def text(found: Unloading) -> str:
 
 def check_words(check: BareCheck, found: Unloading) -> str:
     """A recording without bearings beside what was predicted of it."""
-    units = found.fit.experiment.units or ("",) * len(found.fit.joints)
+    units = found.fit.experiment.reading_units or ("",) * len(found.fit.joints)
     sizes = zip(found.fit.joints, check.rmse, units, check.beside.recording.noise, strict=True)
     left = "; ".join(
         f"{joint} {amount(float(x), unit)}, {times(float(x / noise))} x noise"

@@ -5,6 +5,7 @@ taken from the quintic Hermite curve through position, rate and acceleration at 
 step, whose error is about (w h)^6 / 46080.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -17,7 +18,8 @@ from ..physics.motion import Joints
 class Trajectory(NamedTuple):
     """Simulated motion: `t` (N,) s, `q` (N, n) rad or m, `v` (N, n).
 
-    `readings` (N, n) are what the sensors say: `q`, unless the model has sensor effects.
+    `readings` (N, n) are what the sensors say: `q`, or the derivatives that were asked for, and
+    what the model's sensor effects make of them.
     """
 
     t: Float[Array, " N"]
@@ -48,35 +50,47 @@ class Nodes(NamedTuple):
         return self.ends[:, n : 2 * n] / self.h
 
 
-def read(model: Model, nodes: Nodes, times: Float[Array, " N"]) -> Trajectory:
-    """Motion at any times."""
+def read(
+    model: Model, nodes: Nodes, times: Float[Array, " N"], orders: Sequence[int] = ()
+) -> Trajectory:
+    """Motion at any times, and readings of the `orders`-th derivative of each joint's angle."""
     place = (times - nodes.start) / nodes.h
     row = _row(nodes, place)
     curve, s = _curve(nodes, row), (place - row)[:, None]
     q = _polynomial(curve, s)
     rate = _polynomial([k * c for k, c in enumerate(curve)][1:], s) / nodes.h
-    seen = _late(nodes, place, model.delays) if model.late else q
+    if model.late:
+        seen = _late(nodes, place, model.delays, orders)
+    else:
+        seen = _derivatives(curve, s, nodes.h, orders) if any(orders) else q
     return Trajectory(times, q, rate, model.reading(seen))
 
 
 def read_rows(
-    model: Model, nodes: Nodes, row: Int[Array, " N"], place: Float[Array, " N"]
+    model: Model,
+    nodes: Nodes,
+    row: Int[Array, " N"],
+    place: Float[Array, " N"],
+    orders: Sequence[int] = (),
 ) -> Float[Array, "N n"]:
     """Readings at `place` (0 to 1) within the steps `row`: `read` for a fit, which knows where its
     readings lie."""
     if model.late:
-        return model.reading(_late(nodes, row + place, model.delays))
-    return model.reading(_polynomial(_curve(nodes, row), place[:, None]))
+        return model.reading(_late(nodes, row + place, model.delays, orders))
+    return model.reading(_derivatives(_curve(nodes, row), place[:, None], nodes.h, orders))
 
 
-def _late(nodes: Nodes, place: Float[Array, " N"], delays: Joints) -> Float[Array, "N n"]:
+def _late(
+    nodes: Nodes, place: Float[Array, " N"], delays: Joints, orders: Sequence[int]
+) -> Float[Array, "N n"]:
     """Each joint as it was `delays` (s) ago; before the beginning the first curve goes on."""
     columns = []
     for joint, delay in enumerate(delays):
         there = place - delay / nodes.h
         row = _row(nodes, there)
         curve = _curve(nodes, row)
-        columns.append(_polynomial([c[:, joint] for c in curve], there - row))
+        own, order = [c[:, joint, None] for c in curve], orders[joint : joint + 1]
+        columns.append(_derivatives(own, (there - row)[:, None], nodes.h, order)[:, 0])
     return jnp.stack(columns, axis=-1)
 
 
@@ -100,6 +114,19 @@ def _curve(nodes: Nodes, row: Int[Array, " N"]) -> list[Float[Array, "N n"]]:
         -15 * rest + 7 * slope - bend,
         6 * rest - 3 * slope + bend / 2,
     ]
+
+
+def _derivatives(curve, s, h, orders: Sequence[int]) -> Float[Array, "N n"]:
+    """The derivative of order `orders` of each joint's curve, in 1/s to that power."""
+    if not any(orders):
+        return _polynomial(curve, s)
+    columns = []
+    for joint, order in enumerate(orders):
+        own = [c[:, joint] for c in curve]
+        for _ in range(order):
+            own = [k * c / h for k, c in enumerate(own)][1:]
+        columns.append(_polynomial(own, s[:, 0]))
+    return jnp.stack(columns, axis=-1)
 
 
 def _polynomial(coefficients, s):

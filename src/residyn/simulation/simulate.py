@@ -155,6 +155,7 @@ def simulate(
     steps: int | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     integrator: Integrator | diffrax.AbstractSolver | str | None = None,
+    orders: Sequence[int] = (),
 ) -> Trajectory:
     """Motion of a model from the state (q0, v0) at `times[0]`.
 
@@ -174,6 +175,8 @@ def simulate(
       "Kvaerno5"), as an instance, or as an `Integrator` with tolerances of its own. `steps` is then
       how many nodes the curve goes through from which readings are taken; between two nodes the
       solver steps as it needs.
+    - `orders`: (n,) which derivative of its angle the sensor of each joint reads: 0, an encoder; 1,
+      a gyroscope; 2, an accelerometer. () is angles.
 
     **Returns:** a `Trajectory`.
 
@@ -211,4 +214,4 @@ def simulate(
         adjoint=adjoint,
         integrator=chosen,
     )
-    return read(model, nodes, times)
+    return read(model, nodes, times, orders)

@@ -43,7 +43,7 @@ def hide_one(study: Study, random: np.random.Generator) -> tuple[Experiment, Abs
             ((a - b) / r.recording.noise).ravel()
             for a, b, r in zip(with_it, without, fit.recordings, strict=True)
         ])  # fmt: skip
-        size = [np.abs(r.recording.angle).max() for r in fit.recordings]
+        size = [np.abs(r.recording.as_angles.angle).max() for r in fit.recordings]
         sane = all(np.isfinite(a).all() and np.abs(a).max() < 3 * s
                    for a, s in zip(with_it, size, strict=True))  # fmt: skip
         if sane and np.sqrt(np.mean(moved**2)) > _SEEN:

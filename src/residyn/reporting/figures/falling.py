@@ -154,7 +154,7 @@ def _scale(ax: Axes, values: Sequence[float]) -> None:
 def _floor(ax: Axes, x: float, fit: Fit, narrow: bool) -> None:
     """The noise, in its own unit, of each joint if they differ: nothing that is right lies far from
     it."""
-    units = fit.experiment.units or (None,) * len(fit.joints)
+    units = fit.experiment.reading_units or (None,) * len(fit.joints)
     each = [amount(float(n), unit, 2) for n, unit in zip(fit.noise, units, strict=True)]
     size = listed(list(dict.fromkeys(each)))
     ax.axhspan(0.0 if ax.get_yscale() == "linear" else 1e-9, 1.0, color=BAND, alpha=0.55, lw=0)

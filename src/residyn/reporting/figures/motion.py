@@ -158,7 +158,7 @@ def _zoom_start(time: np.ndarray, modes: Sequence[Mode]) -> int:
 
 def _draw(main: Axes, strip: Axes, fit: Fit, each: RecordingFit, joint: int, window: slice) -> None:
     """One joint of one recording over one window of samples."""
-    units, name = fit.experiment.units, shortened(fit.experiment.joints[joint], 14)
+    units, name = fit.experiment.reading_units, shortened(fit.experiment.joints[joint], 14)
     unit = units[joint] if units else None
     time = each.recording.time[window]
     good = np.where(each.wild, np.nan, each.recording.angle)
@@ -263,7 +263,7 @@ def spectrum(fit: Fit, *, narrow: bool = False) -> Figure:
     damping is off; at three or five times a mode, a torque is missing that is not linear.
     """
     joints = fit.experiment.joints
-    units = fit.experiment.units or (None,) * len(joints)
+    units = fit.experiment.reading_units or (None,) * len(joints)
     fitted = [r for r in fit.whole if r.recording.role != "check"]
     height = (2.1 if narrow else 2.2) * len(joints) + (1.3 if narrow else 1.0)
     figure = Figure(figsize=(NARROW if narrow else WIDE, height), layout="constrained")
