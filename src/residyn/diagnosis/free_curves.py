@@ -135,7 +135,7 @@ class Along:
             self.linear.by_x, self.linear.by_torque, self.linear.direction,
         )  # fmt: skip
         self.q, self.v, self.time, self.direction, self._answers = map(np.asarray, found)
-        n, K, orders = scene.n, scene.K, np.array(scene.orders)
+        n, K, orders = scene.n, scene.K, np.array(scene.orders or (0,) * scene.n)
         # What a torque adds at once to a reading: to an acceleration.
         self._pushed = np.asarray(self.linear.by_torque)[n : 2 * n, :, :K]
         self._pushed = self._pushed * (orders == 2)[:, None, None]

@@ -1,0 +1,174 @@
+"""A law without a name: a free curve's band against a known curve, the right joint and variable in
+MuJoCo arms (tests/rig) with laws of no catalogue, no curve where a name or nothing is hidden, and a
+class that is loaded and fitted from the file that was written."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+import residyn
+from residyn import effects
+from residyn.cli import main
+from residyn.diagnosis import free_curves
+from residyn.diagnosis.evidence import INTENSITIES, conditional, prior_of, subset
+from residyn.diagnosis.free_curves import Along, FreeCurve, Kind, Place, splines
+from residyn.effects import Damper, Spring
+from residyn.filtering.trajectory import Scene
+from residyn.recordings.tables import ArmTable
+from tests import rig
+
+CART = residyn.ConstantInertia([[2.0]], joints=("cart",), units=("m",))
+NOISE = 5e-4
+ARM = rig.paper_twin(0.3)
+TABLE = ArmTable((ARM.l1, ARM.l2), ARM.shoulder, ARM.elbow, ARM.coupling)
+
+
+@pytest.fixture(autouse=True)
+def as_before(monkeypatch):
+    """The catalogue is left as it was."""
+    monkeypatch.setattr(effects, "CATALOGUE", dict(effects.CATALOGUE))
+
+
+def a_cart(curve, seed=0):
+    """A cart on a spring with a torque f(angle) beside it: its scene and a smoothed trajectory."""
+
+    class Hidden(residyn.JointEffect):
+        name = "hidden"
+
+        def joint_torque(self, motion):
+            return curve(motion.q)
+
+    model = CART + Spring("cart", 80.0) + Damper("cart", 0.4) + Hidden("cart")
+    t = np.arange(600) * 0.02
+    q = np.asarray(residyn.simulate(model, t, [0.4], steps=3000).q)
+    q = q + NOISE * np.random.default_rng(seed).standard_normal(q.shape)
+    recording = residyn.Recording.from_arrays(t, q, noise=NOISE)
+    scene = Scene([recording], [CART], [np.zeros(q.shape, bool)])
+    base = scene.start(
+        [Spring("cart"), Damper("cart")], prior_of(scene, [Spring("cart"), Damper("cart")])
+    )
+    for x in (0.3, 0.1, 0.1):
+        base = scene.smoothed(base, scene.linearised(base), x)
+    return scene, base
+
+
+def bump(q):
+    return 1.5 * jax.numpy.exp(-(((q - 0.1) / 0.08) ** 2))
+
+
+def test_splines_add_up_to_one():
+    x = np.linspace(-0.3, 0.7, 200)
+    assert np.allclose(np.asarray(splines(x, -0.3, 0.7)).sum(0), 1.0, atol=1e-6)
+
+
+def test_a_curve_s_columns_are_the_slopes_of_its_torque():
+    with jax.enable_x64(True):
+        scene, base = a_cart(bump)
+        place = Place(Kind("angle"), 0, -0.4, 0.4)
+        heights = np.random.default_rng(1).standard_normal(free_curves.SPLINES)
+        along = Along(scene, base)
+        held = dataclasses.replace(base, effects=(*base.effects, place.effect(scene, heights)))
+        torque = scene.torques(held)["free_curve:cart"][:, 0]
+        columns = place.columns(along)[:, : scene.K]
+        assert np.allclose(heights @ columns, torque, atol=1e-9)
+
+
+def test_the_band_holds_a_known_curve_and_the_curve_is_found():
+    with jax.enable_x64(True):
+        scene, base = a_cart(bump)
+        along = Along(scene, base)
+        found = free_curves.screen(along, [0.1, 0.01, 0.0])
+        assert found[0].place.kind == Kind("angle")
+        settled = free_curves.settle(scene, base, found[0], 0.1)
+        assert INTENSITIES[int(np.argmax(settled.evidences))] == 0.0
+        x = np.linspace(settled.place.low, settled.place.high, 81)
+        # Beside the line, which the spring takes up.
+        off = np.eye(81) - np.outer(x, x) / (x @ x)
+        rows = off @ np.asarray(splines(x, settled.place.low, settled.place.high)).T
+        std = np.sqrt(np.einsum("gi,ij,gj->g", rows, settled.covariance, rows))
+        error = rows @ settled.mean - off @ np.asarray(bump(x))
+        assert np.mean(np.abs(error) < 1.96 * std) > 0.85
+        assert std.max() < 0.2  # of 1.5 N
+
+
+def test_what_is_held_is_taken_away_again():
+    """Linearised with a curve in it, the evidence of the model without the curve is the same."""
+    with jax.enable_x64(True):
+        scene, base = a_cart(lambda q: 0.0 * q)
+        place = Place(Kind("time"), 0, 0.0, 12.0)  # linear in nothing but the heights
+        heights = 0.1 * np.ones(free_curves.SPLINES)
+        held = dataclasses.replace(base, effects=(*base.effects, place.effect(scene, heights)))
+        P, own = len(base.u), free_curves.SPLINES
+        logs = []
+        for t, at in ((base, np.zeros(own)), (held, heights)):
+            along = Along(scene, t)
+            total, grams = along.gram(0, place.columns(along), [0.0])
+            gram = free_curves.shifted(grams[0], 1 + P, at)
+            evidence, rest = conditional(gram, P)
+            logs.append((total[0] + evidence, subset(rest, np.arange(own))[0]))
+        assert np.allclose(*logs, atol=1e-5)
+
+
+# -- arms from MuJoCo ------------------------------------------------------------------------------
+
+
+def diagnosed(*hidden, seed=0):
+    each = [rig.Hidden(label, values) for label, values in hidden]
+    rng = np.random.default_rng(seed)
+    case = rig.record(rng, ARM, (0.3, -0.25), each, seconds=8.0, rate=80.0, noise=NOISE)
+    recording = residyn.Recording.from_arrays(
+        case.t, case.q, name="release.csv", noise=NOISE, theta2=ARM.theta2
+    )
+    return residyn.diagnose(residyn.Experiment(TABLE, (recording,)))
+
+
+@pytest.fixture(scope="module")
+def quintic():
+    return diagnosed(("fifth_power_drag:elbow", {"coefficient": 0.02}))
+
+
+def test_a_law_of_no_catalogue_is_found_at_its_joint_with_its_formula(quintic):
+    assert quintic.verdict == "unexplained"
+    assert quintic.added == ()
+    law = quintic.laws[0]
+    assert (law.joint, law.variable, law.factor) == ("elbow", "rate", "")
+    assert law.probability > 0.9
+    assert law.formula.families == ("power",)
+    truth = law.on_grid(0.02 * law.grid**5)
+    inside = np.abs(law.mean - truth) < 1.96 * law.std
+    assert np.sum(law.visits * inside) > 0.8
+    assert law.held_out.held_out.ratio.max() < 1.2
+
+
+def test_the_written_file_loads_and_fits(quintic, tmp_path):
+    law = quintic.laws[0]
+    path = tmp_path / "found_effects.py"
+    path.write_text(law.found.text(path.name))
+    assert effects.load_effects(path) == (law.found.name,)
+    assert main(["effects", law.found.name, "--effects", str(path)]) == 0
+    fit = residyn.fit(quintic.fit.experiment, effects=[law.found.label], starts=1)
+    assert fit.reduced_chi2 < 1.1
+    ((_, (value, std, unit)),) = law.formula.parameters.items()
+    (number,) = (n for n in fit.numbers if n.name.startswith(law.found.name))
+    assert number.unit == unit == "N m"
+    assert abs(number.value - value) < 0.1 * std
+
+
+def test_a_name_wins_where_there_is_one():
+    found = diagnosed(("quadratic_drag:elbow", {"coefficient": 0.05}))
+    assert found.verdict == "missing"
+    assert found.added == ("quadratic_drag:elbow",)
+    assert not found.laws or found.laws[0].probability < 0.5
+
+
+def test_nothing_is_found_where_nothing_is():
+    found = diagnosed()
+    assert found.verdict == "adequate"
+    assert found.laws == ()
+    assert found.to_dict()["laws"] == []
+
+
+def test_a_free_curve_is_no_effect_of_the_catalogue():
+    assert FreeCurve.name not in effects.catalogue()
