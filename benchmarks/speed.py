@@ -4,6 +4,7 @@
     python -m benchmarks.speed evaluations      one evaluation of the model and its derivatives
     python -m benchmarks.speed parts            what a warm fit spends its time on
     python -m benchmarks.speed many             fits a second of a bootstrap
+    python -m benchmarks.speed programs         what a first fit and a first diagnosis compile
     python -m benchmarks.speed scaling          how a fit grows with its data; a picture
 
 The reference problem: the paper's arm at an elbow angle of 0.3 rad, 20 s at 100 Hz, 1 mrad of
@@ -90,6 +91,48 @@ def parts(experiment) -> None:
     for name, each in took.items():
         ms = np.median(each)
         print(f"| {name} | {ms:.1f} | {100 * ms / total:.0f} % |")
+
+
+REASONS = {
+    "_inertia": "the diagonal of the mass matrix: scales of the unknowns",
+    "_equations": "Eq. 1 in weak form: where the starts come from",
+    "_linearised": "state matrices: paces of the starts, steps, modes of the fit",
+    "one_descent": "every descent: starts, horizons, wild readings, held-out recordings, the "
+    "integration error, what the covariance is made of",
+    "linearise": "a model as a linear system along a motion: every step of the diagnosis",
+    "smooth": "the filter and the smoother along a motion",
+    "evidences": "the evidence of a model under every intensity of the random torque",
+    "columns": "how every law of the catalogue moves the readings",
+    "gram": "the filter on those columns: the evidence of every law added",
+    "_look": "readings, slopes and residuals of the model that is kept, in full",
+    "_along": "angles, rates and times along the motion: what free curves are of",
+}
+_SMALL = 0.05  # s
+
+
+def programs(experiment) -> None:
+    """What a first fit compiles, and what a first diagnosis compiles besides; nothing is cached."""
+    residyn.set_up(cache=False)
+    compiled: list[tuple[str, float]] = []
+
+    def listen(event: str, seconds: float, **more) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            name = str(more.get("fun_name"))
+            compiled.append((name.removeprefix("jit(").removesuffix(")"), seconds))
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    print("| first | program | times | compiles, s | what for |")
+    print("|---|---|---|---|---|")
+    for what, call in (("fit", residyn.fit), ("diagnosis after it", residyn.diagnose)):
+        compiled.clear()
+        call(experiment)
+        each: dict[str, list[float]] = {}
+        for name, seconds in compiled:
+            small = name not in REASONS and seconds < _SMALL
+            each.setdefault("single operations" if small else name, []).append(seconds)
+        for name, took in sorted(each.items(), key=lambda item: -sum(item[1])):
+            reason = REASONS.get(name, "arrays made on the way, each its own small program")
+            print(f"| {what} | {name} | {len(took)} | {sum(took):.2f} | {reason} |", flush=True)
 
 
 def many(case, noise: float) -> None:
@@ -188,6 +231,7 @@ def main() -> None:
         some = {
             "evaluations": evaluations,
             "parts": parts,
+            "programs": programs,
             "many": lambda _: many(case, noise),
             "scaling": lambda _: scaling(),
         }

@@ -67,6 +67,25 @@ def test_every_simulation_of_a_fit_goes_through_diffrax(smooth, monkeypatch):
     assert set(asked) == {"Bosh3"}
 
 
+def test_the_integration_error_compiles_no_further_program(smooth):
+    happened: list[str] = []
+
+    def listen(event, seconds, **more):
+        if event == "/jax/core/compile/backend_compile_duration":
+            happened.append(more.get("fun_name", "a program"))
+
+    jax.clear_caches()
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        fit = residyn.fit(smooth, starts=1, progress=lambda words: happened.append(f": {words}"))
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+    assert 0.0 < fit.integration_error < 1.0
+    end = happened.index(": errors, modes and held-out recordings")
+    assert any(not words.startswith(":") for words in happened[:end])
+    assert happened[end + 1 :] == []
+
+
 def test_smaller_tolerances_come_nearer_to_the_truth(smooth):
     loose, fine = (
         residyn.fit(

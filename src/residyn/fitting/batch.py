@@ -1,14 +1,16 @@
 """Many experiments: what a laboratory has at the end of a day.
 
 Compiled programs serve every experiment of the same model whose recordings have about the same
-length, so all but the first fits are quick. Where JAX has several devices, or one that is no CPU,
-fits run in batches that share a program and all devices. Results are written as they come, a line
-each (`result_lines`); a run that was killed goes on where it stopped; one broken recording costs
-its own line and no other. With an executor of `concurrent.futures`, or anything that looks like
-one, such as a Dask cluster's, processes and machines share the work.
+length, so all but the first fits are quick. On a CPU every core has a fit of its own; where JAX has
+several devices, or one that is no CPU, fits run in batches that share a program and all devices.
+Results are written as they come, a line each (`result_lines`); a run that was killed goes on where
+it stopped; one broken recording costs its own line and no other. With an executor of
+`concurrent.futures`, or anything that looks like one, such as a Dask cluster's, processes and
+machines share the work.
 """
 
 import contextlib
+import functools
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
@@ -19,6 +21,7 @@ import jax
 from ..effects import AbstractEffect
 from ..errors import InputError
 from ..recordings.experiment import Experiment, load
+from ..runtime.parallel import cores, in_order
 from .fit import fitting
 from .lanes import Fitting, alone, lanes, together
 from .multistart import DEFAULT_STARTS
@@ -121,11 +124,20 @@ def _in_batches(left, effects, starts: int, say, width: int) -> Iterator[Each]:
         at = f"{name} ({count} of {len(left)}): "
         progress = lambda words, at=at: say(at + words)  # noqa: E731
         works.append((name, one, effects, starts, progress))
+    if width == 1:
+        calls = [functools.partial(_alone, each) for each in works]
+        # The first one compiles what the others of its kind need.
+        yield from in_order(calls[:1], 1)
+        yield from in_order(calls[1:], cores())
+        return
     for first in range(0, len(works), width):
         with jax.enable_x64(True):
-            some = [_fitted(*each) for each in works[first : first + width]]
-            found = together(some) if width > 1 else [alone(some[0])]
+            found = together([_fitted(*each) for each in works[first : first + width]])
         yield from found
+
+
+def _alone(given) -> Each:
+    return alone(_fitted(*given))
 
 
 def _by_executor(left, effects, starts: int, say: Callable[[str], None], executor: Executor):

@@ -3,9 +3,11 @@
 A standard error is a prediction: were the recording made again, the numbers would differ by so
 much. The bootstrap does it again. It takes the fitted motion for the truth, adds fresh noise of the
 size that was found, and fits; what these fits spread by needs no linear theory. Fits run in batches
-under `vmap`, a batch's lanes divided among all devices; memory stays that of one batch.
+under `vmap`, a batch's lanes divided among all devices; on a CPU a batch is one fit, and every core
+has one of its own. Memory stays that of a few batches.
 """
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -15,11 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from ..runtime.parallel import cores, in_order
 from .implicit import Embedded, embed
 from .lanes import lanes
 from .result import Fit
 
-_TOGETHER = 64  # fits on each device; on a CPU, which has a cache and no lanes, one after the other
+_TOGETHER = 64  # fits on each device; on a CPU, which has a cache and no lanes, one on every core
 
 
 class Bootstrap(NamedTuple):
@@ -79,15 +82,20 @@ def bootstrap(
         divided = NamedSharding(mesh, PartitionSpec("fits"))
         fits = eqx.filter_shard(fits, NamedSharding(mesh, PartitionSpec()))
         keys = jax.random.split(jax.random.key(seed), draws)
-        found = []
-        for first in range(0, draws, width):
+
+        def refitted(first: int):
             some = keys[first : first + width]
             # The last batch is filled up, so that one compiled program serves all.
             filled = jnp.concatenate([some, jnp.repeat(some[-1:], width - len(some), axis=0)])
             out = _refits(fits, truth, noise, jax.device_put(filled, divided))
-            found.append([np.asarray(x)[: len(some)] for x in out])
+            return [np.asarray(x)[: len(some)] for x in out]
+
+        found, starts = [refitted(0)], range(width, draws, width)  # the first one compiles
+        rest = in_order([functools.partial(refitted, first) for first in starts], cores())
+        for some in rest:
+            found.append(some)
             if progress is not None:
-                progress(f"{min(first + width, draws)} of {draws} fits")
+                progress(f"{min(len(found) * width, draws)} of {draws} fits")
     numbers, converged = (np.concatenate(x) for x in zip(*found, strict=True))
     return Bootstrap(fits.names, numbers, converged)
 
