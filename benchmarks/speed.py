@@ -115,10 +115,10 @@ def programs(experiment) -> None:
     residyn.set_up(cache=False)
     compiled: list[tuple[str, float]] = []
 
-    def listen(event: str, seconds: float, **more) -> None:
+    def listen(event: str, duration_secs: float, **more: str | int) -> None:
         if event == "/jax/core/compile/backend_compile_duration":
             name = str(more.get("fun_name"))
-            compiled.append((name.removeprefix("jit(").removesuffix(")"), seconds))
+            compiled.append((name.removeprefix("jit(").removesuffix(")"), duration_secs))
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     print("| first | program | times | compiles, s | what for |")
@@ -131,7 +131,7 @@ def programs(experiment) -> None:
             small = name not in REASONS and seconds < _SMALL
             each.setdefault("single operations" if small else name, []).append(seconds)
         for name, took in sorted(each.items(), key=lambda item: -sum(item[1])):
-            reason = REASONS.get(name, "arrays made on the way, each its own small program")
+            reason = REASONS.get(name, "run by itself, outside the programs above")
             print(f"| {what} | {name} | {len(took)} | {sum(took):.2f} | {reason} |", flush=True)
 
 

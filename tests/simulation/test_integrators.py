@@ -70,7 +70,7 @@ def test_every_simulation_of_a_fit_goes_through_diffrax(smooth, monkeypatch):
 def test_the_integration_error_compiles_no_further_program(smooth):
     happened: list[str] = []
 
-    def listen(event, seconds, **more):
+    def listen(event, duration_secs, **more):
         if event == "/jax/core/compile/backend_compile_duration":
             happened.append(more.get("fun_name", "a program"))
 
