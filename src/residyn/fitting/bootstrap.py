@@ -81,14 +81,13 @@ def bootstrap(
         mesh = Mesh(np.asarray(devices), ("fits",))
         divided = NamedSharding(mesh, PartitionSpec("fits"))
         fits = eqx.filter_shard(fits, NamedSharding(mesh, PartitionSpec()))
-        keys = jax.random.split(jax.random.key(seed), draws)
+        keys = np.asarray(jax.random.key_data(jax.random.split(jax.random.key(seed), draws)))
+        # The last batch is filled up, so that one compiled program serves all.
+        keys = np.concatenate([keys, np.repeat(keys[-1:], -draws % width, axis=0)])
 
         def refitted(first: int):
-            some = keys[first : first + width]
-            # The last batch is filled up, so that one compiled program serves all.
-            filled = jnp.concatenate([some, jnp.repeat(some[-1:], width - len(some), axis=0)])
-            out = _refits(fits, truth, noise, jax.device_put(filled, divided))
-            return [np.asarray(x)[: len(some)] for x in out]
+            some = jax.device_put(keys[first : first + width], divided)
+            return [np.asarray(x)[: draws - first] for x in _refits(fits, truth, noise, some)]
 
         found, starts = [refitted(0)], range(width, draws, width)  # the first one compiles
         rest = in_order([functools.partial(refitted, first) for first in starts], cores())
@@ -103,7 +102,7 @@ def bootstrap(
 @eqx.filter_jit
 def _refits(fits: Embedded, truth, noise, keys):
     def one(key):
-        each = jax.random.split(key, len(truth))
+        each = jax.random.split(jax.random.wrap_key_data(key), len(truth))
         angles = [
             q + s * jax.random.normal(k, q.shape)
             for q, s, k in zip(truth, noise, each, strict=True)
