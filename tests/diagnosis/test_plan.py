@@ -11,11 +11,11 @@ import pytest
 
 import residyn
 from residyn.cli import main
-from residyn.diagnosis.candidate_tests import best_tests, in_play, settings_of, settled
+from residyn.diagnosis.candidate_tests import Sweep, best_tests, in_play, settings_of, settled
 from residyn.diagnosis.evidence import prior_of
 from residyn.diagnosis.experiment_design import Quantity, entropy
 from residyn.diagnosis.missing_torque import scene_of
-from residyn.diagnosis.planned import InPlay, Plan
+from residyn.diagnosis.plan import InPlay, Plan
 from residyn.diagnosis.search import Tried, settle
 from residyn.effects import CubicStiffness, Damper, Spring
 from residyn.recordings.limits import Limits
@@ -262,14 +262,15 @@ def a_plan(**changed):
 
 
 def test_a_plan_reads_in_80_columns():
-    drive = residyn.diagnosis.planned.Sweep("elbow", 2.0, 0.3, 4.5)
+    drive = Sweep("elbow", 2.0, 0.3, 4.5)
     more = dataclasses.replace(NEXT, drive=drive, release={"shoulder": 0.0, "elbow": 0.0})
     text = str(a_plan(tests=(NEXT, more)))
     assert max(map(len, text.splitlines())) <= 80
-    assert "Release the shoulder at 0.300 rad and the elbow at -0.100 rad" in text
+    words = " ".join(text.split())
+    assert "Release the shoulder at 0.300 rad (17 deg) and the elbow at -0.100 rad (-6" in words
     assert "70 %  Coulomb friction at the elbow" in text
     assert "0.1000 +/- 0.0010 rad" in text
-    assert "drive the elbow with 2.00 N m" in " ".join(text.split())
+    assert "drive the elbow with 2.00 N m" in words
 
 
 def test_nothing_would_help_is_an_answer():

@@ -163,12 +163,3 @@ def worth(
             variance += p[m] * float(np.mean(second - mean**2))
     told = float("nan") if quantity is None else variance
     return Worth(float(expected[0]), float(expected[1]), each, float(expected[2]), told)
-
-
-def variance_now(probability: ArrayLike, quantity: Quantity) -> tuple[float, float, float]:
-    """Variance of a quantity before any test, by where it comes from: which model it is, the
-    models' numbers, and the rest (law of total variance)."""
-    p = _normalised(probability)
-    between = float(p @ (quantity.mean - p @ quantity.mean) ** 2)
-    numbers = float(p @ np.array([s @ s for s in quantity.slopes]))
-    return between, numbers, float(p @ quantity.rest)

@@ -13,11 +13,11 @@ import numpy as np
 
 from ..fitting.result import Fit
 from ..runtime.presentation import TableResult
+from .candidate_tests import Test
 from .compare import Comparison, compare_fit
 from .forecast import HeldOut
 from .law import Law
 from .missing_torque import Missing
-from .planned import Test
 from .residuals import number
 from .search import Search
 

@@ -1,11 +1,16 @@
 """The next tests in words and lines that a technician can follow, in 80 columns."""
 
+import math
 from collections.abc import Sequence
 
-from ..diagnosis.planned import Plan, Test
+from ..diagnosis.candidate_tests import Test
+from ..diagnosis.plan import Plan
 from .layout import Table, filled, printed
 from .names import PLAIN, at_place, listed, lower, upper
 from .numbers import amount, measured, percent, plain
+
+_TELLS = 2.0
+"""Standard errors by which one reading tells two models apart 19 times in 20."""
 
 
 def named(added: Sequence[str], joints: Sequence[str]) -> str:
@@ -25,7 +30,7 @@ def motion_words(test: Test) -> str:
             f"from {plain(d.low, 2)} to {plain(d.high, 2)} Hz"
         )
     angles = [
-        f"the {joint} at {amount(x, unit)}"
+        f"the {joint} at {_angle(x, unit)}"
         for (joint, x), unit in zip(test.release.items(), test.units, strict=True)
     ]
     return f"release {listed(angles)}, from rest"
@@ -35,7 +40,7 @@ def setting_words(test: Test) -> str:
     """ "elbow at 0.5 rad, on the air bearings"; empty where there is nothing to set."""
     words = []
     if test.theta2 is not None:
-        words.append(f"the elbow's rest at {plain(test.theta2, 3)} rad")
+        words.append(f"the elbow's rest at {_angle(test.theta2, 'rad')}")
     if test.air_bearings is not None:
         words.append("on the air bearings" if test.air_bearings else "without the air bearings")
     if test.extra_mass is not None:
@@ -43,6 +48,12 @@ def setting_words(test: Test) -> str:
     if test.load is not None:
         words.append(f"under a load of {plain(test.load, 3)} N")
     return ", ".join(words)
+
+
+def _angle(value: float, unit: str) -> str:
+    """ "0.300 rad (17 deg)": people set degrees."""
+    degrees = f" ({math.degrees(value):.0f} deg)" if unit == "rad" and value else ""
+    return f"{amount(value, unit)}{degrees}"
 
 
 def sentence(test: Test) -> str:
@@ -136,4 +147,13 @@ def _test(index: int, test: Test, before: float) -> list[str]:
         rows.append(("narrows", f"the 95 % band to +/- {plain(test.band, 2)}"))
     for head, words in rows:
         out += filled(words, f"     {head:<8}") if words else []
-    return out + printed(outcomes(test), indent=5)
+    out += printed(outcomes(test), indent=5)
+    if len(test.outcomes) > 1:
+        one, other = test.outcomes[:2]
+        if abs(one.reading - other.reading) < _TELLS * math.hypot(one.std, other.std):
+            out += filled(
+                "That one reading is not enough to tell the first two apart: it takes the whole "
+                f"recording, in which they differ by {plain(test.difference, 2)} standard errors.",
+                "     ",
+            )
+    return out
