@@ -1,22 +1,20 @@
 """What to measure next, and what happens in orbit: how right `plan`, `unload` and the atlas are.
 
-    python -m benchmarks.plan campaigns --count 40 --out FILE     releases until the name is sure
-    python -m benchmarks.plan orbit --count 200 --out FILE        bands in orbit
-    python -m benchmarks.plan atlas --count 40 --out FILE         are the stated strengths right?
-    python -m benchmarks.plan report FILE...                      the tables
+    python -m benchmarks.plan run --seeds report --campaigns 40 --orbit 200 --atlas 40 --out FILE
+    python -m benchmarks.plan report FILE
 
 Random MuJoCo arms with something hidden (`tests/rig`); nothing of the rig shares code with the
-package. Every case is a line of JSON; what the file holds already is not done again, and
-`--seconds` begins no case after that long, so that a partial run is a fair sample. Everything
-random about a case follows from its seed and number; the seeds `report` are frozen, and whatever
-was tuned was tuned on `tuning`.
+package. Every case is a line of JSON. What the file holds already is not done again, and
+`--seconds` begins no case after that long: cases are taken in turn, so that a partial run is a fair
+sample. Everything random about a case follows from its seed and number; the seed `report` is
+frozen, and whatever was tuned was tuned on `tuning`.
 
 A case is weighed by the search of a diagnosis alone: the models that were tried and their
 evidences, which is all that `plan`, `unload --diagnose` and the atlas speak of. Laws without a name
 and least-squares fits of the models on the way, most of the time of a diagnosis, are left out.
 
 `campaigns`: one small release of an effect that has look-alikes (2 to 5 % of the spring's torque,
-noise 10 % of the amplitude, 8 s). Where the right kind of law at the right place has less than
+noise 20 % of the amplitude, 8 s). Where the right kind of law at the right place has less than
 95 %, releases are added, up to `MOST`: planned (as `residyn.plan` does, after each release), at
 random (uniform within the same limits), or the largest. Counted is how many it takes until the
 right kind and place has 95 %. The rig may swing the joints to `ANGLE` and turn the elbow.
@@ -34,7 +32,7 @@ import argparse
 import dataclasses
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -58,12 +56,14 @@ from tests.rig.hidden import BEARINGS, Hidden, random_hidden, record
 from tests.rig.unloaded import off_bearings
 
 SEEDS = {"tuning": 28_001, "report": 20_261_124}
+RATE = 50.0
+"""Hz, of all recordings: ten readings of the fastest cycle."""
 MOST = 5
 """Releases that are added at most."""
 SURE = 0.95
 FIRST = (0.03, 0.1)
 """rad: what the first release of a campaign swings."""
-ANGLE = 0.15
+ANGLE = 0.1
 """rad: the largest release that a campaign's rig allows."""
 ALIKE = (
     "coulomb_friction", "quadratic_drag", "cubic_stiffness", "asymmetric_stiffness", "dead_zone",
@@ -105,7 +105,7 @@ def campaign(seed: int, i: int) -> dict[str, Any]:
     arm, label = random_arm(rng), placed(ALIKE, i)
     q0 = random_release(rng, FIRST)
     hidden = random_hidden(rng, label, arm, q0, log_uniform(rng, 0.02, 0.05), seconds=8.0)
-    first = record(rng, arm, q0, [hidden], seconds=8.0, noise_share=0.1)
+    first = record(rng, arm, q0, [hidden], seconds=8.0, rate=RATE, noise_share=0.2)
     limits = Limits(angle=ANGLE, theta2=(-1.5, 1.5), duration=8.0)
     begin = residyn.Experiment(table_of(arm), (measured(first, "0"),), limits=limits)
     found = weighed(begin)
@@ -118,7 +118,7 @@ def campaign(seed: int, i: int) -> dict[str, Any]:
         while len(path) < MOST and (not path or path[-1] < SURE):
             theta2, release = next_release(way, experiment, now, rng)
             posed = dataclasses.replace(arm, theta2=theta2)
-            made = record(rng, posed, release, [hidden], seconds=8.0, noise=first.noise)
+            made = record(rng, posed, release, [hidden], seconds=8.0, rate=RATE, noise=first.noise)
             runs = (*experiment.recordings, measured(made, str(len(path) + 1)))
             experiment = dataclasses.replace(experiment, recordings=runs)
             now = weighed(experiment)
@@ -183,7 +183,7 @@ def orbit(seed: int, i: int) -> dict[str, Any]:
         label = placed(AT_JOINTS, i // 2)
         label = label.partition(":")[0] if label.startswith("coupling_damping") else label
     hidden = random_hidden(rng, label, arm, q0)
-    case = record(rng, arm, q0, [hidden], noise_share=0.01, bearings=BEARINGS)
+    case = record(rng, arm, q0, [hidden], rate=RATE, noise_share=0.01, bearings=BEARINGS)
     on = residyn.Experiment(table_of(arm), (measured(case, "on"),), ON)
     found = weighed(on, MOST_EFFECTS)
     models, p, _ = in_play(found.models, found.each)
@@ -246,7 +246,7 @@ def atlas(seed: int, i: int) -> dict[str, Any]:
     """Whether an effect is named at the stated strength, and at three times that."""
     rng = np.random.default_rng([seed, 3, i])
     arm, q0, label = random_arm(rng), random_release(rng, (0.1, 0.3)), placed(SMALL, i)
-    clean = record(rng, arm, q0, [], noise_share=0.02, seconds=10.0)
+    clean = record(rng, arm, q0, [], noise_share=0.02, rate=RATE, seconds=10.0)
     table = table_of(arm)
     known = residyn.detectable(residyn.Experiment(table, (measured(clean, "clean"),)))
     told = next(e for e in known.effects if e.effect == label)
@@ -255,7 +255,9 @@ def atlas(seed: int, i: int) -> dict[str, Any]:
         if told.shows is None:
             break
         values = {told.number: times * told.shows, **told.shape}
-        case = record(rng, arm, q0, [Hidden(label, values)], noise=clean.noise, seconds=10.0)
+        case = record(
+            rng, arm, q0, [Hidden(label, values)], noise=clean.noise, rate=RATE, seconds=10.0
+        )
         found = weighed(residyn.Experiment(table, (measured(case, "made"),)))
         alike = [label for group in found.lookalikes() for label in group]
         row[f"at {times}"] = label in (*found.best.added, *alike)
@@ -287,43 +289,38 @@ def rows_of(file: Path) -> list[dict[str, Any]]:
     return [json.loads(x) for x in file.read_text().splitlines()] if file.exists() else []
 
 
-def left(count: int, skip: int, done: set[int], seconds: float) -> Iterator[int]:
-    """The numbers of the cases that are to be done, until the time is over."""
-    began = time.perf_counter()
-    for i in range(skip, skip + count):
-        if time.perf_counter() - began < seconds and i not in done:
-            yield i
-
-
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description="How right plan, unload and the atlas are.")
-    commands = parser.add_subparsers(dest="what", required=True)
+    commands = parser.add_subparsers(dest="command", required=True)
+    run = commands.add_parser("run")
+    run.add_argument("--seeds", choices=list(SEEDS), default="tuning")
     for name in CASES:
-        own = commands.add_parser(name)
-        own.add_argument("--seeds", choices=list(SEEDS), default="tuning")
-        own.add_argument("--count", type=int, default=4)
-        own.add_argument("--skip", type=int, default=0)
-        own.add_argument("--seconds", type=float, default=float("inf"))
-        own.add_argument("--out", type=Path, required=True, help="JSON lines")
-    commands.add_parser("report").add_argument("files", nargs="+", type=Path)
+        run.add_argument(f"--{name}", type=int, default=0, metavar="N", help="cases")
+    run.add_argument("--seconds", type=float, default=float("inf"))
+    run.add_argument("--out", type=Path, required=True, help="JSON lines")
+    commands.add_parser("report").add_argument("file", type=Path)
     asked = parser.parse_args()
-    if asked.what == "report":
-        rows = [r for file in asked.files for r in rows_of(file)]
+    rows = rows_of(asked.out if asked.command == "run" else asked.file)
+    if asked.command == "report":
         for name, table in TABLES.items():
             own = [r for r in rows if r["what"] == name]
             if own:
                 print(f"{name}: {table(own)}\n")
         return
     residyn.set_up()
-    seed = SEEDS[asked.seeds]
-    known = rows_of(asked.out)
-    done = {r["case"] for r in known if (r["what"], r["seed"]) == (asked.what, seed)}
-    for i in left(asked.count, asked.skip, done, asked.seconds):
-        about, began = {"what": asked.what, "seed": seed, "case": i}, time.process_time()
+    seed, began = SEEDS[asked.seeds], time.perf_counter()
+    done = {(r["what"], r["case"]) for r in rows if r["seed"] == seed}
+    counts = {name: getattr(asked, name) for name in CASES}
+    # In turn: the first quarter of each kind is done before the second of any.
+    todo = sorted((i / n, name, i) for name, n in counts.items() for i in range(n))
+    for _, name, i in todo:
+        if (name, i) in done or time.perf_counter() - began > asked.seconds:
+            continue
+        start = time.process_time()
         with jax.enable_x64(True):
-            row = about | CASES[asked.what](seed, i)
-        line = json.dumps(row | {"cpu": round(time.process_time() - began, 1)})
+            row = {"what": name, "seed": seed, "case": i} | CASES[name](seed, i)
+        line = json.dumps(row | {"cpu": round(time.process_time() - start, 1)})
         with asked.out.open("a") as file:
             file.write(line + "\n")
         print(line, flush=True)

@@ -33,7 +33,7 @@ from ..simulation.equation import Drive
 from ..simulation.interpolation import read
 from ..simulation.simulate import march
 from .evidence import IN_PLAY, INDISTINGUISHABLE, MOST_IN_PLAY, RELEASE_ERROR, WORTHWHILE
-from .experiment_design import Predicted, Quantity, entropy, reduced, together, worth
+from .experiment_design import Predicted, Quantity, Worth, entropy, reduced, together, worth
 from .search import Tried
 
 _SAMPLES = 512
@@ -371,31 +371,27 @@ def best_tests(
     wanted = quantity and quantity._replace(
         slopes=[r.root.T @ s for r, s in zip(rivals, quantity.slopes, strict=True)]
     )
-    each = [all_of_them.of(i) for i in range(len(all_of_them.settings))]
-    known = {i: x for i, x in enumerate(each) if x is not None}
+    each = {i: all_of_them.of(i) for i in range(len(all_of_them.settings))}
+    known = {i: x for i, x in each.items() if x is not None}
     made: list[list[Predicted]] = []
     found: list[Test] = []
     before = float(entropy(p))
-    for _ in range(min(tests, len(known))):
-        told = {i: worth(together([*made, x]), p, wanted) for i, x in known.items()}
 
-        def rank(i: int, told=told):
-            t = told[i]
-            if wanted is not None:
-                return -t.variance
-            # What is told for certain is told best by what tells the most apart.
-            return -round(t.entropy, 2), t.separation
+    def after(test: list[Predicted] | None) -> Worth | None:
+        return worth(together([*made, test]), p, wanted) if test else None
 
-        best = max(told, key=rank)
-        share = 1.0
-        for shorter in _DURATIONS[:-1]:
-            cut = all_of_them.of(best, shorter)
-            if cut is None:
-                continue
-            fall = before - worth(together([*made, cut]), p, wanted).entropy
-            if wanted is None and fall >= _NEARLY * (before - told[best].entropy):
-                share = shorter
-                break
+    def rank(told: Worth) -> tuple[float, float]:
+        if wanted is not None:
+            return told.variance, 0.0
+        # What is told for certain is told best by what tells the most apart.
+        return round(told.entropy, 2), -told.separation
+
+    while len(found) < min(tests, len(known)):
+        told = {i: w for i, x in known.items() if (w := after(x))}
+        best = min(told, key=lambda i: rank(told[i]))
+        enough = before - _NEARLY * (before - told[best].entropy)
+        shorter = ((share, after(all_of_them.of(best, share))) for share in _DURATIONS[:-1])
+        share = next((s for s, w in shorter if w and wanted is None and w.entropy <= enough), 1.0)
         chosen = all_of_them.of(best, share)
         assert chosen is not None
         made.append(chosen)
@@ -422,9 +418,10 @@ def _test(
     table = isinstance(experiment.inertia, InertiaTable)
     loaded = any(x.recording.load for x in all_of_them.settings)
     k, j, readings = all_of_them.clearest(index, share)
-    first, second = (models[0], models[min(1, len(models) - 1)])
-    common = set(first.added) & set(second.added)
-    between = tuple(tuple(x for x in m.added if x not in common) for m in (first, second))
+    first, second = models[0], models[min(1, len(models) - 1)]
+    one, other = (
+        tuple(x for x in m.added if x not in n.added) for m, n in ((first, second), (second, first))
+    )
     fall = before - told.entropy
     return Test(
         release=dict(zip(experiment.joints, map(float, s.release), strict=True)),
@@ -437,7 +434,7 @@ def _test(
         duration=share * all_of_them.duration,
         entropy=told.entropy,
         probability_right=told.right,
-        between=between,  # pyright: ignore
+        between=(one, other),
         difference=separation(made[-1]),
         now=math.sqrt(2 * abs(first.log_evidence - second.log_evidence)),
         joint=experiment.joints[j],

@@ -59,17 +59,20 @@ def _angle(value: float, unit: str) -> str:
 def sentence(test: Test) -> str:
     """One test, and what it is expected to tell."""
     joints = tuple(test.release)
-    one, other = (named(x, joints) if x else "nothing" for x in test.between)
+    one, other = (named(x, joints) for x in test.between)
+    aim = f"tell {one} from {other}"
+    if not all(test.between):  # the one is the other with more
+        aim = f"see whether {other if test.between[1] else one} is there"
     parts = f"{plain(test.difference, 2)} standard errors of all readings together"
     now = plain(test.now, 2)
     if not test.helps:
         return (
-            f"No test within the limits would tell {one} from {other}: at best they differ by "
-            f"{parts}, where now it is {now}."
+            f"Nothing would help: no test within the limits would {aim}. At best the predictions "
+            f"differ by {parts}, where now it is {now}."
         )
     setting = setting_words(test)
     return (
-        f"To tell {one} from {other}, {motion_words(test)}{f' ({setting})' if setting else ''}, "
+        f"To {aim}, {motion_words(test)}{f' ({setting})' if setting else ''}, "
         f"and record {plain(test.duration, 2)} s: their predictions then differ by {parts}, "
         f"where now it is {now}, and the likeliest is expected to have "
         f"{percent(test.probability_right)}."
