@@ -7,10 +7,13 @@ If effect i is there with strength s, the columns' projections on the readings a
     x ~ N(A_i s, A),        log evidence of c over nothing = 1/2 x_c' (1 + A_cc)^-1 x_c
                                                              - 1/2 log det (1 + A_cc),
 
-and so every candidate's evidence is known before anything is recorded. For one column, a = A_ii,
-and no other candidate, the odds against nothing are even where x^2 / (1 + a) = log(1 + a) + 2 log
-of the prior odds, and in half of all recordings |x| is larger than a s. With many candidates,
-shapes and signs the same is a mean over draws of x, which are the same for all strengths.
+and so every candidate's evidence is known before anything is recorded. Something is missing where
+the models with one effect more have more probability together than the one without, as in
+`Posterior.verdict`; an effect is named if odds of less than 20 to 1 tell it from the likeliest of
+them. For one column, a = A_ii, and no other candidate, the odds against nothing are even where
+x^2 / (1 + a) = log(1 + a) + 2 log of the prior odds, and in half of all recordings |x| is larger
+than a s. With many candidates, shapes and signs the same is a mean over draws of x, which are the
+same for all strengths.
 """
 
 import itertools
@@ -189,7 +192,8 @@ def _one(scene: Scene, rivals: Rivals, effect: AbstractEffect, price: float) -> 
         """In which share of recordings it is named, and leads; and its best rival then."""
         gains = rivals.gains(truth * (share * size / width))
         mine, rest = gains[own], gains[others]
-        named = (mine > price) & (mine > gains.max(axis=0) - INDISTINGUISHABLE)
+        missing = logsumexp(gains, axis=0) > price
+        named = missing & (mine > gains.max(axis=0) - INDISTINGUISHABLE)
         leads = named & (mine > rest.max(axis=0, initial=-np.inf) + INDISTINGUISHABLE)
         best = others[int(np.argmax(rest.mean(axis=1)))] if others else None
         return float(named.mean()), float(leads.mean()), best

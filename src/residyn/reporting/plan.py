@@ -50,6 +50,13 @@ def setting_words(test: Test) -> str:
     return ", ".join(words)
 
 
+def recipe(test: Test) -> str:
+    """All that is to be done, as part of a sentence."""
+    setting = setting_words(test)
+    set_to = f" ({setting})" if setting else ""
+    return f"{motion_words(test)}{set_to}, and record {plain(test.duration, 2)} s"
+
+
 def _angle(value: float, unit: str) -> str:
     """ "0.300 rad (17 deg)": people set degrees."""
     degrees = f" ({math.degrees(value):.0f} deg)" if unit == "rad" and value else ""
@@ -70,12 +77,9 @@ def sentence(test: Test) -> str:
             f"Nothing would help: no test within the limits would {aim}. At best the predictions "
             f"differ by {parts}, where now it is {now}."
         )
-    setting = setting_words(test)
     return (
-        f"To {aim}, {motion_words(test)}{f' ({setting})' if setting else ''}, "
-        f"and record {plain(test.duration, 2)} s: their predictions then differ by {parts}, "
-        f"where now it is {now}, and the likeliest is expected to have "
-        f"{percent(test.probability_right)}."
+        f"To {aim}, {recipe(test)}: the predictions then differ by {parts}, where now it is {now}, "
+        f"and the likeliest is expected to have {percent(test.probability_right)}."
     )
 
 
