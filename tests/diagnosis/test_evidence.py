@@ -252,7 +252,9 @@ def posterior(each):
         for s, e in zip(SETS, each, strict=True)
     }
     best = max(tried.values(), key=lambda m: m.log_posterior)
-    return Posterior(SimpleNamespace(tried=tried, best=best, candidates=NAMES, screens={}))
+    return Posterior(
+        SimpleNamespace(tried=tried, best=best, candidates=NAMES, screens={}, curves=[])
+    )
 
 
 def in_a_complete_model(found, label):
