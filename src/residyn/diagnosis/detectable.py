@@ -154,7 +154,7 @@ class Rivals:
             c = list(row.which)
             covariance = np.linalg.inv(np.eye(len(c)) + gram[np.ix_(c, c)])
             own = [] if row.effect.oscillates else enumerate(strengths(row.effect))
-            sides = [i for i, x in own if signed(row.effect, x)]
+            sides = [i for i, x in own if signed(x)]
             half = 0.5 * np.linalg.slogdet(covariance)[1]
             self._inner.append((c, covariance, half, sides))
 
