@@ -13,9 +13,9 @@ A case is weighed by the search of a diagnosis alone: the models that were tried
 evidences, which is all that `plan`, `unload --diagnose` and the atlas speak of. Laws without a name
 and least-squares fits of the models on the way, most of the time of a diagnosis, are left out.
 
-`campaigns`: one release of an effect that has look-alikes, at 1.5 times the strength at which the
-atlas says that half of such releases would name it (8 s, noise 10 % of the amplitude). Where the
-right kind of law at the right place has less than 95 %, releases are added, up to `MOST`: planned
+`campaigns`: one release of an effect that has look-alikes, at the strength at which the atlas says
+that half of such releases would name it: so one release seldom is enough, on whatever arm (8 s,
+noise 10 % of the amplitude). Where the right kind of law at the right place has less than 95 %, releases are added, up to `MOST`: planned
 (as `residyn.plan` does, after each release), at random (uniform within the same limits, as the
 first was), or the largest. Counted is how many it takes until the right kind and place has 95 %.
 The rig may swing the joints to `ANGLE` and turn the elbow.
@@ -68,9 +68,6 @@ MOST = 5
 SURE = 0.95
 ANGLE = 0.1
 """rad: the largest release that a campaign's rig allows, the first included."""
-STRENGTH = 1.5
-"""Of what hides in a campaign, in that at which the atlas says that half of all such first releases
-name it: then one release seldom is enough, on whatever arm."""
 ALIKE = (
     "coulomb_friction", "quadratic_drag", "cubic_stiffness", "asymmetric_stiffness", "dead_zone",
     "hysteresis",
@@ -115,7 +112,7 @@ def campaign(seed: int, i: int) -> dict[str, Any]:
     known = atlas_of(arm, clean, label)
     if known.shows is None:
         return {"label": label}
-    hidden = Hidden(label, {known.number: STRENGTH * known.shows, **known.shape})
+    hidden = Hidden(label, {known.number: known.shows, **known.shape})
     first = record(rng, arm, q0, [hidden], noise=clean.noise, **AT)
     begin = residyn.Experiment(table_of(arm), (measured(first, "0"),), limits=limits)
     found = weighed(begin)

@@ -24,7 +24,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from scipy.special import logsumexp
 
 from ..effects import AbstractEffect
 from ..filtering.law import numbers_of
@@ -177,9 +176,8 @@ class Rivals:
             for i in sides:
                 gain = gain + half_normal(mean[:, i] / math.sqrt(covariance[i, i]))
             each.setdefault(row.effect.label, []).append(gain)
-        return np.array([
-            logsumexp(each[label], axis=0) - math.log(len(each[label])) for label in self.labels
-        ])  # fmt: skip
+        shaped = (np.array(each[label]) for label in self.labels)
+        return np.array([np.logaddexp.reduce(x, axis=0) - math.log(len(x)) for x in shaped])
 
 
 def _one(scene: Scene, rivals: Rivals, effect: AbstractEffect, price: float) -> Detectable:
@@ -192,7 +190,7 @@ def _one(scene: Scene, rivals: Rivals, effect: AbstractEffect, price: float) -> 
         """In which share of recordings it is named, and leads; and its best rival then."""
         gains = rivals.gains(truth * (share * size / width))
         mine, rest = gains[own], gains[others]
-        missing = logsumexp(gains, axis=0) > price
+        missing = np.logaddexp.reduce(gains, axis=0) > price
         named = missing & (mine > gains.max(axis=0) - INDISTINGUISHABLE)
         leads = named & (mine > rest.max(axis=0, initial=-np.inf) + INDISTINGUISHABLE)
         best = others[int(np.argmax(rest.mean(axis=1)))] if others else None

@@ -28,7 +28,6 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike
-from scipy.special import logsumexp
 
 DRAWS = 400
 """Of the readings, for each model: the expected entropy of two models is then known to 0.02."""
@@ -148,11 +147,13 @@ def worth(
                 values[k] = quantity.mean[k] + by @ t
                 spreads[k] = by @ by + quantity.rest[k]
         weighted = logs + np.log(np.maximum(p, 1e-300))[:, None]
-        after = np.exp(weighted - logsumexp(weighted, axis=0))
+        after = np.exp(weighted - np.logaddexp.reduce(weighted, axis=0))
         others = np.delete(weighted, m, axis=0)
         factor_of_truth = 0.0
         if len(p) > 1 and p[m] < 1:
-            factor_of_truth = np.mean(logs[m] - logsumexp(others, axis=0)) + np.log(1 - p[m])
+            factor_of_truth = np.mean(logs[m] - np.logaddexp.reduce(others, axis=0)) + np.log(
+                1 - p[m]
+            )
         each[m] = after[m].mean()
         expected += p[m] * np.array(
             [entropy(after.T).mean(), after.max(axis=0).mean(), factor_of_truth]
