@@ -15,10 +15,10 @@ and least-squares fits of the models on the way, most of the time of a diagnosis
 
 `campaigns`: one release of an effect that has look-alikes, at the strength at which the atlas says
 that half of such releases would name it: so one release seldom is enough, on whatever arm (8 s,
-noise 10 % of the amplitude). Where the right kind of law at the right place has less than 95 %, releases are added, up to `MOST`: planned
-(as `residyn.plan` does, after each release), at random (uniform within the same limits, as the
-first was), or the largest. Counted is how many it takes until the right kind and place has 95 %.
-The rig may swing the joints to `ANGLE` and turn the elbow.
+noise 10 % of the amplitude). Where the right kind of law at the right place has less than 95 %,
+releases are added, up to `MOST`: planned (as `residyn.plan` does, after each release), at random
+(uniform within the same limits, as the first was), or the largest. Counted is how many it takes
+until the right kind and place has 95 %. The rig may swing the joints to `ANGLE` and turn the elbow.
 
 `orbit`: an arm on bearings with drag or friction, or with an effect at a joint that looks like it;
 one release on the bearings. Does the 95 % band of frequency and damping ratio of each mode without
