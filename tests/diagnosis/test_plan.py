@@ -98,7 +98,7 @@ def test_where_the_models_cannot_part_nothing_helps(cubic):
     (test,) = found.tests
     assert not test.helps
     assert test.entropy == pytest.approx(math.log(2), abs=0.05)
-    words = "Nothing would help: no test within the limits would see whether cubic stiffness at"
+    words = "Nothing would help: no test within the limits would see whether cubic stiffness is"
     assert words.lower() in test.words.lower()
 
 
