@@ -22,7 +22,8 @@ until the right kind and place has 95 %. The rig may swing the joints to `ANGLE`
 
 `orbit`: an arm on bearings with drag or friction, or with an effect at a joint that looks like it;
 one release on the bearings. Does the 95 % band of frequency and damping ratio of each mode without
-bearings hold the truth, over all models in play, and of the likeliest alone?
+bearings hold the truth, over all models in play, of the likeliest alone, and over all models if one
+says that the bearings drag?
 
 `atlas`: an arm with springs and dampers is looked at (`residyn.detectable`); then an effect is
 hidden in it at the stated strength, and at three times that, released again, and diagnosed. Is it
@@ -77,6 +78,11 @@ AT_JOINTS = ("coulomb_friction", "quadratic_drag", "coupling_damping", "asymmetr
 SMALL = ("coulomb_friction", "quadratic_drag", "cubic_stiffness", "constant_torque",
          "stiffness_drift", "hysteresis")  # fmt: skip
 WAYS = ("planned", "random", "largest")
+BANDS = {
+    "models": "over all models",
+    "likeliest": "the likeliest alone",
+    "drag given": "over all models, `--with bearing_drag`",
+}
 
 
 def measured(case, name: str, **where) -> residyn.Recording:
@@ -86,9 +92,10 @@ def measured(case, name: str, **where) -> residyn.Recording:
     )
 
 
-def weighed(experiment: residyn.Experiment, most: int = 1) -> Posterior:
-    """The models that a search tries, and their probabilities."""
-    scene, base, _ = scene_of(experiment, ())
+def weighed(experiment: residyn.Experiment, most: int = 1, effects=()) -> Posterior:
+    """The models that a search tries, and their probabilities; all have springs, dampers and
+    `effects`."""
+    scene, base, _ = scene_of(experiment, effects)
     search = Search(scene, base)
     search.run(most)
     return Posterior(search)
@@ -193,23 +200,26 @@ def orbit(seed: int, i: int) -> dict[str, Any]:
     hidden = random_hidden(rng, label, arm, q0)
     case = record(rng, arm, q0, [hidden], rate=RATE, noise_share=0.01, bearings=BEARINGS)
     on = residyn.Experiment(table_of(arm), (measured(case, "on"),), ON)
-    found = weighed(on, MOST_EFFECTS)
+    row: dict[str, Any] = {"label": label, "truth": true_modes(on, arm, hidden)}
+    row |= bands(on, "models", "likeliest") | bands(on, "drag given", None, ["bearing_drag"])
+    return row
+
+
+def bands(on: residyn.Experiment, way: str, alone: str | None, effects=()) -> dict[str, Any]:
+    """95 % bands of each mode's frequency and damping ratio without bearings."""
+    found = weighed(on, MOST_EFFECTS, effects)
     models, p, _ = in_play(found.models, found.each)
-    scene, recording = found.search.scene, on.recordings[0]
     bare = []
-    for rival in (Rival.of(scene, m) for m in models):
-        off = _bare(on, rival.model, recording)
-        bare.append(Bare(off, rival.model, errors_of(scene, rival, None)))
-    over, single = modes_over(bare, p), modes_over(bare[:1], np.ones(1))
-    bands = {
-        way: [
-            [[getattr(m, q).low, getattr(m, q).high] for q in ("frequency_hz", "damping_ratio")]
-            for m in each
-        ]
-        for way, each in (("models", over), ("likeliest", single))
-    }
-    played = [[list(m.added), float(x)] for m, x in zip(models, p, strict=True)]
-    return {"label": label, "truth": true_modes(on, arm, hidden), "models in play": played, **bands}
+    for rival in (Rival.of(found.search.scene, m) for m in models):
+        off = _bare(on, rival.model, on.recordings[0])
+        bare.append(Bare(off, rival.model, errors_of(found.search.scene, rival, None)))
+    told = {f"{way} in play": [[list(m.added), float(x)] for m, x in zip(models, p, strict=True)]}
+    for name, known in ((way, modes_over(bare, p)), (alone, modes_over(bare[:1], np.ones(1)))):
+        if name is not None:
+            told[name] = [
+                [[x.low, x.high] for x in (m.frequency_hz, m.damping_ratio)] for m in known
+            ]
+    return told
 
 
 def true_modes(on: residyn.Experiment, arm: Arm, hidden: Hidden) -> list[list[float]]:
@@ -233,14 +243,13 @@ def orbit_table(rows: list[dict[str, Any]]) -> str:
     """How often a band holds the truth, and how wide it is."""
     table = []
     for k, name in enumerate(("frequency", "damping ratio")):
-        for way in ("models", "likeliest"):
+        for way, words in BANDS.items():
             held, widths = [], []
             for r in rows:
                 for j, expected in enumerate(r["truth"]):
                     low, high = r[way][j][k] if j < len(r[way]) else (math.inf, -math.inf)
                     held.append(low <= expected[k] <= high)
                     widths.append(abs(high - low) / expected[k])
-            words = {"models": "over all models", "likeliest": "the likeliest alone"}[way]
             share = f"{100 * np.mean(held):.0f} % of {len(held)}"
             table.append([name, words, share, f"{100 * np.median(widths):.2g} %"])
     head = ["95 % band of", "", "holds the truth", "median width"]
