@@ -87,7 +87,7 @@ def outcomes(test: Test) -> Table:
     """What each outcome of a test would mean."""
     joints = tuple(test.release)
     unit = test.units[joints.index(test.joint)]
-    what = f"angle of the {test.joint} at {plain(test.time, 3)} s"
+    what = f"angle of the {test.joint} after {plain(test.time, 3)} s"
     rows = [
         [upper(named(x.added, joints)), measured(x.reading, x.std, unit), percent(x.probability)]
         for x in test.outcomes
