@@ -310,27 +310,24 @@ def _with_class(search: Search, model: CurveModel, law: Law, fits: Any, source: 
     """The law with its formula, or with a table where none was accepted."""
     scene, settled = search.scene, model.settled
     along = Along(scene, settled.trajectory)
-    each = []
     for terms in likeliest(along, settled):
         found = written(scene, settled.place, terms, source)
         tried = _tried(search, model, found)
-        if tried is not None:
-            each.append((tried.log_evidence + terms.log_prior, terms, found, tried))
-    evidence, terms, found, tried = max(each, key=lambda f: f[0], default=(-np.inf, *[None] * 3))
-    if evidence > model.log_evidence and terms and found and tried:
+        if tried is None or tried.log_evidence + terms.log_prior <= model.log_evidence:
+            continue
         fit, held = _fitted(fits, tried)
-        before = _fitted(fits, model.parent)[1]
-        if fit is not None and _predicts(held, before):
-            parameters = {
-                n.name.rpartition(".")[2]: (float(n.value), float(n.std), n.unit)
-                for n in fit.numbers
-                if n.name.rpartition(".")[0] == found.label
-            }
-            numbers = (n._replace(value=parameters[n.field][0]) for n in found.numbers)
-            found = found._replace(numbers=tuple(numbers))
-            more = evidence - model.log_evidence
-            formula = Formula(found.equation, terms.families, parameters, more)
-            return dataclasses.replace(law, formula=formula, found=found, fit=fit, held_out=held)
+        if fit is None or not _predicts(held, _fitted(fits, model.parent)[1]):
+            continue
+        parameters = {
+            n.name.rpartition(".")[2]: (float(n.value), float(n.std), n.unit)
+            for n in fit.numbers
+            if n.name.rpartition(".")[0] == found.label
+        }
+        numbers = (n._replace(value=parameters[n.field][0]) for n in found.numbers)
+        found = found._replace(numbers=tuple(numbers))
+        more = tried.log_evidence + terms.log_prior - model.log_evidence
+        formula = Formula(found.equation, terms.families, parameters, more)
+        return dataclasses.replace(law, formula=formula, found=found, fit=fit, held_out=held)
     found = _tabulated(law, source)
     tried = _tried(search, model, found)
     fit, held = (None, None) if tried is None else _fitted(fits, tried)
