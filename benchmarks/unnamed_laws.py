@@ -1,7 +1,8 @@
 """Hide a law that no catalogue has in a MuJoCo arm, and see whether `residyn.diagnose` finds it.
 
     python -m benchmarks.unnamed_laws run --out RUN [--seeds report] [--what unnamed named none]
-    python -m benchmarks.unnamed_laws report RUN [--beside OTHER]
+    python -m benchmarks.unnamed_laws report RUN
+    python -m benchmarks.unnamed_laws carts FOLDER
     python -m benchmarks.unnamed_laws sindy --out OTHER [--seeds report]    (another environment)
 
 Random arms, one release each, 20 s at 100 Hz, noise 1 % of the amplitude. `unnamed`: 40 arms, five
@@ -294,6 +295,55 @@ def report(rows: list[dict[str, Any]]) -> str:
     return "\n".join(out)
 
 
+# -- carts -----------------------------------------------------------------------------------------
+
+
+def carts(folder: Path, wanted: list[str]) -> None:
+    """What stays of measured carts after Coulomb friction, each run by itself: the likeliest law,
+    and how alike the curves of one spring and load are."""
+    import residyn
+    from benchmarks.measured_diagnosis import cart, carts_of
+
+    residyn.set_up()
+    found: dict[str, list[Any]] = {}
+    for path in sorted((folder / "carts").glob("*.csv")):
+        group = path.stem.rpartition("_")[0]
+        if wanted and group not in wanted:
+            continue
+        experiment = carts_of(cart(path))
+        answer = residyn.diagnose(experiment, effects=["coulomb_friction:cart"], max_effects=0)
+        print(f"{path.stem}: {answer.verdict}", flush=True)
+        for law in answer.laws:
+            size = float(np.sqrt(np.sum(law.visits * law.mean**2)))
+            formula = law.formula and law.formula.to_dict()
+            place = f"{law.factor or 1} f({law.variable}) {law.probability:.3f}"
+            told = f"{law.log_evidence:.0f} nats, rms {size:.3g} {law.unit}"
+            print(f"  {place}, {told}, {formula}", flush=True)
+        found.setdefault(group, []).extend(answer.laws[:1])
+    for group, laws in found.items():
+        print(f"{group}: {alike(laws)}", flush=True)
+
+
+def alike(laws: list[Any]) -> str:
+    """How often two runs' curves of one variable are within their 95 % bands of each other, over
+    the range that both visited, each less the line there."""
+    words = []
+    for i, one in enumerate(laws):
+        for other in laws[i + 1 :]:
+            if (one.variable, one.factor) != (other.variable, other.factor):
+                words.append("not of one variable")
+                continue
+            low, high = max(one.grid[0], other.grid[0]), min(one.grid[-1], other.grid[-1])
+            x = np.linspace(low, high, 101)
+            a, b = (np.interp(x, law.grid, law.mean) for law in (one, other))
+            s, t = (np.interp(x, law.grid, law.std) for law in (one, other))
+            line = np.polynomial.Polynomial.fit(x, a - b, 1)
+            off = np.abs(a - b - line(x)) / np.sqrt(s**2 + t**2)
+            share = np.corrcoef(a, b)[0, 1]
+            words.append(f"{np.mean(off < 1.96):.0%} within the bands, correlation {share:.3f}")
+    return "; ".join(words) or "nothing to compare"
+
+
 def main() -> None:
     """The command."""
     if sys.argv[1:2] == ["here"]:
@@ -312,7 +362,13 @@ def main() -> None:
     own.add_argument("--out", type=Path, required=True, help="JSON lines; not for git")
     told = commands.add_parser("report")
     told.add_argument("file", type=Path)
+    measured = commands.add_parser("carts")
+    measured.add_argument("folder", type=Path, help="with carts/ in it")
+    measured.add_argument("groups", nargs="*", help="high_spring_bare, ...; all if none is given")
     o = parser.parse_args()
+    if o.command == "carts":
+        carts(o.folder, o.groups)
+        return
     if o.command == "report":
         rows = read(o.file)
         for row in (r for r in rows if r.get("error")):
