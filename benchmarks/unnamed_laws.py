@@ -1,7 +1,7 @@
 """Hide a law that no catalogue has in a MuJoCo arm, and see whether `residyn.diagnose` finds it.
 
     python -m benchmarks.unnamed_laws run --out RUN [--seeds report] [--what unnamed named none]
-    python -m benchmarks.unnamed_laws report RUN
+    python -m benchmarks.unnamed_laws report RUN [--beside OTHER]
     python -m benchmarks.unnamed_laws carts FOLDER
     python -m benchmarks.unnamed_laws sindy --out OTHER [--seeds report]    (another environment)
 
@@ -22,6 +22,7 @@ within 5 % of that of the true motion.
 """
 
 import argparse
+import itertools
 import json
 import math
 import random
@@ -223,6 +224,84 @@ def run(o: argparse.Namespace) -> None:
         subprocess.run([*words, *left[i : i + o.batch]], check=False)
 
 
+# -- another way -----------------------------------------------------------------------------------
+
+_SHARES = tuple(x / 20 for x in range(1, 20))
+
+
+def library(_: Any, q: np.ndarray, v: np.ndarray, t: np.ndarray, j: int):
+    """Springs, dampers, and the terms of the grammar for a torque of the angle or the rate and for
+    a friction of time, on its grids: (joint, variable, factor, kind) and column."""
+    x, w, t = q[:, j], v[:, j], t - t[0]
+    found = [(f"spring:{JOINTS[j]}", x), (f"damper:{JOINTS[j]}", w)]
+
+    def add(variable: str, factor: str, family: str, column: np.ndarray) -> None:
+        found.append((f"{JOINTS[j]} {variable} {factor or '-'} {family}", column))
+
+    for variable, z in (("angle", x / np.abs(x).max()), ("rate", w / np.abs(w).max())):
+        for p in (1.5, 2, 3, 5, 7) if variable == "angle" else (1.5, 2, 3, 5):
+            add(variable, "", "power", np.sign(z) * np.abs(z) ** p)
+        for p in (1, 2, 4) if variable == "angle" else (1, 1.5, 2, 3):
+            add(variable, "", "power", np.abs(z) ** p)
+        for width in (0.05, 0.1, 0.2, 0.5):
+            add(variable, "", "saturation", np.tanh(z / width))
+            add(variable, "", "exponential", np.exp((z - 1) / width))
+            add(variable, "", "exponential", np.exp(-(z + 1) / width))
+        if variable == "angle":
+            for n in range(1, 25):
+                add(variable, "", "sine", np.sin(np.pi * n / 2 * z))
+                add(variable, "", "sine", np.cos(np.pi * n / 2 * z))
+            for centre, width in itertools.product(
+                np.arange(-0.9, 1.0, 0.1), (0.05, 0.1, 0.2, 0.4)
+            ):
+                u = (z - centre) / width
+                add(variable, "", "well", u * np.exp(0.5 - 0.5 * u**2))
+    u, sign = t / t[-1], np.sign(w)
+    add("time", "direction", "constant", sign)
+    for p in (1, 2):
+        add("time", "direction", "power", sign * u**p)
+    for decay in (0.05, 0.1, 0.2, 0.5, 1.0, 2.0):
+        add("time", "direction", "exponential", sign * np.exp(-u / decay))
+    for centre, width in itertools.product(_SHARES, (0.01, 0.03, 0.1, 0.3)):
+        add("time", "direction", "saturation", sign * np.tanh((u - centre) / width))
+    return found
+
+
+def sindy(o: argparse.Namespace) -> None:
+    """PySINDy's weak form with those terms, as tuned for `hidden_effects` at this noise."""
+    from benchmarks._hidden_sindy import TUNED, Regression, names
+
+    setting, done = TUNED["weak"][NOISE], {row["key"] for row in read(o.out)}
+    for spec in specs(o.what, o.seeds, o.skip):
+        if spec.key in done:
+            continue
+        made = spec.make()
+        there = Regression(made, setting.window, library)
+        found = names(there, "weak", setting.threshold, setting.ridge, setting.cleared)
+        row = {"key": spec.key, "what": spec.what, "hidden": list(spec.labels), "terms": found}
+        with o.out.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+
+
+def score_sindy(rows: list[dict[str, Any]]) -> str:
+    """Largest term at the right joint and of the right variable; the same and all terms at that
+    place of the right kind; nothing where nothing is."""
+    places, kinds, clean = [], [], []
+    for row in rows:
+        first = row["terms"][0].split() if row["terms"] else ["-"] * 4
+        if row["what"] == "none":
+            clean.append(not row["terms"])
+        if row["what"] == "unnamed":
+            name, _, joint = row["hidden"][0].partition(":")
+            kind = rig.UNNAMED[name]
+            right = first[:3] == [joint, kind.variable, kind.factor or "-"]
+            own = {x.split()[3] for x in row["terms"] if x.split()[:3] == first[:3]}
+            places.append(right)
+            kinds.append(right and own == kind.families)
+    return (f"PySINDy: joint and variable {_share(places)}; kind of formula {_share(kinds)}; "
+            f"nothing on clean arms {_share(clean)}")  # fmt: skip
+
+
 # -- scores ----------------------------------------------------------------------------------------
 
 
@@ -353,15 +432,17 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     commands = parser.add_subparsers(dest="command", required=True)
-    own = commands.add_parser("run")
-    own.add_argument("--seeds", choices=list(SEEDS), default="tuning")
-    own.add_argument("--what", nargs="+", choices=WHAT, default=list(WHAT))
-    own.add_argument("--only", nargs="+", default=[], metavar="TEXT", help="part of a case's name")
-    own.add_argument("--skip", type=int, default=0, help="seeds to pass over")
-    own.add_argument("--batch", type=int, default=12, help="cases of one process")
-    own.add_argument("--out", type=Path, required=True, help="JSON lines; not for git")
+    for name in ("run", "sindy"):
+        own = commands.add_parser(name)
+        own.add_argument("--seeds", choices=list(SEEDS), default="tuning")
+        own.add_argument("--what", nargs="+", choices=WHAT, default=list(WHAT))
+        own.add_argument("--only", nargs="+", default=[], metavar="TEXT", help="part of a name")
+        own.add_argument("--skip", type=int, default=0, help="seeds to pass over")
+        own.add_argument("--batch", type=int, default=12, help="cases of one process")
+        own.add_argument("--out", type=Path, required=True, help="JSON lines; not for git")
     told = commands.add_parser("report")
     told.add_argument("file", type=Path)
+    told.add_argument("--beside", type=Path, help="of sindy")
     measured = commands.add_parser("carts")
     measured.add_argument("folder", type=Path, help="with carts/ in it")
     measured.add_argument("groups", nargs="*", help="high_spring_bare, ...; all if none is given")
@@ -374,8 +455,10 @@ def main() -> None:
         for row in (r for r in rows if r.get("error")):
             print(_line(row))
         print(report([r for r in rows if not r.get("error")]))
+        if o.beside:
+            print(score_sindy(read(o.beside)))
         return
-    run(o)
+    {"run": run, "sindy": sindy}[o.command](o)
 
 
 if __name__ == "__main__":

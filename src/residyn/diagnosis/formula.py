@@ -26,7 +26,7 @@ from .evidence import (
     log_prior_model,
     subset,
 )
-from .free_curves import Along, Place, Settled, shifted
+from .free_curves import Along, CurveModel, Place, shifted
 
 MOST_TERMS = 3
 _KEPT = 12  # sums that a further term is tried with
@@ -180,8 +180,8 @@ def _around(column: Column, shape: int, finer: float) -> list[Column]:
 class Sums:
     """All sums of some columns beside a model, to first order."""
 
-    def __init__(self, along: Along, settled: Settled, columns: list[Column]):
-        self.columns, place = columns, settled.place
+    def __init__(self, along: Along, model: CurveModel, columns: list[Column]):
+        self.columns, place = columns, model.place
         self.terms = len(grammar(place))
         self.width = WIDTH * place.unit(along.scene)
         x, x0 = along.variable(place.kind.variable, place.joint), scale_of(place)
@@ -195,13 +195,13 @@ class Sums:
         self.which = [tuple(range(a, b)) for a, b in itertools.pairwise(ends)]
         # The system holds the curve: its own columns take it away again.
         torques = np.concatenate([place.columns(along), np.stack(rows)])
-        logs = np.where(np.isfinite(settled.evidences), settled.evidences, -np.inf)
+        logs = np.where(np.isfinite(model.evidences), model.evidences, -np.inf)
         logs = logs + log_prior_intensity(INTENSITIES)
         used = np.argsort(-logs)[:2]
         totals, grams = along.gram(place.joint, torques, np.array(INTENSITIES)[used])
-        P, count, bases, rests = len(along.trajectory.u), len(settled.at), [], []
+        P, count, bases, rests = len(along.trajectory.u), len(model.held), [], []
         for total, square in zip(totals, grams, strict=True):
-            square = shifted(square, 1 + P, settled.at)
+            square = shifted(square, 1 + P, model.held)
             keep = np.r_[0 : 1 + P, 1 + P + count : len(square)]
             base, rest = conditional(square[np.ix_(keep, keep)], P)
             bases.append(total + base)
@@ -248,34 +248,34 @@ class Sums:
         )
 
 
-def likeliest(along: Along, settled: Settled) -> list[Sum]:
+def likeliest(along: Along, model: CurveModel) -> list[Sum]:
     """For a curve the likeliest sum of one, of two and of three terms, shapes refined beyond their
     grids: those that cannot be told from the likeliest, which comes first."""
-    columns = _columns(settled.place)
-    alone = Sums(along, settled, columns)
+    columns = _columns(model.place)
+    alone = Sums(along, model, columns)
     singles = alone.of([(k,) for k in range(len(columns))])
     for term in {id(c.term): c.term for c in columns if c.term.shapes}.values():
         own = [s for s in singles if s.columns[0].term is term]
         best = max(own, key=lambda s: s.log_evidence)
-        columns += _refined(along, settled, best).columns
-    every = Sums(along, settled, columns).best()
+        columns += _refined(along, model, best).columns
+    every = Sums(along, model, columns).best()
     tops = [
         next((s for k, s in every if len(k) == size), None) for size in range(1, MOST_TERMS + 1)
     ]
-    refined = [_refined(along, settled, s) for s in tops if s is not None]
+    refined = [_refined(along, model, s) for s in tops if s is not None]
     refined.sort(key=lambda s: -s.log_evidence)
     least = refined[0].log_evidence - INDISTINGUISHABLE
     return [s for s in refined if s.log_evidence > least]
 
 
-def _refined(along: Along, settled: Settled, found: Sum) -> Sum:
+def _refined(along: Along, model: CurveModel, found: Sum) -> Sum:
     """The sum with the shapes of its terms moved between their neighbours on the grid."""
     for finer in _FINER:
         for i in range(len(found.columns)):
             for shape in range(len(found.columns[i].term.shapes)):
                 rest = [c for k, c in enumerate(found.columns) if k != i]
                 tried = _around(found.columns[i], shape, finer)
-                sums = Sums(along, settled, [*rest, *tried])
+                sums = Sums(along, model, [*rest, *tried])
                 own = range(len(rest))
                 sets = [(*own[:i], len(rest) + k, *own[i:]) for k in range(len(tried))]
                 best = max(sums.of(sets), key=lambda s: s.log_evidence)

@@ -30,10 +30,12 @@ from .evidence import (
     CURVE_AMPLITUDES,
     CURVE_LENGTHS,
     INTENSITIES,
+    NEGLIGIBLE,
     conditional,
     half_normals,
     log_prior_intensity,
 )
+from .search import Tried
 
 SPLINES = 32
 """Of one curve."""
@@ -204,6 +206,13 @@ class Place(NamedTuple):
         size = {"angle": s.amplitude, "rate": s.amplitude * s.frequency}
         return float(scene.torque[self.joint]) / size.get(self.kind.factor, 1.0)
 
+    def taken(self, x: np.ndarray) -> np.ndarray | None:
+        """What of a curve springs and dampers are already: a line of the angle or the rate, a
+        constant stiffness or damping; nothing of others."""
+        if self.kind.factor in ("angle", "rate"):
+            return np.ones_like(x)
+        return x if not self.kind.factor and self.kind.variable in ("angle", "rate") else None
+
     def effect(self, scene: Scene, heights: np.ndarray) -> FreeCurve:
         """The curve with these heights."""
         made = FreeFriction if self.kind.factor == "direction" else FreeCurve
@@ -335,34 +344,50 @@ def screen(along: Along, intensities: Sequence[float]) -> list[Screened]:
     return sorted(found, key=lambda s: -s.log_evidence)
 
 
-class Settled(NamedTuple):
-    """A model with a free curve, iterated to its evidence."""
+@dataclasses.dataclass(frozen=True, eq=False)
+class CurveModel(Tried):
+    """A model with a free curve, iterated to its evidence; `added` are the names beside it, `best`
+    is its motion with the curve in it."""
 
     place: Place
-    trajectory: Trajectory
-    """Of the model with the curve."""
-    evidences: np.ndarray
-    """(I,) at each of `INTENSITIES`."""
     mean: np.ndarray
     """(SPLINES,) heights of the curve."""
     covariance: np.ndarray
-    at: np.ndarray
-    """(SPLINES,) heights that `trajectory` has."""
+    held: np.ndarray
+    """(SPLINES,) heights that `best` has."""
+    share: float
+    """Rms torque of the curve, beyond what springs and dampers take up, over the spring's torque at
+    full swing."""
+
+    formulas: tuple[Any, ...] = ()
+    """`formula.Sum`s that say the same, where they were weighed, to first order."""
+
+    @property
+    def log_evidence(self) -> float:
+        """Of curve and formulas, which have half of the prior each; of the curve, where no formula
+        was weighed."""
+        curve = super().log_evidence
+        if not self.formulas:
+            return curve
+        return float(logsumexp([curve, *(s.log_evidence for s in self.formulas)])) - math.log(2.0)
+
+    @property
+    def matters(self) -> bool:
+        """Whether its torque is more than what is called negligible."""
+        return self.share > NEGLIGIBLE
 
 
-def settle(scene: Scene, start: Trajectory, first: Screened, loudest: float) -> Settled | None:
+def settle(scene: Scene, parent: Tried, start: Trajectory, first: Screened, loudest: float,
+           log_prior: float) -> CurveModel | None:  # fmt: skip
     """Iterate a model and a free curve to their motion: curve and evidences along the motion, then
     the motion with that curve. None if it runs away."""
     place, heights = first.place, first.posterior.mean
     level = next(k for k, x in enumerate(INTENSITIES) if x <= loudest)
     before, prior = -math.inf, log_prior_intensity(INTENSITIES)
-
-    def with_curve(t: Trajectory, heights) -> Trajectory:
-        own = [e for e in t.effects if not isinstance(e, FreeCurve)]
-        return dataclasses.replace(t, effects=(*own, place.effect(scene, heights)))
-
-    t = with_curve(start, heights)
+    t = start
     for turn in range(_ITERATIONS):
+        own = [e for e in t.effects if not isinstance(e, FreeCurve)]
+        t = dataclasses.replace(t, effects=(*own, place.effect(scene, heights)))
         moved = scene.smoothed(t, scene.linearised(t), INTENSITIES[level])
         if moved is None:
             return None
@@ -373,10 +398,21 @@ def settle(scene: Scene, start: Trajectory, first: Screened, loudest: float) -> 
         here = float(found.evidences.max())
         if not np.isfinite(here):
             return None
-        settled = likeliest == level and abs(here - before) < _SETTLED
-        if settled or turn == _ITERATIONS - 1:
+        if turn == _ITERATIONS - 1 or (likeliest == level and abs(here - before) < _SETTLED):
             found = posterior(along, place, INTENSITIES, heights)
-            return Settled(place, t, found.evidences, found.mean, found.covariance, heights)
+            share = _share(along, place, found.mean)
+            own = found.mean, found.covariance, heights, share
+            return CurveModel(parent.added, found.evidences, t, log_prior, place, *own)
         level, before, heights = min(likeliest, level + _FALL), here, found.mean
-        t = with_curve(t, heights)
     return None
+
+
+def _share(along: Along, place: Place, heights: np.ndarray) -> float:
+    x, factor = (
+        f(name, place.joint)[along.real]
+        for f, name in ((along.variable, place.kind.variable), (along.factor, place.kind.factor))
+    )
+    value, taken = np.asarray(splines(x, place.low, place.high)).T @ heights, place.taken(x)
+    if taken is not None:
+        value = value - taken * (taken @ value) / (taken @ taken)
+    return float(np.sqrt(np.mean((factor * value) ** 2)) / along.scene.torque[place.joint])
