@@ -9,7 +9,7 @@ becomes an effect, and is then iterated and fitted as any effect is.
 
 import itertools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -17,9 +17,11 @@ from scipy.special import logsumexp
 from ..effects.found import FoundLaw, FoundNumber
 from ..filtering.trajectory import Scene
 from .evidence import (
+    CURVE_AMPLITUDES,
     FURTHER,
     INDISTINGUISHABLE,
     INTENSITIES,
+    SHAPE,
     WIDTH,
     conditional,
     log_prior_intensity,
@@ -31,6 +33,7 @@ from .free_curves import Along, CurveModel, Place, shifted
 MOST_TERMS = 3
 _KEPT = 12  # sums that a further term is tried with
 _FINER = 1.0, 4.0, 16.0, 16.0  # shares of the way to a shape's neighbours on its grid
+_STEP = 1e-4  # of the logarithm of a shape, for a slope
 _FINE = 9  # values of a shape between its neighbours on the grid
 
 
@@ -133,7 +136,7 @@ class Sum(NamedTuple):
     log_evidence: float
     """With the prior of its terms and shapes."""
     log_prior: float
-    """Of the choice of its terms."""
+    """Of the choice of its terms, and what other widths of its strengths' prior add."""
     strengths: np.ndarray
     """One for each part of each term, in the height's unit."""
 
@@ -177,24 +180,31 @@ def _around(column: Column, shape: int, finer: float) -> list[Column]:
     ]
 
 
-class Sums:
-    """All sums of some columns beside a model, to first order."""
+def _torques(place: Place, along: Along, column: Column) -> list[np.ndarray]:
+    """Torque of each part of a term, N m at unit strength, at the nodes of a motion."""
+    x, factor = (
+        along.variable(place.kind.variable, place.joint),
+        along.factor(place.kind.factor, place.joint),
+    )
+    shapes = dict(zip((name for name, _ in column.term.shapes), column.shape, strict=True))
+    return [factor * _value(part, x, scale_of(place), shapes) for part in column.term.parts]
 
-    def __init__(self, along: Along, model: CurveModel, columns: list[Column]):
+
+class Sums:
+    """All sums of some columns beside a model, to first order; `more` (C, 3 K) are further torques,
+    at their prior's width, which no sum has."""
+
+    def __init__(self, along: Along, model: CurveModel, columns: list[Column], more: Any = ()):
         self.columns, place = columns, model.place
         self.terms = len(grammar(place))
         self.width = WIDTH * place.unit(along.scene)
-        x, x0 = along.variable(place.kind.variable, place.joint), scale_of(place)
-        factor, rows, ends = along.factor(place.kind.factor, place.joint), [], [0]
+        rows, ends = [], [0]
         for column in columns:
-            names = (name for name, _ in column.term.shapes)
-            shapes = dict(zip(names, column.shape, strict=True))
-            each = [self.width * factor * _value(part, x, x0, shapes) for part in column.term.parts]
-            rows += each
-            ends.append(ends[-1] + len(each))
+            rows += [self.width * x for x in _torques(place, along, column)]
+            ends.append(len(rows))
         self.which = [tuple(range(a, b)) for a, b in itertools.pairwise(ends)]
         # The system holds the curve: its own columns take it away again.
-        torques = np.concatenate([place.columns(along), np.stack(rows)])
+        torques = np.concatenate([place.columns(along), np.stack([*rows, *more])])
         logs = np.where(np.isfinite(model.evidences), model.evidences, -np.inf)
         logs = logs + log_prior_intensity(INTENSITIES)
         used = np.argsort(-logs)[:2]
@@ -262,7 +272,7 @@ def likeliest(along: Along, model: CurveModel) -> list[Sum]:
     tops = [
         next((s for k, s in every if len(k) == size), None) for size in range(1, MOST_TERMS + 1)
     ]
-    refined = [_refined(along, model, s) for s in tops if s is not None]
+    refined = [_weighed(along, model, _refined(along, model, s)) for s in tops if s is not None]
     refined.sort(key=lambda s: -s.log_evidence)
     least = refined[0].log_evidence - INDISTINGUISHABLE
     return [s for s in refined if s.log_evidence > least]
@@ -281,6 +291,34 @@ def _refined(along: Along, model: CurveModel, found: Sum) -> Sum:
                 best = max(sums.of(sets), key=lambda s: s.log_evidence)
                 found = max(found, best, key=lambda s: s.log_evidence)
     return found
+
+
+def _weighed(along: Along, model: CurveModel, found: Sum) -> Sum:
+    """The sum with the evidence that an effect has: each shape known to an e-fold, as one more
+    column; and as the curve has it, the prior's width of its strengths summed over."""
+    place, strengths, bends = model.place, iter(found.strengths), []
+    for column in found.columns:
+        own = [next(strengths) for _ in column.term.parts]
+        for i, value in enumerate(column.shape):
+            ends = []
+            for near in (value * math.exp(_STEP), value * math.exp(-_STEP)):
+                moved = column._replace(shape=(*column.shape[:i], near, *column.shape[i + 1 :]))
+                each = _torques(place, along, moved)
+                ends.append(sum(a * x for a, x in zip(own, each, strict=True)))
+            bends.append(SHAPE * (ends[0] - ends[1]) / (2 * _STEP))
+    sums = Sums(along, model, list(found.columns), bends)
+    count = len(found.strengths)
+
+    def evidence(amplitude: float) -> float:
+        size = np.ones(1 + count + len(bends))
+        size[1 : 1 + count] = amplitude / WIDTH
+        gain, _, _ = subset(size[:, None] * sums.rests * size, np.arange(count + len(bends)))
+        return float(logsumexp(gain + sums.bases))
+
+    total = float(logsumexp([evidence(a) for a in CURVE_AMPLITUDES]))
+    total -= math.log(len(CURVE_AMPLITUDES))
+    more = found.log_prior + total - evidence(WIDTH)
+    return found._replace(log_evidence=total + found.log_prior, log_prior=more)
 
 
 _LETTERS = "abcdefg"
