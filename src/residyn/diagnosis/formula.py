@@ -9,6 +9,7 @@ becomes an effect, and is then iterated and fitted as any effect is.
 
 import itertools
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,13 +29,13 @@ from .evidence import (
     log_prior_model,
     subset,
 )
-from .free_curves import Along, CurveModel, Place, shifted
+from .free_curves import Along, CurveModel, Place
 
 MOST_TERMS = 3
 _KEPT = 12  # sums that a further term is tried with
-_FINER = 1.0, 4.0, 16.0, 16.0  # shares of the way to a shape's neighbours on its grid
+_ITERATIONS = 8  # of a sum's shapes
+_FURTHEST = 0.5  # of one iteration, in the logarithm of a shape
 _STEP = 1e-4  # of the logarithm of a shape, for a slope
-_FINE = 9  # values of a shape between its neighbours on the grid
 
 
 class Term(NamedTuple):
@@ -167,19 +168,6 @@ def _columns(place: Place) -> list[Column]:
     return found
 
 
-def _around(column: Column, shape: int, finer: float) -> list[Column]:
-    """Values of one shape, as far as its neighbours on the grid over `finer`."""
-    grid, here = np.array(sorted(column.term.shapes[shape][1])), column.shape[shape]
-    scale = here / grid[int(np.argmin(np.abs(grid * column.scale - here)))]
-    i = int(np.argmin(np.abs(grid * column.scale - here)))
-    low, high = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
-    low, high = (here + scale * (x - grid[i]) / finer for x in (low, high))
-    return [
-        column._replace(shape=(*column.shape[:shape], float(x), *column.shape[shape + 1 :]))
-        for x in np.linspace(low, high, _FINE)
-    ]
-
-
 def _torques(place: Place, along: Along, column: Column) -> list[np.ndarray]:
     """Torque of each part of a term, N m at unit strength, at the nodes of a motion."""
     x, factor = (
@@ -191,11 +179,14 @@ def _torques(place: Place, along: Along, column: Column) -> list[np.ndarray]:
 
 
 class Sums:
-    """All sums of some columns beside a model, to first order; `more` (C, 3 K) are further torques,
-    at their prior's width, which no sum has."""
+    """All sums of some columns beside a model, to first order, under its `most` likeliest random
+    torques; `more` (C, 3 K) are further torques, at their prior's width, which no sum has."""
 
-    def __init__(self, along: Along, model: CurveModel, columns: list[Column], more: Any = ()):
-        self.columns, place = columns, model.place
+    def __init__(
+        self, along: Along, model: CurveModel, columns: Sequence[Column], more: Any = (),
+        most: int = 1,
+    ):  # fmt: skip
+        self.columns, place = list(columns), model.place
         self.terms = len(grammar(place))
         self.width = WIDTH * place.unit(along.scene)
         rows, ends = [], [0]
@@ -207,16 +198,16 @@ class Sums:
         torques = np.concatenate([place.columns(along), np.stack([*rows, *more])])
         logs = np.where(np.isfinite(model.evidences), model.evidences, -np.inf)
         logs = logs + log_prior_intensity(INTENSITIES)
-        used = np.argsort(-logs)[:2]
-        totals, grams = along.gram(place.joint, torques, np.array(INTENSITIES)[used])
+        used = np.argsort(-logs)[:most]
+        at = np.array(INTENSITIES)[used]
+        totals, grams = along.gram(place.joint, torques, at, model.held)
         P, count, bases, rests = len(along.trajectory.u), len(model.held), [], []
+        keep = np.r_[0 : 1 + P, 1 + P + count : grams.shape[-1]]
         for total, square in zip(totals, grams, strict=True):
-            square = shifted(square, 1 + P, model.held)
-            keep = np.r_[0 : 1 + P, 1 + P + count : len(square)]
             base, rest = conditional(square[np.ix_(keep, keep)], P)
             bases.append(total + base)
             rests.append(rest)
-        self.bases = np.array(bases) + log_prior_intensity([INTENSITIES[k] for k in used])
+        self.bases = np.array(bases) + log_prior_intensity(at.tolist())
         self.rests = np.stack(rests)
 
     def of(self, sets: list[tuple[int, ...]]) -> list[Sum]:
@@ -259,7 +250,7 @@ class Sums:
 
 
 def likeliest(along: Along, model: CurveModel) -> list[Sum]:
-    """For a curve the likeliest sum of one, of two and of three terms, shapes refined beyond their
+    """For a curve the likeliest sum of one, of two and of three terms, shapes moved off their
     grids: those that cannot be told from the likeliest, which comes first."""
     columns = _columns(model.place)
     alone = Sums(along, model, columns)
@@ -278,25 +269,9 @@ def likeliest(along: Along, model: CurveModel) -> list[Sum]:
     return [s for s in refined if s.log_evidence > least]
 
 
-def _refined(along: Along, model: CurveModel, found: Sum) -> Sum:
-    """The sum with the shapes of its terms moved between their neighbours on the grid."""
-    for finer in _FINER:
-        for i in range(len(found.columns)):
-            for shape in range(len(found.columns[i].term.shapes)):
-                rest = [c for k, c in enumerate(found.columns) if k != i]
-                tried = _around(found.columns[i], shape, finer)
-                sums = Sums(along, model, [*rest, *tried])
-                own = range(len(rest))
-                sets = [(*own[:i], len(rest) + k, *own[i:]) for k in range(len(tried))]
-                best = max(sums.of(sets), key=lambda s: s.log_evidence)
-                found = max(found, best, key=lambda s: s.log_evidence)
-    return found
-
-
-def _weighed(along: Along, model: CurveModel, found: Sum) -> Sum:
-    """The sum with the evidence that an effect has: each shape known to an e-fold, as one more
-    column; and as the curve has it, the prior's width of its strengths summed over."""
-    place, strengths, bends = model.place, iter(found.strengths), []
+def _bends(along: Along, place: Place, found: Sum) -> list[np.ndarray]:
+    """What a change of each shape of a sum does to its torque, at the shape's prior width."""
+    strengths, bends = iter(found.strengths), []
     for column in found.columns:
         own = [next(strengths) for _ in column.term.parts]
         for i, value in enumerate(column.shape):
@@ -306,8 +281,36 @@ def _weighed(along: Along, model: CurveModel, found: Sum) -> Sum:
                 each = _torques(place, along, moved)
                 ends.append(sum(a * x for a, x in zip(own, each, strict=True)))
             bends.append(SHAPE * (ends[0] - ends[1]) / (2 * _STEP))
-    sums = Sums(along, model, list(found.columns), bends)
-    count = len(found.strengths)
+    return bends
+
+
+def _refined(along: Along, model: CurveModel, found: Sum) -> Sum:
+    """The sum with its shapes where its evidence is highest (Gauss and Newton's method)."""
+    best, here, share = None, found, 1.0
+    move = np.zeros(sum(len(c.shape) for c in found.columns))
+    for _ in range(_ITERATIONS):
+        sums = Sums(along, model, here.columns, _bends(along, model.place, here))
+        (here,) = sums.of([tuple(range(len(found.columns)))])
+        if best is None or here.log_evidence > best.log_evidence:
+            best, share = here, 1.0
+            _, mean, _ = subset(sums.rests[0], np.arange(sums.rests.shape[-1] - 1))
+            move = np.clip(SHAPE * mean[len(found.strengths) :], -_FURTHEST, _FURTHEST)
+        else:
+            share *= 0.5
+        if np.max(np.abs(share * move), initial=0.0) < _STEP:
+            break
+        steps, columns = iter(share * move), []
+        for c in best.columns:
+            columns.append(c._replace(shape=tuple(x * math.exp(next(steps)) for x in c.shape)))
+        here = best._replace(columns=tuple(columns))
+    return found if best is None else best
+
+
+def _weighed(along: Along, model: CurveModel, found: Sum) -> Sum:
+    """The sum with the evidence that an effect has, each shape known to an e-fold; and as the curve
+    has it, the prior's width of its strengths summed over."""
+    bends, count = _bends(along, model.place, found), len(found.strengths)
+    sums = Sums(along, model, found.columns, bends, len(INTENSITIES))
 
     def evidence(amplitude: float) -> float:
         size = np.ones(1 + count + len(bends))

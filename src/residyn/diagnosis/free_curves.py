@@ -158,10 +158,12 @@ class Along:
         return float(x.min()), float(x.max())
 
     def gram(
-        self, joint: int, torques: np.ndarray, intensities: Sequence[float] | np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, joint: int, torques: np.ndarray, intensities: Sequence[float] | np.ndarray,
+        held: Sequence[float] | np.ndarray = (),
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """(I,) log normalisers, and the (I, 1 + P + C, 1 + P + C) Gram matrices of whitened
-        innovations with C torques (C, 3 K), N m, at one joint."""
+        innovations with C torques (C, 3 K), N m, at one joint. The model may hold the first of them
+        already, at strengths `held`: they are taken away from it."""
         K, count = self.scene.K, len(torques)
         wide = np.zeros((WIDE * math.ceil(count / WIDE), 3, K))
         wide[:count] = torques.reshape(count, 3, K)
@@ -170,10 +172,12 @@ class Along:
         noise = self.scene.noise(self.trajectory)
         args = self.linear.system, (B, read), self.scene.readings, noise
         found = [gram(*args, np.asarray(x, float)) for x in intensities]
-        keep = 1 + len(self.trajectory.u) + count
-        return np.array([t for t, _ in found]), np.stack([
-            np.asarray(g)[:keep, :keep] for _, g in found
-        ])  # fmt: skip
+        first = 1 + len(self.trajectory.u)
+        keep = first + count
+        move = np.eye(keep)
+        move[first : first + len(held), 0] = -np.asarray(held, float)
+        squares = [move.T @ np.asarray(g)[:keep, :keep] @ move for _, g in found]
+        return np.array([t for t, _ in found]), np.stack(squares)
 
 
 class Place(NamedTuple):
@@ -188,11 +192,6 @@ class Place(NamedTuple):
     def visited(cls, along: Along, kind: Kind, joint: int) -> "Place":
         """Over the range that a motion visits."""
         return cls(kind, joint, *along.span(kind.variable, joint))
-
-    @property
-    def key(self) -> tuple[Kind, int]:
-        """What tells it from others."""
-        return self.kind, self.joint
 
     def columns(self, along: Along) -> np.ndarray:
         """(SPLINES, 3 K) torques of unit heights."""
@@ -259,21 +258,11 @@ def _mixed(weights, means, covariances) -> tuple[np.ndarray, np.ndarray]:
     return mean, np.tensordot(weights, covariances + off[:, :, None] * off[:, None, :], 1)
 
 
-def shifted(gram: np.ndarray, first: int, at: np.ndarray) -> np.ndarray:
-    """A Gram matrix whose readings' row is where columns from `first` on, which the system is
-    linearised with at some values, are 0."""
-    move = np.eye(len(gram))
-    move[first : first + len(at), 0] = -at
-    return move.T @ gram @ move
-
-
 def posterior(
-    along: Along, place: Place, intensities: Sequence[float] | np.ndarray, at: np.ndarray
+    along: Along, place: Place, intensities: Sequence[float] | np.ndarray, held: np.ndarray
 ) -> Posterior:
-    """A curve beside a model that holds it at heights `at` already."""
-    totals, grams = along.gram(place.joint, place.columns(along), intensities)
-    P = len(along.trajectory.u)
-    grams = np.stack([shifted(g, 1 + P, at) for g in grams])
+    """A curve beside a model that holds it at these heights already."""
+    totals, grams = along.gram(place.joint, place.columns(along), intensities, held)
     return _posterior(along, place, intensities, totals, grams)
 
 
@@ -377,7 +366,7 @@ class CurveModel(Tried):
         return self.share > NEGLIGIBLE
 
 
-def settle(scene: Scene, parent: Tried, start: Trajectory, first: Screened, loudest: float,
+def settle(scene: Scene, added: tuple[str, ...], start: Trajectory, first: Screened, loudest: float,
            log_prior: float) -> CurveModel | None:  # fmt: skip
     """Iterate a model and a free curve to their motion: curve and evidences along the motion, then
     the motion with that curve. None if it runs away."""
@@ -402,7 +391,7 @@ def settle(scene: Scene, parent: Tried, start: Trajectory, first: Screened, loud
             found = posterior(along, place, INTENSITIES, heights)
             share = _share(along, place, found.mean)
             own = found.mean, found.covariance, heights, share
-            return CurveModel(parent.added, found.evidences, t, log_prior, place, *own)
+            return CurveModel(added, found.evidences, t, log_prior, place, *own)
         level, before, heights = min(likeliest, level + _FALL), here, found.mean
     return None
 

@@ -55,7 +55,9 @@ def curve_models(search: Search) -> list[CurveModel]:
         used = sorted({intensity, 0.1 * intensity, 0.0}, reverse=True)
         prior = log_prior_model(len(parent.added) + 1, len(search.candidates))
         each = screen(Along(scene, trajectory), used)[:CONTENDERS]
-        found += [(s.log_evidence + prior, parent, trajectory, s, intensity, prior) for s in each]
+        found += [
+            (s.log_evidence + prior, parent.added, trajectory, s, intensity, prior) for s in each
+        ]
     found.sort(key=lambda f: -f[0])
     least = max(best.log_posterior, found[0][0]) - 2 * INDISTINGUISHABLE
     kept = [settle_curve(scene, *f[1:]) for f in found[:CONTENDERS] if f[0] > least]
@@ -159,6 +161,16 @@ class Law:
             "name": None if self.found is None else self.found.label,
         }
 
+    def values(self, effect: Any) -> np.ndarray:
+        """(G,) f of an effect at the joint, less what springs and dampers take up, as `mean` is."""
+        found = []
+        for x in self.grid:
+            at = {"time": 0.0, "angle": 0.0, "rate": 0.0, self.factor: 1.0, self.variable: x}
+            direction = np.sign(x) if self.variable == "rate" else 1.0
+            motion = JointMotion(at["time"], at["angle"], at["rate"], direction, (), at["angle"])
+            found.append(float(effect.joint_torque(motion)))
+        return self.on_grid(np.array(found))
+
     def on_grid(self, values: np.ndarray) -> np.ndarray:
         """(G,) values of f less what springs and dampers take up, as `mean` is."""
         place = Place(Kind(self.variable, self.factor), 0, self.grid[0], self.grid[-1])
@@ -237,11 +249,7 @@ def _named(search: Search, law: Law) -> tuple[tuple[str, np.ndarray], ...]:
         effect = t.valued()[t.labels.index(model.added[0])]
         if not of_one_joint(effect) or effect.joint != law.joint or effect.memory:
             continue
-        torques = []
-        for x in law.grid:
-            q, v = (x, 0.0) if law.variable == "angle" else (0.0, x)
-            torques.append(float(effect.joint_torque(JointMotion(0.0, q, v, np.sign(v), (), q))))
-        values = law.on_grid(np.array(torques))
+        values = law.values(effect)
         if np.ptp(values) > 0:
             found.append((model.added[0], values))
     return tuple(found[:_NAMED])

@@ -141,8 +141,8 @@ def _ask(effects: Sequence[AbstractEffect]) -> None:
         kind = type(each)
         if kind.of_bearings is None:
             raise InputError(
-                f"{each.label}: is it of the air bearings or of the joint? Write of_bearings = True "
-                "(it leaves with the bearings) or of_bearings = False (it stays) in class "
+                f"{each.label}: is it of the air bearings or of the joint? Write of_bearings = "
+                "True (it leaves with the bearings) or False (it stays) in class "
                 f"{kind.__name__}, {inspect.getsourcefile(kind)}"
             )
 
