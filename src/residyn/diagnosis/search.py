@@ -88,6 +88,16 @@ class Tried:
         """The likeliest random torque."""
         return INTENSITIES[int(np.argmax(self.weights))]
 
+    @property
+    def needed(self) -> float:
+        """Rms random torque that the model needs, given that it needs one that matters."""
+        matter = np.array(INTENSITIES) > NEGLIGIBLE
+        logs = self.evidences[matter]
+        if not np.isfinite(logs).any():
+            return NEGLIGIBLE
+        each = np.exp(logs - logsumexp(logs))
+        return math.sqrt(float(np.dot(each, np.square(INTENSITIES)[matter])))
+
     def over_torques(self, scene: Scene) -> list[tuple[float, Trajectory]]:
         """The motion under each random torque that counts, with its posterior probability."""
         system = scene.linearised(self.best)
@@ -193,7 +203,7 @@ class _Step(NamedTuple):
         for i in range(0, len(levels), _NEAR):  # one program for few and for all
             some = levels[np.minimum(np.arange(i, i + _NEAR), len(levels) - 1)]
             each = scene.evidences(t, linear, np.array(INTENSITIES)[some])
-            known = each.log_evidence + half_normals(t.effects, each)
+            known = each.log_evidence + half_normals(t.effects, t.prior, each)
             found[some] = np.where(np.isfinite(known), known, -np.inf)
         return found
 
