@@ -219,6 +219,7 @@ def run(o: argparse.Namespace) -> None:
     left = [key for key in left if not o.only or any(x in key for x in o.only)]
     random.Random(0).shuffle(left)
     print(f"{len(left)} cases to do, {len(done)} done before", flush=True)
+    left = left[: o.most]
     for i in range(0, len(left), o.batch):
         words = [sys.executable, "-m", "benchmarks.unnamed_laws", "here", str(o.out)]
         subprocess.run([*words, *left[i : i + o.batch]], check=False)
@@ -243,6 +244,8 @@ def library(_: Any, q: np.ndarray, v: np.ndarray, t: np.ndarray, j: int):
             add(variable, "", "power", np.sign(z) * np.abs(z) ** p)
         for p in (1, 2, 4) if variable == "angle" else (1, 1.5, 2, 3):
             add(variable, "", "power", np.abs(z) ** p)
+        for side in (1, -1):
+            add(variable, "", "power", np.maximum(side * z, 0.0) ** 2)
         for width in (0.05, 0.1, 0.2, 0.5):
             add(variable, "", "saturation", np.tanh(z / width))
             add(variable, "", "exponential", np.exp((z - 1) / width))
@@ -439,6 +442,7 @@ def main() -> None:
         own.add_argument("--only", nargs="+", default=[], metavar="TEXT", help="part of a name")
         own.add_argument("--skip", type=int, default=0, help="seeds to pass over")
         own.add_argument("--batch", type=int, default=12, help="cases of one process")
+        own.add_argument("--most", type=int, help="cases to do now")
         own.add_argument("--out", type=Path, required=True, help="JSON lines; not for git")
     told = commands.add_parser("report")
     told.add_argument("file", type=Path)

@@ -61,6 +61,11 @@ def _power(p: float, odd: bool) -> Term:
     return Term("power", (size,), (word,))
 
 
+# Of one side only: what drags or stops in one direction.
+_ONE_SIDED = tuple(
+    Term("power", (f"jnp.maximum({x} / {{x0}}, 0.0) ** 2",), (f"max({word}/{{x0}}, 0)^2",))
+    for x, word in (("x", "{x}"), ("-x", "-{x}"))
+)
 _WIDTHS = 0.05, 0.1, 0.2, 0.5
 _SATURATION = Term("saturation", ("jnp.tanh(x / {width})",), ("tanh({x}/width)",),
                    (("width", _WIDTHS),))  # fmt: skip
@@ -86,12 +91,12 @@ _WELL = Term(
 )
 _ANGLE = (
     *(_power(p, True) for p in (1.5, 2, 3, 5, 7)),
-    *(_power(p, False) for p in (1, 2, 4)),
+    *(_power(p, False) for p in (1, 2, 4)), *_ONE_SIDED,
     _SATURATION, *_EXPONENTIALS, _SINE, _WELL,
 )  # fmt: skip
 _RATE = (
     *(_power(p, True) for p in (1.5, 2, 3, 5)),
-    *(_power(p, False) for p in (1, 1.5, 2, 3)),
+    *(_power(p, False) for p in (1, 1.5, 2, 3)), *_ONE_SIDED,
     _SATURATION, *_EXPONENTIALS,
 )  # fmt: skip
 _CONSTANT = Term("constant", ("1.0",), ("",))
