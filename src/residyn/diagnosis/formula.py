@@ -29,7 +29,7 @@ from .evidence import (
     log_prior_model,
     subset,
 )
-from .free_curves import Along, CurveModel, Place
+from .free_curves import Along, CurveModel, Place, signs
 
 MOST_TERMS = 3
 _KEPT = 12  # sums that a further term is tried with
@@ -213,7 +213,7 @@ class Sums:
             bases.append(total + base)
             rests.append(rest)
         self.bases = np.array(bases) + log_prior_intensity(at.tolist())
-        self.rests = np.stack(rests)
+        self.rests, self.square = np.stack(rests), grams[0][np.ix_(keep, keep)]
 
     def of(self, sets: list[tuple[int, ...]]) -> list[Sum]:
         """Sums of these columns."""
@@ -325,8 +325,9 @@ def _weighed(along: Along, model: CurveModel, found: Sum) -> Sum:
 
     total = float(logsumexp([evidence(a) for a in CURVE_AMPLITUDES]))
     total -= math.log(len(CURVE_AMPLITUDES))
-    more = found.log_prior + total - evidence(WIDTH)
-    return found._replace(log_evidence=total + found.log_prior, log_prior=more)
+    prior = found.log_prior + total - evidence(WIDTH)
+    total += found.log_prior + signs(along, sums.square)
+    return found._replace(log_evidence=total, log_prior=prior)
 
 
 _LETTERS = "abcdefg"

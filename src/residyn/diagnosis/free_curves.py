@@ -283,7 +283,9 @@ def _posterior(along: Along, place: Place, intensities, totals, grams) -> Poster
         spread = roots[keep] @ inverse[keep] @ np.swapaxes(roots[keep], 1, 2)
         mean, covariance = _mixed(weights[keep] / weights[keep].sum(), heights, spread)
         gain = logsumexp(gains) - math.log(len(gains))
-        evidences.append(total + base + gain + _signs(along, square, roots[np.argmax(gains)]))
+        scale = np.eye(len(square))
+        scale[1 + P :, 1 + P :] = roots[np.argmax(gains)]
+        evidences.append(total + base + gain + signs(along, scale.T @ square @ scale))
         each.append((mean, covariance))
     evidences = np.array(evidences)
     evidences = np.where(np.isfinite(evidences), evidences, -np.inf)
@@ -293,13 +295,11 @@ def _posterior(along: Along, place: Place, intensities, totals, grams) -> Poster
     return Posterior(evidences, *_mixed(weights, means, covariances))
 
 
-def _signs(along: Along, square: np.ndarray, root: np.ndarray) -> float:
-    """What the half-normal priors of the model's own numbers add, beside the curve."""
+def signs(along: Along, square: np.ndarray) -> float:
+    """What the half-normal priors of the model's own numbers add to the log evidence, beside some
+    columns at their prior's width; `square` is the Gram matrix of both."""
     P = len(along.trajectory.u)
-    scale = np.eye(1 + P + SPLINES)
-    scale[1 + P :, 1 + P :] = root
-    square = scale.T @ square @ scale
-    inverse = np.linalg.inv(square[1:, 1:] + np.eye(P + SPLINES))
+    inverse = np.linalg.inv(square[1:, 1:] + np.eye(len(square) - 1))
     mean, std = -inverse @ square[1:, 0], np.sqrt(np.diag(inverse))
     found = Evidences(np.zeros(1), mean[None, :P], std[None, :P])
     return float(half_normals(along.trajectory.effects, along.trajectory.prior, found)[0])
