@@ -291,7 +291,7 @@ class Posterior:
         """The likeliest model of those that the verdict speaks of, without its free curve."""
         if chosen is None and self.curves:
             top = max([*self.models, *self.curves], key=lambda m: m.log_posterior)
-            self.best = top if isinstance(top, Tried) else top.parent
+            self.best = search.tried[frozenset(top.added)]
 
     def of(self, labels: Iterable[str]) -> float:
         """Probability that one of these effects is at work: that of all models which have one,
