@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..fitting.result import RecordingFit
+from ..runtime.json import number
 from .linearised_fit import LinearisedFit, spread
-from .residuals import number
 
 _HORIZONS = 8
 _LEAST = 20  # readings of each joint to fit to

@@ -12,13 +12,13 @@ from typing import Any, Literal
 import numpy as np
 
 from ..fitting.result import Fit
+from ..runtime.json import number
 from ..runtime.presentation import TableResult
 from .compare import Comparison, compare_fit
 from .forecast import HeldOut
 from .law import Law
 from .missing_torque import Missing
 from .planned import Test
-from .residuals import number
 from .search import Search
 
 Verdict = Literal["adequate", "missing", "unexplained"]

@@ -43,12 +43,9 @@ def unbroken(words: str) -> str:
     return words
 
 
-def modal(probability: float, many: bool = False) -> str:
+def modal(probability: float) -> str:
     """ "is", "is probably" or "may be", as the probability allows."""
-    verb = "are" if many else "is"
-    if probability >= SURE:
-        return verb
-    return f"{verb} probably" if probability >= 0.5 else "may be"
+    return "is" if probability >= SURE else "is probably" if probability >= 0.5 else "may be"
 
 
 def title(label: str) -> str:
@@ -68,9 +65,19 @@ def placed(words: str, place: str | None, joints: Sequence[str], comma: bool = F
     return f"{words} at the {place}" if place in joints else f"{words} ({place})"
 
 
+def at(joint: str, joints: Sequence[str]) -> str:
+    """ " at the elbow"; nothing where there is but one joint."""
+    return placed("", joint, joints)
+
+
 def at_place(label: str, joints: Sequence[str], comma: bool = False) -> str:
     """ "Coulomb friction at the elbow", or "Coulomb friction, elbow"."""
     return placed(title(label), label.partition(":")[2] or None, joints, comma)
+
+
+def named(labels: Sequence[str], joints: Sequence[str]) -> str:
+    """ "Coulomb friction at the elbow and gravity"; without any, "springs and dampers alone"."""
+    return listed([lower(at_place(x, joints)) for x in labels]) if labels else f"{PLAIN} alone"
 
 
 def base_name(fit: Fit, comma: bool = False) -> str:
@@ -92,11 +99,10 @@ def model_name(step: ModelState, comma: bool = False) -> str:
 
 def times_noise(step: ModelState) -> list[tuple[float, float | None]]:
     """Per joint the error in times the noise, where it was fitted and where it was not."""
-    held = step.held_out
-    return [
-        (float(x), None if held is None else float(held.held_out.ratio[j]))
-        for j, x in enumerate(step.times_noise)
-    ]
+    fitted, held = map(float, step.times_noise), step.held_out
+    if held is None:
+        return [(x, None) for x in fitted]
+    return list(zip(fitted, map(float, held.held_out.ratio), strict=True))
 
 
 def worth_showing(found: Diagnosis, most: int = _MOST) -> tuple[Candidate, ...]:

@@ -60,10 +60,10 @@ def with_error(value: float, std: float) -> tuple[str, str]:
 
 
 def measured(value: float, std: float, unit: str = "1") -> str:
-    """ "0.2003 +/- 0.0012 N m"; without the error where it is not known."""
+    """ "0.2003 +/- 0.0012 N m"; without the error where it is NaN, "?" where it has no bound."""
     after = "" if unit in ("1", "") else f" {unit}"
     if not math.isfinite(std):
-        return f"{plain(value, 4)}{after}"
+        return f"{plain(value, 4)}{' +/- ?' if std == math.inf else ''}{after}"
     return f"{' +/- '.join(with_error(value, std))}{after}"
 
 

@@ -13,6 +13,7 @@ from matplotlib.ticker import LogLocator
 
 from ...diagnosis.result import Diagnosis
 from ...fitting.result import Fit
+from ..fit import joint_errors
 from ..names import HELD_OUT, at_place, listed, lower, model_name, times_noise
 from ..numbers import amount, plain, times
 from .style import BAND, DASHED, FAINT, INK, JOINTS, NARROW, SOFT, WIDE, shortened, styled
@@ -57,13 +58,7 @@ def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
 @styled
 def errors(fits: Sequence[Fit], names: Sequence[str], *, narrow: bool = False) -> Figure:
     """The error of several models of the same recordings, drawn like `ladder`."""
-    each = []
-    for fit in fits:
-        held = [r.recording.noise for r in fit.recordings if r.recording.role == "check"]
-        outside = [None] * len(fit.joints)
-        if fit.check_rmse is not None:
-            outside = (fit.check_rmse / np.sqrt(np.mean(np.square(held), axis=0))).tolist()
-        each.append(list(zip((fit.rmse / fit.noise).tolist(), outside, strict=True)))
+    each = [[(e.ratio, e.check_ratio) for e in joint_errors(fit)] for fit in fits]
     return _falling(fits[0], names, each, narrow)
 
 
@@ -154,8 +149,7 @@ def _scale(ax: Axes, values: Sequence[float]) -> None:
 def _floor(ax: Axes, x: float, fit: Fit, narrow: bool) -> None:
     """The noise, in its own unit, of each joint if they differ: nothing that is right lies far from
     it."""
-    units = fit.experiment.reading_units or (None,) * len(fit.joints)
-    each = [amount(float(n), unit, 2) for n, unit in zip(fit.noise, units, strict=True)]
+    each = [amount(float(n), unit, 2) for n, unit in zip(fit.noise, fit.units, strict=True)]
     size = listed(list(dict.fromkeys(each)))
     ax.axhspan(0.0 if ax.get_yscale() == "linear" else 1e-9, 1.0, color=BAND, alpha=0.55, lw=0)
     ax.axhline(1.0, color=INK, lw=1.0, zorder=1)
