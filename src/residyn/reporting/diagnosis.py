@@ -9,7 +9,7 @@ probability is at least 90 %.
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -387,26 +387,39 @@ def text(found: Diagnosis) -> str:
 def models(found: Diagnosis) -> list[str]:
     """The error of each model on the way; more joints than stand side by side, below each other."""
     joints, held = found.fit.joints, held_out(found)
-    head = "rms residual in times the noise"
-    if held is not None:
-        head += f"; {HELD_OUT}: {held}"
-    kinds, beside = ["fitted", HELD_OUT] if held else ["fitted"], len(joints) <= 2
+    head = "rms residual in times the noise" + (f"; {HELD_OUT}: {held}" if held else "")
+    kinds, beside = _kinds(found), len(joints) <= 2
+    of = [f"{j if k == 'fitted' else ''}\n{k}" for j in joints for k in kinds]
+    columns = ["\nmodel", *of] if beside else ["model", "joint", *kinds]
     rows = []
-    for step in found.ladder:
-        name, chi2 = model_name(step, comma=True), plain(step.fit.reduced_chi2)
-        cells = [[_x(x) for x in pair[: len(kinds)]] for pair in times_noise(step)]
+    for name, cells, chi2 in _models(found, lambda joint, rmse, ratio: _x(ratio)):
         if beside:
-            rows.append([name, *(c for each in cells for c in each), chi2])
+            rows.append([name, *itertools.chain(*cells), chi2])
         else:
             each = zip(joints, cells, strict=True)
-            rows += [[name if j == joints[0] else "", j, *c, chi2] for j, c in each]
-    of = [f"{j if k == 'fitted' else ''}\n{k}" for j in joints for k in kinds]
-    columns = of if beside else ["joint", *kinds]
-    left = (0,) if beside else (0, 1)
-    table = Table(
-        ["\nmodel" if beside else "model", *columns, "chi-square\nper reading"], rows, left
-    )
+            rows += [["" if j else name, joint, *c, chi2] for j, (joint, c) in enumerate(each)]
+    table = Table([*columns, "chi-square\nper reading"], rows, (0,) if beside else (0, 1))
     return [*section("Models", head), *printed(table)]
+
+
+def _kinds(found: Diagnosis) -> list[str]:
+    """Where errors are known."""
+    return ["fitted", HELD_OUT] if held_out(found) else ["fitted"]
+
+
+def _models(
+    found: Diagnosis, cell: Callable[[int, float, float | None], str]
+) -> Iterator[tuple[str, list[list[str]], str]]:
+    """Of each model on the way its name; per joint a cell (joint, rms, times the noise) for each of
+    the `_kinds`; and its chi-square."""
+    kinds = _kinds(found)
+    for step in found.ladder:
+        sizes = zip(step.fit.rmse, _rms_held_out(step), times_noise(step), strict=True)
+        cells = [
+            [cell(j, float(x), r) for x, r, _ in zip(rms, ratio, kinds, strict=False)]
+            for j, (*rms, ratio) in enumerate(sizes)
+        ]
+        yield model_name(step, comma=True), cells, plain(step.fit.reduced_chi2)
 
 
 def _x(ratio: float | None) -> str:
@@ -497,16 +510,12 @@ def torques_first_lacked(found: Diagnosis) -> list[tuple[Missing, int]]:
 
 def models_table(found: Diagnosis) -> Table:
     """The error of each model on the way."""
-    joints, held, rows = found.fit.joints, held_out(found) is not None, []
-    for step in found.ladder:
-        sizes = [step.fit.rmse, _rms_held_out(step)][: 1 + held]
-        cells = [
-            "" if ratio is None else f"{amount(float(rmse[j]), unit)} ({times(ratio)} ×)"
-            for j, (unit, pair) in enumerate(zip(found.fit.units, times_noise(step), strict=True))
-            for rmse, ratio in zip(sizes, pair, strict=False)
-        ]
-        rows.append([model_name(step, comma=True), *cells, plain(step.fit.reduced_chi2)])
-    head = [f"{joint}, {kind}" for joint in joints for kind in ("fitted", HELD_OUT)[: 1 + held]]
+
+    def cell(joint: int, rmse: float, ratio: float | None) -> str:
+        return "" if ratio is None else f"{amount(rmse, found.fit.units[joint])} ({times(ratio)} ×)"
+
+    rows = [[name, *itertools.chain(*cells), chi2] for name, cells, chi2 in _models(found, cell)]
+    head = [f"{joint}, {kind}" for joint in found.fit.joints for kind in _kinds(found)]
     return Table(["model", *head, "reduced chi-square"], rows)
 
 
@@ -553,31 +562,26 @@ def latex(found: Diagnosis) -> str:
 
 
 def _models_latex(found: Diagnosis) -> str:
-    joints, held = found.fit.joints, held_out(found) is not None
+    kinds = _kinds(found)
     scales = [
         prefixed(name, float(min(r.fit.rmse[j] for r in found.ladder)))
         for j, name in enumerate(found.fit.units)
     ]
     above, below, rules = [""], ["Model"], []
-    for joint, (_, short) in zip(joints, scales, strict=True):
+    for joint, (_, short) in zip(found.fit.joints, scales, strict=True):
         words = f"{tex.escaped(joint)} ({tex.unit(short)})"
-        if held:
-            rules.append(rf"\cmidrule(lr){{{len(below) + 1}-{len(below) + 2}}}")
-            above.append(rf"\multicolumn{{2}}{{c}}{{{words}}}")
-            below += ["fitted", HELD_OUT]
-        else:
+        if len(kinds) == 1:
             below.append(words)
-    rows = []
-    for step in found.ladder:
-        sizes = [step.fit.rmse, _rms_held_out(step)][: 1 + held]
-        cells = [
-            tex.scientific(plain(float(rmse[j] / factor)))
-            for j, (factor, _) in enumerate(scales)
-            for rmse in sizes
-        ]
-        chi2 = tex.scientific(plain(step.fit.reduced_chi2))
-        rows.append([tex.escaped(model_name(step, comma=True)), *cells, chi2])
-    over = f"{' & '.join([*above, ''])} \\\\\n{' '.join(rules)}\n" if held else ""
+            continue
+        rules.append(rf"\cmidrule(lr){{{len(below) + 1}-{len(below) + 2}}}")
+        above.append(rf"\multicolumn{{2}}{{c}}{{{words}}}")
+        below += kinds
+    each = _models(found, lambda j, rmse, _: tex.scientific(plain(rmse / scales[j][0])))
+    rows = [
+        [tex.escaped(name), *itertools.chain(*cells), tex.scientific(chi2)]
+        for name, cells, chi2 in each
+    ]
+    over = f"{' & '.join([*above, ''])} \\\\\n{' '.join(rules)}\n" if rules else ""
     return tabular("l" + "r" * len(below), [*below, r"Reduced $\chi^2$"], [rows], over)
 
 
