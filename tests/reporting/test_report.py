@@ -97,7 +97,7 @@ def test_page_says_everything(page, fit):
     for number in fit.numbers:
         assert number.name in words
         assert number.words in words
-    for line in (*fit.warnings, fit.reason, about_fits.verdict(fit), residyn.__version__):
+    for line in (*fit.warnings, fit.reason, *about_fits.verdict(fit), residyn.__version__):
         assert line in words
     assert "-0.970" in words
     for line in ("5 of 6", "N m/rad", "frequency (Hz)", "held-out", "Springs & dampers"):
@@ -214,7 +214,7 @@ def test_an_unknown_error_is_no_number():
 
 def test_verdict_names_the_misfit(fit):
     assert not about_fits.explained(fit)
-    words = about_fits.verdict(fit)
+    words = " ".join(about_fits.verdict(fit))
     assert "misses something" in words
     assert "shoulder" in words
     assert "elbow" in words
