@@ -13,7 +13,7 @@ from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
 from ..recordings.segments import by_recording
-from ..runtime.json import number
+from ..runtime.json import finite, number
 from ..runtime.presentation import TableResult
 from .history import History
 from .problem import Problem, Ready, Unknowns
@@ -255,15 +255,7 @@ class Fit(TableResult):
             "noise": per_joint(self.noise),
             "reduced_chi2": number(self.reduced_chi2),
             "check_rmse": None if self.check_rmse is None else per_joint(self.check_rmse),
-            "modes": [
-                {
-                    "frequency_hz": number(m.frequency_hz),
-                    "frequency_hz_std": number(m.frequency_hz_std),
-                    "damping_ratio": number(m.damping_ratio),
-                    "damping_ratio_std": number(m.damping_ratio_std),
-                }
-                for m in self.modes
-            ],
+            "modes": [finite(vars(m)) for m in self.modes],
             "objective": number(self.objective),
             "integrator": self.integrator,
             "integration_error": number(self.integration_error),

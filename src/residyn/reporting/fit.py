@@ -262,10 +262,11 @@ def text(fit: Fit) -> str:
         lines += filled(line + held, "    rms         ")
     lines += filled(_integrated(fit), "    integrated  ")
     lines.append("[[Parameters]]  value +/- standard error (error in %)")
+    width = max([30, *(len(n.name) for n in fit.numbers)])
     for n in fit.numbers:
         unit = "" if n.unit == "1" else f" {n.unit}"
         error = f"{n.std:.3g} ({n.percent:.2g} %)" if n.determined else "not determined"
-        lines.append(f"  {n.name:<30}{n.value:11.6g} +/- {error}{unit}")
+        lines.append(f"  {n.name:<{width}}{n.value:11.6g} +/- {error}{unit}")
     lines += filled(", ".join(f"{n.name} {n.start:.4g}" for n in fit.numbers), "  started from ")
     if fit.modes:
         lines.append("[[Modes]]  natural frequency, damping ratio")
