@@ -2,6 +2,7 @@
 command lines; people read "Coulomb friction at the elbow", in tables "Coulomb friction, elbow"."""
 
 import math
+import re
 from collections.abc import Sequence
 
 from ..diagnosis.result import Candidate, Diagnosis, ModelState
@@ -17,6 +18,11 @@ _LINE = 0.001
 """Probability from which a candidate is worth a line."""
 _MOST, _FEWEST = 8, 3
 """Lines of candidates."""
+_STICKS = re.compile(
+    r"(?<=[\d±<>=]) (?=[\d±%])|(?<=\bp) (?=[<=])"
+    r"|(?<=\d) (?=(?:N|kg|m|mm|rad|mrad|s|Hz)\b)|(?<=N) (?=m\b)"
+)
+"""Spaces of numbers with signs and units."""
 
 
 def listed(words: Sequence[str]) -> str:
@@ -38,9 +44,7 @@ def lower(words: str) -> str:
 def unbroken(words: str) -> str:
     """For a page: numbers stay with their signs and units."""
     words = words.replace(" +/- ", " ± ").replace("^2", "²").replace("^3", "³")
-    for bare in (" ± ", " %", "N m", "> ", "< "):
-        words = words.replace(bare, bare.replace(" ", "\u00a0"))
-    return words
+    return _STICKS.sub("\u00a0", words)
 
 
 def modal(probability: float) -> str:

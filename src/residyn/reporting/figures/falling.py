@@ -205,13 +205,13 @@ def _beside(ax: Axes, x: float, side: int, labels: Sequence[tuple[float, str, st
     """Words beside dots, to the left (-1) or right (1), pushed apart where they would overlap."""
     shown = sorted((v, words, colour) for v, words, colour in labels if math.isfinite(v))
     places, floor = [_height(ax, v) for v, *_ in shown], _height(ax, 1.0)
-    # Off the line of the noise, which would strike them out.
-    places = [floor + 0.6 * _LINE if abs(p - floor) < 0.6 * _LINE else p for p in places]
-    for _ in range(200):
-        for i in range(len(places) - 1):
-            short = _LINE - (places[i + 1] - places[i])
-            if short > 1e-3:
-                places[i], places[i + 1] = places[i] - short / 2, places[i + 1] + short / 2
+    below, above = -math.inf, _PANEL + _LINE
+    for i, place in enumerate(places):
+        # Above the line of the noise, which would strike them out.
+        free = floor + 0.6 * _LINE if abs(place - floor) < 0.6 * _LINE else place
+        places[i] = below = max(free, below + _LINE)
+    for i, place in reversed([*enumerate(places)]):
+        places[i] = above = min(place, above - _LINE)
     for place, (value, words, colour) in zip(places, shown, strict=True):
         ax.annotate(
             words,
