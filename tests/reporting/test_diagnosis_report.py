@@ -358,7 +358,7 @@ def test_the_page_begins_with_the_verdict_and_the_falling_error(pages, found):
         "46 ×",
         "0.980",
         "hysteresis",
-        NEXT.words[:120],
+        names.unbroken(NEXT.words)[:120],
         "angle of the elbow at 3.20 s",
         "0.0800\u00a0±\u00a00.0010\u00a0rad",
         "(added)",
