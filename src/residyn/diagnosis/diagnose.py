@@ -295,19 +295,14 @@ class Posterior:
 
     def of(self, labels: Iterable[str]) -> float:
         """Probability that one of these effects is at work: that of all models which have one,
-        less what such a model leaves to a torque of no catalogue that only resembles it."""
-        wanted, total = set(labels), 0.0
-        for model, p in zip(
-            [*self.models, *self.curves], [*self.each, *self.of_curves], strict=True
-        ):
-            shares = [self._at_work(model, x) for x in wanted & set(model.added)]
-            total += p * max(shares, default=0.0)
-        return float(total)
-
-    def _at_work(self, model: Tried, label: str) -> float:
-        """Probability, given a model, that one of its effects is at work."""
-        without = self.search.tried.get(frozenset(model.added) - {label}, self.search.base)
-        return float(np.dot(model.weights, at_work(without.needed / model.between)))
+        less what may be of a torque of no catalogue that they only take up a part of."""
+        wanted, certain = set(labels), at_work()
+        models, each = [*self.models, *self.curves], [*self.each, *self.of_curves]
+        return float(sum(
+            p * np.dot(model.weights, certain)
+            for model, p in zip(models, each, strict=True)
+            if wanted & set(model.added)
+        ))  # fmt: skip
 
     def verdict(self) -> tuple[Verdict, float]:
         """The likeliest of the three, and its probability."""
