@@ -52,7 +52,7 @@ from residyn.diagnosis.missing_torque import scene_of
 from residyn.diagnosis.search import Search
 from residyn.physics.modal import modes
 from residyn.procedure.over_models import Bare, errors_of, modes_over
-from residyn.procedure.unload import _bare
+from residyn.procedure.unload import bare as without_bearings
 from residyn.recordings.limits import Limits
 from tests.rig.arm import Arm, paper_twin
 from tests.rig.cases import log_uniform, random_arm, random_release
@@ -211,7 +211,7 @@ def bands(on: residyn.Experiment, way: str, alone: str | None, effects=()) -> di
     models, p, _ = in_play(found.models, found.each)
     bare = []
     for rival in (Rival.of(found.search.scene, m) for m in models):
-        off = _bare(on, rival.model, on.recordings[0])
+        off = without_bearings(on, rival.model, on.recordings[0])
         bare.append(Bare(off, rival.model, errors_of(found.search.scene, rival, None)))
     told = {f"{way} in play": [[list(m.added), float(x)] for m, x in zip(models, p, strict=True)]}
     for name, known in ((way, modes_over(bare, p)), (alone, modes_over(bare[:1], np.ones(1)))):
@@ -235,7 +235,7 @@ def true_modes(on: residyn.Experiment, arm: Arm, hidden: Hidden) -> list[list[fl
         | {f"spring:{j}.stiffness": k for j, k in zip(on.joints, arm.stiffness, strict=True)}
         | {f"damper:{j}.damping": c for j, c in zip(on.joints, arm.damping, strict=True)}
     )
-    found = modes(_bare(on, model, recording))
+    found = modes(without_bearings(on, model, recording))
     return np.stack([found.frequency_hz, found.damping_ratio], axis=1).tolist()
 
 

@@ -24,7 +24,7 @@ from residyn.procedure.over_models import (
     modes_over,
     quantile,
 )
-from residyn.procedure.unload import _bare
+from residyn.procedure.unload import bare
 from residyn.recordings.tables import ArmTable, Bearing
 from tests.by_hand import NEXT
 
@@ -89,17 +89,17 @@ def test_damping_in_orbit_with_and_without_the_name(two):
     """Springs and dampers alone keep the drag; the band over both models holds the truth."""
     experiment, scene, models, truth = two
     recording = experiment.recordings[0]
-    off = _bare(experiment, truth, recording)
+    off = bare(experiment, truth, recording)
     expected = slopes_of_modes(off, truth)[0].values[1]
     rivals = [Rival.of(scene, m) for m in models]
-    bare = [
-        Bare(_bare(experiment, r.model, recording), r.model, errors_of(scene, r, None))
+    each = [
+        Bare(bare(experiment, r.model, recording), r.model, errors_of(scene, r, None))
         for r in rivals
     ]
     p = np.exp([m.log_evidence for m in models] - np.max([m.log_evidence for m in models]))
-    spread = modes_over(bare, p / p.sum())[0].damping_ratio
+    spread = modes_over(each, p / p.sum())[0].damping_ratio
     assert spread.low < expected < spread.high
-    alone = [modes_over([b], np.ones(1))[0].damping_ratio for b in bare]
+    alone = [modes_over([b], np.ones(1))[0].damping_ratio for b in each]
     assert abs(alone[0].mean - expected) > 10 * spread.std  # what the base model says
     assert spread.from_name + spread.from_numbers + spread.from_inertias == pytest.approx(1.0)
 
@@ -109,12 +109,12 @@ def test_where_the_variance_comes_from(two):
     experiment, scene, models, _ = two
     rivals = [Rival.of(scene, m) for m in models]
     recording = experiment.recordings[0]
-    bare = [
-        Bare(_bare(experiment, r.model, recording), r.model, errors_of(scene, r, None))
+    each = [
+        Bare(bare(experiment, r.model, recording), r.model, errors_of(scene, r, None))
         for r in rivals
     ]
-    both = modes_over(bare, np.array([0.5, 0.5]))[0].damping_ratio
-    one, other = (modes_over([b], np.ones(1))[0].damping_ratio for b in bare)
+    both = modes_over(each, np.array([0.5, 0.5]))[0].damping_ratio
+    one, other = (modes_over([b], np.ones(1))[0].damping_ratio for b in each)
     assert both.std**2 * both.from_name == pytest.approx((one.mean - other.mean) ** 2 / 4)
     within = (one.std**2 + other.std**2) / 2
     assert both.std**2 * both.from_numbers == pytest.approx(within)
