@@ -141,7 +141,7 @@ def cases(rng: np.random.Generator, count: int, **recorded: float) -> Iterator[C
     for arm in rig.clean_cases(rng, count, **recorded):
         experiment = experiment_of(arm, arm.noise)
         here = ready(experiment, experiment.fit_recordings, ())
-        wild = outliers_among(here, [r.angle for r in here.recordings])
+        wild = outliers_among(here)
         look = search_of(here, wild, Genetic())
         y = look.problem.scaled(jnp.asarray(truth_of(arm)), jnp.asarray(released(arm)))
         yield Case(arm, experiment, here, wild, float(relative_error(look.problem, y)))

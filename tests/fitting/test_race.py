@@ -215,8 +215,8 @@ def test_the_command_writes_what_it_found(demo, tmp_path, capsys):
     [
         (["--methods", "nonsense"], "no such method"),
         (["--methods", "optax.nonsense"], "optax has no such"),
-        (["--seconds", "-3"], "--seconds -3"),
-        (["--simulations", "0"], "--simulations 0"),
+        (["--seconds", "-3"], "seconds = -3"),
+        (["--simulations", "0"], "simulations = 0"),
         (["--seconds", "1", "--simulations", "9"], "give one of them"),
         (["--integrator", "Euler99"], "no such solver"),
     ],

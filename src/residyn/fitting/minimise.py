@@ -21,9 +21,9 @@ import optimistix as optx
 
 from ..effects import AbstractEffect
 from ..recordings.experiment import Experiment
+from .conclusion import Found, searched
 from .evolution import MissingExtra
-from .genetic import Found, Part, concluded
-from .history import History, relative_error, watching
+from .history import Part, Watch, objective_of, relative_error, watching
 from .initial_guess import first_guess, resolving
 from .least_squares import Horizon, rows
 from .multistart import outliers_among
@@ -84,50 +84,43 @@ def fit_minimised(
     """
     began = time.perf_counter()
     name, made = minimiser(method)
-    if not experiment.fit_recordings:
-        raise ValueError('no recording has role = "fit": there is nothing to fit to')
     here = ready(experiment, experiment.fit_recordings, effects)
-    wild = outliers_among(here, [r.angle for r in here.recordings])
-    numbers, memory = first_guess(here, wild, 1)
-    problem, states = here.problem(resolving(here, numbers), wild)
+    outliers = outliers_among(here)
+    numbers, memory = first_guess(here, outliers, 1)
+    problem, states = here.problem(resolving(here, numbers), outliers)
     if memory is not None and memory.size:
         states[..., -memory.shape[-1] :] = memory[0]
     y = problem.scaled(jnp.asarray(numbers[0]), jnp.asarray(states))
     problem = jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_array_like(x) else x, problem)
-    kind = _optax if hasattr(made, "update") else _optimistix
-    start, advance = kind(made, problem)
+    start, advance = _steps_of(made, problem)
 
-    watch, each = watching(), 1 + y.numbers.size + y.states.size
-    if watch is not None:
-        jax.block_until_ready(advance(y, start(y))[2])  # compiles
-        watch.restart()
-    state, best, least = start(y), y, np.inf
-    spent, objective, seconds, done = [], [], [], False
-    for step in range(steps):
-        y, state, value, at, done = advance(y, state)
+    watch, each = watching() or Watch(), 1 + y.numbers.size + y.states.size
+    jax.block_until_ready(advance(y, start(y)))  # compiles
+    watch.restart()
+    state, best, least, step, done = start(y), y, np.inf, 0, False
+    for step in range(1, steps + 1):
+        y, state, (value, at), done = advance(y, state)
         value, done = float(value), bool(done)
         if value < least:
             least, best = value, at
-        spent.append(each * (step + 1))
-        objective.append(least)
-        if watch is not None:
-            watch.add(each, value if np.isfinite(value) else np.inf)
-            seconds.append(watch.seconds)
-        progress(Part(f"step {step + 1} of {steps}, objective {least:.4g}", (step + 1) / steps))
-        if done or not np.isfinite(value) or (watch is not None and watch.over()):
+        watch.add(each, value)
+        progress(Part(f"step {step} of {steps}, objective {least:.4g}", step / steps))
+        if done or not np.isfinite(value) or watch.over():
             break
     if not np.isfinite(least):
         raise FitError(f"{name} led to nothing finite")
-    history = History(
-        np.asarray(spent, float), np.asarray(objective), np.asarray(seconds) if seconds else None
-    )
     found = Found(
-        np.asarray(problem.numbers(best)), np.asarray(problem.states(best)), numbers[0], history
+        np.asarray(problem.numbers(best)),
+        np.asarray(problem.states(best)),
+        numbers[0],
+        watch.history,
+        step,
+        done,
     )
-    words = f"{len(spent)} steps of {name}; objective of Eq. 17: {least:.4g}, "
+    words = f"{step} steps of {name}; objective of Eq. 17: {least:.4g}, "
     words += "converged" if done else "not yet converged"
     progress("errors, modes and held-out recordings")
-    return concluded(experiment, here, wild, found, len(spent), done, words, began)
+    return searched(experiment, here, outliers, found, words, began)
 
 
 @eqx.filter_custom_vjp
@@ -153,33 +146,21 @@ def _objective_bwd(slope, cotangent, perturbed, y, problem):
     return jax.tree.map(lambda s: cotangent * s, slope)
 
 
-def _optax(method, problem: Problem):
-    """How an optax method begins, and its step: unknowns, state, an objective and the unknowns that
-    it is of, whether done."""
-    optax = importlib.import_module("optax")
-    method = optax.with_extra_args_support(method)
-
-    @eqx.filter_jit
-    def advance(y, state, problem):
-        value_of = lambda x: _objective(x, problem)  # noqa: E731
-        value, slope = eqx.filter_value_and_grad(value_of)(y)
-        more = {"value": value, "grad": slope, "value_fn": value_of}
-        change, state = method.update(slope, state, y, **more)
-        # What was evaluated are the unknowns before the step.
-        return eqx.apply_updates(y, change), state, value, y, False
-
-    return method.init, lambda y, state: advance(y, state, problem)
-
-
-def _optimistix(method, problem: Problem):
-    """The same for a minimiser or a least-squares solver of optimistix."""
+def _steps_of(method: Any, problem: Problem):
+    """How a method begins, and its step: unknowns, state, the objective of the best unknowns so far
+    and these themselves, whether done. The step is given unknowns and state."""
+    if hasattr(method, "update"):
+        optax = importlib.import_module("optax")
+        method = optx.OptaxMinimiser(optax.with_extra_args_support(method), _TOLERANCE, _TOLERANCE)
     squares = isinstance(method, optx.AbstractLeastSquaresSolver)
-    given = Horizon(problem) if squares else problem
+    given, options = (Horizon(problem), {"jac": "fwd"}) if squares else (problem, {})
 
     def function(y, args):
-        return rows(y, args) if squares else (_objective(y, args), None)
-
-    options = {"jac": "fwd"} if squares else {}
+        if squares:
+            misfit, squeezed = rows(y, args)
+            return misfit, (objective_of(args.problem, squeezed.predicted), y)
+        value = _objective(y, args)
+        return value, (value, y)
 
     @eqx.filter_jit
     def start(y, given):
@@ -188,8 +169,8 @@ def _optimistix(method, problem: Problem):
 
     @eqx.filter_jit
     def advance(y, state, given):
-        y, state, _ = method.step(function, y, given, options, state, frozenset())
+        y, state, known = method.step(function, y, given, options, state, frozenset())
         done, _ = method.terminate(function, y, given, options, state, frozenset())
-        return y, state, relative_error(problem, y), y, done
+        return y, state, known, done
 
     return lambda y: start(y, given), lambda y, state: advance(y, state, given)

@@ -11,11 +11,11 @@ from . import latex as tex
 from .layout import Table, filled, printed, section, separated, tabular
 from .names import listed
 
-_HEAD = ("method", "objective / best", "to 10 %", "to 1 %", "k off", "c off")
+_HEAD = ("method", "objective", "to 10 %", "to 1 %", "k off", "c off")
 _MEANING = (
-    "to 10 %, to 1 %: simulations and seconds until a method came within so much of the least "
-    "objective of all. k off, c off: how far the worst stiffness and the worst damping are from "
-    "those of the best fit, in its standard errors."
+    "objective: in times the least one of all. to 10 %, to 1 %: simulations and seconds until a "
+    "method came within so much of it. k off, c off: how far the worst stiffness and the worst "
+    "damping are from those of the best fit, in its standard errors."
 )
 
 
@@ -24,24 +24,29 @@ def text(race: Race) -> str:
     if not race.methods:
         return "the race was ended before any method was done"
     out = [*section("Race", f"{' + '.join(race.model)}; budget: {race.budget}")]
-    out += printed(_table(race), indent=2)
+    rows = [[each.name, *_cells(race, each)] for each in race.methods]
+    out += printed(Table(_HEAD, rows), indent=2)
     if race.best is not None:
         out.append(f"least objective (Eq. 17): {race.best.objective:.6g}, of {race.best.name}")
     out += filled(_MEANING)
     if race.repeats > 1:
         out.append(f"medians over {race.repeats} seeds; (the worst) behind the objective")
-    failed = {each.title: run.error for each in race.methods for run in each.runs if run.error}
-    out += [line for title, error in failed.items() for line in filled(f"{title}: {error}")]
+    failed = {each.name: run.error for each in race.methods for run in each.runs if run.error}
+    out += [line for name, error in failed.items() for line in filled(f"{name}: {error}")]
     out.append("given beforehand:")
-    for each in race.methods:
-        out += filled(each.given, f"  {each.title}: ", 6)
+    for names, given in _given(race):
+        out += filled(given, f"  {', '.join(names)}: ", 6)
     if race.interrupted:
         out.append(f"interrupted while {race.interrupted} was running, which is left out")
     return "\n".join(out)
 
 
-def _table(race: Race) -> Table:
-    return Table(_HEAD, [[each.title, *_cells(race, each)] for each in race.methods])
+def _given(race: Race) -> list[tuple[list[str], str]]:
+    """What was given to which methods: names, and words."""
+    found: dict[str, list[str]] = {}
+    for each in race.methods:
+        found.setdefault(each.given, []).append(each.name)
+    return [(names, given) for given, names in found.items()]
 
 
 def _cells(race: Race, each: Raced) -> list[str]:
@@ -59,12 +64,12 @@ def _cells(race: Race, each: Raced) -> list[str]:
     for kind in ("spring", "damper"):
         far = zip(race.off(run), numbers, strict=True)
         own = [x for x, n in far if n.name.startswith(kind) and np.isfinite(x)]
-        found.append(f"{max(own):.2g}" if own else "--")
+        found.append(_short(max(own), 2) if own else "--")
     return found
 
 
-def _short(x: float) -> str:
-    return f"{x:.4f}" if x < 10 else f"{x:.3g}"
+def _short(x: float, digits: int = 4) -> str:
+    return f"{x:.{digits}f}" if x < 10 else f"{x:.3g}"
 
 
 def page(race: Race) -> dict[str, Any]:
@@ -79,7 +84,7 @@ def page(race: Race) -> dict[str, Any]:
         pictures.append((f"Objective against {against}", svg[svg.index("<svg") :]))
     return {
         "race": race,
-        "table": _table(race),
+        "table": Table(_HEAD, [[each.title, *_cells(race, each)] for each in race.methods]),
         "meaning": _MEANING,
         "names": names,
         "pictures": pictures,
@@ -92,8 +97,7 @@ def latex(race: Race) -> str:
     rows = []
     for each in race.methods:
         objective, *spent = _cells(race, each)
-        cells = [objective, *spent[:2], *map(tex.scientific, spent[2:])]
-        rows.append([tex.escaped(each.title), *cells])
+        rows.append([tex.escaped(each.title), objective, *map(tex.escaped, spent)])
     head = ["Method", "Objective / best", r"to 10\,\%", r"to 1\,\%"]
     return tabular("lrrrrr", [*head, r"$k$, std.\ errors off", r"$c$, std.\ errors off"], [rows])
 
