@@ -79,6 +79,8 @@ class Genetic:
             raise ValueError(f"population = {self.population}: at least 4 individuals are needed")
         if self.generations < 1:
             raise ValueError(f"generations = {self.generations}: at least one is needed")
+        if self.initial not in (GENES, READINGS):
+            raise ValueError(f'initial = "{self.initial}": must be "{GENES}" or "{READINGS}"')
 
 
 class Box(NamedTuple):
@@ -166,26 +168,6 @@ class Genome(NamedTuple):
         return problem.scaled(self.box.at(genes[:count]), states)
 
 
-def genome(
-    problem: Problem, bounds: Box, states: np.ndarray, noise: np.ndarray, initial: str
-) -> Genome:
-    """The genome of a problem whose first readings, of these sigmas (n,), give the initial states
-    (R, s).
-
-    `initial` is "readings" (these states are kept, as the paper keeps its known release) or "genes"
-    (each is a gene, too, about the reading).
-
-    **Raises:** `ValueError` for any other `initial`.
-    """
-    if initial not in (READINGS, GENES):
-        raise ValueError(f'initial = "{initial}": must be "{GENES}" or "{READINGS}"')
-    scale = np.asarray(problem.scale.states)[0]
-    share = _SHARE_OF_STATE + _SIGMAS * noise / scale[: len(noise)]
-    memory = np.full(len(scale) - 2 * len(noise), _MEMORY)
-    reach = np.concatenate([share, share, memory]) * scale
-    return Genome(bounds, states, reach, initial == GENES)
-
-
 class Search(NamedTuple):
     """What a genetic algorithm looks at: a problem, and what its genes mean there."""
 
@@ -225,8 +207,11 @@ def search_of(here: Ready, outliers: Sequence[np.ndarray], how: Genetic) -> Sear
     begin = resolving(here, first_guess(here, outliers, DEFAULT_STARTS)[0])
     bounds = box(here.model.fitted, here.typical(), how.bounds)
     problem, states = here.problem(begin, outliers)
-    noise = np.max([r.noise for r in here.recordings], axis=0)
-    return Search(problem, genome(problem, bounds, states, noise, how.initial))
+    noise, scale = np.max([r.noise for r in here.recordings], axis=0), problem.scale.states[0]
+    share = _SHARE_OF_STATE + _SIGMAS * noise / scale[: len(noise)]
+    memory = np.full(len(scale) - 2 * len(noise), _MEMORY)
+    reach = np.concatenate([share, share, memory]) * scale
+    return Search(problem, Genome(bounds, states, reach, how.initial == GENES))
 
 
 def drawn(here: Ready, outliers: list[np.ndarray], starts: int, seed: int) -> np.ndarray:

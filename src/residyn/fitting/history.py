@@ -55,33 +55,35 @@ class History(NamedTuple):
 
 
 def relative_error(problem: Problem, y: Unknowns) -> Float[Array, ""]:
-    """`objective_of` the motion at scaled unknowns."""
+    """Eq. 17 at scaled unknowns: |predicted - measured| / |measured| of every joint's series of
+    angles, summed over the joints.
+
+    A series is that of all fitted recordings, one after the other; lost readings and outliers are
+    in neither norm. A joint that does not move at all counts with its error alone.
+    """
     numbers = problem.numbers(y)
 
     def one(recorded, state):
         return predict(problem, recorded, numbers, state)
 
-    each = over_recordings(one, problem.model)
-    return objective_of(problem, each(problem.recorded, problem.states(y)))
-
-
-def objective_of(problem: Problem, predicted: Float[Array, "R N n"]) -> Float[Array, ""]:
-    """Eq. 17: |predicted - measured| / |measured| of every joint's series of angles, summed over
-    the joints.
-
-    A series is that of all fitted recordings, one after the other; lost readings and outliers are
-    in neither norm. A joint that does not move at all counts with its error alone.
-    """
+    predicted = over_recordings(one, problem.model)(problem.recorded, problem.states(y))
     seen, angles = problem.recorded.weights > 0, problem.recorded.angles
     off = jnp.sum(jnp.where(seen, predicted - angles, 0.0) ** 2, axis=(0, 1))
     size = jnp.sum(jnp.where(seen, angles, 0.0) ** 2, axis=(0, 1))
     return jnp.sum(jnp.sqrt(off / jnp.where(size > 0, size, 1.0)))
 
 
+_relative_error = eqx.filter_jit(relative_error)
+
+
+def objective_of(problem: Problem, y: Unknowns) -> float:
+    """`relative_error`, by a program of its own."""
+    return float(_relative_error(problem, jax.tree.map(jnp.asarray, y)))
+
+
 # -- a stop watch for searches -------------------------------------------------------------------
 
 _here: contextvars.ContextVar["Watch | None"] = contextvars.ContextVar("watch", default=None)
-_error = eqx.filter_jit(relative_error)
 
 
 class Watch:
@@ -161,7 +163,7 @@ class Watch:
         objective = math.inf
         if self._first == (numbers, states):
             with self.paused():
-                objective = float(_error(problem, jax.tree.map(jnp.asarray, unknowns)))
+                objective = objective_of(problem, unknowns)
         self.add(steps * (1 + numbers[0] + states[1]), objective)
 
     @property

@@ -92,18 +92,25 @@ def fit_minimised(
         states[..., -memory.shape[-1] :] = memory[0]
     y = problem.scaled(jnp.asarray(numbers[0]), jnp.asarray(states))
     problem = jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_array_like(x) else x, problem)
-    start, advance = _steps_of(made, problem)
+    ran: list[int] = []
+    start, advance = _steps_of(made, problem, ran.append)
 
-    watch, each = watching() or Watch(), 1 + y.numbers.size + y.states.size
-    jax.block_until_ready(advance(y, start(y)))  # compiles
+    watch = watching() or Watch()
+    # Compiles; once more of its own output, whose types JAX may take for others.
+    jax.block_until_ready(advance(*advance(y, start(y))[:2]))
+    jax.effects_barrier()
     watch.restart()
     state, best, least, step, done = start(y), y, np.inf, 0, False
     for step in range(1, steps + 1):
-        y, state, (value, at), done = advance(y, state)
-        value, done = float(value), bool(done)
+        ran.clear()
+        y, state, done = advance(y, state)
+        done = bool(done)
+        jax.effects_barrier()
+        with watch.paused():
+            value = objective_of(problem, y)
         if value < least:
-            least, best = value, at
-        watch.add(each, value)
+            least, best = value, y
+        watch.add(sum(ran), value)
         progress(Part(f"step {step} of {steps}, objective {least:.4g}", step / steps))
         if done or not np.isfinite(value) or watch.over():
             break
@@ -124,14 +131,16 @@ def fit_minimised(
 
 
 @eqx.filter_custom_vjp
-def _objective(y: Unknowns, problem: Problem):
+def _objective(y: Unknowns, problem: Problem, ran: Callable[[int], None]):
+    _count(ran, 1)
     return relative_error(problem, y)
 
 
 @_objective.def_fwd
-def _objective_fwd(perturbed, y: Unknowns, problem: Problem):
+def _objective_fwd(perturbed, y: Unknowns, problem: Problem, ran: Callable[[int], None]):
     del perturbed
     flat, back = jax.flatten_util.ravel_pytree(y)
+    _count(ran, 1 + flat.size)
 
     def along(direction):
         return jax.jvp(lambda x: relative_error(problem, back(x)), (flat,), (direction,))
@@ -141,14 +150,20 @@ def _objective_fwd(perturbed, y: Unknowns, problem: Problem):
 
 
 @_objective.def_bwd
-def _objective_bwd(slope, cotangent, perturbed, y, problem):
-    del perturbed, y, problem
+def _objective_bwd(slope, cotangent, perturbed, y, problem, ran):
+    del perturbed, y, problem, ran
     return jax.tree.map(lambda s: cotangent * s, slope)
 
 
-def _steps_of(method: Any, problem: Problem):
-    """How a method begins, and its step: unknowns, state, the objective of the best unknowns so far
-    and these themselves, whether done. The step is given unknowns and state."""
+def _count(ran: Callable[[int], None], simulations: int) -> None:
+    """Tell of so many simulations whenever the program runs them: a line search has as many as it
+    needs."""
+    jax.debug.callback(lambda: ran(simulations))
+
+
+def _steps_of(method: Any, problem: Problem, ran: Callable[[int], None]):
+    """How a method begins, and its step from unknowns and state: the next ones, and whether it is
+    done. `ran` is told of simulations as they are run."""
     if hasattr(method, "update"):
         optax = importlib.import_module("optax")
         method = optx.OptaxMinimiser(optax.with_extra_args_support(method), _TOLERANCE, _TOLERANCE)
@@ -157,10 +172,9 @@ def _steps_of(method: Any, problem: Problem):
 
     def function(y, args):
         if squares:
-            misfit, squeezed = rows(y, args)
-            return misfit, (objective_of(args.problem, squeezed.predicted), y)
-        value = _objective(y, args)
-        return value, (value, y)
+            _count(ran, 1 + y.numbers.size + y.states.size)
+            return rows(y, args)
+        return _objective(y, args, ran), None
 
     @eqx.filter_jit
     def start(y, given):
@@ -169,8 +183,8 @@ def _steps_of(method: Any, problem: Problem):
 
     @eqx.filter_jit
     def advance(y, state, given):
-        y, state, known = method.step(function, y, given, options, state, frozenset())
+        y, state, _ = method.step(function, y, given, options, state, frozenset())
         done, _ = method.terminate(function, y, given, options, state, frozenset())
-        return y, state, known, done
+        return y, state, done
 
     return lambda y: start(y, given), lambda y, state: advance(y, state, given)

@@ -24,29 +24,35 @@ def text(race: Race) -> str:
     if not race.methods:
         return "the race was ended before any method was done"
     out = [*section("Race", f"{' + '.join(race.model)}; budget: {race.budget}")]
-    rows = [[each.name, *_cells(race, each)] for each in race.methods]
+    # Names break at their spaces where the line is full.
+    rows = [[each.name.replace("_", " "), *_cells(race, each)] for each in race.methods]
     out += printed(Table(_HEAD, rows), indent=2)
     if race.best is not None:
         out.append(f"least objective (Eq. 17): {race.best.objective:.6g}, of {race.best.name}")
     out += filled(_MEANING)
     if race.repeats > 1:
         out.append(f"medians over {race.repeats} seeds; (the worst) behind the objective")
-    failed = {each.name: run.error for each in race.methods for run in each.runs if run.error}
-    out += [line for name, error in failed.items() for line in filled(f"{name}: {error}")]
+    for each in race.methods:
+        out += [line for e in _errors(each) for line in filled(f"{each.name}: {e}")]
     out.append("given beforehand:")
-    for names, given in _given(race):
-        out += filled(given, f"  {', '.join(names)}: ", 6)
+    for some, given in _given(race):
+        out += filled(given, f"  {', '.join(each.name for each in some)}: ", 6)
     if race.interrupted:
         out.append(f"interrupted while {race.interrupted} was running, which is left out")
     return "\n".join(out)
 
 
-def _given(race: Race) -> list[tuple[list[str], str]]:
-    """What was given to which methods: names, and words."""
-    found: dict[str, list[str]] = {}
+def _given(race: Race) -> list[tuple[list[Raced], str]]:
+    """What was given to which methods, in words."""
+    found: dict[str, list[Raced]] = {}
     for each in race.methods:
-        found.setdefault(each.given, []).append(each.name)
-    return [(names, given) for given, names in found.items()]
+        found.setdefault(each.given, []).append(each)
+    return [(some, given) for given, some in found.items()]
+
+
+def _errors(each: Raced) -> list[str]:
+    """Why runs failed, each reason once."""
+    return list(dict.fromkeys(run.error for run in each.runs if run.error))
 
 
 def _cells(race: Race, each: Raced) -> list[str]:
@@ -87,6 +93,8 @@ def page(race: Race) -> dict[str, Any]:
         "table": Table(_HEAD, [[each.title, *_cells(race, each)] for each in race.methods]),
         "meaning": _MEANING,
         "names": names,
+        "given": [("; ".join(each.title for each in some), words) for some, words in _given(race)],
+        "failed": [(each.title, error) for each in race.methods for error in _errors(each)],
         "pictures": pictures,
         "model": listed(race.model),
     }
