@@ -77,7 +77,7 @@ def evolve(
     **Raises:** `MissingExtra` without evosax; `ValueError` for a strategy or a setting that it does
     not have.
     """
-    made, params, keeps = _algorithm(
+    made, params, keeps = traced_algorithm(
         strategy, population, generations, size, tuple(sorted(settings.items()))
     )
     search = _Search(made, keeps, objective, one_by_one, population)
@@ -175,7 +175,7 @@ def evosax_or_missing() -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 @functools.lru_cache(maxsize=64)  # evosax compiles anew for every object
-def _algorithm(
+def traced_algorithm(
     name: str, population: int, generations: int, size: int, settings: tuple[tuple[str, float], ...]
 ) -> tuple[Any, Any, bool]:
     """An algorithm, its parameters, and whether it keeps a population."""

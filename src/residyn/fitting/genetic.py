@@ -230,7 +230,7 @@ def drawn(here: Ready, outliers: list[np.ndarray], starts: int, seed: int) -> np
 
 @eqx.filter_jit
 def _drawn_values(look: Search, genes):
-    return values_of(_objective, look, genes, look.problem.model.dry)
+    return values_of(objective_of, look, genes, look.problem.model.dry)
 
 
 def run(look: Search, how: Genetic, progress: Callable[[str], None] = lambda words: None) -> Found:
@@ -246,7 +246,7 @@ def run(look: Search, how: Genetic, progress: Callable[[str], None] = lambda wor
 
     progress(Part("the first generation", 0.0))
     best, first = evolve(
-        _objective,
+        objective_of,
         look,
         look.genome.size,
         strategy=how.strategy,
@@ -270,7 +270,7 @@ def run(look: Search, how: Genetic, progress: Callable[[str], None] = lambda wor
     )
 
 
-def _objective(look: Search, genes: Any):
+def objective_of(look: Search, genes: Any):
     return relative_error(look.problem, look.genome.unknowns(genes, look.problem))
 
 

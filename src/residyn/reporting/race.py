@@ -1,7 +1,7 @@
 """All that is said of a race: a table for a terminal, for a paper and for a page."""
 
 import math
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -9,10 +9,9 @@ from ..fitting.race import ONE, TEN, Race, Raced
 from . import figures as plot
 from . import latex as tex
 from .layout import Table, filled, printed, section, separated, tabular
-from .names import listed
 
 _HEAD = ("method", "objective", "to 10 %", "to 1 %", "k off", "c off")
-_MEANING = (
+MEANING = (
     "objective: in times the least one of all. to 10 %, to 1 %: simulations and seconds until a "
     "method came within so much of it. k off, c off: how far the worst stiffness and the worst "
     "damping are from those of the best fit, in its standard errors."
@@ -29,28 +28,33 @@ def text(race: Race) -> str:
     out += printed(Table(_HEAD, rows), indent=2)
     if race.best is not None:
         out.append(f"least objective (Eq. 17): {race.best.objective:.6g}, of {race.best.name}")
-    out += filled(_MEANING)
+    out += filled(MEANING)
     if race.repeats > 1:
         out.append(f"medians over {race.repeats} seeds; (the worst) behind the objective")
     for each in race.methods:
-        out += [line for e in _errors(each) for line in filled(f"{each.name}: {e}")]
+        out += [line for e in errors(each) for line in filled(f"{each.name}: {e}")]
     out.append("given beforehand:")
-    for some, given in _given(race):
-        out += filled(given, f"  {', '.join(each.name for each in some)}: ", 6)
+    for some, words in given(race):
+        out += filled(words, f"  {', '.join(each.name for each in some)}: ", 6)
     if race.interrupted:
         out.append(f"interrupted while {race.interrupted} was running, which is left out")
     return "\n".join(out)
 
 
-def _given(race: Race) -> list[tuple[list[Raced], str]]:
+def table(race: Race) -> Table:
+    """A line for each method."""
+    return Table(_HEAD, [[each.title, *_cells(race, each)] for each in race.methods])
+
+
+def given(race: Race) -> list[tuple[list[Raced], str]]:
     """What was given to which methods, in words."""
     found: dict[str, list[Raced]] = {}
     for each in race.methods:
         found.setdefault(each.given, []).append(each)
-    return [(some, given) for given, some in found.items()]
+    return [(some, words) for words, some in found.items()]
 
 
-def _errors(each: Raced) -> list[str]:
+def errors(each: Raced) -> list[str]:
     """Why runs failed, each reason once."""
     return list(dict.fromkeys(run.error for run in each.runs if run.error))
 
@@ -78,26 +82,17 @@ def _short(x: float, digits: int = 4) -> str:
     return f"{x:.{digits}f}" if x < 10 else f"{x:.3g}"
 
 
-def page(race: Race) -> dict[str, Any]:
-    """All that the template says of it. The pictures are part of the page and not images in it, so
-    that a style sheet can hide a curve."""
-    drawn = [each for each in race.methods if len(each.median.history.objective)]
-    names = [each.title for each in drawn]
-    histories = [each.median.history for each in drawn]
-    pictures = []
-    for against in ("simulations", "seconds") if drawn else ():
-        svg = plot.svg(plot.convergence(histories, names, against=against))
-        pictures.append((f"Objective against {against}", svg[svg.index("<svg") :]))
-    return {
-        "race": race,
-        "table": Table(_HEAD, [[each.title, *_cells(race, each)] for each in race.methods]),
-        "meaning": _MEANING,
-        "names": names,
-        "given": [("; ".join(each.title for each in some), words) for some, words in _given(race)],
-        "failed": [(each.title, error) for each in race.methods for error in _errors(each)],
-        "pictures": pictures,
-        "model": listed(race.model),
-    }
+def drawn(race: Race) -> list[Raced]:
+    """The methods that have a curve."""
+    return [each for each in race.methods if len(each.median.history.objective)]
+
+
+def curves(methods: Sequence[Raced], against: str) -> str:
+    """How their objectives fall, as an SVG element."""
+    histories = [each.median.history for each in methods]
+    figure = plot.convergence(histories, [each.title for each in methods], against=against)
+    code = plot.svg(figure)
+    return code[code.index("<svg") :]
 
 
 def latex(race: Race) -> str:
