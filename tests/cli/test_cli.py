@@ -406,7 +406,7 @@ def test_effects_in_a_terminal(width):
     from residyn.effects import CATALOGUE
 
     out = Console(file=io.StringIO(), width=width, force_terminal=True, color_system=None)
-    draw = _effects._table if width >= _effects._ROOMY else _effects._stacked
+    draw = _effects._table
     draw(out, list(CATALOGUE.values()))
     assert isinstance(out.file, io.StringIO)
     lines = out.file.getvalue().splitlines()
