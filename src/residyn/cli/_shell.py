@@ -115,6 +115,10 @@ def progress() -> Iterator[Callable[[str], None]]:
 
     Words that know what `share` (0 to 1) is done move a bar.
     """
+    out = console(stderr=True)
+    if not out.is_terminal:
+        yield lambda words: None
+        return
     from rich import progress as rich
     from rich.text import Text
 
@@ -122,10 +126,9 @@ def progress() -> Iterator[Callable[[str], None]]:
         def render(self, task):
             return Text("") if task.total is None else rich.BarColumn(24).render(task)
 
-    out = console(stderr=True)
     words = rich.TextColumn("{task.description}", markup=False)
     columns = (rich.SpinnerColumn(), words, Bar(), rich.TimeElapsedColumn())
-    with rich.Progress(*columns, console=out, transient=True, disable=not out.is_terminal) as bar:
+    with rich.Progress(*columns, console=out, transient=True) as bar:
         task = bar.add_task("starting", total=None)
 
         def say(words: str) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, inside
-from ..files import read_table_text
+from ..files import check_ordinary, read_table_text
 from .columns import Joints, Layout, Table, columns_of
 from .csv import read_lab_csv
 from .motion_capture.trajectories import is_vicon
@@ -40,9 +40,7 @@ def read_table(path: str | os.PathLike[str], joints: Joints, layout: Layout) -> 
     for key in ("separator", "decimal"):
         if getattr(layout, key) is not None:
             raise InputError(f"{where}: {key} is for CSV files; leave it out")
-    if not Path(path).is_file():
-        what = "is a folder" if Path(path).is_dir() else "there is no such file"
-        raise InputError(f"{where}: {what}; a recording was expected")
+    check_ordinary(path, "recording")
     with inside(where):
         return _table(reader(where), joints, layout)
 
