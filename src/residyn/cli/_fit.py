@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..reporting.numbers import plain, times, with_error
 from ..runtime.json import finite
 from . import _options
-from ._shell import NoNumbers, progress, set_up_jax
+from ._shell import NoNumbers, interruptible, progress, set_up_jax
 from ._work import Work, bring, computing, report_of, title
 
 if TYPE_CHECKING:
@@ -140,6 +140,7 @@ def _fit_each(
     with progress() as say, _workers(min(jobs, len(files)), own, not no_cache) as executor:
         from ..fitting import fit_many
 
+        interruptible()
         to = None if lines else json
         every = fit_many(
             files, effects=effects, starts=starts, out=to, progress=say, executor=executor

@@ -4,6 +4,7 @@ import contextlib
 import errno
 import multiprocessing
 import os
+import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -75,6 +76,14 @@ def complain(line: str, status: int) -> int:
     return status
 
 
+def interruptible() -> None:
+    """From here on Ctrl-C is an exception again: whoever computes may end well, with what it has
+    (see `residyn.__main__`)."""
+    now = signal.getsignal(signal.SIGINT)
+    if getattr(now, "__module__", None) in ("residyn.__main__", "__main__"):
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def _unexpected(error: Exception) -> int:
     """A mistake of ours."""
     if os.environ.get(TRACEBACK):
@@ -120,15 +129,18 @@ def progress() -> Iterator[Callable[[str], None]]:
         yield lambda words: None
         return
     from rich import progress as rich
+    from rich.table import Column
     from rich.text import Text
 
     class Bar(rich.ProgressColumn):
         def render(self, task):
             return Text("") if task.total is None else rich.BarColumn(24).render(task)
 
-    words = rich.TextColumn("{task.description}", markup=False)
+    # Of a line that is too long the words are cut: spinner and clock stay.
+    cut = Column(no_wrap=True, ratio=1)
+    words = rich.TextColumn("{task.description}", markup=False, table_column=cut)
     columns = (rich.SpinnerColumn(), words, Bar(), rich.TimeElapsedColumn())
-    with rich.Progress(*columns, console=out, transient=True) as bar:
+    with rich.Progress(*columns, console=out, transient=True, expand=True) as bar:
         task = bar.add_task("starting", total=None)
 
         def say(words: str) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import InputError, inside
 from ..files import check_writable, write
 from ..runtime.json import finite
-from ._shell import NoNumbers, console, progress, set_up_jax
+from ._shell import NoNumbers, console, interruptible, progress, set_up_jax
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -156,6 +156,7 @@ def one_complaint() -> Iterator[None]:
     """
     from ..fitting import FitError, MissingExtra
 
+    interruptible()
     try:
         yield
     except FitError as error:

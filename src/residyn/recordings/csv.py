@@ -230,7 +230,7 @@ def _values(
         except ValueError:
             with inside(f"{where}, line {line}"):
                 _check_width(len(cells), width, separator)
-                table[i] = [_number(cells[at], name, decimal) for at, name in wanted]
+                table[i] = [number_in(cells[at], name, decimal) for at, name in wanted]
     return table
 
 
@@ -244,8 +244,11 @@ def _check_width(count: int, width: int, separator: str) -> None:
         )
 
 
-def _number(cell: str, name: str, decimal: str) -> float:
-    """The number in a cell, NaN for a missing one."""
+def number_in(cell: str, name: str, decimal: str) -> float:
+    """The number in a cell of a column; NaN for a missing one.
+
+    **Raises:** `InputError`.
+    """
     cell = cell.replace("\u2212", "-")
     if _INFINITE.fullmatch(cell):
         raise InputError(f"{name} is infinite")
