@@ -307,7 +307,7 @@ class Posterior:
     def _at_work(self, model: "Tried | CurveModel", label: str) -> float:
         """Probability, given a model, that one of its effects is at work."""
         without = self.search.tried.get(frozenset(model.added) - {label}, self.search.base)
-        return float(np.dot(model.weights, at_work(without.needed)))
+        return float(np.dot(model.weights, at_work(without.needed / model.between)))
 
     def verdict(self) -> tuple[Verdict, float]:
         """The likeliest of the three, and its probability."""

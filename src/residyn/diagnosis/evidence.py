@@ -193,6 +193,20 @@ def log_prior_model(added: int, candidates: int) -> float:
     return math.log(1 - FURTHER) + added * math.log(FURTHER) - sets
 
 
+_ROUNDING = 1e-13
+"""Numerical tolerance: what rounding may take from the diagonal of a Gram matrix of unit
+diagonal."""
+
+
+def gram_factor(square: np.ndarray) -> np.ndarray:
+    """Cholesky factor (..., C, C) of Gram matrices plus 1. Columns that rounding cannot tell apart
+    keep it real: the smallest of two nearly equal ones is lost beside it otherwise."""
+    size = np.sqrt(np.diagonal(square, axis1=-2, axis2=-1))
+    unit = square / size[..., :, None] / size[..., None, :]
+    unit = unit + _ROUNDING * np.eye(unit.shape[-1])
+    return np.linalg.cholesky(unit) * size[..., :, None]
+
+
 def conditional(gram: np.ndarray, base: int) -> tuple[float, np.ndarray]:
     """A Gram matrix (1 + base + C)^2 of whitened innovations, with the first `base` regressors
     integrated out: their log evidence, and the (1 + C)^2 Gram matrix of what is left.
@@ -201,7 +215,7 @@ def conditional(gram: np.ndarray, base: int) -> tuple[float, np.ndarray]:
     """
     inner = gram[1 : 1 + base, 1 : 1 + base] + np.eye(base)
     keep = np.r_[0, 1 + base : len(gram)]
-    factor = np.linalg.cholesky(inner)
+    factor = gram_factor(inner)
     across = np.linalg.solve(factor, gram[1 : 1 + base][:, keep])
     rest = gram[np.ix_(keep, keep)] - across.T @ across
     return -0.5 * rest[0, 0] - float(np.log(np.diag(factor)).sum()), rest
@@ -224,7 +238,7 @@ def subset(gram: np.ndarray, columns) -> tuple[np.ndarray, np.ndarray, np.ndarra
     """
     i = np.asarray(columns, int) + 1
     inner = gram[..., i[..., :, None], i[..., None, :]] + np.eye(i.shape[-1])
-    factor = np.linalg.cholesky(inner)
+    factor = gram_factor(inner)
     x = np.linalg.solve(factor, -gram[..., i, 0][..., None])
     logs = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
     mean = np.linalg.solve(np.swapaxes(factor, -1, -2), x)[..., 0]

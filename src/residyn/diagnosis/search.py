@@ -84,6 +84,21 @@ class Weighed:
         return INTENSITIES[int(np.argmax(self.weights))]
 
     @property
+    def between(self) -> float:
+        """Factor by which the likeliest random torque that matters is off the grid: at the top of
+        the parabola through its three best points, log evidence against log intensity."""
+        logs = np.where(np.array(INTENSITIES) > NEGLIGIBLE, self.evidences, -np.inf)
+        k = int(np.argmax(logs))
+        if not 0 < k < len(logs) - 2:
+            return 1.0
+        left, here, right = self.evidences[k - 1 : k + 2]
+        bend = 2 * here - left - right
+        if not (np.isfinite(bend) and bend > 0):
+            return 1.0
+        towards = 0.5 * (right - left) / bend
+        return float((INTENSITIES[k + 1] / INTENSITIES[k - 1]) ** (0.5 * np.clip(towards, -1, 1)))
+
+    @property
     def needed(self) -> float:
         """Rms random torque that the model needs, given that it needs one that matters."""
         matter = np.array(INTENSITIES) > NEGLIGIBLE
@@ -91,7 +106,7 @@ class Weighed:
         if not np.isfinite(logs).any():
             return NEGLIGIBLE
         each = np.exp(logs - logsumexp(logs))
-        return math.sqrt(float(np.dot(each, np.square(INTENSITIES)[matter])))
+        return self.between * math.sqrt(float(np.dot(each, np.square(INTENSITIES)[matter])))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
