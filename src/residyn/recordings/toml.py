@@ -9,7 +9,7 @@ import dataclasses
 import difflib
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -100,14 +100,7 @@ def parse(text: str, where: str) -> Contents:
         if limits is not None:
             with inside("[limits]"):
                 limits.check(inertia.joints, kind is ArmTable, bool(bearings))
-        if isinstance(tables.get("integrator"), dict):
-            solver = tables["integrator"].get("solver")
-            if not isinstance(solver, str):
-                have = "solver is missing" if solver is None else f"solver = {quote(solver)}"
-                raise InputError(
-                    f'[integrator]: {have}: must be the name of a solver, such as "Tsit5"'
-                )
-        integrator = _one(tables, "integrator", Integrator, ("solver", "rtol", "atol"))
+        integrator = _one(tables, "integrator", _integrator, ("solver", "rtol", "atol"))
         return Contents(inertia, tuple(bearings), tuple(recordings), integrator, limits)
 
 
@@ -135,11 +128,11 @@ def _check_keys(where: str, keys: Mapping[str, Any], known: Sequence[str]) -> No
             raise InputError(f"unknown key {quote(key)}: {hint}")
 
 
-def _keys_of(kind: type[Any]) -> list[str]:
+def _keys_of(kind: Any) -> list[str]:
     return [field.name for field in dataclasses.fields(kind)]
 
 
-def _made(kind: type[Any], keys: Mapping[str, Any]) -> Any:
+def _made(kind: Any, keys: Mapping[str, Any]) -> Any:
     """A table's object, which checks its values itself."""
     for field in dataclasses.fields(kind):
         if field.default is dataclasses.MISSING and field.name not in keys:
@@ -148,16 +141,26 @@ def _made(kind: type[Any], keys: Mapping[str, Any]) -> Any:
 
 
 def _one(
-    tables: Mapping[str, Any], name: str, kind: type[Any], known: Sequence[str] | None = None
+    tables: Mapping[str, Any],
+    name: str,
+    kind: Callable[..., Any],
+    known: Sequence[str] | None = None,
 ) -> Any:
-    """The object of a table that is there once, or None."""
+    """The object of a table that is there once, or None; `known` keys if `kind` is no dataclass."""
     if name not in tables:
         return None
     if not isinstance(tables[name], dict):
         raise InputError(f"{name} must be one table, [{name}]")
     with inside(f"[{name}]"):
         _check_keys(f"[{name}]", tables[name], known or _keys_of(kind))
-        return _made(kind, tables[name])
+        return _made(kind, tables[name]) if known is None else kind(**tables[name])
+
+
+def _integrator(solver: Any = None, **tolerances: Any) -> Integrator:
+    if not isinstance(solver, str):
+        have = "solver is missing" if solver is None else f"solver = {quote(solver)}"
+        raise InputError(f'{have}: must be the name of a solver, such as "Tsit5"')
+    return Integrator(solver, **tolerances)
 
 
 def _many(tables: Mapping[str, Any], name: str, known: Sequence[str]) -> list[dict[str, Any]]:
