@@ -84,7 +84,7 @@ def effects(
     kinds = list(known.values())
     if not out.is_terminal:
         return _plain(kinds)
-    _table(out, kinds)
+    tabulate(out, kinds)
     out.print("spring and damper are in every model; --with NAME adds another")
 
 
@@ -124,24 +124,21 @@ def _plain(kinds: "list[type[AbstractEffect]]") -> None:
         print("   ".join([*cells, row[3]]))
 
 
-def _table(out: "Console", kinds: "list[type[AbstractEffect]]") -> None:
-    """A column for everything, if there is room for four; else all but the name in one."""
+def tabulate(out: "Console", kinds: "list[type[AbstractEffect]]") -> None:
+    """For a terminal: a column for everything; where that is too narrow, the name, and all else
+    below each other beside it."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    heads = ("equation", "parameters", "what it looks like in the data")
-    rows = [(k.name, k.equation, "\n".join(_numbers(k)), k.looks_like) for k in kinds]
-    table = Table(box=SIMPLE_HEAD, padding=(0, 2, 1, 0), pad_edge=False)
+    roomy = out.width >= _ROOMY
+    table = Table(box=SIMPLE_HEAD, padding=(0, 2, 1, 0), pad_edge=False, expand=roomy)
     table.add_column("name", no_wrap=True, style="bold")
-    if out.width >= _ROOMY:
-        for head, ratio in zip(heads, (3, 3, 4), strict=True):
-            table.add_column(head, ratio=ratio)
-        table.expand = True
-    else:
-        table.add_column(", ".join(heads))
-        rows = [(name, "\n".join(filter(None, rest))) for name, *rest in rows]
-    for row in rows:
-        table.add_row(*row)
+    heads = {"equation": 3, "parameters": 3, "what it looks like in the data": 4}
+    for head, ratio in heads.items() if roomy else [(", ".join(heads), 1)]:
+        table.add_column(head, ratio=ratio)
+    for kind in kinds:
+        cells = [kind.equation, "\n".join(_numbers(kind)), kind.looks_like]
+        table.add_row(kind.name, *(cells if roomy else ["\n".join(filter(None, cells))]))
     out.print(table)
 
 

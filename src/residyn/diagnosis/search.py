@@ -50,11 +50,16 @@ _FALL = 2  # steps of the grid that the random torque may fall by in an iteratio
 _SETTLED = 0.1  # nats
 
 
-class Weighed:
-    """A model iterated to its evidence under each of `INTENSITIES` of the random torque."""
+@dataclasses.dataclass(frozen=True, eq=False)
+class Tried:
+    """A model, iterated to its evidence."""
 
+    added: tuple[str, ...]
+    """Labels beyond the base model, in the order in which they joined."""
     evidences: np.ndarray
-    """(I,) log evidence under each."""
+    """(I,) log evidence at each of `INTENSITIES` of the random torque."""
+    best: Trajectory
+    """At the likeliest of them."""
     log_prior: float
 
     @property
@@ -82,43 +87,6 @@ class Weighed:
     def intensity(self) -> float:
         """The likeliest random torque."""
         return INTENSITIES[int(np.argmax(self.weights))]
-
-    @property
-    def between(self) -> float:
-        """Factor by which the likeliest random torque that matters is off the grid: at the top of
-        the parabola through its three best points, log evidence against log intensity."""
-        logs = np.where(np.array(INTENSITIES) > NEGLIGIBLE, self.evidences, -np.inf)
-        k = int(np.argmax(logs))
-        if not 0 < k < len(logs) - 2:
-            return 1.0
-        left, here, right = self.evidences[k - 1 : k + 2]
-        bend = 2 * here - left - right
-        if not (np.isfinite(bend) and bend > 0):
-            return 1.0
-        towards = 0.5 * (right - left) / bend
-        return float((INTENSITIES[k + 1] / INTENSITIES[k - 1]) ** (0.5 * np.clip(towards, -1, 1)))
-
-    @property
-    def needed(self) -> float:
-        """Rms random torque that the model needs, given that it needs one that matters."""
-        matter = np.array(INTENSITIES) > NEGLIGIBLE
-        logs = self.evidences[matter]
-        if not np.isfinite(logs).any():
-            return NEGLIGIBLE
-        each = np.exp(logs - logsumexp(logs))
-        return self.between * math.sqrt(float(np.dot(each, np.square(INTENSITIES)[matter])))
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Tried(Weighed):
-    """A model of springs, dampers and named effects."""
-
-    added: tuple[str, ...]
-    """Labels beyond the base model, in the order in which they joined."""
-    evidences: np.ndarray
-    best: Trajectory
-    """At the likeliest random torque."""
-    log_prior: float
 
     def over_torques(self, scene: Scene) -> list[tuple[float, Trajectory]]:
         """The motion under each random torque that counts, with its posterior probability."""
