@@ -706,7 +706,7 @@ def carts():
 
 
 @measured
-@pytest.mark.parametrize("path", carts(), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", carts(), ids=[path.stem for path in carts()])
 def test_carts(path):
     time, angle, _, _ = read_csv(path, 1)
     step = 0.001 / 56  # one encoder count
