@@ -19,25 +19,10 @@ from .payload import packed, payload
 from .study import Study
 
 _STATIC = importlib.resources.files("residyn.reporting.explorer") / "static"
-MODULES = (
-    "linear_algebra.js",
-    "arrays.js",
-    "elements.js",
-    "evidence.js",
-    "first_order.js",
-    "state.js",
-    "words.js",
-    "charts.js",
-    "bars.js",
-    "staircase.js",
-    "numbers.js",
-    "server.js",
-    "explorer.js",
-)
-"""One idea each; the last one starts the page."""
-UPLOT = "uPlot.iife.min.js", "uPlot.min.css"
-FILES = (*MODULES, *UPLOT, "uPlot.LICENSE.txt", "explorer.css")
+FILES = tuple(sorted(each.name for each in _STATIC.iterdir()))
 """All that the server hands out."""
+MODULES = tuple(n for n in FILES if n.endswith(".js") and not n.startswith("uPlot"))
+"""One idea each; `explorer.js` starts the page."""
 _IMPORT = re.compile(r'(from\s+|import\s+)"\./([a-z_]+\.js)"')
 
 

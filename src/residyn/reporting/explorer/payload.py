@@ -259,7 +259,7 @@ def _candidate(study: Study, label: str):
         "equation": effect.equation,
         "looks_like": effect.looks_like,
         "extends": effect.extends,
-        "rough": effect.dry or effect.follows,
+        "sticks": effect.dry or effect.follows,
         "columns": list(next(r.which for r in study.columns.rows if r.effect.label == label)),
         "rows": [list(r.which) for r in rows],
         "best": [r.which for r in rows].index(s.which),
