@@ -20,7 +20,7 @@ from residyn.recordings.noise import estimate_noise
 from residyn.recordings.outliers import outlier_mask
 from residyn.recordings.recording import Recording
 
-relaxed = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+relaxed = settings(suppress_health_check=[HealthCheck.too_slow])
 FOLDER = tempfile.TemporaryDirectory()
 CSV, TOML = Path(FOLDER.name, "try.csv"), Path(FOLDER.name, "try.toml")
 HERE = Path(FOLDER.name, "here.csv")

@@ -153,7 +153,7 @@ class Rivals:
             sides = []
             if not row.effect.oscillates:
                 own = enumerate(strengths(row.effect))
-                sides = [i for i, x in own if signed(row.effect, x)]
+                sides = [i for i, x in own if signed(x)]
             half = 0.5 * np.linalg.slogdet(covariance)[1]
             self._inner.append((c, covariance, half, sides))
 

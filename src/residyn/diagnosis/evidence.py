@@ -50,6 +50,10 @@ one on average; which ones they are is uniform over kinds and places."""
 NEGLIGIBLE = 1e-3
 """Random torque up to which a model is called complete: a thousandth of the spring's torque changes
 no stiffness by more than 0.1 %."""
+OUTSIDE = 1 / 6
+"""Prior probability that what a joint lacks is of no effect in the catalogue: Laplace's rule of
+succession after four measured rigs (carts, EMPS, a double pendulum, an air track), whose authors'
+explanations are all in it."""
 INDISTINGUISHABLE = math.log(20.0)
 """Nats up to which two models cannot be told apart: posterior odds of 20 to 1 are strong evidence
 (Kass and Raftery, J. American Statistical Association 90, 1995)."""
@@ -119,20 +123,21 @@ def width_of(scene: Scene, effect: AbstractEffect, number: Parameter) -> float:
     return WIDTH * scene.size(effect, number)
 
 
-def signed(effect: AbstractEffect, number: Parameter) -> bool:
-    """Whether a number has a half-normal prior: physics gives its sign."""
-    base = effect.name in ("spring", "damper")
-    return number.sign == "positive" and number.silent is not None and not base
+def signed(number: Parameter) -> bool:
+    """Whether a number has a half-normal prior: physics gives its sign. No spring, damper or
+    friction has less than nothing."""
+    return number.sign == "positive" and number.silent is not None
 
 
-def half_normals(effects: Sequence[AbstractEffect], found: Evidences) -> np.ndarray:
-    """(I,) what the half-normal priors of a model add to its log evidence: log 2 Phi(mean / std)
-    for each number whose sign is known."""
+def half_normals(effects: Sequence[AbstractEffect], prior: Prior, found: Evidences) -> np.ndarray:
+    """(I,) what the half-normal priors of a model add to its log evidence: log 2 Phi of each number
+    whose sign is known, in standard deviations from where it is silent."""
     total = np.zeros(len(found.log_evidence))
     for effect, own in zip(effects, number_slices(effects), strict=True):
         for number, i in zip(numbers_of(effect), range(own.start, own.stop), strict=True):
-            if signed(effect, number):
-                total += half_normal(found.regressors[:, i] / found.std[:, i])
+            if signed(number):
+                silent = (number.silent - prior.mean[i]) / prior.width[i]
+                total += half_normal((found.regressors[:, i] - silent) / found.std[:, i])
     return total
 
 
@@ -149,6 +154,28 @@ def log_prior_intensity(intensities: Sequence[float]) -> np.ndarray:
         [math.log(NO_RANDOM_TORQUE if x == 0 else (1 - NO_RANDOM_TORQUE) / others)
          for x in intensities]
     )  # fmt: skip
+
+
+def at_work(without: float) -> np.ndarray:
+    """(I,) probability that an effect of a model is at work, for each random torque that the model
+    still needs; without the effect it needs one of rms `without`.
+
+    The alternative is a torque of no effect in the catalogue that has a part in common with this
+    one: the share of its mean square that is left is then as likely small as large (uniform between
+    0 and 1), and the random torque beside the effect is that part of it. Beside an effect that is
+    at work the random torque is another one, of any size (`log_prior_intensity`). A name that takes
+    most of a torque away is therefore sure, one that leaves half of it is not, whatever the number
+    of readings.
+    """
+    each = np.array(INTENSITIES)
+    # The grid is even in the logarithm but for its ends: a cell reaches half way to the next.
+    above = np.append(each[0] * math.sqrt(each[0] / each[1]), np.sqrt(each[:-1] * each[1:]))
+    above[-1] = each[-2] * math.sqrt(each[-2] / each[-3])  # of the cell of none
+    left = np.minimum((above / max(without, above[-1])) ** 2, 1.0)
+    alike = OUTSIDE * (left - np.append(left[1:], 0.0))
+    alike = np.maximum.accumulate(alike[::-1])[::-1]  # what leaves more than before is no better
+    work = (1.0 - OUTSIDE) * np.exp(log_prior_intensity(INTENSITIES))
+    return work / (work + alike)
 
 
 def over_intensities(evidences: np.ndarray, intensities: Sequence[float]) -> float:

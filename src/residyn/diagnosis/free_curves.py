@@ -304,7 +304,7 @@ def _signs(along: Along, square: np.ndarray, root: np.ndarray) -> float:
     inverse = np.linalg.inv(square[1:, 1:] + np.eye(P + SPLINES))
     mean, std = -inverse @ square[1:, 0], np.sqrt(np.diag(inverse))
     found = Evidences(np.zeros(1), mean[None, :P], std[None, :P])
-    return float(half_normals(along.trajectory.effects, found)[0])
+    return float(half_normals(along.trajectory.effects, along.trajectory.prior, found)[0])
 
 
 class Screened(NamedTuple):

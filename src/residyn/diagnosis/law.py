@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 
 from ..effects.found import FoundLaw, FoundNumber
 from ..filtering.law import number_slices, numbers_of, of_one_joint
@@ -29,7 +28,6 @@ from .evidence import (
     NEGLIGIBLE,
     log_prior_intensity,
     log_prior_model,
-    over_intensities,
     prior_of,
 )
 from .forecast import HeldOut, held_out
@@ -38,7 +36,7 @@ from .free_curves import Along, Kind, Settled, screen, splines
 from .free_curves import settle as settle_curve
 from .linearised_fit import LinearisedFit
 from .residuals import number
-from .search import OutOfTime, Search, Tried, settle
+from .search import OutOfTime, Search, Tried, Weighed, settle
 
 GRID = 101
 """Points at which a law is told."""
@@ -47,7 +45,7 @@ _NAMED = 3  # named laws drawn through a curve
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class CurveModel:
+class CurveModel(Weighed):
     """A model with a free curve, iterated to its evidence."""
 
     parent: Tried
@@ -63,25 +61,14 @@ class CurveModel:
         return self.parent.added
 
     @property
-    def log_evidence(self) -> float:
-        """The random torque summed over."""
-        return over_intensities(self.settled.evidences, INTENSITIES)
-
-    @property
-    def log_posterior(self) -> float:
-        """Not normalised."""
-        return self.log_evidence + self.log_prior
+    def evidences(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """(I,) log evidence under each random torque."""
+        return self.settled.evidences
 
     @property
     def matters(self) -> bool:
         """Whether its torque is more than what is called negligible."""
         return self.share > NEGLIGIBLE
-
-    @property
-    def complete(self) -> float:
-        """Probability, given the model, that it needs no random torque that matters."""
-        logs = self.settled.evidences + log_prior_intensity(INTENSITIES)
-        return float(np.exp(logs - logsumexp(logs))[np.array(INTENSITIES) <= NEGLIGIBLE].sum())
 
 
 def curve_models(search: Search) -> list[CurveModel]:

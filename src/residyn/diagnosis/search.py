@@ -50,16 +50,11 @@ _FALL = 2  # steps of the grid that the random torque may fall by in an iteratio
 _SETTLED = 0.1  # nats
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Tried:
-    """A model, iterated to its evidence."""
+class Weighed:
+    """A model iterated to its evidence under each of `INTENSITIES` of the random torque."""
 
-    added: tuple[str, ...]
-    """Labels beyond the base model, in the order in which they joined."""
     evidences: np.ndarray
-    """(I,) log evidence at each of `INTENSITIES` of the random torque."""
-    best: Trajectory
-    """At the likeliest of them."""
+    """(I,) log evidence under each."""
     log_prior: float
 
     @property
@@ -87,6 +82,28 @@ class Tried:
     def intensity(self) -> float:
         """The likeliest random torque."""
         return INTENSITIES[int(np.argmax(self.weights))]
+
+    @property
+    def needed(self) -> float:
+        """Rms random torque that the model needs, given that it needs one that matters."""
+        matter = np.array(INTENSITIES) > NEGLIGIBLE
+        logs = self.evidences[matter]
+        if not np.isfinite(logs).any():
+            return NEGLIGIBLE
+        each = np.exp(logs - logsumexp(logs))
+        return math.sqrt(float(np.dot(each, np.square(INTENSITIES)[matter])))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Tried(Weighed):
+    """A model of springs, dampers and named effects."""
+
+    added: tuple[str, ...]
+    """Labels beyond the base model, in the order in which they joined."""
+    evidences: np.ndarray
+    best: Trajectory
+    """At the likeliest random torque."""
+    log_prior: float
 
     def over_torques(self, scene: Scene) -> list[tuple[float, Trajectory]]:
         """The motion under each random torque that counts, with its posterior probability."""
@@ -193,7 +210,7 @@ class _Step(NamedTuple):
         for i in range(0, len(levels), _NEAR):  # one program for few and for all
             some = levels[np.minimum(np.arange(i, i + _NEAR), len(levels) - 1)]
             each = scene.evidences(t, linear, np.array(INTENSITIES)[some])
-            known = each.log_evidence + half_normals(t.effects, each)
+            known = each.log_evidence + half_normals(t.effects, t.prior, each)
             found[some] = np.where(np.isfinite(known), known, -np.inf)
         return found
 
