@@ -170,7 +170,7 @@ class Fits:
             and np.array_equal(r.time, whole.time))
         )  # fmt: skip
         g = self.scene.grid
-        own = np.flatnonzero((g.run == run) & (np.arange(self.scene.K) < g.real))
+        own = g.of(run)
         since = recording.time[0] - self.scene.recordings[run].time[0]
         return run, int(own[np.argmin(np.abs(g.time[own] - since))])
 

@@ -19,6 +19,7 @@ function axis(label, c, side) {
     labelFont: FONT,
     labelSize: 18,
     size: side === 2 ? 30 : 58,
+    space: side === 2 ? 50 : 22,
     grid: { stroke: () => c().line, width: 1 },
     ticks: { stroke: () => c().line, width: 1, size: 4 },
     values:

@@ -4,9 +4,10 @@ import { Bars } from "./bars.js";
 import { colours } from "./charts.js";
 import { Chips } from "./chips.js";
 import { Curves } from "./curves.js";
-import { action, element, fill } from "./elements.js";
+import { action, element } from "./elements.js";
 import { Evidence, keyOf } from "./evidence.js";
 import { FirstOrder } from "./first_order.js";
+import { lay } from "./layout.js";
 import { Missing } from "./missing.js";
 import { Models } from "./models.js";
 import { News } from "./news.js";
@@ -149,7 +150,7 @@ export class Page {
   // -- what is on it -------------------------------------------------------------------------
 
   build() {
-    const { data, state } = this;
+    const { data, state, server } = this;
     const shared = {
       onStretch: (stretch) => state.set({ stretch }),
       colours: () => this.colours,
@@ -173,7 +174,7 @@ export class Page {
     this.curves = new Curves(data, shared);
     this.missing = new Missing(data, { ...shared, joint: () => state.get("joint") });
     this.numbers = new Numbers({
-      live: this.server !== null,
+      live: server !== null,
       onMove: (name, value) => this.refits.move(name, value),
       onHold: (name, value) => this.hold(name, value),
     });
@@ -181,73 +182,12 @@ export class Page {
       () => this.line,
       () => toml(data.toml, this.line, state.get("model").numbers),
     );
-    const hide = this.server
+    const hide = server
       ? action("Hide one", () => this.hide(), {
           title: "hide an effect in a simulated copy of this arm, and find it",
         })
       : null;
-    fill(
-      this.root,
-      element(
-        "header",
-        {},
-        element("p", { class: "kind" }, `residyn explore: ${data.name}`),
-        this.verdict,
-        this.status,
-        this.news ? this.news.place : null,
-      ),
-      element(
-        "div",
-        { class: "columns" },
-        panel(
-          "Add an effect",
-          "A click adds it to the model or takes it away. " +
-            "The number is the probability that it is what is missing next.",
-          ...this.chips.parts,
-          element("div", { class: "actions" }, ...this.saving.parts, hide, this.saving.said),
-        ),
-        panel(
-          "Watch the error fall",
-          "",
-          this.bars.place,
-          element("h3", {}, "Models so far"),
-          this.stairs.place,
-        ),
-      ),
-      panel(
-        "Measured, model and what is left",
-        "Drag across a chart to choose a stretch of time; it is marked everywhere.",
-        legend({
-          measured: "measured",
-          model: "model",
-          residual: "measured less model",
-          band: "noise, 2 sigma",
-        }),
-        this.recordings.place,
-        this.stretch.place,
-        this.curves.place,
-      ),
-      panel(
-        "The torque that springs and dampers lack",
-        "Friction is a step against the rate, a stiffening spring an S against the angle, " +
-          "hysteresis a loop.",
-        legend({
-          measured: "what the motion asks for",
-          band: "95 % band",
-          model: "what the added effects make of it",
-          mark: "in the chosen stretch",
-        }),
-        this.joints.place,
-        this.missing.place,
-      ),
-      panel(
-        "Numbers",
-        this.server
-          ? "Move a number and the model's curve follows; the others are then fitted again beside it."
-          : "",
-        this.numbers.place,
-      ),
-    );
+    lay(this.root, this, hide);
     this.root.hidden = false;
     this.charts = [...this.curves.charts, ...this.missing.charts];
     this.scheme = matchMedia("(prefers-color-scheme: dark)");
@@ -256,20 +196,6 @@ export class Page {
       for (const chart of this.charts) chart.redraw();
     };
     this.scheme.addEventListener("change", this.recolour);
-    this.replaceTheRest();
-  }
-
-  /** In a report the page stands for all tables and pictures; a button shows them. */
-  replaceTheRest() {
-    if (!document.querySelector(".in-full")) return;
-    const turn = (shown) => {
-      document.body.classList.toggle("explored", !shown);
-      more.setAttribute("aria-expanded", String(shown));
-      more.textContent = shown ? "Hide tables and pictures" : "All tables and pictures";
-    };
-    const more = action("", () => turn(more.getAttribute("aria-expanded") === "false"));
-    this.root.append(element("div", { class: "actions" }, more));
-    turn(false);
   }
 
   destroy() {
@@ -333,22 +259,4 @@ export class Page {
     this.status.className = `status ${kind}`;
     this.status.textContent = error || standing(model, this.models.sticks(model.added), working);
   }
-}
-
-function panel(title, words, ...children) {
-  return element(
-    "section",
-    { class: "panel" },
-    element("h2", {}, title),
-    words ? element("p", { class: "note" }, words) : null,
-    ...children,
-  );
-}
-
-/** What colours mean: { name of a colour: words }. */
-function legend(words) {
-  const keys = Object.entries(words).map(([c, said]) =>
-    element("span", { class: `key ${c}` }, said),
-  );
-  return element("div", { class: "legend" }, ...keys);
 }
