@@ -66,7 +66,7 @@ def toggled(browser, pid: int, label: str) -> dict[str, float | str]:
 
 def main() -> None:
     """Toggle, and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--toggles", type=int, default=30)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
@@ -78,7 +78,11 @@ def main() -> None:
         try:
             browser.get(server.stdout.readline().strip())
             until(lambda: browser.find_elements("css selector", ".chip"), 600)
+            shown = cpu(server.pid)
             until(lambda: not browser.find_elements("css selector", ".searching"), 600)
+            print(
+                f"the page: {shown:.0f} s of CPU; the search: {cpu(server.pid) - shown:.0f} s more"
+            )
             browser.execute_script(_WATCH)
             load = os.getloadavg()[0]
             rows = _walk(browser, server.pid, random, given.toggles)

@@ -272,6 +272,18 @@ def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...
     return tuple(found)
 
 
+def values_of(scene: Scene, t: Trajectory) -> dict[str, Value]:
+    """The numbers of a smoothed model, by name, with their posterior standard deviations."""
+    slopes, units = t.prior.slopes(t.u), scene.mechanisms[0].units
+    spread = np.sqrt(np.maximum(np.diag(t.covariance)[: len(slopes)], 0.0)) * np.abs(slopes)
+    found = {}
+    for effect, own in zip(t.effects, number_slices(t.effects), strict=True):
+        unit = units[scene.joint_of(effect)] if units else None
+        for n, x, s in zip(numbers_of(effect), t.numbers[own], spread[own], strict=True):
+            found[f"{effect.label}.{n.name}"] = Value(float(x), float(s), n.dimension.unit(unit))
+    return found
+
+
 class Posterior:
     """Sums over the models that were tried."""
 
@@ -335,7 +347,9 @@ class Posterior:
             parameters: dict[str, Value] = {}
             iterated = alone is not None
             if alone is not None:
-                evidence, parameters = alone.log_evidence, self._values(alone, label)
+                values = values_of(self.search.scene, alone.best)
+                parameters = {k: v for k, v in values.items() if k.startswith(f"{label}.")}
+                evidence = alone.log_evidence
             elif label in screens:
                 evidence = self.search.base.log_evidence + screens[label].gain
             else:
@@ -351,19 +365,6 @@ class Posterior:
             )
         order = lambda c: (-c.probability, -c.log_evidence)  # noqa: E731
         return tuple(sorted(found, key=order))
-
-    def _values(self, model: Tried, label: str) -> dict[str, Value]:
-        t, scene = model.best, self.search.scene
-        index = t.labels.index(label)
-        effect, own = t.effects[index], number_slices(t.effects)[index]
-        slopes = t.prior.slopes(t.u)
-        spread = np.sqrt(np.maximum(np.diag(t.covariance)[: len(slopes)], 0.0)) * np.abs(slopes)
-        units = scene.mechanisms[0].units
-        unit = units[scene.joint_of(effect)] if units else None
-        return {
-            f"{label}.{n.name}": Value(float(x), float(s), n.dimension.unit(unit))
-            for n, x, s in zip(numbers_of(effect), t.numbers[own], spread[own], strict=True)
-        }
 
     def families(self) -> tuple[Family, ...]:
         """Kinds of law and their places."""

@@ -17,10 +17,10 @@ import numpy as np
 
 from ... import __version__
 from ...diagnosis.columns import strengths
+from ...diagnosis.diagnose import values_of
 from ...diagnosis.evidence import FURTHER, signed, width_of
 from ...diagnosis.missing_torque import missing_of
 from ...filtering.law import numbers_of
-from ...filtering.trajectory import number_slices
 from ...fitting.result import Fit
 from ...recordings.segments import by_recording
 from .first_order import ErrorGram, FirstOrder
@@ -193,16 +193,12 @@ def refitted(study: Study, added: Sequence[str]) -> dict[str, Any] | None:
         own = scene.grid.of(i)
         at = r.time[thinned(len(r.time))] - r.time[0]
         curves[i] = Drawn([np.interp(at, scene.grid.time[own], x) for x in found.predicted[own].T])
-    units = scene.mechanisms[0].units
-    numbers: list[dict[str, Any]] = []
-    slopes = path.prior.slopes(path.u)
-    grown = np.maximum(1.0, np.max(found.fitted))  # where the residual is no noise
-    spread = grown * np.sqrt(np.diag(path.covariance)[: len(slopes)]) * np.abs(slopes)
-    for effect, own in zip(path.effects, number_slices(path.effects), strict=True):
-        unit = units[scene.joint_of(effect)] if units else None
-        for n, x, std in zip(numbers_of(effect), path.numbers[own], spread[own], strict=True):
-            name = f"{effect.label}.{n.name}"
-            numbers.append(_number(name, float(x), float(std), n.dimension.unit(unit), n.sign))
+    grown = float(np.maximum(1.0, np.max(found.fitted)))  # where the residual is no noise
+    signs = {f"{e.label}.{n.name}": n.sign for e in path.effects for n in numbers_of(e)}
+    numbers = [
+        _number(name, v.value, grown * v.std, v.unit, signs[name])
+        for name, v in values_of(scene, path).items()
+    ]
     return {
         "added": sorted(added),
         "how": "smoothed",
