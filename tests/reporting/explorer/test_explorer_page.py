@@ -7,6 +7,8 @@ import shutil
 import subprocess
 import sys
 import tomllib
+import urllib.error
+import urllib.request
 
 import jax
 import numpy as np
@@ -19,6 +21,7 @@ from residyn.diagnosis.evidence import log_prior_model, subset
 from residyn.filtering.law import numbers_of
 from residyn.filtering.trajectory import number_slices
 from residyn.reporting.explorer import page
+from residyn.reporting.explorer.hidden import hide_one
 from residyn.reporting.explorer.payload import Drawn, packed, payload
 from residyn.reporting.explorer.study import Study
 from tests.chromium import complaints, driver, until
@@ -211,6 +214,16 @@ def test_a_refit_by_the_smoother_is_the_fit_where_nothing_sticks(study, added):
     assert np.max(np.abs(off)) < 0.2
     assert near.fitted == pytest.approx(fit.rmse / fit.noise, rel=0.01)
     assert near.held_out == pytest.approx(study.held_out(added, fit), rel=0.1)
+
+
+def test_what_is_hidden_shows_and_is_not_told(study):
+    with jax.enable_x64(True):
+        made, effect = hide_one(study, np.random.default_rng(1))
+    assert effect.label in {e.label for e in study.search.candidates}
+    for hidden, real in zip(made.recordings, study.experiment.recordings, strict=True):
+        assert effect.name not in hidden.name
+        assert hidden.angle.shape == real.angle.shape
+        assert np.isfinite(hidden.angle).all()
 
 
 def test_words(offline):
@@ -490,6 +503,21 @@ def test_live_a_number_that_is_moved_is_held_and_let_go(live):
     until(lambda: refitted(live) and "held" not in text(live, ".numbers"))
     assert text(live, ".bars") == before
     assert complaints(live) == []
+
+
+def test_a_page_from_elsewhere_is_refused_even_if_it_knows_the_token(offline, address):
+    script = """
+        const [address, done] = arguments;
+        const ask = (what, how) => fetch(address + what, how).then((a) => a.type, () => "refused");
+        const form = { method: "POST", mode: "no-cors", body: "{}" };
+        Promise.all([ask("api/0/state", {}), ask("api/0/hide", form)]).then(done);
+    """
+    assert offline.execute_async_script(script, address[0]) == ["refused", "opaque"]
+    with urllib.request.urlopen(f"{address[0]}api/0/state") as answer:
+        assert json.load(answer)["error"] == ""
+    with pytest.raises(urllib.error.HTTPError):  # the form has begun nothing
+        urllib.request.urlopen(f"{address[0]}api/1/state")
+    complaints(offline)  # the browser's own, of what was refused
 
 
 def test_live_two_windows_at_once_do_not_disturb_each_other(live, address):
