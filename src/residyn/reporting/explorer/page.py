@@ -62,19 +62,11 @@ def embedded(found: Diagnosis, name: str = "experiment.toml") -> str:
     if found.search is None:
         return ""
     path = found.fits.whole.path or name
-    return _embedded(payload(Study.of(found), name=PurePath(path).name))
+    return piece(payload(Study.of(found), name=PurePath(path).name))
 
 
-def standalone(data: dict[str, Any]) -> str:
-    """A whole page around a payload, for a file."""
-    return (
-        _templates()
-        .get_template("standalone.html.j2")
-        .render(name=data["name"], explorer=markupsafe.Markup(_embedded(data)))
-    )
-
-
-def _embedded(data: dict[str, Any]) -> str:
+def piece(data: dict[str, Any]) -> str:
+    """The explorer of a payload, as a piece of HTML for the body of a page."""
     addresses = {f"explorer/{name}": _address(static(name)) for name in MODULES}
     return (
         _templates()

@@ -53,7 +53,7 @@ export function standing({ how, fitted }, sticks, working) {
     smoothed: `refitted: least squares by the smoother${sticks ? ", to about 1 % where a joint sticks" : ""}`,
     "first order": fitted
       ? "first order: predicted, nothing fitted yet"
-      : "no first-order answer: where a joint sticks nothing is linear",
+      : `no first-order answer: where a joint sticks nothing is linear${working ? "" : "; residyn explore fits it"}`,
   };
   return words[how] + (working ? `; ${working} ...` : "");
 }
