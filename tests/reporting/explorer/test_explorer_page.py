@@ -520,7 +520,7 @@ def test_a_page_from_elsewhere_is_refused_even_if_it_knows_the_token(offline, ad
         const form = { method: "POST", mode: "no-cors", body: "{}" };
         Promise.all([ask("api/0/state", {}), ask("api/0/hide", form)]).then(done);
     """
-    assert offline.execute_async_script(script, address[0]) == ["refused", "opaque"]
+    assert offline.execute_async_script(script, address[0]) == ["refused", "refused"]
     with urllib.request.urlopen(f"{address[0]}api/0/state") as answer:
         assert json.load(answer)["error"] == ""
     with pytest.raises(urllib.error.HTTPError):  # the form has begun nothing

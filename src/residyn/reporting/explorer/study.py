@@ -352,7 +352,7 @@ def silent(scene: Scene, path: Trajectory) -> Silent | None:
     may stick whole steps swing about the end, and averages of them converge to it.
     """
     sticks = any(e.dry or e.follows for e in path.effects)
-    before, last = np.full(scene.n, np.nan), np.inf
+    before = np.full(scene.n, np.nan)
     for k in range(_STEPS):
         share = 2.0 / (2.0 + k) if sticks and k >= _WHOLE else 1.0
         linear = scene.linearised(path)
@@ -365,12 +365,12 @@ def silent(scene: Scene, path: Trajectory) -> Silent | None:
         errors, count = times_noise(scene, predicted), len(moved.prior.mean)
         std = np.sqrt(np.diag(moved.covariance)[:count]) * max(1.0, np.max(errors))
         step = np.max(np.abs(moved.u - path.u)[:count] / std)
-        # Whole steps shrink by a factor each: what is left to go is about the next one.
-        left = step * min(1.0, step / last) if share == 1.0 else step / share
         averaged = sticks and k >= _WHOLE + 3
-        if left < _SETTLED or (averaged and np.allclose(errors, before, rtol=_NEAR * share)):
+        if step < _SETTLED * share or (
+            averaged and np.allclose(errors, before, rtol=_NEAR * share)
+        ):
             return Silent(moved, predicted, linear)
-        path, before, last = moved, errors, step
+        path, before = moved, errors
     return None
 
 
