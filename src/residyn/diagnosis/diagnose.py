@@ -30,7 +30,7 @@ from ..recordings.experiment import Experiment
 from .candidate_tests import best_tests, in_play
 from .evidence import EXPLAINS_NOTHING, IN_PLAY, INDISTINGUISHABLE, INTENSITIES, at_work
 from .forecast import held_out
-from .law import CurveModel, curve_models, laws_of
+from .law import curve_models, laws_of
 from .linearised_fit import LinearisedFit, evaluated, forget, polish
 from .missing_torque import missing_of, scene_of
 from .result import (
@@ -303,23 +303,18 @@ class Posterior:
         """The likeliest model of those that the verdict speaks of, without its free curve."""
         if chosen is None and self.curves:
             top = max([*self.models, *self.curves], key=lambda m: m.log_posterior)
-            self.best = top if isinstance(top, Tried) else top.parent
+            self.best = search.tried[frozenset(top.added)]
 
     def of(self, labels: Iterable[str]) -> float:
         """Probability that one of these effects is at work: that of all models which have one,
-        less what such a model leaves to a torque of no catalogue that only resembles it."""
-        wanted, total = set(labels), 0.0
-        for model, p in zip(
-            [*self.models, *self.curves], [*self.each, *self.of_curves], strict=True
-        ):
-            shares = [self._at_work(model, x) for x in wanted & set(model.added)]
-            total += p * max(shares, default=0.0)
-        return float(total)
-
-    def _at_work(self, model: "Tried | CurveModel", label: str) -> float:
-        """Probability, given a model, that one of its effects is at work."""
-        without = self.search.tried.get(frozenset(model.added) - {label}, self.search.base)
-        return float(np.dot(model.weights, at_work(without.needed)))
+        less what may be of a torque of no catalogue that they only take up a part of."""
+        wanted, certain = set(labels), at_work()
+        models, each = [*self.models, *self.curves], [*self.each, *self.of_curves]
+        return float(sum(
+            p * np.dot(model.weights, certain)
+            for model, p in zip(models, each, strict=True)
+            if wanted & set(model.added)
+        ))  # fmt: skip
 
     def verdict(self) -> tuple[Verdict, float]:
         """The likeliest of the three, and its probability."""

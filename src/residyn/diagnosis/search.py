@@ -50,11 +50,16 @@ _FALL = 2  # steps of the grid that the random torque may fall by in an iteratio
 _SETTLED = 0.1  # nats
 
 
-class Weighed:
-    """A model iterated to its evidence under each of `INTENSITIES` of the random torque."""
+@dataclasses.dataclass(frozen=True, eq=False)
+class Tried:
+    """A model, iterated to its evidence."""
 
+    added: tuple[str, ...]
+    """Labels beyond the base model, in the order in which they joined."""
     evidences: np.ndarray
-    """(I,) log evidence under each."""
+    """(I,) log evidence at each of `INTENSITIES` of the random torque."""
+    best: Trajectory
+    """At the likeliest of them."""
     log_prior: float
 
     @property
@@ -82,28 +87,6 @@ class Weighed:
     def intensity(self) -> float:
         """The likeliest random torque."""
         return INTENSITIES[int(np.argmax(self.weights))]
-
-    @property
-    def needed(self) -> float:
-        """Rms random torque that the model needs, given that it needs one that matters."""
-        matter = np.array(INTENSITIES) > NEGLIGIBLE
-        logs = self.evidences[matter]
-        if not np.isfinite(logs).any():
-            return NEGLIGIBLE
-        each = np.exp(logs - logsumexp(logs))
-        return math.sqrt(float(np.dot(each, np.square(INTENSITIES)[matter])))
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Tried(Weighed):
-    """A model of springs, dampers and named effects."""
-
-    added: tuple[str, ...]
-    """Labels beyond the base model, in the order in which they joined."""
-    evidences: np.ndarray
-    best: Trajectory
-    """At the likeliest random torque."""
-    log_prior: float
 
     def over_torques(self, scene: Scene) -> list[tuple[float, Trajectory]]:
         """The motion under each random torque that counts, with its posterior probability."""

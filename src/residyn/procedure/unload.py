@@ -6,6 +6,7 @@ effect of the bearings that is named in the fit (`bearing_drag`, say) is taken o
 """
 
 import dataclasses
+import inspect
 import time
 from collections.abc import Callable, Sequence
 
@@ -68,10 +69,12 @@ def unload(
     with jax.enable_x64(True):
         if diagnosis is None:
             effects = _named(experiment, effects)
+            _ask(effects)
             fitted = fit(experiment, effects=effects, starts=starts, progress=say)
         else:
             fitted = diagnosis.fit
             effects = [e for e in fitted.model.effects if e.name not in _BASE]
+            _ask(effects)
         step_1 = None if given is not None else _step_1(experiment, say)
         covariance = step_1.covariance if isinstance(step_1, InertiaResult) else given
         say("carrying the errors over")
@@ -130,6 +133,18 @@ def _named(experiment: Experiment, effects: Sequence[str | AbstractEffect]) -> l
     on = next(r for r in experiment.fit_recordings if r.air_bearings)
     model = model_for(mechanism_of(experiment, on), effects)
     return [e for e in model.effects if e.name not in _BASE]
+
+
+def _ask(effects: Sequence[AbstractEffect]) -> None:
+    """**Raises:** `InputError` if an effect does not say whether it leaves with the bearings."""
+    for each in effects:
+        kind = type(each)
+        if kind.of_bearings is None:
+            raise InputError(
+                f"{each.label}: is it of the air bearings or of the joint? Write of_bearings = "
+                "True (it leaves with the bearings) or False (it stays) in class "
+                f"{kind.__name__}, {inspect.getsourcefile(kind)}"
+            )
 
 
 def _covariance(std: Sequence[float] | np.ndarray) -> np.ndarray:
