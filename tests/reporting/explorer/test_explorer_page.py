@@ -510,6 +510,10 @@ def test_live_a_number_that_is_moved_is_held_and_let_go(live):
     holds[-1].send_keys(Keys.SPACE)
     until(lambda: refitted(live) and "held" not in text(live, ".numbers"))
     assert text(live, ".bars") == before
+    narrow = {"width": 400, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    live.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", narrow)
+    assert live.execute_script("return document.documentElement.scrollWidth") <= 400
+    live.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {**narrow, "width": 1280})
     assert complaints(live) == []
 
 

@@ -68,7 +68,7 @@ export class News {
       const add = action("Add this recording", () => this.reload([name]));
       parts.push(said(`New in the folder: ${name}. `, add));
     }
-    if (this.hidden) parts.push(...this.riddle());
+    if (this.hidden) parts.push(this.riddle());
     fill(this.place, ...parts);
   }
 
@@ -83,13 +83,16 @@ export class News {
     const tell = async () => {
       const { hidden } = await this.server.post("reveal", {});
       const right = this.page.chosen().includes(hidden);
-      answer.textContent = `It was ${this.page.name(hidden)}.${right ? " You have it." : ""}`;
+      answer.textContent = ` It was ${this.page.name(hidden)}.${right ? " You have it." : ""}`;
     };
-    return [
-      element("span", {}, "An effect is hidden in this simulated arm: which one? "),
+    return element(
+      "span",
+      {},
+      "An effect is hidden in this simulated arm: which one? ",
       action("Tell me", tell),
+      " ",
       action("Back to the recordings", () => this.open(this.server.home ?? 0, false)),
       answer,
-    ];
+    );
   }
 }
