@@ -28,6 +28,7 @@ from ..filtering.law import numbers_of
 from ..filtering.trajectory import Scene
 from ..physics.modal import modes
 from ..recordings.experiment import Experiment
+from ..runtime.json import number
 from ..runtime.presentation import Result
 from .columns import Column, Columns, candidates, strengths
 from .evidence import (
@@ -39,7 +40,6 @@ from .evidence import (
     width_of,
 )
 from .missing_torque import scene_of
-from .residuals import number
 from .search import tried_alone
 
 DRAWS = 400

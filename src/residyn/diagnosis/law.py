@@ -20,6 +20,7 @@ from ..filtering.trajectory import Scene
 from ..fitting import FitError
 from ..fitting.result import Fit
 from ..physics.motion import JointMotion
+from ..runtime.json import number
 from .evidence import (
     CONTENDERS,
     IN_PLAY,
@@ -34,7 +35,6 @@ from .formula import likeliest, written
 from .free_curves import Along, CurveModel, FreeCurve, Kind, Place, screen, splines
 from .free_curves import settle as settle_curve
 from .linearised_fit import LinearisedFit
-from .residuals import number
 from .search import OutOfTime, Search, Tried, settle
 
 GRID = 101

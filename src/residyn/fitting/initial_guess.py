@@ -62,7 +62,7 @@ def first_guess(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Where the starts begin, the best one first: numbers (S, P), internal states (S, R, m)."""
     found = closed_form(here.posed(), here.recordings, outliers, here.typical())
-    some = _various(here, found.numbers)[:starts] if starts > 1 else [0][: len(found.numbers)]
+    some = various(here, found.numbers)[:starts] if starts > 1 else [0][: len(found.numbers)]
     candidates = found.numbers[some] if some else here.typical()[None]
     candidates = _turned(here.model, candidates)
     more = starts - len(candidates)
@@ -71,7 +71,7 @@ def first_guess(
     return numbers, memory
 
 
-def _various(here: Ready, candidates: np.ndarray) -> list[int]:
+def various(here: Ready, candidates: np.ndarray) -> list[int]:
     """Indices of candidates (C, P), best first, those last that hardly differ from a better one: of
     kernels that have all lost the fast mode, one is tried before any that has not."""
     if not len(candidates):
@@ -473,15 +473,6 @@ def memory_along(
     t = dt * jnp.arange(q.shape[0] - 1)
     path = jax.lax.scan(step, begin, (t, q[:-1], q[1:], v[:-1], v[1:]))[1]
     return jnp.concatenate([begin[None], path])
-
-
-def torque_along(
-    model: Model, dt, q: Float[Array, "G n"], v: Float[Array, "G n"], z0: Float[Array, " m"]
-) -> Float[Array, "G n"]:
-    """Sum of a model's torques along a motion sampled every `dt` s, N m."""
-    z = memory_along(model, dt, q, v, z0)
-    t = dt * jnp.arange(q.shape[0])
-    return jax.vmap(lambda *x: stack(model.torque(Motion.at(*x))))(t, q, v, z)
 
 
 def memory_along_readings(

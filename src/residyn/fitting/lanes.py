@@ -162,12 +162,12 @@ def _in_lanes(wanted: list[Wanted], width: int) -> list[Any]:
         filled = [*some, *[some[-1]] * (width - len(some))]
         arrays, rest = zip(*(eqx.partition(each, eqx.is_array) for each in filled), strict=True)
         stacked = jax.tree.map(lambda *x: np.stack([np.asarray(each) for each in x]), *arrays)
-        out = jax.device_get(_descents(jax.device_put(stacked, divided), rest[0]))
+        out = jax.device_get(run_descents(jax.device_put(stacked, divided), rest[0]))
         found += [jax.tree.map(lambda x, i=i: x[i], out) for i in range(len(some))]
     return found
 
 
 @eqx.filter_jit
-def _descents(stacked, rest):
+def run_descents(stacked, rest):
     """XLA divides the lanes as the inputs are divided."""
     return jax.vmap(lambda arrays: one_descent(*eqx.combine(arrays, rest)))(stacked)

@@ -81,7 +81,7 @@ def unload(
         errors = carried(fitted, covariance)
         off = tuple(e.label for e in fitted.model.effects if e.of_bearings)
         poses = tuple(_pose(fitted, r, errors) for r in _poses(experiment))
-        over = diagnosis and over_models(diagnosis, covariance, _poses(experiment), _bare, say)
+        over = diagnosis and over_models(diagnosis, covariance, _poses(experiment), bare, say)
         checks = []
         for beside in fitted.recordings:
             if beside.recording.role == "check" and not beside.recording.air_bearings:
@@ -182,7 +182,7 @@ def _poses(experiment: Experiment) -> list[Recording]:
     return found
 
 
-def _bare(experiment: Experiment, model: Model, recording: Recording) -> Model:
+def bare(experiment: Experiment, model: Model, recording: Recording) -> Model:
     """A model in a recording's pose, without bearings and what they do (Eq. 18)."""
     mechanism = mechanism_of(experiment, dataclasses.replace(recording, air_bearings=False))
     return without_effects_of_bearings(dataclasses.replace(model, mechanism=mechanism))
@@ -192,7 +192,7 @@ def _models(fitted: Fit, recording: Recording) -> tuple[Model, Model]:
     """With bearings, and without them and what they do (Eq. 18)."""
     on = mechanism_of(fitted.experiment, dataclasses.replace(recording, air_bearings=True))
     with_them = dataclasses.replace(fitted.model, mechanism=on)
-    return with_them, _bare(fitted.experiment, fitted.model, recording)
+    return with_them, bare(fitted.experiment, fitted.model, recording)
 
 
 def _pose(fitted: Fit, recording: Recording, errors: Carried) -> Pose:
