@@ -27,7 +27,7 @@ from ..fitting.problem import ready
 from ..fitting.result import Fit
 from ..physics.motion import Motion
 from ..recordings.experiment import Experiment
-from .candidate_tests import best_tests, in_play
+from .candidate_tests import best_tests, in_play, settled
 from .evidence import EXPLAINS_NOTHING, IN_PLAY, INDISTINGUISHABLE, INTENSITIES, at_work
 from .forecast import held_out
 from .law import curve_models, laws_of
@@ -205,8 +205,8 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
     models = _ladder_of(search, fits, best)
     lookalikes = posterior.lookalikes()
     advice = None
-    if lookalikes:
-        say("looking for the experiment that would tell them apart")
+    if not settled(posterior.each):
+        say("looking for the experiment that would tell the models apart")
         rivals, p, _ = in_play(posterior.models, posterior.each)
         advice = next(iter(best_tests(fits.whole, scene, rivals, p).tests), None)
     if search.curves:

@@ -155,6 +155,7 @@ def searched(study: Study, since: int = 0) -> dict[str, Any]:
             "added": list(found.added),
             "words": list(found.words),
             "lookalikes": [list(x) for x in found.lookalikes],
+            "next": "" if found.next_experiment is None else found.next_experiment.words,
         },
     }  # fmt: skip
 

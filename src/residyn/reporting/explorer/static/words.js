@@ -112,5 +112,6 @@ export function verdict({ model, base, chosen, candidates, joints, heldOut, like
       if (alike.length) words.push(`These recordings cannot tell it from ${listed(alike)}.`);
     }
   }
+  if (noise && found?.next) words.push(found.next);
   return { good: noise, words };
 }
