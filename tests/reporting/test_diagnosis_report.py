@@ -359,7 +359,7 @@ def test_the_page_begins_with_the_verdict_and_the_falling_error(pages, found):
         "0.980",
         "hysteresis",
         names.unbroken(NEXT.words)[:120],
-        "angle of the elbow at 3.20 s",
+        "angle of the elbow after 3.20 s",
         "0.0800\u00a0±\u00a00.0010\u00a0rad",
         "(added)",
         "Dry friction at the elbow",
@@ -379,6 +379,21 @@ def test_what_nothing_explains_is_shown_first(pages):
     first = headings(pages["unexplained"])[:3]
     assert first[0].endswith("and something that no effect of the catalogue explains")
     assert first[1:] == ["The torque that is still missing", "What it might be"]
+
+
+def test_a_law_without_a_name_has_a_curve_and_a_class(monkeypatch):
+    made = by_hand.unexplained(laws=(by_hand.a_law(),))
+    what = "torque at the elbow that depends on the rate"
+    printed = str(made)
+    assert what in " ".join(printed.split())
+    assert max(map(len, printed.splitlines())) <= 80
+    page = report.render([("only", made.fit)], diagnosis=made)
+    assert "A law without a name" in headings(page)
+    assert what in page
+    assert "class ElbowRateLaw(JointEffect):" in page
+    for narrow in (False, True):
+        words = legible(plot.law(made.laws[0], narrow=narrow), monkeypatch)
+        assert {"rate (rad/s)", "at the elbow (N m)", "95 % band"} <= set(words)
 
 
 def test_a_page_of_nothing_missing(pages):

@@ -47,9 +47,6 @@ def race(
     """Let gradients and evolutionary searches race on these recordings."""
     if seconds is not None and simulations is not None:
         raise InputError("--seconds and --simulations: give one of them")
-    for option, value in (("--seconds", seconds), ("--simulations", simulations)):
-        if value is not None and not 0 < value < float("inf"):
-            raise InputError(f"{option} {value:g}: must be a number above 0")
     names = None if methods is None else [name.strip() for name in methods.split(",")]
     out = Work(json, report, table)
     loaded = out.begin(experiment, own, no_cache, integrator)

@@ -131,7 +131,7 @@ def _torques(scene: Scene, best: Trajectory, pairs) -> list[MissingTorque]:
     g, n, found = scene.grid, scene.n, []
     slowest = 2 * np.pi / min(s.frequency for s in scene.scales)
     for i, recording in enumerate(scene.recordings):
-        own = np.flatnonzero((g.run == i) & (np.arange(scene.K) < g.real))
+        own = g.of(i)
         time, angle = g.time[own], best.path[own, :n]
         rms, whole = (np.sqrt(np.mean(x[own] ** 2, axis=0)) for x in (mean, spring))
         found.append(
@@ -194,7 +194,7 @@ def missing_of(
     units = tuple("N" if kind == "m" else "N m" for kind in kinds)
     g, found = scene.grid, []
     for i, torque in enumerate(_torques(scene, base.best, pairs)):
-        own = np.flatnonzero((g.run == i) & (np.arange(scene.K) < g.real))
+        own = g.of(i)
         try:
             angles = scene.mechanisms[i].link_angles(tuple(torque.angle.T))
             links = np.stack([np.asarray(a) for a in angles], axis=1)
@@ -209,6 +209,6 @@ def missing_of(
 def scene_of(experiment: Experiment, effects: Sequence[str | AbstractEffect]):
     """The fitted recordings of an experiment as a scene, and the base model with some effects."""
     here = ready(experiment, experiment.fit_recordings, effects)
-    wild = outliers_among(here, [r.angle for r in here.recordings])
+    wild = outliers_among(here)
     scene = Scene(here.recordings, here.mechanisms, wild, correlation=CORRELATION)
     return scene, here.model.effects, wild

@@ -19,7 +19,7 @@ from .history import History, Watch, watched
 from .initial_guess import first_guess, resolving
 from .integration import TENTH, checked, refined, stable
 from .lanes import Fitting, alone
-from .methods import GENETIC, LEVENBERG, RANDOM, check_method
+from .methods import GENETIC, LEVENBERG, RANDOM, named
 from .minimise import fit_minimised
 from .multistart import (
     DEFAULT_STARTS,
@@ -85,7 +85,7 @@ def fit(
 
 
 def _by(method: Any, experiment, effects, starts: int, say, search: dict[str, Any]) -> Fit:
-    check_method(method)
+    named(method)
     if isinstance(method, str) and method in GENETIC:
         how = dataclasses.replace(GENETIC[method], **search)
         return fit_genetic(experiment, effects, how, say)
@@ -109,10 +109,8 @@ def fitting(
     began = time.perf_counter()
     if starts < 1:
         raise ValueError(f"starts = {starts}: at least one start is needed")
-    if not experiment.fit_recordings:
-        raise ValueError('no recording has role = "fit": there is nothing to fit to')
     here = ready(experiment, experiment.fit_recordings, effects)
-    outliers = outliers_among(here, [r.angle for r in here.recordings])
+    outliers = outliers_among(here)
     base = lambda: ready(experiment, here.recordings, ())  # noqa: E731
 
     if seed is None:
@@ -122,7 +120,7 @@ def fitting(
         experiment = without_drift(whole, here.model.with_vector(jnp.asarray(numbers[0])))
         if experiment is not whole:
             here = ready(experiment, experiment.fit_recordings, effects)
-            outliers, memory = outliers_among(here, [r.angle for r in here.recordings]), None
+            outliers, memory = outliers_among(here), None
         progress(f"fitting from {starts} start{'s' * (starts > 1)}")
         again = base if effects else None
         guess = numbers, memory
@@ -176,8 +174,9 @@ def levenberg_history(
 
     A step counts as one simulation and one for every unknown, as that many are carried along for
     the Jacobian, also where it covers a share of the recordings only. The objective, which is not
-    the one that is minimised, is that of all fitted readings.
+    the one that is minimised, is that of all fitted readings; held-out recordings take no part.
     """
+    experiment = dataclasses.replace(experiment, recordings=experiment.fit_recordings)
     with watched(Watch()) as watch:
         fit(experiment, effects=effects, starts=starts)
     return watch.history
