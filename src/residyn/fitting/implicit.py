@@ -17,13 +17,12 @@ import jax
 import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..physics.mechanism import AbstractMechanism
 from ..physics.model import Model
 from ..physics.parameter import all_floating, stacked
-from .least_squares import Compressed, Horizon, compressed, predict, rows, solver, whiten
+from .least_squares import Compressed, Horizon, compressed, descended, predict, whiten
 from .problem import Problem, Unknowns, posed, ready
 from .result import Fit
 
@@ -217,18 +216,8 @@ def embed(fit: Fit, *, integrator: Any = None) -> Embedded:
 @eqx.filter_custom_jvp
 def _minimum(problem: Problem, start: Unknowns):
     """(unknowns, steps, whether they settled)."""
-    solution = optx.least_squares(
-        rows,
-        solver(start),
-        start,
-        args=Horizon(problem),
-        has_aux=True,
-        options={"jac": "fwd"},
-        max_steps=_STEPS,
-        throw=False,
-    )
-    done = solution.result == optx.RESULTS.successful
-    return solution.value, solution.stats["num_steps"], done
+    y, _, _, steps, done = descended(Horizon(problem), start, _STEPS)
+    return y, steps, done
 
 
 @_minimum.def_jvp
