@@ -83,7 +83,7 @@ class Descent(NamedTuple):
     @property
     def model(self) -> Model:
         """The model with these numbers."""
-        return self.here.model.with_vector(jnp.asarray(self.numbers))
+        return self.here.model.with_vector(self.numbers)
 
     @property
     def above_noise(self) -> bool:
@@ -321,7 +321,7 @@ def _upright(problem: Problem, at: Unknowns) -> Unknowns | None:
     if not problem.model.mirrors:
         return None
     states, n = np.array(problem.states(at)), len(problem.model.mechanism.joints)
-    model = problem.model.with_vector(jnp.asarray(problem.numbers(at)))
+    model = problem.model.with_vector(problem.numbers(at))
     found = model
     for state in states:
         found, memory = model.upright(split(state[2 * n :]))
@@ -408,7 +408,7 @@ def _shooting(
         return None
     numbers = np.asarray(problem.numbers(end.unknowns))
     joined = np.asarray(problem.states(end.unknowns))[first]
-    begin = here.model.with_vector(jnp.asarray(numbers))
+    begin = here.model.with_vector(numbers)
     found = []
     for growing in (False, True):
         with contextlib.suppress(FitError):
@@ -466,7 +466,7 @@ def _from_the_base(
     found = []
     for row, own, near in rows:
         numbers = np.concatenate([end.numbers, row[len(end.numbers) :]])
-        begin = here.model.with_vector(jnp.asarray(numbers))
+        begin = here.model.with_vector(numbers)
         with contextlib.suppress(FitError):
             found.append(
                 (

@@ -287,12 +287,12 @@ def _with(model: _Model, values: Mapping[str, PyTree]) -> _Model:
         if number.name in values:
             fields[number.effect][number.meaning.field] = floating(values[number.name])
     pairs = zip(model.effects, fields, strict=True)
-    return _changed(model, effects=tuple(_changed(e, **own) if own else e for e, own in pairs))
+    return changed(model, effects=tuple(changed(e, **own) if own else e for e, own in pairs))
 
 
-def _changed(module: _Module, **fields) -> _Module:
-    """`dataclasses.replace`, but nothing is converted and checked: of what a module holds already
-    that takes longer than a step of a fit."""
+def changed(module: _Module, **fields) -> _Module:
+    """`dataclasses.replace`, but nothing is converted and checked, which takes as long as a step of
+    a fit."""
     new = object.__new__(type(module))
     for name, value in (module.__dict__ | fields).items():
         object.__setattr__(new, name, value)
