@@ -209,6 +209,6 @@ def missing_of(
 def scene_of(experiment: Experiment, effects: Sequence[str | AbstractEffect]):
     """The fitted recordings of an experiment as a scene, and the base model with some effects."""
     here = ready(experiment, experiment.fit_recordings, effects)
-    wild = outliers_among(here, [r.angle for r in here.recordings])
+    wild = outliers_among(here)
     scene = Scene(here.recordings, here.mechanisms, wild, correlation=CORRELATION)
     return scene, here.model.effects, wild

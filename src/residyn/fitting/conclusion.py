@@ -93,7 +93,7 @@ def _held_out(
         # The same effects, also where bare recordings know none of bearings.
         begin = posed(model, mechanisms[0])
         here = descent.here._replace(model=begin, recordings=tuple(filled), mechanisms=mechanisms)
-        outliers = outliers_among(here, [r.angle for r in here.recordings])
+        outliers = outliers_among(here)
         like = descent.problem
         end = yield from descending(here, begin, numbers, outliers, like=like, search=search)
         found += end.beside(filled)[: len(some)]

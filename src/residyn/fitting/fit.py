@@ -111,7 +111,7 @@ def fitting(
     if not experiment.fit_recordings:
         raise ValueError('no recording has role = "fit": there is nothing to fit to')
     here = ready(experiment, experiment.fit_recordings, effects)
-    outliers = outliers_among(here, [r.angle for r in here.recordings])
+    outliers = outliers_among(here)
     base = lambda: ready(experiment, here.recordings, ())  # noqa: E731
 
     if seed is None:
@@ -121,7 +121,7 @@ def fitting(
         experiment = without_drift(whole, here.model.with_vector(numbers[0]))
         if experiment is not whole:
             here = ready(experiment, experiment.fit_recordings, effects)
-            outliers, memory = outliers_among(here, [r.angle for r in here.recordings]), None
+            outliers, memory = outliers_among(here), None
         progress(f"fitting from {starts} start{'s' * (starts > 1)}")
         again = base if effects else None
         guess = numbers, memory

@@ -235,7 +235,7 @@ def fit_genetic(
     if not experiment.fit_recordings:
         raise ValueError('no recording has role = "fit": there is nothing to fit to')
     here = ready(experiment, experiment.fit_recordings, effects)
-    outliers = outliers_among(here, [r.angle for r in here.recordings])
+    outliers = outliers_among(here)
     look = search_of(here, outliers, how)
     found = run(look, how, progress)
 

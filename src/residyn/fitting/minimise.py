@@ -87,7 +87,7 @@ def fit_minimised(
     if not experiment.fit_recordings:
         raise ValueError('no recording has role = "fit": there is nothing to fit to')
     here = ready(experiment, experiment.fit_recordings, effects)
-    wild = outliers_among(here, [r.angle for r in here.recordings])
+    wild = outliers_among(here)
     numbers, memory = first_guess(here, wild, 1)
     problem, states = here.problem(resolving(here, numbers), wild)
     if memory is not None and memory.size:

@@ -205,7 +205,7 @@ def descending(
             raise FitError("no start led to a motion that could be: is this the arm recorded?")
         predicted = _predictions(out.compressed, here.recordings)
         pairs = zip(here.recordings, predicted, strict=True)
-        found = outliers_among(here, [r.angle - p for r, p in pairs], beside=True)
+        found = outliers_among(here, [r.angle - p for r, p in pairs])
         found = [new | old for new, old in zip(found, outliers, strict=True)]
         settled = all((f == w).all() for f, w in zip(found, outliers, strict=True))
         if settled or round_ == _ROUNDS or any(f.mean() > _MOST_OUTLIERS for f in found):
@@ -331,19 +331,18 @@ def _upright(problem: Problem, at: Unknowns) -> Unknowns | None:
     return problem.scaled(found.vector(), jnp.asarray(states))
 
 
-def outliers_among(
-    here: Ready, readings: Sequence[np.ndarray], beside: bool = False
-) -> list[np.ndarray]:
-    """Readings far off their neighbours; `beside` the model, also far off the usual residual."""
+def outliers_among(here: Ready, residuals: Sequence[np.ndarray] | None = None) -> list[np.ndarray]:
+    """Readings far off their neighbours; beside a model, of which these are the `residuals`, also
+    far off the usual residual."""
+    if residuals is None:
+        return [r.outliers for r in here.recordings]
     found = []
-    for recording, x in zip(here.recordings, readings, strict=True):
-        noise = recording.noise
-        if beside:  # where the model misses something, the residual has corners of its own
-            noise = np.maximum(noise, _USUAL * 1.4826 * np.nanmedian(np.abs(x), axis=0))
-            if not np.any(np.abs(x) > _FAR * noise):
-                found.append(np.zeros(x.shape, bool))
-                continue
-        found.append(outlier_mask(recording.time, x, noise))
+    for recording, x in zip(here.recordings, residuals, strict=True):
+        # Where the model misses something, the residual has corners of its own.
+        usual = _USUAL * 1.4826 * np.nanmedian(np.abs(x), axis=0)
+        noise = np.maximum(recording.noise, usual)
+        far = np.any(np.abs(x) > _FAR * noise)
+        found.append(outlier_mask(recording.time, x, noise) if far else np.zeros(x.shape, bool))
     return found
 
 

@@ -222,6 +222,13 @@ class Recording:
         rates[~np.isfinite(rates)] = 0.0
         return Extent(rms, largest, np.quantile(rates, 0.99, axis=0))
 
+    @functools.cached_property
+    def outliers(self) -> np.ndarray:
+        """(N, n) readings that sit far off their neighbours (`outlier_mask`)."""
+        found = outlier_mask(self.time, self.angle, self.noise)
+        found.flags.writeable = False
+        return found
+
     @property
     def lost(self) -> int:
         """How many readings are missing, all joints together."""

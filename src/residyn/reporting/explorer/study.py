@@ -153,7 +153,7 @@ class Study:
                 return Beside(other, None, late)
             self.say("smoothing the recordings that are held out")
             here = ready(self.experiment, held, self.effects)
-            wild = outliers_among(here, [r.angle for r in here.recordings])
+            wild = outliers_among(here)
             other = Scene(here.recordings, here.mechanisms, wild)
             other.scales, other.torque = scene.scales, scene.torque
             best = tried_alone(other, tuple(self.loud.effects)).best
