@@ -104,7 +104,7 @@ REASONS = {
     "evidences": "the evidence of a model under every intensity of the random torque",
     "columns": "how every law of the catalogue moves the readings",
     "gram": "the filter on those columns: the evidence of every law added",
-    "_look": "readings, slopes and residuals of the model that is kept, in full",
+    "look": "readings, slopes and residuals of the model that is kept, in full",
     "_along": "angles, rates and times along the motion: what free curves are of",
 }
 _SMALL = 0.05  # s

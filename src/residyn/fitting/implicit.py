@@ -116,7 +116,7 @@ class Embedded(eqx.Module):
         Differentiable in anything that was put in, in forward and reverse mode, by the implicit
         function theorem. A descent that did not settle says so in `converged`.
         """
-        y, steps, done = _minimum(self.problem, self.start)
+        y, steps, done = minimum(self.problem, self.start)
         squeezed = compressed(self.problem, y)
         numbers = jnp.asarray(self.problem.numbers(y))
         return Solution(
@@ -214,16 +214,16 @@ def embed(fit: Fit, *, integrator: Any = None) -> Embedded:
 
 
 @eqx.filter_custom_jvp
-def _minimum(problem: Problem, start: Unknowns):
-    """(unknowns, steps, whether they settled)."""
+def minimum(problem: Problem, start: Unknowns):
+    """Of a problem from a start: the unknowns, steps, whether they settled."""
     y, _, _, steps, done = descended(Horizon(problem), start, _STEPS)
     return y, steps, done
 
 
-@_minimum.def_jvp
+@minimum.def_jvp
 def _minimum_jvp(primals, tangents):
     problem, start = primals
-    y, steps, done = _minimum(problem, start)
+    y, steps, done = minimum(problem, start)
     moving, fixed = eqx.partition(problem, eqx.is_inexact_array)
     moved = jax.tree.map(
         lambda x, t: t if t is not None or x is None else jnp.zeros_like(x),

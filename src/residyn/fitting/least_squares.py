@@ -197,6 +197,44 @@ def _compress(square, slope, total):
     return lower.T, along, beside
 
 
+@kept(like=(0, 0, 0))
+def look(problem: Problem, y: Unknowns):
+    """Predictions (R, N, n), their slopes (R, N, n, L), and whitened residuals (R, N, n)."""
+    numbers = problem.scale.numbers.shape[0]
+
+    def one(recorded, scale, state):
+        def local(z):
+            moved = problem.numbers(Unknowns(z[:numbers], y.states))
+            predicted = predict(problem, recorded, moved, scale * z[numbers:])
+            return predicted, predicted
+
+        z = jnp.concatenate([y.numbers, state])
+        slopes, predicted = jax.vmap(
+            lambda e: jax.jvp(local, (z,), (e,), has_aux=True)[1:], out_axes=(-1, None)
+        )(jnp.eye(len(z)))
+        slopes = jnp.where(jnp.isfinite(slopes), slopes, 0.0)
+        return predicted, slopes, whiten(recorded, predicted)
+
+    each = over_recordings(one, problem.model)
+    return each(problem.recorded, problem.scale.states, y.states)
+
+
+def first_step(problem: Problem, y: Unknowns, predicted, slopes) -> Unknowns:
+    """Where the first step of a descent from `y` leads, by predictions and `slopes` that `look` has
+    found there for the same weights, whatever the readings."""
+    count, n = problem.scale.numbers.shape[0], predicted.shape[-1]
+
+    def one(recorded, predicted, slopes, state):
+        misfit = whiten(recorded, predicted).reshape(-1)
+        J = (slopes * recorded.weights[..., None]).reshape(len(misfit), -1)
+        known = jnp.where(jnp.arange(J.shape[1]) >= count + 2 * n, 1.0, 0.0)
+        z = known * jnp.concatenate([y.numbers, state])
+        return _compress(J.T @ J + jnp.diag(known), J.T @ misfit + z, misfit @ misfit + z @ z)[:2]
+
+    factor, along = jax.vmap(one)(problem.recorded, predicted, slopes, y.states)
+    return jax.tree.map(jnp.add, y, damped_least_squares(factor, along, 1.0, y))
+
+
 class Polished(NamedTuple):
     """Where the best start ended."""
 
