@@ -22,7 +22,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from ..physics.mechanism import AbstractMechanism
 from ..physics.model import Model
 from ..physics.parameter import all_floating, stacked
-from .least_squares import Compressed, Horizon, compressed, descended, predict, whiten
+from .least_squares import Compressed, Horizon, compressed, cost_of, descended, predict, whiten
 from .problem import Problem, Unknowns, posed, ready
 from .result import Fit
 
@@ -122,7 +122,7 @@ class Embedded(eqx.Module):
         return Solution(
             numbers=numbers,
             states=jnp.asarray(self.problem.states(y)),
-            chi2=_misfit(squeezed),
+            chi2=cost_of(squeezed),
             covariance=_covariance(self.problem, squeezed),
             converged=done,
             steps=steps,
@@ -248,10 +248,6 @@ def _gradient(problem: Problem, y: Unknowns) -> Unknowns:
     local = jnp.einsum("rij,ri->rj", squeezed.factor, squeezed.along)
     p = problem.scale.numbers.shape[0]
     return Unknowns(jnp.sum(local[:, :p], axis=0), local[:, p:])
-
-
-def _misfit(squeezed: Compressed) -> Float[Array, ""]:
-    return jnp.sum(squeezed.along**2) + jnp.sum(squeezed.beside**2)
 
 
 def _covariance(problem: Problem, squeezed: Compressed) -> Float[Array, "P P"]:

@@ -475,15 +475,6 @@ def memory_along(
     return jnp.concatenate([begin[None], path])
 
 
-def torque_along(
-    model: Model, dt, q: Float[Array, "G n"], v: Float[Array, "G n"], z0: Float[Array, " m"]
-) -> Float[Array, "G n"]:
-    """Sum of a model's torques along a motion sampled every `dt` s, N m."""
-    z = memory_along(model, dt, q, v, z0)
-    t = dt * jnp.arange(q.shape[0])
-    return jax.vmap(lambda *x: stack(model.torque(Motion.at(*x))))(t, q, v, z)
-
-
 def memory_along_readings(
     here: Ready,
     outliers: Sequence[np.ndarray],

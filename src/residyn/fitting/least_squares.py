@@ -302,7 +302,7 @@ def descended(horizon: Horizon, y: Unknowns, most: int):
     def tried(search: _Search) -> _Search:
         there = jax.tree.map(jnp.add, search.at, search.step)
         new = compressed(problem, there, only)
-        cost, first = _cost(new), search.steps == 0
+        cost, first = cost_of(new), search.steps == 0
         promise = jnp.sum(_moved(search.here, search.step) ** 2) - jnp.sum(search.here.along**2)
         gain = cost - search.cost
         accept = first | (gain <= 0.01 * promise)
@@ -327,7 +327,7 @@ def descended(horizon: Horizon, y: Unknowns, most: int):
     end = jax.lax.while_loop(lambda s: ~s.small & (s.steps < most), tried, begin)
     step = jax.tree.map(lambda x: jnp.where(end.small, x, 0.0), end.step)
     squeezed = end.here._replace(along=_moved(end.here, step))
-    cost = _cost(squeezed)
+    cost = cost_of(squeezed)
     cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
     return jax.tree.map(jnp.add, end.at, step), squeezed, cost, end.steps, end.small
 
@@ -339,7 +339,8 @@ def _moved(squeezed: Compressed, step: Unknowns) -> Float[Array, "R L"]:
     return squeezed.along + jnp.einsum("rij,rj->ri", squeezed.factor, local)
 
 
-def _cost(squeezed: Compressed) -> Float[Array, ""]:
+def cost_of(squeezed: Compressed) -> Float[Array, ""]:
+    """Sum of squared whitened residuals, and of what is known beforehand of internal states."""
     return jnp.sum(squeezed.along**2) + jnp.sum(squeezed.beside**2)
 
 

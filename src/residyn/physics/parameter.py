@@ -88,13 +88,13 @@ class Memory(NamedTuple):
 _KEY = "residyn"
 
 
-def floating(x: Any) -> Array | np.ndarray:
+def floating(x: Any) -> Array:
     """As a float array of the precision in force: of NumPy, which is quicker to make and to read,
     unless `x` is of JAX. (`jnp.asarray(0.1)` would be weakly typed, and take the precision of
     whatever it meets.)"""
     wanted = np.float64 if jax.config.jax_enable_x64 else np.float32  # pyright: ignore
     if not any(isinstance(each, jax.Array) for each in jax.tree.leaves(x)):
-        return np.asarray(x, wanted)
+        return np.asarray(x, wanted)  # pyright: ignore[reportReturnType]
     if isinstance(x, jax.Array) and not x.weak_type and x.dtype == wanted:
         return x  # JAX would take its time to find that there is nothing to do
     return jnp.asarray(x, float)
