@@ -35,7 +35,8 @@ PLAN = (
 )
 """The published table: what, at which noise, from how many seeds: 540 cases."""
 FAIR = (0.02, 0.1)
-"""Strength of each of two effects at once: the share of their torque in the spring's."""
+"""Strength of each of two effects at once, and of `unnamed_laws`: the share of their torque in the
+spring's."""
 
 _KINDS = (
     ("coulomb_friction", "stribeck_friction", "bearing_friction"),
@@ -57,7 +58,7 @@ class Spec:
     """A case before it is made."""
 
     what: str
-    """"single", "none", "outside" or "pairs"."""
+    """"single", "none", "outside" or "pairs"; of `unnamed_laws`: "unnamed" or "named"."""
     labels: tuple[str, ...]
     """What is hidden: nothing, one effect, or two."""
     noise: float
@@ -79,7 +80,7 @@ class Spec:
         about = [*"/".join(self.labels).encode(), round(1e6 * self.noise)]
         rng = np.random.default_rng([self.seed, *about])
         strength = None
-        if self.what == "pairs":
+        if self.what in ("pairs", "unnamed", "named"):
             strength = float(np.exp(rng.uniform(*np.log(FAIR))))
         (case,) = rig.hidden_cases(rng, self.labels, 1, noise_share=self.noise, strength=strength)
         swings = np.abs(case.motion[0]).max(axis=0)

@@ -107,7 +107,8 @@ def settings(rows: Sequence[dict[str, Any]], best: int = 5) -> str:
 class Regression:
     """Smoothed motion, the torque that it takes, and the library along it."""
 
-    def __init__(self, case: rig.HiddenCase, window: float):
+    def __init__(self, case: rig.HiddenCase, window: float, library: Any = None):
+        """`library(case, q, v, t, j)`: another one than the catalogue's."""
         from scipy.integrate import cumulative_trapezoid
         from scipy.signal import savgol_filter
 
@@ -133,7 +134,7 @@ class Regression:
             ],
             axis=1,
         )
-        self.library = [_library(case, q, v, t, j) for j in range(2)]
+        self.library = [(library or _library)(case, q, v, t, j) for j in range(2)]
         self._systems: dict[tuple[str, int], tuple[np.ndarray, np.ndarray]] = {}
 
     def system(self, method: str, j: int) -> tuple[np.ndarray, np.ndarray]:

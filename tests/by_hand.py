@@ -72,8 +72,9 @@ def a_fit(effects=(), slip=0.0, chi2=12.3, **changed):
     correlation = np.eye(count)
     correlation[0, 2] = correlation[2, 0] = -0.97
     numbers = tuple(
-        Number(n.name, n.meaning.words, v, s, 0.9 * v, n.meaning.dimension.unit("rad"), "any", True)
+        Number(n.name, m.words, v, s, 0.9 * v, m.dimension.unit("rad"), m.sign, True)
         for n, v, s in zip(model.fitted, values.tolist(), std.tolist(), strict=True)
+        for m in [n.meaning]
     )
     settings = {
         "experiment": experiment,

@@ -1,6 +1,7 @@
 """The house plan: imports run one way, physics needs JAX alone, importing changes nothing."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -110,6 +111,39 @@ def test_tests_mirror_the_tree():
     for path in here.rglob("test_*.py"):
         folder = path.parent.relative_to(here)
         assert (SOURCE / folder).is_dir(), f"no folder residyn/{folder} for {path.name}"
+
+
+# Private names that tests use, and why.
+PRIVATE_AND_USED = {
+    "residyn.cli._": "a command's file has the command's name with _ before it; `main` is public",
+    "jax._src": "JAX tells nowhere else how many programs it has compiled",
+}
+PRIVATE = re.compile(r"\b(?!self\b|cls\b)[a-z]\w*(?:\.\w+)*\._(?!_|replace\b|asdict\b|fields\b)\w+")
+
+
+def names_used(tree):
+    """What is imported from this package, every attribute, and the strings that say what to
+    replace."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("residyn"):
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Attribute):
+            yield ast.unparse(node)
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("setattr"):
+            words = [str(a.value) for a in node.args[:2] if isinstance(a, ast.Constant)]
+            yield ".".join(words if len(words[0].split(".")) > 1 else ["patched", *words])
+
+
+def test_tests_use_public_names():
+    """What a test needs of a module is part of the module's interface."""
+    used = {
+        (path.name, found[0])
+        for path in Path(__file__).parent.rglob("*.py")
+        for name in names_used(ast.parse(path.read_text()))
+        if (found := PRIVATE.match(name))
+    }
+    assert not {(p, n) for p, n in used if not n.startswith(tuple(PRIVATE_AND_USED))}
+    assert all(any(n.startswith(kind) for _, n in used) for kind in PRIVATE_AND_USED)
 
 
 def test_importing_changes_no_setting_and_draws_nothing():

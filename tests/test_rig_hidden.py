@@ -26,6 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.rig import (  # noqa: E402
     NAMES,
     OUTSIDE,
+    UNNAMED,
     Arm,
     Hidden,
     HiddenCase,
@@ -596,3 +597,20 @@ def test_unknown_and_repeated_effects_are_refused() -> None:
     twice = [Hidden("constant_torque:elbow", {"torque": 0.1})] * 2
     with pytest.raises(ValueError, match="hidden twice"):
         record(rng, arm, 0.1, twice)
+
+
+@pytest.mark.parametrize("name", UNNAMED)
+def test_a_law_of_no_catalogue_is_the_torque_that_the_arm_lacks(name):
+    """By MuJoCo's inverse dynamics along the motion, which know nothing of the law."""
+    rng = np.random.default_rng(3)
+    (case,) = hidden_cases(rng, f"{name}:elbow", 1, strength=0.05, seconds=4.0)
+    law, numbers = UNNAMED[name], case.hidden[0].values
+    (q, v), found = case.motion, case.torque
+    x = {"angle": q[:, 1], "rate": v[:, 1], "time": case.t}[law.variable]
+    expected = np.array([law.value(dict(numbers), float(y)) for y in x])
+    if law.factor == "direction":
+        expected *= np.sign(v[:, 1])
+    size = np.abs(expected).max()
+    moving = slice(5, None)  # a release from rest: dry friction has no direction yet
+    assert np.abs(found[moving, 1] - expected[moving]).max() < 5e-3 * size
+    assert np.abs(found[:, 0]).max() < 5e-3 * size

@@ -402,12 +402,11 @@ def test_effects_to_a_pipe_is_one_line_each(command):
 def test_effects_in_a_terminal(width):
     from rich.console import Console
 
-    from residyn.cli import _effects
+    from residyn.cli._effects import tabulate
     from residyn.effects import CATALOGUE
 
     out = Console(file=io.StringIO(), width=width, force_terminal=True, color_system=None)
-    draw = _effects._table if width >= _effects._ROOMY else _effects._stacked
-    draw(out, list(CATALOGUE.values()))
+    tabulate(out, list(CATALOGUE.values()))
     assert isinstance(out.file, io.StringIO)
     lines = out.file.getvalue().splitlines()
     assert max(map(len, lines)) <= width

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import sys
 
 import jax
 import numpy as np
@@ -16,7 +15,7 @@ from residyn.diagnosis.bands import bands
 from residyn.diagnosis.linearised_fit import Tangent, spread
 from residyn.diagnosis.rounding import Grid, hangs
 from residyn.diagnosis.spectrum import energies, spectrum, strips
-from residyn.diagnosis.whiteness import _narrow, _test
+from residyn.diagnosis.whiteness import narrow_bands, whiteness_of
 from residyn.fitting import Mode, RecordingFit
 from residyn.recordings.tables import ArmTable, InertiaTable
 
@@ -42,8 +41,13 @@ def recording(seed=0, q0=(0.25, -0.3), friction=(0.0, 0.0), t=TIME, lost=0.0, **
     return residyn.Recording.from_arrays(t, q, **settings)
 
 
-def compared(*recordings, **options):
-    return residyn.compare(residyn.Experiment(TABLE, recordings), starts=2, **options)
+def compared(*recordings):
+    return residyn.compare(residyn.Experiment(TABLE, recordings), starts=2)
+
+
+def quickly(*recordings, table=TABLE):
+    """Without following the missing torque, which has tests of its own."""
+    return compare_fit(residyn.fit(residyn.Experiment(table, recordings), starts=2), missing=())
 
 
 @pytest.fixture(scope="module")
@@ -54,13 +58,6 @@ def clean():
 @pytest.fixture(scope="module")
 def wrong():
     return compared(recording(friction=(0.0, 0.1)))
-
-
-@pytest.fixture
-def quick(monkeypatch):
-    """Without following the missing torque, which has tests of its own."""
-    module = sys.modules["residyn.diagnosis.compare"]
-    monkeypatch.setattr(module, "_missing", lambda fit, say: ())
 
 
 def cart_motion(friction):
@@ -97,9 +94,9 @@ def test_a_wrong_model_is_told_and_where(wrong):
     assert "friction" not in words  # no search: no name
 
 
-def test_friction_on_a_cart_shows_late_and_at_small_swings(quick):
+def test_friction_on_a_cart_shows_late_and_at_small_swings():
     made = residyn.Recording.from_arrays(TIME[:1001], cart_motion(0.03), noise=1e-4)
-    found = residyn.compare(residyn.Experiment(CART, (made,)), starts=2)
+    found = quickly(made, table=CART)
     words = " ".join(found.words)
     assert "It fails most late" in words
     assert "worst at small swings" in words
@@ -124,9 +121,9 @@ def test_it_begins_with_the_verdict_and_fits_80_columns(clean, wrong):
             assert heading in text
 
 
-def test_noise_that_is_stated_wrongly_is_no_failure_of_the_model(quick):
+def test_noise_that_is_stated_wrongly_is_no_failure_of_the_model():
     for factor, said in ((0.5, "more noise than was stated"), (2.0, "more than these readings")):
-        found = compared(recording(noise=factor * NOISE))
+        found = quickly(recording(noise=factor * NOISE))
         assert found.explained
         assert said in " ".join(found.words)
 
@@ -181,26 +178,26 @@ def test_json_is_the_fits_and_more(clean):
     json.dumps(found, allow_nan=False)
 
 
-def test_lost_and_uneven_samples(quick):
+def test_lost_and_uneven_samples():
     rng = np.random.default_rng(3)
-    found = compared(recording(seed=1, lost=0.1))
+    found = quickly(recording(seed=1, lost=0.1))
     assert found.explained
     check_shares(found)
-    spoilt = compared(recording(seed=1, lost=0.1, friction=(0.0, 0.1)))
+    spoilt = quickly(recording(seed=1, lost=0.1, friction=(0.0, 0.1)))
     assert not spoilt.explained
     check_shares(spoilt)
     # What the lost samples hide must not turn up at frequencies where nothing is.
     assert spoilt.where.frequency[-1].whole.ratio < 1.1
     uneven = TIME + np.append(0.0, rng.uniform(-0.004, 0.004, len(TIME) - 1))
-    found = compared(recording(seed=2, t=uneven))
+    found = quickly(recording(seed=2, t=uneven))
     assert found.explained
     check_shares(found)
 
 
-def test_several_recordings_and_checks(clean, quick):
+def test_several_recordings_and_checks(clean):
     two = recording(seed=5, q0=(0.2, 0.3), t=TIME[:901], name="two")
     check = recording(seed=6, q0=(0.1, 0.35), role="check", name="check")
-    found = compared(recording(), two, check)
+    found = quickly(recording(), two, check)
     assert found.explained
     check_shares(found)
     assert found.held_out.what == "check recordings"
@@ -225,7 +222,7 @@ def test_looking_again_compiles_nothing(clean, monkeypatch):
 
 
 def test_a_recording_too_short_to_cut_still_compares(clean, monkeypatch):
-    monkeypatch.setattr("residyn.diagnosis.forecast._LEAST", 10_000)
+    monkeypatch.setattr("residyn.diagnosis.forecast.LEAST", 10_000)
     found = compare_fit(clean.fit, missing=())
     assert found.horizon is None
     assert found.held_out is None
@@ -264,8 +261,8 @@ def test_the_test_is_calibrated():
     chances = []
     for _ in range(60):
         rows, beside = noise_less_fit(rng, time, 10, 0.1)
-        narrow = _narrow(bands(MODES, [beside]), 12.0)
-        chances += [_test([spectrum(row, narrow[-1].stop)], narrow).p for row in rows]
+        narrow = narrow_bands(bands(MODES, [beside]), 12.0)
+        chances += [whiteness_of([spectrum(row, narrow[-1].stop)], narrow).p for row in rows]
     assert kstest(chances, "uniform").pvalue > 0.01
     assert np.mean(np.array(chances) < 0.05) < 0.12
 
@@ -334,12 +331,12 @@ def test_rounding_of_a_smooth_curve_is_known():
     assert still[-100:].all()
 
 
-def test_a_pure_encoder_is_no_failure_of_the_model(quick):
+def test_a_pure_encoder_is_no_failure_of_the_model():
     made = recording(q0=(0.12, -0.1))
     truth, _ = rig.simulate(ARM, TIME, (0.12, -0.1))
     q = np.round(truth / 2e-3) * 2e-3
     pure = dataclasses.replace(made, angle=q, noise=np.full(2, 2e-3 / np.sqrt(12)))
-    assert compared(pure).p > 0.01
+    assert quickly(pure).p > 0.01
 
 
 def test_spread_is_least_squares_own():

@@ -303,7 +303,7 @@ def test_json_is_the_contract(friction):
     found = contract(friction)
     assert set(found) == {
         "verdict", "verdict_probability", "words", "added", "ladder", "candidates", "families",
-        "lookalikes", "next_experiment", "missing_torque", "random_torque", "budget", "fit",
+        "lookalikes", "next_experiment", "missing_torque", "random_torque", "budget", "fit", "laws",
     }  # fmt: skip
     assert found["ladder"][0]["model"] == list(friction.base.model.labels)
     for row in found["ladder"]:

@@ -81,7 +81,7 @@ def test_the_band_holds_a_known_curve_and_the_curve_is_found():
         along = Along(scene, base)
         found = free_curves.screen(along, [0.1, 0.01, 0.0])
         assert found[0].place.kind == Kind("angle")
-        settled = free_curves.settle(scene, base, found[0], 0.1)
+        settled = free_curves.settle(scene, (), base, found[0], 0.1, 0.0)
         assert INTENSITIES[int(np.argmax(settled.evidences))] == 0.0
         x = np.linspace(settled.place.low, settled.place.high, 81)
         # Beside the line, which the spring takes up.
@@ -104,9 +104,8 @@ def test_what_is_held_is_taken_away_again():
         logs = []
         for t, at in ((base, np.zeros(own)), (held, heights)):
             along = Along(scene, t)
-            total, grams = along.gram(0, place.columns(along), [0.0])
-            gram = free_curves.shifted(grams[0], 1 + P, at)
-            evidence, rest = conditional(gram, P)
+            total, grams = along.gram(0, place.columns(along), [0.0], at)
+            evidence, rest = conditional(grams[0], P)
             logs.append((total[0] + evidence, subset(rest, np.arange(own))[0]))
         assert np.allclose(*logs, atol=1e-5)
 

@@ -19,7 +19,8 @@ README = Path(__file__).parents[2] / "README.md"
 def as_before(monkeypatch):
     """The catalogue is left as it was."""
     monkeypatch.setattr(effects, "CATALOGUE", dict(effects.CATALOGUE))
-    monkeypatch.setattr(effects, "_looked", effects._looked)
+    yield
+    effects.adopt_installed.cache_clear()
 
 
 @pytest.fixture
@@ -154,7 +155,7 @@ def test_installed_packages_offer_effects(own, monkeypatch):
         def load(self):
             return kind
 
-    monkeypatch.setattr(effects, "_looked", False)
+    effects.adopt_installed.cache_clear()
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [Point()])
     assert effects.catalogue()["quintic_stiffness"] is kind
 
@@ -166,7 +167,7 @@ def test_an_installed_package_that_offers_no_effect_is_named(monkeypatch):
         def load(self):
             return 3
 
-    monkeypatch.setattr(effects, "_looked", False)
+    effects.adopt_installed.cache_clear()
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [Point()])
     with pytest.raises(residyn.InputError, match="entry point broken"):
         effects.catalogue()

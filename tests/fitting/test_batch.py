@@ -89,12 +89,12 @@ def test_two_devices_share_the_experiments(folder):
     script.write_text(
         "import sys, jax, numpy as np, residyn\n"
         "from residyn.fitting import lanes\n"
-        "divided, own = [], lanes._descents\n"
+        "divided, own = [], lanes.run_descents\n"
         "def run(stacked, rest):\n"
         "    leaf = jax.tree.leaves(stacked)[0]\n"
         "    divided.append((len(leaf), len(leaf.sharding.device_set)))\n"
         "    return own(stacked, rest)\n"
-        "lanes._descents = run\n"
+        "lanes.run_descents = run\n"
         "files = [f'{x}.toml' for x in 'abcde']\n"
         "for each in residyn.fit_many(files, batch=int(sys.argv[1])):\n"
         "    numbers = [repr(n.value) for n in each.fit.numbers] if each.fit else []\n"
@@ -182,7 +182,7 @@ def test_processes_share_the_experiments(folder, capsys):
 
 @pytest.mark.parametrize("kind", ["threads", "dask", "dying"])
 def test_any_executor_will_do(kind, folder, monkeypatch):
-    monkeypatch.setattr(many, "_AHEAD", 2)  # fewer than there are
+    monkeypatch.setattr(many, "AHEAD", 2)  # fewer than there are
     files = [str(folder / f"{n}.toml") for n in "abcd"]
     out = folder / "all.jsonl"
     next(residyn.fit_many(files[1:2], starts=1, out=out))

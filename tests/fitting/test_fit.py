@@ -444,8 +444,8 @@ def test_of_candidates_that_are_alike_one_is_tried_first():
     factors = [(1e-3, 1.0), (1.1e-3, 1.2), (1.0, 1.0), (1.1, 3.0), (9.0, 1.0)]
     rows = [np.append(f * k, g * c) for f, g in factors]
     with jax.enable_x64(True):
-        assert initial_guess._various(ready_for(), np.array(rows)) == [0, 2, 4, 1, 3]
-        assert initial_guess._various(ready_for(), np.zeros((0, 4))) == []
+        assert initial_guess.various(ready_for(), np.array(rows)) == [0, 2, 4, 1, 3]
+        assert initial_guess.various(ready_for(), np.zeros((0, 4))) == []
 
 
 @pytest.mark.parametrize(

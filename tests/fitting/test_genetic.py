@@ -188,7 +188,7 @@ def without_evosax(monkeypatch):
     def refuse(name):
         raise ModuleNotFoundError(f"No module named '{name}'", name=name)
 
-    evolution._algorithm.cache_clear()
+    evolution.traced_algorithm.cache_clear()
     monkeypatch.setattr(evolution, "importlib", SimpleNamespace(import_module=refuse))
 
 

@@ -77,13 +77,13 @@ def test_steps_of_descents_are_counted_with_every_direction(experiment, monkeypa
 
 
 def test_individuals_are_counted_as_they_are_simulated(experiment, monkeypatch):
-    ran, objective = [], genetic._objective
+    ran, objective = [], genetic.objective_of
 
     def counted(look, genes):
         jax.debug.callback(lambda _: ran.append(1), genes)
         return objective(look, genes)
 
-    monkeypatch.setattr(genetic, "_objective", counted)
+    monkeypatch.setattr(genetic, "objective_of", counted)
     (each,) = residyn.race(experiment, methods=["cma_es"], simulations=100).methods
     jax.effects_barrier()
     assert each.median.simulations == 100

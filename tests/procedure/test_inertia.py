@@ -181,7 +181,7 @@ def rigid_experiment(truth, angles, t=None, noise=1e-4, seed=0, table=None, **fr
     return Experiment(table or ArmTable((0.4, 0.4)), tuple(recordings))
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(
     shoulder=st.floats(0.2, 20),
     elbow=st.floats(0.05, 5),

@@ -19,12 +19,12 @@ from residyn.procedure.over_models import (
     ModeOver,
     OverModels,
     Spread,
-    _errors,
-    _quantity,
-    _spread,
+    errors_of,
     quantile,
+    quantity_of,
+    spread_of,
 )
-from residyn.procedure.unload import _bare
+from residyn.procedure.unload import bare
 from residyn.recordings.tables import ArmTable, Bearing
 from tests.by_hand import NEXT
 
@@ -71,7 +71,7 @@ def test_inertias_that_are_off_by_one_share_move_stiffness_and_damping_by_it(two
     """Eq. 9."""
     _, scene, (base, _), _ = two
     rival = Rival.of(scene, base)
-    errors = _errors(scene, rival, base, np.eye(3))
+    errors = errors_of(scene, rival, base, np.eye(3))
     sizes = np.asarray(inertias(scene.mechanisms[0]))
     np.testing.assert_allclose(errors.moved @ sizes, base.best.numbers, rtol=0.02)
 
@@ -80,10 +80,10 @@ def test_so_they_move_no_frequency_on_the_bearings(two):
     _, scene, (base, _), _ = two
     rival = Rival.of(scene, base)
     sizes = np.asarray(inertias(scene.mechanisms[0]))
-    errors = _errors(scene, rival, base, np.outer(sizes, sizes) * 0.01)
+    errors = errors_of(scene, rival, base, np.outer(sizes, sizes) * 0.01)
     for which in (0, 1):
         modes = slopes_of_modes(rival.model, rival.model)
-        wanted = _quantity([modes[0]], [errors], which)
+        wanted = quantity_of([modes[0]], [errors], which)
         assert np.sqrt(wanted.rest[0]) < 1e-3 * abs(wanted.mean[0])
 
 
@@ -91,14 +91,14 @@ def test_damping_in_orbit_with_and_without_the_name(two):
     """Springs and dampers alone keep the drag; the band over both models holds the truth."""
     experiment, scene, models, truth = two
     recording = experiment.recordings[0]
-    off = _bare(experiment, truth, recording)
+    off = bare(experiment, truth, recording)
     expected = slopes_of_modes(off, truth)[0].values[1]
     rivals = [Rival.of(scene, m) for m in models]
-    errors = [_errors(scene, r, m, None) for r, m in zip(rivals, models, strict=True)]
-    modes = [slopes_of_modes(_bare(experiment, r.model, recording), r.model)[0] for r in rivals]
-    wanted = _quantity(modes, errors, 1)
+    errors = [errors_of(scene, r, m, None) for r, m in zip(rivals, models, strict=True)]
+    modes = [slopes_of_modes(bare(experiment, r.model, recording), r.model)[0] for r in rivals]
+    wanted = quantity_of(modes, errors, 1)
     p = np.exp([m.log_evidence for m in models] - np.max([m.log_evidence for m in models]))
-    spread = _spread(wanted, p / p.sum(), [r.root for r in rivals])
+    spread = spread_of(wanted, p / p.sum(), [r.root for r in rivals])
     assert spread.low < expected < spread.high
     assert abs(wanted.mean[0] - expected) > 10 * spread.std  # what the base model says
     assert spread.from_name + spread.from_numbers + spread.from_inertias == pytest.approx(1.0)

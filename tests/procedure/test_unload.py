@@ -455,7 +455,7 @@ ARMS = st.builds(
 MOTIONS = st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(ARMS, BEARINGS, MOTIONS)
 def test_eq_5_adds_each_bearings_own_kinetic_energy(arm, bearings, motion):
     """A bearing is a body at a point of link 2, which moves and turns with it."""
@@ -475,7 +475,7 @@ def test_eq_5_adds_each_bearings_own_kinetic_energy(arm, bearings, motion):
         assert whole == pytest.approx(float(arm.kinetic_energy(q, v)) + added, rel=1e-9, abs=1e-12)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(ARMS, BEARINGS, st.randoms(use_true_random=False))
 def test_eq_5_on_and_off_is_nothing_in_any_order(arm, bearings, random):
     with jax.enable_x64(True):
@@ -486,7 +486,7 @@ def test_eq_5_on_and_off_is_nothing_in_any_order(arm, bearings, random):
             np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(ARMS, BEARINGS)
 def test_bearings_slow_every_mode_and_leave_with_their_drag(arm, bearings):
     """Rayleigh: more inertia, no frequency higher. And what is of the bearings, goes with them."""

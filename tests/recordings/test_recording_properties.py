@@ -20,7 +20,7 @@ from residyn.recordings.noise import estimate_noise
 from residyn.recordings.outliers import outlier_mask
 from residyn.recordings.recording import Recording
 
-relaxed = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+relaxed = settings(suppress_health_check=[HealthCheck.too_slow])
 FOLDER = tempfile.TemporaryDirectory()
 CSV, TOML = Path(FOLDER.name, "try.csv"), Path(FOLDER.name, "try.toml")
 HERE = Path(FOLDER.name, "here.csv")
@@ -101,9 +101,9 @@ def test_the_fast_way_reads_as_the_slow_one(cells):
     for separator, decimal in ((",", "."), (";", "."), ("\t", "."), (";", ",")):
         own = [row.replace(",", separator) for row in rows]
         own = [row.replace(".", ",") for row in own] if decimal == "," else own
-        fast = _csv._fast(own, 2, separator, decimal, columns)
+        fast = _csv.read_fast(own, 2, separator, decimal, columns)
         if fast is not None and not np.isinf(fast).any():
-            slow = _csv._slow(own, np.arange(len(rows)), 2, separator, decimal, columns, "")
+            slow = _csv.read_slow(own, np.arange(len(rows)), 2, separator, decimal, columns, "")
             np.testing.assert_array_equal(fast, slow)
 
 

@@ -4,16 +4,12 @@ import csv
 import dataclasses
 import io
 import re
-import sys
-import types
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 
-from residyn.cli import main
-from residyn.fitting import MissingExtra, Number
-from residyn.fitting.posterior import gaussian
+from residyn.fitting import Number
 from residyn.reporting import figures as plot
 from residyn.reporting.latex import escaped, measured, scientific, unit
 from tests import by_hand
@@ -142,67 +138,6 @@ def test_what_is_not_determined_says_so(fit):
     assert odd.to_latex().count(r"\midrule") == 2
 
 
-# -- a posterior -----------------------------------------------------------------------------
-
-
-def drawn_from(fit, draws):
-    return gaussian(fit.numbers, fit.covariance, draws, 0)
-
-
-def test_draws_have_the_fits_values_errors_and_correlations(fit):
-    drawn = drawn_from(fit, 20000)
-    assert list(drawn) == [n.name for n in fit.numbers]
-    each = np.stack(list(drawn.values()))
-    std = np.array([n.std for n in fit.numbers])
-    values = np.array([n.value for n in fit.numbers])
-    np.testing.assert_allclose(each.mean(axis=1), values, atol=4 * std.max() / 20000**0.5)
-    np.testing.assert_allclose(each.std(axis=1), std, rtol=0.03)
-    np.testing.assert_allclose(np.corrcoef(each), fit.correlation, atol=0.03)
-    again = drawn_from(fit, 20000)
-    assert all(np.array_equal(drawn[name], again[name]) for name in drawn)
-
-
-def test_what_is_not_determined_is_not_drawn(fit):
-    first = dataclasses.replace(fit.numbers[0], std=float("inf"), determined=False)
-    covariance = fit.covariance.copy()
-    covariance[0] = covariance[:, 0] = np.nan
-    odd = dataclasses.replace(fit, numbers=(first, *fit.numbers[1:]), covariance=covariance)
-    drawn = drawn_from(odd, 10)
-    assert list(drawn) == [n.name for n in fit.numbers[1:]]
-    assert all(np.isfinite(x).all() for x in drawn.values())
-    nothing = tuple(dataclasses.replace(n, determined=False) for n in fit.numbers)
-    with pytest.raises(ValueError, match="nothing to draw from"):
-        drawn_from(dataclasses.replace(fit, numbers=nothing), 10)
-    with pytest.raises(ValueError, match="draws = 0"):
-        drawn_from(fit, 0)
-
-
-@pytest.mark.parametrize("version", ["0.23.4", "1.3.0"])
-def test_either_arviz_is_given_what_it_reads(fit, monkeypatch, version):
-    """From 1.0 on, `from_dict` takes all groups in one mapping."""
-
-    def from_dict(groups=None, posterior=None):
-        assert (groups is None) == (version < "1")
-        return posterior if groups is None else groups["posterior"]
-
-    fake = types.SimpleNamespace(__version__=version, from_dict=from_dict)
-    monkeypatch.setitem(sys.modules, "arviz", fake)
-    assert {x.shape for x in fit.to_arviz(draws=7).values()} == {(1, 7)}
-
-
-def test_without_arviz_one_line_says_what_to_install(fit, monkeypatch):
-    monkeypatch.setitem(sys.modules, "arviz", None)
-    with pytest.raises(MissingExtra, match=r"residyn\[bayes\]"):
-        fit.to_arviz()
-
-
-def test_arviz_summarises_it(fit):
-    arviz = pytest.importorskip("arviz", reason="needs the extra bayes")
-    table = arviz.summary(fit.to_arviz(4000), kind="stats", round_to="none")
-    for n in fit.numbers:
-        assert abs(float(table.loc[n.name, "mean"]) - n.value) < 5 * n.std / 4000**0.5
-
-
 # -- a diagnosis -----------------------------------------------------------------------------
 
 
@@ -249,68 +184,6 @@ def test_a_diagnosis_in_csv():
     assert float(own[1]["value"]) == -2.7
     told = {row["model"] for row in candidates}
     assert told == {c.effect for c in found.candidates}
-
-
-# -- the command -----------------------------------------------------------------------------
-
-TOML = """
-[inertia]
-joints = ["cart"]
-units = ["m"]
-matrix = [[1.0]]
-
-[[recordings]]
-file = "cart.csv"
-noise = 1e-4
-"""
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("cart")
-    time = np.arange(300) / 100
-    q = 0.05 * np.exp(-0.4 * time) * np.cos(10.0 * time)
-    q += 1e-4 * np.random.default_rng(0).standard_normal(len(time))
-    lines = [f"{t:.2f},{x:.6f}" for t, x in zip(time, q, strict=True)]
-    (folder / "cart.csv").write_text("\n".join(["t,q1", *lines, ""]))
-    (folder / "cart.toml").write_text(TOML)
-    return folder
-
-
-@pytest.fixture
-def here(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-    return folder
-
-
-def test_fit_writes_either_table(here, capsys):
-    words = ["fit", "cart.toml", "--starts", "1", "--no-cache", "--table"]
-    for name, begins in (("fit.csv", "name,value,std,unit\nspring:cart"), ("fit.tex", "% needs")):
-        assert main([*words, name]) == 0
-        assert (here / name).read_text().startswith(begins)
-        assert f"table: {name}" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("command", ["fit", "diagnose"])
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["--table", "fit.pdf"], "--table fit.pdf: must end in .tex or .csv"),
-        (["--table", "fit"], "must end in .tex or .csv"),
-        (["--table", "-"], "must end in .tex or .csv"),
-        (["--table", "none/fit.tex"], "cannot be written"),
-        (["--table", "cart.csv"], "is an input of this experiment"),
-        (["--table", "a.csv", "--json", "./a.csv"], "--table and --json are the same file"),
-        (["--table", "a.csv", "--report", "a.csv"], "--table and --report are the same file"),
-    ],
-)
-def test_a_table_that_cannot_be_is_refused(here, capsys, command, words, says):
-    before = (here / "cart.csv").read_text()
-    assert main([command, "cart.toml", *words]) == 2
-    err = capsys.readouterr().err
-    assert says in err
-    assert err.count("\n") == 1
-    assert (here / "cart.csv").read_text() == before
 
 
 # -- pictures --------------------------------------------------------------------------------

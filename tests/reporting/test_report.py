@@ -2,7 +2,6 @@
 
 import re
 from html.parser import HTMLParser
-from types import SimpleNamespace
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
@@ -11,7 +10,6 @@ import pytest
 
 import residyn
 from residyn import reporting as report
-from residyn.demo import by_window
 from residyn.reporting import figures as plot
 from residyn.reporting import fit as about_fits
 from residyn.reporting import numbers
@@ -97,7 +95,7 @@ def test_page_says_everything(page, fit):
     for number in fit.numbers:
         assert number.name in words
         assert number.words in words
-    for line in (*fit.warnings, fit.reason, about_fits.verdict(fit), residyn.__version__):
+    for line in (*fit.warnings, fit.reason, *about_fits.verdict(fit), residyn.__version__):
         assert line in words
     assert "-0.970" in words
     for line in ("5 of 6", "N m/rad", "frequency (Hz)", "held-out", "Springs & dampers"):
@@ -214,7 +212,7 @@ def test_an_unknown_error_is_no_number():
 
 def test_verdict_names_the_misfit(fit):
     assert not about_fits.explained(fit)
-    words = about_fits.verdict(fit)
+    words = " ".join(about_fits.verdict(fit))
     assert "misses something" in words
     assert "shoulder" in words
     assert "elbow" in words
@@ -232,18 +230,3 @@ def test_verdict_names_the_misfit(fit):
 )
 def test_chi_square_in_words(chi2, words):
     assert words in about_fits.chi2_words(chi2)
-
-
-def test_residual_by_window():
-    time = np.arange(100) / 10
-    residual = np.ones((100, 2))
-    residual[50:] = 3.0
-    used = np.ones((100, 2), bool)
-    used[:25, 1] = False
-    noise = np.array([1.0, 0.5])
-    beside = SimpleNamespace(
-        recording=SimpleNamespace(time=time, noise=noise), residual=residual, used=used
-    )
-    edges, sizes = by_window(beside, 4)  # pyright: ignore[reportArgumentType]
-    assert (edges[0], edges[-1]) == (0.0, 9.9)
-    np.testing.assert_allclose(sizes, [[1, np.nan], [1, 2], [3, 6], [3, 6]])

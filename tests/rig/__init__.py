@@ -11,11 +11,13 @@ from .cases import Case, clean_cases, friction_cases, random_arm, random_release
 from .engine import Memory, Trace, simulate, trace
 from .hidden import Hidden, HiddenCase, hidden_cases, random_hidden, record
 from .laws import NAMES, OUTSIDE
+from .unnamed import UNNAMED, Unnamed
 
 __all__ = [
     "HANGING",
     "NAMES",
     "OUTSIDE",
+    "UNNAMED",
     "Arm",
     "Cart",
     "Case",
@@ -23,6 +25,7 @@ __all__ = [
     "HiddenCase",
     "Memory",
     "Trace",
+    "Unnamed",
     "clean_cases",
     "friction_cases",
     "hidden_cases",

@@ -16,6 +16,7 @@ from .arm import Arm, G
 from .cases import log_uniform
 from .loaded import first_moment
 from .scene import Scene, Values, swings
+from .unnamed import UNNAMED
 
 SHARE = (0.005, 0.1)
 MOST = 0.9
@@ -205,4 +206,6 @@ def draw(
     )
     if name == "inertia_error":
         return _inertia_error(scene, place)
+    if name in UNNAMED:
+        return UNNAMED[name].draw(scene)
     return ARM[name](scene) if name in ARM else JOINT[name](scene)

@@ -11,6 +11,7 @@ from .bearing import Plane
 from .bench import Bench
 from .joint_laws import IN_CATALOGUE, OUTSIDE_CATALOGUE, Values
 from .loaded import Hand, Tendon
+from .unnamed import UNNAMED, put_unnamed
 
 JOINTS = ("shoulder", "elbow")
 
@@ -104,6 +105,9 @@ OUTSIDE = tuple(f"{name}:{joint}" for name in OUTSIDE_CATALOGUE for joint in JOI
 def put(bench: Bench, label: str, values: Values) -> None:
     """Put one hidden effect on the bench."""
     name, _, place = label.partition(":")
+    if name in UNNAMED:
+        put_unnamed(bench, name, JOINTS.index(place), dict(values))
+        return
     if label not in (*NAMES, *OUTSIDE):
         raise ValueError(f'the rig knows no effect "{label}"')
     if name == "inertia_error":

@@ -81,7 +81,7 @@ def test_another_function_and_other_sources_are_other_programs(folder, monkeypat
     assert float(other(np.asarray(1.0))) == 3.0
     seen = []
     watched(seen)(arm(), np.arange(3.0))
-    monkeypatch.setattr(kept, "_made_of", lambda: "edited")
+    monkeypatch.setattr(kept, "made_of", lambda: "edited")
     watched(seen)(arm(), np.arange(3.0))
     assert len(seen) == 2
 
@@ -199,14 +199,14 @@ def test_a_cache_is_pruned_by_age_and_size(tmp_path):
     now = time.time()
     for i in range(10):
         cache.put(f"{i}", bytes(1000))
-        file = cache._file(f"{i}")
+        file = cache.file(f"{i}")
         os.utime(file, (now, now - 100 * i))
     cache.prune(oldest=450)
     assert [cache.get(f"{i}") is not None for i in range(10)] == [True] * 5 + [False] * 5
     for i in range(5):
-        os.utime(cache._file(f"{i}"), (now, now - 100 * i))
+        os.utime(cache.file(f"{i}"), (now, now - 100 * i))
     assert cache.get("4") is not None  # used again: now it is the youngest
-    size = cache._file("0").stat().st_size
+    size = cache.file("0").stat().st_size
     cache.prune(largest=4 * size)
     assert [cache.get(f"{i}") is not None for i in range(5)] == [True, True, False, False, True]
 
@@ -246,8 +246,8 @@ import sys
 import residyn
 residyn.set_up(cache=sys.argv[1])
 from residyn.runtime.export_cache import Kept
-traced, own = [], Kept._traced
-Kept._traced = lambda self, *given: traced.append(self) or own(self, *given)
+traced, own = [], Kept.trace
+Kept.trace = lambda self, *given: traced.append(self) or own(self, *given)
 fit = residyn.fit(residyn.load(sys.argv[2]))
 print(len(traced), *(n.value for n in fit.numbers))
 """

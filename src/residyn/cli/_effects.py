@@ -86,11 +86,8 @@ def effects(
     kinds = list(known.values())
     if not out.is_terminal:
         _plain(kinds)
-    elif out.width >= _ROOMY:
-        _table(out, kinds)
     else:
-        _stacked(out, kinds)
-    if out.is_terminal:
+        tabulate(out, kinds)
         out.print("spring and damper are in every model; --with NAME adds another")
 
 
@@ -146,32 +143,21 @@ def _plain(kinds: "list[type[AbstractEffect]]") -> None:
         print("   ".join([*cells, row[3]]))
 
 
-def _table(out: "Console", kinds: "list[type[AbstractEffect]]") -> None:
+def tabulate(out: "Console", kinds: "list[type[AbstractEffect]]") -> None:
+    """For a terminal: a column for everything; where that is too narrow, the name, and all else
+    below each other beside it."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    table = Table(box=SIMPLE_HEAD, padding=(0, 2, 1, 0), pad_edge=False)
+    roomy = out.width >= _ROOMY
+    table = Table(box=SIMPLE_HEAD, padding=(0, 2, 1, 0), pad_edge=False, expand=roomy)
     table.add_column("name", no_wrap=True, style="bold")
-    table.add_column("equation", ratio=3)
-    table.add_column("parameters", ratio=3)
-    table.add_column("what it looks like in the data", ratio=4)
-    table.expand = True
+    heads = {"equation": 3, "parameters": 3, "what it looks like in the data": 4}
+    for head, ratio in heads.items() if roomy else [(", ".join(heads), 1)]:
+        table.add_column(head, ratio=ratio)
     for kind in kinds:
-        table.add_row(kind.name, kind.equation, "\n".join(_numbers(kind)), kind.looks_like)
-    out.print(table)
-
-
-def _stacked(out: "Console", kinds: "list[type[AbstractEffect]]") -> None:
-    """Too narrow for four columns: the name, and all else under each other beside it."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    table = Table(box=SIMPLE_HEAD, padding=(0, 2, 1, 0), pad_edge=False)
-    table.add_column("name", no_wrap=True, style="bold")
-    table.add_column("equation, parameters, what it looks like in the data")
-    for kind in kinds:
-        numbers = _numbers(kind)
-        table.add_row(kind.name, "\n".join([kind.equation, *numbers, kind.looks_like]))
+        cells = [kind.equation, "\n".join(_numbers(kind)), kind.looks_like]
+        table.add_row(kind.name, *(cells if roomy else ["\n".join(filter(None, cells))]))
     out.print(table)
 
 

@@ -508,7 +508,7 @@ def _signs(row: Column | Screened) -> list[bool]:
     """Of each column, whether the sign of its strength is known."""
     if row.effect.oscillates:
         return [False] * len(row.which)
-    return [signed(row.effect, number) for number in strengths(row.effect)]
+    return [signed(number) for number in strengths(row.effect)]
 
 
 def spectral_lines(scene: Scene, trajectory: Trajectory) -> list[float]:
@@ -554,7 +554,7 @@ def extended(scene: Scene, trajectory: Trajectory, prior_of, found: Screened) ->
     for i, number in enumerate(own, first):
         if number.silent is not None:
             x = next(strong)
-            u[i] = max(x, least) if signed(effect, number) else x
+            u[i] = max(x, least) if signed(number) else x
     old, known = trajectory.path.shape[1], sum(len(e.memory) for e in trajectory.effects)
     path = np.zeros((scene.K, 2 * scene.n + scene.room(effects)))
     path[:, :old] = trajectory.path

@@ -28,6 +28,7 @@ from ..filtering.law import numbers_of
 from ..filtering.trajectory import Scene
 from ..physics.modal import modes
 from ..recordings.experiment import Experiment
+from ..runtime.json import number
 from ..runtime.presentation import Result
 from .columns import Column, Columns, candidates, strengths
 from .evidence import (
@@ -39,7 +40,6 @@ from .evidence import (
     width_of,
 )
 from .missing_torque import scene_of
-from .residuals import number
 from .search import tried_alone
 
 DRAWS = 400
@@ -153,7 +153,7 @@ class Rivals:
             sides = []
             if not row.effect.oscillates:
                 own = enumerate(strengths(row.effect))
-                sides = [i for i, x in own if signed(row.effect, x)]
+                sides = [i for i, x in own if signed(x)]
             half = 0.5 * np.linalg.slogdet(covariance)[1]
             self._inner.append((c, covariance, half, sides))
 

@@ -9,7 +9,7 @@ import datetime
 import math
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import jax
@@ -28,7 +28,7 @@ from ..fitting.result import Fit
 from ..physics.motion import Motion
 from ..recordings.experiment import Experiment
 from .candidate_tests import best_tests, in_play
-from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES
+from .evidence import EXPLAINS_NOTHING, IN_PLAY, INDISTINGUISHABLE, INTENSITIES, at_work
 from .forecast import held_out
 from .law import curve_models, laws_of
 from .linearised_fit import LinearisedFit, evaluated, forget, polish
@@ -99,7 +99,8 @@ def diagnose(
         search = Search(scene, base, deadline=deadline, say=say)
         fits.begin(search.base)
         search.run(max_effects)
-        if search.stopped is None:
+        best = search.best
+        if not search.stopped and best.complete < 1 - IN_PLAY and best.intensity < EXPLAINS_NOTHING:
             say("looking for a law without a name")
             search.curves = curve_models(search)
         say("fitting the models on the way")
@@ -290,12 +291,18 @@ class Posterior:
         """The likeliest model of those that the verdict speaks of, without its free curve."""
         if chosen is None and self.curves:
             top = max([*self.models, *self.curves], key=lambda m: m.log_posterior)
-            self.best = top if isinstance(top, Tried) else top.parent
+            self.best = search.tried[frozenset(top.added)]
 
-    def of(self, chosen: Callable[[frozenset[str]], bool]) -> float:
-        """Probability of all models whose set of added effects is chosen."""
-        every = zip([*self.models, *self.curves], [*self.each, *self.of_curves], strict=True)
-        return float(sum(p for m, p in every if chosen(frozenset(m.added))))
+    def of(self, labels: Iterable[str]) -> float:
+        """Probability that one of these effects is at work: that of all models which have one,
+        less what may be of a torque of no catalogue that they only take up a part of."""
+        wanted, certain = set(labels), at_work()
+        models, each = [*self.models, *self.curves], [*self.each, *self.of_curves]
+        return float(sum(
+            p * np.dot(model.weights, certain)
+            for model, p in zip(models, each, strict=True)
+            if wanted & set(model.added)
+        ))  # fmt: skip
 
     def verdict(self) -> tuple[Verdict, float]:
         """The likeliest of the three, and its probability."""
@@ -331,7 +338,7 @@ class Posterior:
             found.append(
                 Candidate(
                     effect=label,
-                    probability=self.of(lambda s, label=label: label in s),
+                    probability=self.of([label]),
                     log_evidence=evidence - self.best.log_evidence,
                     iterated=iterated,
                     parameters=parameters,
@@ -361,11 +368,8 @@ class Posterior:
         found = []
         for (name, place), effects in groups.items():
             labels = {e.label for e in effects}
-            p = self.of(lambda s, labels=labels: bool(labels & s))
-            members = sorted(
-                ((x, self.of(lambda s, x=x: x in s)) for x in labels), key=lambda m: -m[1]
-            )
-            found.append(Family(name, place, p, tuple(members)))
+            members = sorted(((x, self.of([x])) for x in labels), key=lambda m: -m[1])
+            found.append(Family(name, place, self.of(labels), tuple(members)))
         return tuple(sorted(found, key=lambda f: -f.probability))
 
     def lookalikes(self) -> tuple[tuple[str, ...], ...]:

@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import erf, log_ndtr, logsumexp
 
 from ..effects import AbstractEffect
 from ..filtering.kalman import Evidences
@@ -50,6 +50,10 @@ one on average; which ones they are is uniform over kinds and places."""
 NEGLIGIBLE = 1e-3
 """Random torque up to which a model is called complete: a thousandth of the spring's torque changes
 no stiffness by more than 0.1 %."""
+OUTSIDE = 1 / 5
+"""Prior probability that what a joint lacks is of no effect in the catalogue: Laplace's rule of
+succession after three measured rigs (carts, EMPS, a double pendulum), whose authors' explanations
+are all in it."""
 INDISTINGUISHABLE = math.log(20.0)
 """Nats up to which two models cannot be told apart: posterior odds of 20 to 1 are strong evidence
 (Kass and Raftery, J. American Statistical Association 90, 1995)."""
@@ -119,20 +123,21 @@ def width_of(scene: Scene, effect: AbstractEffect, number: Parameter) -> float:
     return WIDTH * scene.size(effect, number)
 
 
-def signed(effect: AbstractEffect, number: Parameter) -> bool:
-    """Whether a number has a half-normal prior: physics gives its sign."""
-    base = effect.name in ("spring", "damper")
-    return number.sign == "positive" and number.silent is not None and not base
+def signed(number: Parameter) -> bool:
+    """Whether a number has a half-normal prior: physics gives its sign. No spring, damper or
+    friction has less than nothing."""
+    return number.sign == "positive" and number.silent is not None
 
 
-def half_normals(effects: Sequence[AbstractEffect], found: Evidences) -> np.ndarray:
-    """(I,) what the half-normal priors of a model add to its log evidence: log 2 Phi(mean / std)
-    for each number whose sign is known."""
+def half_normals(effects: Sequence[AbstractEffect], prior: Prior, found: Evidences) -> np.ndarray:
+    """(I,) what the half-normal priors of a model add to its log evidence: log 2 Phi of each number
+    whose sign is known, in standard deviations from where it is silent."""
     total = np.zeros(len(found.log_evidence))
     for effect, own in zip(effects, number_slices(effects), strict=True):
         for number, i in zip(numbers_of(effect), range(own.start, own.stop), strict=True):
-            if signed(effect, number):
-                total += half_normal(found.regressors[:, i] / found.std[:, i])
+            if signed(number):
+                silent = (number.silent - prior.mean[i]) / prior.width[i]
+                total += half_normal((found.regressors[:, i] - silent) / found.std[:, i])
     return total
 
 
@@ -151,6 +156,28 @@ def log_prior_intensity(intensities: Sequence[float]) -> np.ndarray:
     )  # fmt: skip
 
 
+def at_work() -> np.ndarray:
+    """(I,) probability that the effects of a model are at work, for each random torque that the
+    model still needs.
+
+    The alternative is a torque of no effect in the catalogue, of which the model's effects only
+    take up a part. What they leave is then of the size that effects have (half-normal, `WIDTH`),
+    while beside effects that are at work it is another torque, of any size
+    (`log_prior_intensity`). So a name is sure where little is left beside it, and doubtful where as
+    much is left as effects are expected to be, whatever the number of readings.
+    """
+    each = np.array(INTENSITIES)
+    above = np.append(np.inf, np.sqrt(each[:-1] * each[1:]))  # upper ends of the grid's cells
+    above[-1] = above[-2] * each[-2] / each[-3]
+    below = np.append(above[1:], 0.0)
+    outside = OUTSIDE * (erf(above / WIDTH / math.sqrt(2)) - erf(below / WIDTH / math.sqrt(2)))
+    work = (1.0 - OUTSIDE) * np.exp(log_prior_intensity(INTENSITIES))
+    none = each <= NEGLIGIBLE  # as good as none: no cells of their own
+    outside[none], work[none] = outside[none].sum(), work[none].sum()
+    # More that is left makes no name surer, though few effects are as large as the whole spring.
+    return np.minimum.accumulate((work / (work + outside))[::-1])[::-1]
+
+
 def over_intensities(evidences: np.ndarray, intensities: Sequence[float]) -> float:
     """Log evidence of a model, its random torque's intensity summed over."""
     return float(
@@ -166,6 +193,20 @@ def log_prior_model(added: int, candidates: int) -> float:
     return math.log(1 - FURTHER) + added * math.log(FURTHER) - sets
 
 
+_ROUNDING = 1e-13
+"""Numerical tolerance: what rounding may take from the diagonal of a Gram matrix of unit
+diagonal."""
+
+
+def gram_factor(square: np.ndarray) -> np.ndarray:
+    """Cholesky factor (..., C, C) of Gram matrices plus 1. Columns that rounding cannot tell apart
+    keep it real: the smallest of two nearly equal ones is lost beside it otherwise."""
+    size = np.sqrt(np.diagonal(square, axis1=-2, axis2=-1))
+    unit = square / size[..., :, None] / size[..., None, :]
+    unit = unit + _ROUNDING * np.eye(unit.shape[-1])
+    return np.linalg.cholesky(unit) * size[..., :, None]
+
+
 def conditional(gram: np.ndarray, base: int) -> tuple[float, np.ndarray]:
     """A Gram matrix (1 + base + C)^2 of whitened innovations, with the first `base` regressors
     integrated out: their log evidence, and the (1 + C)^2 Gram matrix of what is left.
@@ -174,7 +215,7 @@ def conditional(gram: np.ndarray, base: int) -> tuple[float, np.ndarray]:
     """
     inner = gram[1 : 1 + base, 1 : 1 + base] + np.eye(base)
     keep = np.r_[0, 1 + base : len(gram)]
-    factor = np.linalg.cholesky(inner)
+    factor = gram_factor(inner)
     across = np.linalg.solve(factor, gram[1 : 1 + base][:, keep])
     rest = gram[np.ix_(keep, keep)] - across.T @ across
     return -0.5 * rest[0, 0] - float(np.log(np.diag(factor)).sum()), rest
@@ -197,7 +238,7 @@ def subset(gram: np.ndarray, columns) -> tuple[np.ndarray, np.ndarray, np.ndarra
     """
     i = np.asarray(columns, int) + 1
     inner = gram[..., i[..., :, None], i[..., None, :]] + np.eye(i.shape[-1])
-    factor = np.linalg.cholesky(inner)
+    factor = gram_factor(inner)
     x = np.linalg.solve(factor, -gram[..., i, 0][..., None])
     logs = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
     mean = np.linalg.solve(np.swapaxes(factor, -1, -2), x)[..., 0]

@@ -30,6 +30,8 @@ import scipy.linalg
 from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
+from .evidence import gram_factor
+
 DRAWS = 400
 """Of the readings, for each model: the expected entropy of two models is then known to 0.02."""
 
@@ -126,7 +128,7 @@ def worth(
     rng, D = np.random.default_rng(0), len(test[0].mean)
     columns = [np.column_stack([x.numbers, x.release]) for x in test]
     inner = [np.eye(u.shape[1]) + u.T @ u for u in columns]
-    factors = [np.linalg.cholesky(x) for x in inner]
+    factors = [gram_factor(x) for x in inner]
     halves = np.array([np.log(np.diag(f)).sum() for f in factors])
     noise = rng.standard_normal((draws // 2, D))
     noise = np.concatenate([noise, -noise])

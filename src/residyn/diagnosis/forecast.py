@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..fitting.result import RecordingFit
+from ..runtime.json import number
 from .linearised_fit import LinearisedFit, spread
-from .residuals import number
 
 _HORIZONS = 8
-_LEAST = 20  # readings of each joint to fit to
+LEAST = 20  # readings of each joint to fit to
 
 
 class Error(NamedTuple):
@@ -114,7 +114,7 @@ def _run(near: LinearisedFit, share: float) -> _Run | None:
     ends = [r.recording.time[0] + share * r.recording.duration for r in near.fitted]
     since = [r.recording.time - end for r, end in zip(near.fitted, ends, strict=True)]
     for r, s in zip(near.fitted, since, strict=True):
-        if r.used[s <= 0].sum(axis=0).min() < _LEAST:
+        if r.used[s <= 0].sum(axis=0).min() < LEAST:
             return None
     at, settled = near.refitted([s <= 0 for s in since])
     predicted, slopes = near.look(at)

@@ -9,7 +9,8 @@ becomes an effect, and is then iterated and fitted as any effect is.
 
 import itertools
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -17,21 +18,24 @@ from scipy.special import logsumexp
 from ..effects.found import FoundLaw, FoundNumber
 from ..filtering.trajectory import Scene
 from .evidence import (
+    CURVE_AMPLITUDES,
     FURTHER,
     INDISTINGUISHABLE,
     INTENSITIES,
+    SHAPE,
     WIDTH,
     conditional,
     log_prior_intensity,
     log_prior_model,
     subset,
 )
-from .free_curves import Along, Place, Settled, shifted
+from .free_curves import Along, CurveModel, Place, signs
 
 MOST_TERMS = 3
 _KEPT = 12  # sums that a further term is tried with
-_FINER = 1.0, 4.0, 16.0, 16.0  # shares of the way to a shape's neighbours on its grid
-_FINE = 9  # values of a shape between its neighbours on the grid
+_ITERATIONS = 8  # of a sum's shapes
+_FURTHEST = 0.5  # of one iteration, in the logarithm of a shape
+_STEP = 1e-4  # of the logarithm of a shape, for a slope
 
 
 class Term(NamedTuple):
@@ -57,6 +61,11 @@ def _power(p: float, odd: bool) -> Term:
     return Term("power", (size,), (word,))
 
 
+# Of one side only: what drags or stops in one direction.
+_ONE_SIDED = tuple(
+    Term("power", (f"jnp.maximum({x} / {{x0}}, 0.0) ** 2",), (f"max({word}/{{x0}}, 0)^2",))
+    for x, word in (("x", "{x}"), ("-x", "-{x}"))
+)
 _WIDTHS = 0.05, 0.1, 0.2, 0.5
 _SATURATION = Term("saturation", ("jnp.tanh(x / {width})",), ("tanh({x}/width)",),
                    (("width", _WIDTHS),))  # fmt: skip
@@ -82,12 +91,12 @@ _WELL = Term(
 )
 _ANGLE = (
     *(_power(p, True) for p in (1.5, 2, 3, 5, 7)),
-    *(_power(p, False) for p in (1, 2, 4)),
+    *(_power(p, False) for p in (1, 2, 4)), *_ONE_SIDED,
     _SATURATION, *_EXPONENTIALS, _SINE, _WELL,
 )  # fmt: skip
 _RATE = (
     *(_power(p, True) for p in (1.5, 2, 3, 5)),
-    *(_power(p, False) for p in (1, 1.5, 2, 3)),
+    *(_power(p, False) for p in (1, 1.5, 2, 3)), *_ONE_SIDED,
     _SATURATION, *_EXPONENTIALS,
 )  # fmt: skip
 _CONSTANT = Term("constant", ("1.0",), ("",))
@@ -133,7 +142,7 @@ class Sum(NamedTuple):
     log_evidence: float
     """With the prior of its terms and shapes."""
     log_prior: float
-    """Of the choice of its terms."""
+    """Of the choice of its terms, and what other widths of its strengths' prior add."""
     strengths: np.ndarray
     """One for each part of each term, in the height's unit."""
 
@@ -164,50 +173,47 @@ def _columns(place: Place) -> list[Column]:
     return found
 
 
-def _around(column: Column, shape: int, finer: float) -> list[Column]:
-    """Values of one shape, as far as its neighbours on the grid over `finer`."""
-    grid, here = np.array(sorted(column.term.shapes[shape][1])), column.shape[shape]
-    scale = here / grid[int(np.argmin(np.abs(grid * column.scale - here)))]
-    i = int(np.argmin(np.abs(grid * column.scale - here)))
-    low, high = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
-    low, high = (here + scale * (x - grid[i]) / finer for x in (low, high))
-    return [
-        column._replace(shape=(*column.shape[:shape], float(x), *column.shape[shape + 1 :]))
-        for x in np.linspace(low, high, _FINE)
-    ]
+def _torques(place: Place, along: Along, column: Column) -> list[np.ndarray]:
+    """Torque of each part of a term, N m at unit strength, at the nodes of a motion."""
+    x, factor = (
+        along.variable(place.kind.variable, place.joint),
+        along.factor(place.kind.factor, place.joint),
+    )
+    shapes = dict(zip((name for name, _ in column.term.shapes), column.shape, strict=True))
+    return [factor * _value(part, x, scale_of(place), shapes) for part in column.term.parts]
 
 
 class Sums:
-    """All sums of some columns beside a model, to first order."""
+    """All sums of some columns beside a model, to first order, under its `most` likeliest random
+    torques; `more` (C, 3 K) are further torques, at their prior's width, which no sum has."""
 
-    def __init__(self, along: Along, settled: Settled, columns: list[Column]):
-        self.columns, place = columns, settled.place
+    def __init__(
+        self, along: Along, model: CurveModel, columns: Sequence[Column], more: Any = (),
+        most: int = 1,
+    ):  # fmt: skip
+        self.columns, place = list(columns), model.place
         self.terms = len(grammar(place))
         self.width = WIDTH * place.unit(along.scene)
-        x, x0 = along.variable(place.kind.variable, place.joint), scale_of(place)
-        factor, rows, ends = along.factor(place.kind.factor, place.joint), [], [0]
+        rows, ends = [], [0]
         for column in columns:
-            names = (name for name, _ in column.term.shapes)
-            shapes = dict(zip(names, column.shape, strict=True))
-            each = [self.width * factor * _value(part, x, x0, shapes) for part in column.term.parts]
-            rows += each
-            ends.append(ends[-1] + len(each))
+            rows += [self.width * x for x in _torques(place, along, column)]
+            ends.append(len(rows))
         self.which = [tuple(range(a, b)) for a, b in itertools.pairwise(ends)]
         # The system holds the curve: its own columns take it away again.
-        torques = np.concatenate([place.columns(along), np.stack(rows)])
-        logs = np.where(np.isfinite(settled.evidences), settled.evidences, -np.inf)
+        torques = np.concatenate([place.columns(along), np.stack([*rows, *more])])
+        logs = np.where(np.isfinite(model.evidences), model.evidences, -np.inf)
         logs = logs + log_prior_intensity(INTENSITIES)
-        used = np.argsort(-logs)[:2]
-        totals, grams = along.gram(place.joint, torques, np.array(INTENSITIES)[used])
-        P, count, bases, rests = len(along.trajectory.u), len(settled.at), [], []
+        used = np.argsort(-logs)[:most]
+        at = np.array(INTENSITIES)[used]
+        totals, grams = along.gram(place.joint, torques, at, model.held)
+        P, count, bases, rests = len(along.trajectory.u), len(model.held), [], []
+        keep = np.r_[0 : 1 + P, 1 + P + count : grams.shape[-1]]
         for total, square in zip(totals, grams, strict=True):
-            square = shifted(square, 1 + P, settled.at)
-            keep = np.r_[0 : 1 + P, 1 + P + count : len(square)]
             base, rest = conditional(square[np.ix_(keep, keep)], P)
             bases.append(total + base)
             rests.append(rest)
-        self.bases = np.array(bases) + log_prior_intensity([INTENSITIES[k] for k in used])
-        self.rests = np.stack(rests)
+        self.bases = np.array(bases) + log_prior_intensity(at.tolist())
+        self.rests, self.square = np.stack(rests), grams[0][np.ix_(keep, keep)]
 
     def of(self, sets: list[tuple[int, ...]]) -> list[Sum]:
         """Sums of these columns."""
@@ -248,39 +254,80 @@ class Sums:
         )
 
 
-def likeliest(along: Along, settled: Settled) -> list[Sum]:
-    """For a curve the likeliest sum of one, of two and of three terms, shapes refined beyond their
+def likeliest(along: Along, model: CurveModel) -> list[Sum]:
+    """For a curve the likeliest sum of one, of two and of three terms, shapes moved off their
     grids: those that cannot be told from the likeliest, which comes first."""
-    columns = _columns(settled.place)
-    alone = Sums(along, settled, columns)
+    columns = _columns(model.place)
+    alone = Sums(along, model, columns)
     singles = alone.of([(k,) for k in range(len(columns))])
     for term in {id(c.term): c.term for c in columns if c.term.shapes}.values():
         own = [s for s in singles if s.columns[0].term is term]
         best = max(own, key=lambda s: s.log_evidence)
-        columns += _refined(along, settled, best).columns
-    every = Sums(along, settled, columns).best()
+        columns += _refined(along, model, best).columns
+    every = Sums(along, model, columns).best()
     tops = [
         next((s for k, s in every if len(k) == size), None) for size in range(1, MOST_TERMS + 1)
     ]
-    refined = [_refined(along, settled, s) for s in tops if s is not None]
+    refined = [_weighed(along, model, _refined(along, model, s)) for s in tops if s is not None]
     refined.sort(key=lambda s: -s.log_evidence)
     least = refined[0].log_evidence - INDISTINGUISHABLE
     return [s for s in refined if s.log_evidence > least]
 
 
-def _refined(along: Along, settled: Settled, found: Sum) -> Sum:
-    """The sum with the shapes of its terms moved between their neighbours on the grid."""
-    for finer in _FINER:
-        for i in range(len(found.columns)):
-            for shape in range(len(found.columns[i].term.shapes)):
-                rest = [c for k, c in enumerate(found.columns) if k != i]
-                tried = _around(found.columns[i], shape, finer)
-                sums = Sums(along, settled, [*rest, *tried])
-                own = range(len(rest))
-                sets = [(*own[:i], len(rest) + k, *own[i:]) for k in range(len(tried))]
-                best = max(sums.of(sets), key=lambda s: s.log_evidence)
-                found = max(found, best, key=lambda s: s.log_evidence)
-    return found
+def _bends(along: Along, place: Place, found: Sum) -> list[np.ndarray]:
+    """What a change of each shape of a sum does to its torque, at the shape's prior width."""
+    strengths, bends = iter(found.strengths), []
+    for column in found.columns:
+        own = [next(strengths) for _ in column.term.parts]
+        for i, value in enumerate(column.shape):
+            ends = []
+            for near in (value * math.exp(_STEP), value * math.exp(-_STEP)):
+                moved = column._replace(shape=(*column.shape[:i], near, *column.shape[i + 1 :]))
+                each = _torques(place, along, moved)
+                ends.append(sum(a * x for a, x in zip(own, each, strict=True)))
+            bends.append(SHAPE * (ends[0] - ends[1]) / (2 * _STEP))
+    return bends
+
+
+def _refined(along: Along, model: CurveModel, found: Sum) -> Sum:
+    """The sum with its shapes where its evidence is highest (Gauss and Newton's method)."""
+    best, here, share = None, found, 1.0
+    move = np.zeros(sum(len(c.shape) for c in found.columns))
+    for _ in range(_ITERATIONS):
+        sums = Sums(along, model, here.columns, _bends(along, model.place, here))
+        (here,) = sums.of([tuple(range(len(found.columns)))])
+        if best is None or here.log_evidence > best.log_evidence:
+            best, share = here, 1.0
+            _, mean, _ = subset(sums.rests[0], np.arange(sums.rests.shape[-1] - 1))
+            move = np.clip(SHAPE * mean[len(found.strengths) :], -_FURTHEST, _FURTHEST)
+        else:
+            share *= 0.5
+        if np.max(np.abs(share * move), initial=0.0) < _STEP:
+            break
+        steps, columns = iter(share * move), []
+        for c in best.columns:
+            columns.append(c._replace(shape=tuple(x * math.exp(next(steps)) for x in c.shape)))
+        here = best._replace(columns=tuple(columns))
+    return found if best is None else best
+
+
+def _weighed(along: Along, model: CurveModel, found: Sum) -> Sum:
+    """The sum with the evidence that an effect has, each shape known to an e-fold; and as the curve
+    has it, the prior's width of its strengths summed over."""
+    bends, count = _bends(along, model.place, found), len(found.strengths)
+    sums = Sums(along, model, found.columns, bends, len(INTENSITIES))
+
+    def evidence(amplitude: float) -> float:
+        size = np.ones(1 + count + len(bends))
+        size[1 : 1 + count] = amplitude / WIDTH
+        gain, _, _ = subset(size[:, None] * sums.rests * size, np.arange(count + len(bends)))
+        return float(logsumexp(gain + sums.bases))
+
+    total = float(logsumexp([evidence(a) for a in CURVE_AMPLITUDES]))
+    total -= math.log(len(CURVE_AMPLITUDES))
+    prior = found.log_prior + total - evidence(WIDTH)
+    total += found.log_prior + signs(along, sums.square)
+    return found._replace(log_evidence=total, log_prior=prior)
 
 
 _LETTERS = "abcdefg"

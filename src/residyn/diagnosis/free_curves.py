@@ -30,10 +30,12 @@ from .evidence import (
     CURVE_AMPLITUDES,
     CURVE_LENGTHS,
     INTENSITIES,
+    NEGLIGIBLE,
     conditional,
     half_normals,
     log_prior_intensity,
 )
+from .search import Tried
 
 SPLINES = 32
 """Of one curve."""
@@ -156,10 +158,12 @@ class Along:
         return float(x.min()), float(x.max())
 
     def gram(
-        self, joint: int, torques: np.ndarray, intensities: Sequence[float] | np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, joint: int, torques: np.ndarray, intensities: Sequence[float] | np.ndarray,
+        held: Sequence[float] | np.ndarray = (),
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """(I,) log normalisers, and the (I, 1 + P + C, 1 + P + C) Gram matrices of whitened
-        innovations with C torques (C, 3 K), N m, at one joint."""
+        innovations with C torques (C, 3 K), N m, at one joint. The model may hold the first of them
+        already, at strengths `held`: they are taken away from it."""
         K, count = self.scene.K, len(torques)
         wide = np.zeros((WIDE * math.ceil(count / WIDE), 3, K))
         wide[:count] = torques.reshape(count, 3, K)
@@ -168,10 +172,12 @@ class Along:
         noise = self.scene.noise(self.trajectory)
         args = self.linear.system, (B, read), self.scene.readings, noise
         found = [gram(*args, np.asarray(x, float)) for x in intensities]
-        keep = 1 + len(self.trajectory.u) + count
-        return np.array([t for t, _ in found]), np.stack([
-            np.asarray(g)[:keep, :keep] for _, g in found
-        ])  # fmt: skip
+        first = 1 + len(self.trajectory.u)
+        keep = first + count
+        move = np.eye(keep)
+        move[first : first + len(held), 0] = -np.asarray(held, float)
+        squares = [move.T @ np.asarray(g)[:keep, :keep] @ move for _, g in found]
+        return np.array([t for t, _ in found]), np.stack(squares)
 
 
 class Place(NamedTuple):
@@ -187,11 +193,6 @@ class Place(NamedTuple):
         """Over the range that a motion visits."""
         return cls(kind, joint, *along.span(kind.variable, joint))
 
-    @property
-    def key(self) -> tuple[Kind, int]:
-        """What tells it from others."""
-        return self.kind, self.joint
-
     def columns(self, along: Along) -> np.ndarray:
         """(SPLINES, 3 K) torques of unit heights."""
         x = along.variable(self.kind.variable, self.joint)
@@ -203,6 +204,13 @@ class Place(NamedTuple):
         s = scene.scales[self.joint]
         size = {"angle": s.amplitude, "rate": s.amplitude * s.frequency}
         return float(scene.torque[self.joint]) / size.get(self.kind.factor, 1.0)
+
+    def taken(self, x: np.ndarray) -> np.ndarray | None:
+        """What of a curve springs and dampers are already: a line of the angle or the rate, a
+        constant stiffness or damping; nothing of others."""
+        if self.kind.factor in ("angle", "rate"):
+            return np.ones_like(x)
+        return x if not self.kind.factor and self.kind.variable in ("angle", "rate") else None
 
     def effect(self, scene: Scene, heights: np.ndarray) -> FreeCurve:
         """The curve with these heights."""
@@ -250,21 +258,11 @@ def _mixed(weights, means, covariances) -> tuple[np.ndarray, np.ndarray]:
     return mean, np.tensordot(weights, covariances + off[:, :, None] * off[:, None, :], 1)
 
 
-def shifted(gram: np.ndarray, first: int, at: np.ndarray) -> np.ndarray:
-    """A Gram matrix whose readings' row is where columns from `first` on, which the system is
-    linearised with at some values, are 0."""
-    move = np.eye(len(gram))
-    move[first : first + len(at), 0] = -at
-    return move.T @ gram @ move
-
-
 def posterior(
-    along: Along, place: Place, intensities: Sequence[float] | np.ndarray, at: np.ndarray
+    along: Along, place: Place, intensities: Sequence[float] | np.ndarray, held: np.ndarray
 ) -> Posterior:
-    """A curve beside a model that holds it at heights `at` already."""
-    totals, grams = along.gram(place.joint, place.columns(along), intensities)
-    P = len(along.trajectory.u)
-    grams = np.stack([shifted(g, 1 + P, at) for g in grams])
+    """A curve beside a model that holds it at these heights already."""
+    totals, grams = along.gram(place.joint, place.columns(along), intensities, held)
     return _posterior(along, place, intensities, totals, grams)
 
 
@@ -285,7 +283,9 @@ def _posterior(along: Along, place: Place, intensities, totals, grams) -> Poster
         spread = roots[keep] @ inverse[keep] @ np.swapaxes(roots[keep], 1, 2)
         mean, covariance = _mixed(weights[keep] / weights[keep].sum(), heights, spread)
         gain = logsumexp(gains) - math.log(len(gains))
-        evidences.append(total + base + gain + _signs(along, square, roots[np.argmax(gains)]))
+        scale = np.eye(len(square))
+        scale[1 + P :, 1 + P :] = roots[np.argmax(gains)]
+        evidences.append(total + base + gain + signs(along, scale.T @ square @ scale))
         each.append((mean, covariance))
     evidences = np.array(evidences)
     evidences = np.where(np.isfinite(evidences), evidences, -np.inf)
@@ -295,16 +295,14 @@ def _posterior(along: Along, place: Place, intensities, totals, grams) -> Poster
     return Posterior(evidences, *_mixed(weights, means, covariances))
 
 
-def _signs(along: Along, square: np.ndarray, root: np.ndarray) -> float:
-    """What the half-normal priors of the model's own numbers add, beside the curve."""
+def signs(along: Along, square: np.ndarray) -> float:
+    """What the half-normal priors of the model's own numbers add to the log evidence, beside some
+    columns at their prior's width; `square` is the Gram matrix of both."""
     P = len(along.trajectory.u)
-    scale = np.eye(1 + P + SPLINES)
-    scale[1 + P :, 1 + P :] = root
-    square = scale.T @ square @ scale
-    inverse = np.linalg.inv(square[1:, 1:] + np.eye(P + SPLINES))
+    inverse = np.linalg.inv(square[1:, 1:] + np.eye(len(square) - 1))
     mean, std = -inverse @ square[1:, 0], np.sqrt(np.diag(inverse))
     found = Evidences(np.zeros(1), mean[None, :P], std[None, :P])
-    return float(half_normals(along.trajectory.effects, found)[0])
+    return float(half_normals(along.trajectory.effects, along.trajectory.prior, found)[0])
 
 
 class Screened(NamedTuple):
@@ -335,34 +333,50 @@ def screen(along: Along, intensities: Sequence[float]) -> list[Screened]:
     return sorted(found, key=lambda s: -s.log_evidence)
 
 
-class Settled(NamedTuple):
-    """A model with a free curve, iterated to its evidence."""
+@dataclasses.dataclass(frozen=True, eq=False)
+class CurveModel(Tried):
+    """A model with a free curve, iterated to its evidence; `added` are the names beside it, `best`
+    is its motion with the curve in it."""
 
     place: Place
-    trajectory: Trajectory
-    """Of the model with the curve."""
-    evidences: np.ndarray
-    """(I,) at each of `INTENSITIES`."""
     mean: np.ndarray
     """(SPLINES,) heights of the curve."""
     covariance: np.ndarray
-    at: np.ndarray
-    """(SPLINES,) heights that `trajectory` has."""
+    held: np.ndarray
+    """(SPLINES,) heights that `best` has."""
+    share: float
+    """Rms torque of the curve, beyond what springs and dampers take up, over the spring's torque at
+    full swing."""
+
+    formulas: tuple[Any, ...] = ()
+    """`formula.Sum`s that say the same, where they were weighed, to first order."""
+
+    @property
+    def log_evidence(self) -> float:
+        """Of curve and formulas, which have half of the prior each; of the curve, where no formula
+        was weighed."""
+        curve = super().log_evidence
+        if not self.formulas:
+            return curve
+        return float(logsumexp([curve, *(s.log_evidence for s in self.formulas)])) - math.log(2.0)
+
+    @property
+    def matters(self) -> bool:
+        """Whether its torque is more than what is called negligible."""
+        return self.share > NEGLIGIBLE
 
 
-def settle(scene: Scene, start: Trajectory, first: Screened, loudest: float) -> Settled | None:
+def settle(scene: Scene, added: tuple[str, ...], start: Trajectory, first: Screened, loudest: float,
+           log_prior: float) -> CurveModel | None:  # fmt: skip
     """Iterate a model and a free curve to their motion: curve and evidences along the motion, then
     the motion with that curve. None if it runs away."""
     place, heights = first.place, first.posterior.mean
     level = next(k for k, x in enumerate(INTENSITIES) if x <= loudest)
     before, prior = -math.inf, log_prior_intensity(INTENSITIES)
-
-    def with_curve(t: Trajectory, heights) -> Trajectory:
-        own = [e for e in t.effects if not isinstance(e, FreeCurve)]
-        return dataclasses.replace(t, effects=(*own, place.effect(scene, heights)))
-
-    t = with_curve(start, heights)
+    t = start
     for turn in range(_ITERATIONS):
+        own = [e for e in t.effects if not isinstance(e, FreeCurve)]
+        t = dataclasses.replace(t, effects=(*own, place.effect(scene, heights)))
         moved = scene.smoothed(t, scene.linearised(t), INTENSITIES[level])
         if moved is None:
             return None
@@ -373,10 +387,21 @@ def settle(scene: Scene, start: Trajectory, first: Screened, loudest: float) -> 
         here = float(found.evidences.max())
         if not np.isfinite(here):
             return None
-        settled = likeliest == level and abs(here - before) < _SETTLED
-        if settled or turn == _ITERATIONS - 1:
+        if turn == _ITERATIONS - 1 or (likeliest == level and abs(here - before) < _SETTLED):
             found = posterior(along, place, INTENSITIES, heights)
-            return Settled(place, t, found.evidences, found.mean, found.covariance, heights)
+            share = _share(along, place, found.mean)
+            own = found.mean, found.covariance, heights, share
+            return CurveModel(added, found.evidences, t, log_prior, place, *own)
         level, before, heights = min(likeliest, level + _FALL), here, found.mean
-        t = with_curve(t, heights)
     return None
+
+
+def _share(along: Along, place: Place, heights: np.ndarray) -> float:
+    x, factor = (
+        f(name, place.joint)[along.real]
+        for f, name in ((along.variable, place.kind.variable), (along.factor, place.kind.factor))
+    )
+    value, taken = np.asarray(splines(x, place.low, place.high)).T @ heights, place.taken(x)
+    if taken is not None:
+        value = value - taken * (taken @ value) / (taken @ taken)
+    return float(np.sqrt(np.mean((factor * value) ** 2)) / along.scene.torque[place.joint])

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 
 from ..effects.found import FoundLaw, FoundNumber
 from ..filtering.law import number_slices, numbers_of, of_one_joint
@@ -21,67 +20,27 @@ from ..filtering.trajectory import Scene
 from ..fitting import FitError
 from ..fitting.result import Fit
 from ..physics.motion import JointMotion
+from ..runtime.json import number
 from .evidence import (
     CONTENDERS,
     IN_PLAY,
     INDISTINGUISHABLE,
     INTENSITIES,
-    NEGLIGIBLE,
-    log_prior_intensity,
     log_prior_model,
     over_intensities,
     prior_of,
 )
 from .forecast import HeldOut, held_out
 from .formula import likeliest, written
-from .free_curves import Along, Kind, Settled, screen, splines
+from .free_curves import Along, CurveModel, FreeCurve, Kind, Place, screen, splines
 from .free_curves import settle as settle_curve
 from .linearised_fit import LinearisedFit
-from .residuals import number
 from .search import OutOfTime, Search, Tried, settle
 
 GRID = 101
 """Points at which a law is told."""
 _TABLE = 21  # of the class of a law without a formula
 _NAMED = 3  # named laws drawn through a curve
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class CurveModel:
-    """A model with a free curve, iterated to its evidence."""
-
-    parent: Tried
-    settled: Settled
-    log_prior: float
-    share: float
-    """Rms torque of the curve, beyond what springs and dampers take up, over the spring's torque at
-    full swing."""
-
-    @property
-    def added(self) -> tuple[str, ...]:
-        """Names beside it."""
-        return self.parent.added
-
-    @property
-    def log_evidence(self) -> float:
-        """The random torque summed over."""
-        return over_intensities(self.settled.evidences, INTENSITIES)
-
-    @property
-    def log_posterior(self) -> float:
-        """Not normalised."""
-        return self.log_evidence + self.log_prior
-
-    @property
-    def matters(self) -> bool:
-        """Whether its torque is more than what is called negligible."""
-        return self.share > NEGLIGIBLE
-
-    @property
-    def complete(self) -> float:
-        """Probability, given the model, that it needs no random torque that matters."""
-        logs = self.settled.evidences + log_prior_intensity(INTENSITIES)
-        return float(np.exp(logs - logsumexp(logs))[np.array(INTENSITIES) <= NEGLIGIBLE].sum())
 
 
 def curve_models(search: Search) -> list[CurveModel]:
@@ -95,42 +54,29 @@ def curve_models(search: Search) -> list[CurveModel]:
         trajectory, intensity = search.screening_motion(parent)
         used = sorted({intensity, 0.1 * intensity, 0.0}, reverse=True)
         prior = log_prior_model(len(parent.added) + 1, len(search.candidates))
-        each = screen(Along(scene, trajectory), used)
-        found += [(s.log_evidence + prior, parent, prior, s) for s in each[:CONTENDERS]]
+        each = screen(Along(scene, trajectory), used)[:CONTENDERS]
+        found += [
+            (s.log_evidence + prior, parent.added, trajectory, s, intensity, prior) for s in each
+        ]
     found.sort(key=lambda f: -f[0])
     least = max(best.log_posterior, found[0][0]) - 2 * INDISTINGUISHABLE
-    kept = []
-    for total, parent, prior, first in found[:CONTENDERS]:
-        if total > least:
-            trajectory, intensity = search.screening_motion(parent)
-            settled = settle_curve(scene, trajectory, first, intensity)
-            if settled is not None:
-                kept.append(CurveModel(parent, settled, prior, _share(scene, settled)))
-    return kept
+    kept = [settle_curve(scene, *f[1:]) for f in found[:CONTENDERS] if f[0] > least]
+    models = [m for m in kept if m is not None]
+    top = max([best, *models], key=lambda m: m.log_posterior).log_posterior
+    close = [m for m in [best, *models] if m.log_posterior > top - INDISTINGUISHABLE]
+    if len(close) > 1:  # the law that has a simple formula is the likelier one
+        models = [_with_formulas(scene, m) if m in close else m for m in models]
+    return models
 
 
-def _share(scene: Scene, settled: Settled) -> float:
-    place, real = settled.place, np.arange(scene.K) < scene.grid.real
-    along = Along(scene, settled.trajectory)
-    x = along.variable(place.kind.variable, place.joint)[: scene.K][real]
-    factor = along.factor(place.kind.factor, place.joint)[: scene.K][real]
-    rows = np.asarray(splines(x, place.low, place.high)).T
-    value, taken = rows @ settled.mean, _taken(place.kind, x)
-    if taken is not None:
-        value = value - taken * (taken @ value) / (taken @ taken)
-    return float(np.sqrt(np.mean((factor * value) ** 2)) / scene.torque[place.joint])
-
-
-def _taken(kind: Kind, x: np.ndarray) -> np.ndarray | None:
-    """What of a curve springs and dampers are already: a line of the angle or the rate, a constant
-    stiffness or damping; nothing of others."""
-    if kind.factor in ("angle", "rate"):
-        return np.ones_like(x)
-    return x if not kind.factor and kind.variable in ("angle", "rate") else None
+def _with_formulas(scene: Scene, model: CurveModel) -> CurveModel:
+    formulas = tuple(likeliest(Along(scene, model.best), model))
+    return dataclasses.replace(model, formulas=formulas)
 
 
 def _beyond(taken: np.ndarray | None, visits: np.ndarray) -> np.ndarray:
-    """(G, G) takes that part away, in the mean over the visits (G,) of each point."""
+    """(G, G) takes what springs and dampers are away, in the mean over the visits (G,) of each
+    point."""
     eye = np.eye(len(visits))
     if taken is None:
         return eye
@@ -215,10 +161,20 @@ class Law:
             "name": None if self.found is None else self.found.label,
         }
 
+    def values(self, effect: Any) -> np.ndarray:
+        """(G,) f of an effect at the joint, less what springs and dampers take up, as `mean` is."""
+        found = []
+        for x in self.grid:
+            at = {"time": 0.0, "angle": 0.0, "rate": 0.0, self.factor: 1.0, self.variable: x}
+            direction = np.sign(x) if self.variable == "rate" else 1.0
+            motion = JointMotion(at["time"], at["angle"], at["rate"], direction, (), at["angle"])
+            found.append(float(effect.joint_torque(motion)))
+        return self.on_grid(np.array(found))
+
     def on_grid(self, values: np.ndarray) -> np.ndarray:
         """(G,) values of f less what springs and dampers take up, as `mean` is."""
-        taken = _taken(Kind(self.variable, self.factor), self.grid)
-        return _beyond(taken, self.visits) @ values
+        place = Place(Kind(self.variable, self.factor), 0, self.grid[0], self.grid[-1])
+        return _beyond(place.taken(self.grid), self.visits) @ values
 
 
 def laws_of(
@@ -235,7 +191,7 @@ def laws_of(
     groups: dict[Any, list[int]] = {}
     for i, m in enumerate(models):
         if m.matters:
-            groups.setdefault(m.settled.place.key, []).append(i)
+            groups.setdefault((m.place.kind, m.place.joint), []).append(i)
     found = []
     for each in groups.values():
         p = float(sum(probabilities[i] for i in each))
@@ -250,16 +206,16 @@ def laws_of(
 
 
 def _law(search: Search, model: CurveModel, probability: float, best: float) -> Law:
-    scene, place = search.scene, model.settled.place
-    along = Along(scene, model.settled.trajectory)
+    scene, place = search.scene, model.place
+    along = Along(scene, model.best)
     real = np.arange(scene.K) < scene.grid.real
     x = along.variable(place.kind.variable, place.joint)[: scene.K][real]
     grid = np.linspace(place.low, place.high, GRID)
     nearest = np.clip(np.rint((x - place.low) / (grid[1] - grid[0])).astype(int), 0, GRID - 1)
     visits = np.bincount(nearest, minlength=GRID) / len(nearest)
-    rows = _beyond(_taken(place.kind, grid), visits)
+    rows = _beyond(place.taken(grid), visits)
     rows = rows @ np.asarray(splines(grid, place.low, place.high)).T
-    variance = np.einsum("gi,ij,gj->g", rows, model.settled.covariance, rows)
+    variance = np.einsum("gi,ij,gj->g", rows, model.covariance, rows)
     units = scene.mechanisms[0].units
     kind = units[place.joint] if units else "rad"
     torque = "N" if kind == "m" else "N m"
@@ -272,7 +228,7 @@ def _law(search: Search, model: CurveModel, probability: float, best: float) -> 
         probability=probability,
         log_evidence=model.log_evidence - best,
         grid=grid,
-        mean=rows @ model.settled.mean,
+        mean=rows @ model.mean,
         std=np.sqrt(np.maximum(variance, 0.0)),
         visits=visits,
         unit=torque + by.get(place.kind.factor, ""),
@@ -293,11 +249,7 @@ def _named(search: Search, law: Law) -> tuple[tuple[str, np.ndarray], ...]:
         effect = t.valued()[t.labels.index(model.added[0])]
         if not of_one_joint(effect) or effect.joint != law.joint or effect.memory:
             continue
-        torques = []
-        for x in law.grid:
-            q, v = (x, 0.0) if law.variable == "angle" else (0.0, x)
-            torques.append(float(effect.joint_torque(JointMotion(0.0, q, v, np.sign(v), (), q))))
-        values = law.on_grid(np.array(torques))
+        values = law.values(effect)
         if np.ptp(values) > 0:
             found.append((model.added[0], values))
     return tuple(found[:_NAMED])
@@ -308,29 +260,26 @@ def _named(search: Search, law: Law) -> tuple[tuple[str, np.ndarray], ...]:
 
 def _with_class(search: Search, model: CurveModel, law: Law, fits: Any, source: str) -> Law:
     """The law with its formula, or with a table where none was accepted."""
-    scene, settled = search.scene, model.settled
-    along = Along(scene, settled.trajectory)
-    each = []
-    for terms in likeliest(along, settled):
-        found = written(scene, settled.place, terms, source)
+    scene, parent = search.scene, search.tried[frozenset(model.added)]
+    curve = over_intensities(model.evidences, INTENSITIES)
+    for terms in model.formulas or likeliest(Along(scene, model.best), model):
+        found = written(scene, model.place, terms, source)
         tried = _tried(search, model, found)
-        if tried is not None:
-            each.append((tried.log_evidence + terms.log_prior, terms, found, tried))
-    evidence, terms, found, tried = max(each, key=lambda f: f[0], default=(-np.inf, *[None] * 3))
-    if evidence > model.log_evidence and terms and found and tried:
+        if tried is None or tried.log_evidence + terms.log_prior <= curve:
+            continue
         fit, held = _fitted(fits, tried)
-        before = _fitted(fits, model.parent)[1]
-        if fit is not None and _predicts(held, before):
-            parameters = {
-                n.name.rpartition(".")[2]: (float(n.value), float(n.std), n.unit)
-                for n in fit.numbers
-                if n.name.rpartition(".")[0] == found.label
-            }
-            numbers = (n._replace(value=parameters[n.field][0]) for n in found.numbers)
-            found = found._replace(numbers=tuple(numbers))
-            more = evidence - model.log_evidence
-            formula = Formula(found.equation, terms.families, parameters, more)
-            return dataclasses.replace(law, formula=formula, found=found, fit=fit, held_out=held)
+        if fit is None or not _predicts(held, _fitted(fits, parent)[1]):
+            continue
+        parameters = {
+            n.name.rpartition(".")[2]: (float(n.value), float(n.std), n.unit)
+            for n in fit.numbers
+            if n.name.rpartition(".")[0] == found.label
+        }
+        numbers = (n._replace(value=parameters[n.field][0]) for n in found.numbers)
+        found = found._replace(numbers=tuple(numbers))
+        more = tried.log_evidence + terms.log_prior - curve
+        formula = Formula(found.equation, terms.families, parameters, more)
+        return dataclasses.replace(law, formula=formula, found=found, fit=fit, held_out=held)
     found = _tabulated(law, source)
     tried = _tried(search, model, found)
     fit, held = (None, None) if tried is None else _fitted(fits, tried)
@@ -339,9 +288,9 @@ def _with_class(search: Search, model: CurveModel, law: Law, fits: Any, source: 
 
 def _tried(search: Search, model: CurveModel, found: FoundLaw) -> Tried | None:
     """The model with the class in the curve's place, iterated to its evidence."""
-    scene, before = search.scene, model.settled.trajectory
+    scene, before = search.scene, model.best
     effect: Any = found.kind()(found.joint)  # pyright: ignore[reportCallIssue]
-    effects = (*model.parent.best.effects, effect)
+    effects = (*(e for e in before.effects if not isinstance(e, FreeCurve)), effect)
     prior = prior_of(scene, effects)
     first = number_slices(effects)[-1]
     numbers = np.array(prior.mean)
@@ -350,8 +299,7 @@ def _tried(search: Search, model: CurveModel, found: FoundLaw) -> Tried | None:
     u[: first.start] = before.u[: first.start]
     u[first] = prior.regressors(numbers)[first]
     start = dataclasses.replace(before, effects=effects, prior=prior, u=u)
-    logs = model.settled.evidences + log_prior_intensity(INTENSITIES)
-    loudest = INTENSITIES[max(int(np.argmax(logs)) - 2, 0)]
+    loudest = INTENSITIES[max(INTENSITIES.index(model.intensity) - 2, 0)]
     try:
         (ended,) = settle(scene, [start], loudest, search.deadline)
     except OutOfTime:

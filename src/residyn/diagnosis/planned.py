@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from ..recordings.limits import Limits
+from ..runtime.json import number
 from ..runtime.presentation import Result
-from .residuals import number
 
 
 @dataclass(frozen=True)

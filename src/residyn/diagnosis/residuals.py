@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..fitting.result import Fit, RecordingFit
+from ..runtime.json import number
 from .bands import Band, bands
 from .linearised_fit import LinearisedFit, Tangent
 from .spectrum import Spectrum, energies, strips
@@ -107,11 +108,6 @@ class Where:
             ],
             "frequency": [part(p) for p in self.frequency],
         }
-
-
-def number(x: float) -> float | None:
-    """For JSON, which knows no NaN."""
-    return float(x) if np.isfinite(x) else None
 
 
 def where(near: LinearisedFit, slopes: Sequence[np.ndarray]) -> Where:

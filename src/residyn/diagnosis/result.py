@@ -12,13 +12,13 @@ from typing import Any, Literal
 import numpy as np
 
 from ..fitting.result import Fit
+from ..runtime.json import finite, number
 from ..runtime.presentation import TableResult
 from .compare import Comparison, compare_fit
 from .forecast import HeldOut
 from .law import Law
 from .missing_torque import Missing
 from .planned import Test
-from .residuals import number
 from .search import Search
 
 Verdict = Literal["adequate", "missing", "unexplained"]
@@ -34,7 +34,7 @@ class Value:
 
     def to_dict(self) -> dict[str, Any]:
         """`value`, `std` (or null), `unit`."""
-        return {"value": number(self.value), "std": number(self.std), "unit": self.unit}
+        return finite(vars(self))
 
 
 @dataclass(frozen=True)
@@ -137,13 +137,7 @@ class RandomTorque:
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of one joint."""
-        return {
-            "rms": number(self.rms),
-            "low": number(self.low),
-            "high": number(self.high),
-            "unit": self.unit,
-            "share_of_spring": number(self.share_of_spring),
-        }
+        return finite({name: x for name, x in vars(self).items() if name != "joint"})
 
 
 @dataclass(frozen=True)
@@ -248,11 +242,7 @@ class Diagnosis(TableResult):
             "laws": [law.to_dict() for law in self.laws],
             "missing_torque": summary(self.missing),
             "random_torque": {r.joint: r.to_dict() for r in self.random_torque},
-            "budget": {
-                "models": self.budget.models,
-                "candidates": self.budget.candidates,
-                "stopped": self.budget.stopped,
-            },
+            "budget": dict(vars(self.budget)),
             "fit": self.fit.to_dict(),
             "seconds": number(self.seconds),
         }

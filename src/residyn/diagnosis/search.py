@@ -193,7 +193,7 @@ class _Step(NamedTuple):
         for i in range(0, len(levels), _NEAR):  # one program for few and for all
             some = levels[np.minimum(np.arange(i, i + _NEAR), len(levels) - 1)]
             each = scene.evidences(t, linear, np.array(INTENSITIES)[some])
-            known = each.log_evidence + half_normals(t.effects, each)
+            known = each.log_evidence + half_normals(t.effects, t.prior, each)
             found[some] = np.where(np.isfinite(known), known, -np.inf)
         return found
 

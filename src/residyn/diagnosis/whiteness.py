@@ -47,13 +47,13 @@ def white(
     **Arguments:** `slopes` (N, n, L) per recording from `near.look`; `cells` from `bands.bands`;
     `spectra` of the residual as it is, per joint and recording.
     """
-    narrow = _narrow(cells, max(r.recording.duration for r in near.fitted))
+    narrow = narrow_bands(cells, max(r.recording.duration for r in near.fitted))
     grids = _grids(near)
     if grids:
         rounded = _without_rounding(near, slopes, grids)
         spectra = [[spectrum_of(s, narrow[-1].stop) for s in row] for row in rounded]
     return {
-        joint: _test([s for s in row if s is not None], narrow)
+        joint: whiteness_of([s for s in row if s is not None], narrow)
         for joint, row in zip(near.fit.joints, spectra, strict=True)
     }
 
@@ -63,7 +63,7 @@ def spectrum_of(strip: Strip, top: float) -> Spectrum | None:
     return spectrum(strip, top) if strip.used.sum() >= _LEAST else None
 
 
-def _test(parts: Sequence[Spectrum], narrow: Sequence[Band]) -> White:
+def whiteness_of(parts: Sequence[Spectrum], narrow: Sequence[Band]) -> White:
     total, freedom = sum(p.energy for p in parts), sum(p.freedom for p in parts)
     found = []
     for band in narrow:
@@ -80,7 +80,7 @@ def _test(parts: Sequence[Spectrum], narrow: Sequence[Band]) -> White:
     return White(float(p), band.start, band.stop)
 
 
-def _narrow(cells: Sequence[Band], duration: float) -> list[Band]:
+def narrow_bands(cells: Sequence[Band], duration: float) -> list[Band]:
     """The bands below the last one, cut to narrow ones."""
     found = []
     for name, start, stop in cells[:-1]:

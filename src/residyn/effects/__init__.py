@@ -5,6 +5,7 @@ and the tests of the catalogue apply to it.
 """
 
 import difflib
+import functools
 from pathlib import Path
 
 from ..errors import InputError
@@ -63,7 +64,14 @@ CATALOGUE: dict[str, type[AbstractEffect]] = {
 }
 
 
-_looked = False
+@functools.cache
+def adopt_installed() -> None:
+    """Add the effects of installed packages to the catalogue, once.
+
+    **Raises:** `InputError` for one that cannot be used.
+    """
+    for kind in installed():
+        adopt(kind, "an installed package")
 
 
 def catalogue() -> dict[str, type[AbstractEffect]]:
@@ -71,11 +79,7 @@ def catalogue() -> dict[str, type[AbstractEffect]]:
 
     **Raises:** `InputError` for an installed package whose effect cannot be used.
     """
-    global _looked
-    if not _looked:
-        for kind in installed():
-            adopt(kind, "an installed package")
-        _looked = True
+    adopt_installed()
     return CATALOGUE
 
 

@@ -76,7 +76,7 @@ class FoundLaw(NamedTuple):
             f'    equation = "{self.equation}"',
             f'    source = "{self.source}"',
             *(["    dry = True"] if self.factor == "direction" else []),
-            "    # of_bearings = True  # if it leaves with the air bearings (residyn unload)",
+            "    of_bearings = None  # residyn unload asks: True if it leaves with them, or False",
             "",
             *(_declared(n) for n in self.numbers),
             "",

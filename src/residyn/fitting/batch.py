@@ -29,7 +29,7 @@ from .result import Fit, FitError
 from .result_lines import ResultLines, digest
 
 _TOGETHER = 16  # fits on each device that is no CPU
-_AHEAD = 64  # fits that an executor holds: enough for many workers, little memory
+AHEAD = 64  # fits that an executor holds: enough for many workers, little memory
 
 
 class Each(NamedTuple):
@@ -145,7 +145,7 @@ def _by_executor(left, effects, starts: int, say: Callable[[str], None], executo
     waiting: dict[Future[Each], str] = {}
     todo, count = list(reversed(left)), 0
     while todo or waiting:
-        while todo and len(waiting) < _AHEAD:
+        while todo and len(waiting) < AHEAD:
             name, one = todo.pop()
             try:
                 waiting[executor.submit(_told, name, one, effects, starts)] = name

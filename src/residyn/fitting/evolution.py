@@ -81,7 +81,9 @@ def evolve(
     **Raises:** `MissingExtra` without evosax; `ValueError` for a strategy or a setting that it does
     not have.
     """
-    algorithm = _algorithm(strategy, population, generations, size, tuple(sorted(settings.items())))
+    algorithm = traced_algorithm(
+        strategy, population, generations, size, tuple(sorted(settings.items()))
+    )
     static = (algorithm.strategy, algorithm.keeps_population, objective, one_by_one, population)
     if compiled is not None:
         begun, _, fell = _begin(static, algorithm.params, given, size, jax.random.key(seed))
@@ -179,7 +181,7 @@ def evosax_or_missing() -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 @functools.lru_cache(maxsize=64)  # evosax compiles anew for every object
-def _algorithm(
+def traced_algorithm(
     name: str, population: int, generations: int, size: int, settings: tuple[tuple[str, float], ...]
 ) -> _Algorithm:
     known, kept = evosax_or_missing()

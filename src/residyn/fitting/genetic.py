@@ -302,7 +302,7 @@ def drawn(here: Ready, outliers: list[np.ndarray], starts: int, seed: int) -> np
 @eqx.filter_jit
 def _values(look: Search, genes):
     def one(individual):
-        value = _objective(look, individual)
+        value = objective_of(look, individual)
         return jnp.where(jnp.isfinite(value), value, jnp.inf)
 
     # Side by side, what dry friction seldom asks for would be computed always.
@@ -324,7 +324,7 @@ def run(look: Search, how: Genetic, progress: Callable[[str], None] = lambda wor
 
     progress(Part("the first generation", 0.0))
     out = evolve(
-        _objective,
+        objective_of,
         look,
         look.genome.size,
         strategy=how.strategy,
@@ -349,7 +349,7 @@ def run(look: Search, how: Genetic, progress: Callable[[str], None] = lambda wor
     return Found(np.asarray(numbers), np.asarray(states), np.asarray(first), history)
 
 
-def _objective(look: Search, genes: Any):
+def objective_of(look: Search, genes: Any):
     return relative_error(look.problem, look.genome.unknowns(genes, look.problem))
 
 

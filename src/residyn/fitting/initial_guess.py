@@ -62,7 +62,7 @@ def first_guess(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Where the starts begin, the best one first: numbers (S, P), internal states (S, R, m)."""
     found = closed_form(here.posed(), here.recordings, outliers, here.typical())
-    some = _various(here, found.numbers)[:starts] if starts > 1 else [0][: len(found.numbers)]
+    some = various(here, found.numbers)[:starts] if starts > 1 else [0][: len(found.numbers)]
     candidates = found.numbers[some] if some else here.typical()[None]
     candidates = _turned(here.model, candidates)
     more = starts - len(candidates)
@@ -71,7 +71,7 @@ def first_guess(
     return numbers, memory
 
 
-def _various(here: Ready, candidates: np.ndarray) -> list[int]:
+def various(here: Ready, candidates: np.ndarray) -> list[int]:
     """Indices of candidates (C, P), best first, those last that hardly differ from a better one: of
     kernels that have all lost the fast mode, one is tried before any that has not."""
     if not len(candidates):

@@ -167,12 +167,12 @@ def _in_lanes(wanted: list[Wanted], width: int) -> list[Any]:
 
     def run(some: list[Wanted]):
         arrays, rest = zip(*(eqx.partition(each, eqx.is_array) for each in some), strict=True)
-        return _descents(jax.device_put(stacked(jax.device_get(arrays)), divided), rest[0])
+        return run_descents(jax.device_put(stacked(jax.device_get(arrays)), divided), rest[0])
 
     return _side_by_side(run, wanted, width)
 
 
 @eqx.filter_jit
-def _descents(arrays, rest):
+def run_descents(arrays, rest):
     """XLA divides the lanes as the inputs are divided."""
     return jax.vmap(lambda own: one_descent(*eqx.combine(own, rest)))(arrays)

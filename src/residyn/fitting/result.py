@@ -3,6 +3,7 @@ data cannot determine, which readings were set aside, how many starts agreed and
 stopped. What is said of all this is in `residyn.reporting.fit`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,7 @@ from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
 from ..recordings.segments import by_recording
-from ..runtime.json import number
+from ..runtime.json import finite, number
 from ..runtime.presentation import TableResult
 from .history import History
 from .problem import Problem, Ready, Unknowns
@@ -138,9 +139,24 @@ class Fit(TableResult):
         return tuple(found)
 
     @property
+    def fitted(self) -> tuple[RecordingFit, ...]:
+        """Those of `recordings` that the numbers were fitted to."""
+        return tuple(r for r in self.recordings if r.recording.role != "check")
+
+    @property
+    def held_out(self) -> tuple[RecordingFit, ...]:
+        """The others."""
+        return tuple(r for r in self.recordings if r.recording.role == "check")
+
+    @property
     def joints(self) -> tuple[str, ...]:
         """Names of the joints."""
         return self.experiment.joints
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Of the readings: rad, m/s, ..., "" where it is not known."""
+        return self.experiment.reading_units
 
     @property
     def correlation(self) -> np.ndarray:
@@ -190,29 +206,26 @@ class Fit(TableResult):
     @property
     def rmse(self) -> np.ndarray:
         """(n,) rms residual of the fitted recordings per joint, wild readings apart."""
-        return _rms([r for r in self.recordings if r.recording.role != "check"])
+        return _rms(self.fitted)
 
     @property
     def check_rmse(self) -> np.ndarray | None:
         """(n,) rms residual of the held-out recordings; None if there are none."""
-        held_out = [r for r in self.recordings if r.recording.role == "check"]
-        return _rms(held_out) if held_out else None
+        return _rms(self.held_out) if self.held_out else None
 
     @property
     def objective(self) -> float:
         """Eq. 17 over the fitted recordings: |predicted - measured| / |measured| of every joint's
         series of readings, one recording after the other, summed over the joints."""
-        fitted = [r for r in self.recordings if r.recording.role != "check"]
-        angles = [np.where(r.used, r.recording.angle, 0.0) for r in fitted]
+        angles = [np.where(r.used, r.recording.angle, 0.0) for r in self.fitted]
         size = sum((x**2).sum(axis=0) for x in angles)
-        off = sum((np.where(r.used, r.residual, 0.0) ** 2).sum(axis=0) for r in fitted)
+        off = sum((np.where(r.used, r.residual, 0.0) ** 2).sum(axis=0) for r in self.fitted)
         return float(np.sum(np.sqrt(off / np.where(size > 0, size, 1.0))))
 
     @property
     def noise(self) -> np.ndarray:
         """(n,) standard deviation of one reading, rms over the fitted recordings."""
-        fitted = [r for r in self.recordings if r.recording.role != "check"]
-        return np.sqrt(np.mean([r.recording.noise**2 for r in fitted], axis=0))
+        return np.sqrt(np.mean([r.recording.noise**2 for r in self.fitted], axis=0))
 
     @property
     def integrator(self) -> str:
@@ -242,15 +255,7 @@ class Fit(TableResult):
             "noise": per_joint(self.noise),
             "reduced_chi2": number(self.reduced_chi2),
             "check_rmse": None if self.check_rmse is None else per_joint(self.check_rmse),
-            "modes": [
-                {
-                    "frequency_hz": number(m.frequency_hz),
-                    "frequency_hz_std": number(m.frequency_hz_std),
-                    "damping_ratio": number(m.damping_ratio),
-                    "damping_ratio_std": number(m.damping_ratio_std),
-                }
-                for m in self.modes
-            ],
+            "modes": [finite(vars(m)) for m in self.modes],
             "objective": number(self.objective),
             "integrator": self.integrator,
             "integration_error": number(self.integration_error),
@@ -275,6 +280,6 @@ class Fit(TableResult):
         return to_arviz(self.numbers, self.covariance, draws, seed)
 
 
-def _rms(fits: list[RecordingFit]) -> np.ndarray:
+def _rms(fits: Sequence[RecordingFit]) -> np.ndarray:
     total = sum((np.where(f.used, f.residual, 0.0) ** 2).sum(axis=0) for f in fits)
     return np.sqrt(total / sum(f.used.sum(axis=0) for f in fits))

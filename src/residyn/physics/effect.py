@@ -41,7 +41,8 @@ class AbstractEffect(eqx.Module):
     - `extends`: the effect that it is with its further numbers silent, if it is another one's law
       with more to it.
     - `resembles`: other effects, besides that, whose motion can be the same, at the same place.
-    - `of_bearings`: True if it leaves with the air bearings (step 3 of the paper).
+    - `of_bearings`: True if it leaves with the air bearings (step 3 of the paper); None: not known,
+      which step 3 then asks.
     """
 
     name: ClassVar[str]
@@ -61,7 +62,7 @@ class AbstractEffect(eqx.Module):
     oscillates: ClassVar[str | None] = None
     extends: ClassVar[str | None] = None
     resembles: ClassVar[tuple[str, ...]] = ()
-    of_bearings: ClassVar[bool] = False
+    of_bearings: ClassVar[bool | None] = False
 
     @classmethod
     def places(cls, mechanism: AbstractInertia) -> tuple[str, ...]:

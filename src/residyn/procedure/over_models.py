@@ -142,7 +142,7 @@ def over_models(
     models, p, left_out = in_play(posterior.models, posterior.each)
     say(f"taking the bearings off {len(models)} models")
     rivals = [Rival.of(scene, m) for m in models]
-    errors = [_errors(scene, r, m, inertia) for r, m in zip(rivals, models, strict=True)]
+    errors = [errors_of(scene, r, m, inertia) for r, m in zip(rivals, models, strict=True)]
     each, quantities, bare = [], {}, []
     for pose in poses:
         off = [without_bearings(experiment, r.model, pose) for r in rivals]
@@ -152,11 +152,11 @@ def over_models(
         for i in range(max(map(len, known))):
             own = [m for m, modes_of in enumerate(known) if i < len(modes_of)]
             wanted = [
-                _quantity([known[m][i] for m in own], [errors[m] for m in own], k) for k in (0, 1)
+                quantity_of([known[m][i] for m in own], [errors[m] for m in own], k) for k in (0, 1)
             ]
             weights = p[own] / p[own].sum()
             roots = [rivals[m].root for m in own]
-            spreads = [_spread(q, weights, roots) for q in wanted]
+            spreads = [spread_of(q, weights, roots) for q in wanted]
             modes.append(ModeOver(*spreads, rings=float(p[own].sum())))
             if not each and i == 0 and len(own) == len(models):
                 quantities = dict(zip(QUANTITIES, wanted, strict=True))
@@ -180,7 +180,7 @@ def over_models(
     )
 
 
-def _errors(scene: Scene, rival: Rival, tried: Tried, inertia: np.ndarray | None) -> Carried:
+def errors_of(scene: Scene, rival: Rival, tried: Tried, inertia: np.ndarray | None) -> Carried:
     """What a model's numbers and the inertias do not know."""
     numbers, count = rival.root @ rival.root.T, len(rival.root)
     nothing = np.zeros((0, count))
@@ -197,7 +197,7 @@ def _errors(scene: Scene, rival: Rival, tried: Tried, inertia: np.ndarray | None
     return Carried(numbers, nothing, inertia, moved)
 
 
-def _quantity(modes: list, errors: list[Carried], which: int) -> Quantity:
+def quantity_of(modes: list, errors: list[Carried], which: int) -> Quantity:
     """Frequency (0) or damping ratio (1) of a mode in each model that has it."""
     means = np.array([m.values[which] for m in modes])
     slopes = [m.by_number[which] for m in modes]
@@ -208,7 +208,7 @@ def _quantity(modes: list, errors: list[Carried], which: int) -> Quantity:
     return Quantity(means, slopes, np.array(rest))
 
 
-def _spread(wanted: Quantity, p: np.ndarray, roots: list[np.ndarray]) -> Spread:
+def spread_of(wanted: Quantity, p: np.ndarray, roots: list[np.ndarray]) -> Spread:
     own = [r.T @ s for r, s in zip(roots, wanted.slopes, strict=True)]
     parts = np.array(variance_now(p, wanted._replace(slopes=own)))
     stds = np.sqrt(np.array([s @ s for s in own]) + wanted.rest)

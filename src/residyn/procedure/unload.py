@@ -6,6 +6,7 @@ effect of the bearings that is named in the fit (`bearing_drag`, say) is taken o
 """
 
 import dataclasses
+import inspect
 import time
 from collections.abc import Callable, Sequence
 
@@ -68,17 +69,19 @@ def unload(
     with jax.enable_x64(True):
         if diagnosis is None:
             effects = _named(experiment, effects)
+            _ask(effects)
             fitted = fit(experiment, effects=effects, starts=starts, progress=say)
         else:
             fitted = diagnosis.fit
             effects = [e for e in fitted.model.effects if e.name not in _BASE]
+            _ask(effects)
         step_1 = None if given is not None else _step_1(experiment, say)
         covariance = step_1.covariance if isinstance(step_1, InertiaResult) else given
         say("carrying the errors over")
         errors = carried(fitted, covariance)
         off = tuple(e.label for e in fitted.model.effects if e.of_bearings)
         poses = tuple(_pose(fitted, r, errors) for r in _poses(experiment))
-        over = diagnosis and over_models(diagnosis, covariance, _poses(experiment), _bare, say)
+        over = diagnosis and over_models(diagnosis, covariance, _poses(experiment), bare, say)
         checks = []
         for beside in fitted.recordings:
             if beside.recording.role == "check" and not beside.recording.air_bearings:
@@ -132,6 +135,18 @@ def _named(experiment: Experiment, effects: Sequence[str | AbstractEffect]) -> l
     return [e for e in model.effects if e.name not in _BASE]
 
 
+def _ask(effects: Sequence[AbstractEffect]) -> None:
+    """**Raises:** `InputError` if an effect does not say whether it leaves with the bearings."""
+    for each in effects:
+        kind = type(each)
+        if kind.of_bearings is None:
+            raise InputError(
+                f"{each.label}: is it of the air bearings or of the joint? Write of_bearings = "
+                "True (it leaves with the bearings) or False (it stays) in class "
+                f"{kind.__name__}, {inspect.getsourcefile(kind)}"
+            )
+
+
 def _covariance(std: Sequence[float] | np.ndarray) -> np.ndarray:
     """(3, 3), from standard errors (3,) or as it is. **Raises:** `InputError`."""
     given = np.asarray(std, float)
@@ -167,7 +182,7 @@ def _poses(experiment: Experiment) -> list[Recording]:
     return found
 
 
-def _bare(experiment: Experiment, model: Model, recording: Recording) -> Model:
+def bare(experiment: Experiment, model: Model, recording: Recording) -> Model:
     """A model in a recording's pose, without bearings and what they do (Eq. 18)."""
     mechanism = mechanism_of(experiment, dataclasses.replace(recording, air_bearings=False))
     return without_effects_of_bearings(dataclasses.replace(model, mechanism=mechanism))
@@ -177,7 +192,7 @@ def _models(fitted: Fit, recording: Recording) -> tuple[Model, Model]:
     """With bearings, and without them and what they do (Eq. 18)."""
     on = mechanism_of(fitted.experiment, dataclasses.replace(recording, air_bearings=True))
     with_them = dataclasses.replace(fitted.model, mechanism=on)
-    return with_them, _bare(fitted.experiment, fitted.model, recording)
+    return with_them, bare(fitted.experiment, fitted.model, recording)
 
 
 def _pose(fitted: Fit, recording: Recording, errors: Carried) -> Pose:

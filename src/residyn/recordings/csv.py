@@ -108,9 +108,9 @@ def read_lab_csv(path: str | os.PathLike[str], joints: Joints, layout: Layout) -
         more.append("decimal commas")
     if any(not _COMMENT.match(row) for row in above):
         more.append(f"header in line {top}")
-    values = _fast(rows, len(header), separator, decimal, columns)
+    values = read_fast(rows, len(header), separator, decimal, columns)
     if values is None:
-        values = _slow(rows, number, len(header), separator, decimal, columns, where)
+        values = read_slow(rows, number, len(header), separator, decimal, columns, where)
     infinite = np.argwhere(np.isinf(values))
     if len(infinite):
         row, column = infinite[0]
@@ -239,7 +239,7 @@ def _decimal(rows: Sequence[str], separator: str, columns: Sequence[Column]) -> 
     return "," if comma and not point else "."
 
 
-def _fast(
+def read_fast(
     rows: list[str], width: int, separator: str, decimal: str, columns: Sequence[Column]
 ) -> np.ndarray | None:
     """The needed columns by NumPy's own parser, or None if that stumbles on anything."""
@@ -272,7 +272,7 @@ def _fast(
     return None
 
 
-def _slow(
+def read_slow(
     rows: Sequence[str],
     number: np.ndarray,
     width: int,

@@ -76,10 +76,11 @@ class Experiment:
         return self.inertia.units
 
     @property
-    def reading_units(self) -> tuple[str, ...] | None:
-        """ "rad", "m/s", ...: of what was read of each joint, or None if not known."""
-        orders = self._braked[0].orders if self._braked else (0,) * len(self.joints)
-        return reading_units(self.units, orders)
+    def reading_units(self) -> tuple[str, ...]:
+        """ "rad", "m/s", ...: of what was read of each joint, "" where it is not known."""
+        unknown = (0,) * len(self.joints), ("",) * len(self.joints)
+        orders = self._braked[0].orders if self._braked else unknown[0]
+        return reading_units(self.units, orders) or unknown[1]
 
     @property
     def fit_recordings(self) -> tuple[Recording, ...]:
@@ -237,7 +238,7 @@ def _in_degrees(experiment: Experiment) -> list[str]:
     doubts = []
     for recording, _ in by_recording(experiment.recordings):
         sizes = np.nanquantile(np.abs(recording.angle), 0.99, axis=0)
-        units = experiment.reading_units or ("",) * len(sizes)
+        units = experiment.reading_units
         large = [
             f"q{j + 1} reaches {size:.3g}"
             for j, (size, unit) in enumerate(zip(sizes, units, strict=True))

@@ -7,7 +7,7 @@ have done is not said.
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from . import figures as plot
 from .layout import Table, filled, printed, section
 from .names import at_place, listed, lower, when_held_out
 from .numbers import amount, p_value, plain, prefixed, share, times
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _LARGER = 1.2
 """Reduced chi-square beyond which more is left than the noise that was stated,"""
@@ -84,8 +87,8 @@ def _tells(cell: Cell) -> bool:
 def _left(found: Comparison) -> str:
     """ "3.5 mrad at the shoulder (7.1 times the noise) and 3.1 mrad at the elbow (6 times)"."""
     words, at = [], found.where
-    units = found.fit.experiment.reading_units or at.units
-    for joint, unit, rmse, cell in zip(at.joints, units, found.fit.rmse, at.joint, strict=True):
+    each = zip(at.joints, found.fit.units, found.fit.rmse, at.joint, strict=True)
+    for joint, unit, rmse, cell in each:
         noise = "" if words else " the noise"
         size = amount(float(rmse), unit, 2)
         words.append(f"{size} at the {joint} ({times(cell.ratio)} times{noise})")
@@ -123,7 +126,8 @@ def _when(at: Where) -> str:
             spans = f"{high} times the noise {_span(most[0])}, {low} times {_span(least[0])}"
             parts.append(f"{when} ({spans})")
         elif _tells(most[1]):
-            even = f"all along ({low} to {high} times the noise)"
+            sizes = low if low == high else f"{low} to {high}"
+            even = f"all along ({sizes} times the noise)"
             return f"It fails {f'most {parts[0]}, ' if alone else ''}{even}."
     return f"It fails most {', '.join(parts)}." if parts else ""
 
@@ -270,9 +274,9 @@ def _outside(found: Comparison) -> list[str]:
     held = found.held_out
     if held is None:
         return []
-    rows, units = [], found.fit.experiment.reading_units or found.where.units
+    rows = []
     for label, error in (("held out", held.held_out), ("fitted", held.fitted)):
-        sizes = zip(error.rmse, units, error.ratio, strict=True)
+        sizes = zip(error.rmse, found.fit.units, error.ratio, strict=True)
         rows.append((label, [f"{amount(x, unit)}{_x(r):>8}" for x, unit, r in sizes]))
     if held.held_out.expected is not None:
         rows.append(("a right model: held out", [_x(x) for x in held.held_out.expected]))
@@ -302,50 +306,35 @@ def _horizon(found: Comparison) -> list[str]:
 # -- on a page -------------------------------------------------------------------------------
 
 
-def failing(compared: Comparison, drawn: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """All that the template says of where a fit fails; `drawn` are its missing torques."""
-    where = "Bars: the residual in times the noise, by time, by amplitude and by frequency"
-    ahead = "The prediction's error in times the noise against time ahead"
-    return {
-        "explained": compared.explained,
-        "words": compared.words,
-        "where": plot.picture(where, plot.where, compared),
-        "horizon": compared.horizon and plot.picture(ahead, plot.horizon, compared),
-        "torques": drawn,
-    }
-
-
 def pairs(missing: Sequence[Missing]) -> list[tuple[Missing, int]]:
     """Each missing torque with each joint."""
     return [(found, joint) for found in missing for joint in range(len(found.joints))]
 
 
-def clearest(
-    experiment: Experiment, each: Sequence[tuple[Missing, int]], most: int
-) -> tuple[list[dict[str, Any]], int]:
+def clearest(each: Sequence[tuple[Missing, int]]) -> list[tuple[Missing, int]]:
     """Of missing torques, each of a recording and a joint, those that are larger than what is not
-    known of them: the clearest first, at most so many; and how many more there are."""
+    known of them, the clearest first."""
 
     def clarity(pair: tuple[Missing, int]) -> float:
         torque, std = (x[:, pair[1]] for x in (pair[0].torque.torque, pair[0].torque.std))
         return float(np.sqrt(np.mean(torque**2) / np.mean(std**2)))
 
-    seen = sorted((p for p in each if p[0].significant(p[1])), key=clarity, reverse=True)
-    return [torque(experiment, *pair) for pair in seen[:most]], max(0, len(seen) - most)
+    return sorted((p for p in each if p[0].significant(p[1])), key=clarity, reverse=True)
 
 
-def torque(experiment: Experiment, found: Missing, joint: int) -> dict[str, Any]:
-    """The missing torque of one recording at one joint: a picture and its words."""
-    name, unit = experiment.joints[joint], experiment.units
-    shown = {
-        "name": name,
-        "unit": unit[joint] if unit else None,
-        "curves": found.curves_at(joint),
-        "link_angle": None if found.link_angle is None else found.link_angle[:, joint],
-    }
-    words = f"Missing torque at the {name} in {found.recording}"
-    drawn = plot.picture(words, plot.missing_torque, found.torque, joint, **shown)
-    return {"words": torque_words(found, joint), "picture": drawn}
+def draw_torque(
+    experiment: Experiment, found: Missing, joint: int, *, narrow: bool = False
+) -> "Figure":
+    """The picture of a missing torque at one joint."""
+    return plot.missing_torque(
+        found.torque,
+        joint,
+        name=experiment.joints[joint],
+        unit=experiment.units[joint] if experiment.units else None,
+        curves=found.curves_at(joint),
+        link_angle=None if found.link_angle is None else found.link_angle[:, joint],
+        narrow=narrow,
+    )
 
 
 def torque_words(found: Missing, joint: int) -> str:

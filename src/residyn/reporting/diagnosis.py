@@ -7,9 +7,9 @@ stiffness and damping. Each number is one of the result's; where the sentence sa
 probability is at least 90 %.
 """
 
+import itertools
 import math
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -22,17 +22,16 @@ from ..diagnosis.result import (
     RandomTorque,
 )
 from ..effects import catalogue
-from ..fitting.result import Fit
 from ..physics.parameter import parameters_of
-from . import figures as plot
 from . import latex as tex
 from . import laws
-from .compare import clearest, failing, pairs
+from .compare import clearest, pairs
 from .fit import residuals
 from .layout import Table, filled, printed, section, separated, tabular
 from .names import (
     HELD_OUT,
     SURE,
+    at,
     at_place,
     base_name,
     listed,
@@ -48,17 +47,12 @@ from .names import (
     when_held_out,
     worth_showing,
 )
-from .numbers import amount, measured, nats, percent, plain, prefixed, share, times, with_error
-from .plan import outcomes
+from .numbers import amount, measured, nats, percent, plain, prefixed, share, times
 
 _ALSO = 0.01
 """Probability from which another family is named."""
 _NAMED = 3
 """Other families that are named."""
-_SIGNIFICANT = 2.0
-"""Standard errors."""
-_PICTURES = 4
-"""Missing torques in one place of a page; `residyn compare` draws them all."""
 _VALUES = 44
 """Columns of a candidate's numbers in a terminal."""
 _FAMILIES, _SHOWN = 5, 0.005
@@ -74,9 +68,10 @@ def _values(candidate: Candidate) -> str:
     return ", ".join(f"{own_name(n)} {measured(v.value, v.std, v.unit)}" for n, v in each)
 
 
-def _held(found: Diagnosis) -> str | None:
+def held_out(found: Diagnosis) -> str | None:
     """Which readings were held out."""
-    return next((r.held_out.what for r in found.ladder if r.held_out is not None), None)
+    what = next((r.held_out.what for r in found.ladder if r.held_out is not None), None)
+    return what and when_held_out(what)
 
 
 # -- the verdict ---------------------------------------------------------------------------------
@@ -110,21 +105,14 @@ def _stopped(found: Diagnosis) -> list[str]:
 
 def _unphysical(found: Diagnosis) -> list[str]:
     """A spring or damper whose number is below zero by more than its error."""
-
-    def wrong(fit: Fit) -> list[str]:
-        return [
-            f"{n.name} is {' +/- '.join(with_error(n.value, n.std))} {n.unit}"
-            for n in fit.numbers
-            if n.name.startswith(("spring:", "damper:"))
-            and n.determined
-            and n.value < -_SIGNIFICANT * n.std
-        ]
-
-    last, first = wrong(found.fit), wrong(found.base)
+    last, first = (
+        [f"{n.name} is {measured(n.value, n.std, n.unit)}" for n in fit.unphysical]
+        for fit in (found.fit, found.base)
+    )
     if last:
         return [
-            f"This model cannot be right: {listed(last)}, and no spring or damper has less than "
-            "nothing. Check the inertias, the signs and the units before anything else."
+            f"This model cannot be right: {listed(last)}, and no arm has a negative stiffness "
+            "or damping. Check the inertias, the signs and the units before anything else."
         ]
     if first:
         return [f"Springs and dampers alone cannot be right: {listed(first)}."]
@@ -157,52 +145,39 @@ def _nothing_explained(found: Diagnosis) -> list[str]:
 
 def _rest(found: Diagnosis) -> list[tuple[int, float]]:
     """Joints whose fitted readings never cross zero, and their means, rad or m."""
-    fitted = [r for r in found.fit.recordings if r.recording.role != "check"]
-    angles = np.concatenate([np.where(r.used, r.recording.angle, np.nan) for r in fitted])
-    each = enumerate(angles.T)
-    means = [(j, float(np.nanmean(x))) for j, x in each if np.nanmin(x) > 0 or np.nanmax(x) < 0]
-    return means
+    angles = [np.where(r.used, r.recording.angle, np.nan) for r in found.fit.fitted]
+    each = enumerate(np.concatenate(angles).T)
+    return [(j, float(np.nanmean(x))) for j, x in each if np.nanmin(x) > 0 or np.nanmax(x) < 0]
 
 
 def _families(found: Diagnosis) -> list[str]:
     """ "Dry friction at the elbow is missing (> 99 %)." """
-    joints, own = found.fit.joints, accepted(found)
-    sure = found.verdict_probability
-    if found.verdict == "missing" and sure >= SURE and len(own) == 1:
-        (family,) = own
-        if family.probability < SURE:
-            first = f"{_family(family, joints)} ({percent(family.probability)})"
-            return [
-                f"Something is missing that the catalogue has ({percent(sure)}), most likely "
-                f"{first}."
-            ]
-    groups: dict[str, list[Family]] = {}
-    for family in own:
-        groups.setdefault(modal(family.probability), []).append(family)
+    own, sure = accepted(found), found.verdict_probability
+    if found.verdict == "missing" and sure >= SURE > own[0].probability and len(own) == 1:
+        return [
+            f"Something is missing that the catalogue has ({percent(sure)}), most likely "
+            f"{_family(own[0], found)} ({percent(own[0].probability)})."
+        ]
     told = []
-    for each in groups.values():
-        names = [f"{_family(f, joints)} ({percent(f.probability)})" for f in each]
-        verb = modal(each[0].probability, many=len(each) > 1)
-        if len(each) == 1:
-            name, chance = _family(each[0], joints), percent(each[0].probability)
-            told.append(f"{upper(name)} {verb} missing ({chance}).")
+    surest_first = sorted(own, key=lambda f: -f.probability)
+    for verb, each in itertools.groupby(surest_first, lambda f: modal(f.probability)):
+        (name, chance), *more = ((_family(f, found), f"({percent(f.probability)})") for f in each)
+        if more:
+            names = listed([f"{name} {chance}", *map(" ".join, more)])
+            told.append(f"{upper(names)} {verb.replace('is', 'are')} missing.")
         else:
-            told.append(f"{upper(listed(names))} {verb} missing.")
+            told.append(f"{upper(name)} {verb} missing {chance}.")
     return told
 
 
-def _family(family: Family, joints: Sequence[str]) -> str:
-    return placed(family.name, family.place, joints)
+def _family(family: Family, found: Diagnosis, comma: bool = False) -> str:
+    return placed(family.name, family.place, found.fit.joints, comma)
 
 
 def accepted(found: Diagnosis) -> list[Family]:
     """The families of what was added, in that order."""
-    own = []
-    for label in found.added:
-        family = next(f for f in found.families if label in dict(f.members))
-        if family not in own:
-            own.append(family)
-    return own
+    each = (next(f for f in found.families if x in dict(f.members)) for x in found.added)
+    return list(dict.fromkeys(each))
 
 
 def _none_named(found: Diagnosis) -> str:
@@ -229,7 +204,9 @@ def _laws(found: Diagnosis) -> Iterator[str]:
         for label in (x for x in found.added if x in members):
             name, numbers = title(label), _numbers(found, label)
             told = f" ({numbers})" if numbers else ""
-            further = [c for c in _members(found, family) if _extends(c.effect, label)]
+            further = [
+                c for c in found.candidates if c.effect in members and _extends(c.effect, label)
+            ]
             rivals = [
                 f"{lower(title(x))} ({percent(p)})"
                 for x, p in family.members
@@ -262,11 +239,6 @@ def _numbers(found: Diagnosis, label: str) -> str:
     return ", ".join(told)
 
 
-def _members(found: Diagnosis, family: Family) -> list[Candidate]:
-    own = dict(family.members)
-    return [c for c in found.candidates if c.effect in own]
-
-
 def _extends(label: str, simpler: str) -> bool:
     """Whether one law is another one's with more to it, at the same place."""
     (name, _, place), (other, _, at) = label.partition(":"), simpler.partition(":")
@@ -293,38 +265,33 @@ def _others(found: Diagnosis) -> Iterator[str]:
     own = accepted(found) if found.added else []
     others = [f for f in found.families if f not in own and f.probability >= _ALSO]
     joints = found.fit.joints
-    shown = [f"{_family(f, joints)} ({percent(f.probability)})" for f in others[:_NAMED]]
+    shown = [f"{_family(f, found)} ({percent(f.probability)})" for f in others[:_NAMED]]
     if shown:
         more = len(others) - len(shown)
         shown += [f"{more} more kind{'s' * (more > 1)}"] if more else []
         yield f"Also possible: {listed(shown)}."
     for group in found.lookalikes:
-        kinds = {f.name: f for f in own}
-        rivals = [x for x in group[1:] if not any(x in dict(f.members) for f in kinds.values())]
+        rivals = [x for x in group[1:] if not any(x in dict(f.members) for f in own)]
         if rivals:
-            names = listed([lower(at_place(x, joints)) for x in rivals])
-            yield f"These recordings cannot tell {lower(at_place(group[0], joints))} from {names}."
+            first, *names = (lower(at_place(x, joints)) for x in (group[0], *rivals))
+            yield f"These recordings cannot tell {first} from {listed(names)}."
 
 
 def _fall(found: Diagnosis) -> Iterator[str]:
     """How far the error falls where it was worst."""
     first, last = times_noise(found.ladder[0]), times_noise(found.ladder[-1])
-    fitted = [x for x, _ in first]
-    worst = int(np.nanargmax(fitted))
-    joint = f"at the {found.fit.joints[worst]} " if len(found.fit.joints) > 1 else ""
+    worst = int(np.nanargmax([x for x, _ in first]))
+    joint = at(found.fit.joints[worst], found.fit.joints)
     (before, held_before), (after, held_after) = first[worst], last[worst]
     if not found.added:
         held = "" if held_before is None else f" ({times(held_before)} times {HELD_OUT})"
-        if found.verdict == "adequate":
-            yield f"The error {joint}is {times(before)} times the noise{held}."
-        else:
-            yield f"The model leaves {times(before)} times the noise {joint.strip()}{held}."
+        yield f"The error{joint} is {times(before)} times the noise{held}."
         return
     digits = next((d for d in (2, 3) if plain(before, d) != plain(after, d)), 4)
     verb = "falls" if after < before else "goes"
     pronoun = "it" if len(found.added) == 1 else "them"
     words = (
-        f"With {pronoun} the error {joint}{verb} from {plain(before, digits)} to "
+        f"With {pronoun} the error{joint} {verb} from {plain(before, digits)} to "
         f"{plain(after, digits)} times the noise"
     )
     if held_before is not None and held_after is not None:
@@ -358,8 +325,7 @@ def _left(found: Diagnosis) -> Iterator[str]:
     if known:
         most = max(known, key=lambda r: r.high / _spring(r) if _known(r) else r.high)
         if most.high > 0:
-            where = f" at the {most.joint}" if len(found.fit.joints) > 1 else ""
-            size = f"{plain(most.high, 2)} {most.unit} rms{where}"
+            size = f"{plain(most.high, 2)} {most.unit} rms{at(most.joint, found.fit.joints)}"
             part = f", {share(most.high / _spring(most))} of the spring's torque"
             yield (
                 f"What may still be missing is no more than {size}"
@@ -377,12 +343,11 @@ def _spring(r: RandomTorque) -> float:
 
 
 def _size(r: RandomTorque, found: Diagnosis) -> str:
-    where = f" at the {r.joint}" if len(found.fit.joints) > 1 else ""
     low, high = plain(r.low, 2), plain(r.high, 2)
-    band = f"95 % band {low} to {high}" if low != high else ""
-    part = f"{share(r.share_of_spring)} of the spring's" if _known(r) else ""
-    more = "; ".join(filter(None, [band, part]))
-    return f"{plain(r.rms, 2)} {r.unit} rms{where}" + (f" ({more})" if more else "")
+    more = [f"95 % band {low} to {high}"] if low != high else []
+    more += [f"{share(r.share_of_spring)} of the spring's"] if _known(r) else []
+    size = f"{plain(r.rms, 2)} {r.unit} rms{at(r.joint, found.fit.joints)}"
+    return f"{size} ({'; '.join(more)})" if more else size
 
 
 def _matters(found: Diagnosis) -> Iterator[str]:
@@ -392,9 +357,8 @@ def _matters(found: Diagnosis) -> Iterator[str]:
     for j, r in enumerate(found.random_torque):
         if not _known(r):
             continue
-        damper, where = _damper(found, j), f" at the {r.joint}" if len(found.fit.joints) > 1 else ""
-        words = f"the stiffness{where} by {share(r.share_of_spring)}"
-        if damper > 0:
+        words = f"the stiffness{at(r.joint, found.fit.joints)} by {share(r.share_of_spring)}"
+        if (damper := _damper(found, j)) > 0:
             words += f" or the damping by {share(r.rms / damper)}"
         told.append(words)
     if told:
@@ -422,27 +386,40 @@ def text(found: Diagnosis) -> str:
 
 def models(found: Diagnosis) -> list[str]:
     """The error of each model on the way; more joints than stand side by side, below each other."""
-    joints, held = found.fit.joints, _held(found)
-    head = "rms residual in times the noise"
-    if held is not None:
-        head += f"; {HELD_OUT}: {when_held_out(held)}"
-    kinds, beside = ["fitted", HELD_OUT] if held else ["fitted"], len(joints) <= 2
+    joints, held = found.fit.joints, held_out(found)
+    head = "rms residual in times the noise" + (f"; {HELD_OUT}: {held}" if held else "")
+    kinds, beside = _kinds(found), len(joints) <= 2
+    of = [f"{j if k == 'fitted' else ''}\n{k}" for j in joints for k in kinds]
+    columns = ["\nmodel", *of] if beside else ["model", "joint", *kinds]
     rows = []
-    for step in found.ladder:
-        name, chi2 = model_name(step, comma=True), plain(step.fit.reduced_chi2)
-        cells = [[_x(x) for x in pair[: len(kinds)]] for pair in times_noise(step)]
+    for name, cells, chi2 in _models(found, lambda joint, rmse, ratio: _x(ratio)):
         if beside:
-            rows.append([name, *(c for each in cells for c in each), chi2])
+            rows.append([name, *itertools.chain(*cells), chi2])
         else:
             each = zip(joints, cells, strict=True)
-            rows += [[name if j == joints[0] else "", j, *c, chi2] for j, c in each]
-    of = [f"{j if k == 'fitted' else ''}\n{k}" for j in joints for k in kinds]
-    columns = of if beside else ["joint", *kinds]
-    left = (0,) if beside else (0, 1)
-    table = Table(
-        ["\nmodel" if beside else "model", *columns, "chi-square\nper reading"], rows, left
-    )
+            rows += [["" if j else name, joint, *c, chi2] for j, (joint, c) in enumerate(each)]
+    table = Table([*columns, "chi-square\nper reading"], rows, (0,) if beside else (0, 1))
     return [*section("Models", head), *printed(table)]
+
+
+def _kinds(found: Diagnosis) -> list[str]:
+    """Where errors are known."""
+    return ["fitted", HELD_OUT] if held_out(found) else ["fitted"]
+
+
+def _models(
+    found: Diagnosis, cell: Callable[[int, float, float | None], str]
+) -> Iterator[tuple[str, list[list[str]], str]]:
+    """Of each model on the way its name; per joint a cell (joint, rms, times the noise) for each of
+    the `_kinds`; and its chi-square."""
+    kinds = _kinds(found)
+    for step in found.ladder:
+        sizes = zip(step.fit.rmse, _rms_held_out(step), times_noise(step), strict=True)
+        cells = [
+            [cell(j, float(x), r) for x, r, _ in zip(rms, ratio, kinds, strict=False)]
+            for j, (*rms, ratio) in enumerate(sizes)
+        ]
+        yield model_name(step, comma=True), cells, plain(step.fit.reduced_chi2)
 
 
 def _x(ratio: float | None) -> str:
@@ -472,11 +449,12 @@ def candidates(found: Diagnosis) -> list[str]:
 
 def lookalikes(found: Diagnosis) -> list[str]:
     """Names that the recordings cannot tell apart."""
-    groups = [line for words in _alike(found) for line in filled(words, "    ")]
+    groups = [line for words in alike(found) for line in filled(words, "    ")]
     return ["[[Look-alikes]]", *groups] if groups else []
 
 
-def _alike(found: Diagnosis) -> Iterator[str]:
+def alike(found: Diagnosis) -> Iterator[str]:
+    """A sentence for each group of look-alikes."""
     for group in found.lookalikes:
         if len(group) > 1:
             first, *others = (at_place(x, found.fit.joints) for x in group)
@@ -493,55 +471,26 @@ def next_experiment(found: Diagnosis) -> list[str]:
 # -- on a page -------------------------------------------------------------------------------
 
 
-def diagnosed(found: Diagnosis) -> dict[str, Any]:
-    """All that the template says of it."""
-    experiment, joints, shown = found.fit.experiment, found.fit.joints, worth_showing(found)
-    names = [lower(at_place(name, joints)) for name in found.added]
-    held, left = _held(found), found.verdict == "unexplained"
-    before = clearest(experiment, _evidence(found), _PICTURES)
-    after = clearest(experiment, pairs(found.still_missing) if left else (), _PICTURES)
-    falling = "The error in times the noise, per joint, of each model on the way"
-    chances = "Bars: how probable each candidate is, and how far its evidence is behind the best"
-    return {
-        "title": _title(found),
-        "verdict": found.verdict,
-        "added": listed(names) if names else "",
-        "words": [unbroken(words) for words in found.words],
-        "held_out": held and when_held_out(held),
-        "falling": plot.picture(falling, plot.ladder, found),
-        "models": _models_table(found),
-        "families": _families_table(found),
-        "candidates": _candidates_table(found, shown),
-        "others": len(found.candidates) - len(shown),
-        "chances": plot.picture(chances, plot.candidates, found) if shown else None,
-        "evidence": before[0],
-        "more_evidence": before[1],
-        "still": after[0],
-        "more_still": after[1],
-        "remainder": _remainder_table(found.random_torque),
-        "laws": laws.page(found),
-        "alike": list(_alike(found)),
-        "next": "" if found.next_experiment is None else found.next_experiment.words,
-        "outcomes": found.next_experiment and outcomes(found.next_experiment),
-        "left": failing(found.comparison, ()),
-        "budget": found.budget,
-    }
+def torques_lacked(found: Diagnosis) -> list[tuple[Missing, int]]:
+    """What the last model lacks, (recording, joint) each, where something was left unexplained."""
+    return clearest(pairs(found.still_missing)) if found.verdict == "unexplained" else []
 
 
-def _title(found: Diagnosis) -> str:
+def title_of(found: Diagnosis) -> str:
+    """The headline."""
     if found.explains_nothing:
         return "The model explains nothing of this motion"
     if found.verdict == "adequate":
         return "Nothing is missing"
     if not found.added:
         return f"Something is missing that {unnamed(found)} explains"
-    words = [placed(f.name, f.place, found.fit.joints) for f in accepted(found)]
+    words = [_family(f, found) for f in accepted(found)]
     if found.verdict == "unexplained":
         words.append(f"something that {unnamed(found)} explains")
     return f"What is missing: {listed(words)}"
 
 
-def _evidence(found: Diagnosis) -> list[tuple[Missing, int]]:
+def torques_first_lacked(found: Diagnosis) -> list[tuple[Missing, int]]:
     """The torque that the base model lacks, with the curves of what was added before their rivals',
     those that draw most of it first; where what was added acts, or everywhere if on no joint."""
     if not found.added:
@@ -556,36 +505,33 @@ def _evidence(found: Diagnosis) -> list[tuple[Missing, int]]:
         for each, joint in pairs(ordered)
         if any(c.effect in found.added and np.any(c.torque[:, joint]) for c in each.curves)
     ]
-    return acting or pairs(ordered)
+    return clearest(acting or pairs(ordered))
 
 
-def _models_table(found: Diagnosis) -> Table:
-    joints, held, rows = found.fit.joints, _held(found) is not None, []
-    units = found.fit.experiment.reading_units or (None,) * len(joints)
-    for step in found.ladder:
-        sizes = [step.fit.rmse, _held_out(step)][: 1 + held]
-        cells = [
-            "" if ratio is None else f"{amount(float(rmse[j]), units[j])} ({times(ratio)} ×)"
-            for j, pair in enumerate(times_noise(step))
-            for rmse, ratio in zip(sizes, pair, strict=False)
-        ]
-        rows.append([model_name(step, comma=True), *cells, plain(step.fit.reduced_chi2)])
-    head = [f"{joint}, {kind}" for joint in joints for kind in ("fitted", HELD_OUT)[: 1 + held]]
+def models_table(found: Diagnosis) -> Table:
+    """The error of each model on the way."""
+
+    def cell(joint: int, rmse: float, ratio: float | None) -> str:
+        return "" if ratio is None else f"{amount(rmse, found.fit.units[joint])} ({times(ratio)} ×)"
+
+    rows = [[name, *itertools.chain(*cells), chi2] for name, cells, chi2 in _models(found, cell)]
+    head = [f"{joint}, {kind}" for joint in found.fit.joints for kind in _kinds(found)]
     return Table(["model", *head, "reduced chi-square"], rows)
 
 
-def _families_table(found: Diagnosis) -> Table:
+def families_table(found: Diagnosis) -> Table:
+    """The likeliest kinds of law, each at its place."""
     rows = []
     for f in found.families[:_FAMILIES]:
         if f.probability >= _SHOWN:
             laws = ", ".join(f"{lower(title(x))} {percent(p)}" for x, p in f.members)
-            name = upper(placed(f.name, f.place, found.fit.joints, comma=True))
-            rows.append([name, percent(f.probability), laws])
+            rows.append([upper(_family(f, found, comma=True)), percent(f.probability), laws])
     return Table(["kind of law and place", "probability", "laws"], rows, left=(0, 2))
 
 
-def _candidates_table(found: Diagnosis, shown: Sequence[Candidate]) -> Table:
-    rows = []
+def candidates_table(found: Diagnosis) -> Table:
+    """The candidates that are worth a line."""
+    rows, shown = [], worth_showing(found)
     for c in shown:
         name = at_place(c.effect, found.fit.joints, comma=True)
         name += " (added)" if c.effect in found.added else ""
@@ -597,10 +543,10 @@ def _candidates_table(found: Diagnosis, shown: Sequence[Candidate]) -> Table:
     return Table([*head, "name for --with"], rows, left=(0, 3, 4), marked=marked)
 
 
-def _remainder_table(torques: Sequence[RandomTorque]) -> Table:
+def remainder_table(found: Diagnosis) -> Table:
     """How large the torque is that the last model still lacks, per joint."""
     rows = []
-    for r in torques:
+    for r in found.random_torque:
         part = share(r.share_of_spring) if math.isfinite(r.share_of_spring) else ""
         band = f"{plain(r.low, 2)} to {plain(r.high, 2)} {r.unit}"
         rows.append([r.joint, f"{plain(r.rms, 2)} {r.unit}", band, part])
@@ -616,32 +562,26 @@ def latex(found: Diagnosis) -> str:
 
 
 def _models_latex(found: Diagnosis) -> str:
-    joints, held = found.fit.joints, _held(found) is not None
-    units = found.fit.experiment.reading_units or ("",) * len(joints)
+    kinds = _kinds(found)
     scales = [
         prefixed(name, float(min(r.fit.rmse[j] for r in found.ladder)))
-        for j, name in enumerate(units)
+        for j, name in enumerate(found.fit.units)
     ]
     above, below, rules = [""], ["Model"], []
-    for joint, (_, short) in zip(joints, scales, strict=True):
+    for joint, (_, short) in zip(found.fit.joints, scales, strict=True):
         words = f"{tex.escaped(joint)} ({tex.unit(short)})"
-        if held:
-            rules.append(rf"\cmidrule(lr){{{len(below) + 1}-{len(below) + 2}}}")
-            above.append(rf"\multicolumn{{2}}{{c}}{{{words}}}")
-            below += ["fitted", HELD_OUT]
-        else:
+        if len(kinds) == 1:
             below.append(words)
-    rows = []
-    for step in found.ladder:
-        sizes = [step.fit.rmse, _held_out(step)][: 1 + held]
-        cells = [
-            tex.scientific(plain(float(rmse[j] / factor)))
-            for j, (factor, _) in enumerate(scales)
-            for rmse in sizes
-        ]
-        chi2 = tex.scientific(plain(step.fit.reduced_chi2))
-        rows.append([tex.escaped(model_name(step, comma=True)), *cells, chi2])
-    over = f"{' & '.join([*above, ''])} \\\\\n{' '.join(rules)}\n" if held else ""
+            continue
+        rules.append(rf"\cmidrule(lr){{{len(below) + 1}-{len(below) + 2}}}")
+        above.append(rf"\multicolumn{{2}}{{c}}{{{words}}}")
+        below += kinds
+    each = _models(found, lambda j, rmse, _: tex.scientific(plain(rmse / scales[j][0])))
+    rows = [
+        [tex.escaped(name), *itertools.chain(*cells), tex.scientific(chi2)]
+        for name, cells, chi2 in each
+    ]
+    over = f"{' & '.join([*above, ''])} \\\\\n{' '.join(rules)}\n" if rules else ""
     return tabular("l" + "r" * len(below), [*below, r"Reduced $\chi^2$"], [rows], over)
 
 
@@ -664,15 +604,14 @@ def _candidates_latex(found: Diagnosis) -> str:
 def csv(found: Diagnosis) -> str:
     """One line for each number: which table and which line of it, name, value, std, unit."""
     rows: list[tuple[object, ...]] = []
-    units = found.fit.experiment.reading_units or ("",) * len(found.fit.joints)
     for step in found.ladder:
         own = "ladder", base_name(step.fit) if step.added is None else f"+ {step.added}"
         for name, joint, x, u in residuals(step.fit):
             if name != "check_rmse":
                 rows.append((*own, f"{name}:{joint}", x, None, u))
         if step.held_out is not None:
-            for joint, x, u in zip(found.fit.joints, _held_out(step), units, strict=True):
-                rows.append((*own, f"check_rmse:{joint}", x, None, u))
+            each = zip(found.fit.joints, _rms_held_out(step), found.fit.units, strict=True)
+            rows += [(*own, f"check_rmse:{joint}", x, None, u) for joint, x, u in each]
         rows.append((*own, "reduced_chi2", step.fit.reduced_chi2, None, "1"))
         rows.append((*own, "log_evidence", step.log_evidence, None, "1"))
     for c in found.candidates:
@@ -683,6 +622,6 @@ def csv(found: Diagnosis) -> str:
     return separated(("table", "model", "name", "value", "std", "unit"), rows)
 
 
-def _held_out(step: ModelState) -> np.ndarray:
+def _rms_held_out(step: ModelState) -> np.ndarray:
     held = step.held_out
     return np.full(len(step.fit.joints), np.nan) if held is None else held.held_out.rmse

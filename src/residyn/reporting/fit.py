@@ -7,14 +7,14 @@ the curves seem to lie on each other.
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ..fitting.integration import TENTH
-from ..fitting.result import NEGATIVE, STRONG, STRUCTURE, Fit, Mode, RecordingFit
+from ..fitting.result import NEGATIVE, STRONG, STRUCTURE, Fit, RecordingFit
+from ..physics.effect import AbstractEffect
 from ..recordings.segments import by_recording
-from . import figures as plot
 from . import latex as tex
 from .layout import Table, filled, section, separated, tabular, warned
 from .names import HELD_OUT, at_place, base_name, listed, lower
@@ -32,53 +32,36 @@ _NAMED = 3
 
 
 class JointError(NamedTuple):
-    """Errors at one joint, rad or m; `check` and `check_noise` None without held-out recordings."""
+    """Errors at one joint, rms, in `unit`; None where nothing was held out."""
 
     joint: str
-    unit: str | None
+    unit: str
     rmse: float
     noise: float
-    motion: float
+    ratio: float
+    """Error in times the noise."""
+    share: float
+    """Error as a share of the motion's standard deviation."""
     check: float | None
-    check_noise: float | None
-
-    @property
-    def ratio(self) -> float:
-        """Error in units of the noise."""
-        return self.rmse / self.noise
-
-    @property
-    def check_ratio(self) -> float | None:
-        """Held-out error in units of the noise."""
-        return None if self.check is None or not self.check_noise else self.check / self.check_noise
-
-    @property
-    def share(self) -> float:
-        """Error as a share of the rms motion."""
-        return self.rmse / self.motion if self.motion > 0 else float("nan")
+    check_ratio: float | None
 
 
 def joint_errors(fit: Fit) -> list[JointError]:
     """The errors of a fit, joint by joint."""
-    fitted, held = _fitted(fit), [r for r in fit.whole if r.recording.role == "check"]
     centred = []
-    for r in fitted:
-        angle = np.where(r.used, r.recording.angle, np.nan)
-        centred.append(angle - np.nanmean(angle, axis=0))
-    motion = np.sqrt(np.nanmean(np.concatenate(centred) ** 2, axis=0)).tolist()
-    noise = [None] * len(motion) if not held else _noise(held).tolist()
-    check = [None] * len(motion) if fit.check_rmse is None else fit.check_rmse.tolist()
-    units = fit.experiment.reading_units or (None,) * len(motion)
-    own = fit.rmse.tolist(), _noise(fitted).tolist(), motion, check, noise
-    return [JointError(*row) for row in zip(fit.joints, units, *own, strict=True)]
-
-
-def _fitted(fit: Fit) -> list[RecordingFit]:
-    return [r for r in fit.whole if r.recording.role != "check"]
-
-
-def _noise(fits: Sequence[RecordingFit]) -> np.ndarray:
-    return np.sqrt(np.mean([np.square(f.recording.noise) for f in fits], axis=0))
+    for r in fit.whole:
+        if r.recording.role != "check":
+            angle = np.where(r.used, r.recording.angle, np.nan)
+            centred.append(angle - np.nanmean(angle, axis=0))
+    motion = np.sqrt(np.nanmean(np.concatenate(centred) ** 2, axis=0))
+    share = fit.rmse / np.where(motion > 0, motion, np.nan)
+    check = check_ratio = np.full(len(motion), None)
+    if fit.check_rmse is not None:
+        noise = np.mean([r.recording.noise**2 for r in fit.held_out], axis=0) ** 0.5
+        check, check_ratio = fit.check_rmse, fit.check_rmse / noise
+    own = fit.rmse, fit.noise, fit.rmse / fit.noise, share, check, check_ratio
+    each = zip(fit.joints, fit.units, *(x.tolist() for x in own), strict=True)
+    return [JointError(*row) for row in each]
 
 
 def explained(fit: Fit) -> bool:
@@ -86,7 +69,7 @@ def explained(fit: Fit) -> bool:
     return bool(fit.reduced_chi2 <= STRUCTURE)
 
 
-def verdict(fit: Fit) -> str:
+def verdict(fit: Fit) -> tuple[str, ...]:
     """How good the fit is, in a sentence or two."""
     errors, good = joint_errors(fit), explained(fit)
     left = []
@@ -99,7 +82,7 @@ def verdict(fit: Fit) -> str:
     else:
         words = f"The model misses something: it leaves {listed(left)}."
     ratios = [times(e.check_ratio) for e in errors if e.check_ratio is not None]
-    return words + (f" On the held-out recordings: {listed(ratios)} times." if ratios else "")
+    return (words, f"On the held-out recordings: {listed(ratios)} times.") if ratios else (words,)
 
 
 def chi2_words(chi2: float) -> str:
@@ -164,8 +147,7 @@ def _open(fit: Fit) -> Iterator[str]:
 
 
 def _still(fit: Fit) -> Iterator[str]:
-    fitted = [r for r in fit.recordings if r.recording.role != "check"]
-    moved = np.max([np.nanstd(r.recording.angle, axis=0) for r in fitted], axis=0)
+    moved = np.max([np.nanstd(r.recording.angle, axis=0) for r in fit.fitted], axis=0)
     for joint, size, noise in zip(fit.joints, moved, fit.noise, strict=True):
         if size < _STILL * noise:
             yield (
@@ -201,12 +183,11 @@ def _signs(fit: Fit) -> Iterator[str]:
 
 def _misfit(fit: Fit) -> Iterator[str]:
     if fit.misses:
-        worst, units = int(np.argmax(fit.rmse / fit.noise)), fit.experiment.reading_units
-        unit = f" {units[worst]}" if units else ""
+        worst = max(joint_errors(fit), key=lambda e: e.ratio)
+        noise = f"{worst.noise:.3g} {worst.unit}".strip()
         yield (
-            f"the residual at {fit.joints[worst]} is {fit.rmse[worst] / fit.noise[worst]:.3g} "
-            f"times the noise ({fit.noise[worst]:.3g}{unit}): the model misses something, and the "
-            "errors above, which assume white noise, are too small"
+            f"the residual at {worst.joint} is {worst.ratio:.3g} times the noise ({noise}): the "
+            "model misses something, and the errors above, which assume white noise, are too small"
         )
     elif fit.reduced_chi2 < _OVERSTATED:
         yield (
@@ -267,27 +248,25 @@ def _search(fit: Fit) -> Iterator[str]:
 
 def text(fit: Fit) -> str:
     """The report, for a terminal of 80 columns."""
-    fitted = [r for r in fit.recordings if r.recording.role != "check"]
-    readings = sum(int(r.used.sum()) for r in fitted)
-    names = ", ".join(r.name for r, _ in by_recording([f.recording for f in fitted]))
     lines = [
         *filled(base_name(fit, comma=True), "[[Model]]  "),
         "[[Fit]]",
-        *filled(f"{names} ({readings} readings)", "    recordings  "),
+        *filled(f"{names(fit.fitted)} ({readings(fit)} readings)", "    recordings  "),
         f"    starts      {fit.agreeing_starts} of {fit.starts} agree",
         *filled(fit.reason, "    stopped     "),
         f"    chi-square  {fit.reduced_chi2:.4g} per degree of freedom (1: noise alone)",
     ]
     for e in joint_errors(fit):
-        line = f"{e.joint}: {e.rmse:.4g} {e.unit or ''}, {e.ratio:.3g} x noise"
-        held = "" if e.check is None else f"; {HELD_OUT}: {e.check:.4g} {e.unit or ''}"
+        line = f"{e.joint}: {e.rmse:.4g} {e.unit}, {e.ratio:.3g} x noise"
+        held = "" if e.check is None else f"; {HELD_OUT}: {e.check:.4g} {e.unit}"
         lines += filled(line + held, "    rms         ")
     lines += filled(_integrated(fit), "    integrated  ")
     lines.append("[[Parameters]]  value +/- standard error (error in %)")
+    width = max([30, *(len(n.name) for n in fit.numbers)])
     for n in fit.numbers:
         unit = "" if n.unit == "1" else f" {n.unit}"
         error = f"{n.std:.3g} ({n.percent:.2g} %)" if n.determined else "not determined"
-        lines.append(f"  {n.name:<30}{n.value:11.6g} +/- {error}{unit}")
+        lines.append(f"  {n.name:<{width}}{n.value:11.6g} +/- {error}{unit}")
     lines += filled(", ".join(f"{n.name} {n.start:.4g}" for n in fit.numbers), "  started from ")
     if fit.modes:
         lines.append("[[Modes]]  natural frequency, damping ratio")
@@ -301,6 +280,16 @@ def text(fit: Fit) -> str:
         lines += section("Correlations", f"beyond {STRONG}")
         lines += [f"    {a} with {b}: {r:+.3f}" for a, b, r in strong]
     return "\n".join([*lines, *warned(fit.warnings)])
+
+
+def names(fits: Sequence[RecordingFit]) -> str:
+    """Names of recordings, with segments of one recording put together."""
+    return ", ".join(r.name for r, _ in by_recording([f.recording for f in fits]))
+
+
+def readings(fit: Fit) -> int:
+    """How many readings the numbers were fitted to."""
+    return sum(int(r.used.sum()) for r in fit.fitted)
 
 
 def _known(x: float, std: float, digits: int) -> str:
@@ -322,60 +311,29 @@ def _integrated(fit: Fit) -> str:
 # -- on a page -------------------------------------------------------------------------------
 
 
-def chapter(title: str, fit: Fit, drawn: bool = True) -> dict[str, Any]:
-    """All that the template says of one fit; its pictures only if they are to be `drawn`."""
-    errors, fitted = joint_errors(fit), _fitted(fit)
-    held = [r.recording.name for r in fit.whole if r.recording.role == "check"]
-    return {
-        "title": title,
-        "fit": fit,
-        "failing": None,
-        "explained": explained(fit),
-        "verdict": verdict(fit),
-        "chi2": plain(fit.reduced_chi2, 3),
-        "chi2_words": chi2_words(fit.reduced_chi2),
-        "errors": _errors_table(errors, bool(held)),
-        "terms": [(lower(at_place(e.label, fit.joints)), e.equation) for e in fit.model.effects],
-        "numbers": _numbers_table(fit),
-        "modes": _modes_table(fit.modes),
-        "motion": [
-            (
-                r.recording.name,
-                plot.picture(
-                    f"{r.recording.name}: measured, model and what is left, against time",
-                    plot.overlay,
-                    fit,
-                    [r],
-                ),
-            )
-            for r in (fit.whole if drawn else ())
-        ],
-        "spectrum": drawn
-        and plot.picture(
-            "Amplitude spectra of the motion and of what is left, with the modes marked",
-            plot.spectrum,
-            fit,
-        ),
-        "correlations": fit.strong_correlations(),
-        "readings": sum(int(r.used.sum()) for r in fitted),
-        "fitted": [r.recording.name for r in fitted],
-        "held_out": held,
-    }
+def term(effect: AbstractEffect, fit: Fit) -> str:
+    """What one of a model's effects is called."""
+    return lower(at_place(effect.label, fit.joints))
 
 
-def _errors_table(errors: Sequence[JointError], held: bool) -> Table:
+def errors_table(fit: Fit) -> Table:
+    """Per joint the residual, absolute and relative to noise and motion."""
+    errors = joint_errors(fit)
     head = ["joint", "error (rms)", "noise of a reading", "error / noise", "error / motion"]
+    if errors[0].check is not None:
+        head += ["held-out error", "held-out / noise"]
     rows = []
     for e in errors:
         row = [e.joint, amount(e.rmse, e.unit), amount(e.noise, e.unit)]
         row += [plain(e.ratio), share(e.share)]
-        if held and e.check is not None and e.check_ratio is not None:
+        if e.check is not None and e.check_ratio is not None:
             row += [amount(e.check, e.unit), plain(e.check_ratio)]
         rows.append(row)
-    return Table([*head, "held-out error", "held-out / noise"] if held else head, rows)
+    return Table(head, rows)
 
 
-def _numbers_table(fit: Fit) -> Table:
+def numbers_table(fit: Fit) -> Table:
+    """The fitted numbers with their errors."""
     head = ["number", "value", "standard error", "error in %", "start", "unit", "meaning"]
     rows = []
     for n in fit.numbers:
@@ -387,10 +345,11 @@ def _numbers_table(fit: Fit) -> Table:
     return Table(head, rows, left=(0, 5, 6))
 
 
-def _modes_table(modes: Sequence[Mode]) -> Table:
+def modes_table(fit: Fit) -> Table:
+    """The modes of the fitted model."""
     head = ["", "frequency (Hz)", "standard error (Hz)", "period (s)", "damping ratio (%)"]
     rows = []
-    for i, m in enumerate(modes, 1):
+    for i, m in enumerate(fit.modes, 1):
         name = f"mode {i}" + (" (grows: not physical)" if m.grows else "")
         period = plain(1 / m.frequency_hz, 3) if m.frequency_hz > 0 else ""
         damping = with_error(100 * m.damping_ratio, 100 * m.damping_ratio_std)
@@ -398,9 +357,8 @@ def _modes_table(modes: Sequence[Mode]) -> Table:
     return Table([*head, "standard error (%)"], rows)
 
 
-def fall(fits: Sequence[tuple[str, Fit]]) -> str:
+def fall(first: Fit, last: Fit) -> str:
     """From the first model to the last, where the first one is worst."""
-    (_, first), (_, last) = fits[0], fits[-1]
     before, after = joint_errors(first), joint_errors(last)
     worst = max(range(len(before)), key=lambda i: before[i].ratio)
     new = [x for x in last.model.labels if x not in first.model.labels]
@@ -426,12 +384,12 @@ def latex(fit: Fit) -> str:
         damping = tex.measured(m.damping_ratio, m.damping_ratio_std)
         modes.append([f"mode {i}", "natural frequency", frequency, "Hz"])
         modes.append([f"mode {i}", "damping ratio", damping, "1"])
-    left = []
-    for name, what in (("rmse", "rms residual"), ("check_rmse", f"rms residual, {HELD_OUT}")):
-        for _, joint, size, own in (row for row in residuals(fit) if row[0] == name):
+    left, what = [], {"rmse": "rms residual", "check_rmse": f"rms residual, {HELD_OUT}"}
+    for name, joint, size, own in residuals(fit):
+        if name in what:
             factor, short = prefixed(own, size)
             value = tex.scientific(plain(size / factor))
-            left.append([tex.escaped(joint), what, value, tex.unit(short)])
+            left.append([tex.escaped(joint), what[name], value, tex.unit(short)])
     left.append(["all", r"reduced $\chi^2$", tex.scientific(plain(fit.reduced_chi2)), "1"])
     return tabular("llrl", ["Where", "Quantity", "Value", "Unit"], [rows, modes, left])
 
@@ -449,11 +407,10 @@ def csv(fit: Fit) -> str:
 
 def residuals(fit: Fit) -> list[tuple[str, str, float, str]]:
     """(name, joint, value, unit) of every rms residual, and of the noise."""
-    units = fit.experiment.reading_units or ("",) * len(fit.joints)
     each = [("rmse", fit.rmse), ("check_rmse", fit.check_rmse), ("noise", fit.noise)]
     return [
         (name, joint, float(x), u)
         for name, sizes in each
         if sizes is not None
-        for joint, u, x in zip(fit.joints, units, sizes, strict=True)
+        for joint, u, x in zip(fit.joints, fit.units, sizes, strict=True)
     ]

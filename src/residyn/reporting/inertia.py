@@ -1,7 +1,6 @@
 """All that is said of step 1: tests, inertias with errors, the `[arm]` table, the page."""
 
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Iterable
 
 import numpy as np
 from scipy.special import chdtrc
@@ -11,7 +10,6 @@ from ..procedure.carried import NAMES
 from ..procedure.result import FRICTION_UNITS, UNITS, InertiaResult, Number, TestResult
 from ..procedure.weak import CALIBRATED
 from ..recordings.tables import ArmTable, check_bearings
-from . import figures as plot
 from .layout import Table, filled, printed, section, warned
 from .names import listed, unbroken
 from .numbers import measured, plain, times, with_error
@@ -135,7 +133,7 @@ def text(result: InertiaResult) -> str:
     ]
     lines += printed(Table(["", "", ""], rows, left=(0, 1)))
     if result.reduced_chi2 is not None:
-        lines += filled(_agreement(result), "    ")
+        lines += filled(agreement(result), "    ")
     return "\n".join([*lines, *warned(result.warnings)])
 
 
@@ -148,7 +146,8 @@ def _percent(number: Number) -> str:
     return plain(100 * number.std / abs(number.value), 2) if number.value else "?"
 
 
-def _agreement(result: InertiaResult) -> str:
+def agreement(result: InertiaResult) -> str:
+    """Whether more tests than unknowns agree."""
     return (
         f"{len(result.tests)} tests for three unknowns: chi-square "
         f"{plain(result.reduced_chi2 or 0.0, 3)} per degree of freedom (1: they agree within "
@@ -196,10 +195,10 @@ def _theta2(test: TestResult) -> str:
 def apart_words(result: InertiaResult) -> str:
     """Whether the elbow angles are far enough apart (Eq. 16)."""
     apart = result.separation
-    verdict = "yes" if apart.excess < 4 else "barely" if apart.excess < _CLOSE else "hardly"
+    answer = "yes" if apart.excess < 4 else "barely" if apart.excess < _CLOSE else "hardly"
     cosines = ", ".join(f"{c:.3f}" for c in apart.cosines)
     return (
-        f"{verdict}: cosines {cosines} differ by {apart.span:.3g} (2 at most): 1 % of error "
+        f"{answer}: cosines {cosines} differ by {apart.span:.3g} (2 at most): 1 % of error "
         f"in the composite inertias is {plain(apart.amplification, 2)} % in coupling. Elbow angles "
         f"of 0 and pi would make it {times(apart.excess)} times smaller."
     )
@@ -208,26 +207,18 @@ def apart_words(result: InertiaResult) -> str:
 # -- on a page -------------------------------------------------------------------------------
 
 
-def page(found: InertiaResult) -> dict[str, Any]:
-    """All that the template says of it."""
+def inertias_table(found: InertiaResult) -> Table:
+    """The inertias with their errors, beside the paper's least squares."""
     rows = [
         [name, _pm(number), _percent(number), plain(x, 5), unit]
         for name, number, unit, x in _inertias(found)
     ]
     head = ["inertia", "value ± standard error", "error in %", "by least squares (Eq. 12 to 15)"]
-    line = "Inertia about the shoulder against the cosine of the elbow angle"
-    return {
-        "found": found,
-        "verdict": unbroken(_verdict(found)),
-        "inertias": Table([*head, "unit"], rows, left=(0, 4)),
-        "tests": _tests_table(found.tests, found.experiment.joints),
-        "apart": apart_words(found),
-        "picture": plot.picture(line, plot.composite_inertia, found),
-        "agreement": "" if found.reduced_chi2 is None else _agreement(found),
-    }
+    return Table([*head, "unit"], rows, left=(0, 4))
 
 
-def _verdict(found: InertiaResult) -> str:
+def verdict(found: InertiaResult) -> str:
+    """What was found, in a sentence."""
     if found.problem is not None:
         return f"Not physical: {found.problem}."
     each = [f"{name} {_pm(number)} {unit}" for name, number, unit, _ in _inertias(found)]
@@ -238,13 +229,16 @@ def _pm(number: Number) -> str:
     return unbroken(" +/- ".join(with_error(*number)))
 
 
-def _tests_table(tests: Sequence[TestResult], joints: tuple[str, ...]) -> Table:
+def tests_table(found: InertiaResult) -> Table:
+    """What each test says."""
     rows = []
-    for t in tests:
+    for t in found.tests:
         friction = ["not told apart" if n is None else _pm(n) for n in t.friction.values()][:2]
         at = "" if t.test.joint else _theta2(t)
         left = times(t.solved.chi2**0.5)
-        rows.append([t.name, joints[t.test.joint], at, _pm(t.inertia), *friction, left])
+        rows.append(
+            [t.name, found.experiment.joints[t.test.joint], at, _pm(t.inertia), *friction, left]
+        )
     head = ["recording", "driven", "elbow at (rad)", "composite inertia (kg m²)"]
     head += ["Coulomb friction (N m)", "viscous friction (N m s/rad)", "left / noise"]
     return Table(head, rows, left=(0, 1))

@@ -1,15 +1,13 @@
-"""All that is said of laws without a name: sentences, the printout, the page."""
+"""All that is said of laws without a name: sentences and tables."""
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from ..diagnosis.law import Law
 from ..diagnosis.result import Diagnosis
-from . import figures as plot
 from .layout import Table, filled, printed, section
-from .names import at_place, listed, lower, modal
+from .names import at, listed, modal, named, upper
 from .numbers import measured, nats, percent, times
 
 _WHAT = {"": "torque", "direction": "friction", "angle": "stiffness", "rate": "damping"}
@@ -17,7 +15,7 @@ _WHAT = {"": "torque", "direction": "friction", "angle": "stiffness", "rate": "d
 
 def what(law: Law, joints: tuple[str, ...] | list[str]) -> str:
     """ "a torque at the elbow that depends on the rate"."""
-    where = f" at the {law.joint}" if len(joints) > 1 else ""
+    where = at(law.joint, joints)
     how = "changes with" if law.variable == "time" else "depends on the"
     return f"a {_WHAT[law.factor]}{where} that {how} {law.variable}"
 
@@ -39,8 +37,7 @@ def sentences(found: Diagnosis) -> Iterator[str]:
     rest = [f"{what(x, found.fit.joints)} ({percent(x.probability)})" for x in others]
     beside = ""
     if law.beside:
-        names = [lower(at_place(x, found.fit.joints)) for x in law.beside]
-        beside = f" beside {listed(names)}"
+        beside = f" beside {named(law.beside, found.fit.joints)}"
     first = f"What has no name {modal(law.probability)} {what(law, found.fit.joints)}{beside}"
     told = formula(law)
     yield f"{first} ({percent(law.probability)})" + (f": {told}." if told else ".")
@@ -71,8 +68,7 @@ def text(found: Diagnosis) -> list[str]:
         return []
     rows = []
     for law in found.laws:
-        name = what(law, found.fit.joints)
-        lines = [name[0].upper() + name[1:]]
+        lines = [upper(what(law, found.fit.joints))]
         lines += filled(formula(law), "  ", width=60) if law.formula else []
         rows.append(["\n".join(lines), percent(law.probability), nats(law.log_evidence)])
     note = (
@@ -88,21 +84,10 @@ def text(found: Diagnosis) -> list[str]:
     return out
 
 
-def page(found: Diagnosis) -> dict[str, Any] | None:
-    """What the template says of them; None where there are none."""
-    if not found.laws:
-        return None
-    law = found.laws[0]
-    alt = f"{what(law, found.fit.joints)}: its curve with the 95 % band"
+def table(found: Diagnosis) -> Table:
+    """The laws on a page."""
     rows = [
         [what(x, found.fit.joints), percent(x.probability), nats(x.log_evidence), formula(x)]
         for x in found.laws
     ]
-    head = ["law", "probability", "log evidence (nats)", "formula"]
-    return {
-        "words": list(sentences(found)),
-        "picture": plot.picture(alt, plot.law, law),
-        "table": Table(head, rows, left=(0, 3)),
-        "source": None if law.found is None else law.found.text(),
-        "name": None if law.found is None else law.found.label,
-    }
+    return Table(["law", "probability", "log evidence (nats)", "formula"], rows, left=(0, 3))

@@ -24,7 +24,7 @@ class Table:
     rows: Sequence[Sequence[str]]
     left: Sequence[int] = (0,)
     marked: Sequence[int] = ()
-    """Rows that a page shows bold."""
+    """Rows that a page shades."""
 
 
 def filled(words: str, head: str = "", indent: int | None = None, width: int = WIDTH) -> list[str]:

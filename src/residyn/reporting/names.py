@@ -2,6 +2,7 @@
 command lines; people read "Coulomb friction at the elbow", in tables "Coulomb friction, elbow"."""
 
 import math
+import re
 from collections.abc import Sequence
 
 from ..diagnosis.result import Candidate, Diagnosis, ModelState
@@ -17,6 +18,11 @@ _LINE = 0.001
 """Probability from which a candidate is worth a line."""
 _MOST, _FEWEST = 8, 3
 """Lines of candidates."""
+_STICKS = re.compile(
+    r"(?<=[\d±<>=]) (?=[\d±%])|(?<=\bp) (?=[<=])"
+    r"|(?<=\d) (?=(?:N|kg|m|mm|rad|mrad|s|Hz)\b)|(?<=N) (?=m\b)"
+)
+"""Spaces of numbers with signs and units."""
 
 
 def listed(words: Sequence[str]) -> str:
@@ -38,17 +44,12 @@ def lower(words: str) -> str:
 def unbroken(words: str) -> str:
     """For a page: numbers stay with their signs and units."""
     words = words.replace(" +/- ", " ± ").replace("^2", "²").replace("^3", "³")
-    for bare in (" ± ", " %", "N m", "> ", "< "):
-        words = words.replace(bare, bare.replace(" ", "\u00a0"))
-    return words
+    return _STICKS.sub("\u00a0", words)
 
 
-def modal(probability: float, many: bool = False) -> str:
+def modal(probability: float) -> str:
     """ "is", "is probably" or "may be", as the probability allows."""
-    verb = "are" if many else "is"
-    if probability >= SURE:
-        return verb
-    return f"{verb} probably" if probability >= 0.5 else "may be"
+    return "is" if probability >= SURE else "is probably" if probability >= 0.5 else "may be"
 
 
 def title(label: str) -> str:
@@ -68,9 +69,19 @@ def placed(words: str, place: str | None, joints: Sequence[str], comma: bool = F
     return f"{words} at the {place}" if place in joints else f"{words} ({place})"
 
 
+def at(joint: str, joints: Sequence[str]) -> str:
+    """ " at the elbow"; nothing where there is but one joint."""
+    return placed("", joint, joints)
+
+
 def at_place(label: str, joints: Sequence[str], comma: bool = False) -> str:
     """ "Coulomb friction at the elbow", or "Coulomb friction, elbow"."""
     return placed(title(label), label.partition(":")[2] or None, joints, comma)
+
+
+def named(labels: Sequence[str], joints: Sequence[str]) -> str:
+    """ "Coulomb friction at the elbow and gravity"; without any, "springs and dampers alone"."""
+    return listed([lower(at_place(x, joints)) for x in labels]) if labels else f"{PLAIN} alone"
 
 
 def base_name(fit: Fit, comma: bool = False) -> str:
@@ -92,11 +103,10 @@ def model_name(step: ModelState, comma: bool = False) -> str:
 
 def times_noise(step: ModelState) -> list[tuple[float, float | None]]:
     """Per joint the error in times the noise, where it was fitted and where it was not."""
-    held = step.held_out
-    return [
-        (float(x), None if held is None else float(held.held_out.ratio[j]))
-        for j, x in enumerate(step.times_noise)
-    ]
+    fitted, held = map(float, step.times_noise), step.held_out
+    if held is None:
+        return [(x, None) for x in fitted]
+    return list(zip(fitted, map(float, held.held_out.ratio), strict=True))
 
 
 def worth_showing(found: Diagnosis, most: int = _MOST) -> tuple[Candidate, ...]:

@@ -6,15 +6,8 @@ same for a paper.
 
 import math
 
-_PREFIXES = {
-    "rad": ((1.0, "rad"), (1e-3, "mrad"), (1e-6, "µrad")),
-    "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm")),
-    "rad/s": ((1.0, "rad/s"), (1e-3, "mrad/s"), (1e-6, "µrad/s")),
-    "m/s": ((1.0, "m/s"), (1e-3, "mm/s"), (1e-6, "µm/s")),
-    "rad/s^2": ((1.0, "rad/s²"), (1e-3, "mrad/s²")),
-    "m/s^2": ((1.0, "m/s²"), (1e-3, "mm/s²")),
-    "": ((1.0, ""), (1e-3, "×10⁻³"), (1e-6, "×10⁻⁶")),  # a joint whose unit is not known
-}
+_SMALLER = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"))
+_BARE = ((1.0, ""), (1e-3, "×10⁻³"), (1e-6, "×10⁻⁶"))  # of a joint whose unit is not known
 _CERTAIN = 0.995
 
 
@@ -23,7 +16,9 @@ def prefixed(unit: str | None, size: float) -> tuple[float, str]:
 
     **Returns:** the size of that unit in `unit`, and its name; "" is a number of unknown unit.
     """
-    choices = _PREFIXES.get(unit or "", ((1.0, unit or ""),))
+    choices = _BARE if not unit else ((1.0, unit),)
+    if unit and unit.startswith(("rad", "m")):
+        choices = [(factor, prefix + unit.replace("^2", "²")) for factor, prefix in _SMALLER]
     if not (math.isfinite(size) and size > 0):
         return choices[0]
     return next((c for c in choices if abs(size) >= 0.1 * c[0]), choices[-1])
@@ -60,10 +55,10 @@ def with_error(value: float, std: float) -> tuple[str, str]:
 
 
 def measured(value: float, std: float, unit: str = "1") -> str:
-    """ "0.2003 +/- 0.0012 N m"; without the error where it is not known."""
+    """ "0.2003 +/- 0.0012 N m"; without the error where it is NaN, "?" where it has no bound."""
     after = "" if unit in ("1", "") else f" {unit}"
     if not math.isfinite(std):
-        return f"{plain(value, 4)}{after}"
+        return f"{plain(value, 4)}{' +/- ?' if std == math.inf else ''}{after}"
     return f"{' +/- '.join(with_error(value, std))}{after}"
 
 

@@ -2,9 +2,9 @@
 
 from ..procedure.over_models import OverModels, Spread
 from .layout import Table, filled, printed
-from .names import upper
+from .names import named, upper
 from .numbers import percent, plain, with_error
-from .plan import motion_words, named, setting_words
+from .plan import motion_words, setting_words
 
 _NAMES = {"frequency_hz": ("frequency", "Hz"), "damping_ratio": ("damping ratio", "")}
 

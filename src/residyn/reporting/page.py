@@ -21,13 +21,12 @@ from ..files import write
 from ..fitting.race import Race
 from ..fitting.result import Fit
 from ..procedure import InertiaResult, Unloading
+from . import compare, fit, laws, names, over_models
 from . import figures as plot
-from . import inertia, race, unload
-from .compare import failing, pairs, torque
-from .diagnosis import diagnosed
+from .about import of
 from .explorer.page import embedded
-from .fit import chapter, fall
-from .names import unbroken
+from .numbers import plain
+from .plan import outcomes
 
 _NARROW = 640
 """Pixels up to which the layouts for a phone are shown."""
@@ -66,40 +65,32 @@ def render(
     diagnosis: Diagnosis | None = None,
 ) -> str:
     """The page of fits as text."""
-    # Of the models on the way to a diagnosis, the last one's pictures say all.
-    last = len(fits) - 1
-    chapters = [chapter(*x, drawn=diagnosis is None or i == last) for i, x in enumerate(fits)]
-    if compared is not None:
-        experiment, missing = compared.fit.experiment, compared.missing_torque
-        drawn = [torque(experiment, *pair) for pair in pairs(missing)]
-        chapters[-1]["failing"] = failing(compared, drawn)
-    comparison = None
-    if len(fits) > 1 and diagnosis is None:
-        words = "Error of each model in times the noise, per joint"
-        names, models = [t for t, _ in fits], [f for _, f in fits]
-        drawn = plot.picture(words, plot.errors, models, names)
-        comparison = {"words": fall(fits), "picture": drawn}
+    explorer = "" if diagnosis is None else markupsafe.Markup(embedded(diagnosis))
     return _filled(
         "report.html.j2",
-        chapters[-1]["title"],
-        chapters=chapters,
-        comparison=comparison,
-        diagnosis=None if diagnosis is None else diagnosed(diagnosis),
-        explorer=markupsafe.Markup("" if diagnosis is None else embedded(diagnosis)),
+        "fit" if diagnosis is None else "diagnosis",
+        # Where the explorer runs it stands for all that print and pages without scripts show; on a
+        # screen one layout of that will do.
+        narrow=None if explorer else _NARROW,
+        title=fits[-1][0],
+        models=fits,
+        compared=compared,
+        explorer=explorer,
+        about=None if diagnosis is None else of(diagnosis),
+        found=diagnosis,
     )
 
 
 def render_page(found: InertiaResult | Unloading | Race, title: str) -> str:
     """The page of another result as text."""
-    if isinstance(found, InertiaResult):
-        return _filled("inertia.html.j2", title, **inertia.page(found))
-    if isinstance(found, Unloading):
-        return _filled("unload.html.j2", title, **unload.page(found))
-    return _filled("race.html.j2", title, **race.page(found))
+    about = of(found)
+    kind = about.__name__.rpartition(".")[2]
+    return _filled(f"{kind}.html.j2", kind, title=title, about=about, found=found)
 
 
-def _filled(template: str, title: str, **named: Any) -> str:
-    """A template of the package as text; all words in it are escaped."""
+def _filled(template: str, kind: str, **named: Any) -> str:
+    """A template of the package as text. It asks the modules that write about a result, as they are
+    named here, for its words, tables and pictures; all words are escaped."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("residyn", "reporting/templates"),
         autoescape=True,
@@ -107,7 +98,15 @@ def _filled(template: str, title: str, **named: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["unbroken"] = unbroken
-    environment.globals.update(version=__version__, date=date.today().isoformat(), narrow=_NARROW)
-    shown = {"chapters": [], "comparison": None, "diagnosis": None, **named}
-    return environment.get_template(template).render(title=title, **shown)
+    environment.filters.update(unbroken=names.unbroken, plain=plain)
+    modules = {"compare": compare, "fits": fit, "laws": laws, "names": names, "plot": plot}
+    given = {"models": (), "compared": None, "phone": _NARROW, "narrow": _NARROW, "kind": kind}
+    environment.globals.update(
+        modules | given | named,
+        over_models=over_models,
+        outcomes=outcomes,
+        image=plot.image,
+        version=__version__,
+        date=date.today().isoformat(),
+    )
+    return environment.get_template(template).render()

@@ -1,18 +1,9 @@
 """The next tests in words and lines that a technician can follow, in 80 columns."""
 
-from collections.abc import Sequence
-
 from ..diagnosis.planned import Plan, Test
 from .layout import Table, filled, printed
-from .names import PLAIN, at_place, listed, lower, upper
+from .names import listed, named, upper
 from .numbers import amount, measured, percent, plain
-
-
-def named(added: Sequence[str], joints: Sequence[str]) -> str:
-    """ "Coulomb friction at the elbow and gravity"; without any, "springs and dampers alone"."""
-    if not added:
-        return f"{PLAIN} alone"
-    return listed([lower(at_place(x, joints)) for x in added])
 
 
 def motion_words(test: Test) -> str:

@@ -1,7 +1,7 @@
 """All that is said of a race: a table for a terminal, for a paper and for a page."""
 
 import math
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -9,10 +9,9 @@ from ..fitting.race import ONE, TEN, Race, Raced
 from . import figures as plot
 from . import latex as tex
 from .layout import Table, filled, printed, section, separated, tabular
-from .names import listed
 
 _HEAD = ("method", "objective / best", "to 10 %", "to 1 %", "k off", "c off")
-_MEANING = (
+MEANING = (
     "to 10 %, to 1 %: simulations and seconds until a method came within so much of the least "
     "objective of all. k off, c off: how far the worst stiffness and the worst damping are from "
     "those of the best fit, in its standard errors."
@@ -24,10 +23,10 @@ def text(race: Race) -> str:
     if not race.methods:
         return "the race was ended before any method was done"
     out = [*section("Race", f"{' + '.join(race.model)}; budget: {race.budget}")]
-    out += printed(_table(race), indent=2)
+    out += printed(table(race), indent=2)
     if race.best is not None:
         out.append(f"least objective (Eq. 17): {race.best.objective:.6g}, of {race.best.name}")
-    out += filled(_MEANING)
+    out += filled(MEANING)
     if race.repeats > 1:
         out.append(f"medians over {race.repeats} seeds; (the worst) behind the objective")
     failed = {each.title: run.error for each in race.methods for run in each.runs if run.error}
@@ -40,7 +39,8 @@ def text(race: Race) -> str:
     return "\n".join(out)
 
 
-def _table(race: Race) -> Table:
+def table(race: Race) -> Table:
+    """A line for each method."""
     return Table(_HEAD, [[each.title, *_cells(race, each)] for each in race.methods])
 
 
@@ -67,24 +67,17 @@ def _short(x: float) -> str:
     return f"{x:.4f}" if x < 10 else f"{x:.3g}"
 
 
-def page(race: Race) -> dict[str, Any]:
-    """All that the template says of it. The pictures are part of the page and not images in it, so
-    that a style sheet can hide a curve."""
-    drawn = [each for each in race.methods if len(each.median.history.objective)]
-    names = [each.title for each in drawn]
-    histories = [each.median.history for each in drawn]
-    pictures = []
-    for against in ("simulations", "seconds") if drawn else ():
-        svg = plot.svg(plot.convergence(histories, names, against=against))
-        pictures.append((f"Objective against {against}", svg[svg.index("<svg") :]))
-    return {
-        "race": race,
-        "table": _table(race),
-        "meaning": _MEANING,
-        "names": names,
-        "pictures": pictures,
-        "model": listed(race.model),
-    }
+def drawn(race: Race) -> list[Raced]:
+    """The methods that have a curve."""
+    return [each for each in race.methods if len(each.median.history.objective)]
+
+
+def curves(methods: Sequence[Raced], against: str) -> str:
+    """How their objectives fall, as an SVG element."""
+    histories = [each.median.history for each in methods]
+    figure = plot.convergence(histories, [each.title for each in methods], against=against)
+    code = plot.svg(figure)
+    return code[code.index("<svg") :]
 
 
 def latex(race: Race) -> str:

@@ -7,17 +7,17 @@ is wrong cannot be surer of itself than it is right.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..fitting.result import Fit, RecordingFit
-from .names import base_name, upper
+from ..fitting.result import Fit
+from .fit import joint_errors
+from .layout import Table, printed
+from .names import HELD_OUT, base_name, upper
 from .numbers import plain, times, with_error
 
-_LABEL, _CELL = 30, 25
 _STRONG, _SLIGHT = 10.0, 2.0
 """Differences of BIC that are very strong evidence, and hardly any (Kass and Raftery, J. Am. Stat.
 Assoc. 90, 1995)."""
@@ -34,15 +34,16 @@ class SideBySide:
     def bic(self) -> float:
         """BIC of the first model less that of the second one: below zero it speaks for the first,
         over the readings that both fits use."""
-        pairs = list(zip(_fitted(self.one), _fitted(self.other), strict=True))
-        both = [a.used & b.used for a, b in pairs]
+        fits = self.one, self.other  # put together again: they may have been cut differently
+        sides = [[r for r in fit.whole if r.recording.role != "check"] for fit in fits]
+        both = [a.used & b.used for a, b in zip(*sides, strict=True)]
         count = sum(int(used.sum()) for used in both)
         chi2 = [
             sum(
                 float(np.sum((r.residual / r.recording.noise)[used] ** 2))
                 for r, used in zip(side, both, strict=True)
             )
-            for side in zip(*pairs, strict=True)
+            for side in sides
         ]
         unit = max(1.0, min(chi2) / max(1, count))
         numbers = len(self.one.numbers) - len(self.other.numbers)
@@ -63,44 +64,22 @@ class SideBySide:
 
     def __str__(self) -> str:
         sides = self.one, self.other
-        lines = [f"{x}: {base_name(fit)}" for x, fit in zip("AB", sides, strict=True)]
-        head = "[[Side by side]]".ljust(_LABEL) + "A".rjust(_CELL) + "B".rjust(_CELL)
-        lines += ["", head]
-        lines += [_row("chi-square per reading", [plain(f.reduced_chi2) for f in sides])]
-        for role, words in (("fit", "rms"), ("check", "held-out rms")):
-            for j, joint in enumerate(self.one.joints):
-                sizes = [_times_noise(fit, role, j) for fit in sides]
-                if not all(math.isnan(size) for size in sizes):
-                    lines.append(_row(f"{words}, {joint}", [f"{times(x)} x noise" for x in sizes]))
-        lines += ["", "[[Parameters]]  value +/- standard error"]
+        errors = list(zip(*map(joint_errors, sides), strict=True))
+        rows = [["chi-square per reading", *(plain(f.reduced_chi2) for f in sides)]]
+        for pair in errors:
+            cells = (f"{times(e.ratio)} x noise" for e in pair)
+            rows.append([f"rms, {pair[0].joint}", *cells])
+        for pair in errors if self.one.held_out else ():
+            cells = (f"{times(e.check_ratio or math.nan)} x noise" for e in pair)
+            rows.append([f"{HELD_OUT} rms, {pair[0].joint}", *cells])
         each = [{n.name: n for n in fit.numbers} for fit in sides]
-        for name in {n: None for fit in sides for n in (x.name for x in fit.numbers)}:
-            cells = [
-                " +/- ".join(with_error(n[name].value, n[name].std)) if name in n else "-"
-                for n in each
-            ]
-            unit = next(n[name].unit for n in each if name in n)
-            lines += [f"  {name}{'' if unit == '1' else f', {unit}'}", _row("", cells)]
+        for n in {**each[1], **each[0]}.values():
+            both = (own.get(n.name) for own in each)
+            cells = (" +/- ".join(with_error(x.value, x.std)) if x else "-" for x in both)
+            rows.append([f"{n.name}{'' if n.unit == '1' else f', {n.unit}'}", *cells])
+        lines = [f"{x}: {base_name(fit)}" for x, fit in zip("AB", sides, strict=True)]
+        lines += ["", *printed(Table(["[[Side by side]]", "A", "B"], rows), indent=0)]
         return "\n".join([*lines, "", self.verdict])
-
-
-def _row(label: str, cells: Sequence[str]) -> str:
-    return f"  {label:{_LABEL - 2}}" + "".join(cell.rjust(_CELL) for cell in cells)
-
-
-def _fitted(fit: Fit) -> list[RecordingFit]:
-    return [r for r in fit.whole if r.recording.role != "check"]
-
-
-def _times_noise(fit: Fit, role: str, joint: int) -> float:
-    """Rms residual of a joint in times the noise; NaN without such recordings."""
-    parts = [
-        (r.residual / r.recording.noise)[r.used[:, joint], joint]
-        for r in fit.whole
-        if (r.recording.role == "check") == (role == "check")
-    ]
-    left = np.concatenate(parts) if parts else np.zeros(0)
-    return float(np.sqrt(np.mean(left**2))) if len(left) else math.nan
 
 
 def headings(found: SideBySide) -> list[tuple[str, Fit]]:

@@ -11,7 +11,6 @@ bearing: recordings at other elbow angles, or without the bearings, tell it from
 
 import math
 from collections.abc import Iterable, Iterator
-from typing import Any
 
 import numpy as np
 
@@ -21,13 +20,10 @@ from ..procedure.decay import decay_of
 from ..procedure.result import UNITS
 from ..procedure.ringdown import RingDown
 from ..procedure.unloaded import BareCheck, Pose, Unloading
-from . import figures as plot
-from .fit import chapter
 from .inertia import at_odds
 from .layout import Table, filled, printed, section, warned
-from .names import at_place, lower, unbroken, upper
-from .numbers import amount, plain, times, with_error
-from .over_models import models_table, modes_tables, narrowing_words
+from .names import named, upper
+from .numbers import amount, measured, plain, times, with_error
 
 _POOR = 0.05
 """Relative error of a predicted damping ratio beyond which it is said to be poor."""
@@ -170,17 +166,15 @@ def _not_told_apart(found: Unloading) -> Iterator[str]:
                 f"{number.name} is known to {plain(number.percent, 2)} % only, as it is hardly told"
                 f" from {', '.join(strong)}; {remedy}"
             )
-    for pose in found.poses:
-        for order, mode in enumerate(pose.without_bearings, 1):
-            poor = mode.damping_ratio_std > _POOR * abs(mode.damping_ratio)
-            known = np.isfinite(mode.damping_ratio_std) and mode.damping_ratio > 0
-            if found.left_out and known and poor:
-                size = 100 * mode.damping_ratio_std / abs(mode.damping_ratio)
-                yield (
-                    f"damping of mode {order} without bearings (theta2 = {pose.theta2:.4g} rad) is "
-                    f"known to {plain(size, 2)} % only; {remedy}"
-                )
-                return
+    modes = [(p, *x) for p in found.poses for x in enumerate(p.without_bearings, 1)]
+    for pose, order, mode in modes if found.left_out else ():
+        error = mode.damping_ratio_std / mode.damping_ratio if mode.damping_ratio > 0 else 0.0
+        if _POOR < error < math.inf:
+            yield (
+                f"damping of mode {order} without bearings (theta2 = {pose.theta2:.4g} rad) is "
+                f"known to {plain(100 * error, 2)} % only; {remedy}"
+            )
+            return
 
 
 # -- modes in words --------------------------------------------------------------------------
@@ -201,37 +195,29 @@ def decay_words(mode: Mode) -> str:
 
 
 def _frequency(mode: Mode) -> str:
-    return _pm(mode.frequency_hz, mode.frequency_hz_std, " Hz")
+    return measured(mode.frequency_hz, mode.frequency_hz_std, "Hz")
 
 
 def _damping(mode: Mode) -> str:
-    return _pm(100 * mode.damping_ratio, 100 * mode.damping_ratio_std, " %")
+    return measured(100 * mode.damping_ratio, 100 * mode.damping_ratio_std, "%")
 
 
-def _pm(value: float, std: float, unit: str) -> str:
-    if not math.isfinite(std):
-        return f"{plain(value, 3)} +/- ?{unit}"
-    return f"{' +/- '.join(with_error(value, std))}{unit}"
-
-
-def _modes_table(pose: Pose) -> Table:
+def modes_table(pose: Pose) -> Table:
     """The modes at one elbow angle, on its bearings and in orbit."""
     rows, sides = [], (pose.with_bearings, pose.without_bearings)
     if pose.leaves_with or pose.leaves_without:
         each = (pose.leaves_with, pose.leaves_without)
-        rows.append(
-            ["", "from its rest", *("moves away: not physical" if x else "returns" for x in each)]
-        )
+        rows.append(["rest", *("moves away: not physical" if x else "returns" for x in each)])
     for i in range(max(map(len, sides))):
         pair = [side[i] if i < len(side) else None for side in sides]
         told = ("frequency", _frequency), ("damping ratio", _damping), ("falls to 1/e", decay_words)
         for words, say in told:
-            name = f"{i + 1}" if words == "frequency" else ""
-            rows.append([name, words, *("does not ring" if m is None else say(m) for m in pair)])
-    return Table(["mode", "", "on its bearings", "in orbit, without them"], rows, left=(0, 1))
+            cells = ("does not ring" if m is None else say(m) for m in pair)
+            rows.append([f"{i + 1} {words}", *cells])
+    return Table(["mode", "on its bearings", "in orbit, without them"], rows)
 
 
-def _inertias_table(found: Unloading) -> Table:
+def inertias_table(found: Unloading) -> Table:
     was, now = (np.asarray(inertias(m.mechanism)) for m in (found.model, found.unloaded))
     rows = [
         [name, plain(float(a), 5), plain(float(b), 5), unit]
@@ -240,12 +226,14 @@ def _inertias_table(found: Unloading) -> Table:
     return Table(["inertia", "on its bearings", "without bearings", "unit"], rows, left=(0, 3))
 
 
-def _taken_off(found: Unloading) -> str:
+def taken_off(found: Unloading) -> str:
+    """What left with the bearings."""
     bearings = found.fit.experiment.bearings
     mass, many = sum(b.mass for b in bearings), "s" * (len(bearings) > 1)
-    names = [lower(at_place(label, found.fit.joints)) for label in found.left_out]
-    what = ", ".join(names) or "none: the model names no drag or friction of theirs"
-    return f"{len(bearings)} air bearing{many}, {mass:.4g} kg (Eq. 5); effects of theirs: {what}"
+    what = "the model names no drag or friction of theirs"
+    if found.left_out:
+        what = f"and of the model {named(found.left_out, found.fit.joints)}"
+    return f"{len(bearings)} air bearing{many}, {mass:.4g} kg (Eq. 5); {what}."
 
 
 def exact_words(found: Unloading) -> str:
@@ -265,10 +253,10 @@ def exact_words(found: Unloading) -> str:
 
 def text(found: Unloading) -> str:
     """Everything beside the fit's own report, in 80 columns."""
-    lines = ["[[Taken off]]", *filled(_taken_off(found), "    "), *printed(_inertias_table(found))]
+    lines = ["[[Taken off]]", *filled(taken_off(found), "    "), *printed(inertias_table(found))]
     for pose in found.poses:
         lines.append(f"[[Modes]]  elbow at {plain(pose.theta2, 4)} rad")
-        lines += printed(_modes_table(pose))
+        lines += printed(modes_table(pose))
         if not pose.physical:
             lines += filled(_NOT_PHYSICAL, "    ")
     lines += filled(exact_words(found), "    ")
@@ -284,26 +272,23 @@ def text(found: Unloading) -> str:
 
 def check_words(check: BareCheck, found: Unloading) -> str:
     """A recording without bearings beside what was predicted of it."""
-    units = found.fit.experiment.reading_units or ("",) * len(found.fit.joints)
-    sizes = zip(found.fit.joints, check.rmse, units, check.beside.recording.noise, strict=True)
+    fit, noise = found.fit, check.beside.recording.noise
     left = "; ".join(
-        f"{joint} {amount(float(x), unit)}, {times(float(x / noise))} x noise"
-        for joint, x, unit, noise in sizes
+        f"{joint} {amount(float(x), unit)}, {times(float(x / sigma))} x noise"
+        for joint, x, unit, sigma in zip(fit.joints, check.rmse, fit.units, noise, strict=True)
     )
     words = f"{check.name}: rms {left}"
     if check.frequency_error is None or check.damping_error is None:
         return words
-    measured, predicted = check.measured[0], check.predicted[0].damping_ratio
-    damping = (
-        _off(check.damping_error)
-        if predicted > 0 and measured.damping_ratio > 0
-        else f"predicted {plain(predicted, 2)}, not physical"
-        if predicted < 0
-        else "measured not physical"
-    )
+    seen, predicted = check.measured[0], check.predicted[0].damping_ratio
+    damping = _off(check.damping_error)
+    if predicted < 0:
+        damping = f"predicted {plain(predicted, 2)}, not physical"
+    elif not seen.damping_ratio > 0:
+        damping = "measured not physical"
     return (
-        f"{words}; frequency {_off(check.frequency_error)} (measured {measured.frequency_hz:.5g} "
-        f"Hz), damping ratio {damping} (measured {measured.damping_ratio:.3g})"
+        f"{words}; frequency {_off(check.frequency_error)} (measured {seen.frequency_hz:.5g} Hz), "
+        f"damping ratio {damping} (measured {seen.damping_ratio:.3g})"
     )
 
 
@@ -314,31 +299,7 @@ def _off(share: float) -> str:
 # -- on a page -------------------------------------------------------------------------------
 
 
-def page(found: Unloading) -> dict[str, Any]:
-    """All that the template says of it."""
-    sides = found.ring_downs()
-    words = "Angles after the same release, on the bearings and without them, against time"
-    return {
-        "found": found,
-        "verdict": unbroken(_verdict(found)),
-        "ring_down": plot.picture(words, plot.ring_down, found, sides),
-        "band": unbroken(_band(found, sides)),
-        "poses": [(plain(p.theta2, 4), _modes_table(p)) for p in found.poses],
-        "over": found.over_models
-        and {
-            "models": models_table(found.over_models),
-            "poses": modes_tables(found.over_models),
-            "narrows": narrowing_words(found.over_models),
-        },
-        "exact": exact_words(found),
-        "taken_off": _taken_off(found),
-        "inertias": _inertias_table(found),
-        "checks": [check_words(c, found) for c in found.check],
-        "chapters": [chapter("The fit behind it", found.fit)],
-    }
-
-
-def _verdict(found: Unloading) -> str:
+def verdict(found: Unloading) -> str:
     """The lowest mode without bearings, or what is not physical."""
     if not found.physical:
         return f"{upper(found.unphysical[0])}."
@@ -356,7 +317,7 @@ def _verdict(found: Unloading) -> str:
     )
 
 
-def _band(found: Unloading, sides: tuple[RingDown, RingDown]) -> str:
+def band(found: Unloading, sides: tuple[RingDown, RingDown]) -> str:
     """How wide the bands are."""
     words, units = [], found.fit.experiment.units
     for side, where in zip(sides, ("on the bearings", "without them"), strict=True):

@@ -53,7 +53,7 @@ class Cache:
 
     def get(self, name: str) -> bytes | None:
         """The content of this name; None if there is none that is whole."""
-        file = self._file(name)
+        file = self.file(name)
         try:
             content = unpacked(file.read_bytes(), name)
             if content is not None:
@@ -69,7 +69,7 @@ class Cache:
             try:
                 with os.fdopen(handle, "wb") as out:
                     out.write(packed(name, content))
-                os.replace(temporary, self._file(name))
+                os.replace(temporary, self.file(name))
             except BaseException:
                 os.unlink(temporary)
                 raise
@@ -92,7 +92,7 @@ class Cache:
                 with contextlib.suppress(OSError):
                     os.unlink(path)
 
-    def _file(self, name: str) -> Path:
+    def file(self, name: str) -> Path:
         return self.folder / hashlib.sha256(name.encode()).hexdigest()
 
 

@@ -132,19 +132,19 @@ class Kept:
         words = _words(key[0], [x for x in key[1] if not isinstance(x, tuple)])
         if words is None:
             return plain
-        name = "\n".join([self._name, _made_of(), words, repr(key[1:])])
+        name = "\n".join([self._name, made_of(), words, repr(key[1:])])
         try:
             exported = jax.export.deserialize(bytearray(cache.get(name) or b""))
         except Exception:  # not there, or of no use: why does not matter
             try:
-                exported = self._traced(args, arrays)
+                exported = self.trace(args, arrays)
                 cache.put(name, exported.serialize())
             except (ImportError, ValueError, NotImplementedError):  # not everything can be exported
                 return plain
         call, out = jax.jit(exported.call), self._out
         return lambda args, arrays: jax.tree.unflatten(out, call(*arrays))
 
-    def _traced(self, args, arrays) -> jax.export.Exported:
+    def trace(self, args, arrays) -> jax.export.Exported:
         structure = jax.tree.structure(args)
         leaves = [None if eqx.is_array(x) else (x,) for x in jax.tree.leaves(args)]
 
@@ -199,6 +199,6 @@ def sources() -> str:
 
 
 @functools.cache
-def _made_of() -> str:
+def made_of() -> str:
     """What this package and those it is built on are, in few words."""
     return " ".join([sources(), *(f"{name} {version(name)}" for name in _MADE_OF)])

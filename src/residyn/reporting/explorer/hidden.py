@@ -63,7 +63,7 @@ def _drawn(study: Study, effect: AbstractEffect, random: np.random.Generator) ->
         if number.silent is None:
             values.append(size * (random.choice(number.grid) if number.grid else 1.0))
         else:
-            sign = 1.0 if signed(effect, number) else random.choice([-1.0, 1.0])
+            sign = 1.0 if signed(number) else random.choice([-1.0, 1.0])
             values.append(number.silent + sign * size * np.exp(random.uniform(*np.log(_SHARE))))
     return with_numbers(effect, np.array(values))
 

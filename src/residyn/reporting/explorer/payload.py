@@ -277,7 +277,7 @@ def _candidate(study: Study, label: str):
                 "unit": n.dimension.unit(unit),
                 "silent": n.silent,
                 "width": width_of(scene, effect, n),
-                "signed": signed(effect, n),
+                "signed": signed(n),
             }
             for n in strengths(effect)
         ],

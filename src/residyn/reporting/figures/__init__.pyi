@@ -5,7 +5,7 @@ from .effect import signature as signature
 from .evidence import candidates as candidates
 from .falling import errors as errors
 from .falling import ladder as ladder
-from .inline import picture as picture
+from .inline import image as image
 from .inline import svg as svg
 from .law import law as law
 from .motion import overlay as overlay

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from ...diagnosis import Comparison, Curve, MissingTorque
 from ...diagnosis.residuals import Part
@@ -44,7 +45,9 @@ def where(compared: Comparison, *, narrow: bool = False) -> Figure:
     for ax in (time, swing, band):
         ax.axhline(1.0, color=INK, lw=1.0, ls=DASHED, zorder=3)
         ax.set_ylabel("residual / noise")
-        ax.tick_params(axis="x", labelrotation=90 if ax is band else 45, labelsize=8)
+    time.tick_params(axis="x", labelrotation=45, labelsize=8)
+    band.tick_params(axis="x", labelrotation=90, labelsize=8)
+    swing.xaxis.set_major_locator(MaxNLocator(5))
     handles, labels = time.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
     return figure
@@ -249,5 +252,6 @@ def _against_amplitude(ax: Axes, amplitude, tau, own) -> None:
     ax.plot(*np.transpose(rms(tau)), "o-", color=RESIDUAL, ms=3, lw=0.9)
     if own is not None:
         ax.plot(*np.transpose(rms(own)), color=MODEL, lw=1.0)
-    ax.set_ylim(bottom=0)
+    ax.set_ylim(0, 1.08 * ax.get_ylim()[1])
     ax.set_xlim(left=0)
+    ax.xaxis.set_major_locator(MaxNLocator(5))

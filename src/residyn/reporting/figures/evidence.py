@@ -89,4 +89,5 @@ def candidates(found: Diagnosis, *, narrow: bool = False) -> Figure:
 
 
 def _at_end(ax: Axes, x: float, y: int, words: str) -> None:
-    ax.annotate(words, (x, y), xytext=(4, 0), textcoords="offset points", va="center")
+    over = {"fc": "white", "ec": "none", "pad": 1.0} if x > 0 else None  # the dashed line
+    ax.annotate(words, (x, y), xytext=(4, 0), textcoords="offset points", va="center", bbox=over)

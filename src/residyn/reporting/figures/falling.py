@@ -3,7 +3,7 @@
 import math
 import textwrap
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,12 +13,13 @@ from matplotlib.ticker import LogLocator
 
 from ...diagnosis.result import Diagnosis
 from ...fitting.result import Fit
+from ..fit import joint_errors
 from ..names import HELD_OUT, at_place, listed, lower, model_name, times_noise
 from ..numbers import amount, plain, times
 from .style import BAND, DASHED, FAINT, INK, JOINTS, NARROW, SOFT, WIDE, shortened, styled
 
 _LOG = 4.0  # from this fall on the scale is logarithmic
-_PANEL, _AXIS = 2.2, 0.42  # inches: height of the panel, room for the numbers of its axis
+_PANEL, _AXIS = 2.2, 0.5  # inches: height of the panel, room for the numbers of its axis
 _STRIP = 0.13  # of the scale lies below the least error: room for the name of the noise
 _ABREAST = 4  # models whose names have room under the axis
 _LINE = 0.155  # inches from one line of words to the next
@@ -32,6 +33,16 @@ class _Line(NamedTuple):
     joint: int
     held: bool
     values: list[float]
+
+    @property
+    def colour(self) -> str:
+        return JOINTS[self.joint % len(JOINTS)]
+
+    @property
+    def style(self) -> dict[str, Any]:
+        """Of line and dots, beside their colour."""
+        wide = {"ls": DASHED, "lw": 1.3} if self.held else {"ls": "-", "lw": 2.0}
+        return {**wide, "marker": "o", "ms": 6.5, "mew": 1.5, "zorder": 4 if self.held else 3}
 
 
 @styled
@@ -57,13 +68,7 @@ def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
 @styled
 def errors(fits: Sequence[Fit], names: Sequence[str], *, narrow: bool = False) -> Figure:
     """The error of several models of the same recordings, drawn like `ladder`."""
-    each = []
-    for fit in fits:
-        held = [r.recording.noise for r in fit.recordings if r.recording.role == "check"]
-        outside = [None] * len(fit.joints)
-        if fit.check_rmse is not None:
-            outside = (fit.check_rmse / np.sqrt(np.mean(np.square(held), axis=0))).tolist()
-        each.append(list(zip((fit.rmse / fit.noise).tolist(), outside, strict=True)))
+    each = [[(e.ratio, e.check_ratio) for e in joint_errors(fit)] for fit in fits]
     return _falling(fits[0], names, each, narrow)
 
 
@@ -82,31 +87,32 @@ def _falling(
                 lines.append(_Line(joint, held, values))
     beneath = narrow or count > _ABREAST  # there is no room for names under their dots
     below = ["\n".join(textwrap.wrap(n.replace(" + ", " +\u00a0"), 26)) for n in names]
-    most = 46 if narrow else 110
     rows = [
         row
         for i, name in enumerate(names)
-        for row in textwrap.wrap(name, most, initial_indent=f"{i}  ", subsequent_indent=" " * 5)
+        for row in textwrap.wrap(
+            name, 44 if narrow else 108, initial_indent=f"{i}  ", subsequent_indent=" " * 5
+        )
     ]
-    under = len(rows) if beneath else max(name.count("\n") + 1 for name in below)
-    foot = (0.36 if beneath else 0.18) + _LINE * under
-    head = 0.36 + (_LINE + 0.04) * _key_rows(lines) if narrow else 0.36
-    width, high = NARROW if narrow else WIDE, head + _PANEL + foot
-    figure = Figure(figsize=(width, high))
-    across = width - _AXIS - 0.1
-    ax = figure.add_axes((_AXIS / width, foot / high, across / width, _PANEL / high))
-    before, after = (0.72, 0.86) if narrow else (1.95, 0.9)
-    step = (count - 1) / (across - before - after) or 1.0  # models an inch
-    end = count - 1 + after * step if count > 1 else across - before
+    under = len(rows) + 1 if beneath else max(name.count("\n") + 1 for name in below)
+    head = 0.7 + (_LINE + 0.04) * max(2, len(joints)) if narrow else 0.45
+    width = NARROW if narrow else WIDE
+    figure = Figure(figsize=(width, _PANEL + head + _LINE * under), layout="constrained")
+    ax = figure.subplots()
+    before, after = (0.72, 0.86) if narrow else (1.95, 0.9)  # inches, for numbers beside dots
+    step = (count - 1) / (width - _AXIS - before - after) or 1.0  # models an inch
+    end = count - 1 + after * step if count > 1 else width - _AXIS - before
     ax.set_xlim(-before * step, end)
     _scale(ax, [value for line in lines for value in line.values])
     _floor(ax, 0.5 * (count - 1) if count > 1 else 0.5 * end, fit, narrow)
     for line in lines:
-        _draw(ax, line)
+        inside = "white" if line.held else line.colour
+        ax.plot(line.values, color=line.colour, mfc=inside, clip_on=False, **line.style)
     ax.set_xticks(range(count), [str(i) for i in range(count)] if beneath else below)
     ax.tick_params(axis="x", length=0, pad=4)
-    title = "error in times the noise of a reading"
-    figure.text(0.08 / width, (foot + _PANEL + 0.14) / high, title)
+    ax.set_title("error in times the noise of a reading", fontweight="normal", fontsize=9)
+    if beneath:
+        ax.set_xlabel("\n".join(rows), loc="left", multialignment="left")
     _beside(ax, 0, -1, _first(lines, joints, narrow))
     if count > 1:
         _beside(ax, count - 1, 1, _gathered([(x.values[-1], x.joint) for x in lines]))
@@ -114,26 +120,7 @@ def _falling(
         ax.text(0.65, 0.6, end_words, transform=ax.transAxes, ha="center", va="center", color=SOFT)
     if narrow:
         _key(figure, lines, joints)
-    for i, row in enumerate(rows if beneath else []):
-        figure.text(0.1 / width, (0.06 + _LINE * (len(rows) - 1 - i)) / high, row)
     return figure
-
-
-def _draw(ax: Axes, line: _Line) -> None:
-    colour = JOINTS[line.joint % len(JOINTS)]
-    ax.plot(
-        range(len(line.values)),
-        line.values,
-        "o",
-        color=colour,
-        ls=DASHED if line.held else "-",
-        lw=1.3 if line.held else 2.0,
-        ms=6.5,
-        mfc="white" if line.held else colour,
-        mew=1.5,
-        zorder=4 if line.held else 3,
-        clip_on=False,
-    )
 
 
 def _scale(ax: Axes, values: Sequence[float]) -> None:
@@ -154,8 +141,7 @@ def _scale(ax: Axes, values: Sequence[float]) -> None:
 def _floor(ax: Axes, x: float, fit: Fit, narrow: bool) -> None:
     """The noise, in its own unit, of each joint if they differ: nothing that is right lies far from
     it."""
-    units = fit.experiment.reading_units or (None,) * len(fit.joints)
-    each = [amount(float(n), unit, 2) for n, unit in zip(fit.noise, units, strict=True)]
+    each = [amount(float(n), unit, 2) for n, unit in zip(fit.noise, fit.units, strict=True)]
     size = listed(list(dict.fromkeys(each)))
     ax.axhspan(0.0 if ax.get_yscale() == "linear" else 1e-9, 1.0, color=BAND, alpha=0.55, lw=0)
     ax.axhline(1.0, color=INK, lw=1.0, zorder=1)
@@ -211,24 +197,21 @@ def _gathered(values: Sequence[tuple[float, int]]) -> list[tuple[float, str, str
 
 def _height(ax: Axes, value: float) -> float:
     """Inches of a value above the foot of the axes."""
-    inches = ax.get_figure(root=True).get_figheight() * ax.get_position().height  # pyright: ignore
-    low, high = ax.get_ylim()
-    if ax.get_yscale() == "log":
-        low, high, value = math.log(low), math.log(high), math.log(value)
-    return inches * (value - low) / (high - low)
+    (low, high), scale = ax.get_ylim(), math.log if ax.get_yscale() == "log" else float
+    return _PANEL * (scale(value) - scale(low)) / (scale(high) - scale(low))
 
 
 def _beside(ax: Axes, x: float, side: int, labels: Sequence[tuple[float, str, str]]) -> None:
     """Words beside dots, to the left (-1) or right (1), pushed apart where they would overlap."""
     shown = sorted((v, words, colour) for v, words, colour in labels if math.isfinite(v))
     places, floor = [_height(ax, v) for v, *_ in shown], _height(ax, 1.0)
-    # Off the line of the noise, which would strike them out.
-    places = [floor + 0.6 * _LINE if abs(p - floor) < 0.6 * _LINE else p for p in places]
-    for _ in range(200):
-        for i in range(len(places) - 1):
-            short = _LINE - (places[i + 1] - places[i])
-            if short > 1e-3:
-                places[i], places[i + 1] = places[i] - short / 2, places[i + 1] + short / 2
+    below, above = -math.inf, _PANEL + _LINE
+    for i, place in enumerate(places):
+        # Above the line of the noise, which would strike them out.
+        free = floor + 0.6 * _LINE if abs(place - floor) < 0.6 * _LINE else place
+        places[i] = below = max(free, below + _LINE)
+    for i, place in reversed([*enumerate(places)]):
+        places[i] = above = min(place, above - _LINE)
     for place, (value, words, colour) in zip(places, shown, strict=True):
         ax.annotate(
             words,
@@ -242,27 +225,15 @@ def _beside(ax: Axes, x: float, side: int, labels: Sequence[tuple[float, str, st
         )
 
 
-def _key_rows(lines: Sequence[_Line]) -> int:
-    return max(len({x.joint for x in lines}), 1 + any(x.held for x in lines))
-
-
 def _key(figure: Figure, lines: Sequence[_Line], joints: Sequence[str]) -> None:
     """What colours and dots mean, where there is no room for words beside them."""
-    shown = sorted({x.joint for x in lines})
-    handles = [
-        Line2D([], [], color=JOINTS[j % len(JOINTS)], lw=2.5, label=shortened(joints[j], 14))
-        for j in shown
+    colours = {shortened(joints[x.joint], 14): x.colour for x in lines}
+    kinds = {HELD_OUT if x.held else "fitted": x.style for x in lines}
+    left = [Line2D([], [], color=colour, lw=2.5, label=name) for name, colour in colours.items()]
+    right = [
+        Line2D([], [], color=FAINT, mfc="white" if name == HELD_OUT else FAINT, label=name, **style)
+        for name, style in kinds.items()
     ]
-    handles += [Line2D([], [], ls="", label="")] * (_key_rows(lines) - len(shown))
-    style = {"color": FAINT, "marker": "o", "mew": 1.5}
-    handles.append(Line2D([], [], mfc=FAINT, lw=1.8, label="fitted", **style))
-    if any(x.held for x in lines):
-        handles.append(Line2D([], [], mfc="white", ls=DASHED, lw=1.2, label=HELD_OUT, **style))
-    figure.legend(
-        handles=handles,
-        loc="upper left",
-        bbox_to_anchor=(0.02, 1 - 0.06 / figure.get_figheight()),
-        ncols=2,
-        borderaxespad=0.0,
-        labelspacing=0.35,
-    )
+    most = max(len(left), len(right))
+    left += [Line2D([], [], ls="", label="")] * (most - len(left))
+    figure.legend(handles=[*left, *right], loc="outside upper left", ncols=2, labelspacing=0.35)

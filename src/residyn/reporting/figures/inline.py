@@ -1,7 +1,5 @@
-"""A figure inside a page: two layouts, for a laptop's width and a phone's, as SVG in the address
-itself."""
+"""A figure inside a page: SVG in the address itself."""
 
-import dataclasses
 import io
 import re
 import urllib.parse
@@ -12,22 +10,11 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 
-@dataclasses.dataclass(frozen=True)
-class Picture:
-    """One picture, as two data addresses."""
-
-    alt: str
-    wide: str
-    narrow: str
-
-
-def picture(alt: str, draw: Callable[..., Figure], *args: Any, **named: Any) -> Picture:
-    """What `draw` makes of the arguments, in both layouts."""
+def image(draw: Callable[..., Figure], *args: Any, **named: Any) -> str:
+    """What `draw` makes of the arguments, as a data address."""
     # Paths keep their letters: in base64 all would grow by a third.
-    each = (svg(draw(*args, **named, narrow=x)) for x in (False, True))
-    return Picture(
-        alt, *("data:image/svg+xml," + urllib.parse.quote(x, safe="/:;,=()-.") for x in each)
-    )
+    code = urllib.parse.quote(svg(draw(*args, **named)), safe="/:;,=()-.")
+    return f"data:image/svg+xml,{code}"
 
 
 def svg(figure: Figure) -> str:

@@ -1,12 +1,9 @@
 """A law without a name, drawn against its variable."""
 
-from typing import Any
-
 import numpy as np
 from matplotlib.figure import Figure
 
 from ...diagnosis.law import Law
-from ...physics.motion import JointMotion
 from ..names import lower, title
 from .style import BAND, DASHED, FAINT, INK, JOINTS, NARROW, RESIDUAL, SHADE, WIDE, styled
 
@@ -26,7 +23,8 @@ def law(found: Law, *, narrow: bool = False) -> Figure:
     above.fill_between(x, y - band, y + band, color=BAND, lw=0, label="95 % band")
     above.plot(x, y, color=INK, lw=1.4, label="free curve")
     if found.formula is not None and found.found is not None:
-        above.plot(x, formula_values(found), color=RESIDUAL, lw=1.2, label="formula")
+        effect = found.found.kind()(found.joint)  # pyright: ignore[reportCallIssue]
+        above.plot(x, found.values(effect), color=RESIDUAL, lw=1.2, label="formula")
     for (label, values), colour in zip(found.named, (JOINTS[0], *JOINTS[2:]), strict=False):
         above.plot(x, values, color=colour, lw=1.0, ls=DASHED, label=lower(title(label)))
     above.axhline(0.0, color=FAINT, lw=0.6, zorder=0)
@@ -39,18 +37,3 @@ def law(found: Law, *, narrow: bool = False) -> Figure:
         *above.get_legend_handles_labels(), loc="outside lower left", ncols=1 if narrow else 4
     )
     return figure
-
-
-def formula_values(found: Law) -> np.ndarray:
-    """The formula on the grid, less what springs and dampers take up."""
-    assert found.found is not None
-    effect: Any = found.found.kind()(found.joint)  # pyright: ignore[reportCallIssue]
-    values = []
-    for x in found.grid:
-        at = {"time": 0.0, "angle": 0.0, "rate": 0.0}
-        if found.factor in at:
-            at[found.factor] = 1.0
-        at[found.variable] = x
-        t, q, v = at.values()
-        values.append(float(effect.joint_torque(JointMotion(t, q, v, 1.0, (), q))))
-    return found.on_grid(np.array(values))

@@ -1,7 +1,7 @@
 """The motion beside the model, and at which frequencies something is left."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -32,36 +32,8 @@ from .style import (
 
 _ZOOM_CYCLES = 10
 _POINTS_PER_INCH = 110
-
-
-class _Layout(NamedTuple):
-    """Distances in inches: fixed, so that all panels of a page stand exactly under each other."""
-
-    width: float
-    left: float
-    between: float  # of the two columns
-    columns: tuple[float, ...]  # their widths
-    key: int  # columns of the legend
-    title: float = 0.3
-    main: float = 1.25
-    gap: float = 0.07
-    strip: float = 0.62
-    below: float = 0.16  # a joint's strip
-    axis: float = 0.42  # time's numbers and label
-    label: float = 0.6  # from an axis to its label
-
-    def legend(self, entries: int) -> float:
-        """Height of the legend."""
-        return 0.1 + 0.19 * -(-entries // self.key)
-
-    def height(self, joints: int) -> float:
-        """Height of one recording."""
-        joint = self.main + self.gap + self.strip + self.below
-        return self.title + joints * joint + self.axis
-
-
-_WIDE = _Layout(WIDE, 0.98, 0.62, (4.6, 2.28), key=5)
-_NARROW = _Layout(NARROW, 0.95, 0.0, (2.63,), key=2, main=1.1, strip=0.6, label=0.57)
+_PANEL, _HEAD, _KEY = 2.0, 0.75, 0.35
+"""Inches: the height of a joint, of a recording's title and time axis, and of the legend."""
 
 
 @styled
@@ -76,56 +48,42 @@ def overlay(
 
     **Arguments:** `recordings`: which of `fit.whole` to draw; all if not given.
     """
-    shown = tuple(fit.whole if recordings is None else recordings)
-    joints = len(fit.experiment.joints)
-    lay = _NARROW if narrow else _WIDE
-    handles = _key(any(each.wild.any() for each in shown))
-    top = len(shown) * lay.height(joints)
-    figure = Figure(figsize=(lay.width, lay.legend(len(handles)) + top))
-    for each in shown:
-        time = each.recording.time
-        zoom = slice(_zoom_start(time, fit.modes), None)
-        windows = (slice(None), zoom)[: len(lay.columns)]
-        top -= lay.title
+    shown, joints = tuple(fit.whole if recordings is None else recordings), len(fit.joints)
+    size = NARROW if narrow else WIDE, _KEY * (1 + narrow) + len(shown) * (_HEAD + _PANEL * joints)
+    columns = (2.6,) if narrow else (4.7, 2.3)  # their widths, about, in inches
+    figure = Figure(figsize=size, layout="constrained")
+    figure.set_layout_engine("constrained", hspace=0.0)
+    axes = figure.subplots(
+        2 * joints * len(shown),
+        len(columns),
+        squeeze=False,
+        height_ratios=(2, 1) * joints * len(shown),
+        width_ratios=columns,
+    )
+    for k, each in enumerate(shown):
+        rows, time = axes[2 * joints * k :][: 2 * joints], each.recording.time
+        begin = _zoom_start(time, fit.modes)
         for joint in range(joints):
-            left = lay.left
-            for width, window in zip(lay.columns, windows, strict=True):
-                main = _axes(figure, left, top - lay.main, width, lay.main)
-                low = top - lay.main - lay.gap - lay.strip
-                strip = _axes(figure, left, low, width, lay.strip)
-                strip.sharex(main)
-                _draw(main, strip, fit, each, joint, window)
+            for column, (start, inches) in enumerate(zip((0, begin), columns, strict=False)):
+                main, strip = rows[2 * joint :][:2, column]
+                _draw(main, strip, fit, each, joint, slice(start, None), inches)
                 main.tick_params(labelbottom=False)
                 strip.tick_params(labelbottom=joint == joints - 1)
-                if window is zoom:
+                if column == 1:
                     main.set_ylabel("")
                     strip.set_ylabel("")
-                elif len(windows) > 1:
+                elif not narrow:
                     for ax in (main, strip):
-                        ax.axvspan(time[zoom][0], time[-1], color=SHADE, lw=0, zorder=-5)
-                if joint == 0:
-                    last = f"the last {time[-1] - time[zoom][0]:.2g} s, enlarged"
-                    main.set_title(last if window is zoom else _heading(each, narrow))
-                if joint == joints - 1:
-                    strip.set_xlabel("time (s)")
-                for ax in (main, strip):
-                    ax.yaxis.set_label_coords(-lay.label / width, 0.5)
-                left += width + lay.between
-            top -= lay.main + lay.gap + lay.strip + lay.below
-        top -= lay.axis
-    figure.legend(
-        handles=handles,
-        loc="upper left",
-        bbox_to_anchor=(0.1 / lay.width, 1 - 0.06 / figure.get_figheight()),
-        borderaxespad=0.0,
-        ncols=lay.key,
-    )
+                        ax.axvspan(time[begin], time[-1], color=SHADE, lw=0, zorder=-5)
+        for ax in rows[-1]:
+            ax.set_xlabel("time (s)")
+        rows[0, 0].set_title(_heading(each, narrow))
+        if not narrow:
+            rows[0, 1].set_title(f"the last {time[-1] - time[begin]:.2g} s, enlarged")
+    figure.align_ylabels(axes[:, 0])
+    wild = any(each.wild.any() for each in shown)
+    figure.legend(handles=_key(wild), loc="outside upper left", ncols=2 if narrow else 5)
     return figure
-
-
-def _axes(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
-    across, up = figure.get_size_inches()
-    return figure.add_axes((left / across, bottom / up, width / across, height / up))
 
 
 def _key(wild: bool) -> list[Any]:
@@ -156,21 +114,28 @@ def _zoom_start(time: np.ndarray, modes: Sequence[Mode]) -> int:
     return int(min(np.searchsorted(time, time[-1] - length), max(0, len(time) - 8)))
 
 
-def _draw(main: Axes, strip: Axes, fit: Fit, each: RecordingFit, joint: int, window: slice) -> None:
-    """One joint of one recording over one window of samples."""
-    units, name = fit.experiment.reading_units, shortened(fit.experiment.joints[joint], 14)
-    unit = units[joint] if units else None
+def _draw(
+    main: Axes,
+    strip: Axes,
+    fit: Fit,
+    each: RecordingFit,
+    joint: int,
+    window: slice,
+    inches: float,
+) -> None:
+    """One joint of one recording over one window of samples, in panels so many inches wide."""
+    unit, name = fit.units[joint], shortened(fit.joints[joint], 14)
     time = each.recording.time[window]
     good = np.where(each.wild, np.nan, each.recording.angle)
-    alike = [j for j in range(good.shape[1]) if not units or units[j] == unit]
+    alike = [j for j, other in enumerate(fit.units) if other == unit]
     factor, label = prefixed(unit, largest(good[:, alike]))
     measured = each.recording.angle[window, joint] / factor
     kept, model = good[window, joint] / factor, each.predicted[window, joint] / factor
-    inches = _inches(main)
     broad = _breadth(time, inches, fit.modes)
     main.plot(*thinned(time, kept, inches), color=MEASURED, lw=2.6 * broad, zorder=2)
     main.plot(*thinned(time, model, inches), color=MODEL, lw=1.0 * broad, zorder=3)
-    main.set_xlim(time[0], time[-1])
+    for ax in (main, strip):
+        ax.set_xlim(time[0], time[-1])
     sigma = float(np.asarray(each.recording.noise)[joint])
     low, high = _range(np.concatenate([kept, model]), 8 * sigma / factor)
     main.set_ylim(low, high)
@@ -197,6 +162,8 @@ def _draw(main: Axes, strip: Axes, fit: Fit, each: RecordingFit, joint: int, win
 
     wild = each.wild[window, joint]
     off = (each.recording.angle - each.predicted)[window, joint] / factor
+    if not wild.any():
+        return
     for ax, values, limits in ((main, measured, (low, high)), (strip, off, (-reach, reach))):
         inside = np.clip(values[wild], *limits)
         size = 5 if wild.sum() <= 20 else 3
@@ -211,12 +178,6 @@ def _range(values: np.ndarray, least: float) -> tuple[float, float]:
     low, high = float(values.min()), float(values.max())
     margin = max(0.08 * (high - low), (least - (high - low)) / 2)
     return low - margin, high + margin
-
-
-def _inches(ax: Axes) -> float:
-    figure = ax.get_figure(root=True)
-    assert figure is not None
-    return ax.get_position().width * figure.get_size_inches()[0]
 
 
 def _breadth(time: np.ndarray, inches: float, modes: Sequence[Mode]) -> float:
@@ -262,15 +223,14 @@ def spectrum(fit: Fit, *, narrow: bool = False) -> Figure:
     What stands above the noise is motion that the model does not have: at a mode, its frequency or
     damping is off; at three or five times a mode, a torque is missing that is not linear.
     """
-    joints = fit.experiment.joints
-    units = fit.experiment.reading_units or (None,) * len(joints)
+    joints = fit.joints
     fitted = [r for r in fit.whole if r.recording.role != "check"]
-    height = (2.1 if narrow else 2.2) * len(joints) + (1.3 if narrow else 1.0)
+    height = (2.1 if narrow else 2.2) * len(joints) + (1.6 if narrow else 1.0)
     figure = Figure(figsize=(NARROW if narrow else WIDE, height), layout="constrained")
     axes = list(figure.subplots(len(joints), 1, sharex=True, squeeze=False)[:, 0])
     for joint, ax in enumerate(axes):
         frequency, measured, left, floor = _spectra(fitted, joint)
-        factor, label = prefixed(units[joint], np.sqrt(floor * max(largest(measured), floor)))
+        factor, label = prefixed(fit.units[joint], np.sqrt(floor * max(largest(measured), floor)))
         ax.plot(frequency, measured / factor, color=MEASURED, lw=2.2, label="measured")
         ax.plot(frequency, left / factor, color=RESIDUAL, lw=1.0, label="residual")
         ax.axhline(floor / factor, color=INK, lw=0.9, ls=DASHED, label="noise alone")
@@ -286,38 +246,26 @@ def spectrum(fit: Fit, *, narrow: bool = False) -> Figure:
             axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
             axis.set_minor_formatter(NullFormatter())
     axes[-1].set_xlabel("frequency (Hz)")
-    _mark(axes, fit.modes, narrow)
     handles, _ = axes[0].get_legend_handles_labels()
-    figure.legend(handles=handles, loc="outside upper left", ncols=2 if narrow else 3)
+    handles += _marked(axes, fit.modes)
+    figure.legend(handles=handles, loc="outside upper left", ncols=1 if narrow else 3)
     figure.align_ylabels()
     return figure
 
 
-def _mark(axes: Sequence[Axes], modes: Sequence[Mode], narrow: bool) -> None:
-    """A line at each mode, labelled above the top panel; labels that would touch, on two rows."""
+def _marked(axes: Sequence[Axes], modes: Sequence[Mode]) -> list[Line2D]:
+    """A numbered line at each mode, and what the legend says of it."""
     low, high = axes[0].get_xlim()
-    room = 0.5 if narrow else 0.18  # share of the width that one label takes
-    ends: list[float] = []  # where the last label of each row ends
-    for mode in modes:
+    keys, dots = [], {"color": MODEL, "lw": 0.9, "ls": (0, (1, 2))}
+    for i, mode in enumerate(modes, 1):
         f = mode.frequency_hz
-        if not low < f < high:
-            continue
-        for ax in axes:
-            ax.axvline(f, color=MODEL, lw=0.9, ls=(0, (1, 2)), zorder=0)
-        place = float(np.log(f / low) / np.log(high / low))
-        left = float(np.clip(place - room / 2, 0.0, 1.0 - room))
-        row = next((i for i, end in enumerate(ends) if left >= end), len(ends))
-        ends[row : row + 1] = [left + room]
-        axes[0].annotate(
-            f"{plain(f, 4)} Hz, ζ = {plain(100 * mode.damping_ratio, 2)} %",
-            (left + room / 2, 1.0),
-            xycoords="axes fraction",
-            xytext=(0, 3 + 12 * row),
-            textcoords="offset points",
-            ha="center",
-            va="bottom",
-            color=MODEL,
-        )
+        if low < f < high:
+            for ax in axes:
+                ax.axvline(f, zorder=0, **dots)
+            axes[0].text(f, 1.02, str(i), transform=axes[0].get_xaxis_transform(), ha="center")
+            words = f"mode {i}: {plain(f, 4)} Hz, ζ = {plain(100 * mode.damping_ratio, 2)} %"
+            keys.append(Line2D([], [], label=words, **dots))
+    return keys
 
 
 def _spectra(
