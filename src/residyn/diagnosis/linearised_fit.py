@@ -118,8 +118,8 @@ def minimum(problem: Problem, at: Unknowns, size: float = 1.0, most: int = _STEP
     return here._replace(steps=steps, converged=bool(converged or damping > _DAMPING[1]))
 
 
-def polish(problem: Problem, starts: Unknowns, shares: Sequence[float], hopeless=None) -> Polished:
-    """`fitting.levenberg.polish` of one start by `minimum`: first of the first so many readings
+def polish(problem: Problem, starts: Unknowns, shares: Sequence[float]) -> Polished:
+    """`fitting.multistart.polishing` of one start by `minimum`: first of the first so many readings
     only, then of all."""
     at, steps = jax.tree.map(lambda x: np.asarray(x)[0], starts), 0
     recorded, found = problem.recorded, None

@@ -76,10 +76,12 @@ def corrected(
     moved = np.sqrt(np.einsum("ra,rab,rb->", local, square, local))
     if not moved > RESIDUAL_TOLERANCE:  # the descent did not look any closer
         return descent, error
-    # The motion stays what it was: the exact one with these numbers, to first order.
-    return descent._replace(
-        unknowns=Unknowns(y.numbers + step.numbers, y.states + step.states)
-    ), error
+    there = Unknowns(y.numbers + step.numbers, y.states + step.states)
+    found = jax.device_get((yield from evaluate(problem, there)))
+    if watch is not None:
+        watch.descended(problem, there, 1)
+    cost = float(np.sum(found.along**2) + np.sum(found.beside**2))
+    return descent._replace(unknowns=there, compressed=found, cost=cost), error
 
 
 def at_twice_the_steps(
