@@ -5,6 +5,7 @@ import numpy as np
 
 from residyn.diagnosis import Comparison, Curve, Missing, MissingTorque
 from residyn.diagnosis.forecast import Ahead, Error, HeldOut, Horizon
+from residyn.diagnosis.law import Law
 from residyn.diagnosis.planned import Outcome, Test
 from residyn.diagnosis.residuals import Cell, Part, Where
 from residyn.diagnosis.result import (
@@ -17,6 +18,7 @@ from residyn.diagnosis.result import (
     Value,
 )
 from residyn.diagnosis.whiteness import White
+from residyn.effects.found import FoundLaw, FoundNumber
 from residyn.fitting import Fit, Mode, Number, RecordingFit, mechanism_of, model_for
 from residyn.recordings.experiment import Experiment
 from residyn.recordings.recording import Recording
@@ -211,6 +213,16 @@ NEXT = Test(
     ),
     helps=True,
 )
+
+
+def a_law():
+    """A law without a name: a torque at the elbow that depends on the rate."""
+    grid = np.linspace(-1.0, 1.0, 101)
+    number = FoundNumber("a", "strength", "TORQUE", 0.2, True)
+    words = "elbow", "rate", "", "a x^3", "from example.toml", (number,), "self.a * x**3"
+    visits, named = np.full(101, 1 / 101), ((FOUND, 0.2 * np.sign(grid)),)
+    shape = grid, 0.2 * grid**3, np.full(101, 0.01), visits, "N m", "rad/s", named
+    return Law("elbow", "rate", "", (), 0.95, 12.0, *shape, found=FoundLaw(*words))
 
 
 def a_diagnosis(verdict, ladder, **changed):

@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 
 import residyn
-from residyn.diagnosis.columns import Columns
+from residyn.diagnosis.columns import Columns, candidates
 from residyn.diagnosis.diagnose import Posterior
 from residyn.diagnosis.evidence import (
     FURTHER,
@@ -249,6 +249,19 @@ def test_no_spring_has_less_than_nothing(reading, noise):
     expected = math.log(2.0) + math.log(max(positive, 1e-300))
     (added,) = half_normals([Spring("cart", 1.0)], prior, found)
     assert added == pytest.approx(expected, rel=1e-6) or positive < 1e-290
+
+
+@pytest.mark.parametrize(("loads", "told"), [((4.0, 4.0), False), ((4.0, 9.0), True)])
+def test_friction_in_proportion_to_a_load_needs_two_loads(loads, told):
+    """Under one load it is Coulomb friction."""
+    time = np.arange(80) / 40
+    reading = 0.1 * np.exp(-0.2 * time) * np.cos(6 * time)
+    runs = [residyn.Recording.from_arrays(time, reading[:, None], noise=NOISE, load=x)
+            for x in loads]  # fmt: skip
+    carts = [residyn.ConstantInertia([[MASS]], ("cart",), ("m",), load=x) for x in loads]
+    found = candidates(Scene(runs, carts, [np.zeros((len(time), 1), bool)] * 2), ())
+    assert ("load_friction" in {e.name for e in found}) is told
+    assert "coulomb_friction" in {e.name for e in found}
 
 
 def test_a_name_is_sure_where_little_is_left_beside_it():

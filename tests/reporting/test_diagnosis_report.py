@@ -381,6 +381,21 @@ def test_what_nothing_explains_is_shown_first(pages):
     assert first[1:] == ["The torque that is still missing", "What it might be"]
 
 
+def test_a_law_without_a_name_has_a_curve_and_a_class(monkeypatch):
+    made = by_hand.unexplained(laws=(by_hand.a_law(),))
+    what = "torque at the elbow that depends on the rate"
+    printed = str(made)
+    assert what in " ".join(printed.split())
+    assert max(map(len, printed.splitlines())) <= 80
+    page = report.render([("only", made.fit)], diagnosis=made)
+    assert "A law without a name" in headings(page)
+    assert what in page
+    assert "class ElbowRateLaw(JointEffect):" in page
+    for narrow in (False, True):
+        words = legible(plot.law(made.laws[0], narrow=narrow), monkeypatch)
+        assert {"rate (rad/s)", "at the elbow (N m)", "95 % band"} <= set(words)
+
+
 def test_a_page_of_nothing_missing(pages):
     assert headings(pages["adequate"])[0] == "Nothing is missing"
     assert "What cannot be told apart" not in pages["adequate"]

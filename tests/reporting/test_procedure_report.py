@@ -11,10 +11,13 @@ import pytest
 import residyn
 from residyn import demo
 from residyn.cli import main
+from residyn.diagnosis.planned import InPlay
 from residyn.procedure.carried import Carried
+from residyn.procedure.over_models import ModeOver, OverModels, Spread
 from residyn.recordings.experiment import Experiment
 from residyn.reporting import figures as plot
 from residyn.reporting import render_page
+from tests import by_hand
 from tests.legible import legible
 from tests.procedure.test_unload import BOTH, GROWS, PAPER, STEP_2, from_numbers
 
@@ -133,6 +136,24 @@ def test_the_page_of_step_3(found):
     for warning in found.warnings:
         assert warning in text
     assert "not physical" not in text.lower()
+
+
+def test_bands_over_all_models_and_the_test_that_narrows_them(found):
+    frequency = Spread(0.52, 0.50, 0.54, 0.01, 0.7, 0.2, 0.1)
+    damping = Spread(0.009, 0.008, 0.010, 5e-4, 0.1, 0.8, 0.1)
+    mode = ModeOver(frequency, damping, 0.9)
+    models = InPlay((by_hand.FOUND,), 0.9), InPlay((), 0.1)
+    test = dataclasses.replace(by_hand.NEXT, band=0.004)
+    joints = found.fit.joints
+    over = OverModels(models, 0.0, ((0.3, (mode,)),), test, "frequency_hz", (), joints)
+    made = dataclasses.replace(found, over_models=over)
+    said = "The frequency of mode 1 is what is known worst: +/- 0.020 Hz (95 %)"
+    assert said in " ".join(str(made).split())
+    assert max(map(len, str(over).splitlines())) <= 80
+    text = words_of(render_page(made, "over"))
+    assert said.replace("+/-", "±") in text
+    assert "Coulomb friction at the elbow 90 %" in text
+    assert "1 frequency 0.500 to 0.540 Hz 70 % 20 % 10 %" in text
 
 
 def test_the_page_says_what_is_not_physical():

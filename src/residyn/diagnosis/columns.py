@@ -63,8 +63,9 @@ def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
     """Effects of the catalogue that could be missing from a model, at every place where they can
     act, less those `present` and those that such recordings cannot show.
 
-    With one joint, a sensor's scale is a choice of unit, which the inertia has to bear; its delay
-    is one of the first state, or of the drive.
+    Under one load, a friction in proportion to it is Coulomb's. With one joint, a sensor's scale is
+    a choice of unit, which the inertia has to bear; its delay is one of the
+    first state, or of the drive.
     """
     found = [
         e
@@ -73,6 +74,8 @@ def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
     ]
     orders = scene.recordings[0].orders
     found = [e for e in found if not (e.of_angles and orders[scene.joint_of(e)])]
+    if len({r.load for r in scene.recordings}) == 1:
+        found = [e for e in found if not e.of_load]
     if scene.n == 1:
         found = [e for e in found if not (e.senses and _not_an_offset(e))]
     return found

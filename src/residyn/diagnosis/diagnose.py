@@ -99,8 +99,9 @@ def diagnose(
         search = Search(scene, base, deadline=deadline, say=say)
         fits.begin(search.base)
         search.run(max_effects)
-        best = search.best
-        if not search.stopped and best.complete < 1 - IN_PLAY and best.intensity < EXPLAINS_NOTHING:
+        # One law may be what several names together resemble.
+        missing = search.base.complete < 1 - IN_PLAY and search.best.intensity < EXPLAINS_NOTHING
+        if missing and not search.stopped:
             say("looking for a law without a name")
             search.curves = curve_models(search)
         say("fitting the models on the way")

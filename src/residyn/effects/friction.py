@@ -78,7 +78,6 @@ class DahlFriction(JointEffect):
     source = "Dahl 1968; Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30, 1994"
     rough = True
     follows = True
-    resembles = ("coulomb_friction", "hysteresis")
     memory = (Memory("z", RATIO), Memory("angle", ANGLE))
 
     level: Scalar = param("friction torque", TORQUE, sign="positive", name="torque")
@@ -129,7 +128,7 @@ class LoadFriction(JointEffect):
     source = "Amontons 1699; Coulomb 1785"
     dissipates = True
     dry = True
-    resembles = ("coulomb_friction",)  # under one load
+    of_load = True
 
     coefficient: Scalar = param("coefficient of friction", GRIP, sign="positive")
 

@@ -78,7 +78,6 @@ class BrakeSlip(JointEffect):
     rough = True
     follows = True
     # One that slips at the release only has moved the rest, and no more.
-    resembles = ("constant_torque", "sensor_offset", "hysteresis")
     memory = (Memory("slip", ANGLE),)
 
     stiffness: Scalar = param("stiffness that sits on the brake", STIFFNESS, sign="positive")

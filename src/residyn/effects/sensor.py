@@ -34,7 +34,6 @@ class SensorOffset(_SensorEffect):
     equation = "reading = q + o"
     looks_like = "rings about a shifted zero; nothing else changes"
     source = "encoder zeroing error"
-    resembles = ("constant_torque",)
 
     offset: Scalar = param("reading at the true zero", ANGLE)
 
@@ -66,7 +65,6 @@ class SensorCurve(_SensorEffect):
     equation = "reading = q + b q^2"
     looks_like = "swings wider to one side, at twice the share for twice the swing; a shifted mean"
     source = "nonlinearity of potentiometers and cameras, the first term of its Taylor series"
-    resembles = ("asymmetric_stiffness",)
 
     curve: Scalar = param("curvature of the reading", CURVE)
 

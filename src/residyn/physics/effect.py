@@ -40,7 +40,8 @@ class AbstractEffect(eqx.Module):
     - `oscillates`: the field that holds a frequency of its own, which a fit starts from a spectrum.
     - `extends`: the effect that it is with its further numbers silent, if it is another one's law
       with more to it.
-    - `resembles`: other effects, besides that, whose motion can be the same, at the same place.
+    - `of_load`: in proportion to the load that a recording states; where all state the same one, it
+      cannot be told from Coulomb friction.
     - `of_bearings`: True if it leaves with the air bearings (step 3 of the paper); None: not known,
       which step 3 then asks.
     """
@@ -61,7 +62,7 @@ class AbstractEffect(eqx.Module):
     of_angles: ClassVar[bool] = False
     oscillates: ClassVar[str | None] = None
     extends: ClassVar[str | None] = None
-    resembles: ClassVar[tuple[str, ...]] = ()
+    of_load: ClassVar[bool] = False
     of_bearings: ClassVar[bool | None] = False
 
     @classmethod

@@ -79,8 +79,9 @@ def text(found: Diagnosis) -> list[str]:
     out = [*section("Laws without a name", note), *printed(table)]
     first = found.laws[0]
     if first.found is not None:
-        kind = "its formula" if first.formula else "its curve, as a table"
-        out.append(f"    {kind} as a class, for --with {first.found.label}: --found FILE writes it")
+        kind = "its formula" if first.formula else "its curve, a table,"
+        words = f"--found FILE writes {kind} as a class, for --with {first.found.label}"
+        out += filled(words, "    ", 6)
     return out
 
 
