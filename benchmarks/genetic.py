@@ -19,21 +19,18 @@ import argparse
 import dataclasses
 import functools
 import itertools
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import residyn
-from residyn.fitting.fit import levenberg_history
 from residyn.fitting.genetic import Genetic, Search, run, search_of
-from residyn.fitting.history import History, relative_error
-from residyn.fitting.multistart import descend, outliers_among
+from residyn.fitting.history import History, Watch, relative_error, watched
+from residyn.fitting.multistart import outliers_among
 from residyn.fitting.problem import Ready, ready
 from residyn.reporting.figures import convergence
 from tests import rig
@@ -42,7 +39,6 @@ from .fit_quality import experiment_of, truth_of
 
 GENERATIONS = 500  # the paper's
 TARGETS = (1.1, 1.01)  # times the objective of the truth, which leaves the noise alone
-STARTS = 6
 WARM = 3  # fits timed, compiled before; the quickest counts, as the machine may be shared
 ROOT = Path(__file__).parents[1]
 
@@ -125,10 +121,8 @@ class Outcome(NamedTuple):
         return cls(times, seconds, off, float(objective) / case.floor)
 
     def until(self, target: float) -> tuple[float, float]:
-        """Simulations and seconds until this objective, inf if never; a fit's time is the whole."""
-        spent, whole = self.history.until(target), len(self.history.simulations) < GENERATIONS
-        share = 1.0 if whole and np.isfinite(spent) else spent / self.history.simulations[-1]
-        return spent, self.seconds * share
+        """Simulations and seconds until this objective, inf if never."""
+        return self.history.until(target), self.history.seconds_until(target)
 
 
 def released(case: rig.Case) -> np.ndarray:
@@ -141,71 +135,29 @@ def cases(rng: np.random.Generator, count: int, **recorded: float) -> Iterator[C
     for arm in rig.clean_cases(rng, count, **recorded):
         experiment = experiment_of(arm, arm.noise)
         here = ready(experiment, experiment.fit_recordings, ())
-        wild = outliers_among(here, [r.angle for r in here.recordings])
+        wild = outliers_among(here)
         look = search_of(here, wild, Genetic())
         y = look.problem.scaled(jnp.asarray(truth_of(arm)), jnp.asarray(released(arm)))
         yield Case(arm, experiment, here, wild, float(relative_error(look.problem, y)))
 
 
 def evolved(case: Case, each: Way) -> Outcome:
-    """One search, timed by what its generations took once they were compiled."""
-    look, marks = case.look(each), []
-    found = run(look, each.how, lambda words: marks.append(time.perf_counter()))
-    warm = np.diff(marks[3:-1])  # of 25 generations each; before, they were compiled
-    seconds = float(np.min(warm)) / 25 * each.how.generations
+    """One search; its programs are compiled before the clock runs."""
+    found = run(case.look(each), each.how)
+    seconds = float(found.history.seconds[-1])
     return Outcome.of(case, found.history, seconds, found.numbers, found.history.objective[-1])
 
 
-def descended(case: Case) -> Outcome:
-    """A fit by Levenberg-Marquardt with its defaults, timed whole, compiled before."""
-    residyn.fit(case.experiment)
-    fits = [residyn.fit(case.experiment) for _ in range(WARM)]
+def descended(case: Case, method: str) -> Outcome:
+    """A fit by Levenberg-Marquardt, timed whole, compiled before."""
+    residyn.fit(case.experiment, method=method)
+    fits = [residyn.fit(case.experiment, method=method) for _ in range(WARM)]
     fit = min(fits, key=lambda fit: fit.seconds)
-    history = levenberg_history(case.experiment)
-    return Outcome.of(case, history, fit.seconds, [n.value for n in fit.numbers], _objective(fit))
-
-
-def descended_from_genes(case: Case) -> Outcome:
-    """Levenberg-Marquardt from the best of a first generation of 100 random individuals."""
-    look = case.look(WIDE)
-    genes = np.random.default_rng(0).uniform(size=(100, look.genome.size))
-
-    def once():
-        values = _values(look, genes)
-        best = np.argsort(values)[:STARTS]
-        each = [look.genome.unknowns(jnp.asarray(genes[i]), look.problem) for i in best]
-        numbers = np.stack([np.asarray(look.problem.numbers(y)) for y in each])
-        return descend(case.here, look.problem.model, numbers, list(case.wild), lambda words: None)
-
-    once()
-    taken = []
-    for _ in range(WARM):
-        began = time.perf_counter()
-        end = once()
-        taken.append(time.perf_counter() - began)
-    seconds = min(taken)
-    numbers = np.asarray(end.problem.numbers(end.unknowns))
-    objective = float(relative_error(end.problem, jax.tree.map(jnp.asarray, end.unknowns)))
-    # Steps of the best start, of all starts abreast.
-    spent = 100 + STARTS * end.steps * (1 + 4 + 4)
-    history = History(np.array([spent]), np.array([objective]))
-    return Outcome.of(case, history, seconds, numbers, objective)
-
-
-@eqx.filter_jit
-def _values(look: Search, genes):
-    def one(individual):
-        value = relative_error(look.problem, look.genome.unknowns(individual, look.problem))
-        return jnp.where(jnp.isfinite(value), value, jnp.inf)
-
-    return jax.vmap(one)(genes)
-
-
-def _objective(fit: residyn.Fit) -> float:
-    """Eq. 17 of a fit."""
-    beside = fit.recordings[0]
-    sizes = np.linalg.norm(beside.recording.angle, axis=0)
-    return float(np.sum(np.linalg.norm(beside.residual, axis=0) / sizes))
+    with watched(Watch()) as watch:
+        residyn.fit(case.experiment, method=method)
+    whole = np.full(len(watch.history.objective), fit.seconds)
+    history = watch.history._replace(seconds=whole)
+    return Outcome.of(case, history, fit.seconds, [n.value for n in fit.numbers], fit.objective)
 
 
 def table(count: int, seed: int, picture: Path) -> None:
@@ -215,8 +167,8 @@ def table(count: int, seed: int, picture: Path) -> None:
     """
     outcomes: dict[str, list[Outcome]] = {}
     ways: dict[str, Callable[[Case], Outcome]] = {
-        "Levenberg-Marquardt (default)": descended,
-        "Levenberg-Marquardt, random starts": descended_from_genes,
+        "Levenberg-Marquardt (default)": functools.partial(descended, method="levenberg"),
+        "Levenberg-Marquardt, random starts": functools.partial(descended, method="random"),
         **{each.name: functools.partial(evolved, each=each) for each in WAYS},
     }
     try:
@@ -230,8 +182,7 @@ def table(count: int, seed: int, picture: Path) -> None:
                 print(f"{out.seconds:6.2f} s  {off}", flush=True)
     finally:
         print("\n" + "\n".join(_rows(outcomes)), flush=True)
-        # Of random starts only the end is known.
-        known = {name: _median(each) for name, each in outcomes.items() if "random" not in name}
+        known = {name: _median(each) for name, each in outcomes.items()}
         label = "objective, times that of the truth"
         figure = convergence(list(known.values()), list(known), floor=1.0, label=label)
         figure.savefig(picture, facecolor="white", bbox_inches="tight", metadata={"Date": None})
@@ -266,7 +217,7 @@ def _median(each: list[Outcome]) -> History:
     """Median over the arms of the objective after so many simulations."""
     grid = np.unique(np.concatenate([o.history.simulations for o in each]))
     rows = []
-    for spent, objective in (o.history for o in each):
+    for spent, objective, _ in (o.history for o in each):
         at = np.searchsorted(spent, grid, side="right") - 1
         rows.append(np.where(at >= 0, objective[np.maximum(at, 0)], np.inf))
     return History(grid, np.median(rows, axis=0))

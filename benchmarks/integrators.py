@@ -25,7 +25,7 @@ import residyn
 from residyn.fitting import FitError
 from residyn.fitting.integration import checked
 from residyn.fitting.least_squares import compressed, predict
-from residyn.fitting.problem import Problem, Unknowns, ready
+from residyn.fitting.problem import Problem, Unknowns
 from tests.exact import EXACT, IMPLICIT, LaggingDrag, error_of, recorded, twenty_arms, two_joints
 
 REPEATS = 7
@@ -92,14 +92,12 @@ def between(fit: residyn.Fit, other: residyn.Fit) -> float:
 def pieces(fit: residyn.Fit) -> tuple[float, float]:
     """One simulation, and one with its Jacobian."""
     with jax.enable_x64(True):
-        effects = [e for e in fit.model.effects if e.name not in ("spring", "damper")]
-        here = ready(fit.experiment, [r.recording for r in fit.recordings], effects)
-        problem, _ = here.problem(fit.model, [r.wild for r in fit.recordings])
-        y = problem.scaled(jnp.asarray(fit.model.vector()), jnp.asarray([fit.recordings[0].state]))
-        jax.block_until_ready(_predicted(problem, y))
-        simulate = cpu(lambda: jax.block_until_ready(_predicted(problem, y)))
-        jax.block_until_ready(compressed(problem, y).factor)
-        return simulate, cpu(lambda: jax.block_until_ready(compressed(problem, y).factor))
+        given = fit.problem, jax.tree.map(jnp.asarray, fit.unknowns)
+        found = []
+        for program in (_predicted, lambda *given: compressed(*given).factor):
+            jax.block_until_ready(program(*given))
+            found.append(cpu(lambda: jax.block_until_ready(program(*given))))  # noqa: B023
+        return found[0], found[1]
 
 
 @eqx.filter_jit

@@ -380,7 +380,7 @@ def report(rows: list[dict[str, Any]]) -> str:
 # -- carts -----------------------------------------------------------------------------------------
 
 
-def carts(folder: Path, wanted: list[str]) -> None:
+def carts(folder: Path, wanted: list[str], image: Path | None) -> None:
     """What stays of measured carts after Coulomb friction, each run by itself: the likeliest law,
     and how alike the curves of one spring and load are."""
     import residyn
@@ -404,6 +404,32 @@ def carts(folder: Path, wanted: list[str]) -> None:
         found.setdefault(group, []).extend(answer.laws[:1])
     for group, laws in found.items():
         print(f"{group}: {alike(laws)}", flush=True)
+    if image is not None:
+        figure = picture([law for laws in found.values() for law in laws])
+        figure.savefig(image, facecolor="white", bbox_inches="tight", metadata={"Date": None})
+
+
+def picture(laws: list[Any]) -> Any:
+    """The curves of some runs with their bands."""
+    from matplotlib.figure import Figure
+
+    from residyn.reporting.figures.style import FAINT, INK, JOINTS, WIDE, styled
+
+    @styled
+    def drawn() -> Figure:
+        figure = Figure(figsize=(WIDE, 3.4), layout="constrained")
+        axes = figure.subplots()
+        for i, (law, colour) in enumerate(zip(laws, (JOINTS[0], JOINTS[1], INK), strict=False)):
+            x, band = 1e3 * law.grid, 1.96 * law.std
+            low, high = law.mean - band, law.mean + band
+            axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
+            axes.plot(x, law.mean, color=colour, lw=1.2, label=f"run {i + 1}")
+        axes.axhline(0.0, color=FAINT, lw=0.6, zorder=0)
+        axes.set(xlabel="position (mm)", ylabel=f"beside spring and friction ({laws[0].unit})")
+        axes.legend()
+        return figure
+
+    return drawn()
 
 
 def alike(laws: list[Any]) -> str:
@@ -449,10 +475,11 @@ def main() -> None:
     told.add_argument("--beside", type=Path, help="of sindy")
     measured = commands.add_parser("carts")
     measured.add_argument("folder", type=Path, help="with carts/ in it")
+    measured.add_argument("--picture", type=Path, help="of the curves, SVG or PNG")
     measured.add_argument("groups", nargs="*", help="high_spring_bare, ...; all if none is given")
     o = parser.parse_args()
     if o.command == "carts":
-        carts(o.folder, o.groups)
+        carts(o.folder, o.groups, o.picture)
         return
     if o.command == "report":
         rows = read(o.file)

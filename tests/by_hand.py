@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from residyn.diagnosis import Comparison, Curve, Missing, MissingTorque
+from residyn.diagnosis.candidate_tests import Outcome, Test
 from residyn.diagnosis.forecast import Ahead, Error, HeldOut, Horizon
 from residyn.diagnosis.law import Law
-from residyn.diagnosis.planned import Outcome, Test
 from residyn.diagnosis.residuals import Cell, Part, Where
 from residyn.diagnosis.result import (
     Budget,

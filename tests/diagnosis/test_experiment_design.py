@@ -10,7 +10,6 @@ from residyn.diagnosis.experiment_design import (
     entropy,
     reduced,
     together,
-    variance_now,
     worth,
 )
 
@@ -130,11 +129,9 @@ def test_variance_of_a_quantity():
     inverse = np.linalg.inv(np.eye(2) + numbers.T @ numbers)
     expected = wanted.slopes[0] @ inverse @ wanted.slopes[0] + 0.25
     assert worth([model], [1.0], wanted).variance == pytest.approx(expected)
-    assert variance_now(np.ones(1), wanted) == pytest.approx((0.0, 2.0, 0.25))
 
     none = [np.zeros(0)] * 2
     wanted = Quantity(np.array([0.0, 2.0]), none, np.array([0.1, 0.3]))
     p = np.array([0.5, 0.5])
-    assert sum(variance_now(p, wanted)) == pytest.approx(1.0 + 0.2)
     assert worth([fixed(0), fixed(50)], p, wanted).variance == pytest.approx(0.2)
     assert worth([fixed(0), fixed(0)], p, wanted).variance == pytest.approx(1.2)

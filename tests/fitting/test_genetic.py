@@ -92,7 +92,7 @@ def test_lost_readings_are_in_neither_norm(experiment):
     )
     with jax.enable_x64(True):
         here = ready(holed, holed.fit_recordings, ())
-        look = search_of(here, outliers_among(here, [angle]), Genetic())
+        look = search_of(here, outliers_among(here), Genetic())
         y = look.genome.unknowns(jnp.full(8, 0.5), look.problem)
         found = float(relative_error(look.problem, y))
         bare = residyn.simulate(

@@ -17,6 +17,7 @@ from residyn.demo import experiment_file
 from residyn.fitting import METHODS, MissingExtra, Race, genetic, least_squares
 from residyn.fitting.history import Watch
 from residyn.fitting.methods import GENETIC
+from residyn.fitting.problem import ready
 from residyn.fitting.race import ONE, TEN
 
 ALL = [*METHODS, "optimistix.BFGS"]
@@ -156,6 +157,36 @@ def test_an_interrupted_race_keeps_what_is_done(experiment):
     assert "interrupted while cma_es" in str(found)
 
 
+def test_a_method_of_optax_by_its_name(experiment):
+    optax = pytest.importorskip("optax")
+    by_name = residyn.fit(experiment, method="optax.adam", steps=3)
+    handed = residyn.fit(experiment, method=optax.adam(0.02), steps=3)
+    assert by_name.objective == pytest.approx(handed.objective, rel=1e-12)
+    assert by_name.history.simulations.tolist() == [9, 18, 27]
+    assert by_name.history.objective[-1] < by_name.history.objective[0]
+    assert by_name.objective == pytest.approx(by_name.history.objective[-1], rel=1e-4)
+
+
+def test_a_line_search_is_counted_as_it_is_run(experiment):
+    fit = residyn.fit(experiment, method="optax.lbfgs", steps=3)
+    spent = np.diff(fit.history.simulations, prepend=0.0)
+    # At each point that is looked at along the line: the motion, and eight directions.
+    assert np.all(spent % 9 == 0)
+    assert np.all(spent >= 18)
+
+
+def test_segments_cost_simulations_but_their_objective_is_another_problems(experiment):
+    watch = Watch()
+    with jax.enable_x64(True):
+        for recordings in (experiment.recordings, 2 * experiment.recordings):
+            here = ready(experiment, recordings, ())
+            wild = [np.zeros(r.angle.shape, bool) for r in recordings]
+            problem, states = here.problem(here.model.with_vector(here.typical()), wild)
+            watch.descended(problem, problem.scaled(here.typical(), states), 1)
+    assert [row[0] for row in watch.rows] == [9, 18]
+    assert watch.rows[0][2] == watch.rows[1][2] < math.inf
+
+
 def test_a_watch_stops_where_nothing_is_counted(monkeypatch):
     clock = iter(np.arange(100.0))
     monkeypatch.setattr("residyn.fitting.history.time.perf_counter", lambda: next(clock))
@@ -215,8 +246,8 @@ def test_the_command_writes_what_it_found(demo, tmp_path, capsys):
     [
         (["--methods", "nonsense"], "no such method"),
         (["--methods", "optax.nonsense"], "optax has no such"),
-        (["--seconds", "-3"], "--seconds -3"),
-        (["--simulations", "0"], "--simulations 0"),
+        (["--seconds", "-3"], "seconds = -3"),
+        (["--simulations", "0"], "simulations = 0"),
         (["--seconds", "1", "--simulations", "9"], "give one of them"),
         (["--integrator", "Euler99"], "no such solver"),
     ],

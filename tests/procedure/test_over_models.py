@@ -11,18 +11,18 @@ import residyn
 from residyn.diagnosis.candidate_tests import Rival
 from residyn.diagnosis.evidence import prior_of
 from residyn.diagnosis.missing_torque import scene_of
-from residyn.diagnosis.planned import InPlay
+from residyn.diagnosis.plan import InPlay
 from residyn.diagnosis.search import Tried, settle, tried_alone
 from residyn.effects import BearingDrag
 from residyn.procedure.carried import NAMES, inertias, slopes_of_modes
 from residyn.procedure.over_models import (
+    Bare,
     ModeOver,
     OverModels,
     Spread,
     errors_of,
+    modes_over,
     quantile,
-    quantity_of,
-    spread_of,
 )
 from residyn.procedure.unload import bare
 from residyn.recordings.tables import ArmTable, Bearing
@@ -70,8 +70,7 @@ def two():
 def test_inertias_that_are_off_by_one_share_move_stiffness_and_damping_by_it(two):
     """Eq. 9."""
     _, scene, (base, _), _ = two
-    rival = Rival.of(scene, base)
-    errors = errors_of(scene, rival, base, np.eye(3))
+    errors = errors_of(scene, Rival.of(scene, base), np.eye(3))
     sizes = np.asarray(inertias(scene.mechanisms[0]))
     np.testing.assert_allclose(errors.moved @ sizes, base.best.numbers, rtol=0.02)
 
@@ -80,11 +79,10 @@ def test_so_they_move_no_frequency_on_the_bearings(two):
     _, scene, (base, _), _ = two
     rival = Rival.of(scene, base)
     sizes = np.asarray(inertias(scene.mechanisms[0]))
-    errors = errors_of(scene, rival, base, np.outer(sizes, sizes) * 0.01)
-    for which in (0, 1):
-        modes = slopes_of_modes(rival.model, rival.model)
-        wanted = quantity_of([modes[0]], [errors], which)
-        assert np.sqrt(wanted.rest[0]) < 1e-3 * abs(wanted.mean[0])
+    errors = errors_of(scene, rival, np.outer(sizes, sizes) * 0.01)
+    mode = modes_over([Bare(rival.model, rival.model, errors)], np.ones(1))[0]
+    for spread in (mode.frequency_hz, mode.damping_ratio):
+        assert spread.std * np.sqrt(spread.from_inertias) < 1e-3 * abs(spread.mean)
 
 
 def test_damping_in_orbit_with_and_without_the_name(two):
@@ -94,14 +92,33 @@ def test_damping_in_orbit_with_and_without_the_name(two):
     off = bare(experiment, truth, recording)
     expected = slopes_of_modes(off, truth)[0].values[1]
     rivals = [Rival.of(scene, m) for m in models]
-    errors = [errors_of(scene, r, m, None) for r, m in zip(rivals, models, strict=True)]
-    modes = [slopes_of_modes(bare(experiment, r.model, recording), r.model)[0] for r in rivals]
-    wanted = quantity_of(modes, errors, 1)
+    each = [
+        Bare(bare(experiment, r.model, recording), r.model, errors_of(scene, r, None))
+        for r in rivals
+    ]
     p = np.exp([m.log_evidence for m in models] - np.max([m.log_evidence for m in models]))
-    spread = spread_of(wanted, p / p.sum(), [r.root for r in rivals])
+    spread = modes_over(each, p / p.sum())[0].damping_ratio
     assert spread.low < expected < spread.high
-    assert abs(wanted.mean[0] - expected) > 10 * spread.std  # what the base model says
+    alone = [modes_over([b], np.ones(1))[0].damping_ratio for b in each]
+    assert abs(alone[0].mean - expected) > 10 * spread.std  # what the base model says
     assert spread.from_name + spread.from_numbers + spread.from_inertias == pytest.approx(1.0)
+
+
+def test_where_the_variance_comes_from(two):
+    """Law of total variance, over two models that are alike likely."""
+    experiment, scene, models, _ = two
+    rivals = [Rival.of(scene, m) for m in models]
+    recording = experiment.recordings[0]
+    each = [
+        Bare(bare(experiment, r.model, recording), r.model, errors_of(scene, r, None))
+        for r in rivals
+    ]
+    both = modes_over(each, np.array([0.5, 0.5]))[0].damping_ratio
+    one, other = (modes_over([b], np.ones(1))[0].damping_ratio for b in each)
+    assert both.std**2 * both.from_name == pytest.approx((one.mean - other.mean) ** 2 / 4)
+    within = (one.std**2 + other.std**2) / 2
+    assert both.std**2 * both.from_numbers == pytest.approx(within)
+    assert (one.from_name, one.from_numbers) == (0.0, pytest.approx(1.0))
 
 
 def test_quantiles_of_a_mixture():

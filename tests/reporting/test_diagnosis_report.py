@@ -359,7 +359,7 @@ def test_the_page_begins_with_the_verdict_and_the_falling_error(pages, found):
         "0.980",
         "hysteresis",
         names.unbroken(NEXT.words)[:120],
-        "angle of the elbow at 3.20 s",
+        "angle of the elbow after 3.20 s",
         "0.0800\u00a0±\u00a00.0010\u00a0rad",
         "(added)",
         "Dry friction at the elbow",

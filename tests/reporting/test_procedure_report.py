@@ -11,7 +11,7 @@ import pytest
 import residyn
 from residyn import demo
 from residyn.cli import main
-from residyn.diagnosis.planned import InPlay
+from residyn.diagnosis.plan import InPlay
 from residyn.procedure.carried import Carried
 from residyn.procedure.over_models import ModeOver, OverModels, Spread
 from residyn.recordings.experiment import Experiment

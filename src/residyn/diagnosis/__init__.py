@@ -11,6 +11,6 @@ from .missing_torque import Curve as Curve
 from .missing_torque import Missing as Missing
 from .missing_torque import MissingTorque as MissingTorque
 from .missing_torque import missing_torque as missing_torque
+from .plan import Plan as Plan
 from .plan import plan as plan
-from .planned import Plan as Plan
 from .result import Diagnosis as Diagnosis

@@ -10,7 +10,8 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,12 +27,13 @@ from ..recordings.limits import Limits
 from ..recordings.recording import Recording
 from ..recordings.tables import ArmTable, InertiaTable
 from ..runtime.export_cache import kept
+from ..runtime.json import finite
+from ..runtime.presentation import Result
 from ..simulation.equation import Drive
 from ..simulation.interpolation import read
 from ..simulation.simulate import march
 from .evidence import IN_PLAY, INDISTINGUISHABLE, MOST_IN_PLAY, RELEASE_ERROR, WORTHWHILE
-from .experiment_design import Predicted, Quantity, entropy, reduced, together, worth
-from .planned import Outcome, Sweep, Test
+from .experiment_design import Predicted, Quantity, Worth, entropy, reduced, together, worth
 from .search import Tried
 
 _SAMPLES = 512
@@ -44,6 +46,99 @@ _TWICE = 2.0  # angles and loads that are tried, in those recorded, unless limit
 _DRIVES = (0.3, 1.0)  # of the largest torque of a motor
 _DURATIONS = (0.125, 0.25, 0.5, 1.0)  # of the longest
 _NEARLY = 0.95  # of what the longest recording tells, from which a shorter one is enough
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A motor's torque, a sine of rising frequency, on an arm that begins at rest."""
+
+    joint: str
+    torque: float
+    """Amplitude, N m or N."""
+    low: float
+    """Hz, at the beginning."""
+    high: float
+    """Hz, at the end."""
+
+    def at(self, time: np.ndarray, duration: float) -> np.ndarray:
+        """(M,) torque at instants of a recording that lasts so long."""
+        rise = (self.high - self.low) / duration
+        return self.torque * np.sin(2 * np.pi * (self.low * time + 0.5 * rise * time**2))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What is to be seen if one of the models is right."""
+
+    added: tuple[str, ...]
+    reading: float
+    """Of the joint and instant that the test names, rad or m."""
+    std: float
+    """What the recordings leave open of it, and the noise of a reading."""
+    probability: float
+    """Which this model is then expected to have."""
+
+
+@dataclass(frozen=True)
+class Test(Result):
+    """A recording to make."""
+
+    __test__ = False  # for pytest, which this is not
+
+    release: dict[str, float]
+    """Angle (rad or m) of each joint at release, at rest."""
+    units: tuple[str, ...]
+    """Of the joints' angles; "" where not known."""
+    theta2: float | None
+    """Elbow angle at rest, rad; None where there is no arm."""
+    air_bearings: bool | None
+    """Whether the bearings are on; None where there are none."""
+    extra_mass: float | None
+    """Load on the first coordinate, kg; None where that is not a choice."""
+    load: float | None
+    """On whatever rubs, N; None where the recordings state none."""
+    drive: Sweep | None
+    """What the motor does; None: nothing, the arm is released."""
+    duration: float
+    """s."""
+    entropy: float
+    """Of the models in play, nats, expected after this test and those before it."""
+    probability_right: float
+    """Expected probability of the likeliest model then."""
+    between: tuple[tuple[str, ...], tuple[str, ...]]
+    """What the two likeliest models add, each without what both have."""
+    difference: float
+    """Their predictions differ by this many standard errors of all readings together, after the
+    rival has adjusted its numbers as far as it may."""
+    now: float
+    """The same for the recordings that there are."""
+    joint: str
+    """Where the two are told apart most clearly by one reading,"""
+    time: float
+    """and when, s after the beginning."""
+    outcomes: tuple[Outcome, ...]
+    """One for each model in play."""
+    helps: bool
+    """Whether it is expected to tell enough to be worth making."""
+    band: float | None = None
+    """Expected half width of the 95 % band of what the plan is for, if it is for a quantity."""
+
+    @property
+    def words(self) -> str:
+        """The test and what it tells, in two or three sentences."""
+        return self._presented("sentence")
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON of one test, and of `next_experiment`."""
+        told = dataclasses.asdict(self)
+        return finite({
+            **told,
+            "between": ["+".join(labels) or "nothing" for labels in self.between],
+            "difference_over_noise": told.pop("difference"),
+            "difference_over_noise_now": told.pop("now"),
+            "reading": {key: told.pop(key) for key in ("joint", "time")},
+            "words": self.words,
+        })  # fmt: skip
 
 
 class Setting(NamedTuple):
@@ -74,13 +169,6 @@ class Rival(NamedTuple):
         values, vectors = np.linalg.eigh(own / np.outer(size, size))
         root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
         return cls(tried, scene.model(t), root)
-
-
-class Ranking(NamedTuple):
-    """Tests, and how they were found."""
-
-    tests: tuple[Test, ...]
-    tried: int
 
 
 def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Setting]:
@@ -154,11 +242,11 @@ class Predictions:
         # Each sample stands for all readings that lie nearer to it than to others.
         self.weight = np.sqrt(per_second * self.duration / _SAMPLES) / self.noise
         mechanisms = [mechanism_of(experiment, s.recording) for s in self.settings]
-        fast = max(
-            float(fastest(posed(r.model, m)))
-            for r in rivals
-            for m in {id(m): m for m in _distinct(self.settings, mechanisms)}.values()
-        )
+        posed_at = {
+            (s.recording.theta2, s.recording.air_bearings, s.recording.extra_mass): m
+            for s, m in zip(self.settings, mechanisms, strict=True)
+        }
+        fast = max(float(fastest(posed(r.model, m))) for r in rivals for m in posed_at.values())
         swept = max((2 * math.pi * s.drive.high for s in self.settings if s.drive), default=0.0)
         steps = bucket(max(16, math.ceil(self.duration * max(fast, swept) / _STEP)))
         stacked = jax.tree.map(lambda *x: jnp.stack(x), *mechanisms)
@@ -235,15 +323,6 @@ class Predictions:
         return int(k), int(j), each
 
 
-def _distinct(settings: Sequence[Setting], mechanisms: Sequence) -> list:
-    """One mechanism of each pose."""
-    found = {}
-    for s, m in zip(settings, mechanisms, strict=True):
-        r = s.recording
-        found.setdefault((r.theta2, r.air_bearings, r.extra_mass), m)  # no load moves a mode
-    return list(found.values())
-
-
 @kept(like=(0, 0))
 def _predict(model: Model, mechanisms, releases, drives, times, steps: int):
     """Readings of each test, and their slopes in numbers and state at release."""
@@ -269,6 +348,13 @@ def _predict(model: Model, mechanisms, releases, drives, times, steps: int):
     return jax.lax.map(one, (mechanisms, releases, drives))
 
 
+class Ranking(NamedTuple):
+    """Tests, and how they were found."""
+
+    tests: tuple[Test, ...]
+    tried: int
+
+
 def best_tests(
     experiment: Experiment,
     scene: Scene,
@@ -285,31 +371,27 @@ def best_tests(
     wanted = quantity and quantity._replace(
         slopes=[r.root.T @ s for r, s in zip(rivals, quantity.slopes, strict=True)]
     )
-    each = [all_of_them.of(i) for i in range(len(all_of_them.settings))]
-    known = {i: x for i, x in enumerate(each) if x is not None}
+    each = {i: all_of_them.of(i) for i in range(len(all_of_them.settings))}
+    known = {i: x for i, x in each.items() if x is not None}
     made: list[list[Predicted]] = []
     found: list[Test] = []
     before = float(entropy(p))
-    for _ in range(min(tests, len(known))):
-        told = {i: worth(together([*made, x]), p, wanted) for i, x in known.items()}
 
-        def rank(i: int, told=told):
-            t = told[i]
-            if wanted is not None:
-                return -t.variance
-            # What is told for certain is told best by what tells the most apart.
-            return -round(t.entropy, 2), t.separation
+    def after(test: list[Predicted] | None) -> Worth | None:
+        return worth(together([*made, test]), p, wanted) if test else None
 
-        best = max(told, key=rank)
-        share = 1.0
-        for shorter in _DURATIONS[:-1]:
-            cut = all_of_them.of(best, shorter)
-            if cut is None:
-                continue
-            fall = before - worth(together([*made, cut]), p, wanted).entropy
-            if wanted is None and fall >= _NEARLY * (before - told[best].entropy):
-                share = shorter
-                break
+    def rank(told: Worth) -> tuple[float, float]:
+        if wanted is not None:
+            return told.variance, 0.0
+        # What is told for certain is told best by what tells the most apart.
+        return round(told.entropy, 2), -told.separation
+
+    while len(found) < min(tests, len(known)):
+        told = {i: w for i, x in known.items() if (w := after(x))}
+        best = min(told, key=lambda i: rank(told[i]))
+        enough = before - _NEARLY * (before - told[best].entropy)
+        shorter = ((share, after(all_of_them.of(best, share))) for share in _DURATIONS[:-1])
+        share = next((s for s, w in shorter if w and wanted is None and w.entropy <= enough), 1.0)
         chosen = all_of_them.of(best, share)
         assert chosen is not None
         made.append(chosen)
@@ -336,9 +418,10 @@ def _test(
     table = isinstance(experiment.inertia, InertiaTable)
     loaded = any(x.recording.load for x in all_of_them.settings)
     k, j, readings = all_of_them.clearest(index, share)
-    first, second = (models[0], models[min(1, len(models) - 1)])
-    common = set(first.added) & set(second.added)
-    between = tuple(tuple(x for x in m.added if x not in common) for m in (first, second))
+    first, second = models[0], models[min(1, len(models) - 1)]
+    one, other = (
+        tuple(x for x in m.added if x not in n.added) for m, n in ((first, second), (second, first))
+    )
     fall = before - told.entropy
     return Test(
         release=dict(zip(experiment.joints, map(float, s.release), strict=True)),
@@ -351,7 +434,7 @@ def _test(
         duration=share * all_of_them.duration,
         entropy=told.entropy,
         probability_right=told.right,
-        between=between,  # pyright: ignore
+        between=(one, other),
         difference=separation(made[-1]),
         now=math.sqrt(2 * abs(first.log_evidence - second.log_evidence)),
         joint=experiment.joints[j],
@@ -386,8 +469,8 @@ def in_play(
     models: Sequence[Tried], probability: np.ndarray
 ) -> tuple[list[Tried], np.ndarray, float]:
     """The models that the recordings leave possible, the likeliest first, their probabilities
-    among each other, and that of all the rest."""
-    order = np.argsort(-probability)[:MOST_IN_PLAY]
-    kept = [i for i in order if probability[i] >= IN_PLAY] or [order[0]]
+    among each other, and that of all the rest. Two at least, unless one is told from all others."""
+    order, least = np.argsort(-probability)[:MOST_IN_PLAY], 1 if settled(probability) else 2
+    kept = [i for rank, i in enumerate(order) if rank < least or probability[i] >= IN_PLAY]
     p = probability[kept]
     return [models[i] for i in kept], p / p.sum(), max(0.0, float(1.0 - p.sum()))

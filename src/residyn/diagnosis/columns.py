@@ -518,9 +518,7 @@ def spectral_lines(scene: Scene, trajectory: Trajectory) -> list[float]:
     """Strongest frequencies, Hz, of the joints' random torques in the longest recording: what
     drives one joint may show at another one."""
     g = scene.grid
-    lengths = [np.sum((g.run == i) & (np.arange(scene.K) < g.real))
-               for i in range(len(scene.recordings))]  # fmt: skip
-    own = np.flatnonzero((g.run == int(np.argmax(lengths))) & (np.arange(scene.K) < g.real))
+    own = max((g.of(i) for i in range(len(scene.recordings))), key=len)
     time = g.time[own]
     dt = float(np.median(g.step[own][:-1]))
     even = np.arange(time[0], time[-1], dt)

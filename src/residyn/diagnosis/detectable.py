@@ -7,10 +7,13 @@ If effect i is there with strength s, the columns' projections on the readings a
     x ~ N(A_i s, A),        log evidence of c over nothing = 1/2 x_c' (1 + A_cc)^-1 x_c
                                                              - 1/2 log det (1 + A_cc),
 
-and so every candidate's evidence is known before anything is recorded. For one column, a = A_ii,
-and no other candidate, the odds against nothing are even where x^2 / (1 + a) = log(1 + a) + 2 log
-of the prior odds, and in half of all recordings |x| is larger than a s. With many candidates,
-shapes and signs the same is a mean over draws of x, which are the same for all strengths.
+and so every candidate's evidence is known before anything is recorded. Something is missing where
+the models with one effect more have more probability together than the one without, as in
+`Posterior.verdict`; an effect is named if odds of less than 20 to 1 tell it from the likeliest of
+them. For one column, a = A_ii, and no other candidate, the odds against nothing are even where
+x^2 / (1 + a) = log(1 + a) + 2 log of the prior odds, and in half of all recordings |x| is larger
+than a s. With many candidates, shapes and signs the same is a mean over draws of x, which are the
+same for all strengths.
 """
 
 import itertools
@@ -21,14 +24,13 @@ from typing import Any
 
 import jax
 import numpy as np
-from scipy.special import logsumexp
 
 from ..effects import AbstractEffect
 from ..filtering.law import numbers_of
 from ..filtering.trajectory import Scene
 from ..physics.modal import modes
 from ..recordings.experiment import Experiment
-from ..runtime.json import number
+from ..runtime.json import finite
 from ..runtime.presentation import Result
 from .columns import Column, Columns, candidates, strengths
 from .evidence import (
@@ -71,8 +73,7 @@ class Detectable:
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of one effect."""
-        known = {k: number(v) for k, v in self.shape.items()}
-        return vars(self) | {"shape": known}
+        return finite(vars(self))
 
 
 @dataclass(frozen=True)
@@ -142,7 +143,8 @@ class Rivals:
     def __init__(self, rows: Sequence[Column], gram: np.ndarray, draws: int = DRAWS):
         """`gram` (C, C) of the columns of all rows."""
         self.rows, self.gram = rows, gram
-        self.labels = list(dict.fromkeys(r.effect.label for r in rows))
+        self.effects = {r.effect.label: r.effect for r in rows}
+        self.labels = list(self.effects)
         values, vectors = np.linalg.eigh(gram)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         self.noise = np.random.default_rng(0).standard_normal((draws, len(gram))) @ root.T
@@ -150,25 +152,18 @@ class Rivals:
         for row in rows:
             c = list(row.which)
             covariance = np.linalg.inv(np.eye(len(c)) + gram[np.ix_(c, c)])
-            sides = []
-            if not row.effect.oscillates:
-                own = enumerate(strengths(row.effect))
-                sides = [i for i, x in own if signed(x)]
+            own = [] if row.effect.oscillates else enumerate(strengths(row.effect))
+            sides = [i for i, x in own if signed(x)]
             half = 0.5 * np.linalg.slogdet(covariance)[1]
             self._inner.append((c, covariance, half, sides))
 
-    def truth(self, effect: AbstractEffect) -> np.ndarray:
+    def truth(self, effect: AbstractEffect) -> tuple[np.ndarray, dict[str, float]]:
         """(C,) what one prior width of every strength of an effect adds to the projections, its
-        shape being the middle one of its grid."""
+        shape being the middle one of its grid; and that shape, by field."""
         own = [r for r in self.rows if r.effect.label == effect.label]
         middle = own[len(own) // 2]
         which = middle.which[:1] if effect.oscillates else middle.which
-        return self.gram[:, list(which)].sum(axis=1)
-
-    def shape(self, effect: AbstractEffect) -> dict[str, float]:
-        """Of that truth, field -> value."""
-        own = [r for r in self.rows if r.effect.label == effect.label]
-        return own[len(own) // 2].shape
+        return self.gram[:, list(which)].sum(axis=1), middle.shape
 
     def gains(self, shift: np.ndarray) -> np.ndarray:
         """(L, draws) log evidence of each label over nothing, shapes averaged, where the
@@ -181,31 +176,30 @@ class Rivals:
             for i in sides:
                 gain = gain + half_normal(mean[:, i] / math.sqrt(covariance[i, i]))
             each.setdefault(row.effect.label, []).append(gain)
-        return np.array([
-            logsumexp(each[label], axis=0) - math.log(len(each[label])) for label in self.labels
-        ])  # fmt: skip
+        shaped = (np.array(each[label]) for label in self.labels)
+        return np.array([np.logaddexp.reduce(x, axis=0) - math.log(len(x)) for x in shaped])
 
 
 def _one(scene: Scene, rivals: Rivals, effect: AbstractEffect, price: float) -> Detectable:
     first = strengths(effect)[0]
     width, size = width_of(scene, effect, first), scene.size(effect, first)
     own, others = rivals.labels.index(effect.label), _others(rivals, effect)
-    truth = rivals.truth(effect)
+    truth, shape = rivals.truth(effect)
 
-    def led(share: float) -> tuple[float, float, int]:
+    def told_at(share: float) -> tuple[float, float, int | None]:
+        """In which share of recordings it is named, and leads; and its best rival then."""
         gains = rivals.gains(truth * (share * size / width))
-        mine, best = gains[own], gains.max(axis=0)
-        named = (mine > price) & (mine > best - INDISTINGUISHABLE)
-        if not len(others):
-            return float(named.mean()), float(named.mean()), -1
-        rest = gains[others]
-        leads = named & (mine > rest.max(axis=0) + INDISTINGUISHABLE)
-        return float(named.mean()), float(leads.mean()), others[int(np.argmax(rest.mean(axis=1)))]
+        mine, rest = gains[own], gains[others]
+        missing = np.logaddexp.reduce(gains, axis=0) > price
+        named = missing & (mine > gains.max(axis=0) - INDISTINGUISHABLE)
+        leads = named & (mine > rest.max(axis=0, initial=-np.inf) + INDISTINGUISHABLE)
+        best = others[int(np.argmax(rest.mean(axis=1)))] if others else None
+        return float(named.mean()), float(leads.mean()), best
 
-    shows = _half(lambda s: led(s)[0])
-    told = None if shows is None else _half(lambda s: led(s)[1])
+    shows = _half(lambda s: told_at(s)[0])
+    told = None if shows is None else _half(lambda s: told_at(s)[1])
     at = told or shows
-    rival = None if at is None else led(at)[2]
+    rival = None if at is None else told_at(at)[2]
     units = scene.mechanisms[0].units
     unit = first.dimension.unit(units[scene.joint_of(effect)] if units else None)
     names = {x.field: x.name for x in numbers_of(effect)}
@@ -213,25 +207,23 @@ def _one(scene: Scene, rivals: Rivals, effect: AbstractEffect, price: float) -> 
         effect=effect.label,
         number=first.name,
         unit=unit,
-        shape={names[k]: float(v) for k, v in rivals.shape(effect).items()},
+        shape={names[k]: float(v) for k, v in shape.items()},
         shows=shows and float(shows * size),
         share=shows,
         told=told and float(told * size),
         told_share=told,
-        rival=None if rival is None or rival < 0 else rivals.labels[rival],
+        rival=None if rival is None else rivals.labels[rival],
     )
 
 
 def _others(rivals: Rivals, effect: AbstractEffect) -> list[int]:
     """Which labels are rivals: all but laws that contain this one, or that it contains, there."""
-    kinds = {r.effect.label: r.effect for r in rivals.rows}
-    found = []
-    for i, label in enumerate(rivals.labels):
-        other = kinds[label]
-        nested = other.extends == effect.name or effect.extends == other.name
-        if label != effect.label and not (nested and other.place == effect.place):
-            found.append(i)
-    return found
+
+    def nested(other: AbstractEffect) -> bool:
+        either = other.extends == effect.name or effect.extends == other.name
+        return other.label == effect.label or (either and other.place == effect.place)
+
+    return [i for i, label in enumerate(rivals.labels) if not nested(rivals.effects[label])]
 
 
 def _half(share_of) -> float | None:

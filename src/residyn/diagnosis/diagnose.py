@@ -27,7 +27,7 @@ from ..fitting.problem import ready
 from ..fitting.result import Fit
 from ..physics.motion import Motion
 from ..recordings.experiment import Experiment
-from .candidate_tests import best_tests, in_play
+from .candidate_tests import best_tests, in_play, settled
 from .evidence import EXPLAINS_NOTHING, IN_PLAY, INDISTINGUISHABLE, INTENSITIES, at_work
 from .forecast import held_out
 from .law import curve_models, laws_of
@@ -99,9 +99,10 @@ def diagnose(
         search = Search(scene, base, deadline=deadline, say=say)
         fits.begin(search.base)
         search.run(max_effects)
-        # One law may be what several names together resemble.
-        missing = search.base.complete < 1 - IN_PLAY and search.best.intensity < EXPLAINS_NOTHING
-        if missing and not search.stopped:
+        best = search.best
+        # Where one name leaves nothing, no law is missing; several may resemble one together.
+        unsettled = best.complete < 1 - IN_PLAY or len(best.added) > 1
+        if unsettled and best.intensity < EXPLAINS_NOTHING and not search.stopped:
             say("looking for a law without a name")
             search.curves = curve_models(search)
         say("fitting the models on the way")
@@ -171,7 +172,7 @@ class Fits:
             and np.array_equal(r.time, whole.time))
         )  # fmt: skip
         g = self.scene.grid
-        own = np.flatnonzero((g.run == run) & (np.arange(self.scene.K) < g.real))
+        own = g.of(run)
         since = recording.time[0] - self.scene.recordings[run].time[0]
         return run, int(own[np.argmin(np.abs(g.time[own] - since))])
 
@@ -205,8 +206,8 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
     models = _ladder_of(search, fits, best)
     lookalikes = posterior.lookalikes()
     advice = None
-    if lookalikes:
-        say("looking for the experiment that would tell them apart")
+    if not settled(posterior.each):
+        say("looking for the experiment that would tell the models apart")
         rivals, p, _ = in_play(posterior.models, posterior.each)
         advice = next(iter(best_tests(fits.whole, scene, rivals, p).tests), None)
     if search.curves:
@@ -273,6 +274,18 @@ def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...
     return tuple(found)
 
 
+def values_of(scene: Scene, t: Trajectory) -> dict[str, Value]:
+    """The numbers of a smoothed model, by name, with their posterior standard deviations."""
+    slopes, units = t.prior.slopes(t.u), scene.mechanisms[0].units
+    spread = np.sqrt(np.maximum(np.diag(t.covariance)[: len(slopes)], 0.0)) * np.abs(slopes)
+    found = {}
+    for effect, own in zip(t.effects, number_slices(t.effects), strict=True):
+        unit = units[scene.joint_of(effect)] if units else None
+        for n, x, s in zip(numbers_of(effect), t.numbers[own], spread[own], strict=True):
+            found[f"{effect.label}.{n.name}"] = Value(float(x), float(s), n.dimension.unit(unit))
+    return found
+
+
 class Posterior:
     """Sums over the models that were tried."""
 
@@ -331,7 +344,9 @@ class Posterior:
             parameters: dict[str, Value] = {}
             iterated = alone is not None
             if alone is not None:
-                evidence, parameters = alone.log_evidence, self._values(alone, label)
+                values = values_of(self.search.scene, alone.best)
+                parameters = {k: v for k, v in values.items() if k.startswith(f"{label}.")}
+                evidence = alone.log_evidence
             elif label in screens:
                 evidence = self.search.base.log_evidence + screens[label].gain
             else:
@@ -347,19 +362,6 @@ class Posterior:
             )
         order = lambda c: (-c.probability, -c.log_evidence)  # noqa: E731
         return tuple(sorted(found, key=order))
-
-    def _values(self, model: Tried, label: str) -> dict[str, Value]:
-        t, scene = model.best, self.search.scene
-        index = t.labels.index(label)
-        effect, own = t.effects[index], number_slices(t.effects)[index]
-        slopes = t.prior.slopes(t.u)
-        spread = np.sqrt(np.maximum(np.diag(t.covariance)[: len(slopes)], 0.0)) * np.abs(slopes)
-        units = scene.mechanisms[0].units
-        unit = units[scene.joint_of(effect)] if units else None
-        return {
-            f"{label}.{n.name}": Value(float(x), float(s), n.dimension.unit(unit))
-            for n, x, s in zip(numbers_of(effect), t.numbers[own], spread[own], strict=True)
-        }
 
     def families(self) -> tuple[Family, ...]:
         """Kinds of law and their places."""

@@ -28,7 +28,6 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike
-from scipy.special import logsumexp
 
 from .evidence import gram_factor
 
@@ -150,11 +149,13 @@ def worth(
                 values[k] = quantity.mean[k] + by @ t
                 spreads[k] = by @ by + quantity.rest[k]
         weighted = logs + np.log(np.maximum(p, 1e-300))[:, None]
-        after = np.exp(weighted - logsumexp(weighted, axis=0))
+        after = np.exp(weighted - np.logaddexp.reduce(weighted, axis=0))
         others = np.delete(weighted, m, axis=0)
         factor_of_truth = 0.0
         if len(p) > 1 and p[m] < 1:
-            factor_of_truth = np.mean(logs[m] - logsumexp(others, axis=0)) + np.log(1 - p[m])
+            factor_of_truth = np.mean(logs[m] - np.logaddexp.reduce(others, axis=0)) + np.log(
+                1 - p[m]
+            )
         each[m] = after[m].mean()
         expected += p[m] * np.array(
             [entropy(after.T).mean(), after.max(axis=0).mean(), factor_of_truth]
@@ -165,12 +166,3 @@ def worth(
             variance += p[m] * float(np.mean(second - mean**2))
     told = float("nan") if quantity is None else variance
     return Worth(float(expected[0]), float(expected[1]), each, float(expected[2]), told)
-
-
-def variance_now(probability: ArrayLike, quantity: Quantity) -> tuple[float, float, float]:
-    """Variance of a quantity before any test, by where it comes from: which model it is, the
-    models' numbers, and the rest (law of total variance)."""
-    p = _normalised(probability)
-    between = float(p @ (quantity.mean - p @ quantity.mean) ** 2)
-    numbers = float(p @ np.array([s @ s for s in quantity.slopes]))
-    return between, numbers, float(p @ quantity.rest)

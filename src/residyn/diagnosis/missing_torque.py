@@ -131,7 +131,7 @@ def _torques(scene: Scene, best: Trajectory, pairs) -> list[MissingTorque]:
     g, n, found = scene.grid, scene.n, []
     slowest = 2 * np.pi / min(s.frequency for s in scene.scales)
     for i, recording in enumerate(scene.recordings):
-        own = np.flatnonzero((g.run == i) & (np.arange(scene.K) < g.real))
+        own = g.of(i)
         time, angle = g.time[own], best.path[own, :n]
         rms, whole = (np.sqrt(np.mean(x[own] ** 2, axis=0)) for x in (mean, spring))
         found.append(
@@ -194,7 +194,7 @@ def missing_of(
     units = tuple("N" if kind == "m" else "N m" for kind in kinds)
     g, found = scene.grid, []
     for i, torque in enumerate(_torques(scene, base.best, pairs)):
-        own = np.flatnonzero((g.run == i) & (np.arange(scene.K) < g.real))
+        own = g.of(i)
         try:
             angles = scene.mechanisms[i].link_angles(tuple(torque.angle.T))
             links = np.stack([np.asarray(a) for a in angles], axis=1)

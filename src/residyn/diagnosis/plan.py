@@ -1,6 +1,7 @@
 """The next tests: which recordings would make the name sure, before any of them is made."""
 
 from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import jax
@@ -8,11 +9,62 @@ import numpy as np
 
 from ..errors import InputError
 from ..recordings.experiment import Experiment
-from .candidate_tests import best_tests, in_play, settled
+from ..recordings.limits import Limits
+from ..runtime.json import finite
+from ..runtime.presentation import Result
+from .candidate_tests import Test, best_tests, in_play, settled
 from .diagnose import Posterior, diagnose
 from .experiment_design import entropy
-from .planned import InPlay, Plan
 from .result import Diagnosis
+
+
+@dataclass(frozen=True)
+class InPlay:
+    """A model that the recordings leave possible."""
+
+    added: tuple[str, ...]
+    """Effects beyond the base model; none of them: springs, dampers, and what was given."""
+    probability: float
+    """Among the models in play."""
+
+
+@dataclass(frozen=True)
+class Plan(Result):
+    """The next tests, best first. Print it; or `to_dict()` for the JSON."""
+
+    models: tuple[InPlay, ...]
+    """The likeliest first."""
+    left_out: float
+    """Probability of all models that were not planned for."""
+    entropy: float
+    """Of the models in play, nats, before any test."""
+    tests: tuple[Test, ...]
+    """Each is the best beside those above it."""
+    tried: int
+    """How many tests were compared."""
+    settled: bool
+    """Whether the recordings tell the models apart already."""
+    unexplained: float
+    """Probability that no model in play is complete."""
+    limits: Limits | None
+    joints: tuple[str, ...]
+
+    @property
+    def helps(self) -> bool:
+        """Whether the first test is worth making."""
+        return bool(self.tests) and self.tests[0].helps
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON of `residyn plan`."""
+        told = {k: v for k, v in vars(self).items() if k not in ("limits", "joints")}
+        return finite(
+            told
+            | {
+                "models": [asdict(m) for m in self.models],
+                "helps": self.helps,
+                "tests": [t.to_dict() for t in self.tests],
+            }
+        )
 
 
 def plan(
@@ -51,7 +103,7 @@ def plan(
         posterior = Posterior(found.search)
         models, p, left_out = in_play(posterior.models, posterior.each)
         say(f"comparing tests for {len(models)} models")
-        done = settled(posterior.each) or len(models) < 2
+        done = settled(posterior.each)
         ranking = None if done else best_tests(
             found.fits.whole, found.search.scene, models, p, tests
         )  # fmt: skip

@@ -14,11 +14,11 @@ import numpy as np
 from ..fitting.result import Fit
 from ..runtime.json import finite, number
 from ..runtime.presentation import TableResult
+from .candidate_tests import Test
 from .compare import Comparison, compare_fit
 from .forecast import HeldOut
 from .law import Law
 from .missing_torque import Missing
-from .planned import Test
 from .search import Search
 
 Verdict = Literal["adequate", "missing", "unexplained"]

@@ -52,6 +52,10 @@ class Grid(NamedTuple):
     real: int
     """How many instants are no filling."""
 
+    def of(self, recording: int) -> np.ndarray:
+        """Indices of the instants of one recording."""
+        return np.flatnonzero((self.run == recording) & (np.arange(len(self.run)) < self.real))
+
 
 def bucket(count: int) -> int:
     """The next of 512, 768, 1024, 1536, ...: few lengths to compile for."""

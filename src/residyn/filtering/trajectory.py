@@ -135,7 +135,7 @@ class Scene:
         q = np.zeros_like(g.angle)
         v = np.zeros_like(g.angle)
         for i in range(len(recordings)):
-            own = np.flatnonzero((g.run == i) & (np.arange(self.K) < g.real))
+            own = g.of(i)
             for j in range(n):
                 time, angle, use = g.time[own], g.angle[own, j], g.seen[own, j]
                 if self.orders and self.orders[j]:
@@ -216,10 +216,10 @@ class Scene:
         point = Point(t.path, t.spread, t.u, t.first)
         return linearise(*self.tabulated(t), self.instants, point)
 
-    def torques(self, t: Trajectory) -> dict[str, np.ndarray]:
+    def torques(self, t: Trajectory, linear: Linear | None = None) -> dict[str, np.ndarray]:
         """(K, n) torque of each effect of a model along its own motion, N m; what acts on readings
-        or inertias has none."""
-        linear = self.linearised(t)
+        or inertias has none. `linear`: the model along the motion, if it is there already."""
+        linear = linear or self.linearised(t)
         direction = np.asarray(linear.direction)[:, : self.K]
         joint, whole = iter(np.asarray(linear.torque_joint)), iter(np.asarray(linear.torque_whole))
         found = {}

@@ -3,21 +3,28 @@
 Every search ends here, whatever it searched by.
 """
 
+import dataclasses
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from .covariance import modes_of, numbers_of, spread_of
+from .history import History
 from .integration import at_twice_the_steps, corrected
 from .lanes import Fitting, alone, evaluating
-from .least_squares import Compressed
+from .least_squares import Compressed, compressed
+from .linalg import BLIND, damped_step
 from .multistart import Descent, descending, outliers_among
-from .problem import Problem, Unknowns, mechanism_of, posed
-from .result import Fit, RecordingFit
+from .problem import Problem, Ready, Unknowns, mechanism_of, posed
+from .result import Fit, FitError, RecordingFit
+
+_FAR = 1.0  # standard errors that least squares would still go
 
 
 def finish(*given, **more) -> Fit:
@@ -77,6 +84,55 @@ def finishing(
         unknowns=descent.unknowns,
         ready=descent.here,
     )
+
+
+class Found(NamedTuple):
+    """Where a search by other means than least squares ended: numbers (P,), initial states (R, s),
+    the numbers that it began with (P,), the objective on the way, its steps or generations, and
+    whether it had settled."""
+
+    numbers: np.ndarray
+    states: np.ndarray
+    first: np.ndarray
+    history: History
+    steps: int
+    settled: bool
+
+
+def searched(
+    experiment: Experiment,
+    here: Ready,
+    outliers: list[np.ndarray],
+    found: Found,
+    reason: str,
+    began: float,
+) -> Fit:
+    """The fit of what a search has found, which did not end in a least-squares minimum."""
+    model = here.model.with_vector(jnp.asarray(found.numbers))
+    # Once more with the step that these numbers ask for.
+    problem, _ = here.problem(model, outliers)
+    at = jax.device_get(problem.scaled(jnp.asarray(found.numbers), jnp.asarray(found.states)))
+    there = jax.device_get(compressed(problem, at))
+    cost = float(np.sum(there.along**2) + np.sum(there.beside**2))
+    if not np.isfinite(cost):
+        raise FitError("no individual led to finite numbers: is this the arm that was recorded?")
+    end = Descent(here, problem, outliers, at, there, cost, found.steps, found.settled, 1, 1)
+    fit = finish(experiment, found.first, end, began, evaluate=compressed, correct=False)
+    far = _far(fit, there, np.asarray(problem.scale.numbers))
+    return dataclasses.replace(fit, reason=reason, history=found.history, short_of_minimum=far)
+
+
+def _far(fit: Fit, there: Compressed, sizes: np.ndarray) -> tuple[str, float] | None:
+    """How far the least-squares minimum still is, by one Gauss-Newton step: the number that is
+    farthest, and by how many standard errors; None if that is little."""
+    factor = np.asarray(there.factor)
+    slope = np.einsum("rij,ri->rj", factor, there.along)
+    step = damped_step(factor.transpose(0, 2, 1) @ factor, slope, len(sizes), BLIND).numbers * sizes
+    far = np.abs(step) / np.array([n.std for n in fit.numbers])
+    if not far.size or not far.max() > _FAR:
+        return None
+    worst = int(np.argmax(far))
+    return fit.numbers[worst].name, float(far[worst])
 
 
 def _held_out(

@@ -7,7 +7,7 @@ individuals; those that keep a distribution, what they drew.
 
 import functools
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -34,21 +34,15 @@ class MissingExtra(ImportError):
     """A package that only an extra of this one brings is not installed: one line that says so."""
 
 
-class Evolved(NamedTuple):
-    """Where a search ended: the best genes (G,), and the objective of the best individual so far
-    after every generation (one value each)."""
-
-    genes: np.ndarray
-    first: np.ndarray  # (G,) the best of the first generation
-    objective: np.ndarray
-
-
-class _Algorithm(NamedTuple):
-    """One of evosax's, with its parameters."""
+class _Search(NamedTuple):
+    """One of evosax's algorithms, and what it is to minimise. evosax compiles anew for every object
+    of an algorithm."""
 
     strategy: Any
-    params: Any
     keeps_population: bool
+    objective: Callable[[Any, Float[Array, " G"]], Float[Array, ""]]
+    one_by_one: bool
+    population: int
 
 
 def evolve(
@@ -61,11 +55,11 @@ def evolve(
     population: int,
     generations: int,
     seed: int,
-    one_by_one: bool = False,
-    told: Callable[[int, float], None] = lambda done, best: None,
-    stop: Callable[[], bool] = lambda: False,
-    compiled: Callable[[], None] | None = None,
-) -> Evolved:
+    one_by_one: bool,
+    compiled: Callable[[], None],
+    told: Callable[[Sequence[float]], None],
+    stop: Callable[[], bool],
+) -> tuple[Array, Array]:
     """Minimise `objective(given, genes)` over `size` genes from 0 to 1.
 
     **Arguments:**
@@ -74,33 +68,34 @@ def evolve(
       shapes run in the same compiled program. `objective` should be a function of a module.
     - `strategy`, `settings`: a name of `evosax.algorithms`, and what it takes beside `USUAL`.
     - `one_by_one`: one individual after the other instead of side by side.
-    - `told`: called now and then with the generations done and the best objective.
+    - `compiled`: called before the first generation that counts, when both programs have been run.
+    - `told`: called now and then with the best objective so far after each generation since.
     - `stop`: asked as often whether to end before all generations are done.
-    - `compiled`: if given, both programs are run once before the search, and then this is called.
+
+    **Returns:** the best genes (G,), and the best of the first generation.
 
     **Raises:** `MissingExtra` without evosax; `ValueError` for a strategy or a setting that it does
     not have.
     """
-    algorithm = traced_algorithm(
+    made, params, keeps = traced_algorithm(
         strategy, population, generations, size, tuple(sorted(settings.items()))
     )
-    static = (algorithm.strategy, algorithm.keeps_population, objective, one_by_one, population)
-    if compiled is not None:
-        begun, _, fell = _begin(static, algorithm.params, given, size, jax.random.key(seed))
-        for _ in range(2):  # of its own output, whose types JAX may take for others
-            begun, fell = _go_on(static, algorithm.params, given, begun, jnp.asarray(0))
-        jax.block_until_ready(fell)
-        compiled()
-    begun, first, least = _begin(static, algorithm.params, given, size, jax.random.key(seed))
-    history = [float(least)]
-    told(1, history[-1])
-    while len(history) < generations and not stop():
-        more = min(_CHUNK, generations - len(history))
-        begun, fell = _go_on(static, algorithm.params, given, begun, jnp.asarray(more))
-        history += np.asarray(fell)[:more].tolist()
-        told(len(history), history[-1])
-    best = fold(begun[1].best_solution)
-    return Evolved(np.asarray(best), np.asarray(first), np.asarray(history))
+    search = _Search(made, keeps, objective, one_by_one, population)
+    begun, first, least = _begin(search, params, given, size, jax.random.key(seed))
+    again, fell = begun, least
+    for _ in range(2):  # of its own output, whose types JAX may take for others
+        again, fell = _go_on(search, params, given, again, jnp.asarray(0))
+    jax.block_until_ready(fell)
+    compiled()
+    begun, first, least = _begin(search, params, given, size, jax.random.key(seed))
+    done = 1
+    told([float(least)])
+    while done < generations and not stop():
+        more = min(_CHUNK, generations - done)
+        begun, fell = _go_on(search, params, given, begun, jnp.asarray(more))
+        told(np.asarray(fell)[:more].tolist())
+        done += more
+    return fold(begun[1].best_solution), first
 
 
 def fold(x: Array) -> Array:
@@ -108,41 +103,40 @@ def fold(x: Array) -> Array:
     return 1 - jnp.abs(1 - jnp.mod(x, 2))
 
 
-def _values(static, given, genes):
-    """Objective of every individual (N, G)."""
-    _, _, objective, one_by_one, _ = static
+def values_of(objective: Callable, given: Any, genes: Float[Array, "N G"], one_by_one: bool):
+    """(N,) objective of every individual."""
 
     def one(individual):
         value = objective(given, individual)
         return jnp.where(jnp.isfinite(value), jnp.minimum(value, _HOPELESS), _HOPELESS)
 
+    # Side by side, what dry friction seldom asks for would be computed always.
     return jax.lax.map(one, genes) if one_by_one else jax.vmap(one)(genes)
 
 
 @eqx.filter_jit
-def _begin(static, params, given, size, key):
+def _begin(search: _Search, params, given, size: int, key):
     """The first generation: where the strategy stands, its best genes and their objective."""
-    strategy, keeps_population, _, _, population = static
     key, draw, begin = jax.random.split(key, 3)
-    if keeps_population:
-        genes = jax.random.uniform(draw, (population, size))
-        values = _values(static, given, genes)
-        state = strategy.init(begin, genes, values, params)
+    if search.keeps_population:
+        genes = jax.random.uniform(draw, (search.population, size))
+        values = values_of(search.objective, given, genes, search.one_by_one)
+        state = search.strategy.init(begin, genes, values, params)
         best = jnp.argmin(values)
         return (key, state), genes[best], values[best]
-    state = strategy.init(begin, jnp.full(size, 0.5), params)
-    (key, state), least = _generation(static, params, given, (key, state))
+    state = search.strategy.init(begin, jnp.full(size, 0.5), params)
+    (key, state), least = _generation(search, params, given, (key, state))
     return (key, state), fold(state.best_solution), least
 
 
 @eqx.filter_jit
-def _go_on(static, params, given, begun, count):
+def _go_on(search: _Search, params, given, begun, count):
     """The next `count` generations, at most a chunk: one program, however many they are."""
 
     def advance(carry, index):
         return jax.lax.cond(
             index < count,
-            lambda carry: _generation(static, params, given, carry),
+            lambda carry: _generation(search, params, given, carry),
             lambda carry: (carry, carry[1].best_fitness),
             carry,
         )
@@ -150,14 +144,14 @@ def _go_on(static, params, given, begun, count):
     return jax.lax.scan(advance, begun, jnp.arange(_CHUNK))
 
 
-def _generation(static, params, given, carry):
-    strategy, keeps_population, *_ = static
+def _generation(search: _Search, params, given, carry):
     key, state = carry
     key, ask, tell = jax.random.split(key, 3)
-    drawn, state = strategy.ask(ask, state, params)
+    drawn, state = search.strategy.ask(ask, state, params)
     genes = fold(drawn)
-    values = _values(static, given, genes)
-    state, _ = strategy.tell(tell, genes if keeps_population else drawn, values, state, params)
+    values = values_of(search.objective, given, genes, search.one_by_one)
+    known = genes if search.keeps_population else drawn
+    state, _ = search.strategy.tell(tell, known, values, state, params)
     return (key, state), state.best_fitness
 
 
@@ -183,7 +177,8 @@ def evosax_or_missing() -> tuple[dict[str, Any], dict[str, Any]]:
 @functools.lru_cache(maxsize=64)  # evosax compiles anew for every object
 def traced_algorithm(
     name: str, population: int, generations: int, size: int, settings: tuple[tuple[str, float], ...]
-) -> _Algorithm:
+) -> tuple[Any, Any, bool]:
+    """An algorithm, its parameters, and whether it keeps a population."""
     known, kept = evosax_or_missing()
     if name not in known:
         raise ValueError(f'strategy = "{name}": evosax has {", ".join(sorted(known))}')
@@ -205,4 +200,4 @@ def traced_algorithm(
         weight = chosen["differential_weight"]
         bounds = {"differential_weight_min": weight, "differential_weight_max": weight}
         chosen = {**{k: v for k, v in bounds.items() if hasattr(params, k)}, **chosen}
-    return _Algorithm(strategy, params.replace(**chosen), name in kept)
+    return strategy, params.replace(**chosen), name in kept

@@ -18,7 +18,7 @@ from .history import History, Watch, watched
 from .initial_guess import first_guess, resolving
 from .integration import TENTH, checked, refined, stable
 from .lanes import Fitting, alone
-from .methods import GENETIC, LEVENBERG, RANDOM, check_method
+from .methods import GENETIC, LEVENBERG, RANDOM, named
 from .minimise import fit_minimised
 from .multistart import (
     DEFAULT_STARTS,
@@ -84,7 +84,7 @@ def fit(
 
 
 def _by(method: Any, experiment, effects, starts: int, say, search: dict[str, Any]) -> Fit:
-    check_method(method)
+    named(method)
     if isinstance(method, str) and method in GENETIC:
         how = dataclasses.replace(GENETIC[method], **search)
         return fit_genetic(experiment, effects, how, say)
@@ -108,8 +108,6 @@ def fitting(
     began = time.perf_counter()
     if starts < 1:
         raise ValueError(f"starts = {starts}: at least one start is needed")
-    if not experiment.fit_recordings:
-        raise ValueError('no recording has role = "fit": there is nothing to fit to')
     here = ready(experiment, experiment.fit_recordings, effects)
     outliers = outliers_among(here)
     base = lambda: ready(experiment, here.recordings, ())  # noqa: E731
@@ -175,8 +173,9 @@ def levenberg_history(
 
     A step counts as one simulation and one for every unknown, as that many are carried along for
     the Jacobian, also where it covers a share of the recordings only. The objective, which is not
-    the one that is minimised, is that of all fitted readings.
+    the one that is minimised, is that of all fitted readings; held-out recordings take no part.
     """
+    experiment = dataclasses.replace(experiment, recordings=experiment.fit_recordings)
     with watched(Watch()) as watch:
         fit(experiment, effects=effects, starts=starts)
     return watch.history

@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -22,15 +21,13 @@ from ..effects import AbstractEffect
 from ..physics.model import Number as Fitted
 from ..physics.parameter import RATIO, STIFFNESS, Dimension
 from ..recordings.experiment import Experiment
-from .conclusion import finish
-from .evolution import evolve
-from .history import History, relative_error, watching
+from .conclusion import Found, searched
+from .evolution import evolve, values_of
+from .history import History, Part, Watch, relative_error, watching
 from .initial_guess import first_guess, resolving
-from .least_squares import Compressed, compressed
-from .linalg import BLIND, damped_step
-from .multistart import DEFAULT_STARTS, Descent, outliers_among
+from .multistart import DEFAULT_STARTS, outliers_among
 from .problem import Problem, Ready, Unknowns, ready
-from .result import Fit, FitError
+from .result import Fit
 
 # Bounds in typical sizes (`Ready.typical`). Among 80 random arms the springs were 0.03 to 15 times
 # their typical size and the dampers 2e-4 to 0.13 times.
@@ -51,18 +48,6 @@ READINGS, GENES = "readings", "genes"
 
 _DRAWN = 100  # individuals, of which the best ones are random starts
 _LAST, _FALL = 0.1, 0.01  # settled: the last tenth of the generations gained less than 1 %
-_FAR = 1.0  # standard errors that least squares would still go
-
-
-class Part(str):
-    """Words on how it goes, with the `share` (0 to 1) that is done."""
-
-    share: float
-
-    def __new__(cls, words: str, share: float) -> "Part":
-        part = super().__new__(cls, words)
-        part.share = share
-        return part
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,6 +79,8 @@ class Genetic:
             raise ValueError(f"population = {self.population}: at least 4 individuals are needed")
         if self.generations < 1:
             raise ValueError(f"generations = {self.generations}: at least one is needed")
+        if self.initial not in (GENES, READINGS):
+            raise ValueError(f'initial = "{self.initial}": must be "{GENES}" or "{READINGS}"')
 
 
 class Box(NamedTuple):
@@ -181,41 +168,11 @@ class Genome(NamedTuple):
         return problem.scaled(self.box.at(genes[:count]), states)
 
 
-def genome(
-    problem: Problem, bounds: Box, states: np.ndarray, noise: np.ndarray, initial: str
-) -> Genome:
-    """The genome of a problem whose first readings, of these sigmas (n,), give the initial states
-    (R, s).
-
-    `initial` is "readings" (these states are kept, as the paper keeps its known release) or "genes"
-    (each is a gene, too, about the reading).
-
-    **Raises:** `ValueError` for any other `initial`.
-    """
-    if initial not in (READINGS, GENES):
-        raise ValueError(f'initial = "{initial}": must be "{GENES}" or "{READINGS}"')
-    scale = np.asarray(problem.scale.states)[0]
-    share = _SHARE_OF_STATE + _SIGMAS * noise / scale[: len(noise)]
-    memory = np.full(len(scale) - 2 * len(noise), _MEMORY)
-    reach = np.concatenate([share, share, memory]) * scale
-    return Genome(bounds, states, reach, initial == GENES)
-
-
 class Search(NamedTuple):
     """What a genetic algorithm looks at: a problem, and what its genes mean there."""
 
     problem: Problem
     genome: Genome
-
-
-class Found(NamedTuple):
-    """Numbers (P,), initial states (R, s), the numbers of the best of the first generation (P,),
-    and the objective on the way."""
-
-    numbers: np.ndarray
-    states: np.ndarray
-    first: np.ndarray
-    history: History
 
 
 def fit_genetic(
@@ -232,47 +189,16 @@ def fit_genetic(
     `ValueError` as `fit`, and for bounds or settings that do not go.
     """
     began, how = time.perf_counter(), how or Genetic()
-    if not experiment.fit_recordings:
-        raise ValueError('no recording has role = "fit": there is nothing to fit to')
     here = ready(experiment, experiment.fit_recordings, effects)
     outliers = outliers_among(here)
-    look = search_of(here, outliers, how)
-    found = run(look, how, progress)
-
+    found = run(search_of(here, outliers, how), how, progress)
     progress("errors, modes and held-out recordings")
-    settled = _settled(found.history)
-    done = len(found.history.objective)
-    reason = (
-        f"{done} generations of {how.population} individuals ({how.strategy}); "
+    words = (
+        f"{found.steps} generations of {how.population} individuals ({how.strategy}); "
         f"objective of Eq. 17: {found.history.objective[-1]:.4g}, "
-        + ("settled" if settled else "still falling")
+        + ("settled" if found.settled else "still falling")
     )
-    return concluded(experiment, here, outliers, found, done, settled, reason, began)
-
-
-def concluded(
-    experiment: Experiment,
-    here: Ready,
-    outliers: list[np.ndarray],
-    found: "Found",
-    steps: int,
-    settled: bool,
-    reason: str,
-    began: float,
-) -> Fit:
-    """The fit of what a search has found, which did not end in a least-squares minimum."""
-    model = here.model.with_vector(jnp.asarray(found.numbers))
-    # Once more with the step that these numbers ask for.
-    problem, _ = here.problem(model, outliers)
-    at = jax.device_get(problem.scaled(jnp.asarray(found.numbers), jnp.asarray(found.states)))
-    squeezed = jax.device_get(compressed(problem, at))
-    cost = float(np.sum(squeezed.along**2) + np.sum(squeezed.beside**2))
-    if not np.isfinite(cost):
-        raise FitError("no individual led to finite numbers: is this the arm that was recorded?")
-    descent = Descent(here, problem, outliers, at, squeezed, cost, steps, settled, 1, 1)
-    fit = finish(experiment, found.first, descent, began, evaluate=compressed, correct=False)
-    far = _far(fit, squeezed, np.asarray(problem.scale.numbers))
-    return dataclasses.replace(fit, reason=reason, history=found.history, short_of_minimum=far)
+    return searched(experiment, here, outliers, found, words, began)
 
 
 def search_of(here: Ready, outliers: Sequence[np.ndarray], how: Genetic) -> Search:
@@ -281,8 +207,11 @@ def search_of(here: Ready, outliers: Sequence[np.ndarray], how: Genetic) -> Sear
     begin = resolving(here, first_guess(here, outliers, DEFAULT_STARTS)[0])
     bounds = box(here.model.fitted, here.typical(), how.bounds)
     problem, states = here.problem(begin, outliers)
-    noise = np.max([r.noise for r in here.recordings], axis=0)
-    return Search(problem, genome(problem, bounds, states, noise, how.initial))
+    noise, scale = np.max([r.noise for r in here.recordings], axis=0), problem.scale.states[0]
+    share = _SHARE_OF_STATE + _SIGMAS * noise / scale[: len(noise)]
+    memory = np.full(len(scale) - 2 * len(noise), _MEMORY)
+    reach = np.concatenate([share, share, memory]) * scale
+    return Search(problem, Genome(bounds, states, reach, how.initial == GENES))
 
 
 def drawn(here: Ready, outliers: list[np.ndarray], starts: int, seed: int) -> np.ndarray:
@@ -290,7 +219,7 @@ def drawn(here: Ready, outliers: list[np.ndarray], starts: int, seed: int) -> np
     that know nothing of the closed form, which shows what that is worth."""
     look = search_of(here, outliers, Genetic())
     genes = jnp.asarray(np.random.default_rng(seed).uniform(size=(_DRAWN, look.genome.size)))
-    values = np.asarray(_values(look, genes))
+    values = np.asarray(_drawn_values(look, genes))
     order = np.argsort(values)[:starts]
     if (watch := watching()) is not None:
         watch.add(_DRAWN, float(values[order[0]]))
@@ -300,30 +229,23 @@ def drawn(here: Ready, outliers: list[np.ndarray], starts: int, seed: int) -> np
 
 
 @eqx.filter_jit
-def _values(look: Search, genes):
-    def one(individual):
-        value = objective_of(look, individual)
-        return jnp.where(jnp.isfinite(value), value, jnp.inf)
-
-    # Side by side, what dry friction seldom asks for would be computed always.
-    return jax.lax.map(one, genes) if look.problem.model.dry else jax.vmap(one)(genes)
+def _drawn_values(look: Search, genes):
+    return values_of(objective_of, look, genes, look.problem.model.dry)
 
 
 def run(look: Search, how: Genetic, progress: Callable[[str], None] = lambda words: None) -> Found:
     """Search."""
+    watch, done = watching() or Watch(), 0
 
-    watch, before = watching(), 0
-
-    def told(done: int, best: float) -> None:
-        nonlocal before
-        words = f"generation {done} of {how.generations}, objective {best:.4g}"
+    def told(fell: Sequence[float]) -> None:
+        nonlocal done
+        done += len(fell)
+        words = f"generation {done} of {how.generations}, objective {fell[-1]:.4g}"
         progress(Part(words, done / how.generations))
-        if watch is not None:
-            watch.add(how.population * (done - before), best)
-        before = done
+        watch.add(how.population, *fell)
 
     progress(Part("the first generation", 0.0))
-    out = evolve(
+    best, first = evolve(
         objective_of,
         look,
         look.genome.size,
@@ -333,20 +255,19 @@ def run(look: Search, how: Genetic, progress: Callable[[str], None] = lambda wor
         generations=how.generations,
         seed=how.seed,
         one_by_one=look.problem.model.dry,
+        compiled=watch.restart,
         told=told,
-        stop=(lambda: False) if watch is None else watch.over,
-        compiled=None if watch is None else watch.restart,
+        stop=watch.over,
     )
-    y = look.genome.unknowns(jnp.asarray(out.genes), look.problem)
-    numbers, states = look.problem.numbers(y), look.problem.states(y)
-    first = look.genome.box.at(jnp.asarray(out.first)[: len(look.genome.box.low)])
-    simulations = how.population * np.arange(1, len(out.objective) + 1)
-    seconds = None
-    if watch is not None:  # kept every few generations, and even in between
-        at, clock, _ = np.asarray(watch.rows).T
-        seconds = np.interp(simulations, at, clock)
-    history = History(simulations, out.objective, seconds)
-    return Found(np.asarray(numbers), np.asarray(states), np.asarray(first), history)
+    y, bounds, history = look.genome.unknowns(best, look.problem), look.genome.box, watch.history
+    return Found(
+        np.asarray(look.problem.numbers(y)),
+        np.asarray(look.problem.states(y)),
+        np.asarray(bounds.at(first[: len(bounds.low)])),
+        history,
+        done,
+        done > 1 and _settled(history),
+    )
 
 
 def objective_of(look: Search, genes: Any):
@@ -355,18 +276,4 @@ def objective_of(look: Search, genes: Any):
 
 def _settled(history: History) -> bool:
     last = history.objective[-max(2, round(_LAST * len(history.objective))) :]
-    return len(history.objective) > 1 and float(last[0] - last[-1]) < _FALL * float(last[0])
-
-
-def _far(fit: Fit, squeezed: Compressed, sizes: np.ndarray) -> tuple[str, float] | None:
-    """How far the least-squares minimum still is, by one Gauss-Newton step: the number that is
-    farthest, and by how many standard errors; None if that is little."""
-    factor = np.asarray(squeezed.factor)
-    slope = np.einsum("rij,ri->rj", factor, squeezed.along)
-    step = damped_step(factor.transpose(0, 2, 1) @ factor, slope, len(sizes), BLIND).numbers * sizes
-    std = np.array([n.std for n in fit.numbers])
-    far = np.abs(step) / std
-    if not far.size or not far.max() > _FAR:
-        return None
-    worst = int(np.argmax(far))
-    return fit.numbers[worst].name, float(far[worst])
+    return float(last[0] - last[-1]) < _FALL * float(last[0])

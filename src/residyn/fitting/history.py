@@ -4,8 +4,8 @@ import contextlib
 import contextvars
 import math
 import time
-from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,12 +17,29 @@ from .least_squares import over_recordings, predict
 from .problem import Problem, Unknowns
 
 
+class Part(str):
+    """Words on how it goes, with the `share` (0 to 1) that is done."""
+
+    share: float
+
+    def __new__(cls, words: str, share: float) -> "Part":
+        part = super().__new__(cls, words)
+        part.share = share
+        return part
+
+
 class History(NamedTuple):
     """The least objective (Eq. 17) found after so many simulations of all fitted recordings."""
 
     simulations: np.ndarray  # (K,), growing
     objective: np.ndarray  # (K,), never growing
     seconds: np.ndarray | None = None  # (K,), growing, if they were kept
+
+    @classmethod
+    def of(cls, rows: Sequence[tuple[float, float, float]]) -> "History":
+        """From rows of simulations, seconds and the least objective."""
+        spent, seconds, best = np.asarray(rows, float).reshape(-1, 3).T
+        return cls(spent, best, seconds)
 
     def until(self, objective: float) -> float:
         """Simulations spent until this objective was reached; inf if it was not."""
@@ -41,27 +58,32 @@ def relative_error(problem: Problem, y: Unknowns) -> Float[Array, ""]:
     """Eq. 17 at scaled unknowns: |predicted - measured| / |measured| of every joint's series of
     angles, summed over the joints.
 
-    A series is that of all fitted recordings, one after the other; lost and wild readings are in
-    neither norm. A joint that does not move at all counts with its error alone.
+    A series is that of all fitted recordings, one after the other; lost readings and outliers are
+    in neither norm. A joint that does not move at all counts with its error alone.
     """
     numbers = problem.numbers(y)
 
     def one(recorded, state):
-        predicted = predict(problem, recorded, numbers, state)
-        seen = recorded.weights > 0
-        off = jnp.where(seen, predicted - recorded.angles, 0.0)
-        size = jnp.where(seen, recorded.angles, 0.0)
-        return jnp.sum(off**2, axis=0), jnp.sum(size**2, axis=0)
+        return predict(problem, recorded, numbers, state)
 
-    each = over_recordings(one, problem.model)(problem.recorded, problem.states(y))
-    off, size = (jnp.sum(x, axis=0) for x in each)
+    predicted = over_recordings(one, problem.model)(problem.recorded, problem.states(y))
+    seen, angles = problem.recorded.weights > 0, problem.recorded.angles
+    off = jnp.sum(jnp.where(seen, predicted - angles, 0.0) ** 2, axis=(0, 1))
+    size = jnp.sum(jnp.where(seen, angles, 0.0) ** 2, axis=(0, 1))
     return jnp.sum(jnp.sqrt(off / jnp.where(size > 0, size, 1.0)))
+
+
+_relative_error = eqx.filter_jit(relative_error)
+
+
+def objective_of(problem: Problem, y: Unknowns) -> float:
+    """`relative_error`, by a program of its own."""
+    return float(_relative_error(problem, jax.tree.map(jnp.asarray, y)))
 
 
 # -- a stop watch for searches -------------------------------------------------------------------
 
 _here: contextvars.ContextVar["Watch | None"] = contextvars.ContextVar("watch", default=None)
-_error = eqx.filter_jit(relative_error)
 
 
 class Watch:
@@ -74,8 +96,6 @@ class Watch:
 
     - `told`: called with the watch whenever there is news.
     - `most_simulations`, `most_seconds`: the budget; inf is none.
-    - `numbers`: how many numbers the model has: a fit of springs and dampers alone, on the way to
-      that of an effect, costs time and simulations, but its objective is another model's.
     """
 
     def __init__(
@@ -83,12 +103,12 @@ class Watch:
         told: Callable[["Watch"], None] = lambda watch: None,
         most_simulations: float = math.inf,
         most_seconds: float = math.inf,
-        numbers: int | None = None,
     ):
-        self.told, self.numbers = told, numbers
+        self.told = told
         self.most_simulations, self.most_seconds = most_simulations, most_seconds
         self.simulations, self.best = 0.0, math.inf
         self.rows: list[tuple[float, float, float]] = []
+        self._first: Any = None
         self._began, self._paused = time.perf_counter(), 0.0
 
     @property
@@ -118,32 +138,38 @@ class Watch:
         finally:
             self._paused += time.perf_counter() - stopped
 
-    def add(self, simulations: float, objective: float) -> None:
-        """So many more simulations of all fitted recordings, and the objective they led to."""
-        self.simulations += simulations
-        if objective < self.best:
-            self.best = objective
-        self.rows.append((self.simulations, self.seconds, self.best))
+    def add(self, simulations: float, *objectives: float) -> None:
+        """For each of these objectives, so many more simulations of all fitted recordings that led
+        to it; what they took is shared alike among them."""
+        began = self.rows[-1][1] if self.rows else 0.0
+        clock = np.linspace(began, self.seconds, len(objectives) + 1)[1:]
+        for second, objective in zip(clock.tolist(), objectives, strict=True):
+            self.simulations += simulations
+            if objective < self.best:
+                self.best = objective
+            self.rows.append((self.simulations, second, self.best))
         with self.paused():
             self.told(self)
 
     def descended(self, problem: Problem, unknowns: Unknowns, steps: int) -> None:
         """A descent has taken so many steps, each of one simulation and one more for each direction
-        of its Jacobian, whatever share of the recordings it covered."""
-        numbers = problem.scale.numbers.shape[0]
-        directions = numbers + problem.scale.states.shape[1]
+        of its Jacobian, whatever share of the recordings it covered.
+
+        What is fitted on the way, segments of the recordings or springs and dampers alone, costs
+        simulations and time, but its objective is another problem's than the first one's.
+        """
+        numbers, states = problem.scale.numbers.shape, problem.scale.states.shape
+        self._first = self._first or (numbers, states)
         objective = math.inf
-        if self.numbers is None or numbers == self.numbers:
+        if self._first == (numbers, states):
             with self.paused():
-                objective = float(_error(problem, jax.tree.map(jnp.asarray, unknowns)))
-        self.add(steps * (1 + directions), objective if np.isfinite(objective) else math.inf)
+                objective = objective_of(problem, unknowns)
+        self.add(steps * (1 + numbers[0] + states[1]), objective)
 
     @property
     def history(self) -> History:
         """The best objective after so many simulations and seconds."""
-        rows = [row for row in self.rows if math.isfinite(row[2])]
-        spent, seconds, best = np.asarray(rows, float).reshape(-1, 3).T
-        return History(spent, best, seconds)
+        return History.of([row for row in self.rows if math.isfinite(row[2])])
 
 
 @contextlib.contextmanager

@@ -35,7 +35,7 @@ from .layout import drives
 from .least_squares import RESIDUAL_TOLERANCE, Compressed, over_recordings, predict
 from .linalg import BLIND, damped_step
 from .multistart import Descent
-from .problem import Problem, Ready, Unknowns, ready
+from .problem import Problem, Ready, Unknowns
 from .result import Fit, FitError, RecordingFit
 
 TENTH = 0.1
@@ -162,18 +162,16 @@ def checked(fit: Fit) -> tuple[float, str]:
 
     The motion begins in the fitted initial states, so that nothing but the integration differs.
     """
-    fitted = [r for r in fit.recordings if r.recording.role != "check"]
-    effects = [e for e in fit.model.effects if e.name not in ("spring", "damper")]
-    here = ready(fit.experiment, [r.recording for r in fitted], effects)
+    fitted = fit.recordings[: len(fit.ready.recordings)]
     sticks = fit.model.dry or fit.model.follows
-    usual = max(1, round(fit.integration_steps / here.steps(fit.model) * here.finer))
     # Twice the nodes for the reference's curve, so that none of the difference is the curve's.
-    here = here._replace(
-        integrator=None if sticks else _REFERENCE, finer=usual * (_FINEST if sticks else 2)
+    here = fit.ready._replace(
+        integrator=None if sticks else _REFERENCE,
+        finer=fit.ready.finer * (_FINEST if sticks else 2),
     )
     problem, _ = here.problem(fit.model, [r.wild for r in fitted])
-    states = np.stack([r.state for r in fitted])
-    found = np.asarray(_predicted(problem, jnp.asarray(fit.model.vector()), jnp.asarray(states)))
+    numbers, states = fit.problem.numbers(fit.unknowns), fit.problem.states(fit.unknowns)
+    found = np.asarray(_predicted(problem, jnp.asarray(numbers), jnp.asarray(states)))
     error = rms_over_noise(found, fitted)
     words = f"{_FINEST} times the steps" if sticks else "Dopri8 at rtol 1e-10"
     return error, words

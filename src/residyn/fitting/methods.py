@@ -1,7 +1,7 @@
 """The methods that a fit can search by: their names, and what each is given beforehand."""
 
 import difflib
-from typing import Any
+from typing import Any, NamedTuple
 
 from .genetic import Genetic
 from .minimise import minimiser
@@ -15,57 +15,59 @@ GENETIC = {
     "particle_swarm": Genetic(40, 500, "PSO"),
 }
 """Evolutionary searches, with their settings."""
-METHODS = {
-    LEVENBERG: "Levenberg-Marquardt",
-    RANDOM: "Levenberg-Marquardt, random starts",
-    "genetic": "genetic algorithm, 100 x 500",
-    "genetic_release_told": "genetic algorithm, 100 x 500, release told",
-    "cma_es": "CMA-ES, 20 x 500",
-    "differential_evolution": "differential evolution, 40 x 500",
-    "particle_swarm": "particle swarm, 40 x 500",
-}
-"""Names of methods, and what they are called."""
-DEFAULT_METHODS = tuple(METHODS)
+
+
+class Method(NamedTuple):
+    """What a method is called, and what it is given beforehand, in words."""
+
+    title: str
+    given: str
+
+
 _WIDE = (
     "bounds a thousandfold wide, from the typical sizes that the readings show; settings of the "
-    "strategy tuned on simulated arms"
+    "strategy tuned on simulated arms; "
 )
-GIVEN = {
-    LEVENBERG: "nothing but the readings: it finds its start in closed form, and five others about "
-    "it. It minimises squares over the noise, not Eq. 17",
-    RANDOM: "the best six of 100 individuals drawn in the genetic algorithm's bounds, which count; "
-    "no closed-form start",
-    "genetic": f"{_WIDE}; initial states are genes about the first readings",
-    "genetic_release_told": f"{_WIDE}; initial states as the first readings say, not searched",
-    "cma_es": f"{_WIDE}; initial states are genes about the first readings",
-    "differential_evolution": f"{_WIDE}; initial states are genes about the first readings",
-    "particle_swarm": f"{_WIDE}; initial states are genes about the first readings",
-    "optimistix": "the closed-form start, and gradients in forward mode",
+_GENES = _WIDE + "initial states are genes about the first readings"
+METHODS = {
+    LEVENBERG: Method(
+        "Levenberg-Marquardt",
+        "nothing but the readings: it finds its start in closed form, and five others about it. It "
+        "minimises squares over the noise, not Eq. 17",
+    ),
+    RANDOM: Method(
+        "Levenberg-Marquardt, random starts",
+        "the best six of 100 individuals drawn in the genetic algorithm's bounds, which count; no "
+        "closed-form start",
+    ),
+    "genetic": Method("genetic algorithm, 100 x 500", _GENES),
+    "genetic_release_told": Method(
+        "genetic algorithm, 100 x 500, release told",
+        _WIDE + "initial states as the first readings say, not searched",
+    ),
+    "cma_es": Method("CMA-ES, 20 x 500", _GENES),
+    "differential_evolution": Method("differential evolution, 40 x 500", _GENES),
+    "particle_swarm": Method("particle swarm, 40 x 500", _GENES),
 }
-"""What each method is given, in words."""
+"""Methods by their names."""
+_MINIMISER = "the closed-form start, and gradients in forward mode"
 
 
-def check_method(given: Any) -> None:
-    """**Raises:** `ValueError` for a method that there is not, in one line; `MissingExtra` for one
-    whose package is not installed."""
+def named(given: Any) -> tuple[str, Method]:
+    """The name of a method that is given by its name or, of optax or optimistix, itself; and what
+    is said of it.
+
+    **Raises:** `ValueError` for a method that there is not, in one line; `MissingExtra` for one
+    whose package is not installed.
+    """
     if not isinstance(given, str) or "." in given:
-        minimiser(given)
-    elif given not in METHODS:
+        name = minimiser(given)[0]
+        return name, Method(name, _MINIMISER)
+    if given not in METHODS:
         close = difflib.get_close_matches(given, METHODS, n=1)
         hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(METHODS)}"
         raise ValueError(
             f'method = "{given}": there is no such method; {hint} (or a minimiser of optax or '
             "optimistix, such as optimistix.BFGS)"
         )
-
-
-def title_of(given: Any) -> tuple[str, str, Any]:
-    """The name of a method, what it is called, and what to give to `fit`.
-
-    **Raises:** as `check_method`.
-    """
-    check_method(given)
-    if isinstance(given, str) and given in METHODS:
-        return given, METHODS[given], given
-    name = minimiser(given)[0]
-    return name, name, given
+    return given, METHODS[given]

@@ -21,9 +21,9 @@ import optimistix as optx
 
 from ..effects import AbstractEffect
 from ..recordings.experiment import Experiment
+from .conclusion import Found, searched
 from .evolution import MissingExtra
-from .genetic import Found, Part, concluded
-from .history import History, relative_error, watching
+from .history import Part, Watch, objective_of, relative_error, watching
 from .initial_guess import first_guess, resolving
 from .least_squares import Horizon, rows
 from .multistart import outliers_among
@@ -84,61 +84,63 @@ def fit_minimised(
     """
     began = time.perf_counter()
     name, made = minimiser(method)
-    if not experiment.fit_recordings:
-        raise ValueError('no recording has role = "fit": there is nothing to fit to')
     here = ready(experiment, experiment.fit_recordings, effects)
-    wild = outliers_among(here)
-    numbers, memory = first_guess(here, wild, 1)
-    problem, states = here.problem(resolving(here, numbers), wild)
+    outliers = outliers_among(here)
+    numbers, memory = first_guess(here, outliers, 1)
+    problem, states = here.problem(resolving(here, numbers), outliers)
     if memory is not None and memory.size:
         states[..., -memory.shape[-1] :] = memory[0]
     y = problem.scaled(jnp.asarray(numbers[0]), jnp.asarray(states))
     problem = jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_array_like(x) else x, problem)
-    kind = _optax if hasattr(made, "update") else _optimistix
-    start, advance = kind(made, problem)
+    ran: list[int] = []
+    start, advance = _steps_of(made, problem, ran.append)
 
-    watch, each = watching(), 1 + y.numbers.size + y.states.size
-    if watch is not None:
-        jax.block_until_ready(advance(y, start(y))[2])  # compiles
-        watch.restart()
-    state, best, least = start(y), y, np.inf
-    spent, objective, seconds, done = [], [], [], False
-    for step in range(steps):
-        y, state, value, at, done = advance(y, state)
-        value, done = float(value), bool(done)
+    watch = watching() or Watch()
+    # Compiles; once more of its own output, whose types JAX may take for others.
+    jax.block_until_ready(advance(*advance(y, start(y))[:2]))
+    jax.effects_barrier()
+    watch.restart()
+    state, best, least, step, done = start(y), y, np.inf, 0, False
+    for step in range(1, steps + 1):
+        ran.clear()
+        y, state, done = advance(y, state)
+        done = bool(done)
+        jax.effects_barrier()
+        with watch.paused():
+            value = objective_of(problem, y)
         if value < least:
-            least, best = value, at
-        spent.append(each * (step + 1))
-        objective.append(least)
-        if watch is not None:
-            watch.add(each, value if np.isfinite(value) else np.inf)
-            seconds.append(watch.seconds)
-        progress(Part(f"step {step + 1} of {steps}, objective {least:.4g}", (step + 1) / steps))
-        if done or not np.isfinite(value) or (watch is not None and watch.over()):
+            least, best = value, y
+        watch.add(sum(ran), value)
+        progress(Part(f"step {step} of {steps}, objective {least:.4g}", step / steps))
+        if done or not np.isfinite(value) or watch.over():
             break
     if not np.isfinite(least):
         raise FitError(f"{name} led to nothing finite")
-    history = History(
-        np.asarray(spent, float), np.asarray(objective), np.asarray(seconds) if seconds else None
-    )
     found = Found(
-        np.asarray(problem.numbers(best)), np.asarray(problem.states(best)), numbers[0], history
+        np.asarray(problem.numbers(best)),
+        np.asarray(problem.states(best)),
+        numbers[0],
+        watch.history,
+        step,
+        done,
     )
-    words = f"{len(spent)} steps of {name}; objective of Eq. 17: {least:.4g}, "
+    words = f"{step} steps of {name}; objective of Eq. 17: {least:.4g}, "
     words += "converged" if done else "not yet converged"
     progress("errors, modes and held-out recordings")
-    return concluded(experiment, here, wild, found, len(spent), done, words, began)
+    return searched(experiment, here, outliers, found, words, began)
 
 
 @eqx.filter_custom_vjp
-def _objective(y: Unknowns, problem: Problem):
+def _objective(y: Unknowns, problem: Problem, ran: Callable[[int], None]):
+    _count(ran, 1)
     return relative_error(problem, y)
 
 
 @_objective.def_fwd
-def _objective_fwd(perturbed, y: Unknowns, problem: Problem):
+def _objective_fwd(perturbed, y: Unknowns, problem: Problem, ran: Callable[[int], None]):
     del perturbed
     flat, back = jax.flatten_util.ravel_pytree(y)
+    _count(ran, 1 + flat.size)
 
     def along(direction):
         return jax.jvp(lambda x: relative_error(problem, back(x)), (flat,), (direction,))
@@ -148,38 +150,31 @@ def _objective_fwd(perturbed, y: Unknowns, problem: Problem):
 
 
 @_objective.def_bwd
-def _objective_bwd(slope, cotangent, perturbed, y, problem):
-    del perturbed, y, problem
+def _objective_bwd(slope, cotangent, perturbed, y, problem, ran):
+    del perturbed, y, problem, ran
     return jax.tree.map(lambda s: cotangent * s, slope)
 
 
-def _optax(method, problem: Problem):
-    """How an optax method begins, and its step: unknowns, state, an objective and the unknowns that
-    it is of, whether done."""
-    optax = importlib.import_module("optax")
-    method = optax.with_extra_args_support(method)
-
-    @eqx.filter_jit
-    def advance(y, state, problem):
-        value_of = lambda x: _objective(x, problem)  # noqa: E731
-        value, slope = eqx.filter_value_and_grad(value_of)(y)
-        more = {"value": value, "grad": slope, "value_fn": value_of}
-        change, state = method.update(slope, state, y, **more)
-        # What was evaluated are the unknowns before the step.
-        return eqx.apply_updates(y, change), state, value, y, False
-
-    return method.init, lambda y, state: advance(y, state, problem)
+def _count(ran: Callable[[int], None], simulations: int) -> None:
+    """Tell of so many simulations whenever the program runs them: a line search has as many as it
+    needs."""
+    jax.debug.callback(lambda: ran(simulations))
 
 
-def _optimistix(method, problem: Problem):
-    """The same for a minimiser or a least-squares solver of optimistix."""
+def _steps_of(method: Any, problem: Problem, ran: Callable[[int], None]):
+    """How a method begins, and its step from unknowns and state: the next ones, and whether it is
+    done. `ran` is told of simulations as they are run."""
+    if hasattr(method, "update"):
+        optax = importlib.import_module("optax")
+        method = optx.OptaxMinimiser(optax.with_extra_args_support(method), _TOLERANCE, _TOLERANCE)
     squares = isinstance(method, optx.AbstractLeastSquaresSolver)
-    given = Horizon(problem) if squares else problem
+    given, options = (Horizon(problem), {"jac": "fwd"}) if squares else (problem, {})
 
     def function(y, args):
-        return rows(y, args) if squares else (_objective(y, args), None)
-
-    options = {"jac": "fwd"} if squares else {}
+        if squares:
+            _count(ran, 1 + y.numbers.size + y.states.size)
+            return rows(y, args)
+        return _objective(y, args, ran), None
 
     @eqx.filter_jit
     def start(y, given):
@@ -190,6 +185,6 @@ def _optimistix(method, problem: Problem):
     def advance(y, state, given):
         y, state, _ = method.step(function, y, given, options, state, frozenset())
         done, _ = method.terminate(function, y, given, options, state, frozenset())
-        return y, state, relative_error(problem, y), y, done
+        return y, state, done
 
     return lambda y: start(y, given), lambda y, state: advance(y, state, given)

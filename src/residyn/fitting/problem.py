@@ -301,7 +301,13 @@ class Ready(NamedTuple):
 def ready(
     experiment: Experiment, recordings: Sequence[Recording], effects: Sequence[str | AbstractEffect]
 ) -> Ready:
-    """Make recordings of an experiment ready to fit."""
+    """Make recordings of an experiment ready to fit.
+
+    **Raises:** `ValueError` if there are none, and for an effect that does not exist or does not go
+    with them.
+    """
+    if not recordings:
+        raise ValueError('no recording has role = "fit": there is nothing to fit to')
     mechanisms = tuple(mechanism_of(experiment, r) for r in recordings)
     most = richest(mechanisms)
     shared = model_for(most, effects).effects

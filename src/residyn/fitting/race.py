@@ -2,7 +2,7 @@
 
 Every method gets the same model, the same readings, the same compiled simulation and the same
 objective, the relative error of Eq. 17. What is its own is how it searches, and what it is given
-beforehand; `GIVEN` says that of each. A method in a race is the same as `residyn.fit(...,
+beforehand; `METHODS` says that of each. A method in a race is the same as `residyn.fit(...,
 method=NAME)` with the same seed.
 
 *Simulations* are those of all fitted recordings; a step of a descent counts as one and one more for
@@ -15,7 +15,6 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from ..effects import AbstractEffect
@@ -25,7 +24,7 @@ from ..runtime.presentation import TableResult
 from .evolution import evosax_or_missing
 from .fit import fit
 from .history import History, Watch, watched
-from .methods import DEFAULT_METHODS, GENETIC, GIVEN, LEVENBERG, RANDOM, title_of
+from .methods import GENETIC, LEVENBERG, METHODS, RANDOM, named
 from .result import Fit, FitError
 
 TEN, ONE = 1.1, 1.01
@@ -60,6 +59,10 @@ class Spent(NamedTuple):
 
     simulations: float
     seconds: float
+
+    def to_dict(self) -> dict[str, float] | None:
+        """JSON; None if it did not get there."""
+        return self._asdict() if math.isfinite(self.simulations) else None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -146,8 +149,8 @@ class Race(TableResult):
             "seconds": run.seconds,
             "parameters": None,
             "standard_errors_off": None,
-            "within_10_percent": _spent(each.within(TEN * self.least)),
-            "within_1_percent": _spent(each.within(ONE * self.least)),
+            "within_10_percent": each.within(TEN * self.least).to_dict(),
+            "within_1_percent": each.within(ONE * self.least).to_dict(),
             "seeds": [
                 {
                     "seed": r.seed,
@@ -208,14 +211,15 @@ def race(
     for key, value in (("seconds", seconds), ("simulations", simulations)):
         if value is not None and not (value > 0 and math.isfinite(value)):
             raise ValueError(f"{key} = {value}: must be a number above 0")
-    named = [title_of(each) for each in (DEFAULT_METHODS if methods is None else methods)]
-    if not named:
-        raise ValueError("no method is named: nothing can race")
-    names = [name for name, _, _ in named]
-    for name in names:
-        if names.count(name) > 1:
+    entered = {}
+    for method in METHODS if methods is None else methods:
+        name, words = named(method)
+        if name in entered:
             raise ValueError(f"method {name} is there twice")
-    if any(name in GENETIC for name in names):
+        entered[name] = method, words
+    if not entered:
+        raise ValueError("no method is named: nothing can race")
+    if any(name in GENETIC for name in entered):
         evosax_or_missing()
     if integrator is not None:
         experiment = dataclasses.replace(experiment, integrator=integrator)
@@ -226,66 +230,52 @@ def race(
         math.inf if seconds is None else seconds,
     )
     say, hear = progress or (lambda words: None), news or (lambda name, seed, watch: None)
-    done: dict[str, list[Run]] = {name: [] for name in names}
+    raced: list[Raced] = []
     interrupted, known = "", ()
-    for name, title, method in named:
+    for name, (method, words) in entered.items():
+        runs: list[Run] = []
         try:
             for seed in range(repeats):
-                again = f", seed {seed}" if repeats > 1 else ""
-                say(f"{title}{again}")
-                run = _run(fitted, effects, name, method, seed, most, hear)
-                done[name].append(run)
-                if run.fit is not None:
-                    known = run.fit.model.labels
+                say(words.title + (f", seed {seed}" if repeats > 1 else ""))
+                runs.append(_run(fitted, effects, name, method, seed, most, hear))
         except KeyboardInterrupt:
             interrupted = name
+        if runs:
+            raced.append(Raced(name, words.title, words.given, tuple(runs)))
+            known = next((r.fit.model.labels for r in runs if r.fit is not None), known)
+        if interrupted:
             break
-    raced = tuple(
-        Raced(name, title, GIVEN.get(name, GIVEN["optimistix"]), tuple(done[name]))
-        for name, title, _ in named
-        if done[name]
-    )
     limits = [f"{simulations} simulations"] if simulations is not None else []
     limits += [f"{seconds:g} s"] if seconds is not None else []
     budget = " and ".join(limits) or "each method's own: 500 generations, or until it has settled"
-    return Race(experiment, known, raced, repeats, budget, interrupted)
+    return Race(experiment, known, tuple(raced), repeats, budget, interrupted)
 
 
 def _run(experiment, effects, name: str, method, seed: int, most, hear) -> Run:
-    # What draws nothing has no seed.
-    seeded = {"seed": seed} if name in GENETIC or name == RANDOM else {}
+    descent = name in (LEVENBERG, RANDOM)
+    how = {"effects": effects, "method": method}
+    if name in GENETIC or name == RANDOM:  # what draws nothing has no seed
+        how["seed"] = seed
     if name in GENETIC and math.isfinite(most[0]):
         # A search that narrows its steps narrows them over the generations that it has.
         own = GENETIC[name]
-        least = max(1, min(own.generations, int(most[0]) // own.population))
-        seeded["generations"] = least
-    how = {"effects": effects, "method": method, **seeded}
+        how["generations"] = max(1, min(own.generations, int(most[0]) // own.population))
     try:
-        if name in (LEVENBERG, RANDOM):
+        if descent:
             fit(experiment, **how)  # compiles
-        with jax.enable_x64(True), watched(Watch(lambda w: hear(name, seed, w), *most)) as watch:
+        with watched(Watch(lambda watch: hear(name, seed, watch), *most)) as watch:
             found = fit(experiment, **how)
     except FitError as error:
         empty = History(np.zeros(0), np.zeros(0), np.zeros(0))
         return Run(name, seed, None, empty, 0.0, str(error))
-    history, seconds = watch.history, watch.rows[-1][1]
-    if name in (LEVENBERG, RANDOM):
-        seconds = found.seconds - watch.paused_for
-        history = history._replace(
-            seconds=np.append(np.asarray(history.seconds)[:-1], seconds),
-            objective=np.append(
-                history.objective[:-1], min(found.objective, history.objective[-1])
-            ),
-        )
-    return Run(name, seed, found, history, seconds)
+    rows = [row for row in watch.rows if math.isfinite(row[2])]
+    if descent:  # the whole fit, and what it ends with
+        simulations, _, best = rows[-1]
+        rows[-1] = simulations, found.seconds - watch.paused_for, min(found.objective, best)
+    history = History.of(rows)
+    return Run(name, seed, found, history, rows[-1][1])
 
 
 def _median(values: list[float]) -> float:
     """The middle one; of two, the worse."""
     return sorted(values)[len(values) // 2] if values else math.inf
-
-
-def _spent(spent: Spent) -> dict[str, float] | None:
-    if not math.isfinite(spent.simulations):
-        return None
-    return {"simulations": spent.simulations, "seconds": spent.seconds}

@@ -13,9 +13,9 @@ of the numbers is in their covariance, so that what no recording shows is as wid
 and not without bound.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,14 +23,13 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import norm
 
-from ..diagnosis import Diagnosis
-from ..diagnosis.candidate_tests import Rival, best_tests, in_play
+from ..diagnosis.candidate_tests import Rival, Test, best_tests, in_play
 from ..diagnosis.columns import Columns
 from ..diagnosis.diagnose import Posterior
 from ..diagnosis.evidence import means_of_base, width_of
-from ..diagnosis.experiment_design import Quantity, variance_now
-from ..diagnosis.planned import InPlay, Test
-from ..diagnosis.search import Tried
+from ..diagnosis.experiment_design import Quantity
+from ..diagnosis.plan import InPlay
+from ..diagnosis.search import Search
 from ..effects import InertiaError
 from ..filtering.law import numbers_of
 from ..filtering.trajectory import Scene
@@ -38,10 +37,19 @@ from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
 from ..runtime.presentation import Result
-from .carried import NAMES, Carried, inertias, slopes_of_modes
+from .carried import NAMES, Carried, ModeSlopes, inertias, slopes_of_modes
 from .ringdown import DRAWS, RingDown, band_of, draws_of
 
 QUANTITIES = ("frequency_hz", "damping_ratio")
+
+
+class Bare(NamedTuple):
+    """A model in play without its bearings; as fitted, on them; and what its numbers and the
+    inertias do not know."""
+
+    model: Model
+    fitted: Model
+    errors: Carried
 
 
 @dataclass(frozen=True)
@@ -60,10 +68,6 @@ class Spread:
     from_inertias: float
     """and what step 1 leaves open of the inertias."""
 
-    def to_dict(self) -> dict[str, float]:
-        """The JSON of one number."""
-        return dict(vars(self))
-
 
 @dataclass(frozen=True)
 class ModeOver:
@@ -73,14 +77,6 @@ class ModeOver:
     damping_ratio: Spread
     rings: float
     """Probability of the models in which it does."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """The JSON of one mode."""
-        return {
-            "frequency_hz": self.frequency_hz.to_dict(),
-            "damping_ratio": self.damping_ratio.to_dict(),
-            "rings": self.rings,
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +92,8 @@ class OverModels(Result):
     """Which would narrow most what is known worst of the lowest mode of the first pose."""
     narrows: str | None
     """Which of `QUANTITIES` that is."""
-    bare: tuple[tuple[Model, Model, Carried], ...]
-    """Of each model in play, without bearings in the first pose; as fitted; and its errors."""
+    bare: tuple[Bare, ...]
+    """Each model in play without bearings, in the first pose."""
     joints: tuple[str, ...]
 
     def ring_down(
@@ -107,19 +103,18 @@ class OverModels(Result):
         likeliest model, and the band that holds 95 % over all models."""
         with jax.enable_x64(True):
             found = []
-            for model, (bare, fitted, errors) in zip(self.models, self.bare, strict=True):
-                many = max(1, round(draws * model.probability))
-                start = jnp.asarray(q0)
-                found.append(draws_of(bare, fitted, errors, times, start, many, seed))
+            for model, bare in zip(self.models, self.bare, strict=True):
+                many, start = max(1, round(draws * model.probability)), jnp.asarray(q0)
+                found.append(draws_of(*bare, times, start, many, seed))
             return band_of(found[0][0], np.concatenate([f[1] for f in found]))
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of `over_models`."""
         return {
-            "models": [{"added": list(m.added), "probability": m.probability} for m in self.models],
+            "models": [asdict(m) for m in self.models],
             "left_out": self.left_out,
             "poses": [
-                {"theta2": theta2, "without_bearings": {"modes": [m.to_dict() for m in modes]}}
+                {"theta2": theta2, "without_bearings": {"modes": [asdict(m) for m in modes]}}
                 for theta2, modes in self.poses
             ],
             "narrows": self.narrows,
@@ -128,68 +123,56 @@ class OverModels(Result):
 
 
 def over_models(
-    found: Diagnosis,
+    search: Search,
+    experiment: Experiment,
     inertia: np.ndarray | None,
     poses: list[Recording],
     without_bearings: Callable[[Experiment, Model, Recording], Model],
     say: Callable[[str], None],
 ) -> OverModels:
-    """Step 3 over the models that a diagnosis leaves in play; `inertia` is the covariance (3, 3) of
+    """Step 3 over the models that a search leaves in play; `inertia` is the covariance (3, 3) of
     step 1."""
-    assert found.search is not None
-    scene, experiment = found.search.scene, found.fits.whole
-    posterior = Posterior(found.search)
+    posterior, scene = Posterior(search), search.scene
     models, p, left_out = in_play(posterior.models, posterior.each)
     say(f"taking the bearings off {len(models)} models")
     rivals = [Rival.of(scene, m) for m in models]
-    errors = [errors_of(scene, r, m, inertia) for r, m in zip(rivals, models, strict=True)]
-    each, quantities, bare = [], {}, []
-    for pose in poses:
-        off = [without_bearings(experiment, r.model, pose) for r in rivals]
-        known = [slopes_of_modes(model, r.model) for model, r in zip(off, rivals, strict=True)]
-        bare = bare or list(zip(off, (r.model for r in rivals), errors, strict=True))
-        modes = []
-        for i in range(max(map(len, known))):
-            own = [m for m, modes_of in enumerate(known) if i < len(modes_of)]
-            wanted = [
-                quantity_of([known[m][i] for m in own], [errors[m] for m in own], k) for k in (0, 1)
-            ]
-            weights = p[own] / p[own].sum()
-            roots = [rivals[m].root for m in own]
-            spreads = [spread_of(q, weights, roots) for q in wanted]
-            modes.append(ModeOver(*spreads, rings=float(p[own].sum())))
-            if not each and i == 0 and len(own) == len(models):
-                quantities = dict(zip(QUANTITIES, wanted, strict=True))
-        each.append((pose.theta2, tuple(modes)))
+    errors = [errors_of(scene, r, inertia) for r in rivals]
+    bare = [
+        tuple(
+            Bare(without_bearings(experiment, r.model, pose), r.model, e)
+            for r, e in zip(rivals, errors, strict=True)
+        )
+        for pose in poses
+    ]
+    modes = [modes_over(each, p) for each in bare]
     narrows = test = None
-    if quantities:
-        lowest = each[0][1][0]
-        relative = {k: getattr(lowest, k).std / abs(getattr(lowest, k).mean) for k in quantities}
-        narrows = max(QUANTITIES, key=lambda k: relative[k])
+    if modes[0] and modes[0][0].rings > 1 - 1e-9:
+        spreads = {k: getattr(modes[0][0], k) for k in QUANTITIES}
+        narrows = max(QUANTITIES, key=lambda k: spreads[k].std / abs(spreads[k].mean))
         say("looking for the test that narrows it most")
-        ranking = best_tests(experiment, scene, models, p, quantity=quantities[narrows])
-        test = next(iter(ranking.tests), None)
+        lowest = [slopes_of_modes(b.model, b.fitted)[0] for b in bare[0]]
+        wanted = _quantity(lowest, errors, QUANTITIES.index(narrows))
+        test = next(iter(best_tests(experiment, scene, models, p, quantity=wanted).tests), None)
     return OverModels(
         models=tuple(InPlay(m.added, float(x)) for m, x in zip(models, p, strict=True)),
         left_out=left_out,
-        poses=tuple(each),
+        poses=tuple((pose.theta2, each) for pose, each in zip(poses, modes, strict=True)),
         next_test=test,
         narrows=narrows,
-        bare=tuple(bare),
+        bare=bare[0],
         joints=scene.joints,
     )
 
 
-def errors_of(scene: Scene, rival: Rival, tried: Tried, inertia: np.ndarray | None) -> Carried:
+def errors_of(scene: Scene, rival: Rival, inertia: np.ndarray | None) -> Carried:
     """What a model's numbers and the inertias do not know."""
     numbers, count = rival.root @ rival.root.T, len(rival.root)
     nothing = np.zeros((0, count))
     if inertia is None:
         return Carried(numbers, nothing, np.zeros((3, 3)), np.zeros((count, 3)))
-    t = tried.best
+    t = rival.tried.best
     parts = [InertiaError(part) for part in NAMES]  # pyright: ignore[reportCallIssue]
-    columns = Columns(scene, t, parts, [])
-    _, grams = columns.gram([tried.intensity])
+    _, grams = Columns(scene, t, parts, []).gram([rival.tried.intensity])
     own = means_of_base(grams[0], len(t.u))[:count, 1:]
     widths = [width_of(scene, e, numbers_of(e)[0]) for e in parts]
     sizes = np.asarray(inertias(scene.mechanisms[0]))
@@ -197,25 +180,39 @@ def errors_of(scene: Scene, rival: Rival, tried: Tried, inertia: np.ndarray | No
     return Carried(numbers, nothing, inertia, moved)
 
 
-def quantity_of(modes: list, errors: list[Carried], which: int) -> Quantity:
+def modes_over(bare: Sequence[Bare], p: np.ndarray) -> tuple[ModeOver, ...]:
+    """The modes over models with these probabilities (M,), lowest first."""
+    known, found = [slopes_of_modes(b.model, b.fitted) for b in bare], []
+    for i in range(max(map(len, known))):
+        own = [m for m, each in enumerate(known) if i < len(each)]
+        modes, errors = [known[m][i] for m in own], [bare[m].errors for m in own]
+        weights = p[own] / p[own].sum()
+        spreads = [_spread(_quantity(modes, errors, k), weights, errors) for k in (0, 1)]
+        found.append(ModeOver(*spreads, rings=float(p[own].sum())))
+    return tuple(found)
+
+
+def _quantity(modes: list[ModeSlopes], errors: Sequence[Carried], which: int) -> Quantity:
     """Frequency (0) or damping ratio (1) of a mode in each model that has it."""
-    means = np.array([m.values[which] for m in modes])
-    slopes = [m.by_number[which] for m in modes]
     rest = []
     for m, e in zip(modes, errors, strict=True):
         whole = m.by_inertia[which] + m.by_number[which] @ e.moved
         rest.append(float(whole @ e.inertia @ whole))
-    return Quantity(means, slopes, np.array(rest))
+    means = np.array([m.values[which] for m in modes])
+    return Quantity(means, [m.by_number[which] for m in modes], np.array(rest))
 
 
-def spread_of(wanted: Quantity, p: np.ndarray, roots: list[np.ndarray]) -> Spread:
-    own = [r.T @ s for r, s in zip(roots, wanted.slopes, strict=True)]
-    parts = np.array(variance_now(p, wanted._replace(slopes=own)))
-    stds = np.sqrt(np.array([s @ s for s in own]) + wanted.rest)
-    low, high = (quantile(q, p, wanted.mean, stds) for q in (0.025, 0.975))
-    total = parts.sum()
-    shares = parts / total if total > 0 else np.zeros(3)
-    return Spread(float(p @ wanted.mean), low, high, float(np.sqrt(total)), *map(float, shares))
+def _spread(wanted: Quantity, p: np.ndarray, errors: Sequence[Carried]) -> Spread:
+    numbers = np.array([
+        s @ e.numbers @ s for s, e in zip(wanted.slopes, errors, strict=True)
+    ])  # fmt: skip
+    mean = float(p @ wanted.mean)
+    parts = np.array([p @ (wanted.mean - mean) ** 2, p @ numbers, p @ wanted.rest])
+    low, high = (
+        quantile(q, p, wanted.mean, np.sqrt(numbers + wanted.rest)) for q in (0.025, 0.975)
+    )
+    total = float(parts.sum())
+    return Spread(mean, low, high, total**0.5, *map(float, parts / (total or 1.0)))
 
 
 def quantile(q: float, p: np.ndarray, mean: np.ndarray, std: np.ndarray) -> float:

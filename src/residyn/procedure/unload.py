@@ -81,7 +81,8 @@ def unload(
         errors = carried(fitted, covariance)
         off = tuple(e.label for e in fitted.model.effects if e.of_bearings)
         poses = tuple(_pose(fitted, r, errors) for r in _poses(experiment))
-        over = diagnosis and over_models(diagnosis, covariance, _poses(experiment), bare, say)
+        search = diagnosis and diagnosis.search
+        over = search and over_models(search, experiment, covariance, _poses(experiment), bare, say)
         checks = []
         for beside in fitted.recordings:
             if beside.recording.role == "check" and not beside.recording.air_bearings:

@@ -3,7 +3,9 @@
 A "?" is a string where a number must stand, so that whoever forgets one is told its key.
 """
 
+import json
 import os
+import re
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -77,13 +79,13 @@ def _entry(file: Path, folder: Path, joints: Joints, keys: dict[str, Any], arm: 
         said[found.key] = found.words.split("; ")[0]
         old = keys.get(found.key)
         keys[found.key] = old | found.value if isinstance(old, dict) else found.value
-    lines = ["[[recordings]]", f"file = {_toml(os.path.relpath(file, folder or Path()))}"]
+    lines = ["[[recordings]]", f"file = {toml_value(os.path.relpath(file, folder or Path()))}"]
     if understood:
         lines += _comment(understood)
     for key, value in keys.items():
         if key in said:
             lines += _comment(f"seen: {said[key]}")
-        lines.append(f"{key} = {_toml(value)}")
+        lines.append(f"{key} = {toml_value(value)}")
     if arm:
         lines.append('theta2 = "?"              # elbow angle at rest, rad')
     return "\n".join([*lines, ""])
@@ -95,9 +97,15 @@ def _comment(words: str) -> list[str]:
     )
 
 
-def _toml(value: Any) -> str:
-    """A string, or a table of strings, as TOML has it."""
+def toml_value(value: Any) -> str:
+    """A value as TOML writes it: a table or a list of what JSON writes alike."""
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {_toml(each)}" for key, each in value.items()) + " }"
-    text = value.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{text}"'
+        each = (f"{_key(key)} = {toml_value(x)}" for key, x in value.items())
+        return "{ " + ", ".join(each) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key, ensure_ascii=False)

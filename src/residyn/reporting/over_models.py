@@ -4,7 +4,7 @@ from ..procedure.over_models import OverModels, Spread
 from .layout import Table, filled, printed
 from .names import named, upper
 from .numbers import percent, plain, with_error
-from .plan import motion_words, setting_words
+from .plan import recipe
 
 _NAMES = {"frequency_hz": ("frequency", "Hz"), "damping_ratio": ("damping ratio", "")}
 
@@ -51,9 +51,7 @@ def narrowing_words(found: OverModels) -> str:
     spread: Spread = getattr(found.poses[0][1][0], found.narrows)
     what, unit = _NAMES[found.narrows]
     now, then = (f"+/- {plain(x, 2)} {unit}".rstrip() for x in (1.96 * spread.std, test.band))
-    setting = setting_words(test)
     return (
-        f"The {what} of mode 1 is what is known worst: {now} (95 %). {upper(motion_words(test))}"
-        f"{f' ({setting})' if setting else ''}, and record {plain(test.duration, 2)} s: that is "
-        f"expected to narrow it to {then}."
+        f"The {what} of mode 1 is what is known worst: {now} (95 %). {upper(recipe(test))}: that "
+        f"is expected to narrow it to {then}."
     )

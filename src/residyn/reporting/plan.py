@@ -1,9 +1,15 @@
 """The next tests in words and lines that a technician can follow, in 80 columns."""
 
-from ..diagnosis.planned import Plan, Test
+import math
+
+from ..diagnosis.candidate_tests import Test
+from ..diagnosis.plan import Plan
 from .layout import Table, filled, printed
 from .names import listed, named, upper
 from .numbers import amount, measured, percent, plain
+
+_TELLS = 2.0
+"""Standard errors by which one reading tells two models apart 19 times in 20."""
 
 
 def motion_words(test: Test) -> str:
@@ -16,7 +22,7 @@ def motion_words(test: Test) -> str:
             f"from {plain(d.low, 2)} to {plain(d.high, 2)} Hz"
         )
     angles = [
-        f"the {joint} at {amount(x, unit)}"
+        f"the {joint} at {_angle(x, unit)}"
         for (joint, x), unit in zip(test.release.items(), test.units, strict=True)
     ]
     return f"release {listed(angles)}, from rest"
@@ -26,7 +32,7 @@ def setting_words(test: Test) -> str:
     """ "elbow at 0.5 rad, on the air bearings"; empty where there is nothing to set."""
     words = []
     if test.theta2 is not None:
-        words.append(f"the elbow's rest at {plain(test.theta2, 3)} rad")
+        words.append(f"the elbow's rest at {_angle(test.theta2, 'rad')}")
     if test.air_bearings is not None:
         words.append("on the air bearings" if test.air_bearings else "without the air bearings")
     if test.extra_mass is not None:
@@ -36,23 +42,36 @@ def setting_words(test: Test) -> str:
     return ", ".join(words)
 
 
+def recipe(test: Test) -> str:
+    """All that is to be done, as part of a sentence."""
+    setting = setting_words(test)
+    set_to = f" ({setting})" if setting else ""
+    return f"{motion_words(test)}{set_to}, and record {plain(test.duration, 2)} s"
+
+
+def _angle(value: float, unit: str) -> str:
+    """ "0.300 rad (17 deg)": people set degrees."""
+    degrees = f" ({math.degrees(value):.0f} deg)" if unit == "rad" and value else ""
+    return f"{amount(value, unit)}{degrees}"
+
+
 def sentence(test: Test) -> str:
     """One test, and what it is expected to tell."""
     joints = tuple(test.release)
-    one, other = (named(x, joints) if x else "nothing" for x in test.between)
+    one, other = (named(x, joints) for x in test.between)
+    aim = f"tell {one} from {other}"
+    if not all(test.between):  # the one is the other with more
+        aim = f"see whether {other if test.between[1] else one} is there"
     parts = f"{plain(test.difference, 2)} standard errors of all readings together"
     now = plain(test.now, 2)
     if not test.helps:
         return (
-            f"No test within the limits would tell {one} from {other}: at best they differ by "
-            f"{parts}, where now it is {now}."
+            f"Nothing would help: no test within the limits would {aim}. At best the predictions "
+            f"differ by {parts}, where now it is {now}."
         )
-    setting = setting_words(test)
     return (
-        f"To tell {one} from {other}, {motion_words(test)}{f' ({setting})' if setting else ''}, "
-        f"and record {plain(test.duration, 2)} s: their predictions then differ by {parts}, "
-        f"where now it is {now}, and the likeliest is expected to have "
-        f"{percent(test.probability_right)}."
+        f"To {aim}, {recipe(test)}: the predictions then differ by {parts}, where now it is {now}, "
+        f"and the likeliest is expected to have {percent(test.probability_right)}."
     )
 
 
@@ -60,7 +79,7 @@ def outcomes(test: Test) -> Table:
     """What each outcome of a test would mean."""
     joints = tuple(test.release)
     unit = test.units[joints.index(test.joint)]
-    what = f"angle of the {test.joint} at {plain(test.time, 3)} s"
+    what = f"angle of the {test.joint} after {plain(test.time, 3)} s"
     rows = [
         [upper(named(x.added, joints)), measured(x.reading, x.std, unit), percent(x.probability)]
         for x in test.outcomes
@@ -127,4 +146,13 @@ def _test(index: int, test: Test, before: float) -> list[str]:
         rows.append(("narrows", f"the 95 % band to +/- {plain(test.band, 2)}"))
     for head, words in rows:
         out += filled(words, f"     {head:<8}") if words else []
-    return out + printed(outcomes(test), indent=5)
+    out += printed(outcomes(test), indent=5)
+    if len(test.outcomes) > 1:
+        one, other = test.outcomes[:2]
+        if abs(one.reading - other.reading) < _TELLS * math.hypot(one.std, other.std):
+            out += filled(
+                "That one reading is not enough to tell the first two apart: it takes the whole "
+                f"recording, in which they differ by {plain(test.difference, 2)} standard errors.",
+                "     ",
+            )
+    return out

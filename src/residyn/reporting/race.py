@@ -10,11 +10,11 @@ from . import figures as plot
 from . import latex as tex
 from .layout import Table, filled, printed, section, separated, tabular
 
-_HEAD = ("method", "objective / best", "to 10 %", "to 1 %", "k off", "c off")
+_HEAD = ("method", "objective", "to 10 %", "to 1 %", "k off", "c off")
 MEANING = (
-    "to 10 %, to 1 %: simulations and seconds until a method came within so much of the least "
-    "objective of all. k off, c off: how far the worst stiffness and the worst damping are from "
-    "those of the best fit, in its standard errors."
+    "objective: in times the least one of all. to 10 %, to 1 %: simulations and seconds until a "
+    "method came within so much of it. k off, c off: how far the worst stiffness and the worst "
+    "damping are from those of the best fit, in its standard errors."
 )
 
 
@@ -23,17 +23,19 @@ def text(race: Race) -> str:
     if not race.methods:
         return "the race was ended before any method was done"
     out = [*section("Race", f"{' + '.join(race.model)}; budget: {race.budget}")]
-    out += printed(table(race), indent=2)
+    # Names break at their spaces where the line is full.
+    rows = [[each.name.replace("_", " "), *_cells(race, each)] for each in race.methods]
+    out += printed(Table(_HEAD, rows), indent=2)
     if race.best is not None:
         out.append(f"least objective (Eq. 17): {race.best.objective:.6g}, of {race.best.name}")
     out += filled(MEANING)
     if race.repeats > 1:
         out.append(f"medians over {race.repeats} seeds; (the worst) behind the objective")
-    failed = {each.title: run.error for each in race.methods for run in each.runs if run.error}
-    out += [line for title, error in failed.items() for line in filled(f"{title}: {error}")]
-    out.append("given beforehand:")
     for each in race.methods:
-        out += filled(each.given, f"  {each.title}: ", 6)
+        out += [line for e in errors(each) for line in filled(f"{each.name}: {e}")]
+    out.append("given beforehand:")
+    for some, words in given(race):
+        out += filled(words, f"  {', '.join(each.name for each in some)}: ", 6)
     if race.interrupted:
         out.append(f"interrupted while {race.interrupted} was running, which is left out")
     return "\n".join(out)
@@ -42,6 +44,19 @@ def text(race: Race) -> str:
 def table(race: Race) -> Table:
     """A line for each method."""
     return Table(_HEAD, [[each.title, *_cells(race, each)] for each in race.methods])
+
+
+def given(race: Race) -> list[tuple[list[Raced], str]]:
+    """What was given to which methods, in words."""
+    found: dict[str, list[Raced]] = {}
+    for each in race.methods:
+        found.setdefault(each.given, []).append(each)
+    return [(some, words) for words, some in found.items()]
+
+
+def errors(each: Raced) -> list[str]:
+    """Why runs failed, each reason once."""
+    return list(dict.fromkeys(run.error for run in each.runs if run.error))
 
 
 def _cells(race: Race, each: Raced) -> list[str]:
@@ -59,12 +74,12 @@ def _cells(race: Race, each: Raced) -> list[str]:
     for kind in ("spring", "damper"):
         far = zip(race.off(run), numbers, strict=True)
         own = [x for x, n in far if n.name.startswith(kind) and np.isfinite(x)]
-        found.append(f"{max(own):.2g}" if own else "--")
+        found.append(_short(max(own), 2) if own else "--")
     return found
 
 
-def _short(x: float) -> str:
-    return f"{x:.4f}" if x < 10 else f"{x:.3g}"
+def _short(x: float, digits: int = 4) -> str:
+    return f"{x:.{digits}f}" if x < 10 else f"{x:.3g}"
 
 
 def drawn(race: Race) -> list[Raced]:
@@ -85,8 +100,7 @@ def latex(race: Race) -> str:
     rows = []
     for each in race.methods:
         objective, *spent = _cells(race, each)
-        cells = [objective, *spent[:2], *map(tex.scientific, spent[2:])]
-        rows.append([tex.escaped(each.title), *cells])
+        rows.append([tex.escaped(each.title), objective, *map(tex.escaped, spent)])
     head = ["Method", "Objective / best", r"to 10\,\%", r"to 1\,\%"]
     return tabular("lrrrrr", [*head, r"$k$, std.\ errors off", r"$c$, std.\ errors off"], [rows])
 

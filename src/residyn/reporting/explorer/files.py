@@ -5,14 +5,13 @@ further one. It is read with the keys of the first fitted recording, as the file
 same table stood there once more; that text is what "save as TOML" saves.
 """
 
-import json
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from ...files import read_text
 from ...recordings.experiment import Experiment, from_text
+from ...recordings.new_experiment import toml_value
 
 _NOT_SHARED = ("file", "role")
 
@@ -58,14 +57,5 @@ def _table(text: str, name: str) -> str:
     entries = tomllib.loads(text).get("recordings", [])
     first = next((e for e in entries if e.get("role", "fit") == "fit"), {})
     keys = {"file": name, **{k: v for k, v in first.items() if k not in _NOT_SHARED}}
-    lines = [f"{key} = {_value(value)}" for key, value in keys.items()]
+    lines = [f"{key} = {toml_value(value)}" for key, value in keys.items()]
     return "\n\n[[recordings]]\n" + "\n".join(lines) + "\n"
-
-
-def _value(x: Any) -> str:
-    """A value as TOML writes it; for these kinds JSON does so too, but for tables."""
-    if isinstance(x, dict):
-        return "{ " + ", ".join(f"{json.dumps(k)} = {_value(v)}" for k, v in x.items()) + " }"
-    if isinstance(x, list):
-        return "[" + ", ".join(map(_value, x)) + "]"
-    return json.dumps(x, ensure_ascii=False)

@@ -138,11 +138,7 @@ def _grids(groups: Sequence[Columns]):
 
 def _rows(scene: Scene) -> list[np.ndarray]:
     """Which instants each recording has."""
-    g = scene.grid
-    return [
-        np.flatnonzero((g.run == i) & (np.arange(scene.K) < g.real))
-        for i in range(len(scene.recordings))
-    ]
+    return [scene.grid.of(i) for i in range(len(scene.recordings))]
 
 
 def _without_states(e: np.ndarray, x: np.ndarray, w: np.ndarray) -> np.ndarray:

@@ -19,25 +19,10 @@ from .payload import packed, payload
 from .study import Study
 
 _STATIC = importlib.resources.files("residyn.reporting.explorer") / "static"
-MODULES = (
-    "linear_algebra.js",
-    "arrays.js",
-    "elements.js",
-    "evidence.js",
-    "first_order.js",
-    "state.js",
-    "words.js",
-    "charts.js",
-    "bars.js",
-    "staircase.js",
-    "numbers.js",
-    "server.js",
-    "explorer.js",
-)
-"""One idea each; the last one starts the page."""
-UPLOT = "uPlot.iife.min.js", "uPlot.min.css"
-FILES = (*MODULES, *UPLOT, "uPlot.LICENSE.txt", "explorer.css")
+FILES = tuple(sorted(each.name for each in _STATIC.iterdir()))
 """All that the server hands out."""
+MODULES = tuple(n for n in FILES if n.endswith(".js") and not n.startswith("uPlot"))
+"""One idea each; `explorer.js` starts the page."""
 _IMPORT = re.compile(r'(from\s+|import\s+)"\./([a-z_]+\.js)"')
 
 
@@ -77,19 +62,11 @@ def embedded(found: Diagnosis, name: str = "experiment.toml") -> str:
     if found.search is None:
         return ""
     path = found.fits.whole.path or name
-    return _embedded(payload(Study.of(found), name=PurePath(path).name))
+    return piece(payload(Study.of(found), name=PurePath(path).name))
 
 
-def standalone(data: dict[str, Any]) -> str:
-    """A whole page around a payload, for a file."""
-    return (
-        _templates()
-        .get_template("standalone.html.j2")
-        .render(name=data["name"], explorer=markupsafe.Markup(_embedded(data)))
-    )
-
-
-def _embedded(data: dict[str, Any]) -> str:
+def piece(data: dict[str, Any]) -> str:
+    """The explorer of a payload, as a piece of HTML for the body of a page."""
     addresses = {f"explorer/{name}": _address(static(name)) for name in MODULES}
     return (
         _templates()

@@ -17,14 +17,14 @@ import numpy as np
 
 from ... import __version__
 from ...diagnosis.columns import strengths
+from ...diagnosis.diagnose import values_of
 from ...diagnosis.evidence import FURTHER, signed, width_of
 from ...diagnosis.missing_torque import missing_of
 from ...filtering.law import numbers_of
-from ...filtering.trajectory import Trajectory, number_slices
 from ...fitting.result import Fit
 from ...recordings.segments import by_recording
 from .first_order import ErrorGram, FirstOrder
-from .study import Study
+from .study import Study, sum_of
 
 POINTS = 800
 """Instants of a recording that are drawn."""
@@ -155,6 +155,7 @@ def searched(study: Study, since: int = 0) -> dict[str, Any]:
             "added": list(found.added),
             "words": list(found.words),
             "lookalikes": [list(x) for x in found.lookalikes],
+            "next": "" if found.next_experiment is None else found.next_experiment.words,
         },
     }  # fmt: skip
 
@@ -177,7 +178,7 @@ def fitted(study: Study, added: Sequence[str], found: Fit, held: Sequence[str] =
             _number(n.name, n.value, n.std, n.unit, n.sign, held) for n in found.numbers
         ],
         "curves": curves,
-        "torque": _torque(study, study.motion(added), {n.name: n.value for n in found.numbers}),
+        "torque": _beyond_base(study, _torque_of(study, added, found)),
     }  # fmt: skip
 
 
@@ -190,19 +191,15 @@ def refitted(study: Study, added: Sequence[str]) -> dict[str, Any] | None:
     scene, path, shown = study.search.scene, found.path, _shown(study)
     curves: list[Any] = [None] * len(shown)
     for i, r in enumerate(scene.recordings[: len(shown)]):
-        own = np.flatnonzero((scene.grid.run == i) & (np.arange(scene.K) < scene.grid.real))
+        own = scene.grid.of(i)
         at = r.time[thinned(len(r.time))] - r.time[0]
         curves[i] = Drawn([np.interp(at, scene.grid.time[own], x) for x in found.predicted[own].T])
-    units = scene.mechanisms[0].units
-    numbers: list[dict[str, Any]] = []
-    slopes = path.prior.slopes(path.u)
-    grown = np.maximum(1.0, np.max(found.fitted))  # where the residual is no noise
-    spread = grown * np.sqrt(np.diag(path.covariance)[: len(slopes)]) * np.abs(slopes)
-    for effect, own in zip(path.effects, number_slices(path.effects), strict=True):
-        unit = units[scene.joint_of(effect)] if units else None
-        for n, x, std in zip(numbers_of(effect), path.numbers[own], spread[own], strict=True):
-            name = f"{effect.label}.{n.name}"
-            numbers.append(_number(name, float(x), float(std), n.dimension.unit(unit), n.sign))
+    grown = float(np.maximum(1.0, np.max(found.fitted)))  # where the residual is no noise
+    signs = {f"{e.label}.{n.name}": n.sign for e in path.effects for n in numbers_of(e)}
+    numbers = [
+        _number(name, v.value, grown * v.std, v.unit, signs[name])
+        for name, v in values_of(scene, path).items()
+    ]
     return {
         "added": sorted(added),
         "how": "smoothed",
@@ -210,7 +207,7 @@ def refitted(study: Study, added: Sequence[str]) -> dict[str, Any] | None:
         "held_out": _listed(found.held_out),
         "numbers": numbers,
         "curves": curves,
-        "torque": _torque(study, path),
+        "torque": _beyond_base(study, found.torque),
     }
 
 
@@ -259,7 +256,7 @@ def _candidate(study: Study, label: str):
         "equation": effect.equation,
         "looks_like": effect.looks_like,
         "extends": effect.extends,
-        "rough": effect.dry or effect.follows,
+        "sticks": effect.dry or effect.follows,
         "columns": list(next(r.which for r in study.columns.rows if r.effect.label == label)),
         "rows": [list(r.which) for r in rows],
         "best": [r.which for r in rows].index(s.which),
@@ -328,7 +325,7 @@ def _missing(study: Study):
     by_number = np.moveaxis(np.asarray(columns.linear.by_number), -1, 0)
     found = []
     for i, each in enumerate(missing_of(scene, search.base)[:_RECORDINGS]):
-        own = np.flatnonzero((g.run == i) & (np.arange(scene.K) < g.real))
+        own = g.of(i)
         at = thinned(len(own))
         t = each.torque
         found.append({
@@ -351,18 +348,19 @@ def _sparse(x: np.ndarray):
     ]
 
 
-def _torque(study: Study, path: Trajectory, values: dict[str, float] | None = None):
-    """Per drawn fitted recording (n, N): the torque that a model has beyond the base model's, each
-    along its own motion; with the numbers of a fit, if those are given."""
-    if values is not None:
-        names = [f"{e.label}.{n.name}" for e in path.effects for n in numbers_of(e)]
-        numbers = np.array([values[n] for n in names])
-        u = np.zeros_like(path.u)
-        u[: len(numbers)] = path.prior.regressors(numbers)
-        path = dataclasses.replace(path, u=u)
-    torque = study.torque(path) - study.base_torque
-    g, out = study.search.scene.grid, []
-    for i in range(min(len(study.search.scene.recordings), _RECORDINGS)):
-        own = np.flatnonzero((g.run == i) & (np.arange(len(torque)) < g.real))
-        out.append(Drawn(torque[own[thinned(len(own))]].T))
-    return out
+def _torque_of(study: Study, added: Sequence[str], found: Fit) -> np.ndarray:
+    """(K, n) what the effects of a fit resist with along the smoothed motion of its model, N m."""
+    path = study.motion(added)
+    values = {n.name: n.value for n in found.numbers}
+    names = [f"{e.label}.{n.name}" for e in path.effects for n in numbers_of(e)]
+    u = np.zeros_like(path.u)
+    u[: len(names)] = path.prior.regressors(np.array([values[n] for n in names]))
+    return sum_of(study.search.scene.torques(dataclasses.replace(path, u=u)))
+
+
+def _beyond_base(study: Study, torque: np.ndarray):
+    """Per drawn fitted recording (n, N): a torque beyond the base model's, each along its own
+    motion."""
+    beyond, scene = torque - study.base_torque, study.search.scene
+    each = [scene.grid.of(i) for i in range(len(scene.recordings))][:_RECORDINGS]
+    return [Drawn(beyond[own[thinned(len(own))]].T) for own in each]

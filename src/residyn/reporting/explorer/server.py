@@ -11,11 +11,12 @@ import secrets
 import socket
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import uvicorn
 from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
@@ -25,7 +26,8 @@ from ...recordings.experiment import Experiment
 from . import page
 from .files import ExperimentFiles
 from .hidden import hide_one
-from .payload import packed
+from .payload import packed, searched
+from .study import Study
 from .workbench import Workbench, Worker
 
 POLICY = (
@@ -42,6 +44,7 @@ _HEADERS = {
 }
 _LONGEST = 100_000  # bytes of a request
 _STUDIES = 6  # kept at a time
+T = TypeVar("T")
 _KINDS = {".js": "text/javascript", ".css": "text/css", ".txt": "text/plain"}
 
 
@@ -77,7 +80,7 @@ class Explorer:
             Route(f"{base}/api/{{study:int}}/hide", self._hide, methods=["POST"]),
             Route(f"{base}/api/{{study:int}}/reveal", self._reveal, methods=["POST"]),
         ]
-        return Guard(Starlette(routes=routes), port)
+        return Guard(Starlette(routes=routes, exception_handlers={HTTPException: _gone}), port)
 
     def stop(self) -> None:
         """End all that is under way."""
@@ -97,33 +100,27 @@ class Explorer:
             return PlainTextResponse("no such file", 404)
         return Response(text, media_type=_KINDS[Path(name).suffix])
 
-    def _bench(self, request: Request) -> Workbench | None:
-        return self.studies.get(request.path_params["study"])
+    def _bench(self, request: Request) -> Workbench:
+        return _there(self.studies.get(request.path_params["study"]))
+
+    def _study(self, request: Request) -> tuple[Workbench, Study]:
+        bench = self._bench(request)
+        return bench, _there(bench.study)
 
     async def _state(self, request: Request) -> Response:
-        bench = self._bench(request)
-        if bench is None:
-            return _gone()
-        return JSONResponse(bench.state())
+        return JSONResponse(self._bench(request).state())
 
     async def _payload(self, request: Request) -> Response:
-        bench = self._bench(request)
-        if bench is None or bench.text is None:
-            return _gone()
-        return Response(bench.text, media_type="application/json")
+        return Response(_there(self._bench(request).text), media_type="application/json")
 
     async def _searched(self, request: Request) -> Response:
-        bench = self._bench(request)
-        if bench is None or bench.study is None:
-            return _gone()
+        _, study = self._study(request)
         since = request.query_params.get("since", "0")
         since = int(since) if since.isdigit() else 0
-        return JSONResponse(await self.worker.do(lambda: packed(bench.searched(since))))
+        return JSONResponse(await self.worker.do(lambda: packed(searched(study, since))))
 
     async def _fit(self, request: Request) -> Response:
-        bench = self._bench(request)
-        if bench is None or bench.study is None:
-            return _gone()
+        bench, study = self._study(request)
         asked = await _asked(request)
         try:
             window, number, quick = str(asked["window"]), int(asked["number"]), asked["quick"]
@@ -133,29 +130,22 @@ class Explorer:
             return JSONResponse({"error": "a fit needs window, number, added and quick"}, 400)
         worker = self.quick_worker if quick is True else self.worker
         found = await worker.newest(
-            window, number, lambda: packed(bench.fit(added, held, quick is True))
+            window, number, lambda: packed(bench.fit(study, added, held, quick is True))
         )
         return JSONResponse({"superseded": True} if found is None else found)
 
     async def _reload(self, request: Request) -> Response:
-        bench = self._bench(request)
-        if bench is None or bench.files is None:
-            return _gone()
-        asked = await _asked(request)
-        known = bench.files.new()
-        names = [str(x) for x in asked.get("add", []) if str(x) in known]
-        path, added = bench.files.path, (*bench.files.added, *names)
+        known = _there(self._bench(request).files)
+        asked, new = await _asked(request), known.new()
+        added = (*known.added, *(str(x) for x in asked.get("add", []) if str(x) in new))
         try:
-            files = await self.worker.do(lambda: ExperimentFiles(path, added))
+            files = await self.worker.do(lambda: ExperimentFiles(known.path, added))
         except InputError as error:
             return JSONResponse({"error": str(error)})
         return self._begun(Workbench(files.experiment, self.effects, self.name, files))
 
     async def _hide(self, request: Request) -> Response:
-        bench = self._bench(request)
-        if bench is None or bench.study is None:
-            return _gone()
-        study = bench.study
+        _, study = self._study(request)
         try:
             made, effect = await self.worker.do(lambda: hide_one(study, self.random))
         except ValueError as error:
@@ -163,10 +153,7 @@ class Explorer:
         return self._begun(Workbench(made, (), "simulated.toml", hidden=effect.label))
 
     async def _reveal(self, request: Request) -> Response:
-        bench = self._bench(request)
-        if bench is None or bench.hidden is None:
-            return _gone()
-        return JSONResponse({"hidden": bench.hidden})
+        return JSONResponse({"hidden": _there(self._bench(request).hidden)})
 
     def _begun(self, bench: Workbench) -> Response:
         number = max(self.studies) + 1
@@ -176,8 +163,16 @@ class Explorer:
         return JSONResponse({"study": number})
 
 
-def _gone() -> Response:
-    return JSONResponse({"error": "there is no such study (any more): load the page again"}, 404)
+def _there(x: T | None) -> T:
+    """What was asked for, if there is such a thing."""
+    if x is None:
+        raise HTTPException(404, "there is no such study (any more): load the page again")
+    return x
+
+
+def _gone(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    return JSONResponse({"error": error.detail}, error.status_code)
 
 
 async def _asked(request: Request) -> dict[str, Any]:

@@ -25,6 +25,7 @@ from ...diagnosis.missing_torque import scene_of
 from ...diagnosis.result import Diagnosis
 from ...diagnosis.search import Search, Tried, settle, tried_alone
 from ...effects import AbstractEffect
+from ...filtering.linearised import Linear
 from ...filtering.trajectory import Prior, Scene, Trajectory
 from ...fitting import DEFAULT_STARTS, fit
 from ...fitting.conclusion import finish
@@ -41,12 +42,24 @@ _NEAR = 0.01  # of the error: the same where a joint may stick, which swings abo
 _WORSE = 1.02  # of chi-square: with an effect more, a minimum above this is another one's
 
 
+class Silent(NamedTuple):
+    """A model's motion without a random torque."""
+
+    path: Trajectory
+    predicted: np.ndarray
+    """(K, n) readings, rad or m."""
+    linear: Linear
+    """The model along the motion before the last step."""
+
+
 class Refit(NamedTuple):
     """Least squares by the smoother."""
 
     path: Trajectory
     predicted: np.ndarray
     """(K, n) readings, rad or m."""
+    torque: np.ndarray
+    """(K, n) what all effects resist with, N m."""
     fitted: np.ndarray
     """(n,) rms error over the noise."""
     held_out: np.ndarray | None
@@ -185,8 +198,9 @@ class Study:
             found = None if settled is None else silent(scene, settled[1])
         if found is None:
             return None
-        path, predicted = found
-        return Refit(path, predicted, times_noise(scene, predicted), self._held_out_by(path))
+        path, predicted, linear = found
+        torque = sum_of(scene.torques(path, linear))
+        return Refit(path, predicted, torque, times_noise(scene, predicted), self._beyond(path))
 
     def motion(self, added: Sequence[str]) -> Trajectory:
         """The motion of a model, as well as it is known."""
@@ -195,16 +209,12 @@ class Study:
             return known.best
         return self._guessed(tuple(added)).best if near is None else near.path
 
-    def torque(self, path: Trajectory) -> np.ndarray:
-        """(K, n) what all effects of a model resist with along its motion, N m."""
-        return np.sum([*self.search.scene.torques(path).values()], axis=0)
-
     @functools.cached_property
     def base_torque(self) -> np.ndarray:
-        """The same of the base model."""
-        return self.torque(self.search.base.best)
+        """(K, n) what the base model resists with, N m."""
+        return sum_of(self.search.scene.torques(self.search.base.best))
 
-    def _held_out_by(self, path: Trajectory) -> np.ndarray | None:
+    def _beyond(self, path: Trajectory) -> np.ndarray | None:
         """(n,) errors on what was held out. Of check recordings only the first states are fitted;
         last thirds are predicted from the rest."""
         other, begin, counts = self.beside
@@ -223,7 +233,7 @@ class Study:
         if found is None:
             return None
         measured = other if begin is not None else self.search.scene
-        return times_noise(measured, found[1], counts)
+        return times_noise(measured, found.predicted, counts)
 
     def _check(self, key: frozenset[str]) -> None:
         for label in key - set(self.labels):
@@ -334,37 +344,39 @@ class Study:
         self.search.deadline = 0.0
 
 
-def _sticks(path: Trajectory) -> bool:
-    """Whether a joint or a brake may stick."""
-    return any(e.dry or e.follows for e in path.effects)
-
-
-def silent(scene: Scene, path: Trajectory) -> tuple[Trajectory, np.ndarray] | None:
+def silent(scene: Scene, path: Trajectory) -> Silent | None:
     """A model without a random torque, from a motion near the readings: Gauss and Newton until the
-    numbers stand still, and the readings (K, n) that it predicts. None where that does not settle.
+    numbers stand still. None where that does not settle.
 
-    Where a joint may stick whole steps swing about the end, and averages of them converge to it.
+    Readings and torques are those of the last linearisation, moved by the last step. Where a joint
+    may stick whole steps swing about the end, and averages of them converge to it.
     """
-    rough, before = _sticks(path), np.full(scene.n, np.nan)
-    linear = scene.linearised(path)
+    sticks = any(e.dry or e.follows for e in path.effects)
+    before = np.full(scene.n, np.nan)
     for k in range(_STEPS):
-        share = 2.0 / (2.0 + k) if rough and k >= _WHOLE else 1.0
+        share = 2.0 / (2.0 + k) if sticks and k >= _WHOLE else 1.0
+        linear = scene.linearised(path)
         moved = scene.smoothed(path, linear, 0.0, share)
         if moved is None:
             return None
-        linear = scene.linearised(moved)
-        predicted = np.asarray(linear.seen)
+        system, change = linear.system, moved.path - path.path
+        predicted = np.asarray(linear.seen) + np.asarray(system.Hu) @ (moved.u - path.u)
+        predicted += np.einsum("kjx,kx->kj", np.asarray(system.Hx), change)
         errors, count = times_noise(scene, predicted), len(moved.prior.mean)
         std = np.sqrt(np.diag(moved.covariance)[:count]) * max(1.0, np.max(errors))
         step = np.max(np.abs(moved.u - path.u)[:count] / std)
-        path = moved
-        if step < _SETTLED * share:
-            return path, predicted
-        averaged = rough and k >= _WHOLE + 3
-        if averaged and np.allclose(errors, before, rtol=_NEAR * share):
-            return path, predicted
-        before = errors
+        averaged = sticks and k >= _WHOLE + 3
+        if step < _SETTLED * share or (
+            averaged and np.allclose(errors, before, rtol=_NEAR * share)
+        ):
+            return Silent(moved, predicted, linear)
+        path, before = moved, errors
     return None
+
+
+def sum_of(torques: Mapping[str, np.ndarray]) -> np.ndarray:
+    """(K, n) the torque of all effects together."""
+    return np.sum([*torques.values()], axis=0)
 
 
 def times_noise(scene: Scene, predicted: np.ndarray, counts: np.ndarray | None = None):

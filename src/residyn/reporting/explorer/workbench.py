@@ -9,17 +9,17 @@ begun.
 import asyncio
 import contextlib
 import json
-import queue
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from ...errors import InputError
 from ...fitting.result import FitError
 from ...recordings.experiment import Experiment
 from .files import ExperimentFiles
-from .payload import fitted, packed, payload, refitted, searched
+from .payload import fitted, packed, payload, refitted
 from .study import Study
 
 _IDLE = 2.0  # s without a question, after which work ahead is begun
@@ -109,16 +109,12 @@ class Workbench:
             "new": [] if self.files is None else self.files.new(),
         }
 
-    def searched(self, since: int) -> dict[str, Any]:
-        """What the search has added, and fits but for the first so many."""
-        assert self.study is not None
-        return searched(self.study, since)
-
-    def fit(self, added: list[str], held: dict[str, float], quick: bool) -> dict[str, Any]:
+    def fit(
+        self, study: Study, added: list[str], held: dict[str, float], quick: bool
+    ) -> dict[str, Any]:
         """The fit that a page asks for, or `error` in a line. A `quick` one is by the smoother; it
         is null if that does not settle."""
-        study, self.asked, self.looked_at = self.study, time.monotonic(), tuple(sorted(added))
-        assert study is not None
+        self.asked, self.looked_at = time.monotonic(), tuple(sorted(added))
         try:
             if quick and frozenset(added) not in study.fits:
                 return {"fit": refitted(study, sorted(added))}
@@ -144,40 +140,15 @@ class Worker:
 
     def __init__(self, newest: dict[str, int] | None = None):
         """`newest`: what each window asked for last, if several workers are asked by the same."""
-        self._jobs: queue.Queue = queue.Queue()
         self._newest = {} if newest is None else newest
-        threading.Thread(target=self._run, daemon=True).start()
+        self._thread = ThreadPoolExecutor(1)
 
     async def newest(self, window: str, number: int, work: Callable[[], Any]) -> Any:
         """Do some work for a window, unless it has asked for something newer before that begins:
         None then."""
         self._newest[window] = max(number, self._newest.get(window, 0))
-        return await self._put(lambda: work() if self._newest[window] == number else None)
+        return await self.do(lambda: work() if self._newest[window] == number else None)
 
     async def do(self, work: Callable[[], Any]) -> Any:
         """Do some work."""
-        return await self._put(work)
-
-    async def _put(self, work):
-        loop = asyncio.get_running_loop()
-        future = loop.create_future()
-        self._jobs.put((loop, future, work))
-        return await future
-
-    def _run(self) -> None:
-        while True:
-            loop, future, work = self._jobs.get()
-            try:
-                found, error = work(), None
-            except Exception as e:
-                found, error = None, e
-            loop.call_soon_threadsafe(_settle, future, found, error)
-
-
-def _settle(future: asyncio.Future, found: Any, error: Exception | None) -> None:
-    if future.cancelled():
-        return
-    if error is not None:
-        future.set_exception(error)
-    else:
-        future.set_result(found)
+        return await asyncio.get_running_loop().run_in_executor(self._thread, work)

@@ -6,7 +6,8 @@ import { times } from "./words.js";
 const LEAST = 0.5;
 
 export class Bars {
-  constructor(place, joints, heldOut) {
+  constructor(joints, heldOut) {
+    this.place = element("div", { class: "bars" });
     this.rows = [];
     this.most = 2;
     const words = heldOut === "last third" ? "last third, held out" : "held out";
@@ -25,7 +26,7 @@ export class Bars {
           fill,
           element("span", { class: "noise" }),
         );
-        place.append(
+        this.place.append(
           element(
             "div",
             { class: "bar" },
@@ -42,7 +43,7 @@ export class Bars {
         this.rows.push({ fill, ghost, value, kind });
       }
     }
-    place.append(
+    this.place.append(
       element(
         "p",
         { class: "note" },
@@ -65,6 +66,7 @@ export class Bars {
       const of = (m) => (row.kind === "fitted" ? m.fitted : m.held_out)?.[i >> 1] ?? null;
       const [now, first] = [of(model), of(base)];
       row.fill.style.width = `${now === null ? 0 : 100 * this.share(now)}%`;
+      row.fill.hidden = now === null; // an empty bar would say that the error is gone
       row.ghost.style.left = `${100 * this.share(first ?? LEAST)}%`;
       row.ghost.hidden = first === null;
       row.value.textContent = now === null ? "not known" : `${times(now)} ×`;

@@ -7,6 +7,7 @@ export function colours(root) {
   return Object.fromEntries(names.map((n) => [n, style.getPropertyValue(`--${n}`).trim()]));
 }
 
+const ROOM = 0.04; // beside a cloud of points, of its width
 const FONT = "12px system-ui, sans-serif";
 
 function axis(label, c, side) {
@@ -18,6 +19,7 @@ function axis(label, c, side) {
     labelFont: FONT,
     labelSize: 18,
     size: side === 2 ? 30 : 58,
+    space: side === 2 ? 50 : 22,
     grid: { stroke: () => c().line, width: 1 },
     ticks: { stroke: () => c().line, width: 1, size: 4 },
     values:
@@ -139,9 +141,13 @@ export class CloudChart extends Chart {
     super(place, height, c);
     this.marked = [];
     const silent = { paths: () => null, points: { show: false } };
+    const roomy = (_, least, most) => {
+      const room = ROOM * (most - least || 1);
+      return [least - room, most + room];
+    };
     this.start(
       {
-        scales: { x: { time: false } },
+        scales: { x: { time: false, range: roomy } },
         cursor: { show: false },
         axes: [axis(labels[0], c, 2), axis(labels[1], c, 3)],
         series: [{}, silent, silent],

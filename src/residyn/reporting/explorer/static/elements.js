@@ -17,3 +17,8 @@ export function element(tag, attributes = {}, ...children) {
 export function fill(place, ...children) {
   place.replaceChildren(...children.filter((c) => c !== null && c !== ""));
 }
+
+/** A button with words. */
+export function action(words, click, more = {}) {
+  return element("button", { type: "button", class: "action", click, ...more }, words);
+}

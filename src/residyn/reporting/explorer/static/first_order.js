@@ -40,7 +40,8 @@ export class FirstOrder {
     return labels.flatMap((label) => this.columns.get(label));
   }
 
-  /** The model with these effects, as far as the first order knows it; like a stored fit. */
+  /** The model with these effects, as far as the first order knows it; like a stored fit. Where a
+   * joint may stick nothing is linear: no error and no curve. */
   model(labels) {
     const { data } = this;
     const found = this.evidence.gain(labels);
@@ -53,7 +54,7 @@ export class FirstOrder {
       predicted: data.recordings.map(() => null),
       torque: this.known ? this.torque(labels, found) : null,
     };
-    if (!this.known) return model;
+    if (!this.known || labels.some((x) => this.evidence.candidates.get(x).sticks)) return model;
     const columns = this.which(labels);
     const strengths = this.fitted.strengths(columns);
     model.fitted = this.fitted.timesNoise(columns, strengths);

@@ -13,8 +13,9 @@ function spoken(n) {
 
 export class Numbers {
   /** `onMove(name, value)` while a slider moves, `onHold(name, value | null)` when it rests. */
-  constructor(place, { live, onMove, onHold }) {
-    Object.assign(this, { place, live, onMove, onHold });
+  constructor({ live, onMove, onHold }) {
+    Object.assign(this, { live, onMove, onHold });
+    this.place = element("div", {});
     this.ranges = new Map();
     this.names = "";
     this.rows = new Map();

@@ -4,8 +4,12 @@ import { element, fill } from "./elements.js";
 import { listed, times } from "./words.js";
 
 export class Staircase {
-  constructor(place, onChoose, nameOf) {
-    this.place = place;
+  constructor(onChoose, nameOf) {
+    this.place = element("div", {
+      class: "stairs",
+      role: "group",
+      "aria-label": "models looked at",
+    });
     this.onChoose = onChoose;
     this.nameOf = nameOf;
   }

@@ -46,13 +46,28 @@ export function placed(candidate, joints) {
   return joints.includes(place) ? `${title} at the ${place}` : `${title}, ${place}`;
 }
 
+/** How the model that is shown came to be; `sticks`: whether a joint may stick with it. */
+export function standing({ how, fitted }, sticks, working) {
+  const words = {
+    refitted: "refitted: every number of this model by least squares",
+    smoothed: `refitted: least squares by the smoother${sticks ? ", to about 1 % where a joint sticks" : ""}`,
+    "first order": fitted
+      ? "first order: predicted, nothing fitted yet"
+      : `no first-order answer: where a joint sticks nothing is linear${working ? "" : "; residyn explore fits it"}`,
+  };
+  return words[how] + (working ? `; ${working} ...` : "");
+}
+
 const NOISE = 1.1; // times the noise: up to here nothing is left that one could see
 
 /** The verdict on the model that is shown: `{ good, words }`. */
 export function verdict({ model, base, chosen, candidates, joints, heldOut, likeliest, found }) {
   const names = chosen.map((label) => placed(candidates.get(label), joints));
   if (model.how === "by hand") return { good: false, words: ["Numbers as you set them."] };
-  if (!model.fitted) return { good: false, words: ["Not fitted: nothing is known of the error."] };
+  if (!model.fitted) {
+    const whose = names.length ? `With ${listed(names)}` : "Of springs and dampers";
+    return { good: false, words: [`${whose} the error is not known before a fit.`] };
+  }
   const top = (errors) => errors.indexOf(Math.max(...errors));
   const noise = joints.every(
     (_, j) => model.fitted[j] <= NOISE && (!model.held_out || model.held_out[j] <= NOISE),
@@ -97,24 +112,6 @@ export function verdict({ model, base, chosen, candidates, joints, heldOut, like
       if (alike.length) words.push(`These recordings cannot tell it from ${listed(alike)}.`);
     }
   }
+  if (noise && found?.next) words.push(found.next);
   return { good: noise, words };
-}
-
-/** A word as a POSIX shell reads it back. */
-export function quoted(word) {
-  return /^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", `'\\''`)}'`;
-}
-
-/** The command that fits this model. */
-export function command(name, labels) {
-  const effects = labels.map((label) => ` --with ${quoted(label)}`);
-  return `residyn fit ${quoted(name)}${effects.join("")}`;
-}
-
-/** A file that holds the experiment and, as comments, the model. */
-export function toml(text, line, numbers) {
-  const safe = (x) => String(x).replace(/\p{Cc}/gu, " ");
-  const model = numbers.map((n) => `#   ${safe(n.name)} = ${measured(n.value, n.std, n.unit)}`);
-  const head = ["", "# The model that was looked at:", `#   ${safe(line)}`, ...model, ""];
-  return `${(text ?? "").replace(/\n*$/, "\n")}${head.join("\n")}`;
 }

@@ -1,0 +1,69 @@
+// The effects as chips: the most probable ones first, the others folded away below.
+
+import { element, fill } from "./elements.js";
+import { percent } from "./words.js";
+
+const MOST = 8;
+
+export class Chips {
+  /** `candidates`: Map label -> candidate; `onToggle(label)`. */
+  constructor(candidates, onToggle) {
+    Object.assign(this, { candidates, onToggle });
+    const group = (label) => element("div", { class: "chips", role: "group", "aria-label": label });
+    this.top = group("most probable effects");
+    this.rest = group("all other effects");
+    this.title = element("summary", {});
+    this.order = [];
+    this.parts = [this.top, element("details", {}, this.title, this.rest)];
+  }
+
+  /** Which are shown first: those that are most probable beside springs and dampers. */
+  rank(probabilities) {
+    this.order = [...probabilities]
+      .sort((a, b) => b[1].probability - a[1].probability)
+      .map(([label]) => label);
+  }
+
+  /** `weighed(exact)`: whether a probability is worth showing yet. */
+  draw(chosen, probabilities, weighed) {
+    const top = this.order.slice(0, MOST);
+    const shown = [...top, ...chosen.filter((x) => !top.includes(x))];
+    const rest = this.order.filter((x) => !shown.includes(x)).sort();
+    const focused = document.activeElement?.dataset?.effect;
+    const chip = (label) => this.chip(label, chosen, probabilities.get(label), weighed);
+    fill(this.top, ...shown.map(chip));
+    fill(this.rest, ...rest.map(chip));
+    this.title.textContent = `${rest.length} more effects and places`;
+    if (focused) this.find(focused)?.focus();
+  }
+
+  find(label) {
+    return [...this.top.children, ...this.rest.children].find((b) => b.dataset.effect === label);
+  }
+
+  chip(label, chosen, { probability, exact }, weighed) {
+    const own = this.candidates.get(label);
+    const known = weighed(exact);
+    const words = [own.equation, own.looks_like, exact ? "" : "probability to first order"];
+    const found = element(
+      "button",
+      {
+        type: "button",
+        class: "chip",
+        "aria-pressed": String(chosen.includes(label)),
+        "data-effect": label,
+        title: words.filter(Boolean).join("; "),
+        click: () => this.onToggle(label),
+      },
+      element(
+        "span",
+        { class: "title" },
+        own.title,
+        own.place ? element("small", {}, ` ${own.place}`) : "",
+      ),
+      element("span", { class: "p" }, known ? percent(probability) : "being weighed"),
+    );
+    found.style.setProperty("--p", `${known ? 100 * probability : 0}%`);
+    return found;
+  }
+}

@@ -1,0 +1,86 @@
+// The torque that springs and dampers lack, against time, rate, angle and amplitude.
+
+import { drawn, rows } from "./arrays.js";
+import { CloudChart, TimeChart } from "./charts.js";
+import { element } from "./elements.js";
+
+const SIGMAS = 1.96;
+const LOUD = 100; // squared standard deviations from which on an instant says no more
+
+export class Missing {
+  /** `joint()`: which joint is shown. */
+  constructor(data, { joint, onStretch, colours }) {
+    this.recordings = data.missing.map((m) => ({
+      time: m.time.values,
+      ...Object.fromEntries(
+        ["angle", "rate", "amplitude", "torque", "std"].map((k) => [k, rows(m[k])]),
+      ),
+    }));
+    this.names = data.recordings.length > 1 ? data.missing.map((m) => m.recording) : [];
+    this.whose = element("p", { class: "note wide" });
+    this.place = element("div", { class: "clouds" }, this.whose);
+    const of =
+      (words, after = "") =>
+      () =>
+        `${words}, ${data.units[joint()]}${after}`;
+    const torque = () => {
+      const unit = data.missing[0].units[joint()];
+      return `${unit === "N" ? "force" : "torque"}, ${unit}`;
+    };
+    const spot = (title, wide) => {
+      const place = element("div", { class: "chart" });
+      this.place.append(
+        element("div", { class: wide ? "wide" : null }, element("h3", {}, title), place),
+      );
+      return place;
+    };
+    this.overTime = new TimeChart(spot("against time", true), {
+      height: 200,
+      label: torque,
+      zoomed: false,
+      sync: "time",
+      onStretch,
+      colours,
+      series: [
+        { width: 0, band: true },
+        { width: 0 },
+        { colour: "measured", width: 1.2 },
+        { colour: "model", width: 1.5 },
+      ],
+    });
+    const labels = { rate: of("rate", "/s"), angle: of("angle"), amplitude: of("amplitude") };
+    this.against = Object.entries(labels).map(([what, label]) => [
+      what,
+      new CloudChart(spot(`against ${what}`), { height: 220, labels: [label, torque], colours }),
+    ]);
+    this.charts = [this.overTime, ...this.against.map(([, chart]) => chart)];
+  }
+
+  /** The joint that lacks most, in its own bands. */
+  loudest() {
+    const { torque, std } = this.recordings[0];
+    const share = torque.map((row, j) =>
+      row.reduce((sum, x, k) => sum + Math.min(LOUD, (x / std[j][k]) ** 2), 0),
+    );
+    return share.indexOf(Math.max(...share));
+  }
+
+  draw(model, recording, joint, stretch) {
+    const which = Math.min(recording, this.recordings.length - 1);
+    const own = this.recordings[which];
+    const chosen = which === recording ? stretch : null; // of a held-out one the torque is not known
+    this.whose.textContent = this.names.length ? `In ${this.names[which]}.` : "";
+    const [torque, std] = [own.torque[joint], own.std[joint]];
+    const time = Array.from(own.time);
+    let made = null;
+    if (model.added.length && model.torque) {
+      const packed = model.torque[which];
+      made = packed.shape ? rows(packed)[joint] : packed[joint];
+    }
+    const band = (sign) => time.map((_, k) => torque[k] + sign * SIGMAS * std[k]);
+    const curve = made ? drawn(made) : time.map(() => null);
+    this.overTime.draw([time, band(1), band(-1), drawn(torque), curve], chosen);
+    const inside = time.map((t) => chosen !== null && t >= chosen[0] && t <= chosen[1]);
+    for (const [what, chart] of this.against) chart.draw(own[what][joint], torque, made, inside);
+  }
+}

@@ -1,0 +1,71 @@
+// Exact fits of what is shown: asked of the server, the newest first, and numbers held by hand.
+
+import { keyOf } from "./evidence.js";
+
+const IDLE = 1500; // ms without a click, after which what is least squares already is refined
+
+export class Refits {
+  constructor(server, state, models) {
+    Object.assign(this, { server, state, models });
+    this.asked = null; // what is waited for now
+    this.moving = null; // names of numbers that are held while a slider moves
+  }
+
+  /** Another model is shown: fit it, if that was not done yet. */
+  chosen() {
+    this.asked = this.moving = null;
+    if (this.state.get("model").how !== "refitted") this.ask();
+  }
+
+  stop() {
+    this.asked = {};
+  }
+
+  async ask() {
+    const { chosen, held } = this.state.values;
+    const known = this.models.fits.has(keyOf(chosen));
+    const asked = {};
+    this.asked = asked;
+    for (const quick of held.size || known ? [false] : [true, false]) {
+      if (!quick && this.state.get("model").how === "smoothed" && !this.models.sticks(chosen)) {
+        await new Promise((resolve) => setTimeout(resolve, IDLE));
+        if (asked !== this.asked) return;
+      }
+      this.state.set({ working: quick ? "refitting" : "refining" });
+      let found;
+      try {
+        found = await this.server.fit(chosen, held, quick);
+      } catch {
+        found = { error: "the server does not answer: has it been stopped?" };
+      }
+      if (found === null || asked !== this.asked) return; // something newer is under way
+      if (found.error) return this.state.set({ working: "", error: found.error });
+      if (found.fit === null) continue; // the smoother does not settle
+      if (!held.size) this.models.keep([found.fit]);
+      this.state.set({ working: "", error: "", model: found.fit });
+    }
+  }
+
+  /** A slider moves one number: all others stay meanwhile. */
+  move(name, value) {
+    const all = this.state.get("model").numbers.map((n) => [n.name, n.value]);
+    const held = this.state.get("held");
+    this.moving ??= new Set(held.keys());
+    this.moving.add(name);
+    this.state.set({ held: new Map([...all, ...held, [name, value]]) });
+    this.ask();
+  }
+
+  /** A number is held at a value, or let go (null), and the others are fitted; false if none is
+   * held any more. */
+  hold(name, value) {
+    const held = this.state.get("held");
+    const names = this.moving ?? new Set(held.keys());
+    this.moving = null;
+    const next = new Map([...held].filter(([n]) => names.has(n) && n !== name));
+    if (value !== null) next.set(name, value);
+    this.state.set({ held: next });
+    if (next.size) this.ask();
+    return next.size > 0;
+  }
+}

@@ -1,0 +1,103 @@
+"""The atlas: from which strength an effect would show, and be told from its rivals."""
+
+import json
+import math
+
+import jax
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import residyn
+from residyn.cli import main
+from residyn.diagnosis import detectable
+from residyn.diagnosis.columns import Column
+from residyn.diagnosis.detectable import Rivals
+from residyn.diagnosis.evidence import subset
+from residyn.effects import CubicStiffness, QuadraticDrag
+from residyn.recordings.tables import InertiaTable
+
+CART = InertiaTable(("cart",), ((2.0,),), ("m",))
+
+
+def one_release(noise):
+    """A cart on a spring and a damper, let go 0.1 m from where it rests."""
+    time = np.arange(0.0, 10.0, 0.02)
+    q = (0.1 * np.exp(-0.2 * time) * np.cos(6.0 * time))[:, None]
+    q = q + noise * np.random.default_rng(1).standard_normal(q.shape)
+    return residyn.Experiment(CART, (residyn.Recording.from_arrays(time, q, noise=noise),))
+
+
+@pytest.fixture(scope="module")
+def atlases():
+    return {noise: detectable(one_release(noise)) for noise in (1e-4, 2e-4)}
+
+
+def test_evidences_are_those_of_the_readings_that_are_drawn():
+    with jax.enable_x64(True):
+        effects = CubicStiffness("cart"), QuadraticDrag("cart")
+        root = np.random.default_rng(2).standard_normal((6, 2)) * [3.0, 1.0]
+        gram = root.T @ root
+        rows = [Column(e, {}, (i,), np.zeros((0, 0))) for i, e in enumerate(effects)]
+        rivals, shift = Rivals(rows, gram, draws=5), np.array([2.0, 1.0])
+        gains = rivals.gains(shift)
+    for x, found in zip(rivals.noise + shift, gains.T, strict=True):
+        whole = np.block([[np.zeros((1, 1)), -x[None]], [-x[:, None], gram]])
+        for i, gain in enumerate(found):
+            expected, mean, covariance = subset(whole, [i])
+            sided = norm.logcdf(mean[0] / math.sqrt(covariance[0, 0])) + math.log(2.0)
+            assert gain == pytest.approx(expected + (sided if i == 1 else 0.0))
+
+
+def test_draws_have_the_covariance_of_the_columns():
+    gram = np.array([[4.0, 1.0], [1.0, 2.0]])
+    rows = [Column(CubicStiffness("cart"), {}, (i,), np.zeros((0, 0))) for i in (0, 1)]
+    with jax.enable_x64(True):
+        noise = Rivals(rows, gram, draws=20_000).noise
+    np.testing.assert_allclose(noise.T @ noise / len(noise), gram, atol=0.1)
+
+
+def test_twice_the_noise_hides_twice_the_strength(atlases):
+    quiet, loud = ({e.effect: e for e in a.effects} for a in atlases.values())
+    for label in ("cubic_stiffness:cart", "quadratic_drag:cart", "stiffness_drift:cart"):
+        assert loud[label].shows == pytest.approx(2 * quiet[label].shows, rel=0.2)
+
+
+def test_what_moves_alike_is_never_told(atlases):
+    """A constant force shifts where the cart rests, and so does a shifted sensor."""
+    for atlas in atlases.values():
+        known = {e.effect: e for e in atlas.effects}
+        one = known["constant_torque:cart"]
+        assert one.shows is not None
+        assert one.told is None
+        assert one.rival == "sensor_offset:cart"
+        cubic = known["cubic_stiffness:cart"]
+        assert cubic.told is not None
+        assert cubic.told >= cubic.shows
+
+
+def test_it_reads_in_80_columns_and_as_json(atlases):
+    atlas = atlases[1e-4]
+    assert max(map(len, str(atlas).splitlines())) <= 80
+    told = json.loads(json.dumps(atlas.to_dict(), allow_nan=False))
+    assert told["noise"] == {"cart": 1e-4}
+    assert [e["effect"] for e in told["effects"]] == [e.effect for e in atlas.effects]
+    shares = [e["share"] for e in told["effects"] if e["share"] is not None]
+    assert shares == sorted(shares)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["gravity", "--detectable", "x.toml"], "leave the rest out"),
+        (["--json", "x.json"], "--json goes with --detectable"),
+        (["--detectable", "none.toml"], "none.toml"),
+    ],
+)
+def test_what_does_not_go_together_is_one_line(words, said, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["effects", *words]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert said in err
