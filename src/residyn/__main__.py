@@ -1,7 +1,29 @@
-"""`python -m residyn` is the command."""
+"""The command, as `residyn` and as `python -m residyn`.
 
+Ctrl-C ends it in one line at any time. Libraries that are being imported may catch and forget an
+interrupt, so until the work begins, before which nothing is written, it ends the process at once.
+"""
+
+import os
+import signal
 import sys
+from typing import NoReturn
 
-from .cli import main
 
-sys.exit(main())
+def stop(*_: object) -> NoReturn:
+    """End the process now."""
+    os.write(2, b"residyn: interrupted\n")
+    os._exit(130)
+
+
+def main() -> int:
+    """Run the command line; returns the exit status."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else somebody ignores it
+        signal.signal(signal.SIGINT, stop)
+    from .cli import main as run
+
+    return run()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

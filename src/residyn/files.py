@@ -10,6 +10,7 @@ import secrets
 import stat
 from collections.abc import Iterator
 from pathlib import Path
+from typing import IO, Any
 
 from .errors import InputError
 
@@ -18,28 +19,52 @@ _LARGEST_RECORDING = 300_000_000
 """Bytes: a million samples of ten columns with every digit."""
 
 
+def check_ordinary(path: str | os.PathLike[str], kind: str) -> None:
+    """That there is such a file, and no folder, pipe or device; `kind` is what it should be, for
+    the error's line.
+
+    **Raises:** `InputError`.
+    """
+    with _reading(path, kind):
+        mode = os.stat(path).st_mode
+        if not stat.S_ISREG(mode):
+            raise OSError("is a folder" if stat.S_ISDIR(mode) else "is no ordinary file")
+
+
 def read_bytes(path: str | os.PathLike[str], kind: str) -> bytes:
-    """The bytes of a file that is no larger than such files are; `kind` is what it should be, for
-    the error's line."""
-    where, most = os.fspath(path), _LARGEST.get(kind, _LARGEST_RECORDING)
-    try:
-        found = os.stat(path)
-        # A recording is read twice; a pipe could be read once, and some devices never end.
-        if kind not in _LARGEST and not stat.S_ISREG(found.st_mode):
-            what = "a folder" if stat.S_ISDIR(found.st_mode) else "no ordinary file"
-            raise InputError(f"{where}: is {what}; a {kind} was expected")
-        with open(path, "rb") as file:
-            data = b"" if found.st_size > most else file.read(most + 1)
-    except FileNotFoundError:
-        raise InputError(f"{where}: there is no such file; a {kind} was expected") from None
-    except IsADirectoryError:
-        raise InputError(f"{where}: is a folder; a {kind} was expected") from None
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise InputError(f"{where}: cannot be read ({why}); a {kind} was expected") from None
-    if max(found.st_size, len(data)) > most:
+    """The bytes of a file that is no larger than such files are."""
+    if kind not in _LARGEST:  # a recording is read twice, a pipe could be once; a device never ends
+        check_ordinary(path, kind)
+    with _reading(path, kind), open(path, "rb") as file:
+        return read_stream(file, os.fspath(path), kind)
+
+
+def read_stream(file: IO, where: str, kind: str) -> Any:
+    """What a stream still holds, if that is no more than such files have."""
+    most = _LARGEST.get(kind, _LARGEST_RECORDING)
+    data = file.read(most + 1)
+    if len(data) > most:
         raise InputError(f"{where}: has more than {most / 1e6:g} MB, too large for a {kind}")
     return data
+
+
+@contextlib.contextmanager
+def _reading(path: str | os.PathLike[str], kind: str) -> Iterator[None]:
+    """What fails, in one line."""
+    try:
+        yield
+    except InputError:
+        raise
+    except FileNotFoundError:
+        what = "there is no such file"
+    except IsADirectoryError:
+        what = "is a folder"
+    except (OSError, ValueError) as error:
+        own = isinstance(error, OSError) and error.errno is None  # from `check_ordinary`
+        what = str(error) if own else f"cannot be read ({getattr(error, 'strerror', 0) or error})"
+    else:
+        return
+    raise InputError(f"{os.fspath(path)}: {what}; a {kind} was expected")
 
 
 def read_text(path: str | os.PathLike[str], kind: str) -> str:

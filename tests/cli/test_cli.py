@@ -437,6 +437,38 @@ def test_a_reader_that_leaves_is_no_error():
     assert end.returncode == 141
 
 
+def test_ctrl_c_is_not_lost_where_a_library_catches_everything():
+    end = in_new_process(
+        "import os, signal, sys, types\n"
+        "import residyn.__main__ as command\n"
+        "def importing():\n"
+        "    try:\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "    except BaseException:\n"
+        "        pass\n"
+        "    print('went on')\n"
+        "sys.modules['residyn.cli'] = types.SimpleNamespace(main=importing)\n"
+        "command.main()\n"
+    )
+    assert (end.returncode, end.stdout, end.stderr) == (130, "", "residyn: interrupted\n")
+
+
+def test_a_long_line_of_progress_keeps_its_spinner_and_its_clock(monkeypatch):
+    from rich.console import Console
+
+    from residyn.cli import _shell
+
+    out = Console(file=io.StringIO(), width=60, force_terminal=True, color_system=None)
+    monkeypatch.setattr(_shell, "console", lambda **_: out)
+    with _shell.progress() as say:
+        say("messung.csv (3 of 12): " + "friction of the elbow " * 5)
+    assert isinstance(out.file, io.StringIO)
+    (line,) = {x for x in out.file.getvalue().splitlines() if "messung" in x}
+    assert "…" in line
+    assert line.rstrip().endswith("0:00:00")
+    assert "⠋" in line.split("messung")[0]
+
+
 # -- demo ------------------------------------------------------------------------------------
 
 

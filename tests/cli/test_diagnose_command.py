@@ -39,7 +39,7 @@ def command(tmp_path, monkeypatch, capsys):
     rows = (f"{i / 100:.2f},{0.05 * math.cos(i / 10)!r}" for i in range(300))
     (tmp_path / "one.csv").write_text("\n".join(["t,q1", *rows, ""]))
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("residyn.cli._diagnose.set_up_jax", lambda cache: None)
+    monkeypatch.setattr("residyn.cli._work.set_up_jax", lambda cache: None)
     asked = {}
 
     def run(*words, result=None):
@@ -125,6 +125,6 @@ def test_ctrl_c_before_there_is_anything_says_so(command, monkeypatch):
     def interrupted(*words):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("residyn.cli._diagnose.load", interrupted)
+    monkeypatch.setattr("residyn.cli._work.load", interrupted)
     status, out, err, _ = command()
     assert (status, out, err) == (130, "", "residyn: interrupted\n")

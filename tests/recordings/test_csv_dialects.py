@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from residyn.cli._experiment import load as cli_load
+from residyn.cli._work import load as cli_load
 from residyn.errors import InputError
 from residyn.recordings.experiment import load
 

@@ -1,6 +1,8 @@
 """What is malformed ends with status 2 and one line that names where; never a traceback."""
 
+import io
 import os
+import sys
 
 import numpy as np
 import pytest
@@ -219,6 +221,25 @@ def test_keys(refused, key):
     kept = [line for line in RECORDING.splitlines() if line.split(" = ")[0] != own]
     write("x.toml", "\n".join([ARM, *kept, key, ""]))
     refused("diagnose", "x.toml", "--no-cache")
+
+
+class Endless(io.RawIOBase):
+    """What `yes` writes."""
+
+    def readable(self):
+        return True
+
+    def readinto(self, buffer):
+        buffer[:] = b"y" * len(buffer)
+        return len(buffer)
+
+
+def test_standard_input_without_an_end(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BufferedReader(Endless())))
+    assert main(["fit", "-", "--no-cache"]) == 2
+    assert capsys.readouterr().err == (
+        "residyn: standard input: has more than 10 MB, too large for a TOML file\n"
+    )
 
 
 def test_the_good_ones_are_good(tmp_path, monkeypatch):

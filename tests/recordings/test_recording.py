@@ -4,7 +4,6 @@ import dataclasses
 import io
 import math
 import sys
-import time as clock
 from pathlib import Path
 
 import numpy as np
@@ -204,16 +203,6 @@ def test_refuses_to_write_what_it_could_not_read(tmp_path):
         write_csv(tmp_path / "x.csv", np.array([0.0, 1.0]), np.zeros((3, 1)))
     with pytest.raises(InputError, match="cannot be written"):
         write_csv(tmp_path / "no" / "x.csv", np.array([0.0, 1.0]), np.zeros((2, 1)))
-
-
-def test_reads_a_hundred_thousand_rows_at_once(tmp_path):
-    rng = np.random.default_rng(2)
-    angle = rng.standard_normal((100_000, 2))
-    angle[rng.random(angle.shape) < 0.001] = np.nan  # lost cells take the slower of the fast ways
-    write_csv(tmp_path / "x.csv", np.arange(100_000) / 1000, angle)
-    before = clock.perf_counter()
-    read_csv(tmp_path / "x.csv", 2)
-    assert clock.perf_counter() - before < 3
 
 
 # An experiment
@@ -717,7 +706,7 @@ def carts():
 
 
 @measured
-@pytest.mark.parametrize("path", carts(), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", carts(), ids=[path.stem for path in carts()])
 def test_carts(path):
     time, angle, _, _ = read_csv(path, 1)
     step = 0.001 / 56  # one encoder count

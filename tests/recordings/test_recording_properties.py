@@ -12,8 +12,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from residyn.errors import InputError
-from residyn.recordings import columns as _columns
-from residyn.recordings import csv as _csv
 from residyn.recordings.csv import read_csv, write_csv
 from residyn.recordings.experiment import load
 from residyn.recordings.noise import estimate_noise
@@ -91,20 +89,6 @@ def spoilt_tables(draw):
 def test_a_spoilt_csv(text):
     CSV.write_bytes(text.encode("utf-8", "surrogatepass"))
     read_or_refused(lambda: read_csv(CSV, 2), "try.csv")
-
-
-@given(st.lists(st.one_of(CELLS, st.floats().map(repr)), min_size=1, max_size=6))
-@relaxed
-def test_the_fast_way_reads_as_the_slow_one(cells):
-    rows = [f"{i},{cell}" for i, cell in enumerate(cells)]
-    columns = [_columns.Column("t", 0, "t", "s", 1.0), _columns.Column("q1", 1, "q1", "rad", 1.0)]
-    for separator, decimal in ((",", "."), (";", "."), ("\t", "."), (";", ",")):
-        own = [row.replace(",", separator) for row in rows]
-        own = [row.replace(".", ",") for row in own] if decimal == "," else own
-        fast = _csv.read_fast(own, 2, separator, decimal, columns)
-        if fast is not None and not np.isinf(fast).any():
-            slow = _csv.read_slow(own, np.arange(len(rows)), 2, separator, decimal, columns, "")
-            np.testing.assert_array_equal(fast, slow)
 
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)

@@ -1,4 +1,4 @@
-"""The commands of `residyn`, one file each.
+"""The commands of `residyn`.
 
 Nothing here computes. Each command reads what the user gave, calls the same functions that a
 notebook would, and prints. Two promises shape these files: asking for help is instant, so JAX and
@@ -11,20 +11,7 @@ import signal
 
 import typer
 
-from . import (
-    _compare,
-    _demo,
-    _diagnose,
-    _effects,
-    _example,
-    _explore,
-    _fit,
-    _inertia,
-    _plan,
-    _race,
-    _simulate,
-    _unload,
-)
+from . import _demo, _diagnose, _effects, _example, _explore, _fit, _procedure, _race, _simulate
 from ._shell import INTERRUPTED, run
 
 app = typer.Typer(
@@ -53,19 +40,22 @@ def residyn(
         raise typer.Exit
 
 
-app.command("fit")(_fit.fit)
-app.command("compare")(_compare.compare)
-app.command("diagnose")(_diagnose.diagnose)
-app.command("plan")(_plan.plan)
-app.command("explore")(_explore.explore)
-app.command("inertia")(_inertia.inertia)
-app.command("unload")(_unload.unload)
-app.command("race")(_race.race)
-app.command("simulate")(_simulate.simulate)
-app.command("effects")(_effects.effects)
-app.command("demo")(_demo.demo)
-app.command("example")(_example.example)
-app.command("new")(_example.new)
+for _command in (
+    _fit.fit,
+    _diagnose.compare,
+    _diagnose.diagnose,
+    _diagnose.plan,
+    _explore.explore,
+    _procedure.inertia,
+    _procedure.unload,
+    _race.race,
+    _simulate.simulate,
+    _effects.effects,
+    _demo.demo,
+    _example.example,
+    _example.new,
+):
+    app.command(_command.__name__)(_command)
 
 
 def main(args: list[str] | None = None) -> int:

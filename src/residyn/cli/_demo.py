@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from ..reporting.numbers import times
 from . import _options
-from ._experiment import diagnosed, fitted, models
-from ._shell import NoNumbers, Outputs, progress, set_up_jax
+from ._shell import NoNumbers, progress, set_up_jax
+from ._work import Work, computing, models, report_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,7 +28,7 @@ def demo(
     no_cache: _options.NoCache = False,
 ) -> None:
     """A shipped recording with a hidden effect, through the whole loop; needs no files."""
-    out = Outputs(json, report or _REPORT)
+    out = Work(json, report or _REPORT)
     set_up_jax(not no_cache)
     with progress() as say:
         say("loading")
@@ -48,13 +48,19 @@ def demo(
     )
 
     words.print("1. Springs and dampers alone, the model of the paper\n", style="bold")
-    base = fitted(experiment, (), _options.STARTS)
+    with computing() as say:
+        from ..fitting import fit
+
+        base = fit(experiment, starts=_options.STARTS, progress=say)
     words.print(str(base), soft_wrap=True)
     words.print("\nThe curves lie on each other, nearly. But what is left is not noise:\n")
     _windows(words, base)
 
     words.print("2. What is missing?\n", style="bold")
-    found = diagnosed(experiment, (), _options.MAX_EFFECTS, _options.STARTS)
+    with computing() as say:
+        from ..diagnosis import diagnose
+
+        found = diagnose(experiment, starts=_options.STARTS, progress=say)
     _lines(words, [*filled(" ".join(found.words)), ""])
     parts = text.candidates(found), text.lookalikes(found), text.next_experiment(found)
     _lines(words, [line for part in parts for line in part])
@@ -67,8 +73,10 @@ def demo(
     _lines(words, text.models(found))
     _answer(words, found, shipped.HIDDEN)
     out.write_json(found.to_dict())
-    out.write_report(models(found), diagnosis=found)
-    words.print(f"\nReport with pictures: {Path(out.report or _REPORT).resolve()}", soft_wrap=True)
+    with progress() as say:
+        say("writing the report")
+        report_of(models(found), diagnosis=found)(report or _REPORT)
+    words.print(f"\nReport with pictures: {Path(report or _REPORT).resolve()}", soft_wrap=True)
     if not found.fit.converged:
         raise NoNumbers("the demo's fit did not settle")
 

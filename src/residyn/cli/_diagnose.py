@@ -1,11 +1,36 @@
-"""`residyn diagnose`."""
+"""`compare`, `diagnose` and `plan`: what the model misses, and what to measure next."""
+
+from typing import Annotated
 
 import typer
 
 from ..errors import InputError
 from . import _options
-from ._experiment import bring, diagnosed, input_files, load, models, title
-from ._shell import DONE, INTERRUPTED, NO_NUMBERS, Outputs, complain, set_up_jax
+from ._shell import INTERRUPTED, NoNumbers, complain
+from ._work import Work, computing, models, report_of, title
+
+
+def compare(
+    experiment: _options.Experiment,
+    effects: _options.With = None,
+    own: _options.Effects = None,
+    starts: _options.Starts = _options.STARTS,
+    json: _options.Json = None,
+    report: _options.Report = None,
+    no_cache: _options.NoCache = False,
+) -> None:
+    """Fit, and say where the model fails: when, at what swing, at what frequency."""
+    out = Work(json, report)
+    loaded = out.begin(experiment, own, no_cache)
+    with computing() as say:
+        from ..diagnosis import compare_fit
+        from ..fitting import fit
+
+        fitted = fit(loaded, effects=effects or [], starts=starts, progress=say)
+        result = compare_fit(fitted, say)
+    out.give(result, report_of([(title(experiment), fitted)], compared=result))
+    if not fitted.stands:
+        raise NoNumbers(fitted.reason)
 
 
 def diagnose(
@@ -22,21 +47,61 @@ def diagnose(
     no_cache: _options.NoCache = False,
 ) -> None:
     """Name the effect that is missing, add it, and see the error fall."""
-    if budget is not None and not 0 < budget < float("inf"):
-        raise InputError(f"--budget {budget:g}: must be a number of seconds above 0")
-    out = Outputs(json, report, table, found_file)
-    set_up_jax(not no_cache)
-    bring(own)
-    loaded = load(experiment)
-    out.spare(input_files(experiment, loaded))
-    found = diagnosed(loaded, effects or [], most, starts, budget)
-    out.words.print(str(found), soft_wrap=True)
-    out.write_json(found.to_dict())
-    out.write_table(found)
-    out.write_found(found)
-    if report is not None:
-        out.write_report(models(found, title(experiment)), diagnosis=found)
-        out.words.print(f"report: {report}", soft_wrap=True)
+    check_budget(budget)
+    out = Work(json, report, table, found_file)
+    loaded = out.begin(experiment, own, no_cache)
+    with computing() as say:
+        from ..diagnosis import diagnose
+
+        found = diagnose(
+            loaded,
+            effects=effects or [],
+            max_effects=most,
+            starts=starts,
+            budget=budget,
+            progress=say,
+        )
+    out.give(found, report_of(models(found, title(experiment)), diagnosis=found))
     if found.budget.stopped == "interrupted":
         raise typer.Exit(complain("interrupted: the best so far is above", INTERRUPTED))
-    raise typer.Exit(DONE if found.fit.converged else complain(found.fit.reason, NO_NUMBERS))
+    if not found.fit.converged:
+        raise NoNumbers(found.fit.reason)
+
+
+def plan(
+    experiment: _options.Experiment,
+    effects: _options.With = None,
+    tests: Annotated[int, _options.option("--tests", "K", "How many tests to plan.", min=1)] = 3,
+    most: _options.MaxEffects = _options.MAX_EFFECTS,
+    own: _options.Effects = None,
+    starts: _options.Starts = _options.STARTS,
+    budget: _options.Budget = None,
+    json: _options.Json = None,
+    no_cache: _options.NoCache = False,
+) -> None:
+    """The next tests to make, within [limits], and what each outcome would mean."""
+    check_budget(budget)
+    out = Work(json)
+    loaded = out.begin(experiment, own, no_cache)
+    with computing() as say:
+        from ..diagnosis import diagnose
+        from ..diagnosis import plan as planned
+
+        found = diagnose(
+            loaded,
+            effects=effects or [],
+            max_effects=most,
+            starts=starts,
+            budget=budget,
+            progress=say,
+        )
+        result = planned(found, tests=tests, progress=say)
+    out.give(result)
+    if found.budget.stopped == "interrupted":
+        raise typer.Exit(complain("interrupted: planned from the best so far", INTERRUPTED))
+
+
+def check_budget(seconds: float | None) -> None:
+    """**Raises:** `InputError` for a budget that is none."""
+    if seconds is not None and not 0 < seconds < float("inf"):
+        raise InputError(f"--budget {seconds:g}: must be a number of seconds above 0")

@@ -6,13 +6,11 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from ..errors import InputError, inside
 from ..files import check_writable, write
 from . import _options
-from ._experiment import bring, in_one_line, input_files, load
-from ._shell import Outputs, console, progress, set_up_jax
+from ._shell import console, progress
+from ._work import Work, bring, computing
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -26,28 +24,21 @@ _ROOMY = 110
 
 def effects(
     name: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="NAME", help="One effect, in full; all, if not given.", show_default=False
-        ),
+        str | None, _options.argument("NAME", "One effect, in full; all, if not given.")
     ] = None,
     plot: Annotated[
         str | None,
-        typer.Option(
-            "--plot",
-            metavar="FILE",
-            help="Draw what the effect NAME does, to a file (.png, .svg or .pdf).",
-            show_default=False,
+        _options.option(
+            "--plot", "FILE", "Draw what the effect NAME does, to a file (.png, .svg or .pdf)."
         ),
     ] = None,
     experiment: Annotated[
         str | None,
-        typer.Option(
+        _options.option(
             "--detectable",
-            metavar="EXPERIMENT",
-            help="From which strength each effect would show in recordings like these, and be told "
+            "EXPERIMENT",
+            "From which strength each effect would show in recordings like these, and be told "
             "from its rivals.",
-            show_default=False,
         ),
     ] = None,
     own: _options.Effects = None,
@@ -58,7 +49,14 @@ def effects(
     if experiment is not None:
         if name is not None or plot is not None:
             raise InputError("--detectable EXPERIMENT is about all effects: leave the rest out")
-        return _detectable(experiment, own, json, no_cache)
+        out = Work(json)
+        loaded = out.begin(experiment, own, no_cache)
+        with computing() as say:
+            from ..diagnosis.detectable import detectable
+
+            say("smoothing the motion")
+            found = detectable(loaded)
+        return out.give(found)
     if json is not None:
         raise InputError("--json goes with --detectable EXPERIMENT")
     if plot is not None and name is None:
@@ -85,26 +83,9 @@ def effects(
         return
     kinds = list(known.values())
     if not out.is_terminal:
-        _plain(kinds)
-    else:
-        tabulate(out, kinds)
-        out.print("spring and damper are in every model; --with NAME adds another")
-
-
-def _detectable(experiment: str, own: list[str] | None, json: str | None, no_cache: bool) -> None:
-    out = Outputs(json, None)
-    set_up_jax(not no_cache)
-    bring(own)
-    loaded = load(experiment)
-    out.spare(input_files(experiment, loaded))
-    with progress() as say:
-        say("smoothing the motion")
-        from ..diagnosis.detectable import detectable
-
-        with in_one_line():
-            found = detectable(loaded)
-    out.words.print(str(found), soft_wrap=True)
-    out.write_json(found.to_dict())
+        return _plain(kinds)
+    tabulate(out, kinds)
+    out.print("spring and damper are in every model; --with NAME adds another")
 
 
 def _draw(name: str, file: str) -> None:
@@ -167,35 +148,34 @@ def _one(out: "Console", kind: "type[AbstractEffect]") -> None:
     from ..effects import JointEffect
     from ..physics.parameter import parameters_of
 
-    def paragraph(words: str) -> None:
-        out.print(Padding(words, (0, 0, 0, 2)))
-
-    out.print(kind.name, style="bold")
-    for part in inspect.cleandoc(kind.__doc__ or "").split("\n\n"):
-        paragraph(" ".join(part.split()))
-        out.print()
-    out.print("equation", style="bold")
-    paragraph(kind.equation)
-    out.print("parameters", style="bold")
+    numbers = []
     for p in parameters_of(kind):
         limits = ", never negative" if p.sign == "positive" else ""
         fixed = "" if p.fitted else ", not fitted"
         absent = "a shape" if p.silent is None else f"absent at {p.silent:g}"
-        paragraph(f"{p.name}{_unit(p)}: {p.words}{limits}{fixed}; {absent}")
-    out.print("what it looks like in the data", style="bold")
-    paragraph(kind.looks_like)
-    out.print("properties", style="bold")
-    paragraph("never adds energy" if kind.dissipates else "may add energy as well as take it")
-    if kind.dry:
-        paragraph("dry: lets a joint stick")
-    if kind.memory:
-        paragraph(f"remembers: {', '.join(each.name for each in kind.memory)}")
-    if kind.senses:
-        paragraph("acts on the reading, not on the motion")
-    if kind.of_bearings:
-        paragraph("belongs to the air bearings: leaves when they are taken off")
-    out.print("source", style="bold")
-    paragraph(kind.source)
+        numbers.append(f"{p.name}{_unit(p)}: {p.words}{limits}{fixed}; {absent}")
+    remembers = ", ".join(each.name for each in kind.memory)
+    properties = {
+        "never adds energy": kind.dissipates,
+        "may add energy as well as take it": not kind.dissipates,
+        "dry: lets a joint stick": kind.dry,
+        f"remembers: {remembers}": kind.memory,
+        "acts on the reading, not on the motion": kind.senses,
+        "belongs to the air bearings: leaves when they are taken off": kind.of_bearings,
+    }
+    out.print(kind.name, style="bold")
+    for part in inspect.cleandoc(kind.__doc__ or "").split("\n\n"):
+        out.print(Padding(" ".join(part.split()), (0, 0, 1, 2)))
+    for head, paragraphs in {
+        "equation": [kind.equation],
+        "parameters": numbers,
+        "what it looks like in the data": [kind.looks_like],
+        "properties": [words for words, true in properties.items() if true],
+        "source": [kind.source],
+    }.items():
+        out.print(head, style="bold")
+        for words in paragraphs:
+            out.print(Padding(words, (0, 0, 0, 2)))
     if kind.name in ("spring", "damper"):
         out.print("in every model already")
     else:

@@ -4,23 +4,21 @@ import os
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from ..errors import InputError, quote
 from ..files import write
-from ._shell import DONE, console
+from . import _options
+from ._shell import console
 
 _NAMES = ("release", "driven", "bearings", "pendulum")
 
 
 def example(
-    folder: Annotated[str, typer.Argument(metavar="FOLDER", help="Where to write it.")],
+    folder: Annotated[str, _options.argument("FOLDER", "Where to write it.")],
     name: Annotated[
         str,
-        typer.Argument(
-            metavar="[NAME]",
-            help="release (a hidden effect), driven (step 1), bearings (step 3) or pendulum "
-            "(measured).",
+        _options.argument(
+            "[NAME]",
+            "release (a hidden effect), driven (step 1), bearings (step 3) or pendulum (measured).",
         ),
     ] = _NAMES[0],
 ) -> None:
@@ -34,16 +32,11 @@ def example(
     for file in files:
         words.print(str(file), soft_wrap=True)
     words.print(f"next: {EXAMPLES[name][2]} {files[0]}", soft_wrap=True)
-    raise typer.Exit(DONE)
 
 
 def new(
-    experiment: Annotated[
-        str, typer.Argument(metavar="EXPERIMENT.toml", help="The file to write.")
-    ],
-    recordings: Annotated[
-        list[str], typer.Argument(metavar="RECORDING.csv...", help="What was recorded.")
-    ],
+    experiment: Annotated[str, _options.argument("EXPERIMENT.toml", "The file to write.")],
+    recordings: Annotated[list[str], _options.argument("RECORDING.csv...", "What was recorded.")],
 ) -> None:
     """Write a first experiment file from recordings; what they cannot tell is marked "?"."""
     path = Path(experiment)
@@ -58,4 +51,3 @@ def new(
     words = console()
     words.print(text, soft_wrap=True, end="")
     words.print(f'\nnext: fill in each "?" in {experiment}, then residyn diagnose {experiment}')
-    raise typer.Exit(DONE)

@@ -7,36 +7,31 @@ import webbrowser
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from ..errors import InputError
 from . import _options
-from ._experiment import bring
 from ._shell import DONE, NoNumbers, console, progress, set_up_jax
+from ._work import bring, one_complaint
 
-_Port = Annotated[
-    int, typer.Option("--port", metavar="N", min=0, max=65535, help="0 takes one that is free.")
-]
-_NoBrowser = Annotated[
-    bool, typer.Option("--no-browser", help="Only print the address; open no browser.")
-]
 DEMO = "demo"
 
 
 def explore(
     experiment: Annotated[
         str,
-        typer.Argument(
-            metavar="EXPERIMENT",
-            help='A TOML file that describes the arm and its recordings; "demo" is the one that '
+        _options.argument(
+            "EXPERIMENT",
+            'A TOML file that describes the arm and its recordings; "demo" is the one that '
             "ships with residyn.",
-            show_default=False,
         ),
     ],
     effects: _options.With = None,
     own: _options.Effects = None,
-    port: _Port = 0,
-    no_browser: _NoBrowser = False,
+    port: Annotated[
+        int, _options.option("--port", "N", "0 takes one that is free.", min=0, max=65535)
+    ] = 0,
+    no_browser: Annotated[
+        bool, _options.option("--no-browser", None, "Only print the address; open no browser.")
+    ] = False,
     no_cache: _options.NoCache = False,
 ) -> None:
     """Add effects by hand on a page, and watch the error fall; Ctrl-C stops it."""
@@ -57,7 +52,10 @@ def explore(
         files = ExperimentFiles(path)
         if not files.experiment.fit_recordings:
             raise InputError(f'{experiment}: no recording has role = "fit": nothing to fit to')
-        _check(files.experiment, effects or [])
+        with one_complaint():  # of a wrong effect, before any page opens
+            from ..fitting.problem import ready
+
+            ready(files.experiment, files.experiment.fit_recordings, effects or [])
     out = console()
 
     def opened(address: str) -> None:
@@ -71,13 +69,3 @@ def explore(
     # A thread may be in the middle of a compilation, which nothing can interrupt.
     sys.stdout.flush()
     os._exit(DONE)
-
-
-def _check(experiment, effects) -> None:
-    """Complain of a wrong effect here, before any page opens."""
-    from ..fitting.problem import ready
-
-    try:
-        ready(experiment, experiment.fit_recordings, effects)
-    except ValueError as error:
-        raise InputError(str(error)) from None

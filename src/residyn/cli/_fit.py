@@ -1,17 +1,23 @@
-"""`residyn fit`."""
+"""`residyn fit`, of one experiment or of every one in a folder."""
 
-from typing import TYPE_CHECKING, NoReturn
-
-import typer
+import contextlib
+import json as json_
+import math
+import multiprocessing
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..errors import InputError
+from ..reporting.numbers import plain, times, with_error
+from ..runtime.json import finite
 from . import _options
-from ._each import fit_each
-from ._experiment import bring, fitted, input_files, integrated_by, load, title
-from ._shell import DONE, NO_NUMBERS, Outputs, complain, set_up_jax
+from ._shell import NoNumbers, interruptible, progress, set_up_jax
+from ._work import Work, bring, computing, report_of, title
 
 if TYPE_CHECKING:
-    from ..fitting.result import Fit
+    from ..fitting.batch import Each
 
 NOTHING = "nothing"
 """Of --against: no effect, springs and dampers alone."""
@@ -60,52 +66,149 @@ def fit(
         if against is not None:
             raise InputError("--each goes without --against")
         bring(own)
-        fit_each(each, effects or [], own, starts, json, no_cache, jobs)
+        return _fit_each(each, effects or [], own, starts, json, no_cache, jobs)
     if jobs != 1:
         raise InputError(f"--jobs {jobs} goes with --each FOLDER")
     if against is not None and table is not None:
         raise InputError("--table is of one model; it goes without --against")
     if experiment is None:
         raise InputError("an EXPERIMENT is needed, a TOML file, or --each FOLDER")
-    out = Outputs(json, report, table)
-    set_up_jax(not no_cache)
-    bring(own)
-    loaded = integrated_by(load(experiment), integrator)
-    out.spare(input_files(experiment, loaded))
-    how = starts, method, check_integration, seed
-    result = fitted(loaded, effects or [], *how)
+    out = Work(json, report, table)
+    loaded = out.begin(experiment, own, no_cache, integrator)
+    both = [effects or []]
     if against is not None:
-        other = fitted(loaded, [e for e in against if e != NOTHING], *how)
-        _beside(out, result, other, report)
+        both.append([e for e in against if e != NOTHING])
+    fits = []
+    for names in both:
+        with computing() as say:
+            from ..fitting import fit
+
+            fits.append(
+                fit(
+                    loaded,
+                    effects=names,
+                    starts=starts,
+                    progress=say,
+                    method=method,
+                    check_integration=check_integration,
+                    **({"seed": seed} if seed else {}),
+                )
+            )
+    if against is not None:
+        from ..reporting.side_by_side import SideBySide, headings
+
+        found = SideBySide(*fits)
+        out.give(found, report_of(headings(found)))
+        for name, one in zip("AB", fits, strict=True):
+            if not one.stands:
+                raise NoNumbers(f"{name}: {one.reason}")
+        return
+    (result,) = fits
     out.words.print(str(result), soft_wrap=True)
     if result.misses:
         out.words.print(
             f"the model misses something: residyn diagnose {experiment}", soft_wrap=True
         )
-    out.write_json(result.to_dict())
-    out.write_table(result)
-    if report is not None:
-        out.write_report([(title(experiment), result)])
-        out.words.print(f"report: {report}", soft_wrap=True)
+    out.write(result, report_of([(title(experiment), result)]))
     if not result.stands:
-        raise typer.Exit(complain(result.reason, NO_NUMBERS))
+        raise NoNumbers(result.reason)
     if result.unphysical:
         names = ", ".join(n.name for n in result.unphysical)
-        raise typer.Exit(complain(f"{names}: negative, which is not physical", NO_NUMBERS))
-    raise typer.Exit(DONE)
+        raise NoNumbers(f"{names}: negative, which is not physical")
 
 
-def _beside(out: Outputs, one: "Fit", other: "Fit", report: str | None) -> NoReturn:
-    """Print and write two models side by side."""
-    from ..reporting.side_by_side import SideBySide, headings
+def _fit_each(
+    folder: str,
+    effects: Sequence[str],
+    own: Sequence[str] | None,
+    starts: int,
+    json: str | None,
+    no_cache: bool,
+    jobs: int,
+) -> None:
+    """Fit every experiment of a folder, a line each as it is done, in `jobs` processes.
 
-    found = SideBySide(one, other)
-    out.words.print(str(found), soft_wrap=True)
-    out.write_json(found.to_dict())
-    if report is not None:
-        out.write_report(headings(found))
-        out.words.print(f"report: {report}", soft_wrap=True)
-    for name, fit in (("A", one), ("B", other)):
-        if not fit.stands:
-            raise typer.Exit(complain(f"{name}: {fit.reason}", NO_NUMBERS))
-    raise typer.Exit(DONE)
+    **Raises:** `InputError` for a folder without experiments, or a file of results that is none or
+    cannot be written.
+    """
+    files = _experiments_in(folder)
+    out = Work(json)
+    out.spare([Path(file) for file in files])
+    set_up_jax(not no_cache)
+    lines = json == "-"
+    bad = 0
+    with progress() as say, _workers(min(jobs, len(files)), own, not no_cache) as executor:
+        from ..fitting import fit_many
+
+        interruptible()
+        to = None if lines else json
+        every = fit_many(
+            files, effects=effects, starts=starts, out=to, progress=say, executor=executor
+        )
+        for each in every:
+            out.words.print(_line(each), soft_wrap=True)
+            if lines:
+                print(json_.dumps(finite(each.told), allow_nan=False), flush=True)
+            bad += "error" in each.told
+    if bad:
+        raise NoNumbers(f"{bad} of {len(files)} experiments could not be fitted")
+
+
+@contextlib.contextmanager
+def _workers(
+    jobs: int, own: Sequence[str] | None, cache: bool
+) -> Iterator[ProcessPoolExecutor | None]:
+    """So many processes; none for one job, which this process does itself."""
+    if jobs == 1:
+        yield None
+        return
+    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _prepare, (own, cache))
+    try:
+        yield pool
+    finally:  # whoever interrupts does not want to wait for what is still to do
+        pool.shutdown(cancel_futures=True)
+
+
+def _prepare(own: Sequence[str] | None, cache: bool) -> None:
+    from ..effects import load_effects
+
+    set_up_jax(cache)
+    for file in own or ():
+        load_effects(file)
+
+
+def _experiments_in(folder: str) -> list[str]:
+    """The TOML files in a folder, by name.
+
+    **Raises:** `InputError` if there is no such folder, or none in it.
+    """
+    path = Path(folder)
+    if not path.is_dir():
+        raise InputError(f"--each {folder}: there is no such folder")
+    files = sorted(str(file) for file in path.glob("*.toml"))
+    if not files:
+        raise InputError(f"--each {folder}: no experiment in it; must hold files that end in .toml")
+    return files
+
+
+def _line(each: "Each") -> str:
+    name, told = Path(each.name).name, each.told
+    if "error" in told:
+        return f"{name}: {told['error']}"
+    numbers = ", ".join(f"{k} = {_number(v)}" for k, v in told["parameters"].items())
+    before = " (done before)" if each.before else ""
+    settled = "" if told["converged"] else ", not settled"
+    error = ", ".join(
+        f"{joint} {times(rms / told['noise'][joint])} x noise"
+        for joint, rms in told["rmse"].items()
+        if rms is not None
+    )
+    chi2 = plain(math.nan if told["reduced_chi2"] is None else told["reduced_chi2"], 3)
+    return f"{name}: {numbers}; rms error {error}; reduced chi2 {chi2}{settled}{before}"
+
+
+def _number(number: dict[str, float | None]) -> str:
+    value, std = number["value"], number["std"]
+    if value is None or std is None:
+        return f"{plain(math.nan if value is None else value, 5)} (not determined)"
+    return " +/- ".join(with_error(value, std))

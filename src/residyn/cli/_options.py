@@ -1,156 +1,137 @@
 """The options that several commands share, so that they read the same everywhere."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-_EXPERIMENT = typer.Argument(
-    metavar="EXPERIMENT",
-    help='A TOML file that describes the arm and its recordings; "-" reads it from standard input.',
-    show_default=False,
+
+def option(name: str, metavar: str | None, words: str, **more: Any) -> Any:
+    """An option as `--help` shows it."""
+    return typer.Option(name, metavar=metavar, help=words, **more)
+
+
+def argument(metavar: str, words: str, **more: Any) -> Any:
+    """An argument as `--help` shows it."""
+    return typer.Argument(metavar=metavar, help=words, show_default=False, **more)
+
+
+_EXPERIMENT = argument(
+    "EXPERIMENT",
+    'A TOML file that describes the arm and its recordings; "-" reads it from standard input.',
 )
 Experiment = Annotated[str, _EXPERIMENT]
 OneExperiment = Annotated[str | None, _EXPERIMENT]
 Jobs = Annotated[
-    int,
-    typer.Option(
-        "--jobs",
-        metavar="N",
-        min=1,
-        help="With --each: how many processes share the experiments.",
-    ),
+    int, option("--jobs", "N", "With --each: how many processes share the experiments.", min=1)
 ]
 Each = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--each",
-        metavar="FOLDER",
-        help="Fit every experiment (*.toml) of a folder instead of one; --json FILE then takes a "
+        "FOLDER",
+        "Fit every experiment (*.toml) of a folder instead of one; --json FILE then takes a "
         "line for each as it is done, and a run that was stopped goes on from there.",
-        show_default=False,
     ),
 ]
 With = Annotated[
     list[str] | None,
-    typer.Option(
+    option(
         "--with",
-        metavar="EFFECT",
-        help="Add an effect to the springs and dampers: NAME, or NAME:JOINT. May be repeated; "
+        "EFFECT",
+        "Add an effect to the springs and dampers: NAME, or NAME:JOINT. May be repeated; "
         "`residyn effects` lists them.",
-        show_default=False,
     ),
 ]
 Against = Annotated[
     list[str] | None,
-    typer.Option(
+    option(
         "--against",
-        metavar="EFFECT",
-        help="Fit a second model, with these effects instead of those of --with, and set the two "
+        "EFFECT",
+        "Fit a second model, with these effects instead of those of --with, and set the two "
         'side by side; "nothing": springs and dampers alone. May be repeated.',
-        show_default=False,
     ),
 ]
 Effects = Annotated[
     list[str] | None,
-    typer.Option(
+    option(
         "--effects",
-        metavar="FILE.py",
-        help="A Python file that defines effects of your own, to use by name. May be repeated.",
-        show_default=False,
+        "FILE.py",
+        "A Python file that defines effects of your own, to use by name. May be repeated.",
     ),
 ]
-Starts = Annotated[
-    int, typer.Option("--starts", metavar="N", min=1, help="How many starts to fit from.")
-]
+Starts = Annotated[int, option("--starts", "N", "How many starts to fit from.", min=1)]
 MaxEffects = Annotated[
-    int,
-    typer.Option(
-        "--max-effects", metavar="N", min=0, help="How many effects to add at most; 0 only names."
-    ),
+    int, option("--max-effects", "N", "How many effects to add at most; 0 only names.", min=0)
 ]
 Budget = Annotated[
     float | None,
-    typer.Option(
+    option(
         "--budget",
-        metavar="SECONDS",
-        help="End the search after so long, with the best so far. Ctrl-C does the same at any "
+        "SECONDS",
+        "End the search after so long, with the best so far. Ctrl-C does the same at any "
         "time. Without it the search ends when nothing more is gained.",
-        show_default=False,
     ),
 ]
 Found = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--found",
-        metavar="FILE.py",
-        help="If a law without a name is found, write it as an effect into this file, for "
+        "FILE.py",
+        "If a law without a name is found, write it as an effect into this file, for "
         "--effects FILE.py.",
-        show_default=False,
     ),
 ]
 Method = Annotated[
     str,
-    typer.Option(
+    option(
         "--method",
-        metavar="METHOD",
-        help="How to search: levenberg, random (starts), genetic, genetic_release_told, cma_es, "
+        "METHOD",
+        "How to search: levenberg, random (starts), genetic, genetic_release_told, cma_es, "
         "differential_evolution, particle_swarm, or a minimiser such as optimistix.BFGS.",
     ),
 ]
-Seed = Annotated[
-    int, typer.Option("--seed", metavar="N", min=0, help="Of a --method that draws: which draw.")
-]
+Seed = Annotated[int, option("--seed", "N", "Of a --method that draws: which draw.", min=0)]
 Integrator = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--integrator",
-        metavar="NAME",
-        help="What integrates: fixed steps, or a solver of diffrax such as Tsit5, Dopri8 or, for "
+        "NAME",
+        "What integrates: fixed steps, or a solver of diffrax such as Tsit5, Dopri8 or, for "
         "a stiff effect, Kvaerno5; before [integrator] in the file.",
-        show_default=False,
     ),
 ]
 CheckIntegration = Annotated[
     bool,
-    typer.Option(
+    option(
         "--check-integration",
-        help="Integrate the fitted motion again with Dopri8 at rtol = 1e-10, and state the error.",
+        None,
+        "Integrate the fitted motion again with Dopri8 at rtol = 1e-10, and state the error.",
     ),
 ]
 Json = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--json",
-        metavar="FILE",
-        help='Write the result as JSON; "-" writes it to standard output, and all words to '
+        "FILE",
+        'Write the result as JSON; "-" writes it to standard output, and all words to '
         "standard error.",
-        show_default=False,
     ),
 ]
 Report = Annotated[
     str | None,
-    typer.Option(
-        "--report",
-        metavar="FILE.html",
-        help="Write one self-contained page with pictures.",
-        show_default=False,
-    ),
+    option("--report", "FILE.html", "Write one self-contained page with pictures."),
 ]
 Table = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--table",
-        metavar="FILE.tex|FILE.csv",
-        help="Write the numbers as a table for a paper: LaTeX (booktabs), or CSV.",
-        show_default=False,
+        "FILE.tex|FILE.csv",
+        "Write the numbers as a table for a paper: LaTeX (booktabs), or CSV.",
     ),
 ]
 NoCache = Annotated[
     bool,
-    typer.Option(
-        "--no-cache",
-        help="Keep no compiled programs in your cache folder, and use none.",
-    ),
+    option("--no-cache", None, "Keep no compiled programs in your cache folder, and use none."),
 ]
 
 METHODS = (

@@ -8,53 +8,34 @@ import typer
 
 from ..errors import InputError
 from . import _options
-from ._experiment import bring, in_one_line, input_files, integrated_by, load, title
-from ._shell import DONE, INTERRUPTED, NO_NUMBERS, Outputs, complain, console, set_up_jax
+from ._shell import INTERRUPTED, NoNumbers, complain, console
+from ._work import Work, one_complaint, page_of, title
 
 if TYPE_CHECKING:
     from ..fitting.history import Watch
-    from ..fitting.race import Race
 
-_Methods = Annotated[
-    str | None,
-    typer.Option(
-        "--methods",
-        metavar="LIST",
-        help="Which methods, separated by commas: levenberg, random, genetic, "
-        "genetic_release_told, cma_es, differential_evolution, particle_swarm, or any minimiser "
-        "such as optimistix.BFGS or optax.adam. Without it, the first seven.",
-        show_default=False,
-    ),
-]
-_Repeats = Annotated[
-    int, typer.Option("--repeats", metavar="N", min=1, help="Seeds that each method runs with.")
-]
-_Seconds = Annotated[
-    float | None,
-    typer.Option(
-        "--seconds",
-        metavar="S",
-        help="The most seconds that one run of a method may take.",
-        show_default=False,
-    ),
-]
-_Simulations = Annotated[
-    int | None,
-    typer.Option(
-        "--simulations",
-        metavar="N",
-        help="The most simulations that one run of a method may take, instead of --seconds.",
-        show_default=False,
-    ),
-]
+_METHODS = _options.option(
+    "--methods",
+    "LIST",
+    "Which methods, separated by commas: levenberg, random, genetic, "
+    "genetic_release_told, cma_es, differential_evolution, particle_swarm, or any minimiser "
+    "such as optimistix.BFGS or optax.adam. Without it, the first seven.",
+)
+_REPEATS = _options.option("--repeats", "N", "Seeds that each method runs with.", min=1)
+_SECONDS = _options.option("--seconds", "S", "The most seconds that one run of a method may take.")
+_SIMULATIONS = _options.option(
+    "--simulations",
+    "N",
+    "The most simulations that one run of a method may take, instead of --seconds.",
+)
 
 
 def race(
     experiment: _options.Experiment,
-    methods: _Methods = None,
-    repeats: _Repeats = 1,
-    seconds: _Seconds = None,
-    simulations: _Simulations = None,
+    methods: Annotated[str | None, _METHODS] = None,
+    repeats: Annotated[int, _REPEATS] = 1,
+    seconds: Annotated[float | None, _SECONDS] = None,
+    simulations: Annotated[int | None, _SIMULATIONS] = None,
     effects: _options.With = None,
     own: _options.Effects = None,
     integrator: _options.Integrator = None,
@@ -67,14 +48,11 @@ def race(
     if seconds is not None and simulations is not None:
         raise InputError("--seconds and --simulations: give one of them")
     names = None if methods is None else [name.strip() for name in methods.split(",")]
-    out = Outputs(json, report, table)
-    set_up_jax(not no_cache)
-    bring(own)
-    loaded = integrated_by(load(experiment), integrator)
-    out.spare(input_files(experiment, loaded))
-    from ..fitting import race as run
+    out = Work(json, report, table)
+    loaded = out.begin(experiment, own, no_cache, integrator)
+    with _live() as (say, news), one_complaint():
+        from ..fitting import race as run
 
-    with _live() as (say, news), in_one_line():
         found = run(
             loaded,
             effects=effects or [],
@@ -85,23 +63,11 @@ def race(
             progress=say,
             news=news,
         )
-    out.words.print(str(found), soft_wrap=True)
-    out.write_json(found.to_dict())
-    out.write_table(found)
-    if report is not None:
-        from ..reporting import write_page
-
-        write_page(report, found, title(experiment))
-        out.words.print(f"report: {report}", soft_wrap=True)
-    raise typer.Exit(_status(found))
-
-
-def _status(found: "Race") -> int:
+    out.give(found, page_of(found, title(experiment)))
     if found.interrupted:
-        return complain("interrupted", INTERRUPTED)
+        raise typer.Exit(complain("interrupted", INTERRUPTED))
     if found.best is None:
-        return complain("no method led to finite numbers", NO_NUMBERS)
-    return DONE
+        raise NoNumbers("no method led to finite numbers")
 
 
 @contextlib.contextmanager

@@ -1,35 +1,25 @@
-"""What all commands share: exit statuses, words, progress, output files, JAX's settings."""
+"""What all commands share: exit statuses, words, progress, JAX's settings."""
 
 import contextlib
 import errno
-import itertools
-import json
 import multiprocessing
 import os
+import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ..errors import InputError, inside
-from ..files import check_writable, write
-from ..runtime.json import finite
+from ..errors import InputError
 from ..runtime.settings import set_up
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ..diagnosis import Comparison
-    from ..diagnosis.result import Diagnosis
-    from ..fitting.race import Race
-    from ..fitting.result import Fit
-
 DONE, NO_NUMBERS, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 TRACEBACK = "RESIDYN_TRACEBACK"
-_TABLES = (".tex", ".csv")
 
 # The class of all complaints about the command line, which typer itself does not name.
 _UsageError: Any = typer.BadParameter.__bases__[0]
@@ -57,6 +47,8 @@ def run(app: typer.Typer, args: Sequence[str] | None) -> int:
             status = DONE
         except typer.Exit as end:
             status = end.exit_code
+        except NoNumbers as error:
+            status = complain(str(error), NO_NUMBERS)
         sys.stdout.flush()
         return status
     except (KeyboardInterrupt, typer.Abort):
@@ -73,8 +65,6 @@ def run(app: typer.Typer, args: Sequence[str] | None) -> int:
         return complain(_usage(error), BAD_INPUT)
     except InputError as error:
         return complain(str(error), BAD_INPUT)
-    except NoNumbers as error:
-        return complain(str(error), NO_NUMBERS)
     except Exception as error:
         return _unexpected(error)
 
@@ -84,6 +74,14 @@ def complain(line: str, status: int) -> int:
     with contextlib.suppress(OSError):
         print(f"residyn: {line}", file=sys.stderr, flush=True)
     return status
+
+
+def interruptible() -> None:
+    """From here on Ctrl-C is an exception again: whoever computes may end well, with what it has
+    (see `residyn.__main__`)."""
+    now = signal.getsignal(signal.SIGINT)
+    if getattr(now, "__module__", None) in ("residyn.__main__", "__main__"):
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _unexpected(error: Exception) -> int:
@@ -126,17 +124,23 @@ def progress() -> Iterator[Callable[[str], None]]:
 
     Words that know what `share` (0 to 1) is done move a bar.
     """
+    out = console(stderr=True)
+    if not out.is_terminal:
+        yield lambda words: None
+        return
     from rich import progress as rich
+    from rich.table import Column
     from rich.text import Text
 
     class Bar(rich.ProgressColumn):
         def render(self, task):
             return Text("") if task.total is None else rich.BarColumn(24).render(task)
 
-    out = console(stderr=True)
-    words = rich.TextColumn("{task.description}", markup=False)
+    # Of a line that is too long the words are cut: spinner and clock stay.
+    cut = Column(no_wrap=True, ratio=1)
+    words = rich.TextColumn("{task.description}", markup=False, table_column=cut)
     columns = (rich.SpinnerColumn(), words, Bar(), rich.TimeElapsedColumn())
-    with rich.Progress(*columns, console=out, transient=True, disable=not out.is_terminal) as bar:
+    with rich.Progress(*columns, console=out, transient=True, expand=True) as bar:
         task = bar.add_task("starting", total=None)
 
         def say(words: str) -> None:
@@ -146,114 +150,6 @@ def progress() -> Iterator[Callable[[str], None]]:
             bar.update(task, description=words, completed=share or 0.0)
 
         yield say
-
-
-# -- files -----------------------------------------------------------------------------------
-
-
-class Outputs:
-    """Where results go. Made before the long work, so that a wrong path costs no waiting."""
-
-    def __init__(
-        self,
-        json_file: str | None,
-        report: str | None,
-        table: str | None = None,
-        found: str | None = None,
-    ):
-        self.json_file, self.report, self.table, self.found = json_file, report, table, found
-        if report == "-":
-            raise InputError("--report -: a report needs the name of a file")
-        if table is not None and Path(table).suffix not in _TABLES:
-            raise InputError(f"--table {table}: must end in {' or '.join(_TABLES)}")
-        if found is not None and Path(found).suffix != ".py":
-            raise InputError(f"--found {found}: must end in .py")
-        each = [(option, path) for option, path in self._files if path != "-"]
-        for (one, path), (other, own) in itertools.combinations(each, 2):
-            if _same(path, own):
-                raise InputError(f"{other} and {one} are the same file, {own}")
-        for option, path in each:
-            with inside(option):
-                check_writable(path)
-
-    @property
-    def _files(self) -> list[tuple[str, str]]:
-        """(option, path) of all that were asked for."""
-        each = (
-            ("--json", self.json_file),
-            ("--report", self.report),
-            ("--table", self.table),
-            ("--found", self.found),
-        )
-        return [(option, path) for option, path in each if path is not None]
-
-    @property
-    def words(self) -> "Console":
-        """Standard output, unless that is for the JSON."""
-        return console(stderr=self.json_file == "-")
-
-    def spare(self, inputs: Sequence[Path]) -> None:
-        """Refuse to write over a file that was read.
-
-        **Raises:** `InputError`.
-        """
-        for option, path in self._files:
-            if any(_same(path, each) for each in inputs):
-                raise InputError(f"{option} {path}: is an input of this experiment; choose another")
-
-    def write_json(self, result: Mapping[str, Any]) -> None:
-        """Write the JSON, if it was asked for."""
-        if self.json_file is None:
-            return
-        text = json.dumps(finite(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        if self.json_file == "-":
-            sys.stdout.write(text)
-            sys.stdout.flush()
-            return
-        with inside("--json"):
-            write(self.json_file, text)
-
-    def write_table(self, result: "Fit | Diagnosis | Race") -> None:
-        """Write the table, if it was asked for."""
-        if self.table is None:
-            return
-        text = result.to_latex() if Path(self.table).suffix == ".tex" else result.to_csv()
-        with inside("--table"):
-            write(self.table, text)
-        self.words.print(f"table: {self.table}", soft_wrap=True)
-
-    def write_found(self, result: "Diagnosis") -> None:
-        """Write the law without a name as an effect, if it was asked for and there is one."""
-        if self.found is None:
-            return
-        law = next((law.found for law in result.laws if law.found is not None), None)
-        if law is None:
-            self.words.print(f"no law without a name was found: {self.found} is not written")
-            return
-        with inside("--found"):
-            write(self.found, law.text(Path(self.found).name))
-        self.words.print(
-            f"law: {self.found} (--effects {self.found} --with {law.label})", soft_wrap=True
-        )
-
-    def write_report(
-        self,
-        fits: "Sequence[tuple[str, Fit]]",
-        compared: "Comparison | None" = None,
-        diagnosis: "Diagnosis | None" = None,
-    ) -> None:
-        """Write the report, if it was asked for."""
-        if self.report is None:
-            return
-        from ..reporting import write_report
-
-        with progress() as say:
-            say("writing the report")
-            write_report(self.report, fits, compared, diagnosis)
-
-
-def _same(one: str | Path, other: str | Path) -> bool:
-    return os.path.realpath(one) == os.path.realpath(other)
 
 
 # -- JAX -------------------------------------------------------------------------------------

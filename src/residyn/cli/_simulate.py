@@ -9,60 +9,41 @@ import typer
 from ..errors import InputError, inside, number
 from ..files import make_folder
 from . import _options
-from ._experiment import bring, fitted, input_files, integrated_by, load
-from ._shell import DONE, NO_NUMBERS, complain, console, progress, set_up_jax
+from ._shell import DONE, NO_NUMBERS, NoNumbers, complain, console
+from ._work import Work, computing, input_files
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from ..physics.model import Model
     from ..recordings.experiment import Experiment
     from ..recordings.recording import Recording
 
-_Set = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help="A number of the model, as spring:elbow.stiffness=16.7. May be repeated. Set all or "
-        "none: without any, they are fitted first.",
-        show_default=False,
-    ),
-]
-_Out = Annotated[str, typer.Option("--out", metavar="FOLDER", help="Where the recordings go.")]
-_Noise = Annotated[
-    float, typer.Option("--noise", metavar="SIGMA", help="Gaussian noise to add, rad (or m).")
-]
-_Seed = Annotated[int, typer.Option("--seed", metavar="N", help="Which noise.", min=0)]
-_Q0 = Annotated[
-    str | None,
-    typer.Option(
-        "--q0",
-        metavar="ANGLES",
-        help="Where to begin, rad (or m): one number per joint, as 0.25,-0.3.",
-        show_default=False,
-    ),
-]
-_V0 = Annotated[
-    str | None,
-    typer.Option(
-        "--v0",
-        metavar="RATES",
-        help="Rates to begin with, rad/s (or m/s): one number per joint.",
-        show_default=False,
-    ),
-]
+_SET = _options.option(
+    "--set",
+    "NAME=VALUE",
+    "A number of the model, as spring:elbow.stiffness=16.7. May be repeated. Set all or "
+    "none: without any, they are fitted first.",
+)
+_OUT = _options.option("--out", "FOLDER", "Where the recordings go.")
+_NOISE = _options.option("--noise", "SIGMA", "Gaussian noise to add, rad (or m).")
+_SEED = _options.option("--seed", "N", "Which noise.", min=0)
+_Q0 = _options.option(
+    "--q0", "ANGLES", "Where to begin, rad (or m): one number per joint, as 0.25,-0.3."
+)
+_V0 = _options.option("--v0", "RATES", "Rates to begin with, rad/s (or m/s): one number per joint.")
 
 
 def simulate(
     experiment: _options.Experiment,
     effects: _options.With = None,
     own: _options.Effects = None,
-    values: _Set = None,
-    out: _Out = "simulated",
-    noise: _Noise = 0.0,
-    seed: _Seed = 0,
-    q0: _Q0 = None,
-    v0: _V0 = None,
+    values: Annotated[list[str] | None, _SET] = None,
+    out: Annotated[str, _OUT] = "simulated",
+    noise: Annotated[float, _NOISE] = 0.0,
+    seed: Annotated[int, _SEED] = 0,
+    q0: Annotated[str | None, _Q0] = None,
+    v0: Annotated[str | None, _V0] = None,
     starts: _options.Starts = _options.STARTS,
     integrator: _options.Integrator = None,
     no_cache: _options.NoCache = False,
@@ -71,9 +52,7 @@ def simulate(
     if not 0 <= noise < float("inf"):
         raise InputError(f"--noise {noise:g}: must be a number from 0 up (rad or m)")
     numbers = _numbers(values or [])
-    set_up_jax(not no_cache)
-    bring(own)
-    loaded = integrated_by(load(experiment), integrator)
+    loaded = Work().begin(experiment, own, no_cache, integrator)
     angles, rates = _per_joint("--q0", q0, loaded), _per_joint("--v0", v0, loaded)
     # Driven recordings of step 1 have their brakes off: springs and dampers say nothing of them.
     shown = [r for r in loaded.recordings if r.role != "inertia"]
@@ -81,60 +60,153 @@ def simulate(
         raise InputError(f"{experiment}: has no recording of braked motion to simulate")
     paths = _paths(Path(out), shown, input_files(experiment, loaded))
     words, status = console(stderr=True), DONE
+    predicted = []
     if numbers:
-        predicted = _with_numbers(loaded, shown, effects or [], numbers, angles, rates)
+        with computing() as say:
+            model = _model_with(loaded, effects or [], numbers)
+            for r in shown:
+                say(f"simulating {r.name}")
+                begin = [0.0] * r.joints if rates is None else rates
+                first = _first_angles(model, loaded, r, begin) if angles is None else angles
+                predicted.append(_motion(model, loaded, r, first, begin))
         taken = [] if angles is not None else ["angles from the first readings, smoothed"]
         taken += [] if rates is not None else ["rates of zero"]
         if taken:
             words.print(f"begins with {' and '.join(taken)}; --q0 and --v0 give others")
     else:
-        result = fitted(loaded, effects or [], starts)
+        with computing() as say:
+            from ..fitting import fit
+
+            result = fit(loaded, effects=effects or [], starts=starts, progress=say)
         words.print(str(result), soft_wrap=True)
         if not result.stands:
             status = complain(result.reason, NO_NUMBERS)
-        predicted = _with_fit(result, shown, angles, rates)
+        with computing() as say:
+            # Warned of, a recording is another object: they are told by their times.
+            beside = {id(f.recording.time): f for f in result.whole}
+            for r in shown:
+                say(f"simulating {r.name}")
+                fitted = beside[id(r.time)]
+                if angles is None and rates is None:
+                    predicted.append(fitted.predicted)
+                    continue
+                first, rate, memory = _split(fitted.state, r.joints)
+                first, rate = (
+                    (first if angles is None else angles),
+                    (rate if rates is None else rates),
+                )
+                predicted.append(_motion(result.model, loaded, r, first, rate, memory))
     _write(paths, shown, predicted, noise, seed)
     for path, recording in zip(paths, shown, strict=True):
         print(f"{path}: {len(recording.time)} samples, at the times of {recording.name}")
     raise typer.Exit(status)
 
 
-def _with_numbers(experiment, recordings, effects, numbers, angles, rates) -> "list[np.ndarray]":
-    """The motion with numbers that the user gave."""
-    with progress() as say:
-        say("loading")
-        import numpy as np
-
-        from ._predict import first_angles, model_with, motion
-
-        model = model_with(experiment, effects, numbers)
-        v0 = np.zeros(len(experiment.joints)) if rates is None else rates
-        found = []
-        for recording in recordings:
-            say(f"simulating {recording.name}")
-            q0 = first_angles(model, experiment, recording, v0) if angles is None else angles
-            found.append(motion(model, experiment, recording, q0, v0))
-        return found
+def _split(state: "np.ndarray", joints: int) -> "tuple[np.ndarray, np.ndarray, np.ndarray]":
+    """Angles, rates and memory of an initial state."""
+    return state[:joints], state[joints : 2 * joints], state[2 * joints :]
 
 
-def _with_fit(fit, recordings, angles, rates) -> "list[np.ndarray]":
-    """The motion with the numbers of a fit, from its own initial states unless others are given."""
-    from ._predict import motion
+def _model_with(
+    experiment: "Experiment", effects: Sequence[str], numbers: dict[str, float]
+) -> "Model":
+    """The springs, dampers and effects, with all their numbers as given.
 
-    # Warned of, a recording is another object: they are told by their times.
-    beside = {id(r.recording.time): r for r in fit.whole}
-    if angles is None and rates is None:
-        return [beside[id(r.time)].predicted for r in recordings]
-    n = len(fit.experiment.joints)
-    found = []
-    with progress() as say:
-        for recording in recordings:
-            say(f"simulating {recording.name}")
-            state = beside[id(recording.time)].state
-            q0 = state[:n] if angles is None else angles
-            v0 = state[n : 2 * n] if rates is None else rates
-            found.append(motion(fit.model, fit.experiment, recording, q0, v0, state[2 * n :]))
+    **Raises:** `InputError` for an effect or a number that there is not, or a number left out.
+    """
+    from ..fitting import mechanism_of, model_for
+
+    try:
+        model = model_for(mechanism_of(experiment, experiment.recordings[0]), effects)
+        if experiment.integrator is not None:
+            experiment.integrator.check(model)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    known = [n.name for n in model.numbers]
+    for name in numbers:
+        if name not in known:
+            effect = name.rpartition(".")[0]
+            hint = f"; add --with {effect}?" if effect and effect not in model.labels else ""
+            raise InputError(
+                f"--set {name}: the model has no such number{hint} (it has {', '.join(known)})"
+            )
+    missing = [n.name for n in model.fitted if n.name not in numbers]
+    if missing:
+        raise InputError(
+            f"--set: {', '.join(missing)} not set; set all numbers, or none to have them fitted"
+        )
+    return model.with_values(numbers)
+
+
+def _first_angles(
+    model: "Model",
+    experiment: "Experiment",
+    recording: "Recording",
+    rates: "Sequence[float] | np.ndarray",
+) -> "np.ndarray":
+    """Angles at the first instant: a parabola of the known slope through the first readings."""
+    import numpy as np
+
+    from ..physics.modal import fastest
+
+    recording = recording.as_angles
+    time = recording.time - recording.time[0]
+    # Up to here, a swing at the fastest mode is a parabola within 0.3 %.
+    window = 0.5 / max(fastest(_posed(model, experiment, recording)), 1e-9)
+    angles = []
+    for joint, rate in enumerate(rates):
+        seen = np.flatnonzero(np.isfinite(recording.angle[:, joint]))
+        use = seen[: max(5, int(np.searchsorted(time[seen], window)))]
+        t, q = time[use], recording.angle[use, joint] - rate * time[use]
+        columns = np.stack([np.ones_like(t), (t / (t[-1] or 1.0)) ** 2], axis=1)
+        angles.append(np.linalg.lstsq(columns, q, rcond=None)[0][0])
+    return np.array(angles)
+
+
+def _motion(
+    model: "Model",
+    experiment: "Experiment",
+    recording: "Recording",
+    angles: "np.ndarray",
+    rates: "Sequence[float] | np.ndarray",
+    memory: "np.ndarray | None" = None,
+) -> "np.ndarray":
+    """Readings (N, n) of the bodies and under the drive of one recording, at its times.
+
+    **Raises:** `NoNumbers` if the motion runs away.
+    """
+    import jax.numpy as jnp
+    import numpy as np
+
+    from ..simulation.simulate import Drive, simulate
+
+    time, drive = recording.time - recording.time[0], None
+    if recording.drive is not None:
+        grid = np.linspace(time[0], time[-1], len(time))
+        values = np.stack([np.interp(grid, time, u) for u in recording.drive.T], axis=1)
+        drive = Drive(grid[0], grid[1] - grid[0], jnp.asarray(values))
+    here = _posed(model, experiment, recording)
+    begin = jnp.asarray(angles), jnp.asarray(rates)
+    path = simulate(
+        here,
+        jnp.asarray(time),
+        *begin,
+        z0=memory,
+        drive=drive,
+        integrator=experiment.integrator,
+        orders=recording.orders,
+    )
+    found = np.asarray(path.readings)
+    if not np.isfinite(found).all():
+        raise NoNumbers(f"{recording.name}: with these numbers the motion runs away")
     return found
+
+
+def _posed(model: "Model", experiment: "Experiment", recording: "Recording") -> "Model":
+    from ..fitting import mechanism_of
+    from ..fitting.problem import posed
+
+    return posed(model, mechanism_of(experiment, recording))
 
 
 def _numbers(words: Sequence[str]) -> dict[str, float]:

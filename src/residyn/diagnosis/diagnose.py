@@ -99,9 +99,10 @@ def diagnose(
         search = Search(scene, base, deadline=deadline, say=say)
         fits.begin(search.base)
         search.run(max_effects)
-        # One law may be what several names together resemble.
-        missing = search.base.complete < 1 - IN_PLAY and search.best.intensity < EXPLAINS_NOTHING
-        if missing and not search.stopped:
+        best = search.best
+        # Where one name leaves nothing, no law is missing; several may resemble one together.
+        unsettled = best.complete < 1 - IN_PLAY or len(best.added) > 1
+        if unsettled and best.intensity < EXPLAINS_NOTHING and not search.stopped:
             say("looking for a law without a name")
             search.curves = curve_models(search)
         say("fitting the models on the way")

@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 
 from ..errors import InputError, inside, quote
+from ..files import check_ordinary
 from ..physics.effect import AbstractEffect, JointEffect
 from ..physics.mechanism import PlanarArm
 from ..physics.motion import JointMotion, Motion
@@ -37,8 +38,7 @@ def read_effects(path: str | Path) -> list[type[AbstractEffect]]:
     **Raises:** `InputError`, in one line, if the file cannot be run or defines none.
     """
     where = str(path)
-    if not Path(path).is_file():
-        raise InputError(f"{where}: there is no such file; a Python file of effects was expected")
+    check_ordinary(path, "Python file of effects")
     spec = importlib.util.spec_from_file_location(f"residyn_own_{Path(path).stem}", path)
     if spec is None or spec.loader is None:
         raise InputError(f"{where}: is not a Python file (its name must end in .py)")

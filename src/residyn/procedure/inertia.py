@@ -21,9 +21,8 @@ from ..physics.mechanism import PlanarArm
 from ..recordings.experiment import Experiment
 from ..recordings.tables import ArmTable
 from .driven import DrivenTest, driven_test
-from .ordinary import ordinary
 from .result import InertiaResult, Number, Separation, TestResult
-from .weak import CALIBRATED, Rows, Solved, rows_of, solve
+from .weak import CALIBRATED, Rows, Solved, ordinary, rows_of, solve
 
 _ROUNDS = 20
 _LEAST_APART = 1e-3

@@ -33,21 +33,6 @@ class RingDown(NamedTuple):
     high: Float[np.ndarray, "N n"] | None
 
 
-def ring_down(
-    model: Model,
-    fitted: Model,
-    errors: Carried,
-    times: Float[np.ndarray, " N"],
-    q0: Float[Array, " n"],
-    draws: int,
-    seed: int,
-) -> RingDown:
-    """Let a model go at rest from `q0`; `errors` are those of the model `fitted`, of which `model`
-    may lack some effects. Without `draws` there is no band."""
-    path, found = draws_of(model, fitted, errors, times, q0, draws, seed)
-    return band_of(path, found)
-
-
 def draws_of(
     model: Model,
     fitted: Model,
@@ -57,8 +42,9 @@ def draws_of(
     draws: int,
     seed: int,
 ) -> tuple[Trajectory, np.ndarray]:
-    """The motion of `ring_down`, and that of each draw (draws, N, n); of none where the recordings
-    leave a number open."""
+    """Let a model go at rest from `q0`: its motion, and that of each draw (draws, N, n); of none
+    where the recordings leave a number open. `errors` are those of the model `fitted`, of which
+    `model` may lack some effects."""
     steps = steps_for(model, float(times[-1] - times[0]))
     names = [n.name for n in fitted.fitted]
     kept = [names.index(n.name) for n in model.fitted]

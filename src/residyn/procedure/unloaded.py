@@ -16,7 +16,7 @@ from .carried import NAMES, Carried, inertias
 from .decay import decay_of
 from .over_models import OverModels
 from .result import InertiaResult
-from .ringdown import DRAWS, RingDown, ring_down
+from .ringdown import DRAWS, RingDown, band_of, draws_of
 
 _DECAYS = 3.0
 """Decay times of the slowest mode that a picture shows,"""
@@ -171,7 +171,8 @@ class Unloading(Result):
             q0 = jnp.asarray(self.fit.recordings[0].state[: len(self.fit.joints)])
             times = self._times() if times is None else np.asarray(times, float)
             told = self.fit.model, self.errors, times, q0, draws, seed
-            return ring_down(self.model, *told), ring_down(self.unloaded, *told)
+            on, off = (band_of(*draws_of(m, *told)) for m in (self.model, self.unloaded))
+            return on, off
 
     def _times(self) -> np.ndarray:
         modes = (*self.with_bearings, *self.without_bearings)

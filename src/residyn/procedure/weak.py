@@ -9,6 +9,11 @@ Both readings have noise. The residual of a row is then a known linear map of wh
 torque through K, of the angle through I K'' + fv K'. Its covariance S depends on the unknowns, and
 least squares on S^(-1/2) times the residual is the maximum likelihood of the readings with the true
 motion left free: the noise of the acceleration does not pull the inertia down, whatever the kernel.
+
+The paper's own way, ordinary least squares on Eq. 12 and 13, needs rates and accelerations, so the
+angle is smoothed, and the torque with it. What noise is left in the acceleration pulls the inertia
+down, what motion is smoothed away is lost, and a braked joint that gives is taken for rigid: it is
+the start of the weak form, and stands beside.
 """
 
 import math
@@ -17,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky_banded, solve_banded
 from scipy.optimize import least_squares
+from scipy.signal import oaconvolve
 from scipy.special import chdtrc
 
 from ..fitting import FitError
@@ -35,6 +41,36 @@ _STANDS_OUT = 3.0
 """Standard errors from zero which an inertia must be."""
 CALIBRATED = 1e-3
 """Probability below which the residual is more than noise, and errors are enlarged."""
+
+
+def ordinary(test: DrivenTest) -> tuple[np.ndarray, np.ndarray]:
+    """Eq. 12 and 13 as they stand: acceleration, sign and rate against torque, by least squares.
+
+    All through one kernel, the narrowest that keeps the noise of the acceleration to a hundredth of
+    the acceleration, unless that would smooth away the motion.
+
+    **Returns:** (3,) inertia, Coulomb, viscous; (3,) standard errors.
+    """
+    dt, noise = test.grid.dt, float(test.recording.noise[test.joint])
+    widest = max(2, len(test.rate) // (12 * (test.reversals + 1)))
+    knot = 2
+    while True:
+        pass_ = kernel(knot, dt)
+        a = oaconvolve(test.angle, pass_[2], "valid")
+        if noise * np.linalg.norm(pass_[2]) < 0.01 * np.std(a) or knot == widest:
+            break
+        knot = min(math.ceil(1.25 * knot), widest)
+    sign = np.sign(smoothed(test.angle, knot, dt)[1])
+    columns = [a, oaconvolve(sign, pass_[0], "valid"), oaconvolve(test.angle, pass_[1], "valid")]
+    columns = np.stack(columns, axis=1)
+    torque = oaconvolve(test.grid.drive[:, test.joint], pass_[0], "valid")
+    values, *_ = np.linalg.lstsq(columns, torque, rcond=None)
+    # Smoothed rows go together: as many are free as there are kernels beside each other.
+    per_free = 1 / float(pass_[0] @ pass_[0])
+    left = torque - columns @ values
+    variance = float(left @ left) / max(1.0, len(left) / per_free - 3)
+    spread = np.linalg.pinv(columns.T @ columns) * variance
+    return values, np.sqrt(np.diag(spread))
 
 
 class Rows(NamedTuple):

@@ -8,51 +8,52 @@ Nothing is guessed in silence: what was understood is told in one line.
 
 import difflib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
+
+import numpy as np
 
 from ..errors import InputError, quote
 from .reads import PER_TIME, READS
 
 _TIMES = ("t", "time", "zeit", "temps", "tiempo", "tempo")
-_UNITS: dict[str, dict[str, tuple[float, tuple[str, ...]]]] = {
+_DEGREE = 0.017453292519943295
+_UNITS: dict[str, dict[str, tuple[float, str]]] = {
     "s": {
-        "s": (1.0, ("sec", "secs", "second", "seconds", "sekunden")),
-        "ms": (1e-3, ("msec", "millisecond", "milliseconds", "millisekunden")),
-        "us": (1e-6, ("µs", "μs", "usec", "microsecond", "microseconds")),
-        "ns": (1e-9, ("nsec", "nanosecond", "nanoseconds")),
+        "s": (1.0, "sec secs second seconds sekunden"),
+        "ms": (1e-3, "msec millisecond milliseconds millisekunden"),
+        "us": (1e-6, "µs μs usec microsecond microseconds"),
+        "ns": (1e-9, "nsec nanosecond nanoseconds"),
     },
     "rad": {
-        "rad": (1.0, ("radian", "radians", "radiant")),
-        "deg": (0.017453292519943295, ("°", "degree", "degrees", "grad", "º")),
-        "mrad": (1e-3, ("milliradian", "milliradians")),
+        "rad": (1.0, "radian radians radiant"),
+        "deg": (_DEGREE, "° º degree degrees grad"),
+        "mrad": (1e-3, "milliradian milliradians"),
     },
     "m": {
-        "m": (1.0, ("meter", "meters", "metre", "metres")),
-        "cm": (1e-2, ("centimeter", "centimeters")),
-        "mm": (1e-3, ("millimeter", "millimeters")),
+        "m": (1.0, "meter meters metre metres"),
+        "cm": (1e-2, "centimeter centimeters"),
+        "mm": (1e-3, "millimeter millimeters"),
     },
-    "rad/s": {
-        "rad/s": (1.0, ("rad/sec", "radian/s", "1/s")),
-        "deg/s": (0.017453292519943295, ("°/s", "deg/sec", "dps", "º/s")),
-        "mrad/s": (1e-3, ()),
-        "rpm": (0.10471975511965977, ("1/min", "rev/min")),
-    },
-    "m/s": {"m/s": (1.0, ("m/sec",)), "cm/s": (1e-2, ()), "mm/s": (1e-3, ())},
-    "rad/s^2": {
-        "rad/s^2": (1.0, ("rad/s²", "rad/s2", "rad/s/s", "rad/s**2")),
-        "deg/s^2": (0.017453292519943295, ("°/s²", "°/s^2", "deg/s²", "deg/s2", "deg/s/s")),
-    },
-    "m/s^2": {
-        "m/s^2": (1.0, ("m/s²", "m/s2", "m/s/s", "m/s**2")),
-        "mm/s^2": (1e-3, ("mm/s²", "mm/s2")),
-        "g": (9.80665, ()),
-    },
-    "N m": {"N m": (1.0, ("nm", "n*m", "n·m", "n-m")), "mN m": (1e-3, ("mnm", "mn*m", "mn·m"))},
-    "N": {"N": (1.0, ("newton", "newtons")), "mN": (1e-3, ())},
+    "N m": {"N m": (1.0, ""), "mN m": (1e-3, "")},
+    "N": {"N": (1.0, "newton newtons"), "mN": (1e-3, "")},
 }
 """By quantity: the units it may have, how many of the SI unit each is, and other spellings."""
+for _base in ("rad", "m"):
+    for _per in PER_TIME[1:]:
+        _UNITS[_base + _per] = {
+            unit + _per: (size, " ".join(word + _per for word in words.split()))
+            for unit, (size, words) in _UNITS[_base].items()
+        }
+_UNITS["rad/s"] |= {"rad/s": (1.0, "radian/s 1/s")}
+_UNITS["rad/s"] |= {"deg/s": (_DEGREE, "°/s º/s dps"), "rpm": (6 * _DEGREE, "1/min rev/min")}
+_UNITS["m/s^2"]["g"] = (9.80665, "")
+_SPELLED = (
+    (re.compile(r"/sec\b"), "/s"),
+    (re.compile(r"/s(?:²|\*\*2|2|/s)$"), "/s^2"),
+    (re.compile(r"[\s*·-]"), ""),  # N*m, N·m, N-m
+)
 
 _BRACKETS = re.compile(r"(.*?)[\s,_]*[\[({<]\s*([^\[\](){}<>]*?)\s*[\])}>]\s*")
 _TAILS = re.compile(r"(.*\S)(?:\s+in\s+|\s*/\s*|_|,\s*)(\S+)", re.I)
@@ -242,6 +243,48 @@ def understood(
     return "; ".join([", ".join(said), *more, *([f"not read: {some}"] if ignored else [])])
 
 
+class Table(NamedTuple):
+    """A recording as its file has it, in SI units."""
+
+    time: np.ndarray
+    """(N,) s."""
+    angle: np.ndarray
+    """(N, n) rad or m, NaN where one is missing."""
+    drive: np.ndarray | None
+    """(N, n) N m or N, zero for a joint without its own column; None if no joint has one."""
+    line: np.ndarray
+    """(N,) the line number of each sample."""
+    stated: frozenset[str]
+    """The columns whose unit is stated, by a key or the file itself."""
+    understood: str = ""
+    """What was made of the header, in one line; empty if there is nothing to say."""
+
+    @classmethod
+    def of(
+        cls,
+        values: Iterable[np.ndarray],
+        line: np.ndarray,
+        columns: Sequence[Column],
+        header: Sequence[str],
+        joints: Joints,
+        more: Sequence[str] = (),
+    ) -> "Table":
+        """From the columns' values (N,), in their own units; `more` is said of the file."""
+        found = {c.name: x * c.factor for c, x in zip(columns, values, strict=True)}
+        drive = None
+        if any(name in found for name in joints.drives):
+            still = np.zeros_like(found["t"])
+            drive = np.stack([found.get(name, still) for name in joints.drives], axis=1)
+        return cls(
+            found["t"],
+            np.stack([found[name] for name in joints.angles], axis=1),
+            drive,
+            line,
+            frozenset(column.name for column in columns if column.stated),
+            understood(columns, header, joints, more),
+        )
+
+
 def is_unit_row(cells: Sequence[str]) -> bool:
     """Whether a row below the header has units and nothing else: `s`, `[deg]`, or empty cells."""
     words = [_bare_unit(cell) for cell in cells if cell.strip()]
@@ -303,8 +346,11 @@ def _known(word: str, kind: str) -> str | None:
     """The unit of a quantity that a word means, or None."""
     if word in _UNITS[kind]:
         return word
+    plain = word.casefold()
+    for pattern, instead in _SPELLED:
+        plain = pattern.sub(instead, plain)
     for unit, (_, others) in _UNITS[kind].items():
-        if word.casefold() in (*others, unit.casefold().replace(" ", "")):
+        if plain in (*others.split(), unit.casefold().replace(" ", "")):
             return unit
     return None
 

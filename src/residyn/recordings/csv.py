@@ -7,33 +7,26 @@ above the header, semicolons, tabs or blanks between cells, decimal commas, quot
 that is not UTF-8; those are recognised, and what was understood is told in one line.
 
 Reading is strict, since a table that is silently misread fits some other arm: whatever is not such
-a table is refused with the line where it stops being one. Numbers are parsed by NumPy, cells that
-need more by Python's `csv`: importing pandas takes 0.4 s, a quarter of a whole command.
+a table is refused with the line where it stops being one. Importing pandas takes 0.4 s, a quarter
+of a whole command; reading 2000 lines one by one, a fiftieth of that.
 """
 
 import csv
+import math
 import os
 import re
 from collections.abc import Sequence
-from typing import NamedTuple, TextIO
+from typing import TextIO
 
 import numpy as np
 
 from ..errors import InputError, inside, quote
 from ..files import read_table_text, write
-from .columns import (
-    Column,
-    Joints,
-    Layout,
-    columns_of,
-    guessed,
-    is_unit_row,
-    matched,
-    understood,
-)
+from .columns import Column, Joints, Layout, Table, columns_of, guessed, is_unit_row, matched
 
-_EMPTY_CELL = re.compile(r"(?<![^,\n])[ \t]*(?![^,\n])")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eEdD][+-]?[0-9]+)?")
+_PLAIN = re.compile("[-+.0-9eE]+")
+"""What Python reads as a number, or not at all."""
 _LOST = re.compile(r"|[+-]?nan|#?n/?a|null|none", re.I)
 _INFINITE = re.compile(r"[+-]?inf(?:inity)?", re.I)
 _COMMENT = re.compile(r"\s*(?:#|%|//)\s*")
@@ -41,23 +34,6 @@ _SEPARATORS = (",", ";", "\t", " ")
 _WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}
 _HEAD = 200
 """Lines in which the header must be."""
-
-
-class Table(NamedTuple):
-    """A recording as its file has it, in SI units."""
-
-    time: np.ndarray
-    """(N,) s."""
-    angle: np.ndarray
-    """(N, n) rad or m, NaN where one is missing."""
-    drive: np.ndarray | None
-    """(N, n) N m or N, zero for a joint without its own column; None if no joint has one."""
-    line: np.ndarray
-    """(N,) the line number of each sample."""
-    stated: frozenset[str]
-    """The columns whose unit is stated, by a key or the file itself."""
-    understood: str = ""
-    """What was made of the header, in one line; empty if there is nothing to say."""
 
 
 def read_csv(
@@ -78,53 +54,36 @@ def read_lab_csv(path: str | os.PathLike[str], joints: Joints, layout: Layout) -
     **Raises:** `InputError` that names the line.
     """
     where = os.fspath(path)
-    text = read_table_text(path).replace("\r\n", "\n").replace("\r", "\n")
-    rows = text.split("\n")
-    number = np.flatnonzero([bool(row.strip()) for row in rows]) + 1
-    if not len(number):
+    lines = _lines(read_table_text(path))
+    if not lines:
         raise InputError(f'{where}: is empty; its first line must name the columns, as "t,q1"')
-    head, separator = _find_header(rows, number, joints, layout)
-    top = number[head]
+    head, separator = _find_header([row for _, row in lines[:_HEAD]], joints, layout)
+    top = lines[head][0]
     with inside(f"{where}, line {top}"):
-        header = _cells(_COMMENT.sub("", rows[top - 1], count=1), separator)
+        header, *below = (_cells(_bare(row), separator) for _, row in lines[head : head + 2])
         if all(_NUMBER.fullmatch(cell) for cell in header):
             raise InputError(
                 "the first line has numbers, not the names of the columns; write a line above it, "
                 f'as "{separator.join(["t", *joints.angles])}"'
             )
-        first, below = head + 1, []
-        if first < len(number):
-            below = _cells(_COMMENT.sub("", rows[number[first] - 1], count=1), separator)
-            first, below = (first + 1, below) if is_unit_row(below) else (first, [])
-        columns = columns_of(header, joints, layout, below)
-    above = [rows[i - 1] for i in number[:head]]
-    number = np.array([i for i in number[first:] if not _COMMENT.match(rows[i - 1])], dtype=int)
-    rows = [rows[i - 1] for i in number]
+        units = below[0] if below and is_unit_row(below[0]) else []
+        columns = columns_of(header, joints, layout, units)
+    rows = [each for each in lines[head + 1 + bool(units) :] if not _COMMENT.match(each[1])]
     if not rows:
         raise InputError(f"{where}: has a header but no data rows")
-    more = [] if separator == "," else [f"{_WORDS.get(separator, quote(separator))} between cells"]
-    decimal = layout.decimal or _decimal(rows, separator, columns)
-    if decimal == ",":
-        more.append("decimal commas")
-    if any(not _COMMENT.match(row) for row in above):
-        more.append(f"header in line {top}")
-    values = read_fast(rows, len(header), separator, decimal, columns)
-    if values is None:
-        values = read_slow(rows, number, len(header), separator, decimal, columns, where)
+    decimal = layout.decimal or _decimal([row for _, row in rows[:_HEAD]], separator, columns)
+    values = _values(rows, len(header), separator, decimal, columns, where)
+    number = np.array([line for line, _ in rows])
     infinite = np.argwhere(np.isinf(values))
     if len(infinite):
-        row, column = infinite[0]
-        raise InputError(f"{where}, line {number[row]}: {columns[column].name} is infinite")
-    by_name = {c.name: x * c.factor for c, x in zip(columns, values.T, strict=True)}
-    time = by_name["t"]
-    _check_time(time, number, where)
-    angle = np.stack([by_name[name] for name in joints.angles], axis=1)
-    drive = None
-    if any(name in by_name for name in joints.drives):
-        still = np.zeros_like(time)
-        drive = np.stack([by_name.get(name, still) for name in joints.drives], axis=1)
-    stated = frozenset(column.name for column in columns if column.stated)
-    return Table(time, angle, drive, number, stated, understood(columns, header, joints, more))
+        i, j = infinite[0]
+        raise InputError(f"{where}, line {number[i]}: {columns[j].name} is infinite")
+    _check_time(values[:, [c.name for c in columns].index("t")], number, where)
+    more = [] if separator == "," else [f"{_WORDS.get(separator, quote(separator))} between cells"]
+    more += ["decimal commas"] if decimal == "," else []
+    above = any(not _COMMENT.match(row) for _, row in lines[:head])
+    more += [f"header in line {top}"] if above else []
+    return Table.of(values.T, number, columns, header, joints, more)
 
 
 def guessed_columns(path: str | os.PathLike[str]) -> tuple[dict[str, str], dict[str, str]]:
@@ -135,19 +94,17 @@ def guessed_columns(path: str | os.PathLike[str]) -> tuple[dict[str, str], dict[
 
     **Raises:** `InputError` if no line is a header above numbers.
     """
-    rows = [r for r in re.split(r"\r\n|\r|\n", read_table_text(path)) if r.strip()][:_HEAD]
-    for i, row in enumerate(rows):
+    rows = [row for _, row in _lines(read_table_text(path))[:_HEAD]]
+    for i in range(len(rows)):
         for separator in _SEPARATORS:
-            header = _cells(_COMMENT.sub("", row, count=1), separator)
-            below = _cells(rows[i + 1], separator) if i + 1 < len(rows) else []
-            named = is_unit_row(below)
-            numbers = _cells(rows[i + 2], separator) if named and i + 2 < len(rows) else below
-            ok = [bool(_NUMBER.fullmatch(cell.replace(",", "."))) for cell in numbers]
-            if len(header) < 2 or len(numbers) != len(header) or sum(ok) < 2:
+            header, *below = (_cells(_bare(each), separator) for each in rows[i : i + 3])
+            units = below.pop(0) if below and is_unit_row(below[0]) else []
+            ok = [_is_number(cell) for cell in below[0]] if below else []
+            if len(header) < 2 or len(ok) != len(header) or sum(ok) < 2:
                 continue
-            if any(_NUMBER.fullmatch(cell.replace(",", ".")) for cell in header):
+            if any(map(_is_number, header)):
                 continue
-            at, units = guessed(header, below if named else [], ok)
+            at, units = guessed(header, units, ok)
             return {name: header[k] for name, k in at.items()}, units
     raise InputError(f"{os.fspath(path)}: has no line of names above columns of numbers")
 
@@ -191,10 +148,18 @@ def write_csv(
     write(path_or_file, text)
 
 
-def _find_header(
-    rows: list[str], number: np.ndarray, joints: Joints, layout: Layout
-) -> tuple[int, str]:
-    """Which of the lines that are not blank is the header, and what stands between its cells.
+def _lines(text: str) -> list[tuple[int, str]]:
+    """The lines that are not blank, each with its number."""
+    return [(i, row) for i, row in enumerate(re.split("\r\n|\r|\n", text), 1) if row.strip()]
+
+
+def _bare(row: str) -> str:
+    """A line without the sign of a comment, behind which some write their header."""
+    return _COMMENT.sub("", row, count=1)
+
+
+def _find_header(rows: list[str], joints: Joints, layout: Layout) -> tuple[int, str]:
+    """Which of the lines is the header, and what stands between its cells.
 
     The first line that names t and every q. If there is none, the line that names most of them:
     what it lacks is then said of it.
@@ -202,17 +167,16 @@ def _find_header(
     needed = {"t", *joints.angles}
     separators = _SEPARATORS if layout.separator is None else (layout.separator,)
     best: tuple[int, int, str] | None = None
-    for i, line in enumerate(number[:_HEAD]):
-        row, choices = _COMMENT.sub("", rows[line - 1], count=1), []
+    for i, row in enumerate(rows):
+        choices = []
         for separator in separators:
-            cells = _cells(row, separator)
+            cells = _cells(_bare(row), separator)
             count = len(needed & set(matched(cells, joints, layout)))
             choices.append((count, 0 if separator == " " else len(cells), separator))
         count, _, separator = max(choices, key=lambda choice: choice[:2])
         if count == len(needed):
             return i, separator
-        plain = row == rows[line - 1]  # no comment
-        if count > best[0] if best else count or plain:
+        if count > best[0] if best else count or not _COMMENT.match(row):
             best = count, i, separator
     return best[1:] if best else (0, separators[0])
 
@@ -228,94 +192,75 @@ def _cells(row: str, separator: str) -> list[str]:
 
 def _decimal(rows: Sequence[str], separator: str, columns: Sequence[Column]) -> str:
     """A comma, if cells have commas and none has a point; else the point."""
-    if separator == "," and not any('"' in row for row in rows[:_HEAD]):
-        return "."
-    comma = point = False
-    for row in rows[:_HEAD]:
-        cells = _cells(row, separator)
-        for column in columns:
-            cell = cells[column.at] if column.at < len(cells) else ""
-            comma, point = comma or "," in cell, point or "." in cell
-    return "," if comma and not point else "."
+    each = [_cells(row, separator) for row in rows]
+    used = "".join(cells[c.at] for cells in each for c in columns if c.at < len(cells))
+    return "," if "," in used and "." not in used else "."
 
 
-def read_fast(
-    rows: list[str], width: int, separator: str, decimal: str, columns: Sequence[Column]
-) -> np.ndarray | None:
-    """The needed columns by NumPy's own parser, or None if that stumbles on anything."""
-    if decimal == "," and (separator == "," or any("." in row for row in rows)):
-        return None
-    if separator == " ":
-        if any(len(row.split()) != width for row in rows):
-            return None
-    elif any(row.count(separator) != width - 1 for row in rows) or any('"' in row for row in rows):
-        return None
-    text = "\n".join(rows)
-    if decimal == ",":
-        text = text.replace(",", ".")
-    if separator not in (" ", ","):
-        text = text.replace(",", " ").replace(separator, ",")
-    for attempt in range(2):
-        if attempt:
-            text = _EMPTY_CELL.sub("nan", text)
-        try:
-            table = np.loadtxt(
-                text.split("\n"),
-                delimiter=None if separator == " " else ",",
-                comments=None,
-                ndmin=2,
-                usecols=[column.at for column in columns],
-            )
-        except ValueError:
-            continue
-        return table if len(table) == len(rows) else None
-    return None
+def _is_number(cell: str) -> bool:
+    return bool(_NUMBER.fullmatch(cell.replace(",", ".")))
 
 
-def read_slow(
-    rows: Sequence[str],
-    number: np.ndarray,
+def _values(
+    rows: Sequence[tuple[int, str]],
     width: int,
     separator: str,
     decimal: str,
     columns: Sequence[Column],
     where: str,
 ) -> np.ndarray:
-    """The needed columns cell by cell: slow, and able to say which cell is wrong."""
+    """(N, columns) the numbers of the needed columns, as they stand.
+
+    **Raises:** `InputError` that names the line, and which cell is wrong.
+    """
     table = np.empty((len(rows), len(columns)))
-    for i, (row, line) in enumerate(zip(rows, number, strict=True)):
+    wanted = [(column.at, column.name) for column in columns]
+    for i, (line, row) in enumerate(rows):
         cells = _cells(row, separator)
         while len(cells) > width and not cells[-1]:
             cells.pop()
-        if len(cells) != width:
-            many = f"has {len(cells)} cell{'s' * (len(cells) != 1)}"
-            hint = (
-                "; decimal commas need another separator, or quotes"
-                if separator == "," and len(cells) > width
-                else ""
-            )
-            raise InputError(
-                f"{where}, line {line}: {many}; the header names {width} columns{hint}"
-            )
-        for j, column in enumerate(columns):
-            cell = cells[column.at].replace("\u2212", "-")
-            if _INFINITE.fullmatch(cell):
-                raise InputError(f"{where}, line {line}: {column.name} is infinite")
-            if _LOST.fullmatch(cell):
-                table[i, j] = np.nan
-                continue
-            point = cell
-            if decimal == "," and "." not in cell:
-                point = cell.replace(",", ".")
-            if not _NUMBER.fullmatch(point) or (decimal == "," and "." in cell):
-                hint = "a missing sample is an empty cell or nan"
-                if _NUMBER.fullmatch(cell.replace(",", ".")):
-                    hint = f"the decimal sign is {quote(decimal)} here; decimal says which it is"
-                raise InputError(
-                    f"{where}, line {line}: {column.name} = {quote(cell)} is no number; {hint}"
-                )
-            table[i, j] = float(point.replace("d", "e").replace("D", "e"))
+        try:
+            if len(cells) != width or (decimal == "," and separator != "," and "." in row):
+                raise ValueError
+            for j, (at, _) in enumerate(wanted):
+                cell = cells[at] if decimal == "." else cells[at].replace(",", ".")
+                if not _PLAIN.fullmatch(cell):
+                    raise ValueError
+                table[i, j] = float(cell)
+        except ValueError:
+            with inside(f"{where}, line {line}"):
+                _check_width(len(cells), width, separator)
+                table[i] = [number_in(cells[at], name, decimal) for at, name in wanted]
     return table
+
+
+def _check_width(count: int, width: int, separator: str) -> None:
+    if count != width:
+        hint = ""
+        if separator == "," and count > width:
+            hint = "; decimal commas need another separator, or quotes"
+        raise InputError(
+            f"has {count} cell{'s' * (count != 1)}; the header names {width} columns{hint}"
+        )
+
+
+def number_in(cell: str, name: str, decimal: str) -> float:
+    """The number in a cell of a column; NaN for a missing one.
+
+    **Raises:** `InputError`.
+    """
+    cell = cell.replace("\u2212", "-")
+    if _INFINITE.fullmatch(cell):
+        raise InputError(f"{name} is infinite")
+    if _LOST.fullmatch(cell):
+        return math.nan
+    point = cell if decimal == "." else cell.replace(",", ".")
+    if not _NUMBER.fullmatch(point) or (decimal == "," and "." in cell):
+        hint = "a missing sample is an empty cell or nan"
+        if _is_number(cell):
+            hint = f"the decimal sign is {quote(decimal)} here; decimal says which it is"
+        raise InputError(f"{name} = {quote(cell)} is no number; {hint}")
+    return float(re.sub("[dD]", "e", point))
 
 
 def _check_time(time: np.ndarray, number: np.ndarray, where: str) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, inside
-from ..files import decode, read_text
+from ..files import decode, read_stream, read_text
 from ..physics.mechanism import AbstractMechanism
 from ..simulation.integrator import integrator_of
 from .columns import Joints, Layout
@@ -146,8 +146,8 @@ def load(path: str | os.PathLike[str]) -> Experiment:
     """
     if os.fspath(path) == "-":
         where, folder = "standard input", Path()
-        data = getattr(sys.stdin, "buffer", sys.stdin).read()
-        text = decode(data, where, "TOML file") if isinstance(data, bytes) else data
+        data = read_stream(getattr(sys.stdin, "buffer", sys.stdin), where, "TOML file")
+        text = data if isinstance(data, str) else decode(data, where, "TOML file")
     else:
         where, folder = os.fspath(path), Path(path).parent
         text = read_text(path, "TOML file")

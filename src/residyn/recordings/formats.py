@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, inside
-from ..files import read_table_text
-from .columns import Joints, Layout, columns_of, understood
-from .csv import Table, read_lab_csv
+from ..files import check_ordinary, read_table_text
+from .columns import Joints, Layout, Table, columns_of
+from .csv import read_lab_csv
 from .motion_capture.trajectories import is_vicon
 
 
@@ -40,9 +40,7 @@ def read_table(path: str | os.PathLike[str], joints: Joints, layout: Layout) -> 
     for key in ("separator", "decimal"):
         if getattr(layout, key) is not None:
             raise InputError(f"{where}: {key} is for CSV files; leave it out")
-    if not Path(path).is_file():
-        what = "is a folder" if Path(path).is_dir() else "there is no such file"
-        raise InputError(f"{where}: {what}; a recording was expected")
+    check_ordinary(path, "recording")
     with inside(where):
         return _table(reader(where), joints, layout)
 
@@ -126,15 +124,7 @@ def _table(content: Mapping[str, Any], joints: Joints, layout: Layout) -> Table:
     for column in columns:
         if (shape := found[column.name].shape) != (count,):
             raise InputError(f"{column.header} has shape {shape}: must be ({count},), as long as t")
-        found[column.name] = found[column.name] * column.factor
-    drive = None
-    if any(name in found for name in joints.drives):
-        still = np.zeros_like(found["t"])
-        drive = np.stack([found.get(name, still) for name in joints.drives], axis=1)
-    angle = np.stack([found[name] for name in joints.angles], axis=1)
     # What a workspace has besides is nothing to speak of.
     used = [header[column.at] for column in columns]
     columns = [column._replace(at=i) for i, column in enumerate(columns)]
-    said = understood(columns, used, joints)
-    stated = frozenset(column.name for column in columns if column.stated)
-    return Table(found["t"], angle, drive, np.arange(count), stated, said)
+    return Table.of(found.values(), np.arange(count), columns, used, joints)

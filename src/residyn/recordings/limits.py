@@ -7,8 +7,6 @@ from typing import Any
 
 from ..errors import InputError, number, quote
 
-KEYS = ("angle", "theta2", "air_bearings", "extra_mass", "load", "duration", "drive")
-
 
 @dataclass(frozen=True)
 class Limits:

@@ -24,8 +24,8 @@ from .noise import noise_and_doubts
 from .outliers import outlier_mask
 from .reads import READS, angles_from, check_reads
 from .release import window
-from .resampling import block_means, decimated, evenly_sampled
-from .rest import SWINGS, rest_angles, swings
+from .resampling import block_means
+from .rest import estimated_rest
 from .toml import check_own, check_role
 
 MOST = 100_000
@@ -228,9 +228,4 @@ def _rest(rest: Any, time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, l
             )
         return np.array([number("rest", x, "rad or m") for x in values]), []
     check_enough(angle, part=False)
-    count = swings(time, angle)
-    doubt = (
-        f"with {count:.2g} swings of the slowest mode its rest is known roughly: if the residual "
-        "has an offset, fit sensor_offset too"
-    )
-    return rest_angles(*decimated(*evenly_sampled(time, angle))), [doubt] if count < SWINGS else []
+    return estimated_rest(time, angle)

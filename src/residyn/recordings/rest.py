@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from .resampling import evenly_sampled, slowest_period
+from .resampling import decimated, evenly_sampled, slowest_period
 
 SWINGS = 8
 """Swings of the slowest mode, two of the best windows: with fewer, rest is known roughly."""
@@ -58,10 +58,15 @@ def rest_angles(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return rest
 
 
-def swings(time: np.ndarray, angle: np.ndarray) -> float:
-    """How many swings of its slowest mode a ring-down has."""
-    _clock, motion = evenly_sampled(time, angle)
-    return len(motion) / slowest_period(motion - motion.mean(axis=0))
+def estimated_rest(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """(n,) rad: where a ring-down rests, and in words where that is known roughly."""
+    clock, motion = evenly_sampled(time, angle)
+    count = len(motion) / slowest_period(motion - motion.mean(axis=0))
+    doubts = [
+        f"with {count:.2g} swings of the slowest mode its rest is known roughly: if the residual "
+        "has an offset, fit sensor_offset too"
+    ]
+    return rest_angles(*decimated(clock, motion)), doubts if count < SWINGS else []
 
 
 def _window(count: int, period: float) -> np.ndarray:

@@ -5,49 +5,42 @@ bearings that the arm rides on; and its recordings. Every key is known and has a
 that is not known is a mistake and never ignored.
 """
 
+import dataclasses
 import difflib
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ..errors import InputError, flag, inside, quote
 from ..simulation.integrator import Integrator
-from .limits import KEYS as LIMITS
 from .limits import Limits
 from .tables import ArmTable, Bearing, InertiaTable, check_bearings
 
 ROLES = ("fit", "check", "inertia")
 
-_KEYS = {
-    "": ("arm", "inertia", "air_bearings", "recordings", "integrator", "limits"),
-    "integrator": ("solver", "rtol", "atol"),
-    "limits": LIMITS,
-    "arm": ("link_lengths", "shoulder", "elbow", "coupling"),
-    "inertia": ("joints", "matrix", "units"),
-    "air_bearings": ("joint", "mass", "inertia"),
-    "recordings": (
-        "file",
-        "columns",
-        "units",
-        "separator",
-        "decimal",
-        "rest",
-        "theta2",
-        "noise",
-        "start",
-        "stop",
-        "role",
-        "air_bearings",
-        "extra_mass",
-        "load",
-        "own",
-        "reads",
-        "markers",
-        "normal",
-    ),
-}
+_TABLES = ("arm", "inertia", "air_bearings", "recordings", "integrator", "limits")
+_RECORDING = (
+    "file",
+    "columns",
+    "units",
+    "separator",
+    "decimal",
+    "rest",
+    "theta2",
+    "noise",
+    "start",
+    "stop",
+    "role",
+    "air_bearings",
+    "extra_mass",
+    "load",
+    "own",
+    "reads",
+    "markers",
+    "normal",
+)
 
 
 @dataclass(frozen=True)
@@ -65,8 +58,8 @@ def parse(text: str, where: str) -> Contents:
     """Read the text of an experiment file; `where` is its name."""
     with inside(where):
         tables = _tables(text)
-        _check_keys("", tables)
-        recordings = _many(tables, "recordings")
+        _check_keys("the file", tables, _TABLES)
+        recordings = _many(tables, "recordings", _RECORDING)
         if not recordings:
             raise InputError("there is no [[recordings]] table: nothing to work on")
         for i, entry in enumerate(recordings):
@@ -78,8 +71,24 @@ def parse(text: str, where: str) -> Contents:
                 'every recording has role = "check", so there is nothing to fit: '
                 'at least one must have role = "fit" or "inertia"'
             )
-        inertia = _inertia(tables, only_inertia=roles == {"inertia"})
-        bearings = tuple(_bearings(_many(tables, "air_bearings")))
+        if ("arm" in tables) == ("inertia" in tables):
+            have = "both [arm] and [inertia]" if "arm" in tables else "neither [arm] nor [inertia]"
+            raise InputError(
+                f"has {have}: give one, [arm] for two links or [inertia] for any matrix"
+            )
+        kind = ArmTable if "arm" in tables else InertiaTable
+        inertia = _one(tables, "arm" if kind is ArmTable else "inertia", kind)
+        if isinstance(inertia, ArmTable) and inertia.missing and roles != {"inertia"}:
+            raise InputError(
+                f"[arm]: {', '.join(inertia.missing)} missing: free motion fixes only the ratios "
+                "of stiffness and damping to inertia (Eq. 9), so inertia must be measured first: "
+                '`residyn inertia` finds it from driven recordings with role = "inertia", in a '
+                "file of their own"
+            )
+        bearings = []
+        for i, entry in enumerate(_many(tables, "air_bearings", _keys_of(Bearing))):
+            with inside(f"[[air_bearings]] {i + 1}"):
+                bearings.append(_made(Bearing, entry))
         check_bearings(inertia, bearings)
         for i, entry in enumerate(recordings):
             if entry.get("air_bearings") is False and not bearings:
@@ -87,8 +96,12 @@ def parse(text: str, where: str) -> Contents:
                     f"[[recordings]] {i + 1}: air_bearings = false, but there is no "
                     "[[air_bearings]] table to say what was taken off"
                 )
-        limits = _limits(tables, inertia, bearings)
-        return Contents(inertia, bearings, tuple(recordings), _integrator(tables), limits)
+        limits = _one(tables, "limits", Limits)
+        if limits is not None:
+            with inside("[limits]"):
+                limits.check(inertia.joints, kind is ArmTable, bool(bearings))
+        integrator = _one(tables, "integrator", _integrator, ("solver", "rtol", "atol"))
+        return Contents(inertia, tuple(bearings), tuple(recordings), integrator, limits)
 
 
 def _tables(text: str) -> dict[str, Any]:
@@ -107,88 +120,57 @@ def _tables(text: str) -> dict[str, Any]:
         raise InputError(f"is not TOML of an experiment: {error}") from None
 
 
-def _check_keys(table: str, keys: Mapping[str, Any]) -> None:
-    known = _KEYS[table]
+def _check_keys(where: str, keys: Mapping[str, Any], known: Sequence[str]) -> None:
     for key in keys:
-        if key in known:
-            continue
-        close = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
-        here = f"[{table}]" if table else "the file"
-        hint = f"did you mean {close[0]}?" if close else f"{here} has {', '.join(known)}"
-        raise InputError(f"unknown key {quote(key)}: {hint}")
+        if key not in known:
+            close = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
+            hint = f"did you mean {close[0]}?" if close else f"{where} has {', '.join(known)}"
+            raise InputError(f"unknown key {quote(key)}: {hint}")
 
 
-def _one(tables: Mapping[str, Any], name: str) -> dict[str, Any]:
-    table = tables[name]
-    if not isinstance(table, dict):
+def _keys_of(kind: Any) -> list[str]:
+    return [field.name for field in dataclasses.fields(kind)]
+
+
+def _made(kind: Any, keys: Mapping[str, Any]) -> Any:
+    """A table's object, which checks its values itself."""
+    for field in dataclasses.fields(kind):
+        if field.default is dataclasses.MISSING and field.name not in keys:
+            raise InputError(f"{field.name} is missing")
+    return kind(**keys)
+
+
+def _one(
+    tables: Mapping[str, Any],
+    name: str,
+    kind: Callable[..., Any],
+    known: Sequence[str] | None = None,
+) -> Any:
+    """The object of a table that is there once, or None; `known` keys if `kind` is no dataclass."""
+    if name not in tables:
+        return None
+    if not isinstance(tables[name], dict):
         raise InputError(f"{name} must be one table, [{name}]")
     with inside(f"[{name}]"):
-        _check_keys(name, table)
-    return table
+        _check_keys(f"[{name}]", tables[name], known or _keys_of(kind))
+        return _made(kind, tables[name]) if known is None else kind(**tables[name])
 
 
-def _many(tables: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+def _integrator(solver: Any = None, **tolerances: Any) -> Integrator:
+    if not isinstance(solver, str):
+        have = "solver is missing" if solver is None else f"solver = {quote(solver)}"
+        raise InputError(f'{have}: must be the name of a solver, such as "Tsit5"')
+    return Integrator(solver, **tolerances)
+
+
+def _many(tables: Mapping[str, Any], name: str, known: Sequence[str]) -> list[dict[str, Any]]:
     entries = tables.get(name, [])
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise InputError(f"{name} must be tables, each under a line [[{name}]]")
     for i, entry in enumerate(entries):
         with inside(f"[[{name}]] {i + 1}"):
-            _check_keys(name, entry)
+            _check_keys(f"[{name}]", entry, known)
     return entries
-
-
-def _inertia(tables: Mapping[str, Any], only_inertia: bool) -> ArmTable | InertiaTable:
-    if ("arm" in tables) == ("inertia" in tables):
-        have = "both [arm] and [inertia]" if "arm" in tables else "neither [arm] nor [inertia]"
-        raise InputError(f"has {have}: give one, [arm] for two links or [inertia] for any matrix")
-    name = "arm" if "arm" in tables else "inertia"
-    keys = _one(tables, name)
-    with inside(f"[{name}]"):
-        needed = ("link_lengths",) if name == "arm" else ("joints", "matrix")
-        for key in needed:
-            if key not in keys:
-                raise InputError(f"{key} is missing")
-        if name == "inertia":
-            return InertiaTable(**keys)
-        arm = ArmTable(**keys)
-        if arm.missing and not only_inertia:
-            raise InputError(
-                f"{', '.join(arm.missing)} missing: free motion fixes only the ratios of stiffness "
-                "and damping to inertia (Eq. 9), so inertia must be measured first: "
-                '`residyn inertia` finds it from driven recordings with role = "inertia", in a '
-                "file of their own"
-            )
-        return arm
-
-
-def _integrator(tables: Mapping[str, Any]) -> Integrator | None:
-    if "integrator" not in tables:
-        return None
-    keys = _one(tables, "integrator")
-    with inside("[integrator]"):
-        if not isinstance(keys.get("solver"), str):
-            have = f"solver = {quote(keys['solver'])}" if "solver" in keys else "solver is missing"
-            raise InputError(f'{have}: must be the name of a solver, such as "Tsit5"')
-        return Integrator(**keys)
-
-
-def _limits(tables: Mapping[str, Any], inertia, bearings: tuple[Bearing, ...]) -> Limits | None:
-    if "limits" not in tables:
-        return None
-    keys = _one(tables, "limits")
-    with inside("[limits]"):
-        found = Limits(**keys)
-        found.check(inertia.joints, isinstance(inertia, ArmTable), bool(bearings))
-        return found
-
-
-def _bearings(entries: Iterable[dict[str, Any]]) -> Iterable[Bearing]:
-    for i, entry in enumerate(entries):
-        with inside(f"[[air_bearings]] {i + 1}"):
-            for key in _KEYS["air_bearings"]:
-                if key not in entry:
-                    raise InputError(f"{key} is missing")
-            yield Bearing(**entry)
 
 
 def _check_recording(entry: Mapping[str, Any], arm: bool) -> None:

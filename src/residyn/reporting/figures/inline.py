@@ -33,5 +33,8 @@ _NUMBERS = re.compile(r' (?:d|x|y)="[^"]*"')
 
 def _short(attribute: re.Match[str]) -> str:
     words = re.sub(r"-?\d+\.\d+", lambda x: f"{float(x[0]):.1f}".removesuffix(".0"), attribute[0])
-    # A line's letter may be left out after a line, and not after a curve.
-    return re.sub(r" ?\n" if "Q" in words or "C" in words else r" ?\n(L )?", " ", words)
+    # A line's letter may be left out after a line, and not after a curve. In an address a blank
+    # takes three letters: numbers are parted by commas, and letters by nothing.
+    words = re.sub(r" ?\n" if "Q" in words or "C" in words else r" ?\n(L )?", " ", words)
+    words = re.sub(r"(?<=[\d.]) (?=[-\d])", ",", words)
+    return " " + re.sub(r" ?([A-Za-z]) ?(?!=)", r"\1", words.strip()).replace(' "', '"')

@@ -1,0 +1,98 @@
+"""`residyn inertia` and `residyn unload`: steps 1 and 3 of the paper, around the fit."""
+
+from typing import Annotated
+
+from ..errors import InputError, inside
+from . import _options
+from ._diagnose import check_budget
+from ._shell import NoNumbers
+from ._work import Work, computing, page_of, title
+
+
+def inertia(
+    experiment: _options.Experiment,
+    json: _options.Json = None,
+    report: _options.Report = None,
+    no_cache: _options.NoCache = False,
+) -> None:
+    """Find the arm's inertias from driven tests, and print its [arm] table."""
+    out = Work(json, report)
+    loaded = out.begin(experiment, None, no_cache)
+    with computing() as say, inside(experiment):
+        from .. import procedure
+
+        say("solving Eq. 10 and 11")
+        result = procedure.inertia(loaded)
+    out.give(result, page_of(result, title(experiment)))
+    if result.problem is not None:
+        raise NoNumbers(result.problem)
+    out.words.print(f"\n{result.to_toml()}", soft_wrap=True, end="")
+
+
+def unload(
+    experiment: _options.Experiment,
+    effects: _options.With = None,
+    own: _options.Effects = None,
+    starts: _options.Starts = _options.STARTS,
+    inertia_std: Annotated[
+        str | None,
+        _options.option(
+            "--inertia-std",
+            "A,B,C",
+            "Standard errors of shoulder, elbow (kg m^2) and coupling (kg m) from step 1, to "
+            'carry over. Recordings with role = "inertia" give them too.',
+        ),
+    ] = None,
+    diagnose: Annotated[
+        bool,
+        _options.option(
+            "--diagnose",
+            None,
+            "Diagnose first: the modes without bearings over all models that the recordings "
+            "leave in play, with their probabilities.",
+        ),
+    ] = False,
+    most: _options.MaxEffects = _options.MAX_EFFECTS,
+    budget: _options.Budget = None,
+    json: _options.Json = None,
+    report: _options.Report = None,
+    no_cache: _options.NoCache = False,
+) -> None:
+    """Take the air bearings off, drag and friction too: how the arm rings in orbit."""
+    check_budget(budget)
+    out = Work(json, report)
+    std = _three(inertia_std)
+    loaded = out.begin(experiment, own, no_cache)
+    how = {"effects": effects or [], "starts": starts}
+    with computing() as say, inside(experiment):
+        from .. import diagnosis, procedure
+
+        first = None
+        if diagnose:
+            first = diagnosis.diagnose(loaded, **how, max_effects=most, budget=budget, progress=say)
+        found = procedure.unload(loaded, **how, inertia_std=std, diagnosis=first, progress=say)
+    out.words.print(str(found.fit), soft_wrap=True)
+    out.give(found, page_of(found, title(experiment)))
+    if not found.fit.converged:
+        raise NoNumbers(found.fit.reason)
+    if not found.physical:
+        raise NoNumbers(found.unphysical[0])
+
+
+def _three(words: str | None) -> list[float] | None:
+    """Three numbers separated by commas.
+
+    **Raises:** `InputError`.
+    """
+    if words is None:
+        return None
+    try:
+        found = [float(part) for part in words.split(",")]
+    except ValueError:
+        found = []
+    if len(found) != 3 or not all(0 <= x < float("inf") for x in found):
+        raise InputError(
+            f"--inertia-std {words}: must be three numbers from 0 up, separated by commas, for "
+            "shoulder, elbow (kg m^2) and coupling (kg m)"
+        )
+    return found

@@ -1,0 +1,239 @@
+"""What all commands do around their work: read an experiment, show progress, write results."""
+
+import contextlib
+import dataclasses
+import itertools
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import InputError, inside
+from ..files import check_writable, write
+from ..runtime.json import finite
+from ._shell import NoNumbers, console, interruptible, progress, set_up_jax
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from ..diagnosis import Comparison
+    from ..diagnosis.result import Diagnosis
+    from ..fitting.race import Race
+    from ..fitting.result import Fit
+    from ..procedure import InertiaResult, Unloading
+    from ..recordings.experiment import Experiment
+
+_TABLES = (".tex", ".csv")
+
+
+class Work:
+    """Where the results of a command go. Made before the long work: a wrong path costs no wait."""
+
+    def __init__(
+        self,
+        json_file: str | None = None,
+        report: str | None = None,
+        table: str | None = None,
+        found: str | None = None,
+    ):
+        self.json_file, self.report, self.table, self.found = json_file, report, table, found
+        if report == "-":
+            raise InputError("--report -: a report needs the name of a file")
+        if table is not None and Path(table).suffix not in _TABLES:
+            raise InputError(f"--table {table}: must end in {' or '.join(_TABLES)}")
+        if found is not None and Path(found).suffix != ".py":
+            raise InputError(f"--found {found}: must end in .py")
+        given = {"--json": json_file, "--report": report, "--table": table, "--found": found}
+        self._files = {option: path for option, path in given.items() if path is not None}
+        written = [(option, path) for option, path in self._files.items() if path != "-"]
+        for (one, path), (other, own) in itertools.combinations(written, 2):
+            if _same(path, own):
+                raise InputError(f"{other} and {one} are the same file, {own}")
+        for option, path in written:
+            with inside(option):
+                check_writable(path)
+
+    @property
+    def words(self) -> "Console":
+        """Standard output, unless that is for the JSON."""
+        return console(stderr=self.json_file == "-")
+
+    def begin(
+        self, path: str, own: Sequence[str] | None, no_cache: bool, integrator: str | None = None
+    ) -> "Experiment":
+        """Make JAX and the user's own effects ready, and read the experiment.
+
+        **Raises:** `InputError`, also for an output that is one of the inputs.
+        """
+        set_up_jax(not no_cache)
+        bring(own)
+        experiment = load(path)
+        if integrator is not None:
+            from ..simulation.integrator import Integrator
+
+            with inside("--integrator"):
+                experiment = dataclasses.replace(experiment, integrator=Integrator(integrator))
+        self.spare(input_files(path, experiment))
+        return experiment
+
+    def spare(self, inputs: Sequence[Path]) -> None:
+        """Refuse to write over a file that was read.
+
+        **Raises:** `InputError`.
+        """
+        for option, path in self._files.items():
+            if any(_same(path, each) for each in inputs):
+                raise InputError(f"{option} {path}: is an input of this experiment; choose another")
+
+    def give(self, result: Any, page: Callable[[str], None] | None = None) -> None:
+        """Print a result and write what was asked for; `page` writes the report to a path."""
+        self.words.print(str(result), soft_wrap=True)
+        self.write(result, page)
+
+    def write(self, result: Any, page: Callable[[str], None] | None = None) -> None:
+        """Write what was asked for, as `give`."""
+        self.write_json(result.to_dict())
+        if self.table is not None:
+            text = result.to_latex() if Path(self.table).suffix == ".tex" else result.to_csv()
+            with inside("--table"):
+                write(self.table, text)
+            self.words.print(f"table: {self.table}", soft_wrap=True)
+        if self.found is not None:
+            self._write_found(result)
+        if self.report is not None and page is not None:
+            with progress() as say:
+                say("writing the report")
+                page(self.report)
+            self.words.print(f"report: {self.report}", soft_wrap=True)
+
+    def write_json(self, result: Mapping[str, Any]) -> None:
+        """Write the JSON, if it was asked for."""
+        if self.json_file is None:
+            return
+        text = json.dumps(finite(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        if self.json_file == "-":
+            sys.stdout.write(text)
+            sys.stdout.flush()
+            return
+        with inside("--json"):
+            write(self.json_file, text)
+
+    def _write_found(self, result: "Diagnosis") -> None:
+        """Write the law without a name as an effect, if there is one."""
+        law = next((law.found for law in result.laws if law.found is not None), None)
+        if law is None:
+            self.words.print(f"no law without a name was found: {self.found} is not written")
+            return
+        assert self.found is not None
+        with inside("--found"):
+            write(self.found, law.text(Path(self.found).name))
+        self.words.print(
+            f"law: {self.found} (--effects {self.found} --with {law.label})", soft_wrap=True
+        )
+
+
+def _same(one: str | Path, other: str | Path) -> bool:
+    return os.path.realpath(one) == os.path.realpath(other)
+
+
+@contextlib.contextmanager
+def computing() -> Iterator[Callable[[str], None]]:
+    """Progress while something is computed, and what cannot be computed as one complaint."""
+    with progress() as say:
+        say("loading")
+        with one_complaint():
+            yield say
+
+
+@contextlib.contextmanager
+def one_complaint() -> Iterator[None]:
+    """What cannot be computed, as the one line that the user reads.
+
+    **Raises:** `NoNumbers` for numbers that cannot be had; `InputError` for effects that do not
+    exist or do not go with the experiment, and for what needs an extra that is not installed.
+    """
+    from ..fitting import FitError, MissingExtra
+
+    interruptible()
+    try:
+        yield
+    except FitError as error:
+        raise NoNumbers(str(error)) from None
+    except (ValueError, MissingExtra) as error:
+        raise InputError(str(error)) from None
+
+
+def load(path: str) -> "Experiment":
+    """Read the experiment, and say on standard error what was made of a lab's own files.
+
+    **Raises:** `InputError`.
+    """
+    with progress() as say:
+        say("reading")
+        from ..recordings.experiment import load as read_experiment
+
+        loaded = read_experiment(path)
+    for each in loaded.recordings:
+        if each.understood:
+            print(f"residyn: {each.name}: {each.understood}", file=sys.stderr)
+    return loaded
+
+
+def bring(files: Sequence[str] | None) -> None:
+    """Add the effects of users' files to the catalogue.
+
+    **Raises:** `InputError`.
+    """
+    if files:
+        with progress() as say:
+            say("loading")
+            from ..effects import load_effects
+
+            for file in files:
+                load_effects(file)
+
+
+def input_files(path: str, experiment: "Experiment") -> list[Path]:
+    """Every file that was read, so that none of them is written over."""
+    base = Path() if path == "-" else Path(path).parent
+    files = [base / r.name for r in experiment.recordings]
+    return files if path == "-" else [Path(path), *files]
+
+
+def title(path: str) -> str:
+    """What to call an experiment at the head of a page."""
+    return "Experiment from standard input" if path == "-" else Path(path).name
+
+
+def report_of(
+    fits: "Sequence[tuple[str, Fit]]", **more: "Comparison | Diagnosis"
+) -> Callable[[str], None]:
+    """What writes the report of these fits to a path; `more` as of `reporting.write_report`."""
+
+    def write_to(path: str) -> None:
+        from ..reporting import write_report
+
+        write_report(path, fits, **more)  # pyright: ignore[reportArgumentType]
+
+    return write_to
+
+
+def page_of(found: "InertiaResult | Unloading | Race", title: str) -> Callable[[str], None]:
+    """What writes the page of another result to a path."""
+
+    def write_to(path: str) -> None:
+        from ..reporting import write_page
+
+        write_page(path, found, title)
+
+    return write_to
+
+
+def models(found: "Diagnosis", title: str = "") -> "list[tuple[str, Fit]]":
+    """The first and the last model of a diagnosis, each with a heading for the report."""
+    from ..reporting.names import base_name
+
+    fits = [found.base, found.fit] if found.added else [found.fit]
+    return [(": ".join(filter(None, [title, base_name(fit)])), fit) for fit in fits]
