@@ -59,7 +59,7 @@ def toggled(browser, pid: int, label: str) -> dict[str, float | str]:
                 return True
         return False
 
-    until(answered, 120)
+    until(answered, 600)
     found["cpu"] = 1e3 * (cpu(pid) - before)
     return found
 

@@ -19,14 +19,11 @@ from ..fitting.least_squares import (
     RUNAWAY,
     Compressed,
     Polished,
-    over_recordings,
-    predict,
-    whiten,
+    look,
 )
 from ..fitting.linalg import damped_step
 from ..fitting.problem import Problem, Ready, Unknowns, reweighted, tight
 from ..fitting.result import Fit, FitError, RecordingFit
-from ..runtime.export_cache import kept
 from ..runtime.memory import give_back
 
 # A direction of the tangent this much shorter than the longest is rounding, or undetermined.
@@ -88,7 +85,7 @@ def minimum(problem: Problem, at: Unknowns, size: float = 1.0, most: int = _STEP
     known[P + 2 * problem.recorded.angles.shape[-1] :] = 1.0  # internal states, to their scale
 
     def evaluated(at: Unknowns, steps: int) -> Minimum:
-        predicted, slopes, residual = map(np.asarray, _look(problem, at))
+        predicted, slopes, residual = map(np.asarray, look(problem, at))
         R, own = len(slopes), np.asarray(at.states)
         J = slopes * np.asarray(problem.recorded.weights)[..., None]
         J = np.concatenate([J[..., :P] * moves, J[..., P:]], -1).reshape(R, -1, P + S)
@@ -121,8 +118,8 @@ def minimum(problem: Problem, at: Unknowns, size: float = 1.0, most: int = _STEP
     return here._replace(steps=steps, converged=bool(converged or damping > _DAMPING[1]))
 
 
-def polish(problem: Problem, starts: Unknowns, shares: Sequence[float], hopeless=None) -> Polished:
-    """`fitting.levenberg.polish` of one start by `minimum`: first of the first so many readings
+def polish(problem: Problem, starts: Unknowns, shares: Sequence[float]) -> Polished:
+    """`fitting.multistart.polishing` of one start by `minimum`: first of the first so many readings
     only, then of all."""
     at, steps = jax.tree.map(lambda x: np.asarray(x)[0], starts), 0
     recorded, found = problem.recorded, None
@@ -179,7 +176,7 @@ class LinearisedFit(NamedTuple):
         the shared numbers, then its own initial state, in the problem's scales."""
         predicted, slopes = (
             [x[: len(f.recording.time)] for f, x in zip(self.fitted, each, strict=True)]
-            for each in jax.device_get(_look(tight(self.problem), at)[:2])
+            for each in jax.device_get(look(tight(self.problem), at)[:2])
         )
         return predicted, slopes
 
@@ -199,28 +196,6 @@ class LinearisedFit(NamedTuple):
         return zip(kept, self.fitted, strict=True)
 
 
-@kept(like=(0, 0, 0))
-def _look(problem: Problem, y: Unknowns):
-    """Predictions (R, N, n), their slopes (R, N, n, L), and whitened residuals (R, N, n)."""
-    numbers = problem.scale.numbers.shape[0]
-
-    def one(recorded, scale, state):
-        def local(z):
-            moved = problem.numbers(Unknowns(z[:numbers], y.states))
-            predicted = predict(problem, recorded, moved, scale * z[numbers:])
-            return predicted, predicted
-
-        z = jnp.concatenate([y.numbers, state])
-        slopes, predicted = jax.vmap(
-            lambda e: jax.jvp(local, (z,), (e,), has_aux=True)[1:], out_axes=(-1, None)
-        )(jnp.eye(len(z)))
-        slopes = jnp.where(jnp.isfinite(slopes), slopes, 0.0)
-        return predicted, slopes, whiten(recorded, predicted)
-
-    each = over_recordings(one, problem.model)
-    return each(problem.recorded, problem.scale.states, y.states)
-
-
 def evaluated(problem: Problem, y: Unknowns) -> Compressed:
     """Residual and Jacobian at these unknowns."""
     return minimum(problem, y, most=0).compressed()
@@ -228,7 +203,7 @@ def evaluated(problem: Problem, y: Unknowns) -> Compressed:
 
 def forget(most: int = 16) -> None:
     """Give back the memory of compiled models, 15 to 50 MB each, where there are more."""
-    _look.keep_at_most(most)
+    look.keep_at_most(most)
     give_back()
 
 

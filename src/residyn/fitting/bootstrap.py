@@ -18,11 +18,13 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from ..runtime.parallel import cores, in_order
-from .implicit import Embedded, embed
+from .implicit import Embedded, embed, minimum
 from .lanes import lanes
+from .least_squares import first_step, look
 from .result import Fit
 
 _TOGETHER = 64  # fits on each device; on a CPU, which has a cache and no lanes, one on every core
+_ROUNDS = 16  # of those one after the other in one call, which costs as much as half a fit
 
 
 class Bootstrap(NamedTuple):
@@ -72,42 +74,55 @@ def bootstrap(
         raise ValueError(f"draws = {draws}: a spread needs at least two")
     devices = jax.devices()
     width = min(lanes(batch, _TOGETHER), -(-draws // len(devices)) * len(devices))
+    each = width * min(_ROUNDS, -(-draws // width))
     with jax.enable_x64(True):
         fits = embed(fit)
         fitted = [r for r in fit.recordings if r.recording.role != "check"]
-        truth = [jnp.asarray(np.where(r.used, r.predicted, np.nan)) for r in fitted]
         size = float(np.sqrt(max(1.0, fit.reduced_chi2)))
         noise = [jnp.asarray(size * r.recording.noise) for r in fitted]
         mesh = Mesh(np.asarray(devices), ("fits",))
-        divided = NamedSharding(mesh, PartitionSpec("fits"))
-        fits = eqx.filter_shard(fits, NamedSharding(mesh, PartitionSpec()))
+        divided = NamedSharding(mesh, PartitionSpec(None, "fits"))
+        seen = tuple(map(np.asarray, look(fits.problem, fits.start)[:2]))
+        pairs = zip(fitted, seen[0], strict=True)
+        truth = [np.where(r.used, x[: len(r.used)], np.nan) for r, x in pairs]
+        fits, seen = eqx.filter_shard((fits, seen), NamedSharding(mesh, PartitionSpec()))
         keys = np.asarray(jax.random.key_data(jax.random.split(jax.random.key(seed), draws)))
         # The last batch is filled up, so that one compiled program serves all.
-        keys = np.concatenate([keys, np.repeat(keys[-1:], -draws % width, axis=0)])
+        keys = np.concatenate([keys, np.repeat(keys[-1:], -draws % each, axis=0)])
 
         def refitted(first: int):
-            some = jax.device_put(keys[first : first + width], divided)
-            return [np.asarray(x)[: draws - first] for x in _refits(fits, truth, noise, some)]
+            some = keys[first : first + each].reshape(-1, width, *keys.shape[1:])
+            out = _refits(fits, seen, truth, noise, jax.device_put(some, divided))
+            return [np.asarray(x).reshape(each, *x.shape[2:])[: draws - first] for x in out]
 
-        found, starts = [refitted(0)], range(width, draws, width)  # the first one compiles
+        found, starts = [refitted(0)], range(each, draws, each)  # the first one compiles
         rest = in_order([functools.partial(refitted, first) for first in starts], cores())
         for some in rest:
             found.append(some)
             if progress is not None:
-                progress(f"{min(len(found) * width, draws)} of {draws} fits")
+                progress(f"{min(len(found) * each, draws)} of {draws} fits")
     numbers, converged = (np.concatenate(x) for x in zip(*found, strict=True))
     return Bootstrap(fits.names, numbers, converged)
 
 
 @eqx.filter_jit
-def _refits(fits: Embedded, truth, noise, keys):
+def _refits(fits: Embedded, seen, truth, noise, keys):
+    """All begin at the fitted motion, with slopes that are known: `seen`."""
+
     def one(key):
         each = jax.random.split(jax.random.wrap_key_data(key), len(truth))
         angles = [
             q + s * jax.random.normal(k, q.shape)
             for q, s, k in zip(truth, noise, each, strict=True)
         ]
-        found = fits.with_angles(*angles).solve()
-        return found.numbers, found.converged
+        again = fits.with_angles(*angles)
+        begin = first_step(again.problem, fits.start, *seen)
+        y, _, converged = minimum(again.problem, begin)
+        return again.problem.numbers(y), converged
 
-    return jax.vmap(one)(keys)
+    def lanes(keys):
+        if len(keys) == 1:  # of one lane XLA makes a slower program
+            return jax.tree.map(lambda x: x[None], one(keys[0]))
+        return jax.vmap(one)(keys)
+
+    return jax.lax.map(lanes, keys)

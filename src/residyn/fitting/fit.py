@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from ..effects import AbstractEffect
 from ..recordings.experiment import Experiment
@@ -117,7 +116,7 @@ def fitting(
         progress("finding a start in closed form")
         numbers, memory = first_guess(here, outliers, starts)
         whole = experiment
-        experiment = without_drift(whole, here.model.with_vector(jnp.asarray(numbers[0])))
+        experiment = without_drift(whole, here.model.with_vector(numbers[0]))
         if experiment is not whole:
             here = ready(experiment, experiment.fit_recordings, effects)
             outliers, memory = outliers_among(here), None
@@ -136,7 +135,7 @@ def fitting(
         progress("drawing starts")
         numbers = drawn(here, outliers, starts, seed)
         progress(f"fitting from {starts} of them")
-        begin = here.model.with_vector(jnp.asarray(numbers[0]))
+        begin = here.model.with_vector(numbers[0])
         descent = yield from descending(here, begin, numbers, outliers, progress)
     progress("errors, modes and held-out recordings")
     found = yield from finishing(experiment, numbers[0], descent, began)

@@ -17,13 +17,12 @@ import jax
 import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..physics.mechanism import AbstractMechanism
 from ..physics.model import Model
 from ..physics.parameter import all_floating, stacked
-from .least_squares import Compressed, Horizon, compressed, predict, rows, solver, whiten
+from .least_squares import Compressed, Horizon, compressed, cost_of, descended, predict, whiten
 from .problem import Problem, Unknowns, posed, ready
 from .result import Fit
 
@@ -117,13 +116,13 @@ class Embedded(eqx.Module):
         Differentiable in anything that was put in, in forward and reverse mode, by the implicit
         function theorem. A descent that did not settle says so in `converged`.
         """
-        y, steps, done = _minimum(self.problem, self.start)
+        y, steps, done = minimum(self.problem, self.start)
         squeezed = compressed(self.problem, y)
         numbers = jnp.asarray(self.problem.numbers(y))
         return Solution(
             numbers=numbers,
             states=jnp.asarray(self.problem.states(y)),
-            chi2=_misfit(squeezed),
+            chi2=cost_of(squeezed),
             covariance=_covariance(self.problem, squeezed),
             converged=done,
             steps=steps,
@@ -215,26 +214,16 @@ def embed(fit: Fit, *, integrator: Any = None) -> Embedded:
 
 
 @eqx.filter_custom_jvp
-def _minimum(problem: Problem, start: Unknowns):
-    """(unknowns, steps, whether they settled)."""
-    solution = optx.least_squares(
-        rows,
-        solver(start),
-        start,
-        args=Horizon(problem),
-        has_aux=True,
-        options={"jac": "fwd"},
-        max_steps=_STEPS,
-        throw=False,
-    )
-    done = solution.result == optx.RESULTS.successful
-    return solution.value, solution.stats["num_steps"], done
+def minimum(problem: Problem, start: Unknowns):
+    """Of a problem from a start: the unknowns, steps, whether they settled."""
+    y, _, _, steps, done = descended(Horizon(problem), start, _STEPS)
+    return y, steps, done
 
 
-@_minimum.def_jvp
+@minimum.def_jvp
 def _minimum_jvp(primals, tangents):
     problem, start = primals
-    y, steps, done = _minimum(problem, start)
+    y, steps, done = minimum(problem, start)
     moving, fixed = eqx.partition(problem, eqx.is_inexact_array)
     moved = jax.tree.map(
         lambda x, t: t if t is not None or x is None else jnp.zeros_like(x),
@@ -259,10 +248,6 @@ def _gradient(problem: Problem, y: Unknowns) -> Unknowns:
     local = jnp.einsum("rij,ri->rj", squeezed.factor, squeezed.along)
     p = problem.scale.numbers.shape[0]
     return Unknowns(jnp.sum(local[:, :p], axis=0), local[:, p:])
-
-
-def _misfit(squeezed: Compressed) -> Float[Array, ""]:
-    return jnp.sum(squeezed.along**2) + jnp.sum(squeezed.beside**2)
 
 
 def _covariance(problem: Problem, squeezed: Compressed) -> Float[Array, "P P"]:

@@ -108,7 +108,7 @@ def resolving(here: Ready, numbers: np.ndarray) -> Model:
         fast = _paces(here, numbers[:_LOOKED])[:, -1]
         order = np.argsort(np.where(fast < _ABSURD, fast, 0.0), kind="stable")
         numbers = numbers[order[math.ceil(_SLOWER * (len(order) - 1)) :]]
-    return here.model.with_vector(jnp.asarray(numbers[0]))
+    return here.model.with_vector(numbers[0])
 
 
 def _turned(model: Model, numbers: np.ndarray) -> np.ndarray:

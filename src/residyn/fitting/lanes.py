@@ -9,7 +9,7 @@ recordings) is written once, and the same.
 
 import dataclasses
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -17,6 +17,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from ..physics.parameter import stacked
 from ..runtime.export_cache import kept
 from .layout import read_of
 from .least_squares import ENDED, Compressed, Horizon, descended, one_descent, one_start
@@ -68,13 +69,20 @@ def _starts(wanted: list[Wanted]) -> list[Any]:
     """Descents of many starts over the first cycles, side by side: cheap there, but all wait for
     the last one, so they end early."""
     share, size = wanted[0].share, np.max([each.size for each in wanted])
-    head, found = _head(wanted[0].problem, float(share)), []
-    width = min(len(wanted), _STARTS)
+    head = _head(wanted[0].problem, float(share))
+
+    def run(some: list[Wanted]):
+        return _descents_of_starts(head, stacked([each.unknowns for each in some]), share, size)
+
+    return _side_by_side(run, wanted, min(len(wanted), _STARTS))
+
+
+def _side_by_side(run: Callable[[list[Wanted]], Any], wanted: list[Wanted], width: int):
+    """What `run` makes of descents, `width` at a time."""
+    found = []
     for first in range(0, len(wanted), width):
         some = wanted[first : first + width]
-        filled = [*some, *[some[-1]] * (width - len(some))]
-        y = jax.tree.map(lambda *x: np.stack(x), *(each.unknowns for each in filled))
-        out = jax.device_get(_descents_of_starts(head, y, share, size))
+        out = jax.device_get(run([*some, *[some[-1]] * (width - len(some))]))
         found += [jax.tree.map(lambda x, i=i: x[i], out) for i in range(len(some))]
     return found
 
@@ -156,18 +164,15 @@ def _shape(wanted: Wanted) -> Any:
 def _in_lanes(wanted: list[Wanted], width: int) -> list[Any]:
     """Descents of one shape, `width` at a time, divided among all devices."""
     divided = NamedSharding(Mesh(np.asarray(jax.devices()), ("fits",)), PartitionSpec("fits"))
-    found = []
-    for first in range(0, len(wanted), width):
-        some = wanted[first : first + width]
-        filled = [*some, *[some[-1]] * (width - len(some))]
-        arrays, rest = zip(*(eqx.partition(each, eqx.is_array) for each in filled), strict=True)
-        stacked = jax.tree.map(lambda *x: np.stack([np.asarray(each) for each in x]), *arrays)
-        out = jax.device_get(run_descents(jax.device_put(stacked, divided), rest[0]))
-        found += [jax.tree.map(lambda x, i=i: x[i], out) for i in range(len(some))]
-    return found
+
+    def run(some: list[Wanted]):
+        arrays, rest = zip(*(eqx.partition(each, eqx.is_array) for each in some), strict=True)
+        return run_descents(jax.device_put(stacked(jax.device_get(arrays)), divided), rest[0])
+
+    return _side_by_side(run, wanted, width)
 
 
 @eqx.filter_jit
-def run_descents(stacked, rest):
+def run_descents(arrays, rest):
     """XLA divides the lanes as the inputs are divided."""
-    return jax.vmap(lambda arrays: one_descent(*eqx.combine(arrays, rest)))(stacked)
+    return jax.vmap(lambda own: one_descent(*eqx.combine(own, rest)))(arrays)

@@ -14,9 +14,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
-import optimistix as optx
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ..physics.model import Model
 from ..physics.motion import Scalar
@@ -24,7 +22,7 @@ from ..runtime.export_cache import kept
 from ..simulation.interpolation import Nodes, read_rows
 from ..simulation.simulate import march
 from .layout import Recorded, read_of
-from .linalg import BorderedSolver
+from .linalg import damped_least_squares
 from .problem import Problem, Unknowns, posed
 
 # A residual beyond this many sigma comes from a simulation that has run away.
@@ -34,8 +32,9 @@ RUNAWAY = 1e6
 _CHUNK = 256
 _AT_ONCE = 8  # recordings that a CPU takes together
 STEPS = 20  # of one call: between calls, the search can be ended
-# Steps end when the whitened residual moves by less than this many sigma, in total (sigma of the
-# noise; after the first call, of whatever the model misses the readings by, if that is more) ...
+# Steps end when the next one would move the whitened residual by less than this many sigma, in
+# total (sigma of the noise; after the first call, of whatever the model misses the readings by, if
+# that is more) ...
 RESIDUAL_TOLERANCE = 3e-3
 # ... and no unknown by more than this share of its scale.
 _UNKNOWN_TOLERANCE = 1e-5
@@ -198,6 +197,44 @@ def _compress(square, slope, total):
     return lower.T, along, beside
 
 
+@kept(like=(0, 0, 0))
+def look(problem: Problem, y: Unknowns):
+    """Predictions (R, N, n), their slopes (R, N, n, L), and whitened residuals (R, N, n)."""
+    numbers = problem.scale.numbers.shape[0]
+
+    def one(recorded, scale, state):
+        def local(z):
+            moved = problem.numbers(Unknowns(z[:numbers], y.states))
+            predicted = predict(problem, recorded, moved, scale * z[numbers:])
+            return predicted, predicted
+
+        z = jnp.concatenate([y.numbers, state])
+        slopes, predicted = jax.vmap(
+            lambda e: jax.jvp(local, (z,), (e,), has_aux=True)[1:], out_axes=(-1, None)
+        )(jnp.eye(len(z)))
+        slopes = jnp.where(jnp.isfinite(slopes), slopes, 0.0)
+        return predicted, slopes, whiten(recorded, predicted)
+
+    each = over_recordings(one, problem.model)
+    return each(problem.recorded, problem.scale.states, y.states)
+
+
+def first_step(problem: Problem, y: Unknowns, predicted, slopes) -> Unknowns:
+    """Where the first step of a descent from `y` leads, by predictions and `slopes` that `look` has
+    found there for the same weights, whatever the readings."""
+    count, n = problem.scale.numbers.shape[0], predicted.shape[-1]
+
+    def one(recorded, predicted, slopes, state):
+        misfit = whiten(recorded, predicted).reshape(-1)
+        J = (slopes * recorded.weights[..., None]).reshape(len(misfit), -1)
+        known = jnp.where(jnp.arange(J.shape[1]) >= count + 2 * n, 1.0, 0.0)
+        z = known * jnp.concatenate([y.numbers, state])
+        return _compress(J.T @ J + jnp.diag(known), J.T @ misfit + z, misfit @ misfit + z @ z)[:2]
+
+    factor, along = jax.vmap(one)(problem.recorded, predicted, slopes, y.states)
+    return jax.tree.map(jnp.add, y, damped_least_squares(factor, along, 1.0, y))
+
+
 class Polished(NamedTuple):
     """Where the best start ended."""
 
@@ -208,20 +245,6 @@ class Polished(NamedTuple):
     converged: bool
     agreeing: int
     """How many starts ended here."""
-
-
-class _Rows(NamedTuple):
-    """Compressed residual: the only thing that the optimiser sees."""
-
-    along: Float[Array, "R L"]
-    beside: Float[Array, " R"]
-
-
-def _norm(tree) -> Float[Array, ""]:
-    """Size of a step for the stopping rule, in units of its own tolerance."""
-    if isinstance(tree, _Rows):
-        return optx.two_norm(tree.along)
-    return optx.max_norm(tree) * (RESIDUAL_TOLERANCE / _UNKNOWN_TOLERANCE)
 
 
 class Horizon(NamedTuple):
@@ -241,31 +264,6 @@ class Horizon(NamedTuple):
         return cls(eqx.tree_at(lambda p: p.recorded.weights, problem, weights), only)
 
 
-@eqx.filter_custom_jvp
-def rows(y: Unknowns, horizon: Horizon) -> tuple[_Rows, Compressed]:
-    """Compressed residual. Its Jacobian is known already, so it is attached, not derived."""
-    squeezed = compressed(horizon.problem, y, horizon.only)
-    return _Rows(squeezed.along / horizon.size, squeezed.beside / horizon.size), squeezed
-
-
-@rows.def_jvp
-def _rows_jvp(primals, tangents):
-    (y, horizon), (dy, _) = primals, tangents
-    squeezed = compressed(horizon.problem, y, horizon.only)
-    everywhere = jnp.broadcast_to(dy.numbers, (dy.states.shape[0], dy.numbers.shape[0]))
-    local = jnp.concatenate([everywhere, dy.states], axis=1)
-    along = jnp.einsum("rij,rj->ri", squeezed.factor, local) / horizon.size
-    rows = _Rows(squeezed.along / horizon.size, squeezed.beside / horizon.size)
-    still = jax.tree.map(jnp.zeros_like, squeezed)
-    return (rows, squeezed), (_Rows(along, jnp.zeros_like(squeezed.beside)), still)
-
-
-def solver(y: Unknowns) -> optx.LevenbergMarquardt:
-    """Levenberg-Marquardt of unknowns like these, with this module's stopping rule."""
-    step = lx.QR() if y.states.shape[0] == 1 else BorderedSolver()
-    return optx.LevenbergMarquardt(0.0, RESIDUAL_TOLERANCE, _norm, step)
-
-
 ENDED = Unknowns(0, 0), Compressed(0, 0, 0, 0), 0, 0, 0  # pyright: ignore[reportArgumentType]
 
 
@@ -277,19 +275,97 @@ def one_descent(problem: Problem, y: Unknowns, share, size):
 one_start = kept(like=ENDED)(one_descent)
 
 
+class _Search(NamedTuple):
+    """Where a descent is, and the step that it will try."""
+
+    at: Unknowns
+    here: Compressed
+    cost: Float[Array, ""]
+    step: Unknowns
+    trust: Float[Array, ""]
+    """The reciprocal of the damping, a trust region's size."""
+    steps: Int[Array, ""]
+    small: Bool[Array, ""]
+    """Whether the step is too small to be worth a look."""
+
+
 def descended(horizon: Horizon, y: Unknowns, most: int):
-    """`one_descent` of at most so many steps."""
-    solution = optx.least_squares(
-        rows,
-        solver(y),
-        y,
-        args=horizon,
-        has_aux=True,
-        options={"jac": "fwd"},
-        max_steps=most,
-        throw=False,
+    """`one_descent` of at most so many steps: Levenberg-Marquardt, each step solved for in the
+    compressed residual, damped as in a trust region (Gould, Orban, Sartenaer and Toint, 4OR 3,
+    2005, for the numbers).
+
+    As the compressed residual's slopes are known, so is how far the next step will move it. If that
+    is next to nothing, the step is taken to first order, and not evaluated.
+    """
+    problem, only, size = horizon
+
+    def tried(search: _Search) -> _Search:
+        there = jax.tree.map(jnp.add, search.at, search.step)
+        new = compressed(problem, there, only)
+        cost, first = cost_of(new), search.steps == 0
+        promise = jnp.sum(_moved(search.here, search.step) ** 2) - jnp.sum(search.here.along**2)
+        gain = cost - search.cost
+        accept = first | (gain <= 0.01 * promise)
+        good = ~first & (promise < 0) & (gain < 0.99 * promise)
+        trust = search.trust * jnp.where(accept, jnp.where(good, 3.5, 1.0), 0.25)
+        at, here, cost = jax.tree.map(
+            lambda x, y: jnp.where(accept, x, y),
+            (there, new, cost),
+            (search.at, search.here, search.cost),
+        )
+        step = damped_least_squares(here.factor / size, here.along / size, 1.0 / trust, y)
+        change = jnp.linalg.norm(_moved(here, step) - here.along) / size
+        largest = jnp.maximum(jnp.max(jnp.abs(step.numbers)), jnp.max(jnp.abs(step.states)))
+        small = (change < RESIDUAL_TOLERANCE) & (largest < _UNKNOWN_TOLERANCE)
+        return _Search(at, here, cost, step, trust, search.steps + 1, accept & small)
+
+    unseen = jax.eval_shape(lambda: compressed(problem, y, only))
+    empty, still = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), (unseen, y))
+    begin = _Search(
+        y, empty, jnp.asarray(jnp.inf), still, jnp.asarray(1.0), jnp.asarray(0), jnp.asarray(False)
     )
-    squeezed, good = solution.aux, solution.result == optx.RESULTS.successful
-    total = jnp.sum(squeezed.along**2) + jnp.sum(squeezed.beside**2)
-    cost = jnp.where(jnp.isfinite(total), total, jnp.inf)
-    return solution.value, squeezed, cost, solution.stats["num_steps"], good
+    end = jax.lax.while_loop(lambda s: ~s.small & (s.steps < most), tried, begin)
+    step = jax.tree.map(lambda x: jnp.where(end.small, x, 0.0), end.step)
+    squeezed = end.here._replace(along=_moved(end.here, step))
+    cost = cost_of(squeezed)
+    cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
+    return jax.tree.map(jnp.add, end.at, step), squeezed, cost, end.steps, end.small
+
+
+def _moved(squeezed: Compressed, step: Unknowns) -> Float[Array, "R L"]:
+    """The residual's projection after a step, to first order."""
+    everywhere = jnp.broadcast_to(step.numbers, (len(step.states), len(step.numbers)))
+    local = jnp.concatenate([everywhere, step.states], axis=1)
+    return squeezed.along + jnp.einsum("rij,rj->ri", squeezed.factor, local)
+
+
+def cost_of(squeezed: Compressed) -> Float[Array, ""]:
+    """Sum of squared whitened residuals, and of what is known beforehand of internal states."""
+    return jnp.sum(squeezed.along**2) + jnp.sum(squeezed.beside**2)
+
+
+# -- for the optimisers of others ----------------------------------------------------------------
+
+
+class _Rows(NamedTuple):
+    """Compressed residual: the only thing that an optimiser sees."""
+
+    along: Float[Array, "R L"]
+    beside: Float[Array, " R"]
+
+
+@eqx.filter_custom_jvp
+def rows(y: Unknowns, horizon: Horizon) -> tuple[_Rows, Compressed]:
+    """Compressed residual. Its Jacobian is known already, so it is attached, not derived."""
+    squeezed = compressed(horizon.problem, y, horizon.only)
+    return _Rows(squeezed.along, squeezed.beside), squeezed
+
+
+@rows.def_jvp
+def _rows_jvp(primals, tangents):
+    (y, horizon), (dy, _) = primals, tangents
+    squeezed = compressed(horizon.problem, y, horizon.only)
+    along = _moved(squeezed, dy) - squeezed.along
+    rows = _Rows(squeezed.along, squeezed.beside)
+    still = jax.tree.map(jnp.zeros_like, squeezed)
+    return (rows, squeezed), (_Rows(along, jnp.zeros_like(squeezed.beside)), still)

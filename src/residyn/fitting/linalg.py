@@ -7,13 +7,12 @@ stacked and solved, and each state follows. As one dense problem, the cost would
 power of the number of recordings.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
-from jaxtyping import Array, PyTree
+from jaxtyping import Array, Float
 
 from .problem import Unknowns
 
@@ -24,73 +23,31 @@ PART = 1e-3
 """Share of such a combination beyond which a number belongs to it."""
 
 
-class BorderedSolver(lx.AbstractLinearSolver):
-    """Least squares where the unknowns are `Unknowns`, (P,) numbers and (R, s) states, and every
-    equation belongs to one recording, (R, ...) of them, or to one unknown alone, `Unknowns` again.
+def damped_least_squares(
+    factor: Float[Array, "R L L"], along: Float[Array, "R L"], damping, like: Unknowns
+) -> Unknowns:
+    """The step d that minimises |factor d + along|^2 + damping |d|^2, its numbers and states shaped
+    as those of `like`."""
+    numbers, states = like.numbers.shape[0], like.states.shape[1]
+    root = jnp.sqrt(damping)
 
-    Its operator maps `Unknowns` to `(rows, Unknowns)`, `rows` any tree of leaves (R, ...): what
-    Levenberg-Marquardt asks for, whose second part is the damping. No matrix is formed; P + s
-    products with the operator find its blocks.
-    """
+    def eliminated(factor, along):
+        """One recording: [U, V, w; 0, S, b], triangular, in its state, the numbers and 1."""
+        seen = [factor[:, numbers:], factor[:, :numbers], -along[:, None]]
+        own = [root * jnp.eye(states), jnp.zeros((states, numbers + 1))]
+        return jnp.linalg.qr(jnp.block([seen, own]), mode="r")
 
-    def init(self, operator: lx.AbstractLinearOperator, options: dict[str, Any]):
-        del options
-        shape = operator.in_structure()
-        zero = Unknowns(*(jnp.zeros(x.shape, x.dtype) for x in shape))
-        border = jax.vmap(lambda e: operator.mv(zero._replace(numbers=e)))(
-            jnp.eye(zero.numbers.shape[0])
-        )
-        # A state moves its own recording only: the same one of all recordings is asked for at once.
-        blocks = jax.vmap(
-            lambda e: operator.mv(zero._replace(states=jnp.broadcast_to(e, zero.states.shape)))
-        )(jnp.eye(zero.states.shape[1]))
-        # What each unknown's own equation says of it.
-        alone = operator.mv(jax.tree.map(jnp.ones_like, zero))[1]
-        return _equations(border[0]), _equations(blocks[0]), alone
+    left = jax.vmap(eliminated)(factor, along)
+    below = left[:, states:, states:].reshape(-1, numbers + 1)
+    own = jnp.concatenate([root * jnp.eye(numbers), jnp.zeros((numbers, 1))], axis=1)
+    top = jnp.linalg.qr(jnp.concatenate([below, own]), mode="r")[:numbers]
+    found = jax.scipy.linalg.solve_triangular(top[:, :numbers], top[:, numbers])
 
-    def compute(
-        self, state, vector: PyTree[Array], options: dict[str, Any]
-    ) -> tuple[Unknowns, lx.RESULTS, dict[str, Any]]:
-        del options
-        border, blocks, alone = state
-        right, wanted = vector
-        states, numbers = blocks.shape[-1], border.shape[-1]
+    def its_state(rows):
+        rest = rows[:states, -1] - rows[:states, states : states + numbers] @ found
+        return jax.scipy.linalg.solve_triangular(rows[:states, :states], rest)
 
-        def eliminated(border, blocks, right, alone, wanted):
-            """One recording: [U, V, w; 0, S, b], triangular, in its state, the numbers and 1."""
-            own = jnp.concatenate(
-                [jnp.diag(alone), jnp.zeros((states, numbers)), wanted[:, None]], axis=1
-            )
-            seen = jnp.concatenate([blocks, border, right[:, None]], axis=1)
-            return jnp.linalg.qr(jnp.concatenate([seen, own]), mode="r")
-
-        right = _equations(jax.tree.map(lambda x: x[None], right))[..., 0]
-        left = jax.vmap(eliminated)(border, blocks, right, alone.states, wanted.states)
-        below = left[:, states:, states:].reshape(-1, numbers + 1)
-        own = jnp.concatenate([jnp.diag(alone.numbers), wanted.numbers[:, None]], axis=1)
-        top = jnp.linalg.qr(jnp.concatenate([below, own]), mode="r")[:numbers]
-        found = jax.scipy.linalg.solve_triangular(top[:, :numbers], top[:, numbers])
-
-        def its_state(rows):
-            rest = rows[:states, -1] - rows[:states, states : states + numbers] @ found
-            return jax.scipy.linalg.solve_triangular(rows[:states, :states], rest)
-
-        return Unknowns(found, jax.vmap(its_state)(left)), lx.RESULTS.successful, {}
-
-    def transpose(self, state, options: dict[str, Any]):
-        raise NotImplementedError("a bordered system is not solved the other way round")
-
-    def conj(self, state, options: dict[str, Any]):
-        return state, options
-
-    def assume_full_rank(self) -> bool:
-        return True
-
-
-def _equations(columns: PyTree[Array]) -> Array:
-    """(R, E, C): all equations of each recording, from C columns, leaves (C, R, ...)."""
-    leaves = [x.reshape(*x.shape[:2], -1) for x in jax.tree.leaves(columns)]
-    return jnp.moveaxis(jnp.concatenate(leaves, axis=2), 0, 2)
+    return Unknowns(found, jax.vmap(its_state)(left))
 
 
 def information(factors: np.ndarray, numbers: int) -> np.ndarray:

@@ -83,7 +83,7 @@ class Descent(NamedTuple):
     @property
     def model(self) -> Model:
         """The model with these numbers."""
-        return self.here.model.with_vector(jnp.asarray(self.numbers))
+        return self.here.model.with_vector(self.numbers)
 
     @property
     def above_noise(self) -> bool:
@@ -321,7 +321,7 @@ def _upright(problem: Problem, at: Unknowns) -> Unknowns | None:
     if not problem.model.mirrors:
         return None
     states, n = np.array(problem.states(at)), len(problem.model.mechanism.joints)
-    model = problem.model.with_vector(jnp.asarray(problem.numbers(at)))
+    model = problem.model.with_vector(problem.numbers(at))
     found = model
     for state in states:
         found, memory = model.upright(split(state[2 * n :]))
@@ -334,18 +334,15 @@ def _upright(problem: Problem, at: Unknowns) -> Unknowns | None:
 def outliers_among(here: Ready, residuals: Sequence[np.ndarray] | None = None) -> list[np.ndarray]:
     """Readings far off their neighbours; beside a model, of which these are the `residuals`, also
     far off the usual residual."""
+    if residuals is None:
+        return [r.outliers for r in here.recordings]
     found = []
-    readings = [r.angle for r in here.recordings] if residuals is None else residuals
-    for recording, x in zip(here.recordings, readings, strict=True):
-        noise = recording.noise
-        if (
-            residuals is not None
-        ):  # where the model misses something, the residual has corners of its own
-            noise = np.maximum(noise, _USUAL * 1.4826 * np.nanmedian(np.abs(x), axis=0))
-            if not np.any(np.abs(x) > _FAR * noise):
-                found.append(np.zeros(x.shape, bool))
-                continue
-        found.append(outlier_mask(recording.time, x, noise))
+    for recording, x in zip(here.recordings, residuals, strict=True):
+        # Where the model misses something, the residual has corners of its own.
+        usual = _USUAL * 1.4826 * np.nanmedian(np.abs(x), axis=0)
+        noise = np.maximum(recording.noise, usual)
+        far = np.any(np.abs(x) > _FAR * noise)
+        found.append(outlier_mask(recording.time, x, noise) if far else np.zeros(x.shape, bool))
     return found
 
 
@@ -410,7 +407,7 @@ def _shooting(
         return None
     numbers = np.asarray(problem.numbers(end.unknowns))
     joined = np.asarray(problem.states(end.unknowns))[first]
-    begin = here.model.with_vector(jnp.asarray(numbers))
+    begin = here.model.with_vector(numbers)
     found = []
     for growing in (False, True):
         with contextlib.suppress(FitError):
@@ -468,7 +465,7 @@ def _from_the_base(
     found = []
     for row, own, near in rows:
         numbers = np.concatenate([end.numbers, row[len(end.numbers) :]])
-        begin = here.model.with_vector(jnp.asarray(numbers))
+        begin = here.model.with_vector(numbers)
         with contextlib.suppress(FitError):
             found.append(
                 (

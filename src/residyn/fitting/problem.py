@@ -22,7 +22,7 @@ from ..physics.bearings import AirBearing, without_bearings
 from ..physics.inertia import AbstractInertia
 from ..physics.mechanism import AbstractMechanism, ConstantInertia, PlanarArm
 from ..physics.modal import fastest, ringing
-from ..physics.model import Model
+from ..physics.model import Model, changed
 from ..physics.motion import split
 from ..physics.parameter import Scales, all_floating
 from ..recordings.experiment import Experiment
@@ -94,7 +94,7 @@ class Problem(eqx.Module):
 
 def posed(model: Model, mechanism: AbstractMechanism) -> Model:
     """The model on another mechanism: another pose of the arm, or with its bearings off."""
-    return eqx.tree_at(lambda m: m.mechanism, model, mechanism)
+    return changed(model, mechanism=mechanism)
 
 
 def mechanism_of(experiment: Experiment, recording: Recording) -> AbstractMechanism:
@@ -252,7 +252,8 @@ class Ready(NamedTuple):
     @property
     def amplitude(self) -> np.ndarray:
         """(n,) typical angle of each joint, rad or m."""
-        return np.max([_amplitude(r) for r in self.recordings], axis=0)
+        each = [np.maximum(r.extent.rms, 3 * r.as_angles.noise) for r in self.recordings]
+        return np.max(each, axis=0)
 
     def frequency(self, begin: Model) -> float:
         """Fastest angular frequency that the integration must follow, rad/s."""
@@ -264,7 +265,7 @@ class Ready(NamedTuple):
         # In a wide swing the angles themselves turn the forces round.
         units = begin.mechanism.units or ("rad",) * len(begin.mechanism.joints)
         rotary = np.array([u == "rad" for u in units])
-        turning = max(float(_rate(r)[rotary].max(initial=0.0)) for r in self.recordings)
+        turning = max(float(r.extent.rate[rotary].max(initial=0.0)) for r in self.recordings)
         fast = math.hypot(fast, turning) if math.isfinite(fast) else most
         return min(max(fast, least), most)
 
@@ -291,8 +292,8 @@ class Ready(NamedTuple):
     @property
     def pace(self) -> np.ndarray:
         """(n,) typical angular frequency of each joint's motion, rad/s."""
-        swing = np.max([np.nanquantile(_about(r), 0.99, axis=0) for r in self.recordings], axis=0)
-        rate = np.max([_rate(r) for r in self.recordings], axis=0)
+        swing = np.max([r.extent.largest for r in self.recordings], axis=0)
+        rate = np.max([r.extent.rate for r in self.recordings], axis=0)
         least = max(2 * math.pi / r.duration for r in self.recordings)
         return np.maximum(rate / np.maximum(swing, self.amplitude), least)
 
@@ -377,29 +378,6 @@ def _inertia(mechanism: AbstractMechanism):
 
 def _at(each: np.ndarray, joint: int | None) -> float:
     return float(each[-1 if joint is None else joint])
-
-
-def _amplitude(recording: Recording) -> np.ndarray:
-    """(n,) rms angle about the middle of its range of values, at least a few sigma."""
-    noise = recording.as_angles.noise
-    return np.maximum(np.sqrt(np.nanmean(_about(recording) ** 2, axis=0)), 3 * noise)
-
-
-def _about(recording: Recording) -> np.ndarray:
-    """(N, n) distance of every angle from the middle of its range of values."""
-    angle = recording.as_angles.angle
-    return np.abs(angle - np.nanmedian(angle, axis=0))
-
-
-def _rate(recording: Recording) -> np.ndarray:
-    """(n,) highest sustained rate of each joint, rad/s or m/s, from differences above the noise."""
-    recording = recording.as_angles
-    lag = min(4, len(recording.time) - 1)
-    moved = np.abs(recording.angle[lag:] - recording.angle[:-lag])
-    moved = np.maximum(moved - 4 * recording.noise, 0.0)
-    rates = moved / (recording.time[lag:] - recording.time[:-lag])[:, None]
-    rates[~np.isfinite(rates)] = 0.0
-    return np.quantile(rates, 0.99, axis=0)
 
 
 def _first_state(recording: Recording, outliers: np.ndarray, frequency: float) -> np.ndarray:

@@ -84,11 +84,10 @@ class Smoothed(NamedTuple):
 
     def kept(self, halves: np.ndarray) -> np.ndarray:
         """(H,) share of the motion (rms about its mean, best joint) that passes each kernel."""
-        whole, shares = self.q[0].std(axis=0), []
-        for q, half in zip(self.q, halves, strict=True):
-            inside = q[half : max(half + 1, len(q) - half)]
-            shares.append((inside.std(axis=0) / np.maximum(whole, 1e-300)).max())
-        return np.asarray(shares)
+        index, half = np.arange(self.q.shape[1]), halves[:, None]
+        inside = (index >= half) & (index < np.maximum(half + 1, len(index) - half))
+        passed = self.q.std(axis=1, where=inside[..., None])
+        return (passed / np.maximum(self.q[0].std(axis=0), 1e-300)).max(axis=1)
 
 
 def smooth(data: Uniform, halves: np.ndarray, noise: np.ndarray, stride: int) -> Smoothed:
@@ -99,13 +98,13 @@ def smooth(data: Uniform, halves: np.ndarray, noise: np.ndarray, stride: int) ->
 
     def through(columns: np.ndarray, responses: np.ndarray) -> np.ndarray:
         if not columns.any():
-            return np.zeros((len(responses), *columns[::stride].shape))
+            return np.zeros((*responses.shape[:-1], *columns[::stride].shape))
         spectrum = np.fft.rfft(columns.T, size)
-        passed = np.fft.irfft(responses[:, None] * spectrum, size)
-        return passed[..., :length:stride].transpose(0, 2, 1)
+        passed = np.fft.irfft(responses[..., None, :] * spectrum, size)
+        return passed[..., :length:stride].swapaxes(-1, -2)
 
     responses, louder = _responses(tuple(int(half) for half in halves), size)
-    q, v, a = (through(data.q, r / data.dt**k) for k, r in enumerate(responses))
+    q, v, a = through(data.q, responses) / data.dt ** np.arange(3.0).reshape(3, 1, 1, 1)
     index = np.arange(0, length, stride)
     inside = (index >= halves[:, None]) & (index < length - halves[:, None])
     inside &= _sums(~data.good, halves, stride) == 0

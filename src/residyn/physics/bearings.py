@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from typing import Literal
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Array, Float
 
 from .mechanism import PlanarArm
@@ -50,7 +51,7 @@ def _carry(arm: PlanarArm, bearings: Iterable[AirBearing], sign: float) -> Plana
         shoulder = shoulder + sign * bearing.mass * l1**2
         elbow = elbow + sign * (bearing.inertia + bearing.mass * reach**2)
         coupling = coupling + sign * bearing.mass * reach
-        count = count.at[0 if bearing.joint == "elbow" else 1].add(sign)
+        count = count + sign * np.eye(2)[0 if bearing.joint == "elbow" else 1]
     return eqx.tree_at(
         lambda a: (a.shoulder, a.elbow, a.coupling, a.bearings),
         arm,

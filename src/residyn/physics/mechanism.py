@@ -114,7 +114,8 @@ class ConstantInertia(AbstractMechanism):
     units: tuple[str, ...] | None = eqx.field(static=True)
 
     def __init__(self, matrix, joints=None, units=None, load=0.0, run=0.0):
-        self.matrix = jnp.atleast_2d(floating(matrix))
+        matrix = floating(matrix)
+        self.matrix = matrix if matrix.ndim > 1 else matrix.reshape(1, -1)
         self.load, self.run = floating(load), floating(run)
         n = self.matrix.shape[-1]
         self.joints = tuple(joints) if joints is not None else tuple(f"q{i + 1}" for i in range(n))

@@ -8,18 +8,22 @@ that JAX differentiates, vmaps and fits.
 import dataclasses
 import functools
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, PyTree
 
 from .effect import AbstractEffect, JointEffect
 from .inertia import AbstractInertia
 from .motion import Joints, Motion, split, stack
-from .parameter import Memory, Parameter, parameters_of
+from .parameter import Memory, Parameter, floating, parameters_of
+
+_Module = TypeVar("_Module", bound=eqx.Module)
+_Model = TypeVar("_Model", bound="Model")
 
 
 class Number(NamedTuple):
@@ -238,30 +242,25 @@ class Model(eqx.Module):
     @property
     def numbers(self) -> tuple[Number, ...]:
         """Every declared number of every effect, in order."""
-        return _numbers(*self._named())
+        return _numbers(*_named(self))
 
     @property
     def fitted(self) -> tuple[Number, ...]:
         """The numbers that a fit moves."""
-        return _fitted(*self._named())
+        return _fitted(*_named(self))
 
-    def _named(self):
-        return tuple((type(e), e.label) for e in self.effects), self.mechanism.joints
-
-    def vector(self) -> Float[Array, " p"]:
-        """The fitted numbers as one array, in the order of `fitted`."""
+    def vector(self) -> Float[Array | np.ndarray, " p"]:
+        """The fitted numbers as one array, in the order of `fitted`; NumPy's if none is traced."""
         values = [getattr(self.effects[n.effect], n.meaning.field) for n in self.fitted]
         if any(isinstance(v, Tracer) for v in values):
             return jnp.stack([jnp.asarray(v, float) for v in values])
-        # At once: JAX takes its time over each.
-        return jnp.asarray([float(v) for v in values], float)
+        return floating([float(v) for v in values])
 
-    def with_vector(self, values: Float[Array, " p"]) -> Self:
+    def with_vector(self, values: Float[Array | np.ndarray, " p"]) -> Self:
         """The model with its fitted numbers replaced."""
         if isinstance(values, jax.Array) and not isinstance(values, Tracer):
             values = jax.device_get(values)
-        each = [jnp.asarray(x) for x in values]
-        return self._with(dict(zip([n.name for n in self.fitted], each, strict=True)))
+        return _with(self, dict(zip([n.name for n in self.fitted], values, strict=True)))
 
     def values(self) -> dict[str, Array]:
         """Public name -> value, for every number."""
@@ -276,18 +275,32 @@ class Model(eqx.Module):
         for name in values:
             if name not in known:
                 raise ValueError(f"{name} is no number of this model ({', '.join(sorted(known))})")
-        return self._with(values)
+        return _with(self, values)
 
-    def _with(self, values: Mapping[str, PyTree]) -> Self:
-        fields: list[dict[str, PyTree]] = [{} for _ in self.effects]
-        for number in self.numbers:
-            if number.name in values:
-                fields[number.effect][number.meaning.field] = values[number.name]
-        effects = tuple(
-            dataclasses.replace(effect, **own) if own else effect  # pyright: ignore
-            for effect, own in zip(self.effects, fields, strict=True)
-        )
-        return dataclasses.replace(self, effects=effects)
+
+# Functions, not methods: Equinox makes a pytree of every bound method, which takes its time.
+
+
+def _with(model: _Model, values: Mapping[str, PyTree]) -> _Model:
+    fields: list[dict[str, PyTree]] = [{} for _ in model.effects]
+    for number in model.numbers:
+        if number.name in values:
+            fields[number.effect][number.meaning.field] = floating(values[number.name])
+    pairs = zip(model.effects, fields, strict=True)
+    return changed(model, effects=tuple(changed(e, **own) if own else e for e, own in pairs))
+
+
+def changed(module: _Module, **fields) -> _Module:
+    """`dataclasses.replace`, but nothing is converted and checked, which takes as long as a step of
+    a fit."""
+    new = object.__new__(type(module))
+    for name, value in (module.__dict__ | fields).items():
+        object.__setattr__(new, name, value)
+    return new
+
+
+def _named(model: Model):
+    return tuple((type(e), e.label) for e in model.effects), model.mechanism.joints
 
 
 def _joint(label: str, joints: tuple[str, ...]) -> int | None:

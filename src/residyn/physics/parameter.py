@@ -15,6 +15,7 @@ from typing import Any, Literal, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, PyTree
 
 Sign = Literal["any", "positive"]
@@ -88,9 +89,12 @@ _KEY = "residyn"
 
 
 def floating(x: Any) -> Array:
-    """As a float array of the precision in force. (`jnp.asarray(0.1)` would be weakly typed, and
-    take the precision of whatever it meets.)"""
-    wanted = jnp.float64 if jax.config.jax_enable_x64 else jnp.float32  # pyright: ignore
+    """As a float array of the precision in force: of NumPy, which is quicker to make and to read,
+    unless `x` is of JAX. (`jnp.asarray(0.1)` would be weakly typed, and take the precision of
+    whatever it meets.)"""
+    wanted = np.float64 if jax.config.jax_enable_x64 else np.float32  # pyright: ignore
+    if not any(isinstance(each, jax.Array) for each in jax.tree.leaves(x)):
+        return np.asarray(x, wanted)  # pyright: ignore[reportReturnType]
     if isinstance(x, jax.Array) and not x.weak_type and x.dtype == wanted:
         return x  # JAX would take its time to find that there is nothing to do
     return jnp.asarray(x, float)
@@ -111,7 +115,10 @@ def stacked(trees: Sequence[PyTree]) -> PyTree:
     taken to be the same in all of them."""
 
     def both(first, *others):
-        return jnp.stack((first, *others)) if eqx.is_array(first) else first
+        if not eqx.is_array(first):
+            return first
+        each = (first, *others)
+        return (jnp if any(isinstance(x, jax.Array) for x in each) else np).stack(each)
 
     return jax.tree.map(both, *trees)
 

@@ -17,7 +17,6 @@ from ..errors import InputError, inside
 from ..fitting import FitError
 from ..fitting.smoothing import Uniform, uniform
 from ..recordings.noise import estimate_noise
-from ..recordings.outliers import outlier_mask
 from ..recordings.recording import Recording
 
 _BRAKED = 0.2
@@ -89,7 +88,7 @@ def driven_test(recording: Recording) -> DrivenTest:
         joint = _driven_joint(recording)
         drive = _drive(recording)[:, joint]
         # Torque and angles share their wild instants: a row needs all of them.
-        wild = outlier_mask(recording.time, recording.angle, recording.noise)
+        wild = recording.outliers
         grid = uniform(recording, wild)
         if len(grid.q) < _SHORTEST:
             raise FitError(

@@ -70,13 +70,14 @@ def _stand_out(cut: Blocks, values: np.ndarray, least: float) -> np.ndarray:
     m = cut.basis.shape[1]
     noise = cut.basis[:, :, cut.degree :]
     sigma = max(cut.spread, least, 1e-9 * float(np.std(values)), 1e-14)
-    rest = np.einsum("bmk,bk->bm", noise, cut.share[:, cut.degree :]) / sigma
-    room = np.einsum("bmk,bmk->bm", noise, noise)
+    rest = (noise @ cut.share[:, cut.degree :, None])[..., 0] / sigma
+    room = np.sum(noise**2, axis=-1)
     score = np.abs(rest) / np.sqrt(np.maximum(room, 1e-9))
     # Noise with tails heavier than the normal law's is noise still.
     tail = max(1.0, float(np.quantile(score, 0.95)) / 1.96)
     for b in np.flatnonzero(score.max(axis=1) > 3.5 * tail):
-        pick = _explain(noise[b] @ noise[b].T, rest[b] / tail)
+        own = noise[b % len(noise)]
+        pick = _explain(own @ own.T, rest[b] / tail)
         index = cut.first[b] + np.arange(m)
         # A knock may be as sharp as a spike, but is no larger than a part of the acceleration.
         bend = 0.3 * float(np.quantile(np.abs(np.diff(values[index], 2)), 0.75)) / sigma

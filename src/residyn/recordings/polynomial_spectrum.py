@@ -55,7 +55,8 @@ class Blocks(NamedTuple):
     first: np.ndarray
     """(B,) index of each block's first reading; neighbours overlap by half."""
     basis: np.ndarray
-    """(B, m, m) orthonormal: column k is a polynomial of degree k, the last quarter is the rest."""
+    """(B, m, m), or (1, m, m) for all of them, orthonormal: column k is a polynomial of degree k,
+    the last quarter is the rest."""
     share: np.ndarray
     """(B, m) what each column holds of the readings."""
     degree: int
@@ -77,8 +78,7 @@ def blocks(time: np.ndarray, values: np.ndarray) -> Blocks:
     if np.ptp(x, axis=0).max() < 1e-6 / m:
         x = x[:1]  # evenly sampled: one basis serves all blocks
     basis = np.linalg.qr(np.polynomial.legendre.legvander(x, top - 1), mode="complete")[0]
-    basis = np.broadcast_to(basis, (len(first), m, m))
-    share = np.einsum("bmk,bm->bk", basis, y - y.mean(axis=1, keepdims=True))
+    share = ((y - y.mean(axis=1, keepdims=True))[:, None] @ basis)[:, 0]
     # An encoder at rest says nothing of the noise, and where the motion ends must be seen where it
     # is at its largest.
     moves = np.ptp(y, axis=1) > 1e-14

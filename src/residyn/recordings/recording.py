@@ -8,7 +8,7 @@ import dataclasses
 import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,17 @@ from .toml import check_own, check_role
 MOST = 100_000
 """Instants of a recording: where there are more, means of some after each other are taken. That
 leaves dozens for each period of anything that swings less than a thousand times."""
+
+
+class Extent(NamedTuple):
+    """How far and how fast each joint moves, (n,) rad or m, and per second."""
+
+    rms: np.ndarray
+    """About the middle of its range of values."""
+    largest: np.ndarray
+    """Distance from that middle which one reading in a hundred exceeds."""
+    rate: np.ndarray
+    """Highest sustained rate, from differences above the noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +206,28 @@ class Recording:
             noise = self.noise * sizes[0] / np.maximum(sizes[1], 1e-300)
             noise = np.where(noise > 0, noise, self.noise)
         return dataclasses.replace(self, angle=angle, noise=noise, reads=())
+
+    @functools.cached_property
+    def extent(self) -> Extent:
+        """How far and how fast it moves; of angles, whatever was read."""
+        here = self.as_angles
+        off = [x[np.isfinite(x)] for x in here.angle.T]
+        off = [np.abs(x - np.median(x)) if len(x) else np.zeros(1) for x in off]
+        rms = np.array([np.sqrt(np.mean(x**2)) for x in off])
+        largest = np.array([np.quantile(x, 0.99) for x in off])
+        lag = min(4, len(here.time) - 1)
+        moved = np.abs(here.angle[lag:] - here.angle[:-lag])
+        moved = np.maximum(moved - 4 * here.noise, 0.0)
+        rates = moved / (here.time[lag:] - here.time[:-lag])[:, None]
+        rates[~np.isfinite(rates)] = 0.0
+        return Extent(rms, largest, np.quantile(rates, 0.99, axis=0))
+
+    @functools.cached_property
+    def outliers(self) -> np.ndarray:
+        """(N, n) readings that sit far off their neighbours (`outlier_mask`)."""
+        found = outlier_mask(self.time, self.angle, self.noise)
+        found.flags.writeable = False
+        return found
 
     @property
     def lost(self) -> int:

@@ -27,7 +27,8 @@ class Drive(eqx.Module):
         place = jnp.clip((t - self.start) / self.spacing, 0.0, last)
         index = jnp.clip(jnp.floor(place).astype(int), 0, last - 1)
         part = place - index
-        return split((1.0 - part) * self.values[index] + part * self.values[index + 1])
+        values = jnp.asarray(self.values)
+        return split((1.0 - part) * values[index] + part * values[index + 1])
 
     def during(self, index) -> "Drive":
         """The torque during one integration step."""
@@ -47,7 +48,7 @@ class Piecewise(eqx.Module):
 
     def during(self, index) -> Drive:
         """The torque during one integration step."""
-        values = jnp.stack([self.left[index], self.right[index]])
+        values = jnp.stack([jnp.asarray(side)[index] for side in (self.left, self.right)])
         return Drive(self.start + index * self.spacing, self.spacing, values)
 
 
