@@ -64,8 +64,8 @@ def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
     act, less those `present` and those that such recordings cannot show.
 
     Under one load, a friction in proportion to it is Coulomb's. With one joint, a sensor's scale is
-    a choice of unit, which the inertia has to bear; its delay is one of the
-    first state, or of the drive.
+    a choice of unit, which the inertia has to bear; its delay is one of the first
+    state, or of the drive.
     """
     found = [
         e
