@@ -14,6 +14,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from ..physics.model import Model
@@ -275,78 +276,6 @@ def one_descent(problem: Problem, y: Unknowns, share, size):
 one_start = kept(like=ENDED)(one_descent)
 
 
-class _Search(NamedTuple):
-    """Where a descent is, and the step that it will try."""
-
-    at: Unknowns
-    here: Compressed
-    cost: Float[Array, ""]
-    step: Unknowns
-    trust: Float[Array, ""]
-    """The reciprocal of the damping, a trust region's size."""
-    steps: Int[Array, ""]
-    small: Bool[Array, ""]
-    """Whether the step is too small to be worth a look."""
-
-
-def descended(horizon: Horizon, y: Unknowns, most: int):
-    """`one_descent` of at most so many steps: Levenberg-Marquardt, each step solved for in the
-    compressed residual, damped as in a trust region (Gould, Orban, Sartenaer and Toint, 4OR 3,
-    2005, for the numbers).
-
-    As the compressed residual's slopes are known, so is how far the next step will move it. If that
-    is next to nothing, the step is taken to first order, and not evaluated.
-    """
-    problem, only, size = horizon
-
-    def tried(search: _Search) -> _Search:
-        there = jax.tree.map(jnp.add, search.at, search.step)
-        new = compressed(problem, there, only)
-        cost, first = cost_of(new), search.steps == 0
-        promise = jnp.sum(_moved(search.here, search.step) ** 2) - jnp.sum(search.here.along**2)
-        gain = cost - search.cost
-        accept = first | (gain <= 0.01 * promise)
-        good = ~first & (promise < 0) & (gain < 0.99 * promise)
-        trust = search.trust * jnp.where(accept, jnp.where(good, 3.5, 1.0), 0.25)
-        at, here, cost = jax.tree.map(
-            lambda x, y: jnp.where(accept, x, y),
-            (there, new, cost),
-            (search.at, search.here, search.cost),
-        )
-        step = damped_least_squares(here.factor / size, here.along / size, 1.0 / trust, y)
-        change = jnp.linalg.norm(_moved(here, step) - here.along) / size
-        largest = jnp.maximum(jnp.max(jnp.abs(step.numbers)), jnp.max(jnp.abs(step.states)))
-        small = (change < RESIDUAL_TOLERANCE) & (largest < _UNKNOWN_TOLERANCE)
-        return _Search(at, here, cost, step, trust, search.steps + 1, accept & small)
-
-    unseen = jax.eval_shape(lambda: compressed(problem, y, only))
-    empty, still = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), (unseen, y))
-    begin = _Search(
-        y, empty, jnp.asarray(jnp.inf), still, jnp.asarray(1.0), jnp.asarray(0), jnp.asarray(False)
-    )
-    end = jax.lax.while_loop(lambda s: ~s.small & (s.steps < most), tried, begin)
-    step = jax.tree.map(lambda x: jnp.where(end.small, x, 0.0), end.step)
-    squeezed = end.here._replace(along=_moved(end.here, step))
-    cost = cost_of(squeezed)
-    cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
-    return jax.tree.map(jnp.add, end.at, step), squeezed, cost, end.steps, end.small
-
-
-def _moved(squeezed: Compressed, step: Unknowns) -> Float[Array, "R L"]:
-    """The residual's projection after a step, to first order."""
-    everywhere = jnp.broadcast_to(step.numbers, (len(step.states), len(step.numbers)))
-    local = jnp.concatenate([everywhere, step.states], axis=1)
-    return squeezed.along + jnp.einsum("rij,rj->ri", squeezed.factor, local)
-
-
-def cost_of(squeezed: Compressed) -> Float[Array, ""]:
-    """Sum of squared whitened residuals, and of what is known beforehand of internal states."""
-    return jnp.sum(squeezed.along**2) + jnp.sum(squeezed.beside**2)
-
-
-# -- for the optimisers of others ----------------------------------------------------------------
-
-
 class _Rows(NamedTuple):
     """Compressed residual: the only thing that an optimiser sees."""
 
@@ -369,3 +298,89 @@ def _rows_jvp(primals, tangents):
     rows = _Rows(squeezed.along, squeezed.beside)
     still = jax.tree.map(jnp.zeros_like, squeezed)
     return (rows, squeezed), (_Rows(along, jnp.zeros_like(squeezed.beside)), still)
+
+
+class _Tried(NamedTuple):
+    """What a descent knows where it is, and the step that it will try."""
+
+    cost: Float[Array, ""]
+    here: Compressed
+    step: Unknowns
+    trust: Float[Array, ""]
+    """The reciprocal of the damping, a trust region's size."""
+    small: Bool[Array, ""]
+    """Whether the step is too small to be worth a look."""
+
+
+class CompressedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
+    """Levenberg-Marquardt for optimistix, each step solved for in the compressed residual, damped
+    as in a trust region (Gould, Orban, Sartenaer and Toint, 4OR 3, 2005, for the numbers).
+
+    As the compressed residual's slopes are known, so is how far the next step will move it. If that
+    is next to nothing, the step is taken to first order, and not evaluated: optimistix' own
+    Levenberg-Marquardt, which knows no such residual, evaluates once more in every descent.
+    """
+
+    rtol: float = 0.0
+    atol: float = RESIDUAL_TOLERANCE
+    norm: Callable = eqx.field(default=optx.two_norm, static=True)
+
+    def init(self, fn, y, args, options, f_struct, aux_struct, tags):
+        empty, still = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), (aux_struct, y))
+        return _Tried(jnp.asarray(jnp.inf), empty, still, jnp.asarray(1.0), jnp.asarray(False))
+
+    def step(self, fn, y, args, options, state, tags):
+        there = jax.tree.map(jnp.add, y, state.step)
+        _, new = fn(there, args)
+        cost, first = cost_of(new), jnp.isinf(state.cost)
+        promise = jnp.sum(_moved(state.here, state.step) ** 2) - jnp.sum(state.here.along**2)
+        gain = cost - state.cost
+        accept = first | (gain <= 0.01 * promise)
+        good = ~first & (promise < 0) & (gain < 0.99 * promise)
+        trust = state.trust * jnp.where(accept, jnp.where(good, 3.5, 1.0), 0.25)
+        at, here, cost = jax.tree.map(
+            lambda x, y: jnp.where(accept, x, y), (there, new, cost), (y, state.here, state.cost)
+        )
+        size = args.size
+        step = damped_least_squares(here.factor / size, here.along / size, 1.0 / trust, y)
+        change = self.norm(_moved(here, step) - here.along) / size
+        largest = optx.max_norm(step)
+        small = accept & (change < self.atol) & (largest < _UNKNOWN_TOLERANCE)
+        return at, _Tried(cost, here, step, trust, small), here
+
+    def terminate(self, fn, y, args, options, state, tags):
+        return state.small, optx.RESULTS.successful
+
+    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+        step = jax.tree.map(lambda x: jnp.where(state.small, x, 0.0), state.step)
+        moved = aux._replace(along=_moved(aux, step))
+        return jax.tree.map(jnp.add, y, step), moved, {}
+
+
+def descended(horizon: Horizon, y: Unknowns, most: int):
+    """`one_descent` of at most so many steps."""
+    solution = optx.least_squares(
+        rows,
+        CompressedLevenbergMarquardt(),
+        y,
+        args=horizon,
+        has_aux=True,
+        max_steps=most,
+        throw=False,
+    )
+    squeezed, good = solution.aux, solution.result == optx.RESULTS.successful
+    cost = cost_of(squeezed)
+    cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
+    return solution.value, squeezed, cost, solution.stats["num_steps"], good
+
+
+def _moved(squeezed: Compressed, step: Unknowns) -> Float[Array, "R L"]:
+    """The residual's projection after a step, to first order."""
+    everywhere = jnp.broadcast_to(step.numbers, (len(step.states), len(step.numbers)))
+    local = jnp.concatenate([everywhere, step.states], axis=1)
+    return squeezed.along + jnp.einsum("rij,rj->ri", squeezed.factor, local)
+
+
+def cost_of(squeezed: Compressed) -> Float[Array, ""]:
+    """Sum of squared whitened residuals, and of what is known beforehand of internal states."""
+    return jnp.sum(squeezed.along**2) + jnp.sum(squeezed.beside**2)
