@@ -7,6 +7,7 @@ import hypothesis
 import jax
 import pytest
 
+from residyn import effects
 from residyn.runtime.settings import quick_loops
 
 quick_loops()  # the rest of `set_up` would switch float64 on, for which tests ask one by one
@@ -23,9 +24,12 @@ hypothesis.settings.load_profile("untimed")
 @pytest.fixture(scope="module", autouse=True)
 def forget():
     """Programs stay on the disk, not in memory: a thousand tests would need 6 GB a worker. And what
-    a command sets in JAX, as commands may, is not left to the next module."""
-    wide = jax.config.values["jax_enable_x64"]
+    a command sets in JAX, as commands may, or adds to the catalogue is not left to the next
+    module."""
+    wide, known = jax.config.values["jax_enable_x64"], dict(effects.CATALOGUE)
     yield
+    effects.CATALOGUE.clear()
+    effects.CATALOGUE.update(known)
     jax.config.update("jax_enable_x64", wide)
     jax.config.update("jax_compilation_cache_dir", str(CACHE))
     jax.clear_caches()

@@ -264,7 +264,7 @@ print(len(traced), *(n.value for n in fit.numbers))
     np.testing.assert_array_equal(numbers, told("other", 1)[1])
     # Every file of it damaged, the numbers are the same: those that JAX compiled are checked too.
     files = sorted((tmp_path / "one").iterdir())
-    assert len(files) > 10
+    assert len(files) > 4  # traced and compiled
     for i, file in enumerate(files):
         file.write_bytes(damaged(file.read_bytes(), i))
     count, numbers = told("one", 1)
