@@ -28,7 +28,7 @@ from ..fitting.result import Fit
 from ..physics.motion import Motion
 from ..recordings.experiment import Experiment
 from .candidate_tests import best_tests, in_play, settled
-from .evidence import EXPLAINS_NOTHING, IN_PLAY, INDISTINGUISHABLE, INTENSITIES, at_work
+from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES, at_work
 from .forecast import held_out
 from .law import curve_models, laws_of
 from .linearised_fit import LinearisedFit, evaluated, forget, polish
@@ -100,9 +100,8 @@ def diagnose(
         fits.begin(search.base)
         search.run(max_effects)
         best = search.best
-        # Where one name leaves nothing, no law is missing; several may resemble one together.
-        unsettled = best.complete < 1 - IN_PLAY or len(best.added) > 1
-        if unsettled and best.intensity < EXPLAINS_NOTHING and not search.stopped:
+        unexplained = best.complete < 0.5 and best.intensity < EXPLAINS_NOTHING
+        if unexplained and not search.stopped:
             say("looking for a law without a name")
             search.curves = curve_models(search)
         say("fitting the models on the way")
