@@ -10,6 +10,8 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+LARGEST = 1e30
+"""In any unit, this and more is no measured number."""
 _LINE = 900
 """Characters of a line that anybody reads."""
 
@@ -50,7 +52,8 @@ def quote(value: Any, most: int = 40) -> str:
 def number(
     key: str, value: Any, unit: str, *, above: float | None = None, least: float | None = None
 ) -> float:
-    """`value` as a finite float, in `unit`, and greater than `above`, not less than `least`."""
+    """`value` as a float of at most `LARGEST`, in `unit`, and greater than `above`, not less than
+    `least`."""
     what = f"a number ({unit})"
     if above is not None:
         what = f"a number above {above:g} ({unit})"
@@ -62,8 +65,10 @@ def number(
         result = float(value)
     except (TypeError, ValueError, OverflowError):
         result = math.nan
+    if LARGEST < abs(result) < math.inf:
+        what += f", {LARGEST:g} at most"
     low = (above is not None and result <= above) or (least is not None and result < least)
-    if low or not math.isfinite(result):
+    if low or not abs(result) <= LARGEST:
         raise InputError(f"{key} = {quote(value)}: must be {what}") from None
     return result
 

@@ -155,7 +155,7 @@ BAD = {
     "no such option": (["fit", "cart.toml", "--fast"], "--fast"),
     "no such file": (["fit", "none.toml"], "none.toml"),
     "a folder": (["fit", "."], "folder"),
-    "not an experiment": (["fit", "one.csv"], "one.csv"),
+    "not an experiment": (["fit", "one.csv"], "residyn new experiment.toml one.csv"),
     "no such effect": (["fit", "cart.toml", "--with", "coulomb"], "coulomb_friction"),
     "no such joint": (["fit", "cart.toml", "--with", "coulomb_friction:wheel"], "cart"),
     "effect of arms": (["fit", "cart.toml", "--with", "inertia_error:elbow"], "[arm]"),
@@ -184,6 +184,10 @@ BAD = {
         "NAME=VALUE",
     ),
     "set to words": (["simulate", "cart.toml", "--set", "spring:cart.stiffness=much"], "much"),
+    "set too large": (
+        ["simulate", "cart.toml", "--set", "spring:cart.stiffness=1e300"],
+        "1e+30 at most",
+    ),
     "set twice": (["simulate", "cart.toml", "--set", "a=1", "--set", "a=2"], "twice"),
     "set too little": (["simulate", "cart.toml", "--set", "damper:cart.damping=1"], "stiffness"),
     "set unknown": (
@@ -326,6 +330,14 @@ def test_a_bug_is_one_line_too(command, monkeypatch):
         command("fit", "cart.toml")
 
 
+@pytest.mark.parametrize("words", ["Unable to allocate 30 GiB", "RESOURCE_EXHAUSTED: 46 GB"])
+def test_too_little_memory_is_no_bug(command, monkeypatch, words):
+    error = RuntimeError if "_" in words else MemoryError  # XLA's own is a RuntimeError
+    breaking_off(monkeypatch, error(words))
+    end = command("fit", "cart.toml", "--starts", "1000000000")
+    assert (end.status, end.err) == (1, f"residyn: there is not enough memory: {words}\n")
+
+
 def test_a_fit_that_did_not_settle_prints_and_is_exit_status_1(command, monkeypatch):
     class Rough:
         misses = False
@@ -440,6 +452,8 @@ def test_a_reader_that_leaves_is_no_error():
 def test_ctrl_c_is_not_lost_where_a_library_catches_everything():
     end = in_new_process(
         "import os, signal, sys, types\n"
+        # In the background of a script Ctrl-C is ignored, and a child begins so.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "import residyn.__main__ as command\n"
         "def importing():\n"
         "    try:\n"

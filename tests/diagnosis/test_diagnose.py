@@ -169,20 +169,6 @@ def test_lost_and_wild_readings_change_no_name():
     assert abs(value - 60.0) < 4 * std
 
 
-def test_recordings_share_their_strengths():
-    """Two releases together know a number better than either."""
-    one = of(release(CUBIC), name="one")
-    two = of(release(CUBIC, q0=(-0.18, 0.2), seed=1), name="two")
-    found = residyn.diagnose(experiment(one, two), max_effects=1)
-    assert found.added == (CUBIC[0],)
-    assert len(found.missing) == 2
-    value, std = parameter(found, f"{CUBIC[0]}.coefficient")
-    assert abs(value - 60.0) < 4 * std
-    for each in (one, two):
-        alone = residyn.fit(experiment(each), effects=[CUBIC[0]]).to_dict()["parameters"]
-        assert std < 0.9 * alone[f"{CUBIC[0]}.coefficient"]["std"]
-
-
 def test_a_driven_arm_tells_its_friction():
     time = np.arange(round(SECONDS * RATE) + 1) / RATE
     pushed = lambda t: 0.4 * np.sin(4.0 * t)  # noqa: E731

@@ -116,7 +116,7 @@ def test_what_is_held_is_taken_away_again():
 def diagnosed(*hidden, seed=0):
     each = [rig.Hidden(label, values) for label, values in hidden]
     rng = np.random.default_rng(seed)
-    case = rig.record(rng, ARM, (0.3, -0.25), each, seconds=8.0, rate=80.0, noise=NOISE)
+    case = rig.record(rng, ARM, (0.3, -0.25), each, seconds=6.0, rate=80.0, noise=NOISE)
     recording = residyn.Recording.from_arrays(
         case.t, case.q, name="release.csv", noise=NOISE, theta2=ARM.theta2
     )

@@ -2,18 +2,21 @@
 killed run stopped."""
 
 import json
+import os
 import subprocess
 import sys
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
 import residyn
 from residyn import cli
 from residyn.fitting import batch as many
+from residyn.fitting import lanes
 from residyn.fitting.result_lines import ResultLines
 from residyn.recordings.tables import InertiaTable
 
@@ -58,79 +61,59 @@ def test_the_batch_changes_nothing(fit):
         residyn.bootstrap(fit, 1)
 
 
-def test_two_devices_share_the_fits(tmp_path):
-    script = tmp_path / "two.py"
-    script.write_text(
-        "import jax, numpy as np, residyn\n"
-        "from tests.fitting.test_batch import experiment\n"
-        "assert len(jax.devices()) == 2\n"
-        "fit = residyn.fit(experiment(), starts=1)\n"
-        "np.save('numbers.npy', residyn.bootstrap(fit, 10, seed=2, batch=3).numbers)\n"
-    )
-    root = Path(__file__).parents[2]
-    subprocess.run(
-        [sys.executable, str(script)],
-        cwd=tmp_path,
-        env={
-            "XLA_FLAGS": "--xla_force_host_platform_device_count=2",
-            "PYTHONPATH": f"{root}",
-            "PATH": "",
-            "JAX_PLATFORMS": "cpu",
-        },
-        check=True,
-    )
-    alone = residyn.bootstrap(residyn.fit(experiment(), starts=1), 10, seed=2).numbers
-    np.testing.assert_allclose(np.load(tmp_path / "numbers.npy"), alone, rtol=1e-6)
+def fitted(batch, patch=setattr):
+    """(names and their numbers, the widest batch and how many devices it was on)."""
+    divided, own = [(0, 0)], lanes.run_descents
+
+    def run(stacked, rest):
+        leaf = jax.tree.leaves(stacked)[0]
+        divided.append((len(leaf), len(leaf.sharding.device_set)))
+        return own(stacked, rest)
+
+    patch(lanes, "run_descents", run)
+    each = residyn.fit_many([f"{x}.toml" for x in "abcde"], batch=batch)
+    return {e.name: [n.value for n in e.fit.numbers] if e.fit else [] for e in each}, max(divided)
 
 
-def test_two_devices_share_the_experiments(folder):
+def test_two_devices_share_fits_and_experiments(folder, fit, monkeypatch):
     """The same numbers as one by one, and a broken file, or another length, is no hindrance."""
     script = folder / "two.py"
     script.write_text(
-        "import sys, jax, numpy as np, residyn\n"
-        "from residyn.fitting import lanes\n"
-        "divided, own = [], lanes.run_descents\n"
-        "def run(stacked, rest):\n"
-        "    leaf = jax.tree.leaves(stacked)[0]\n"
-        "    divided.append((len(leaf), len(leaf.sharding.device_set)))\n"
-        "    return own(stacked, rest)\n"
-        "lanes.run_descents = run\n"
-        "files = [f'{x}.toml' for x in 'abcde']\n"
-        "for each in residyn.fit_many(files, batch=int(sys.argv[1])):\n"
-        "    numbers = [repr(n.value) for n in each.fit.numbers] if each.fit else []\n"
-        "    print(each.name, each.told.get('error', '-').replace(' ', '_'), *numbers)\n"
-        "print(len(jax.devices()), max(divided, default=0), file=sys.stderr)\n"
+        "import json, jax, residyn\n"
+        "from tests.fitting.test_batch import experiment, fitted\n"
+        "assert len(jax.devices()) == 2\n"
+        "found = residyn.bootstrap(residyn.fit(experiment(), starts=1), 10, seed=2, batch=3)\n"
+        "print(json.dumps([found.numbers.tolist(), *fitted(1)]))\n"
     )
     rows = [f"{t:.3f},{q:.9f}" for t, q in zip(T, ringing(4, 45.0), strict=True)]
     (folder / "e.csv").write_text("t,q1\n" + "\n".join(rows[:200]) + "\n")
     (folder / "e.toml").write_text((folder / "a.toml").read_text().replace("a.csv", "e.csv"))
-
-    def told(batch, devices):
-        done = subprocess.run(
-            [sys.executable, str(script), str(batch)],
-            cwd=folder,
-            env={
-                "XLA_FLAGS": f"--xla_force_host_platform_device_count={devices}",
-                "PATH": "",
-                "JAX_PLATFORMS": "cpu",
-            },
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        lines = [line.split() for line in done.stdout.splitlines()]
-        return [line[:2] for line in lines], [line[2:] for line in lines], done.stderr.strip()
-
-    names, numbers, _ = told(1, 1)
-    assert [name for name, _ in names] == [f"{x}.toml" for x in "abcde"]
-    assert [error == "-" for _, error in names] == [True, True, False, True, True]
-    for batch, devices, shape in ((1, 2, (2, 2)), (4, 1, (4, 1))):
-        others, values, seen = told(batch, devices)
-        assert (others, seen) == (names, f"{devices} {shape}")
-        for one, other in zip(numbers, values, strict=True):
-            np.testing.assert_allclose(
-                np.array(one, float), np.array(other, float), rtol=1e-5, atol=1e-9
-            )
+    monkeypatch.chdir(folder)
+    flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=2"
+    kept = str(jax.config.values["jax_compilation_cache_dir"])
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        env={
+            "XLA_FLAGS": flags,
+            "PYTHONPATH": f"{Path(__file__).parents[2]}",
+            "PATH": "",
+            "JAX_PLATFORMS": "cpu",
+            "JAX_COMPILATION_CACHE_DIR": kept,
+        },
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    drawn, both, widest = json.loads(done.stdout)
+    np.testing.assert_allclose(drawn, residyn.bootstrap(fit, 10, seed=2).numbers, rtol=1e-6)
+    alone, _ = fitted(1, monkeypatch.setattr)
+    assert [len(numbers) for numbers in alone.values()] == [2, 2, 0, 2, 2]
+    together, shape = fitted(4, monkeypatch.setattr)
+    assert (widest, shape) == ([2, 2], (4, 1))
+    for found in (both, together):
+        assert list(found) == list(alone)
+        for name, numbers in alone.items():
+            np.testing.assert_allclose(found[name], numbers, rtol=1e-5, atol=1e-9)
 
 
 @pytest.fixture
@@ -157,6 +140,20 @@ def test_one_broken_experiment_does_not_stop_the_rest(folder, capsys):
     printed = capsys.readouterr()
     assert "1 of 4 experiments could not be fitted" in printed.err
     assert printed.out.count("reduced chi2") == printed.out.count(" x noise; ") == 3
+
+
+def test_a_mistake_of_ours_in_one_does_not_stop_the_rest(folder, monkeypatch):
+    own = many.load
+
+    def load(path):
+        if "b.toml" in path:
+            raise IndexError("out of bounds")
+        return own(path)
+
+    monkeypatch.setattr(many, "load", load)
+    files = [str(folder / f"{x}.toml") for x in "abd"]
+    told = [each.told.get("error") for each in residyn.fit_many(files, starts=1)]
+    assert told == [None, "this should not have happened, IndexError: out of bounds", None]
 
 
 def test_processes_share_the_experiments(folder, capsys):

@@ -131,6 +131,9 @@ def test_several_recordings_share_their_numbers_and_check_ones_are_held_out(case
     fit = residyn.fit(residyn.Experiment(base.inertia, tuple(recordings)))
     assert relative_errors(fit, case)[:2].max() < 0.003
     assert [r.recording.name for r in fit.recordings] == [f"{i}.csv" for i in range(5)]
+    alone = residyn.fit(residyn.Experiment(base.inertia, (recordings[0],)), starts=2)
+    for both, one in zip(fit.numbers, alone.numbers, strict=True):
+        assert both.std < 0.9 * one.std
     # Held-out recordings come down to the noise, though their numbers were never fitted to them.
     np.testing.assert_allclose(fit.check_rmse, 5e-4, rtol=0.1)
     wrong = dataclasses.replace(recordings[2], angle=recordings[2].angle * 1.1)
@@ -235,12 +238,18 @@ def test_unknown_effects_joints_and_doubles_are_one_clear_line(case):
         (["coulomb_friction:wrist"], "shoulder, elbow"),
         (["spring"], "already"),
         (["gravity:elbow"], "whole mechanism"),
+        ("gravity", r"must be a list, as \["),
+        ([residyn.CoulombFriction], "give its name"),
     ):
         with pytest.raises(ValueError, match=words) as caught:
             residyn.fit(made, effects=effects)
         assert "\n" not in str(caught.value)
-    with pytest.raises(ValueError, match="at least one"):
-        residyn.fit(made, starts=0)
+    for starts in (0, 2.5, "6"):
+        with pytest.raises(ValueError, match="whole number, at least one"):
+            residyn.fit(made, starts=starts)
+    for other in ("x.toml", made.recordings[0]):
+        with pytest.raises(TypeError, match=r"is no experiment: residyn\.load reads one"):
+            residyn.fit(other)
 
 
 def test_fitting_needs_no_setting_and_changes_none(case):
@@ -392,12 +401,13 @@ def test_a_slow_start_does_not_spoil_the_others(arm, q0, label, values, noise):
             {"torque": 0.07306, "frequency": 0.42732, "phase": 3.62},
             0.01853,
         ),
-        (
+        pytest.param(
             rig.Arm(0.551, 0.3057, 2.3245, 0.1093, 0.6297, 0.8752, (15.26, 11.04), (0.108, 0.0107)),
             (0.1537, 0.1195),
             "periodic_disturbance:elbow",
             {"torque": 0.09484, "frequency": 5.58063, "phase": 0.83655},
             1.449e-3,
+            marks=pytest.mark.slow,
         ),
         (
             rig.Arm(0.323, 0.3992, 1.729, 2.115, 4.796, -1.4275, (71.27, 344.9), (1.4765, 0.3919)),

@@ -217,3 +217,4 @@ def test_a_diagnosis_of_runs_that_may_differ_names_what_they_share():
     )
     found = residyn.diagnose(residyn.Experiment(TABLE, runs), max_effects=1)
     assert found.added == ("coulomb_friction:cart",)
+    assert len(found.missing) == 2

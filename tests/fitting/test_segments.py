@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import residyn
+from residyn.recordings.segments import segments_of
 from residyn.recordings.tables import InertiaTable
 
 MASS, VISCOUS, DRY, NOISE = 20.0, 60.0, 8.0, 2e-5
@@ -84,3 +85,13 @@ def test_friction_is_named():
     assert found.added == ("coulomb_friction:slide",)
     assert len(found.missing) == 1
     assert found.missing[0].recording == "slide.csv"
+
+
+def test_over_a_gap_in_time_there_is_no_cut():
+    """A recorder that was paused: no segment is empty, nor shorter than its own initial state."""
+    time = np.concatenate([np.arange(50) / 50, 100 + np.arange(51) / 50])
+    made = residyn.Recording.from_arrays(time, np.sin(time), noise=1e-3)
+    parts = segments_of(made, 1.0)
+    assert len(parts) > 1
+    assert min(len(p.time) for p in parts) > 2
+    np.testing.assert_array_equal(np.concatenate([p.time for p in parts]), time)

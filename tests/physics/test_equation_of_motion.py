@@ -272,6 +272,23 @@ def test_concrete_state_matrices_are_those_of_any_other_program(undamped, tilted
         np.testing.assert_allclose(found, there, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("times", "q0", "words"),
+    [
+        ([0.0, 1.0], 0.1, r"q0 has shape \(\); it must have a number for each joint: shoulder"),
+        ([0.0, 1.0], [0.1, 0.0, 0.0], r"q0 has shape \(3,\)"),
+        (10.0, [0.1, 0.0], "times has shape"),
+    ],
+)
+def test_arrays_of_other_shapes_are_refused(undamped, times, q0, words):
+    with pytest.raises(ValueError, match=words):
+        residyn.simulate(undamped, times, q0)
+    with pytest.raises(TypeError, match="PlanarArm is no model"):
+        residyn.simulate(undamped.mechanism, times, q0)
+    with pytest.raises(ValueError, match="must be two numbers"):
+        residyn.PlanarArm(0.4, shoulder=1.2, elbow=0.6, coupling=1.4)
+
+
 def test_a_model_shows_its_numbers_and_refuses_a_joint_that_is_not_there():
     arm = residyn.PlanarArm([0.4, 0.4], shoulder=1.2, elbow=0.6, coupling=1.4)
     model = arm + residyn.Spring("elbow", 16.7) + residyn.InertiaError("coupling")

@@ -404,6 +404,16 @@ def test_says_when_a_check_is_none(folder):
     assert experiment(folder, ARM, fitted, held).warnings == ()
 
 
+def test_says_when_readings_are_fitted_twice(folder):
+    (folder / "copy.csv").write_bytes((folder / "two.csv").read_bytes())
+    one, copy = entry("theta2 = 0"), entry("theta2 = 0").replace("two.csv", "copy.csv")
+    assert experiment(folder, ARM, one).warnings == ()
+    (warning,) = experiment(folder, ARM, one, copy).warnings
+    assert warning.startswith(
+        "copy.csv: has the readings of two.csv, so that they are fitted twice"
+    )
+
+
 def test_an_experiment_made_in_python_is_held_to_the_same():
     recording = Recording.from_arrays(*ringing(np.random.default_rng(0))[:2])
     with pytest.raises(InputError, match="angle has 1 joints, the experiment has 2"):
@@ -453,6 +463,7 @@ def test_copies_what_it_is_given():
         ({"time": np.zeros(400)}, "sample 1: t = 0 does not come after"),
         ({"time": np.r_[np.nan, 1:400]}, "sample 0 has no time"),
         ({"time": np.zeros((400, 1))}, "time has shape"),
+        ({"time": np.arange(400).astype("timedelta64[ms]")}, "array of numbers"),
         ({"drive": np.zeros((400, 2))}, "drive has shape"),
         ({"drive": np.full(400, np.nan)}, "u1 has no value"),
         ({"noise": "x"}, "noise"),

@@ -85,10 +85,12 @@ def interruptible() -> None:
 
 
 def _unexpected(error: Exception) -> int:
-    """A mistake of ours."""
+    """A mistake of ours, or more asked for than the memory holds."""
     if os.environ.get(TRACEBACK):
         raise error
     what = f"{type(error).__name__}: {error}".splitlines()[0]
+    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in what:  # NumPy's words, and XLA's
+        return complain(f"there is not enough memory: {str(error).splitlines()[0]}", NO_NUMBERS)
     return complain(
         f"this should not have happened, {what} (set {TRACEBACK}=1 to see where)", NO_NUMBERS
     )

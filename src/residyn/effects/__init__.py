@@ -8,7 +8,7 @@ import difflib
 import functools
 from pathlib import Path
 
-from ..errors import InputError
+from ..errors import InputError, quote
 from ..physics.effect import AbstractEffect as AbstractEffect
 from ..physics.effect import JointEffect as JointEffect
 from ..physics.inertia import AbstractInertia
@@ -118,6 +118,11 @@ def effects_named(words: str, mechanism: AbstractInertia) -> tuple[AbstractEffec
 
     **Raises:** `ValueError`, in one line, for a name or a place that does not exist here.
     """
+    if not isinstance(words, str):
+        raise ValueError(
+            f'{quote(words)} is no effect: give its name, as "coulomb_friction:elbow", or an '
+            'instance, as CoulombFriction("elbow")'
+        )
     name, colon, place = words.partition(":")
     known = catalogue()
     if name not in known:

@@ -70,7 +70,8 @@ def fit_many(
       results of a batch come all at once.
 
     **Yields:** an `Each` for every experiment, in order (with an executor, as they are done); bad
-    input and fits that led nowhere are lines with an `error`, not exceptions.
+    input, fits that led nowhere and all other failures of one experiment are lines with an
+    `error`, not exceptions.
 
     **Raises:** `ValueError` for an empty batch, or one beside an executor, whose workers fit one at
     a time; `InputError` if two experiments have the same name, or `out` holds something
@@ -185,4 +186,6 @@ def _fitted(
         told |= found.to_dict()
     except (InputError, FitError, ValueError) as error:
         told["error"] = str(error)
+    except Exception as error:  # a mistake of ours: the others are fitted all the same
+        told["error"] = f"this should not have happened, {type(error).__name__}: {error}"
     return Each(name, found, told)

@@ -6,11 +6,13 @@ Everything numerical lives in the neighbours of this file; here is their order.
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
+from numbers import Integral
 from typing import Any
 
 import jax
 
 from ..effects import AbstractEffect
+from ..errors import quote
 from ..recordings.experiment import Experiment
 from .conclusion import finishing
 from .genetic import drawn, fit_genetic
@@ -68,10 +70,16 @@ def fit(
 
     **Returns:** a `Fit`.
 
-    **Raises:** `FitError` if no start led to finite numbers; `ValueError` for an effect that does
+    **Raises:** `FitError` if no start led to finite numbers; `TypeError` for what is no experiment;
+    `ValueError` for an effect that does
     not exist or does not go with this experiment or this integrator; with "genetic",
     `MissingExtra` without evosax.
     """
+    if not isinstance(experiment, Experiment):
+        raise TypeError(
+            f"{quote(experiment)} is no experiment: residyn.load reads one from its file, "
+            "residyn.Experiment makes one of recordings"
+        )
     say = progress or (lambda words: None)
     if integrator is not None:
         experiment = dataclasses.replace(experiment, integrator=integrator)
@@ -106,8 +114,8 @@ def fitting(
     """`fit` by Levenberg-Marquardt, for `lanes`; with a `seed`, from random starts instead of the
     closed form. Run it in float64."""
     began = time.perf_counter()
-    if starts < 1:
-        raise ValueError(f"starts = {starts}: at least one start is needed")
+    if not isinstance(starts, Integral) or starts < 1:
+        raise ValueError(f"starts = {starts!r}: must be a whole number, at least one")
     here = ready(experiment, experiment.fit_recordings, effects)
     outliers = outliers_among(here)
     base = lambda: ready(experiment, here.recordings, ())  # noqa: E731

@@ -133,6 +133,8 @@ def model_for(mechanism: AbstractMechanism, effects: Sequence[str | AbstractEffe
 
     **Raises:** `ValueError`, in one line, for an effect that does not exist or is there twice.
     """
+    if isinstance(effects, str):
+        raise ValueError(f'effects = "{effects}": must be a list, as ["{effects}"]')
     model = Model(mechanism)
     for effect in ("spring", "damper", *effects):
         named = (

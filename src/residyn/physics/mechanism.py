@@ -68,6 +68,8 @@ class PlanarArm(AbstractMechanism):
         run: ArrayLike = 0.0,
     ):
         self.link_lengths = floating(link_lengths)
+        if self.link_lengths.shape != (2,):
+            raise ValueError(f"link_lengths = {link_lengths}: must be two numbers, l1 and l2 (m)")
         self.shoulder = floating(shoulder)
         self.elbow = floating(elbow)
         self.coupling = floating(coupling)

@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, number
+from ..errors import LARGEST, InputError, number
 
-_LARGEST = 1e30
-"""Beyond this a number is no reading."""
 _SHORTEST = 1e-9
 """s, which nothing reads an arm in."""
 
@@ -44,7 +42,7 @@ def check_table(time: Any, angle: Any, what: str = "angle") -> tuple[np.ndarray,
 
 def _floats(values: Any, what: str, shape: str) -> np.ndarray:
     try:
-        if np.iscomplexobj(values):
+        if np.asarray(values).dtype.kind in "cmM":  # complex, or dates, which have their own unit
             raise TypeError
         if isinstance(values, np.ma.MaskedArray):
             values = np.where(np.ma.getmaskarray(values), np.nan, values.data)
@@ -52,7 +50,7 @@ def _floats(values: Any, what: str, shape: str) -> np.ndarray:
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{what} must be an array of numbers, of shape {shape}") from None
     # NaN passes: it compares as false.
-    if (np.abs(array) > _LARGEST).any():
+    if (np.abs(array) > LARGEST).any():
         raise InputError(f"{what} has infinite or absurdly large numbers")
     return array
 

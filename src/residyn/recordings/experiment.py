@@ -19,7 +19,7 @@ from ..files import decode, read_stream, read_text
 from ..physics.mechanism import AbstractMechanism
 from ..simulation.integrator import integrator_of
 from .columns import Joints, Layout
-from .formats import has_markers, read_table
+from .formats import has_markers, is_named_as_recording, read_table
 from .limits import Limits
 from .motion_capture.angles import read as read_markers
 from .reads import READS, check_reads, reading_units
@@ -132,7 +132,8 @@ class Experiment:
     def warnings(self) -> tuple[str, ...]:
         """What is doubtful in the recordings, and in their fitting together."""
         own = [line for recording in self.recordings for line in recording.warnings]
-        return (*own, *_in_degrees(self), *_not_held_out(self), *_no_load(self))
+        doubts = (_in_degrees, _not_held_out, _twice, _no_load)
+        return (*own, *(line for doubtful in doubts for line in doubtful(self)))
 
 
 def load(path: str | os.PathLike[str]) -> Experiment:
@@ -150,6 +151,11 @@ def load(path: str | os.PathLike[str]) -> Experiment:
         text = data if isinstance(data, str) else decode(data, where, "TOML file")
     else:
         where, folder = os.fspath(path), Path(path).parent
+        if is_named_as_recording(path) and Path(path).is_file():
+            raise InputError(
+                f"{where}: is a recording and no experiment; `residyn new experiment.toml {where}` "
+                "writes an experiment file for it"
+            )
         text = read_text(path, "TOML file")
     return from_text(text, folder, where, os.fspath(path))
 
@@ -208,6 +214,9 @@ def _read(
         odd = not_free(recording, reading_units(inertia.units, orders), table.stated, options)
         if odd is not None and recording.role != "inertia":
             raise InputError(f"{file}: {odd.words}")
+        still = drive is None and not (np.nanmax(angle, 0) > np.nanmin(angle, 0)).any()
+        if still and recording.role == "fit":
+            raise InputError(f"{file}: no joint moves: all readings of each are the same")
     if recording.role == "inertia" and drive is None:
         columns = ", ".join(f"u{j + 1}" for j in range(recording.joints))
         raise InputError(f'{file}: role = "inertia" needs the drive that moved it, as {columns}')
@@ -261,6 +270,21 @@ def _not_held_out(experiment: Experiment) -> list[str]:
                 doubts.append(
                     f'{check.name}: {len(i)} of its samples have role = "check" and are fitted too'
                 )
+    return doubts
+
+
+def _twice(experiment: Experiment) -> list[str]:
+    """Readings that are fitted twice seem to be known better than they are."""
+    first: dict[tuple[bytes, bytes], int] = {}
+    fitted = [r for r, _ in by_recording(experiment.fit_recordings)]
+    doubts = []
+    for i, r in enumerate(fitted):
+        same = first.setdefault((r.time.tobytes(), r.angle.tobytes()), i)
+        if same != i:
+            doubts.append(
+                f"{r.name}: has the readings of {fitted[same].name}, so that they are fitted "
+                "twice: errors come out too small"
+            )
     return doubts
 
 

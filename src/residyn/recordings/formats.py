@@ -20,6 +20,11 @@ from .csv import read_lab_csv
 from .motion_capture.trajectories import is_vicon
 
 
+def is_named_as_recording(path: str | os.PathLike[str]) -> bool:
+    """Whether a file's name ends as only those of recordings do."""
+    return Path(path).suffix.lower() in (".csv", ".c3d", *_READERS)
+
+
 def has_markers(path: str | os.PathLike[str]) -> bool:
     """Whether a file has marker trajectories: a C3D file, or a CSV file with their header."""
     suffix = Path(path).suffix.lower()

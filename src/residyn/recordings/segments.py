@@ -14,13 +14,20 @@ from .recording import Recording
 
 
 def segments_of(recording: Recording, seconds: float) -> "tuple[Recording, ...]":
-    """The recording cut into stretches of about so many seconds, none shorter than half of that."""
+    """The recording cut into stretches of about so many seconds, none shorter than half of that.
+
+    Each has more than the two instants that its initial state takes: over a gap in time there is
+    no cut.
+    """
     count = max(1, round(recording.duration / seconds))
     edges = np.linspace(recording.time[0], recording.time[-1], count + 1)
-    first = np.searchsorted(recording.time, edges[:-1])
+    cuts = [0]
+    for cut in np.searchsorted(recording.time, edges[1:-1]):
+        if min(cut - cuts[-1], len(recording.time) - cut) > 2:
+            cuts.append(int(cut))
     found = []
-    for begin, end in zip(first, [*first[1:], len(recording.time)], strict=True):
-        part = slice(int(begin), int(end))
+    for begin, end in zip(cuts, [*cuts[1:], len(recording.time)], strict=True):
+        part = slice(begin, end)
         time = recording.time[part]
         found.append(
             dataclasses.replace(

@@ -180,12 +180,24 @@ def simulate(
 
     **Returns:** a `Trajectory`.
 
-    **Raises:** `ValueError` if `steps` is needed and cannot be chosen; `InputError` for an
+    **Raises:** `ValueError` for arrays of other shapes, or if `steps` is needed and cannot be
+    chosen; `TypeError` for what is no model; `InputError` for an
     integrator that does not exist or cannot integrate an effect of the model.
     """
     times = jnp.asarray(times, float)
     q0 = jnp.asarray(q0, float)
     v0 = jnp.zeros_like(q0) if v0 is None else jnp.asarray(v0, float)
+    if not isinstance(model, Model):
+        raise TypeError(f"{type(model).__name__} is no model: a mechanism plus effects is one")
+    joints = model.mechanism.joints
+    for words, given in (("q0", q0), ("v0", v0)):
+        if given.shape != (len(joints),):
+            raise ValueError(
+                f"{words} has shape {given.shape}; it must have a number for each joint: "
+                f"{', '.join(joints)}"
+            )
+    if times.ndim != 1:
+        raise ValueError(f"times has shape {times.shape}; it must be (N,)")
     chosen = integrator_of(integrator)
     if chosen is not None:
         adjoint = adjoint or chosen.adjoint or diffrax.RecursiveCheckpointAdjoint()
