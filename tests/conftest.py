@@ -14,7 +14,7 @@ quick_loops()  # the rest of `set_up` would switch float64 on, for which tests a
 CACHE = Path(__file__).parents[1] / ".pytest_cache" / "jax"
 
 jax.config.update("jax_compilation_cache_dir", str(CACHE))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 # No test is timed: a machine may be busy.
 hypothesis.settings.register_profile("untimed", deadline=None)

@@ -486,7 +486,7 @@ def test_eq_5_on_and_off_is_nothing_in_any_order(arm, bearings, random):
             np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
 
 
-@settings(max_examples=30)
+@settings(max_examples=10)
 @given(ARMS, BEARINGS)
 def test_bearings_slow_every_mode_and_leave_with_their_drag(arm, bearings):
     """Rayleigh: more inertia, no frequency higher. And what is of the bearings, goes with them."""
