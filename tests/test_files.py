@@ -1,5 +1,6 @@
 """Files are written whole or not at all, and read only as far as such files go."""
 
+import contextlib
 import os
 import resource
 import signal
@@ -11,23 +12,26 @@ from residyn.errors import InputError
 from residyn.files import check_writable, read_bytes, write
 
 
-@pytest.fixture
+@contextlib.contextmanager
 def small_disk():
-    """Nothing that is written may have more than 1 kB."""
+    """Nothing that is written within may have more than 1 kB; a log of these tests may."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     old = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    signal.signal(signal.SIGXFSZ, old)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, old)
 
 
-def test_a_full_disk_leaves_the_old_file_and_nothing_beside_it(tmp_path, small_disk):
+def test_a_full_disk_leaves_the_old_file_and_nothing_beside_it(tmp_path):
     write(tmp_path / "x", "old")
-    with pytest.raises(InputError, match=r"x: cannot be written \(File too large\)"):
-        write(tmp_path / "x", "new" * 1000)
-    with pytest.raises(InputError):
-        write(tmp_path / "y", "new" * 1000)
+    with small_disk():
+        with pytest.raises(InputError, match=r"x: cannot be written \(File too large\)"):
+            write(tmp_path / "x", "new" * 1000)
+        with pytest.raises(InputError):
+            write(tmp_path / "y", "new" * 1000)
     assert {f.name: f.read_text() for f in tmp_path.iterdir()} == {"x": "old"}
 
 

@@ -26,11 +26,11 @@ def base(**change):
     return model
 
 
-def recorded(label=None, values=None, seed=0):
+def recorded(label=None, values=None, seconds=10.0, seed=0):
     """A release with one hidden effect, or none."""
     rng = np.random.default_rng(seed)
     hidden = [] if label is None else [rig.Hidden(label, values)]
-    return rig.record(rng, ARM, [0.25, -0.2], hidden, seconds=6.0, rate=80.0, noise=NOISE)
+    return rig.record(rng, ARM, [0.25, -0.2], hidden, seconds=seconds, noise=NOISE)
 
 
 def as_recording(case, keep=slice(None), angle=None):
@@ -78,11 +78,11 @@ def test_a_clean_arm_lacks_next_to_nothing():
 
 def test_lost_uneven_and_wild_samples_do_not_spoil_it(friction):
     rng = np.random.default_rng(1)
-    keep = np.sort(rng.choice(len(friction.t), 410, replace=False))
+    keep = np.sort(rng.choice(len(friction.t), 850, replace=False))
     angle = friction.q.copy()
-    angle[rng.choice(len(angle), 20, replace=False), 0] = np.nan
-    angle[200:204] = np.nan
-    wild = rng.choice(np.arange(20, 460), 5, replace=False)
+    angle[rng.choice(len(angle), 40, replace=False), 0] = np.nan
+    angle[400:404] = np.nan
+    wild = rng.choice(np.arange(20, 980), 5, replace=False)
     angle[wild, 1] += 40 * NOISE * rng.choice([-1.0, 1.0], 5)
     spoilt = as_recording(friction, keep, angle)
     bad = residyn.recording.wild_samples(spoilt.time, spoilt.angle, NOISE)
