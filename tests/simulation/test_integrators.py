@@ -78,7 +78,6 @@ def test_the_integration_error_compiles_no_further_program(smooth):
     # It stays: JAX 0.8 takes none back.
     jax.monitoring.register_event_duration_secs_listener(listen)
     fit = residyn.fit(smooth, starts=1, progress=lambda words: happened.append(f": {words}"))
-    happened = happened.copy()
     assert 0.0 < fit.integration_error < 1.0
     end = happened.index(": errors, modes and held-out recordings")
     assert any(not words.startswith(":") for words in happened[:end])
