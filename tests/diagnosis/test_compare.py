@@ -57,7 +57,7 @@ def clean():
 
 @pytest.fixture(scope="module")
 def wrong():
-    return compared(recording(friction=(0.0, 0.1)))
+    return quickly(recording(friction=(0.0, 0.1)))
 
 
 def cart_motion(friction):
