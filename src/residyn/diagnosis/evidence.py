@@ -79,9 +79,10 @@ motion is the readings', not that of a model that may be wrong."""
 HOPELESS = 10 * INDISTINGUISHABLE
 """Nats behind the best from which a model is not iterated any further."""
 IN_PLAY = 0.01
-"""Probability from which a model counts when the next test is planned: what all the rarer ones may
-add to an entropy is less than what the draws leave of it open. No more than `CONTENDERS` do: each
-is integrated through every test."""
+"""Probability from which a model counts: to first order, whether it is iterated where little is
+left to explain; and whether the next test is planned for it. What all the rarer ones may add to an
+entropy is less than what the draws leave of it open. A plan is for `CONTENDERS` models at the most:
+each is integrated through every test."""
 RELEASE_ERROR = 0.1
 """Standard deviation of the state at release of a test that is planned, as a share of the angles:
 hands and stops are right to a tenth. It is far above the noise, so that only its order matters."""
