@@ -109,7 +109,8 @@ class Explorer:
 
     async def _state(self, request: Request) -> Response:
         bench = self._bench(request)
-        bench.look(request.query_params.get("seen", ""))
+        if seen := request.query_params.get("seen"):
+            bench.look(seen)
         return JSONResponse(bench.state())
 
     async def _payload(self, request: Request) -> Response:

@@ -227,6 +227,9 @@ class Study:
         scene, known = self.search.scene, self.search.tried.get(key)
         start = known.best if known else self._guessed(added).best
         found = silent(scene, start)
+        if found is None and known is None:  # let the readings lead it to its own motion
+            (settled,) = settle(scene, [start], self.intensity)
+            found = None if settled is None else silent(scene, settled[1])
         if found is None:
             return None
         path, predicted, linear = found
