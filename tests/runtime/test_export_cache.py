@@ -1,10 +1,12 @@
 """Traced programs that are kept: found again, never taken for others, and nothing without them."""
 
+import functools
 import os
 import stat
 import subprocess
 import sys
 import time
+import weakref
 
 import equinox as eqx
 import jax
@@ -66,6 +68,22 @@ def test_other_numbers_are_the_same_program_and_other_shapes_are_not(folder):
     call(arm().mechanism + Spring("shoulder", jnp.asarray(1.0)), np.arange(3.0))
     assert len(seen) == 4
     assert len(list(folder.iterdir())) == 4
+
+
+def test_a_process_lets_go_of_old_programs(folder):
+    @kept.kept(like=0)
+    def applied(function, x):
+        return function(x)
+
+    alive = []
+    for number in range(60):
+        add = functools.partial(jnp.add, number)
+        alive.append(weakref.ref(add))
+        assert float(applied(add, np.asarray(1.0))) == number + 1.0
+    del add
+    held = sum(ref() is not None for ref in alive)
+    assert 0 < held < 50
+    assert alive[-1]() is not None
 
 
 def test_another_function_and_other_sources_are_other_programs(folder, monkeypatch):
@@ -245,9 +263,9 @@ def test_a_second_command_traces_no_fit_and_answers_the_same(tmp_path):
 import sys
 import residyn
 residyn.set_up(cache=sys.argv[1])
-from residyn.runtime.export_cache import Kept
-traced, own = [], Kept.trace
-Kept.trace = lambda self, *given: traced.append(self) or own(self, *given)
+import jax.export
+traced, own = [], jax.export.export
+jax.export.export = lambda *given, **more: traced.append(given) or own(*given, **more)
 fit = residyn.fit(residyn.load(sys.argv[2]))
 print(len(traced), *(n.value for n in fit.numbers))
 """

@@ -20,7 +20,7 @@ import numpy as np
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting.layout import bucket
 from ..fitting.problem import mechanism_of, posed
-from ..physics.modal import fastest, modes
+from ..physics.modal import concrete_state_matrix, fastest, modes_of
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.limits import Limits
@@ -32,7 +32,7 @@ from ..runtime.presentation import Result
 from ..simulation.equation import Drive
 from ..simulation.interpolation import read
 from ..simulation.simulate import march
-from .evidence import IN_PLAY, INDISTINGUISHABLE, MOST_IN_PLAY, RELEASE_ERROR, WORTHWHILE
+from .evidence import CONTENDERS, IN_PLAY, INDISTINGUISHABLE, RELEASE_ERROR, WORTHWHILE
 from .experiment_design import Predicted, Quantity, Worth, entropy, reduced, together, worth
 from .search import Tried
 
@@ -187,7 +187,7 @@ def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Sett
     releases = [size * sign * angle for size, sign in itertools.product(_SIZES, signs)]
     motions: list[tuple[np.ndarray, Sweep | None]] = [(r, None) for r in releases if np.any(r)]
     torques = limits.each("drive", n) or (0.0,) * n
-    frequencies = np.asarray(modes(model).frequency_hz)
+    frequencies = modes_of(np.linalg.eigvals(concrete_state_matrix(model))).frequency_hz
     rings = frequencies[np.isfinite(frequencies) & (frequencies > 0)]
     for joint, torque in zip(experiment.joints, torques, strict=True):
         for share in _DRIVES if torque and len(rings) else ():
@@ -249,8 +249,8 @@ class Predictions:
         fast = max(float(fastest(posed(r.model, m))) for r in rivals for m in posed_at.values())
         swept = max((2 * math.pi * s.drive.high for s in self.settings if s.drive), default=0.0)
         steps = bucket(max(16, math.ceil(self.duration * max(fast, swept) / _STEP)))
-        stacked = jax.tree.map(lambda *x: jnp.stack(x), *mechanisms)
-        releases = jnp.asarray(np.stack([s.release for s in self.settings]))
+        stacked = jax.tree.map(lambda *x: np.stack(x), *mechanisms)
+        releases = np.stack([s.release for s in self.settings])
         drives = self._drives(steps)
         self.readings: list[np.ndarray] = []
         """(S, T, n) of each model."""
@@ -258,7 +258,7 @@ class Predictions:
         """(S, T, n, P + 2n + M) in its numbers, and in the angles, rates and internal states at
         release."""
         for rival in rivals:
-            told = _predict(rival.model, stacked, releases, drives, jnp.asarray(self.time), steps)
+            told = _predict(rival.model, stacked, releases, drives, self.time, steps)
             found, slopes = jax.device_get(told)
             self.readings.append(found)
             self.slopes.append(slopes)
@@ -470,7 +470,7 @@ def in_play(
 ) -> tuple[list[Tried], np.ndarray, float]:
     """The models that the recordings leave possible, the likeliest first, their probabilities
     among each other, and that of all the rest. Two at least, unless one is told from all others."""
-    order, least = np.argsort(-probability)[:MOST_IN_PLAY], 1 if settled(probability) else 2
+    order, least = np.argsort(-probability)[:CONTENDERS], 1 if settled(probability) else 2
     kept = [i for rank, i in enumerate(order) if rank < least or probability[i] >= IN_PLAY]
     p = probability[kept]
     return [models[i] for i in kept], p / p.sum(), max(0.0, float(1.0 - p.sum()))

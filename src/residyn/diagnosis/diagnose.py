@@ -28,11 +28,12 @@ from ..fitting.problem import ready
 from ..fitting.result import Fit
 from ..physics.motion import Motion
 from ..recordings.experiment import Experiment
-from .candidate_tests import best_tests, in_play, settled
+from ..runtime.memory import give_back
+from .candidate_tests import best_tests
 from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES, at_work
 from .forecast import held_out
 from .law import curve_models, laws_of
-from .linearised_fit import LinearisedFit, evaluated, forget, polish
+from .linearised_fit import LinearisedFit, evaluated, polish
 from .missing_torque import missing_of, scene_of
 from .result import (
     Budget,
@@ -218,9 +219,9 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
     models = _ladder_of(search, fits, best)
     lookalikes = posterior.lookalikes()
     advice = None
-    if not settled(posterior.each):
+    rivals, p = posterior.rivals()
+    if len(rivals) > 1:
         say("looking for the experiment that would tell the models apart")
-        rivals, p, _ = in_play(posterior.models, posterior.each)
         advice = next(iter(best_tests(fits.whole, scene, rivals, p).tests), None)
     if search.curves:
         say("looking for its formula")
@@ -230,13 +231,13 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
     )
     drawn = [best] if best.added else []
     shown = [(search.tried.get(frozenset([x]), best), x) for x in best.added]
-    rivals = [
+    others = [
         (search.tried[frozenset([x])], x)
         for group in lookalikes
         for x in group[1:]
         if frozenset([x]) in search.tried
     ]
-    missing = missing_of(scene, search.base, [*shown, *rivals[:_CURVES]])
+    missing = missing_of(scene, search.base, [*shown, *others[:_CURVES]])
     still = missing_of(scene, best) if drawn else missing
     verdict, probability = posterior.verdict()
     return Diagnosis(
@@ -282,7 +283,7 @@ def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...
             held = held_out(LinearisedFit.of(result))
             relative = model.log_evidence - best.log_evidence
             found.append(ModelState(labels[k - 1] if k else None, (), result, held, relative))
-    forget()
+    give_back()
     return tuple(found)
 
 
@@ -386,6 +387,19 @@ class Posterior:
             members = sorted(((x, self.of([x])) for x in labels), key=lambda m: -m[1])
             found.append(Family(name, place, self.of(labels), tuple(members)))
         return tuple(sorted(found, key=lambda f: -f.probability))
+
+    def rivals(self) -> tuple[list[Tried], np.ndarray]:
+        """The likeliest explanation (kinds of law and their places) and the next one, if the two
+        cannot be told apart: the likeliest model of each, and their probabilities."""
+        kinds = {e.label: (e.kind(), e.place) for e in self.search.candidates}
+        groups: dict[frozenset, list[int]] = {}
+        for i, model in enumerate(self.models):
+            groups.setdefault(frozenset(kinds[x] for x in model.added), []).append(i)
+        sums = sorted(groups.values(), key=lambda own: -self.each[own].sum())[:2]
+        p = np.array([self.each[own].sum() for own in sums])
+        close = p >= p[0] * math.exp(-INDISTINGUISHABLE)
+        models = [self.models[max(own, key=lambda i: self.each[i])] for own in sums]
+        return [m for m, x in zip(models, close, strict=True) if x], p[close] / p[close].sum()
 
     def lookalikes(self) -> tuple[tuple[str, ...], ...]:
         """For each added effect, those that could stand in its place with odds of at least 1 to 20,

@@ -64,9 +64,9 @@ CONTENDERS = 6
 """Candidates of each screen whose nonlinear evidence is worked out, as many pairs whose members
 are, and as many frequencies of each joint that a disturbance may have: of 780 pairs at first order
 the true one was among the first two on seven arms of eight, single effects of 1 % first on all."""
-CURVE_AMPLITUDES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
-"""Prior standard deviations of a free curve, in the spring's torque at full swing: half a decade
-apart, all alike, as a law without a name may be of any size that an effect has."""
+CURVE_AMPLITUDES = INTENSITIES[5::-1]
+"""Prior standard deviations of a free curve, in the spring's torque at full swing, all alike, as a
+law without a name may be of any size that an effect has."""
 CURVE_LENGTHS = (0.08, 0.2, 0.5, 1.5)
 """Correlation lengths of a free curve, in the visited range of its variable: from what its splines
 can just follow to a bend over the whole range."""
@@ -79,10 +79,10 @@ motion is the readings', not that of a model that may be wrong."""
 HOPELESS = 10 * INDISTINGUISHABLE
 """Nats behind the best from which a model is not iterated any further."""
 IN_PLAY = 0.01
-"""Probability from which a model counts when the next test is planned: what all the rarer ones may
-add to an entropy is less than what the draws leave of it open."""
-MOST_IN_PLAY = 6
-"""But no more than so many models: each is integrated through every test."""
+"""Probability from which a model counts: to first order, whether it is iterated where little is
+left to explain; and whether the next test is planned for it. What all the rarer ones may add to an
+entropy is less than what the draws leave of it open. A plan is for `CONTENDERS` models at the most:
+each is integrated through every test."""
 RELEASE_ERROR = 0.1
 """Standard deviation of the state at release of a test that is planned, as a share of the angles:
 hands and stops are right to a tenth. It is far above the noise, so that only its order matters."""

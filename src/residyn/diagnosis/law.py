@@ -262,24 +262,22 @@ def _with_class(search: Search, model: CurveModel, law: Law, fits: Any, source: 
     """The law with its formula, or with a table where none was accepted."""
     scene, parent = search.scene, search.tried[frozenset(model.added)]
     curve = over_intensities(model.evidences, INTENSITIES)
-    for terms in model.formulas or likeliest(Along(scene, model.best), model):
-        found = written(scene, model.place, terms, source)
-        tried = _tried(search, model, found)
-        if tried is None or tried.log_evidence + terms.log_prior <= curve:
-            continue
+    terms = (model.formulas or likeliest(Along(scene, model.best), model))[0]
+    found = written(scene, model.place, terms, source)
+    tried = _tried(search, model, found)
+    if tried is not None and tried.log_evidence + terms.log_prior > curve:
         fit, held = _fitted(fits, tried)
-        if fit is None or not _predicts(held, _fitted(fits, parent)[1]):
-            continue
-        parameters = {
-            n.name.rpartition(".")[2]: (float(n.value), float(n.std), n.unit)
-            for n in fit.numbers
-            if n.name.rpartition(".")[0] == found.label
-        }
-        numbers = (n._replace(value=parameters[n.field][0]) for n in found.numbers)
-        found = found._replace(numbers=tuple(numbers))
-        more = tried.log_evidence + terms.log_prior - curve
-        formula = Formula(found.equation, terms.families, parameters, more)
-        return dataclasses.replace(law, formula=formula, found=found, fit=fit, held_out=held)
+        if fit is not None and _predicts(held, _fitted(fits, parent)[1]):
+            parameters = {
+                n.name.rpartition(".")[2]: (float(n.value), float(n.std), n.unit)
+                for n in fit.numbers
+                if n.name.rpartition(".")[0] == found.label
+            }
+            numbers = (n._replace(value=parameters[n.field][0]) for n in found.numbers)
+            found = found._replace(numbers=tuple(numbers))
+            more = tried.log_evidence + terms.log_prior - curve
+            formula = Formula(found.equation, terms.families, parameters, more)
+            return dataclasses.replace(law, formula=formula, found=found, fit=fit, held_out=held)
     found = _tabulated(law, source)
     tried = _tried(search, model, found)
     fit, held = (None, None) if tried is None else _fitted(fits, tried)

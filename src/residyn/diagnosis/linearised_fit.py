@@ -24,7 +24,6 @@ from ..fitting.least_squares import (
 from ..fitting.linalg import damped_step
 from ..fitting.problem import Problem, Ready, Unknowns, reweighted, tight
 from ..fitting.result import Fit, FitError, RecordingFit
-from ..runtime.memory import give_back
 
 # A direction of the tangent this much shorter than the longest is rounding, or undetermined.
 _BLIND = 1e-5
@@ -199,12 +198,6 @@ class LinearisedFit(NamedTuple):
 def evaluated(problem: Problem, y: Unknowns) -> Compressed:
     """Residual and Jacobian at these unknowns."""
     return minimum(problem, y, most=0).compressed()
-
-
-def forget(most: int = 16) -> None:
-    """Give back the memory of compiled models, 15 to 50 MB each, where there are more."""
-    look.keep_at_most(most)
-    give_back()
 
 
 class Tangent(NamedTuple):

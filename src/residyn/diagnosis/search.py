@@ -33,7 +33,7 @@ from .evidence import (
     CONTENDERS,
     EXPLAINS_NOTHING,
     HOPELESS,
-    INDISTINGUISHABLE,
+    IN_PLAY,
     INTENSITIES,
     NEGLIGIBLE,
     READINGS_LEAD,
@@ -366,10 +366,10 @@ class Search:
             if s.effect.dry:
                 chosen.setdefault(s.effect.label, s)
         if parent.complete > 0.5:
-            # What is left is small, and the first order right: most cannot be worth their prior.
+            # What is left is small, and the first order right: by it most have no part.
             n, m = len(self.candidates), len(parent.added)
             price = log_prior_model(m, n) - log_prior_model(m + 1, n)
-            worth = price - 2 * INDISTINGUISHABLE
+            worth = price + math.log(IN_PLAY)
             chosen = {k: s for k, s in chosen.items() if s.gain > worth}
         if not chosen:
             return

@@ -38,7 +38,7 @@ from .law import (
     with_numbers,
 )
 
-_AT_ONCE = 64  # instants whose slopes, some 4 KB each, fit a second-level cache of 512 KB
+_AT_ONCE = 64  # instants: their slopes, some 4 KB each, stay in a second-level cache
 
 
 class Instants(NamedTuple):
@@ -286,10 +286,8 @@ def body_columns(change, numbers, mechanisms, run, at: Nodes, acceleration):
 
 
 def _product(A, B) -> Any:
-    """A (X, Y, K) times B (Y, W, K), by rows: XLA takes four times as long for their outer
-    products."""
-    rows = (sum(A[i, k] * B[k] for k in range(A.shape[1])) for i in range(A.shape[0]))
-    return jnp.stack(list(rows))
+    """A (X, Y, K) times B (Y, W, K): row by row, in kernels that a cache holds."""
+    return jnp.stack([sum(a[i, None] * B[i] for i in range(A.shape[1])) for a in A])
 
 
 class Field(NamedTuple):
@@ -310,7 +308,6 @@ def _field(mechanism, at: Nodes, drive, s: Sums) -> Field:
     rest = jax.vmap(accelerated, **over)(mechanism, at.q, at.v, none)
     unit = jax.vmap(jax.jacfwd(accelerated, argnums=3), **over)(mechanism, at.q, at.v, none)
 
-    # A barrier keeps XLA from computing what stands before it again in all that uses it.
     rest, unit = jax.lax.optimization_barrier((rest, unit))
 
     def pushed(x):  # Z^-1 of torques (n, ..., N)
@@ -403,13 +400,15 @@ def _linearised(laws: Laws, table: Table, instants: Instants, at: Nodes, bodies,
            for k, r in rooms.items()},
         rate_z=sums.rate_z[:M, :M], rate_u=sums.rate_u[:M, :P],
     )  # fmt: skip
-    f = _field(mechanism, at, drive, cut)
+    # Barriers keep XLA from computing a stage again in all that uses it.
+    here = jax.lax.optimization_barrier
+    f = here(_field(mechanism, at, drive, here(cut)))
     torque_u = _of_bodies(laws, table, instants, at, f.f[n : 2 * n], sums.torque_u)[:, :P]
     f = f._replace(by_u=f.by_u - _product(f.by_torque, torque_u - cut.torque_u))
     x = jnp.concatenate([at.q, at.v, at.z])
     const = f.f - jnp.sum(f.by_x * x[None], axis=1)
     field = jnp.concatenate([f.by_x, const[:, None], f.by_torque, f.by_u], 1)
-    phi = transition(h, field, X)
+    phi = here(transition(h, here(field), X))
     phi = _followed(laws, table, at, bodies, instants.run, phi, X + 1 + n)
     A, c, T, B = phi[:, :X], phi[:, X], phi[:, X + 1 : X + 1 + n], phi[:, X + 1 + n :]
     Hx, Ht, Hu, seen = _readings(laws, table, instants, at, f, point)

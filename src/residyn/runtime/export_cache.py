@@ -12,8 +12,11 @@ cannot be told by its text (a class or a function of somebody else's) is traced,
 """
 
 import functools
+import gc
 import hashlib
+import threading
 import warnings
+from collections import OrderedDict
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
@@ -96,6 +99,14 @@ def kept(like: Any) -> Callable[[Callable], "Kept"]:
     return lambda function: Kept(function, like)
 
 
+_MOST = 32
+"""Programs that a process holds, 15 to 50 MB each: a diagnosis takes about 16. What is asked for
+again is in the cache."""
+_held: OrderedDict[tuple["Kept", Any], Callable] = OrderedDict()
+"""The programs of this process, the last used one last."""
+_lock = threading.Lock()
+
+
 class Kept:
     """What `kept` makes of a function."""
 
@@ -104,14 +115,6 @@ class Kept:
         self._plain = eqx.filter_jit(function)
         self._name = f"{function.__module__}.{function.__qualname__}"
         self._out = jax.tree.structure(like)
-        self._programs: dict[Any, Callable] = {}
-
-    def keep_at_most(self, most: int) -> None:
-        """Where there are more programs, let go of them, and of all that JAX holds: a process that
-        meets ever new models does not grow for ever. What is asked for again is in the cache."""
-        if len(self._programs) > most:
-            self._programs.clear()
-            jax.clear_caches()
 
     def __call__(self, *args):
         leaves, structure = jax.tree.flatten(args)
@@ -120,31 +123,43 @@ class Kept:
         arrays = [x for x in leaves if eqx.is_array(x)]
         if any(isinstance(x, jax.Array) and len(x.devices()) > 1 for x in arrays):
             return self._plain(*args)
-        key = _key(leaves, structure)
-        program = self._programs.get(key)
+        key = self, _key(leaves, structure)
+        with _lock:
+            program = _held.get(key)
+            if program is not None:
+                _held.move_to_end(key)
         if program is None:
-            program = self._programs[key] = self._found(_cache, args, arrays, key)
-        return program(args, arrays)
+            program = self._found(_cache, args, arrays, key[1])
+            with _lock:
+                _held[key] = program
+                gone = [_held.popitem(last=False) for _ in range(len(_held) - _MOST)]
+            if gone:
+                del gone
+                gc.collect()
+        return jax.tree.unflatten(self._out, program(*arrays))
 
     def _found(self, cache: Cache, args, arrays, key) -> Callable:
         """The program for these inputs, as it was kept, or traced and kept now."""
-        plain = lambda args, arrays: self._plain(*args)  # noqa: E731
         words = _words(key[0], [x for x in key[1] if not isinstance(x, tuple)])
         if words is None:
-            return plain
+            return jax.jit(self._flat(args))
         name = "\n".join([self._name, made_of(), words, repr(key[1:])])
         try:
             exported = jax.export.deserialize(bytearray(cache.get(name) or b""))
         except Exception:  # not there, or of no use: why does not matter
+            flat = jax.jit(self._flat(args))
             try:
-                exported = self.trace(args, arrays)
+                unsure = [
+                    jax.export.DisabledSafetyCheck.custom_call(f"lapack_{x}_ffi") for x in _LAPACK
+                ]
+                exported = jax.export.export(flat, disabled_checks=unsure)(*arrays)
                 cache.put(name, exported.serialize())
             except (ImportError, ValueError, NotImplementedError):  # not everything can be exported
-                return plain
-        call, out = jax.jit(exported.call), self._out
-        return lambda args, arrays: jax.tree.unflatten(out, call(*arrays))
+                return flat
+        return jax.jit(exported.call)
 
-    def trace(self, args, arrays) -> jax.export.Exported:
+    def _flat(self, args) -> Callable:
+        """The function of the arrays among these arguments alone, its result's leaves as a list."""
         structure = jax.tree.structure(args)
         leaves = [None if eqx.is_array(x) else (x,) for x in jax.tree.leaves(args)]
 
@@ -156,8 +171,7 @@ class Kept:
             assert built == self._out, f"{self._name} returns {built}, not {self._out}"
             return values
 
-        unsure = [jax.export.DisabledSafetyCheck.custom_call(f"lapack_{x}_ffi") for x in _LAPACK]
-        return jax.export.export(jax.jit(flat), disabled_checks=unsure)(*arrays)
+        return flat
 
 
 def _key(leaves, structure) -> tuple:
