@@ -5,6 +5,7 @@ squares then gives the numbers of the models on the way, their standard errors, 
 error on readings that were fitted and on readings that were not.
 """
 
+import dataclasses
 import datetime
 import math
 import threading
@@ -21,7 +22,7 @@ from ..effects import AbstractEffect
 from ..filtering.law import number_slices, numbers_of
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import DEFAULT_STARTS, FitError, fit
-from ..fitting.conclusion import finish
+from ..fitting.conclusion import finish, with_held_out
 from ..fitting.multistart import descend, without_drift
 from ..fitting.problem import ready
 from ..fitting.result import Fit
@@ -137,24 +138,36 @@ class Fits:
 
     def _of(self, tried: Tried) -> Fit:
         with jax.enable_x64(True):  # JAX's settings are each thread's own
-            return self._fitted(tried)
+            return self.with_held_out(self.fitted(tried))
 
-    def _fitted(self, tried: Tried) -> Fit:
+    def with_held_out(self, found: Fit) -> Fit:
+        """One of these fits, with the recordings beside it that were held out."""
+        return with_held_out(found, self.experiment, polish)
+
+    def fitted(self, tried: Tried, progress: Callable[[str], None] | None = None) -> Fit:
+        """The fit of one model to the fitted recordings alone, in this thread; where many starts
+        are tried, `progress` is as in `fit`. Call it in float64.
+
+        **Raises:** `FitError`; what `progress` raises.
+        """
         began = time.perf_counter()
         t = silenced(self.scene, tried.best, tried.intensity)
         own = [e for e in t.valued() if e.name not in ("spring", "damper")]
         with self.lock:
             self._cut(t.numbers, own)
+        known = self.experiment.fit_recordings
+        fitted = dataclasses.replace(self.experiment, recordings=known)
         try:
-            here = ready(self.experiment, self.experiment.fit_recordings, own)
+            here = ready(fitted, known, own)
             states = np.stack([self._state(t, r) for r in here.recordings])
             begin = here.model.with_vector(jnp.asarray(t.numbers))
             wild = self._wild(here.recordings)
             found = descend(here, begin, t.numbers[None], wild, near=states[None], search=polish)
-            return finish(self.experiment, t.numbers, found, began, polish, evaluated)
+            return finish(fitted, t.numbers, found, began, polish, evaluated)
         except FitError:
             lost = tried.complete < 0.5  # no start of a wrong model is better than another one
-            return fit(self.experiment, effects=own, starts=1 if lost else self.starts)
+            starts = 1 if lost else self.starts
+            return fit(fitted, effects=own, starts=starts, progress=progress)
 
     def _cut(self, numbers: np.ndarray, own: Sequence[AbstractEffect]) -> None:
         """What drives a joint that nothing pulls back is fitted in segments, in all models."""

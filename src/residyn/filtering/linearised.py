@@ -10,6 +10,7 @@ that holds it (`hold`), and `slow` is the rate that friction takes away in RAMP 
 """
 
 import functools
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -36,6 +37,8 @@ from .law import (
     numbers_of,
     with_numbers,
 )
+
+_AT_ONCE = 64  # instants: their slopes, some 4 KB each, stay in a second-level cache
 
 
 class Instants(NamedTuple):
@@ -354,11 +357,40 @@ def transition(h, M, X: int):
 
 @kept(like=Linear(System(*[0] * 9), *[0] * 8))
 def linearise(laws: Laws, table: Table, instants: Instants, point: Point) -> Linear:
-    """A model as a linear system along a motion."""
-    (K, X), P, n = point.path.shape, point.u.shape[0], point.spread.shape[1]
-    h, M = instants.step, X - 2 * n
+    """A model as a linear system along a motion.
+
+    A few instants at a time: what is computed between is ten times as large as all that is kept,
+    and stays in the processor's cache.
+    """
+    K = len(instants.step)
+    C = math.gcd(K, _AT_ONCE)
     at = nodes(instants, point.path, point.spread, table.held)
     bodies = changed_bodies(laws, table.whole, table.whole.numbers, instants.mechanisms)
+    rest = {"usual": instants.usual, "mechanisms": instants.mechanisms}
+    own = instants._replace(**dict.fromkeys(rest))
+
+    def parts(x):  # (..., r K) to (K / C, ..., r C)
+        return jnp.moveaxis(x.reshape(*x.shape[:-1], -1, K // C, C), -2, 0).reshape(
+            K // C, *x.shape[:-1], -1
+        )
+
+    def whole(x):  # back
+        x = x.reshape(*x.shape[:-1], -1, C)
+        return jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-2], -1)
+
+    found: Linear = jax.lax.map(
+        lambda part: _linearised(laws, table, part[0]._replace(**rest), part[1], bodies, point),
+        jax.tree.map(parts, (own, at)),
+    )
+    system = jax.tree.map(lambda x: x.reshape(K, *x.shape[2:]), (found.system, found.seen))
+    return Linear(*system, *map(whole, found[2:]))
+
+
+def _linearised(laws: Laws, table: Table, instants: Instants, at: Nodes, bodies, point: Point):
+    """The same at some of the instants, on `bodies` as the model's effects leave them."""
+    K, P, n = len(instants.step), point.u.shape[0], at.q.shape[0]
+    h, M = instants.step, at.z.shape[0]
+    X = 2 * n + M
     mechanism = at_nodes(bodies, instants.run)
     sums, each_joint, each_whole = _summed(laws, table, at, mechanism, P)
     drive = instants.drive.transpose(1, 0, 2).reshape(n, 3 * K)
@@ -380,8 +412,7 @@ def linearise(laws: Laws, table: Table, instants: Instants, point: Point) -> Lin
     phi = _followed(laws, table, at, bodies, instants.run, phi, X + 1 + n)
     A, c, T, B = phi[:, :X], phi[:, X], phi[:, X + 1 : X + 1 + n], phi[:, X + 1 + n :]
     Hx, Ht, Hu, seen = _readings(laws, table, instants, at, f, point)
-    path = x[:, :K]
-    hc = seen - jnp.sum(Hx * path[None], 1) - jnp.sum(Hu * point.u[:, None], 1)
+    hc = seen - jnp.sum(Hx * x[None, :, :K], 1) - jnp.sum(Hu * point.u[:, None], 1)
     last = instants.last
     A, B, T = (jnp.where(last, 0.0, each) for each in (A, B, T))
     anew = jnp.concatenate(

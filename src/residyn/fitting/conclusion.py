@@ -62,7 +62,7 @@ def finishing(
     # they grow with it.
     sizes = np.asarray(descent.problem.scale.numbers)
     spread = spread_of(np.asarray(descent.compressed.factor), sizes, max(1.0, chi2))
-    held_out = yield from _held_out(experiment, model, descent, search)
+    held_out = yield from _held_out(experiment, model, descent.here, descent.problem, search)
     return Fit(
         experiment=experiment,
         model=model,
@@ -135,11 +135,23 @@ def _far(fit: Fit, there: Compressed, sizes: np.ndarray) -> tuple[str, float] | 
     return fit.numbers[worst].name, float(far[worst])
 
 
+def with_held_out(fit: Fit, experiment: Experiment, search: Callable[..., Any]) -> Fit:
+    """A fit of the fitted recordings alone, with those that the experiment holds out beside it."""
+    assert fit.ready is not None
+    assert fit.problem is not None
+    more = alone(_held_out(experiment, fit.model, fit.ready, fit.problem, search))
+    return dataclasses.replace(fit, experiment=experiment, recordings=(*fit.recordings, *more))
+
+
 def _held_out(
-    experiment: Experiment, model: Model, descent: Descent, search: Callable[..., Any] | None
+    experiment: Experiment,
+    model: Model,
+    fitted: Ready,
+    like: Problem,
+    search: Callable[..., Any] | None,
 ) -> Fitting[list[RecordingFit]]:
     """Check recordings beside the fitted model: only their initial states are fitted."""
-    group, found = len(descent.outliers), []
+    group, found = len(fitted.recordings), []
     numbers = np.asarray(model.vector())[None]
     for first in range(0, len(experiment.check_recordings), group):
         # As many at a time as were fitted, so that no other program need be compiled.
@@ -148,9 +160,8 @@ def _held_out(
         mechanisms = tuple(mechanism_of(experiment, r) for r in filled)
         # The same effects, also where bare recordings know none of bearings.
         begin = posed(model, mechanisms[0])
-        here = descent.here._replace(model=begin, recordings=tuple(filled), mechanisms=mechanisms)
+        here = fitted._replace(model=begin, recordings=tuple(filled), mechanisms=mechanisms)
         outliers = outliers_among(here)
-        like = descent.problem
         end = yield from descending(here, begin, numbers, outliers, like=like, search=search)
         found += end.beside(filled)[: len(some)]
     return found

@@ -218,7 +218,7 @@ def test_the_first_order_of_nothing_added_is_the_fit(study):
     "added", [["cubic_stiffness:elbow"], ["cubic_stiffness:elbow", "cubic_stiffness:shoulder"]]
 )
 def test_a_refit_by_the_smoother_is_the_fit_where_nothing_sticks(study, added):
-    near, fit = study.refit(added), study.fit(added)
+    near, fit = study.refit(added), study.predict(added)
     values = {
         f"{e.label}.{n.name}": x
         for e, own in zip(near.path.effects, number_slices(near.path.effects), strict=True)
@@ -227,7 +227,7 @@ def test_a_refit_by_the_smoother_is_the_fit_where_nothing_sticks(study, added):
     off = [(values[n.name] - n.value) / n.std for n in fit.numbers]
     assert np.max(np.abs(off)) < 0.2
     assert near.fitted == pytest.approx(fit.rmse / fit.noise, rel=0.01)
-    assert near.held_out == pytest.approx(study.held_out(added, fit), rel=0.1)
+    assert study.predicted(added) == pytest.approx(study.held_out(added, fit), rel=0.1)
 
 
 def test_what_is_hidden_shows_and_is_not_told(study):

@@ -23,6 +23,7 @@ FILES = tuple(sorted(each.name for each in _STATIC.iterdir()))
 """All that the server hands out."""
 MODULES = tuple(n for n in FILES if n.endswith(".js") and not n.startswith("uPlot"))
 """One idea each; `explorer.js` starts the page."""
+_SPARE = re.compile(r"^\s*//[^\n]*\n|^\s*/\*.*?\*/\n|^[ ]+", re.M | re.S)
 _IMPORT = re.compile(r'(from\s+|import\s+)"\./([a-z_]+\.js)"')
 
 
@@ -82,8 +83,9 @@ def piece(data: dict[str, Any]) -> str:
 
 
 def _address(script: str) -> str:
-    """A module as an address; what it imports goes by the names of the import map."""
-    text = _IMPORT.sub(r'\1"explorer/\2"', script)
+    """A module as an address, without comments and indents; what it imports goes by the names of
+    the import map."""
+    text = _IMPORT.sub(r'\1"explorer/\2"', _SPARE.sub("", script))
     return "data:text/javascript;base64," + base64.b64encode(text.encode()).decode()
 
 

@@ -1,6 +1,6 @@
 """What a page holds, as data: JSON, with all arrays in one compressed block of bytes.
 
-Everything that decides is in full double precision (Gram matrices); what is only drawn is at most
+Everything that decides is to twelve digits (Gram matrices); what is only drawn is at most
 `POINTS` instants of a recording, in 16 bits of its own range.
 """
 
@@ -9,7 +9,7 @@ import dataclasses
 import functools
 import math
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import jax
@@ -50,14 +50,21 @@ class Drawn(NamedTuple):
     """An array that is only drawn."""
 
     values: Any
+    levels: int = 32767
+    """Steps between 0 and its largest size."""
+
+
+_COARSE = 1023
+"""Of what an effect adds: on a chart of 200 pixels a tenth of one."""
 
 
 def packed(tree: Any) -> dict[str, Any]:
     """Any nesting of dictionaries and lists as plain JSON: `tree`, in which an array is where its
     bytes begin in `bytes`, and what is not finite is null.
 
-    Doubles as they are, `Drawn` in 16 bits of its largest size and as second differences along the
-    last axis, which are small; the first bytes of all numbers first, and so on. Then zlib.
+    Doubles as they are, `Drawn` in at most 16 bits of its largest size and as second differences
+    along the last axis, which are small; the first bytes of all numbers first, and so on. Then
+    zlib.
     """
     block = bytearray()
 
@@ -71,7 +78,7 @@ def packed(tree: Any) -> dict[str, Any]:
         if isinstance(x, Drawn):
             values = np.asarray(x.values, float)
             seen = np.isfinite(values)
-            size = float(np.max(np.abs(values[seen]), initial=0.0)) / 32767 or 1.0
+            size = float(np.max(np.abs(values[seen]), initial=0.0)) / x.levels or 1.0
             whole = np.where(seen, np.round(np.where(seen, values, 0.0) / size), -32768)
             steps = np.diff(np.diff(whole.astype("<i4"), prepend=0), prepend=0)
             return put(steps.astype("<u2"), scale=size)
@@ -102,6 +109,9 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
     experiment, search = study.experiment, study.search
     units = experiment.units or ("rad",) * len(experiment.joints)
     order = [s.effect.label for s in study.screen.ranked]
+    if not live:
+        for tried in study.search.tried:
+            study.predicted(sorted(tried))
     held = "check recordings" if experiment.check_recordings else "last third"
     first = study.first_order()
     return {
@@ -125,11 +135,11 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
 
 
 @_in_double
-def searched(study: Study, since: int = 0) -> dict[str, Any]:
-    """What a search and fits have added: `tried`, `screened`, `verdict`, and `fits` but for the
-    first `since` of them; how many there are is `known`."""
-    found = study.found
-    tried, fits = list(study.search.tried.values()), list(study.fits.items())
+def searched(study: Study, since: Sequence[int] = (0, 0)) -> dict[str, Any]:
+    """What a search and fits have added: `tried`, `screened`, `verdict`, and `fits` by least
+    squares and by the smoother but for the first `since` of each; how many there are is `known`."""
+    found, tried = study.found, list(study.search.tried.values())
+    fits, refits = list(study.fits.items()), list(study.refits)
     return {
         "tried": [
             {
@@ -143,12 +153,9 @@ def searched(study: Study, since: int = 0) -> dict[str, Any]:
             for key, screen in list(study.search.screens.items())
             if key
         ],
-        "fits": [fitted(study, sorted(k), f) for k, f in fits[since:]]
-        + [
-            f for t in tried
-            if frozenset(t.added) not in study.fits and (f := refitted(study, t.added))
-        ],
-        "known": len(fits),
+        "fits": [fitted(study, sorted(k), f) for k, f in fits[since[0]:]]
+        + [r for k in refits[since[1]:] if k not in study.fits and (r := refitted(study, k))],
+        "known": [len(fits), len(refits)],
         "verdict": None if found is None else {
             "verdict": found.verdict,
             "probability": found.verdict_probability,
@@ -183,9 +190,10 @@ def fitted(study: Study, added: Sequence[str], found: Fit, held: Sequence[str] =
 
 
 @_in_double
-def refitted(study: Study, added: Sequence[str]) -> dict[str, Any] | None:
-    """Least squares by the smoother; None if it does not settle."""
-    found = study.refit(added)
+def refitted(study: Study, added: Collection[str]) -> dict[str, Any] | None:
+    """Least squares by the smoother, with the error on what was held out if that was predicted;
+    None if it does not settle."""
+    found = study.refit(sorted(added))
     if found is None:
         return None
     scene, path, shown = study.search.scene, found.path, _shown(study)
@@ -204,7 +212,7 @@ def refitted(study: Study, added: Sequence[str]) -> dict[str, Any] | None:
         "added": sorted(added),
         "how": "smoothed",
         "fitted": found.fitted.tolist(),
-        "held_out": _listed(found.held_out),
+        "held_out": _listed(study.predictions.get(frozenset(added))),
         "numbers": numbers,
         "curves": curves,
         "torque": _beyond_base(study, found.torque),
@@ -292,9 +300,11 @@ def _screen(study: Study):
 
 
 def _upper(g: np.ndarray) -> np.ndarray:
-    """The upper triangles (..., n (n + 1) / 2) of symmetric matrices."""
+    """The upper triangles (..., n (n + 1) / 2) of symmetric matrices, to 40 binary digits (1e-12):
+    the last 12 are noise that nothing can compress."""
     rows, columns = np.triu_indices(g.shape[-1])
-    return g[..., rows, columns]
+    bits = np.ascontiguousarray(g[..., rows, columns], float).view(np.int64)
+    return ((bits + 0x800) & ~0xFFF).view(float)
 
 
 def _first(study: Study, first: FirstOrder):
@@ -307,7 +317,11 @@ def _first(study: Study, first: FirstOrder):
     def response(time: np.ndarray, predicted: np.ndarray):
         at = thinned(len(time))
         base, *columns = np.moveaxis(predicted[at], -1, 0)
-        return {"time": time[at], "base": Drawn(base.T), "columns": [Drawn(c.T) for c in columns]}
+        return {
+            "time": time[at],
+            "base": Drawn(base.T),
+            "columns": [Drawn(c.T, _COARSE) for c in columns],
+        }
 
     shown = range(len(_shown(study)))
     return {
@@ -343,7 +357,7 @@ def _missing(study: Study):
 def _sparse(x: np.ndarray):
     """Columns (N, n, C): for each its nonzero joints."""
     return [
-        {str(j): Drawn(x[:, j, c]) for j in range(x.shape[1]) if np.any(x[:, j, c])}
+        {str(j): Drawn(x[:, j, c], _COARSE) for j in range(x.shape[1]) if np.any(x[:, j, c])}
         for c in range(x.shape[2])
     ]
 

@@ -28,7 +28,7 @@ from .files import ExperimentFiles
 from .hidden import hide_one
 from .payload import packed, searched
 from .study import Study
-from .workbench import Workbench, Worker
+from .workbench import How, Workbench, Worker
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
@@ -108,30 +108,37 @@ class Explorer:
         return bench, _there(bench.study)
 
     async def _state(self, request: Request) -> Response:
-        return JSONResponse(self._bench(request).state())
+        bench = self._bench(request)
+        if seen := request.query_params.get("seen"):
+            bench.look(seen)
+        return JSONResponse(bench.state())
 
     async def _payload(self, request: Request) -> Response:
         return Response(_there(self._bench(request).text), media_type="application/json")
 
     async def _searched(self, request: Request) -> Response:
         _, study = self._study(request)
-        since = request.query_params.get("since", "0")
-        since = int(since) if since.isdigit() else 0
+        words = request.query_params.get("since", "").split(",")
+        since = [int(x) for x in words] if all(map(str.isdigit, words)) else []
+        since = (*since, 0, 0)[:2]
         return JSONResponse(await self.worker.do(lambda: packed(searched(study, since))))
 
     async def _fit(self, request: Request) -> Response:
         bench, study = self._study(request)
         asked = await _asked(request)
         try:
-            window, number, quick = str(asked["window"]), int(asked["number"]), asked["quick"]
+            window, number, how = str(asked["window"]), int(asked["number"]), How(asked["how"])
             added = [str(x) for x in asked["added"]]
             held = {str(k): float(v) for k, v in asked.get("held", {}).items()}
         except (KeyError, TypeError, ValueError, AttributeError):
-            return JSONResponse({"error": "a fit needs window, number, added and quick"}, 400)
-        worker = self.quick_worker if quick is True else self.worker
-        found = await worker.newest(
-            window, number, lambda: packed(bench.fit(study, added, held, quick is True))
-        )
+            return JSONResponse({"error": "a fit needs window, number, added and how"}, 400)
+        worker = self.worker if how is How.REFITTED else self.quick_worker
+
+        def work() -> dict[str, Any]:
+            go_on = lambda words: worker.go_on(window, number)  # noqa: E731
+            return packed(bench.fit(study, added, held, how, go_on))
+
+        found = await worker.newest(window, number, work)
         return JSONResponse({"superseded": True} if found is None else found)
 
     async def _reload(self, request: Request) -> Response:

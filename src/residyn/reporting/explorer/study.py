@@ -62,7 +62,6 @@ class Refit(NamedTuple):
     """(K, n) what all effects resist with, N m."""
     fitted: np.ndarray
     """(n,) rms error over the noise."""
-    held_out: np.ndarray | None
 
 
 class Beside(NamedTuple):
@@ -97,7 +96,7 @@ class Study:
             scene, base, wild = scene_of(experiment, effects)
             self._keep(Search(scene, base, say=say), Fits(experiment, scene, wild, DEFAULT_STARTS))
             say("fitting springs and dampers")
-            self.fit(())
+            self.predict(())
 
     @classmethod
     def of(cls, found: Diagnosis) -> "Study":
@@ -122,7 +121,8 @@ class Study:
         self.fits: dict[frozenset[str], Fit] = {}
         self.found: Diagnosis | None = None
         self._held: dict[frozenset[str], HeldOut | None] = {}
-        self._refits: dict[frozenset[str], Refit | None] = {}
+        self.refits: dict[frozenset[str], Refit | None] = {}
+        self.predictions: dict[frozenset[str], np.ndarray | None] = {}
         self.screen = search.screen(search.base)
         self.loud, self.intensity = search.screening_motion(search.base)
         self.shapes = {s.effect.label: s.shape for s in self.screen.ranked}
@@ -131,6 +131,25 @@ class Study:
     def labels(self) -> tuple[str, ...]:
         """Candidates, by name."""
         return tuple(s.effect.label for s in self.screen.ranked)
+
+    def neighbours(self, added: Sequence[str], most: int) -> list[frozenset[str]]:
+        """Models with one effect less, and with one more of the so many most probable ones, which
+        takes the place of laws that it contains or that contain it."""
+        own = {e.label: e for e in self.search.candidates}
+        ranked = self.found.candidates if self.found else []
+        likely = [c.effect for c in ranked if c.effect in own][:most]
+
+        def conflict(a: str, b: str) -> bool:
+            x, y = own[a], own[b]
+            return x.place == y.place and (x.extends == y.name or y.extends == x.name)
+
+        found = [[x for x in added if x != less] for less in added]
+        found += [
+            [*(x for x in added if not conflict(x, more)), more]
+            for more in likely
+            if more not in added
+        ]
+        return list(map(frozenset, found))
 
     def columns_along(self, scene: Scene, path: Trajectory) -> Columns:
         """Every candidate at its likeliest shape, along a motion."""
@@ -184,10 +203,25 @@ class Study:
         """
         key = frozenset(added)
         self._check(key)
-        if key not in self._refits:
+        if key not in self.refits:
             with jax.enable_x64(True):
-                self._refits[key] = self._refitted(key, tuple(added))
-        return self._refits[key]
+                self.refits[key] = self._refitted(key, tuple(added))
+        return self.refits[key]
+
+    def predicted(self, added: Sequence[str]) -> np.ndarray | None:
+        """(n,) errors over the noise of a `refit` on what was held out; None where that does not
+        settle. Of check recordings only the first states are fitted; last thirds are predicted from
+        the rest.
+
+        **Raises:** `ValueError` for what is no candidate.
+        """
+        key, found = frozenset(added), self.refit(added)
+        if found is None:
+            return None
+        if key not in self.predictions:
+            with jax.enable_x64(True):
+                self.predictions[key] = self._predicted(found.path)
+        return self.predictions[key]
 
     def _refitted(self, key: frozenset[str], added: tuple[str, ...]) -> Refit | None:
         scene, known = self.search.scene, self.search.tried.get(key)
@@ -200,7 +234,7 @@ class Study:
             return None
         path, predicted, linear = found
         torque = sum_of(scene.torques(path, linear))
-        return Refit(path, predicted, torque, times_noise(scene, predicted), self._beyond(path))
+        return Refit(path, predicted, torque, times_noise(scene, predicted))
 
     def motion(self, added: Sequence[str]) -> Trajectory:
         """The motion of a model, as well as it is known."""
@@ -214,9 +248,7 @@ class Study:
         """(K, n) what the base model resists with, N m."""
         return sum_of(self.search.scene.torques(self.search.base.best))
 
-    def _beyond(self, path: Trajectory) -> np.ndarray | None:
-        """(n,) errors on what was held out. Of check recordings only the first states are fitted;
-        last thirds are predicted from the rest."""
+    def _predicted(self, path: Trajectory) -> np.ndarray | None:
         other, begin, counts = self.beside
         if begin is not None:
             numbers, room = path.numbers, len(path.first)
@@ -241,17 +273,23 @@ class Study:
 
     # -- least squares ------------------------------------------------------------------------
 
-    def fit(self, added: Sequence[str], held: Mapping[str, float] | None = None) -> Fit:
+    def fit(
+        self,
+        added: Sequence[str],
+        held: Mapping[str, float] | None = None,
+        progress: Callable[[str], None] | None = None,
+    ) -> Fit:
         """The base model and some candidates, fitted by least squares; numbers in `held`, by name,
-        stay as they are.
+        stay as they are. `progress` is called with a few words now and then.
 
-        **Raises:** `FitError`; `ValueError` for what is no candidate or no number of this model.
+        **Raises:** `FitError`; `ValueError` for what is no candidate or no number of this model;
+        what `progress` raises.
         """
         key = frozenset(added)
         self._check(key)
         with jax.enable_x64(True):
             if key not in self.fits:
-                self.fits.setdefault(key, self._fitted(tuple(added)))
+                self.fits.setdefault(key, self._fitted(tuple(added), progress))
             found = self.fits[key]
             return self._holding(found, held) if held else found
 
@@ -260,15 +298,26 @@ class Study:
         if found.check_rmse is not None:
             return found.check_rmse / found.noise
         key = frozenset(added)
-        if found is not self.fits.get(key):
-            return None
-        if key not in self._held:
-            with jax.enable_x64(True):
-                self._held[key] = held_out(LinearisedFit.of(found))
-        beside = self._held[key]
+        beside = self._held.get(key) if found is self.fits.get(key) else None
         return None if beside is None else beside.held_out.ratio
 
-    def _fitted(self, added: tuple[str, ...]) -> Fit:
+    def predict(self, added: Sequence[str], held: Mapping[str, float] | None = None) -> Fit:
+        """`fit` with what it predicts of the readings that were held out.
+
+        **Raises:** as `fit`.
+        """
+        found, key = self.fit(added, held), frozenset(added)
+        with jax.enable_x64(True):
+            if self.experiment.check_recordings:
+                if found.check_rmse is None:
+                    found = self.least_squares.with_held_out(found)
+                    if not held:
+                        self.fits[key] = found
+            elif not held and key not in self._held:
+                self._held[key] = held_out(LinearisedFit.of(found))
+        return found
+
+    def _fitted(self, added: tuple[str, ...], progress: Callable[[str], None] | None) -> Fit:
         known = self.search.tried.get(frozenset(added))
         if known is None:
             near = self.refit(added)
@@ -276,13 +325,13 @@ class Study:
             if near is not None:
                 none = np.where(np.array(INTENSITIES) == 0, 0.0, -np.inf)
                 known = dataclasses.replace(known, evidences=none, best=near.path)
-        found = self.least_squares.of(known)
+        found = self.least_squares.fitted(known, progress)
         if added:
             base = self.fits.get(frozenset())
             if base is not None and found.reduced_chi2 > _WORSE * base.reduced_chi2:
                 own = {e.label: e for e in self.search.candidates}
                 effects = [*self.effects, *(own[x] for x in added)]
-                again = fit(self.least_squares.experiment, effects=effects)
+                again = fit(found.experiment, effects=effects, progress=progress)
                 found = min(found, again, key=lambda f: f.reduced_chi2)
         return found
 

@@ -8,6 +8,7 @@ begun.
 
 import asyncio
 import contextlib
+import enum
 import json
 import threading
 import time
@@ -22,8 +23,17 @@ from .files import ExperimentFiles
 from .payload import fitted, packed, payload, refitted
 from .study import Study
 
-_IDLE = 2.0  # s without a question, after which work ahead is begun
+_IDLE = 2.0  # s without a question, after which fits ahead that compile are begun
 _AHEAD = 8  # effects: as many as the page shows first
+
+
+class How(enum.StrEnum):
+    """What a page asks of a model: least squares by the smoother, the fit, or what the better one
+    of these that is known predicts of the readings that were held out."""
+
+    SMOOTHED = enum.auto()
+    PREDICTED = enum.auto()
+    REFITTED = enum.auto()
 
 
 class Workbench:
@@ -47,8 +57,10 @@ class Workbench:
         self.version = 0
         """Counts what the search has added."""
         self.stopped, self._tried = False, 1
-        self.asked, self.looked_at = time.monotonic(), ()
-        """When somebody last asked for a fit, and of which effects."""
+        self.asked, self.asking = time.monotonic(), 0
+        """When somebody last asked for a fit, and how many wait for one."""
+        self.looked_at: tuple[str, ...] = ()
+        """The model that somebody looks at."""
         self.thread = threading.Thread(target=self._work, daemon=True)
         self.thread.start()
 
@@ -62,7 +74,7 @@ class Workbench:
             self.version += 1
             self.words = ""
             self._ahead(study)
-        except _Stopped:
+        except Superseded:
             self.words = ""
         except (FitError, InputError, ValueError) as error:
             self.error = " ".join(str(error).split())
@@ -70,29 +82,38 @@ class Workbench:
             self.error = f"this should not have happened, {type(error).__name__}: {error}"
 
     def _ahead(self, study: Study) -> None:
-        """While nobody asks, fit what is likely to be asked for next: beside the model that
-        somebody looks at, one more of the most probable effects."""
+        """While nobody asks, fit what is likely to be asked for next: the model that somebody looks
+        at with one of the most probable effects more or less; by the smoother first."""
         tried: set[frozenset[str]] = set()
         while not self.stopped:
-            time.sleep(0.2)
-            beside, found = self.looked_at, self.study and study.found
-            if time.monotonic() - self.asked < _IDLE or found is None:
+            time.sleep(0.05)
+            next_ = study.neighbours(self.looked_at, _AHEAD)
+            if self.asking:
                 continue
-            likely = [c.effect for c in found.candidates if c.effect not in beside][:_AHEAD]
-            next_ = [frozenset((*beside, x)) for x in likely]
-            todo = [k for k in next_ if k not in study.fits and k not in tried]
-            if not todo:
-                continue
-            tried.add(todo[0])
-            near = study.refit(sorted(todo[0]))
-            if near is not None:  # what does not settle takes many starts: only if it is asked for
-                with contextlib.suppress(FitError):
-                    study.fit(sorted(todo[0]))
-                    self.version += 1
+            for work, known in (study.refit, study.refits), (study.predicted, study.predictions):
+                todo = [k for k in next_ if k not in known and study.refits.get(k, True)]
+                if todo:
+                    work(sorted(todo[0]))
+                    break
+            else:
+                # What does not settle takes many starts: only if it is asked for.
+                todo = [k for k in next_ if k not in study.fits and k not in tried]
+                todo = [k for k in todo if study.refits[k]]
+                if not todo or time.monotonic() - self.asked < _IDLE:
+                    continue
+                tried.add(todo[0])
+                with contextlib.suppress(FitError, Superseded):
+                    study.fit(sorted(todo[0]), progress=self._go_on)
+                    study.predict(sorted(todo[0]))
+            self.version += 1
+
+    def _go_on(self, words: str) -> None:
+        if self.stopped or self.asking:
+            raise Superseded
 
     def _say(self, words: str) -> None:
         if self.stopped:
-            raise _Stopped
+            raise Superseded
         self.words = words
         if self.study is not None and len(self.study.search.tried) != self._tried:
             self._tried = len(self.study.search.tried)
@@ -110,19 +131,38 @@ class Workbench:
         }
 
     def fit(
-        self, study: Study, added: list[str], held: dict[str, float], quick: bool
+        self,
+        study: Study,
+        added: list[str],
+        held: dict[str, float],
+        how: How,
+        progress: Callable[[str], None],
     ) -> dict[str, Any]:
-        """The fit that a page asks for, or `error` in a line. A `quick` one is by the smoother; it
-        is null if that does not settle."""
-        self.asked, self.looked_at = time.monotonic(), tuple(sorted(added))
+        """The fit that a page asks for, or `error` in a line. One by the smoother is null if that
+        does not settle."""
+        self.asked, self.looked_at = time.monotonic(), tuple(added)
+        self.asking += 1
         try:
-            if quick and frozenset(added) not in study.fits:
+            if how is not How.REFITTED and not held and frozenset(added) not in study.fits:
+                if how is How.PREDICTED:
+                    study.predicted(added)
                 return {"fit": refitted(study, sorted(added))}
-            return {"fit": fitted(study, sorted(added), study.fit(added, held), [*held])}
+            found = study.fit(added, held, progress)
+            if how is How.PREDICTED:
+                found = study.predict(added, held)
+            return {"fit": fitted(study, sorted(added), found, [*held])}
         except (FitError, ValueError) as error:
             return {"error": " ".join(str(error).split())}
         finally:
             self.asked = time.monotonic()
+            self.asking -= 1
+
+    def look(self, words: str) -> None:
+        """Somebody looks at these effects, a JSON list."""
+        with contextlib.suppress(ValueError):
+            seen = json.loads(words)
+            if isinstance(seen, list) and self.study and set(seen) <= set(self.study.labels):
+                self.looked_at = tuple(seen)
 
     def stop(self) -> None:
         """End what is under way, at its next step."""
@@ -131,8 +171,8 @@ class Workbench:
             self.study.stop()
 
 
-class _Stopped(Exception):
-    pass
+class Superseded(Exception):
+    """What is under way is not wanted any more."""
 
 
 class Worker:
@@ -144,10 +184,26 @@ class Worker:
         self._thread = ThreadPoolExecutor(1)
 
     async def newest(self, window: str, number: int, work: Callable[[], Any]) -> Any:
-        """Do some work for a window, unless it has asked for something newer before that begins:
-        None then."""
+        """Do some work for a window; None if it has asked for something newer before that begins,
+        or before the work has called `go_on`."""
         self._newest[window] = max(number, self._newest.get(window, 0))
-        return await self.do(lambda: work() if self._newest[window] == number else None)
+
+        def begin() -> Any:
+            try:
+                self.go_on(window, number)
+                return work()
+            except Superseded:
+                return None
+
+        return await self.do(begin)
+
+    def go_on(self, window: str, number: int) -> None:
+        """To be called now and then by long work.
+
+        **Raises:** `Superseded` if the window has asked for something newer.
+        """
+        if self._newest[window] != number:
+            raise Superseded
 
     async def do(self, work: Callable[[], Any]) -> Any:
         """Do some work."""

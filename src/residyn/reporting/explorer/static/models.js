@@ -14,7 +14,9 @@ export class Models {
   keep(fits) {
     for (const fit of fits) {
       const key = keyOf(fit.added);
-      if (fit.how === "refitted" || !this.fits.has(key)) this.fits.set(key, fit);
+      const known = this.fits.get(key);
+      const more = known?.how !== "refitted" && (fit.held_out || !known?.held_out);
+      if (fit.how === "refitted" || more) this.fits.set(key, fit);
     }
   }
 

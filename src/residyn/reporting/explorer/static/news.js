@@ -37,7 +37,8 @@ export class News {
   }
 
   async once() {
-    const state = await this.server.get("state");
+    const seen = encodeURIComponent(JSON.stringify(this.page.chosen()));
+    const state = await this.server.get(`state?seen=${seen}`);
     if (this.stopped) return;
     this.ended = !state.words;
     if (state.version !== this.version) {

@@ -3,6 +3,11 @@
 import { keyOf } from "./evidence.js";
 
 const IDLE = 1500; // ms without a click, after which what is least squares already is refined
+const WORKING = {
+  smoothed: "refitting",
+  predicted: "predicting what is held out",
+  refitted: "refining",
+};
 
 export class Refits {
   constructor(server, state, models) {
@@ -11,10 +16,11 @@ export class Refits {
     this.moving = null; // names of numbers that are held while a slider moves
   }
 
-  /** Another model is shown: fit it, if that was not done yet. */
+  /** Another model is shown: fit it and predict, if that was not done yet. */
   chosen() {
     this.asked = this.moving = null;
-    if (this.state.get("model").how !== "refitted") this.ask();
+    const { how, held_out } = this.state.get("model");
+    if (how !== "refitted" || !held_out) this.ask();
   }
 
   stop() {
@@ -23,27 +29,37 @@ export class Refits {
 
   async ask() {
     const { chosen, held } = this.state.values;
-    const known = this.models.fits.has(keyOf(chosen));
+    const known = this.models.fits.get(keyOf(chosen));
     const asked = {};
     this.asked = asked;
-    for (const quick of held.size || known ? [false] : [true, false]) {
-      if (!quick && this.state.get("model").how === "smoothed" && !this.models.sticks(chosen)) {
+    for (const how of this.missing(known, held)) {
+      const { model } = this.state.values;
+      if (how === "predicted" && (model.how === "first order" || model.held_out)) continue;
+      if (how === "refitted" && model.how === "smoothed" && !this.models.sticks(chosen)) {
         await new Promise((resolve) => setTimeout(resolve, IDLE));
         if (asked !== this.asked) return;
       }
-      this.state.set({ working: quick ? "refitting" : "refining" });
+      this.state.set({ working: WORKING[how] });
       let found;
       try {
-        found = await this.server.fit(chosen, held, quick);
+        found = await this.server.fit(chosen, held, how);
       } catch {
         found = { error: "the server does not answer: has it been stopped?" };
       }
       if (found === null || asked !== this.asked) return; // something newer is under way
       if (found.error) return this.state.set({ working: "", error: found.error });
-      if (found.fit === null) continue; // the smoother does not settle
+      if (found.fit === null) continue;
       if (!held.size) this.models.keep([found.fit]);
       this.state.set({ working: "", error: "", model: found.fit });
     }
+  }
+
+  /** What to ask for, one after the other. */
+  missing(known, held) {
+    if (this.moving) return ["refitted"];
+    if (held.size) return ["refitted", "predicted"];
+    if (known?.how === "refitted") return ["predicted"];
+    return [...(known ? [] : ["smoothed"]), "predicted", "refitted", "predicted"];
   }
 
   /** A slider moves one number: all others stay meanwhile. */

@@ -25,15 +25,16 @@ export class Server {
     return opened(await answer.json());
   }
 
-  /** A fit, by the smoother if it is to be quick; null if a newer one was asked for meanwhile. */
-  async fit(added, held, quick) {
+  /** A fit: "smoothed", that with what is held out "predicted", or "refitted"; null if a newer one
+   * was asked for meanwhile. */
+  async fit(added, held, how) {
     const number = ++this.number;
     const study = this.study;
     const found = await this.post("fit", {
       window: WINDOW,
       number,
       added,
-      quick,
+      how,
       held: Object.fromEntries(held),
     });
     if (number !== this.number || study !== this.study || found.superseded) return null;
