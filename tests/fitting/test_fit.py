@@ -249,8 +249,9 @@ def test_unknown_effects_joints_and_doubles_are_one_clear_line(case):
         with pytest.raises(ValueError, match="whole number, at least one"):
             residyn.fit(made, starts=starts)
     for other in ("x.toml", made.recordings[0]):
-        with pytest.raises(TypeError, match=r"is no experiment: residyn\.load reads one"):
-            residyn.fit(other)
+        for call in (residyn.fit, residyn.diagnose, residyn.compare):
+            with pytest.raises(TypeError, match=r"is no experiment: residyn\.load reads one"):
+                call(other)
 
 
 def test_fitting_needs_no_setting_and_changes_none(case):

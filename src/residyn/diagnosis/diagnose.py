@@ -27,7 +27,7 @@ from ..fitting.multistart import descend, without_drift
 from ..fitting.problem import ready
 from ..fitting.result import Fit
 from ..physics.motion import Motion
-from ..recordings.experiment import Experiment
+from ..recordings.experiment import Experiment, must_be_experiment
 from ..runtime.memory import give_back
 from .candidate_tests import best_tests
 from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES, at_work
@@ -79,10 +79,11 @@ def diagnose(
 
     **Returns:** a `Diagnosis`: print it, or `to_dict()`.
 
-    **Raises:** `FitError` if no start led to finite numbers; `ValueError` for an effect that does
-    not exist or does not go with this experiment, a negative `max_effects`, or a `budget` that is
-    not positive.
+    **Raises:** `FitError` if no start led to finite numbers; `TypeError` for what is no experiment;
+    `ValueError` for an effect that does not exist or does not go with this experiment, a negative
+    `max_effects`, or a `budget` that is not positive.
     """
+    must_be_experiment(experiment)
     if max_effects < 0:
         raise ValueError(f"max_effects = {max_effects}: it cannot be negative")
     if starts < 1:

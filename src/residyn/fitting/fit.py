@@ -12,8 +12,7 @@ from typing import Any
 import jax
 
 from ..effects import AbstractEffect
-from ..errors import quote
-from ..recordings.experiment import Experiment
+from ..recordings.experiment import Experiment, must_be_experiment
 from .conclusion import finishing
 from .genetic import drawn, fit_genetic
 from .history import History, Watch, watched
@@ -71,15 +70,10 @@ def fit(
     **Returns:** a `Fit`.
 
     **Raises:** `FitError` if no start led to finite numbers; `TypeError` for what is no experiment;
-    `ValueError` for an effect that does
-    not exist or does not go with this experiment or this integrator; with "genetic",
-    `MissingExtra` without evosax.
+    `ValueError` for an effect that does not exist or does not go with this experiment or this
+    integrator; with "genetic", `MissingExtra` without evosax.
     """
-    if not isinstance(experiment, Experiment):
-        raise TypeError(
-            f"{quote(experiment)} is no experiment: residyn.load reads one from its file, "
-            "residyn.Experiment makes one of recordings"
-        )
+    must_be_experiment(experiment)
     say = progress or (lambda words: None)
     if integrator is not None:
         experiment = dataclasses.replace(experiment, integrator=integrator)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, inside
+from ..errors import InputError, inside, quote
 from ..files import decode, read_stream, read_text
 from ..physics.mechanism import AbstractMechanism
 from ..simulation.integrator import integrator_of
@@ -134,6 +134,15 @@ class Experiment:
         own = [line for recording in self.recordings for line in recording.warnings]
         doubts = (_in_degrees, _not_held_out, _twice, _no_load)
         return (*own, *(line for doubtful in doubts for line in doubtful(self)))
+
+
+def must_be_experiment(given: Any) -> None:
+    """**Raises:** `TypeError` for what is no experiment, such as the path of its file."""
+    if not isinstance(given, Experiment):
+        raise TypeError(
+            f"{quote(given)} is no experiment: residyn.load reads one from its file, "
+            "residyn.Experiment makes one of recordings"
+        )
 
 
 def load(path: str | os.PathLike[str]) -> Experiment:
