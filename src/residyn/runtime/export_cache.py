@@ -99,7 +99,7 @@ def kept(like: Any) -> Callable[[Callable], "Kept"]:
     return lambda function: Kept(function, like)
 
 
-_MOST = 32
+_MOST = 24
 """Programs that a process holds, 15 to 50 MB each: a diagnosis takes about 16. What is asked for
 again is in the cache."""
 _held: OrderedDict[tuple["Kept", Any], Callable] = OrderedDict()
