@@ -40,7 +40,7 @@ from .search import Tried
 SPLINES = 32
 """Of one curve."""
 WIDE = 4 * SPLINES
-"""Columns of one pass of the filter: one compiled program serves every pass."""
+"""Columns of one pass of the filter for several curves: two compiled programs serve every pass."""
 _ITERATIONS = 8
 _SETTLED = 0.1  # nats
 _NEAR, _FALL = 3, 2  # random torques looked at in an iteration, and that it may fall by
@@ -165,7 +165,8 @@ class Along:
         innovations with C torques (C, 3 K), N m, at one joint. The model may hold the first of them
         already, at strengths `held`: they are taken away from it."""
         K, count = self.scene.K, len(torques)
-        wide = np.zeros((WIDE * math.ceil(count / WIDE), 3, K))
+        room = SPLINES if count <= SPLINES else WIDE * math.ceil(count / WIDE)
+        wide = np.zeros((room, 3, K))
         wide[:count] = torques.reshape(count, 3, K)
         B = np.einsum("axk,cak->kxc", self._answers[:, :, joint], wide, optimize=True)
         read = -np.einsum("ik,ck->kic", self._pushed[:, joint], wide[:, 0])
