@@ -50,17 +50,11 @@ def diagnose(
     check_budget(budget)
     out = Work(json, report, table, found_file)
     loaded = out.begin(experiment, own, no_cache)
+    how = {"effects": effects or [], "max_effects": most, "starts": starts, "budget": budget}
     with computing() as say:
         from ..diagnosis import diagnose
 
-        found = diagnose(
-            loaded,
-            effects=effects or [],
-            max_effects=most,
-            starts=starts,
-            budget=budget,
-            progress=say,
-        )
+        found = diagnose(loaded, **how, progress=say)
     out.give(found, report_of(models(found, title(experiment)), diagnosis=found))
     if found.budget.stopped == "interrupted":
         raise typer.Exit(complain("interrupted: the best so far is above", INTERRUPTED))
@@ -83,18 +77,12 @@ def plan(
     check_budget(budget)
     out = Work(json)
     loaded = out.begin(experiment, own, no_cache)
+    how = {"effects": effects or [], "max_effects": most, "starts": starts, "budget": budget}
     with computing() as say:
         from ..diagnosis import diagnose
         from ..diagnosis import plan as planned
 
-        found = diagnose(
-            loaded,
-            effects=effects or [],
-            max_effects=most,
-            starts=starts,
-            budget=budget,
-            progress=say,
-        )
+        found = diagnose(loaded, **how, progress=say)
         result = planned(found, tests=tests, progress=say)
     out.give(result)
     if found.budget.stopped == "interrupted":
