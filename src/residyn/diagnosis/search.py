@@ -391,14 +391,9 @@ class Search:
 
     def _may_join(self, effect: AbstractEffect, trajectory: Trajectory) -> bool:
         """Whether an effect is not there, nor a law that it contains or that contains it."""
-        kinds = {e.label: e for e in trajectory.effects}
-        if effect.label in kinds:
-            return False
-        for present in trajectory.effects:
-            same = present.place == effect.place
-            if same and (present.extends == effect.name or effect.extends == present.name):
-                return False
-        return True
+        return effect.label not in trajectory.labels and not any(
+            nested(effect, present) for present in trajectory.effects
+        )
 
     def reduce(self, model: Tried) -> None:
         """Try a model without each of its effects but the last."""
@@ -412,6 +407,11 @@ class Search:
             (found,) = settle(self.scene, [start], intensity, self.deadline)
             if found is not None:
                 self._keep(rest, *found)
+
+
+def nested(a: AbstractEffect, b: AbstractEffect) -> bool:
+    """Whether one of two effects is at the other's place and contains its law."""
+    return a.place == b.place and (a.extends == b.name or b.extends == a.name)
 
 
 def without(scene: Scene, trajectory: Trajectory, label: str) -> Trajectory:

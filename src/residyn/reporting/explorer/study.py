@@ -23,7 +23,7 @@ from ...diagnosis.forecast import HeldOut, held_out
 from ...diagnosis.linearised_fit import LinearisedFit, evaluated, polish
 from ...diagnosis.missing_torque import scene_of
 from ...diagnosis.result import Diagnosis
-from ...diagnosis.search import Search, Tried, settle, tried_alone
+from ...diagnosis.search import Search, Tried, nested, settle, tried_alone
 from ...effects import AbstractEffect
 from ...filtering.linearised import Linear
 from ...filtering.trajectory import Prior, Scene, Trajectory
@@ -138,14 +138,9 @@ class Study:
         own = {e.label: e for e in self.search.candidates}
         ranked = self.found.candidates if self.found else []
         likely = [c.effect for c in ranked if c.effect in own][:most]
-
-        def conflict(a: str, b: str) -> bool:
-            x, y = own[a], own[b]
-            return x.place == y.place and (x.extends == y.name or y.extends == x.name)
-
         found = [[x for x in added if x != less] for less in added]
         found += [
-            [*(x for x in added if not conflict(x, more)), more]
+            [*(x for x in added if not nested(own[x], own[more])), more]
             for more in likely
             if more not in added
         ]
