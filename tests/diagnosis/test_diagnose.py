@@ -3,6 +3,7 @@ by MuJoCo (tests/rig), which shares no code with the package; what decides is he
 forms in test_evidence.py."""
 
 import json
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -10,8 +11,10 @@ import pytest
 
 import residyn
 from residyn import effects
+from residyn.diagnosis.diagnose import Posterior
+from residyn.diagnosis.evidence import INTENSITIES
 from residyn.diagnosis.missing_torque import scene_of
-from residyn.diagnosis.search import Search
+from residyn.diagnosis.search import Search, Tried
 from residyn.physics.effect import JointEffect
 from residyn.physics.parameter import Dimension, param
 from residyn.recordings.tables import ArmTable
@@ -101,6 +104,33 @@ def test_dry_friction_is_named_at_its_joint_and_the_error_falls(friction):
     assert base.times_noise.max() > 3
     assert (last.times_noise < 1.1).all()
     assert last.held_out.held_out.ratio.max() < 1.3 < base.held_out.held_out.ratio.max()
+
+
+def test_the_next_experiment_is_for_two_explanations_that_cannot_be_told_apart(friction):
+    assert friction.next_experiment is None  # two laws of one family at one place: one explanation
+    known = [
+        effects.CoulombFriction("elbow"),
+        effects.StribeckFriction("elbow"),
+        effects.CubicStiffness("elbow"),
+    ]
+    friction_, excess, cubic = (e.label for e in known)
+
+    def rivals(nats):
+        logs = {(friction_,): 0.0, (excess,): -1.0, (cubic,): nats, (): -10.0}
+        tried = {
+            frozenset(added): Tried(
+                added, np.full(len(INTENSITIES), x), friction.search.best.best, 0
+            )
+            for added, x in logs.items()
+        }
+        search = SimpleNamespace(candidates=known, tried=tried, curves=[])
+        models, p = Posterior(search).rivals()  # pyright: ignore
+        return [m.added for m in models], p
+
+    models, p = rivals(-2.0)
+    assert models == [(friction_,), (cubic,)]
+    np.testing.assert_allclose(p[1] / p[0], np.exp(-2.0) / (1 + np.exp(-1.0)))
+    assert rivals(-4.0)[0] == [(friction_,)]
 
 
 def test_law_and_place_share_the_probability_of_their_family(friction):
