@@ -25,6 +25,8 @@ jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 hypothesis.settings.register_profile("untimed", deadline=None)
 hypothesis.settings.load_profile("untimed")
 
+gc.freeze()  # what is imported stays: every collection would go through all of it
+
 
 @pytest.fixture(scope="module", autouse=True)
 def forget():
@@ -39,3 +41,4 @@ def forget():
     jax.config.update("jax_compilation_cache_dir", str(CACHE))
     jax.clear_caches()
     gc.collect()
+    gc.freeze()
