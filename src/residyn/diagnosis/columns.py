@@ -514,16 +514,18 @@ def _signs(row: Column | Screened) -> list[bool]:
     return [signed(number) for number in strengths(row.effect)]
 
 
-def spectral_lines(scene: Scene, trajectory: Trajectory) -> list[float]:
-    """Strongest frequencies, Hz, of the joints' random torques in the longest recording: what
-    drives one joint may show at another one."""
+def spectral_lines(
+    scene: Scene, trajectory: Trajectory, known: Sequence[float] = ()
+) -> list[float]:
+    """Strongest frequencies, Hz, of the joints' random torques in the longest recording, beside
+    those that are known: what drives one joint may show at another one."""
     g = scene.grid
     own = max((g.of(i) for i in range(len(scene.recordings))), key=len)
     time = g.time[own]
     dt = float(np.median(g.step[own][:-1]))
     even = np.arange(time[0], time[-1], dt)
     span = even[-1] - even[0]
-    found: list[float] = []
+    found = list(known)
     for x in trajectory.torque[own].T:
         x = np.interp(even, time, x)
         f = np.fft.rfftfreq(4 * len(even), dt)
@@ -532,7 +534,7 @@ def spectral_lines(scene: Scene, trajectory: Trajectory) -> list[float]:
         for _ in range(CONTENDERS):
             line = float(max(f[np.argmax(power)], 0.5 / span))
             power[np.abs(f - line) < 2.0 / span] = 0
-            if all(abs(line - known) >= 1.0 / span for known in found):
+            if all(abs(line - other) >= 1.0 / span for other in found):
                 found.append(line)
     return found
 
@@ -545,8 +547,7 @@ def extended(scene: Scene, trajectory: Trajectory, prior_of, found: Screened) ->
     values, phase = list(found.regressors), 0.0
     if effect.oscillates:
         values, phase = [math.hypot(*values)], math.atan2(values[1], values[0])
-    # Dry friction is found from above: where it never holds a joint, no slope says that it might.
-    least = 1.0 if effect.dry else 0.02
+    least = 0.02
     numbers, strong = np.array(prior.mean), iter(values)
     numbers[first:] = [found.shape.get(x.field, 1.0) for x in own]
     u = np.zeros(scene.regressors(effects))
