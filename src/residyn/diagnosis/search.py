@@ -28,7 +28,7 @@ from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import FitError
 from ..runtime.memory import give_back
 from ..runtime.parallel import side_by_side
-from .columns import Columns, Screen, candidates, extended, spectral_lines
+from .columns import Columns, Screen, Screened, candidates, extended, spectral_lines
 from .evidence import (
     CONTENDERS,
     EXPLAINS_NOTHING,
@@ -161,8 +161,8 @@ class _Step:
         """Done if the model is hopelessly behind the best evidence of any, and still would be if
         all iterations to come raised it by as much as the last one. Their steps shrink by half at
         least where they converge at all."""
-        behind = best - HOPELESS - self.evidences.max()
-        return dataclasses.replace(self, done=self.done or behind > max(0.0, self.rise))
+        over = self.evidences.max() + max(0.0, self.rise) < best - HOPELESS
+        return dataclasses.replace(self, done=self.done or over)
 
     def next(self, scene: Scene, last: bool) -> "_Step | None":
         """One Gauss-Newton step: the evidences of the model where it is, near the random torque
@@ -222,6 +222,10 @@ class _Descent(_Step):
     """(P,) the last one, whole, of the numbers in standard errors; empty at the first."""
     best: tuple[Trajectory | None, ...] = (None,) * len(INTENSITIES)
     """(I,) the motions that the evidences are of: of those that have settled, the likeliest."""
+
+    def unless_hopeless(self, best: float) -> "_Step":
+        """Itself: loud torques hide what sticks from the evidence."""
+        return self
 
     def next(self, scene: Scene, last: bool) -> "_Step | None":
         t, linear = self.trajectory, scene.linearised(self.trajectory)
@@ -361,6 +365,9 @@ class Search:
         self.tried: dict[frozenset[str], Tried] = {}
         self.lines: list[float] = []
         """Frequencies, Hz, that a disturbance may have."""
+        self.passed: dict[frozenset[str], Tried] = {}
+        """Models that were not iterated, for to first order they have next to no part: as their
+        parents, with the evidence that the first order gives."""
         self.curves: list[Any] = []
         """`law.CurveModel`s: models with a law that has no name."""
         self.stopped: str | None = None
@@ -388,6 +395,13 @@ class Search:
         if known is None or found.log_posterior > known.log_posterior:
             self.tried[frozenset(added)] = found
 
+    def _pass(self, parent: Tried, row: Screened) -> None:
+        added = (*parent.added, row.effect.label)
+        prior = log_prior_model(len(added), len(self.candidates))
+        self.passed[frozenset(added)] = Tried(
+            added, parent.evidences + row.gain, parent.best, prior
+        )
+
     def run(self, most: int) -> None:
         """Add effects, `most` at most, until no model beats the one that there is, or as long as
         the likeliest explains anything of the motion. Ctrl-C and the deadline end it with what
@@ -408,7 +422,7 @@ class Search:
                 extended.add(best)
                 self.reduce(self.best)
             if self.best.intensity >= EXPLAINS_NOTHING:  # then no name says anything
-                self.tried = {frozenset(): self.base}
+                self.tried, self.passed = {frozenset(): self.base}, {}
         except KeyboardInterrupt:
             self.stopped = "interrupted"
         except OutOfTime:
@@ -451,14 +465,18 @@ class Search:
             price = log_prior_model(m, n) - log_prior_model(m + 1, n)
             worth = price + math.log(IN_PLAY)
             chosen = {k: s for k, s in chosen.items() if s.gain > worth}
+            for s in ranked:
+                if s.effect.label not in chosen:
+                    self._pass(parent, s)
         if not chosen:
             return
         self.say(f"weighing {len(chosen)} candidates")
-        starts = [extended(self.scene, trajectory, prior_of, s) for s in chosen.values()]
+        rows = [*chosen.values(), *(s for s in screen.blind if s.effect.label in chosen)]
+        starts = [extended(self.scene, trajectory, prior_of, s) for s in rows]
         results = settle(self.scene, starts, intensity, self.deadline)
-        for label, found in zip(chosen, results, strict=True):
+        for row, found in zip(rows, results, strict=True):
             if found is not None:
-                self._keep((*parent.added, label), *found)
+                self._keep((*parent.added, row.effect.label), *found)
 
     def screening_motion(self, model: Tried) -> tuple[Trajectory, float]:
         """The motion that candidates are screened along, and its random torque: the likeliest, or
