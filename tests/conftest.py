@@ -1,6 +1,7 @@
 """Compiled programs are kept between tests and runs: compiling is most of what a test costs."""
 
 import gc
+import os
 from pathlib import Path
 
 import hypothesis
@@ -10,11 +11,15 @@ import pytest
 from residyn import effects
 from residyn.runtime.settings import quick_loops
 
+# XLA's older emitter of kernels compiles in two thirds of the time, and tests mostly compile.
+EMITTER = "--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters=true"
+os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {EMITTER}".strip()
 quick_loops()  # the rest of `set_up` would switch float64 on, for which tests ask one by one
 CACHE = Path(__file__).parents[1] / ".pytest_cache" / "jax"
 
 jax.config.update("jax_compilation_cache_dir", str(CACHE))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 # No test is timed: a machine may be busy.
 hypothesis.settings.register_profile("untimed", deadline=None)

@@ -116,9 +116,11 @@ def in_new_process(code, **options):
 def test_help_loads_neither_jax_nor_matplotlib():
     end = in_new_process(
         "import sys, residyn.cli\n"
-        "for words in ([], ['--help'], ['fit', '--help'], ['--version'], ['fit', '--no-such']):\n"
+        "commands = 'fit', 'compare', 'diagnose', 'inertia', 'unload', 'race', 'simulate'\n"
+        "helps = [[command, '--help'] for command in commands]\n"
+        "for words in ([], ['--help'], *helps, ['--version'], ['fit', '--no-such']):\n"
         "    residyn.cli.main(words)\n"
-        "heavy = {'jax', 'matplotlib', 'diffrax', 'equinox', 'jinja2'} & set(sys.modules)\n"
+        "heavy = {'jax', 'scipy', 'matplotlib', 'equinox', 'jinja2'} & set(sys.modules)\n"
         "assert not heavy, heavy\n"
     )
     assert end.returncode == 0, end.stderr

@@ -26,11 +26,13 @@ def base(**change):
     return model
 
 
-def recorded(label=None, values=None, seconds=10.0, seed=0):
-    """A release with one hidden effect, or none."""
-    rng = np.random.default_rng(seed)
-    hidden = [] if label is None else [rig.Hidden(label, values)]
-    return rig.record(rng, ARM, [0.25, -0.2], hidden, seconds=seconds, noise=NOISE)
+FRICTION = rig.Hidden("coulomb_friction:elbow", {"torque": 0.15})
+
+
+def recorded(*hidden, seconds=10.0, rate=100.0):
+    """A release with some effects hidden."""
+    rng = np.random.default_rng(0)
+    return rig.record(rng, ARM, [0.25, -0.2], hidden, seconds=seconds, rate=rate, noise=NOISE)
 
 
 def as_recording(case, keep=slice(None), angle=None):
@@ -40,7 +42,13 @@ def as_recording(case, keep=slice(None), angle=None):
 
 @pytest.fixture(scope="module")
 def friction():
-    return recorded("coulomb_friction:elbow", {"torque": 0.15})
+    return recorded(FRICTION)
+
+
+@pytest.fixture(scope="module")
+def found(friction):
+    """What springs and dampers alone lack."""
+    return missing_torque(base(), as_recording(friction))
 
 
 def agreement(found, case, joint):
@@ -60,8 +68,7 @@ def agreement(found, case, joint):
     return np.corrcoef(tau, true)[0, 1], np.mean(np.abs(tau - true) <= 1.96 * std)
 
 
-def test_it_finds_a_step_of_friction_at_its_joint(friction):
-    found = missing_torque(base(), as_recording(friction))
+def test_it_finds_a_step_of_friction_at_its_joint(friction, found):
     correlation, held = agreement(found, friction, 1)
     # A step is smoothed over the random torque's correlation time, a radian of the ringing.
     assert correlation > 0.9
@@ -86,26 +93,26 @@ def test_lost_uneven_and_wild_samples_do_not_spoil_it(friction):
     angle[wild, 1] += 40 * NOISE * rng.choice([-1.0, 1.0], 5)
     spoilt = as_recording(friction, keep, angle)
     bad = residyn.recording.wild_samples(spoilt.time, spoilt.angle, NOISE)
-    found = missing_torque(base(), spoilt, wild=bad)
-    correlation, held = agreement(found, friction, 1)
+    seen = missing_torque(base(), spoilt, wild=bad)
+    correlation, held = agreement(seen, friction, 1)
     assert correlation > 0.9
     assert held > 0.95
 
 
-def test_springs_and_dampers_are_not_bent_to_stand_in_for_it(friction):
+def test_springs_and_dampers_are_not_bent_to_stand_in_for_it(friction, found):
     """The model's numbers are estimated beside the torque: it does not matter where they start."""
-    found, bent = (missing_torque(m, as_recording(friction)) for m in (base(), base(elbow=0.97)))
+    bent = missing_torque(base(elbow=0.97), as_recording(friction))
     np.testing.assert_allclose(bent.torque, found.torque, atol=0.05 * found.rms.max())
 
 
-def test_the_model_that_has_the_effect_lacks_nothing(friction):
+def test_the_model_that_has_the_effect_lacks_nothing(friction, found):
     model = base() + residyn.CoulombFriction("elbow", 0.15)
-    found = missing_torque(model, as_recording(friction))
-    without = missing_torque(base(), as_recording(friction))
-    assert found.rms[1] < 0.3 * without.rms[1]
+    left = missing_torque(model, as_recording(friction))
+    assert left.rms[1] < 0.3 * found.rms[1]
 
 
-def test_the_right_effect_draws_the_curve(friction):
+def test_the_right_effect_draws_the_curve():
+    friction = recorded(FRICTION, seconds=6.0, rate=80.0)  # as in test_diagnose: no program more
     table = residyn.recording.ArmTable((ARM.l1, ARM.l2), ARM.shoulder, ARM.elbow, ARM.coupling)
     with jax.enable_x64(True):
         scene, effects, _ = scene_of(residyn.Experiment(table, (as_recording(friction),)), ())

@@ -3,10 +3,7 @@
 import dataclasses
 import json
 import math
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import jax
@@ -696,12 +693,3 @@ def test_command_says_what_is_wrong_in_one_line(command, text, words, says):
     assert err.count("\n") == 1
     for each in says:
         assert each in err
-
-
-def test_help_is_instant():
-    code = (
-        "import sys, residyn.cli; residyn.cli.main(['unload', '--help']);"
-        "assert not {'jax', 'scipy', 'equinox'} & set(sys.modules)"
-    )
-    environment = {**os.environ, "COLUMNS": "80"}
-    subprocess.run([sys.executable, "-c", code], check=True, env=environment, capture_output=True)

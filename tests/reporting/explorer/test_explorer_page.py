@@ -24,11 +24,22 @@ from residyn.reporting.explorer import page
 from residyn.reporting.explorer.hidden import hide_one
 from residyn.reporting.explorer.payload import Drawn, packed, payload
 from residyn.reporting.explorer.study import Study
+from residyn.runtime.export_cache import keep_in
 from tests.chromium import complaints, driver, until
 
 FRICTION = "coulomb_friction:elbow"
 SMOOTH = "cubic_stiffness:elbow"
 NASTY = "<img src=x onerror=document.title='out'></script>.csv"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def programs(tmp_path_factory):
+    """A cache that the server's process shares with this one."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        residyn.set_up()
+        yield
+    keep_in(None)
 
 
 @pytest.fixture(scope="module")
