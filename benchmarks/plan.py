@@ -150,7 +150,7 @@ def next_release(way, experiment, found: Posterior, rng) -> tuple[float, list[fl
     """Elbow angle at rest and angles at release, rad."""
     limits, present = experiment.limits, experiment.recordings[0].theta2
     if way == "planned":
-        models, p, _ = in_play(found.models, found.each)
+        models, p, _ = in_play(found.models, found.of_tried)
         test = best_tests(experiment, found.search.scene, models, p).tests[0]
         assert test.theta2 is not None
         return test.theta2, list(test.release.values())
@@ -208,7 +208,7 @@ def orbit(seed: int, i: int) -> dict[str, Any]:
 def bands(on: residyn.Experiment, way: str, alone: str | None, effects=()) -> dict[str, Any]:
     """95 % bands of each mode's frequency and damping ratio without bearings."""
     found = weighed(on, MOST_EFFECTS, effects)
-    models, p, _ = in_play(found.models, found.each)
+    models, p, _ = in_play(found.models, found.of_tried)
     bare = []
     for rival in (Rival.of(found.search.scene, m) for m in models):
         off = without_bearings(on, rival.model, on.recordings[0])

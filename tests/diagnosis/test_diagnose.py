@@ -123,7 +123,7 @@ def test_the_next_experiment_is_for_two_explanations_that_cannot_be_told_apart(f
             )
             for added, x in logs.items()
         }
-        search = SimpleNamespace(candidates=known, tried=tried, curves=[])
+        search = SimpleNamespace(candidates=known, tried=tried, passed={}, curves=[])
         models, p = Posterior(search).rivals()  # pyright: ignore
         return [m.added for m in models], p
 
@@ -139,8 +139,8 @@ def test_law_and_place_share_the_probability_of_their_family(friction):
     members = dict(friction.families[0].members)
     assert {"coulomb_friction:elbow", "stribeck_friction:elbow"} <= set(members)
     assert all(members[label] == by_name[label] for label in members)
-    # The two are never in one model: their shares add up.
-    assert sum(members.values()) == pytest.approx(friction.families[0].probability)
+    # Two laws of one family are next to never in one model: their shares add up.
+    assert sum(members.values()) == pytest.approx(friction.families[0].probability, abs=1e-3)
 
 
 def test_what_the_model_still_lacks_is_small_beside_the_spring(friction):

@@ -297,9 +297,8 @@ def posterior(each):
     }
     best = max(tried.values(), key=lambda m: m.log_posterior)
     base = tried[frozenset()]
-    return Posterior(
-        SimpleNamespace(tried=tried, base=base, best=best, candidates=NAMES, screens={}, curves=[])
-    )
+    known = {"tried": tried, "passed": {}, "base": base, "best": best, "candidates": NAMES}
+    return Posterior(SimpleNamespace(**known, screens={}, curves=[]))
 
 
 def in_a_complete_model(found, label):

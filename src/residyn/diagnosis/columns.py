@@ -58,6 +58,8 @@ from .evidence import (
     width_of,
 )
 
+_NOTHING = 1e-6  # of the prior's information on a strength: readings that say less say nothing
+
 
 def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
     """Effects of the catalogue that could be missing from a model, at every place where they can
@@ -467,9 +469,16 @@ class Screen:
         self.rows, self.weights, self.base_means = rows, weights, base_means
         self.grams = np.asarray(grams)
         best: dict[str, list[Screened]] = {}
+        self.blind: list[Screened] = []
+        """Shapes at which a law does nothing along this motion, so that no slope says what it would
+        do along its own: a brake that slips once, before the motion that is left shows it. With
+        strengths of a prior width."""
+        informed = self.grams.diagonal(axis1=1, axis2=2).max(0)[1:]
         for row, (gain, u) in zip(rows, self._gains([[row] for row in rows]), strict=True):
             found = Screened(row.effect, gain, row.shape, u, row.which, row.states)
             best.setdefault(row.effect.label, []).append(found)
+            if informed[list(row.which)].max() < _NOTHING:
+                self.blind.append(found._replace(regressors=np.ones(len(row.which))))
         ranked = []
         for each in best.values():
             gains = np.array([s.gain for s in each])
@@ -514,16 +523,18 @@ def _signs(row: Column | Screened) -> list[bool]:
     return [signed(number) for number in strengths(row.effect)]
 
 
-def spectral_lines(scene: Scene, trajectory: Trajectory) -> list[float]:
-    """Strongest frequencies, Hz, of the joints' random torques in the longest recording: what
-    drives one joint may show at another one."""
+def spectral_lines(
+    scene: Scene, trajectory: Trajectory, known: Sequence[float] = ()
+) -> list[float]:
+    """Strongest frequencies, Hz, of the joints' random torques in the longest recording, beside
+    those that are known: what drives one joint may show at another one."""
     g = scene.grid
     own = max((g.of(i) for i in range(len(scene.recordings))), key=len)
     time = g.time[own]
     dt = float(np.median(g.step[own][:-1]))
     even = np.arange(time[0], time[-1], dt)
     span = even[-1] - even[0]
-    found: list[float] = []
+    found = list(known)
     for x in trajectory.torque[own].T:
         x = np.interp(even, time, x)
         f = np.fft.rfftfreq(4 * len(even), dt)
@@ -532,7 +543,7 @@ def spectral_lines(scene: Scene, trajectory: Trajectory) -> list[float]:
         for _ in range(CONTENDERS):
             line = float(max(f[np.argmax(power)], 0.5 / span))
             power[np.abs(f - line) < 2.0 / span] = 0
-            if all(abs(line - known) >= 1.0 / span for known in found):
+            if all(abs(line - other) >= 1.0 / span for other in found):
                 found.append(line)
     return found
 
@@ -545,8 +556,7 @@ def extended(scene: Scene, trajectory: Trajectory, prior_of, found: Screened) ->
     values, phase = list(found.regressors), 0.0
     if effect.oscillates:
         values, phase = [math.hypot(*values)], math.atan2(values[1], values[0])
-    # Dry friction is found from above: where it never holds a joint, no slope says that it might.
-    least = 1.0 if effect.dry else 0.02
+    least = 0.02
     numbers, strong = np.array(prior.mean), iter(values)
     numbers[first:] = [found.shape.get(x.field, 1.0) for x in own]
     u = np.zeros(scene.regressors(effects))

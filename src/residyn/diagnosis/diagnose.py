@@ -306,10 +306,14 @@ class Posterior:
     def __init__(self, search: Search):
         self.search = search
         self.models, self.curves = list(search.tried.values()), search.curves
-        logs = np.array([m.log_posterior for m in [*self.models, *self.curves]])
+        passed = [m for added, m in search.passed.items() if added not in search.tried]
+        self.named = [*self.models, *passed]
+        """With those that are known to first order only."""
+        logs = np.array([m.log_posterior for m in [*self.named, *self.curves]])
         each = np.exp(logs - logsumexp(logs))
-        self.each, self.of_curves = np.split(each / each.sum(), [len(self.models)])
+        self.each, self.of_curves = np.split(each / each.sum(), [len(self.named)])
         """Probability of each model with names only, and of each with a free curve."""
+        self.of_tried = self.each[: len(self.models)]
         verdict = self.verdict()[0]
         chosen = {"adequate": False, "missing": True}.get(verdict)
         self.best: Tried = max(
@@ -325,7 +329,7 @@ class Posterior:
         """Probability that one of these effects is at work: that of all models which have one,
         less what may be of a torque of no catalogue that they only take up a part of."""
         wanted, certain = set(labels), at_work()
-        models, each = [*self.models, *self.curves], [*self.each, *self.of_curves]
+        models, each = [*self.named, *self.curves], [*self.each, *self.of_curves]
         return float(sum(
             p * np.dot(model.weights, certain)
             for model, p in zip(models, each, strict=True)
@@ -335,7 +339,7 @@ class Posterior:
     def verdict(self) -> tuple[Verdict, float]:
         """The likeliest of the three, and its probability."""
         sums = {"adequate": 0.0, "missing": 0.0, "unexplained": 0.0}
-        for model, p in zip(self.models, self.each, strict=True):
+        for model, p in zip(self.named, self.each, strict=True):
             complete = model.complete
             sums["missing" if model.added else "adequate"] += p * complete
             sums["unexplained"] += p * (1.0 - complete)

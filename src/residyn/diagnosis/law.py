@@ -23,6 +23,7 @@ from ..physics.motion import JointMotion
 from ..runtime.json import number
 from .evidence import (
     CONTENDERS,
+    HOPELESS,
     IN_PLAY,
     INDISTINGUISHABLE,
     INTENSITIES,
@@ -59,7 +60,7 @@ def curve_models(search: Search) -> list[CurveModel]:
             (s.log_evidence + prior, parent.added, trajectory, s, intensity, prior) for s in each
         ]
     found.sort(key=lambda f: -f[0])
-    least = max(best.log_posterior, found[0][0]) - 2 * INDISTINGUISHABLE
+    least = max(best.log_posterior, found[0][0]) - HOPELESS
     kept = [settle_curve(scene, *f[1:]) for f in found[:CONTENDERS] if f[0] > least]
     models = [m for m in kept if m is not None]
     top = max([best, *models], key=lambda m: m.log_posterior).log_posterior

@@ -101,9 +101,9 @@ def plan(
         raise ValueError("this diagnosis has not kept its search: diagnose again to plan tests")
     with jax.enable_x64(True):
         posterior = Posterior(found.search)
-        models, p, left_out = in_play(posterior.models, posterior.each)
+        models, p, left_out = in_play(posterior.models, posterior.of_tried)
         say(f"comparing tests for {len(models)} models")
-        done = settled(posterior.each)
+        done = settled(posterior.of_tried)
         ranking = None if done else best_tests(
             found.fits.whole, found.search.scene, models, p, tests
         )  # fmt: skip

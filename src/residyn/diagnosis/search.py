@@ -14,7 +14,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -28,7 +28,7 @@ from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import FitError
 from ..runtime.memory import give_back
 from ..runtime.parallel import side_by_side
-from .columns import Columns, Screen, candidates, extended, spectral_lines
+from .columns import Columns, Screen, Screened, candidates, extended, spectral_lines
 from .evidence import (
     CONTENDERS,
     EXPLAINS_NOTHING,
@@ -44,10 +44,14 @@ from .evidence import (
     prior_of,
 )
 
-_ITERATIONS = 16  # of one model, at the most
+_ITERATIONS = 20  # of one model, at the most
 _NEAR = 4  # random torques at which a model is judged while it moves
-_FALL = 2  # steps of the grid that the random torque may fall by in an iteration
+_FALL = 2  # steps of the grid that the random torque may fall by
 _SETTLED = 0.1  # nats
+_ROUGH = 1.0  # nats by which kinks make an evidence fall and rise where it is highest
+_HALVED = 4  # times that a step is halved, at the most
+_FINER = 5.0  # how much closer they come without a random torque
+_HERE = 6  # iterations at one random torque, at the most
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -109,11 +113,14 @@ def settle(
     Linearised along its motion, a model has an evidence under every random torque; the next motion
     is smoothed under the likeliest one, which falls by a decade an iteration at the most, from
     `loudest`: the readings lead first, the model last. Where a joint or a brake sticks, loud
-    torques hide it from the model that has it; there, all are gone through down to none, and the
-    likeliest is sought from below.
+    torques hide it from the model that has it; there, each is gone through down to none and has
+    the evidence of its own motion (graduated optimisation: Blake and Zisserman, Visual
+    Reconstruction, 1987).
     """
     first = next(k for k, x in enumerate(INTENSITIES) if x <= loudest)
-    steps: list[_Step | None] = [_Step.of(t, first) for t in starts]
+    steps: list[_Step | None] = [
+        _Descent(t, first) if _sticks(t) else _Step(t, first - _FALL) for t in starts
+    ]
     for turn in range(_ITERATIONS):
         if time.perf_counter() > deadline:
             raise OutOfTime
@@ -125,77 +132,151 @@ def settle(
         for i, step in zip(moving, side_by_side(work), strict=True):
             steps[i] = step
         best = max((s.evidences.max() for s in steps if s is not None), default=-math.inf)
-        steps = [s and s._replace(done=s.done or s.behind(best)) for s in steps]
+        steps = [s and s.unless_hopeless(best) for s in steps]
     return [s and (s.evidences, s.trajectory) for s in steps]
 
 
-class _Step(NamedTuple):
+def _unknown() -> np.ndarray:
+    return np.full(len(INTENSITIES), -np.inf)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Step:
     """Where the iteration of a model is."""
 
     trajectory: Trajectory
     level: int
-    """Index of the random torque of the last smoothing."""
-    descends: bool
-    """Whether it goes through louder torques on its way to none."""
-    settling: int = 0
-    """Iterations since."""
-    evidences: np.ndarray = np.full(len(INTENSITIES), -np.inf)
+    """Index of the random torque of the next smoothing, or of one louder by `_FALL`."""
+    evidences: np.ndarray = dataclasses.field(default_factory=_unknown)
     """(I,) of the motion before the last smoothing, -inf where not known."""
+    rise: float = math.inf
+    """Of the highest of them, nats, in the last iteration."""
     done: bool = False
+    back: Trajectory | None = None
+    """The motion before the last smoothing, which the evidences are of."""
+    halved: int = 0
+    """How often the step from there was."""
 
-    @classmethod
-    def of(cls, t: Trajectory, first: int) -> "_Step":
-        """The beginning, with the loudest random torque `first`."""
-        descends = _sticks(t) and first < len(INTENSITIES) - 1
-        return cls(t, first if descends else first - _FALL, descends)
-
-    def behind(self, best: float) -> bool:
-        """Whether the model is hopelessly behind the best evidence of any."""
-        return self.settling > 2 and self.evidences.max() < best - HOPELESS
-
-    @property
-    def share(self) -> float:
-        """How much of a Gauss-Newton step is taken. Where something sticks turns on the motion
-        itself, and whole steps swing to and fro: successive averages converge (Robbins and Monro,
-        Annals of Mathematical Statistics 22, 1951)."""
-        return 2.0 / (4.0 + self.settling) if _sticks(self.trajectory) else 1.0
+    def unless_hopeless(self, best: float) -> "_Step":
+        """Done if the model is hopelessly behind the best evidence of any, and still would be if
+        all iterations to come raised it by as much as the last one. Their steps shrink by half at
+        least where they converge at all."""
+        over = self.evidences.max() + max(0.0, self.rise) < best - HOPELESS
+        return dataclasses.replace(self, done=self.done or over)
 
     def next(self, scene: Scene, last: bool) -> "_Step | None":
         """One Gauss-Newton step: the evidences of the model where it is, near the random torque
         that it has, and where they lead; all evidences where it ends. None where it runs away."""
         t, linear = self.trajectory, scene.linearised(self.trajectory)
-        level, settling, known, done = self.level + 1, 0, self.evidences, last
-        if not self.descends:
-            first = min(max(self.level - 1, 0), len(INTENSITIES) - _NEAR)
-            prior = log_prior_intensity(INTENSITIES)
-            known = self._evidences(scene, linear, np.arange(first, first + _NEAR))
+        first = min(max(self.level - 1, 0), len(INTENSITIES) - _NEAR)
+        prior = log_prior_intensity(INTENSITIES)
+        known = _evidences(scene, t, linear, np.arange(first, first + _NEAR))
+        likeliest = int(np.argmax(known + prior))
+        if likeliest == first > 0:  # it may be a louder one
+            known = _evidences(scene, t, linear, np.arange(len(INTENSITIES)))
             likeliest = int(np.argmax(known + prior))
-            if likeliest == first > 0:  # it may be a louder one
-                known = self._evidences(scene, linear, np.arange(len(INTENSITIES)))
-                likeliest = int(np.argmax(known + prior))
-            if not np.isfinite(known).any():
-                return None
-            level, settling = min(likeliest, max(self.level, 0) + _FALL), self.settling + 1
-            change = abs(known[level] - self.evidences[level])
-            done |= level == self.level and bool(change < _SETTLED * self.share)
-        if done:
-            known = self._evidences(scene, linear, np.arange(len(INTENSITIES)))
-        moved = scene.smoothed(t, linear, INTENSITIES[level], self.share)
-        if moved is None:
+        fall = self.evidences.max() - known.max()
+        if not fall < _SETTLED and self.back is not None:
+            return self._shorter(scene, last or fall < _ROUGH)
+        if not np.isfinite(known).any():
             return None
-        descends = self.descends and level < len(INTENSITIES) - 1
-        return _Step(moved, level, descends, settling, known, done)
+        level = min(likeliest, max(self.level, 0) + _FALL)
+        change = abs(known[level] - self.evidences[level])
+        done = last or (level == self.level and bool(change < _SETTLED))
+        if done:
+            known = _evidences(scene, t, linear, np.arange(len(INTENSITIES)))
+        moved = scene.smoothed(t, linear, INTENSITIES[level])
+        rise = known.max() - self.evidences.max()
+        return moved and _Step(moved, level, known, rise, done, back=t)
 
-    def _evidences(self, scene: Scene, linear: Linear, levels: np.ndarray) -> np.ndarray:
-        """(I,) log evidences, -inf at other levels."""
-        found = np.full(len(INTENSITIES), -np.inf)
-        t = self.trajectory
-        for i in range(0, len(levels), _NEAR):  # one program for few and for all
-            some = levels[np.minimum(np.arange(i, i + _NEAR), len(levels) - 1)]
-            each = scene.evidences(t, linear, np.array(INTENSITIES)[some])
-            known = each.log_evidence + half_normals(t.effects, t.prior, each)
-            found[some] = np.where(np.isfinite(known), known, -np.inf)
-        return found
+    def _shorter(self, scene: Scene, last: bool) -> "_Step":
+        """Half the way back to the motion before: evidence falls along the whole of a step where
+        the model bends more than its slopes say (backtracking; Nocedal and Wright, Numerical
+        Optimization, 2006, ch. 3)."""
+        there, back = self.trajectory, self.back
+        assert back is not None
+        if last or self.halved == _HALVED:
+            linear = scene.linearised(back)
+            known = _evidences(scene, back, linear, np.arange(len(INTENSITIES)))
+            return dataclasses.replace(self, evidences=known, done=True)
+        halfway = dataclasses.replace(
+            there, u=(there.u + back.u) / 2, path=(there.path + back.path) / 2
+        )
+        return dataclasses.replace(self, trajectory=halfway, halved=self.halved + 1)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Descent(_Step):
+    """Where the iteration of a model is in which something sticks.
+
+    Turns on the motion itself, so that whole steps swing about the end. Half steps, and shorter
+    ones after each reversal, converge (Kesten, Annals of Mathematical Statistics 29, 1958). The
+    random torque falls when no number moves by a standard error any more.
+    """
+
+    here: int = 0
+    """Iterations at this random torque."""
+    reversals: int = 0
+    """How many of them went against the one before."""
+    before: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    """(P,) the last one, whole, of the numbers in standard errors; empty at the first."""
+    best: tuple[Trajectory | None, ...] = (None,) * len(INTENSITIES)
+    """(I,) the motions that the evidences are of: of those that have settled, the likeliest."""
+
+    def unless_hopeless(self, best: float) -> "_Step":
+        """Itself: loud torques hide what sticks from the evidence."""
+        return self
+
+    def next(self, scene: Scene, last: bool) -> "_Step | None":
+        t, linear = self.trajectory, scene.linearised(self.trajectory)
+        share, P = 1.0 / (2.0 + self.reversals), len(t.prior.mean)
+        moved = scene.smoothed(t, linear, INTENSITIES[self.level], share)
+        if moved is None:
+            return self._ended(scene)
+        step = (moved.u - t.u)[:P] / share / np.sqrt(np.diag(moved.covariance)[:P])
+        against = len(self.before) > 0 and bool(step @ self.before < 0)
+        lowest = self.level == len(INTENSITIES) - 1
+        size = np.abs(step).max() * (_FINER if lowest else 1.0)
+        settled = last or self.here + 1 == _HERE or size < 1.0
+        found = dataclasses.replace(
+            self,
+            trajectory=moved,
+            here=self.here + 1,
+            reversals=self.reversals + against,
+            before=step,
+        )
+        if not (settled or lowest):
+            return found
+        here, before = _evidences(scene, t, linear, np.arange(len(INTENSITIES))), self.evidences
+        best = tuple(t if x > y else b for x, y, b in zip(here, before, self.best, strict=True))
+        known = np.maximum(here, before)
+        found = dataclasses.replace(
+            found, evidences=known, best=best, rise=known.max() - before.max()
+        )
+        if not settled and np.isfinite(here).any():
+            return found
+        if last or lowest or not here[self.level :].max() > known.max() - HOPELESS:
+            return found._ended(scene)
+        level = min(self.level + _FALL, len(here) - 1)
+        return _Descent(moved, level, known, found.rise, best=best)
+
+    def _ended(self, scene: Scene) -> "_Step | None":
+        """At the likeliest random torque."""
+        level = int(np.argmax(self.evidences + log_prior_intensity(INTENSITIES)))
+        t = self.best[level]
+        found = t and scene.smoothed(t, scene.linearised(t), INTENSITIES[level])
+        return found and _Step(found, level, self.evidences, done=True)
+
+
+def _evidences(scene: Scene, t: Trajectory, linear: Linear, levels: np.ndarray) -> np.ndarray:
+    """(I,) log evidences of a model at some random torques, -inf at others."""
+    found = _unknown()
+    for i in range(0, len(levels), _NEAR):  # one program for few and for all
+        some = levels[np.minimum(np.arange(i, i + _NEAR), len(levels) - 1)]
+        each = scene.evidences(t, linear, np.array(INTENSITIES)[some])
+        known = each.log_evidence + half_normals(t.effects, t.prior, each)
+        found[some] = np.where(np.isfinite(known), known, -np.inf)
+    return found
 
 
 def _sticks(t: Trajectory) -> bool:
@@ -282,6 +363,11 @@ class Search:
         self.fixed = tuple(e.label for e in base)
         self.candidates = candidates(scene, self.fixed)
         self.tried: dict[frozenset[str], Tried] = {}
+        self.lines: list[float] = []
+        """Frequencies, Hz, that a disturbance may have."""
+        self.passed: dict[frozenset[str], Tried] = {}
+        """Models that were not iterated, for to first order they have next to no part: as their
+        parents, with the evidence that the first order gives."""
         self.curves: list[Any] = []
         """`law.CurveModel`s: models with a law that has no name."""
         self.stopped: str | None = None
@@ -309,6 +395,13 @@ class Search:
         if known is None or found.log_posterior > known.log_posterior:
             self.tried[frozenset(added)] = found
 
+    def _pass(self, parent: Tried, row: Screened) -> None:
+        added = (*parent.added, row.effect.label)
+        prior = log_prior_model(len(added), len(self.candidates))
+        self.passed[frozenset(added)] = Tried(
+            added, parent.evidences + row.gain, parent.best, prior
+        )
+
     def run(self, most: int) -> None:
         """Add effects, `most` at most, until no model beats the one that there is, or as long as
         the likeliest explains anything of the motion. Ctrl-C and the deadline end it with what
@@ -329,7 +422,7 @@ class Search:
                 extended.add(best)
                 self.reduce(self.best)
             if self.best.intensity >= EXPLAINS_NOTHING:  # then no name says anything
-                self.tried = {frozenset(): self.base}
+                self.tried, self.passed = {frozenset(): self.base}, {}
         except KeyboardInterrupt:
             self.stopped = "interrupted"
         except OutOfTime:
@@ -343,9 +436,10 @@ class Search:
             self.say(f"screening {len(self.candidates)} candidates")
             if self._ready is not None:
                 self._ready.result()
-            lines = spectral_lines(self.scene, trajectory)
+            # A model with little random torque shows no line in it, however wrong it is.
+            self.lines = spectral_lines(self.scene, trajectory, self.lines)
             effects = [e for e in self.candidates if self._may_join(e, trajectory)]
-            columns = Columns(self.scene, trajectory, effects, lines)
+            columns = Columns(self.scene, trajectory, effects, self.lines)
             # The likeliest random torque, one a decade below it, and none.
             used = sorted({intensity, 0.1 * intensity, 0.0}, reverse=True)
             self.screens[key] = columns.screen(used)
@@ -371,14 +465,18 @@ class Search:
             price = log_prior_model(m, n) - log_prior_model(m + 1, n)
             worth = price + math.log(IN_PLAY)
             chosen = {k: s for k, s in chosen.items() if s.gain > worth}
+            for s in ranked:
+                if s.effect.label not in chosen:
+                    self._pass(parent, s)
         if not chosen:
             return
         self.say(f"weighing {len(chosen)} candidates")
-        starts = [extended(self.scene, trajectory, prior_of, s) for s in chosen.values()]
+        rows = [*chosen.values(), *(s for s in screen.blind if s.effect.label in chosen)]
+        starts = [extended(self.scene, trajectory, prior_of, s) for s in rows]
         results = settle(self.scene, starts, intensity, self.deadline)
-        for label, found in zip(chosen, results, strict=True):
+        for row, found in zip(rows, results, strict=True):
             if found is not None:
-                self._keep((*parent.added, label), *found)
+                self._keep((*parent.added, row.effect.label), *found)
 
     def screening_motion(self, model: Tried) -> tuple[Trajectory, float]:
         """The motion that candidates are screened along, and its random torque: the likeliest, or

@@ -133,7 +133,7 @@ def over_models(
     """Step 3 over the models that a search leaves in play; `inertia` is the covariance (3, 3) of
     step 1."""
     posterior, scene = Posterior(search), search.scene
-    models, p, left_out = in_play(posterior.models, posterior.each)
+    models, p, left_out = in_play(posterior.models, posterior.of_tried)
     say(f"taking the bearings off {len(models)} models")
     rivals = [Rival.of(scene, m) for m in models]
     errors = [errors_of(scene, r, inertia) for r in rivals]
