@@ -1,8 +1,8 @@
-"""Tables of the documentation, one command each; loops are compiled as commands have them."""
+"""Tables of the documentation, one command each; programs are compiled as in commands."""
 
 import contextlib
 
 with contextlib.suppress(ImportError):  # PySINDy runs where residyn is not installed
-    from residyn.runtime.settings import quick_loops
+    from residyn.runtime.settings import set_compiler_options
 
-    quick_loops()
+    set_compiler_options()

@@ -1,7 +1,6 @@
 """Compiled programs are kept between tests and runs: compiling is most of what a test costs."""
 
 import gc
-import os
 from pathlib import Path
 
 import hypothesis
@@ -9,12 +8,9 @@ import jax
 import pytest
 
 from residyn import effects
-from residyn.runtime.settings import quick_loops
+from residyn.runtime.settings import set_compiler_options
 
-# XLA's older emitter of kernels compiles in two thirds of the time, and tests mostly compile.
-EMITTER = "--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters=true"
-os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {EMITTER}".strip()
-quick_loops()  # the rest of `set_up` would switch float64 on, for which tests ask one by one
+set_compiler_options()  # the rest of `set_up` sets float64, for which tests ask one by one
 CACHE = Path(__file__).parents[1] / ".pytest_cache" / "jax"
 
 jax.config.update("jax_compilation_cache_dir", str(CACHE))

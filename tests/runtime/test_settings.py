@@ -31,9 +31,10 @@ def test_importing_sets_nothing():
     assert told("residyn.fit") == ["", False, None]
 
 
-def test_float64_quick_loops_and_a_cache(tmp_path):
+def test_float64_compiler_options_and_a_cache(tmp_path):
     flags, wide, folder = told("residyn.set_up()", XDG_CACHE_HOME=str(tmp_path))
     assert "small_while_loop" in flags
+    assert "new_fusion_emitters" in flags
     assert wide
     assert folder == str(tmp_path / "residyn")
 
@@ -47,8 +48,12 @@ def test_flags_of_the_user_stay():
     own = "--xla_force_host_platform_device_count=2"
     flags, _, _ = told("residyn.set_up(cache=False)", XLA_FLAGS=own)
     assert flags.startswith(own + " ")
-    chosen = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=0"
-    assert told("residyn.set_up(cache=False)", XLA_FLAGS=chosen)[0] == chosen
+    chosen = "xla_cpu_small_while_loop_byte_threshold=0"
+    here = f"--xla_backend_extra_options={chosen}"
+    flags, _, _ = told("residyn.set_up(cache=False)", XLA_FLAGS=here)
+    assert flags.count("small_while_loop") == 1
+    both = f"{here},xla_cpu_disable_new_fusion_emitters=false"
+    assert told("residyn.set_up(cache=False)", XLA_FLAGS=both)[0] == both
 
 
 def test_loops_as_one_kernel_compute_the_same():
