@@ -375,7 +375,7 @@ class Columns:
     def _part(self, group, wanted, frequencies, shape_of):
         """The columns of some effects by one program."""
         scene, t = self.scene, self.trajectory
-        most = CONTENDERS * scene.n
+        most = 2 * CONTENDERS * scene.n  # lines of two motions, see `spectral_lines`
         members: dict[str, list[AbstractEffect]] = {}
         for effect in group:
             members.setdefault(law_name(effect), []).append(effect)

@@ -66,7 +66,7 @@ class Tried:
     """At the likeliest of them."""
     log_prior: float
 
-    @property
+    @functools.cached_property
     def log_evidence(self) -> float:
         """The random torque summed over."""
         return over_intensities(self.evidences, INTENSITIES)
@@ -76,7 +76,7 @@ class Tried:
         """Not normalised."""
         return self.log_evidence + self.log_prior
 
-    @property
+    @functools.cached_property
     def weights(self) -> np.ndarray:
         """(I,) posterior of the random torque's intensity, given the model."""
         each = self.evidences + log_prior_intensity(INTENSITIES)
@@ -364,7 +364,7 @@ class Search:
         self.candidates = candidates(scene, self.fixed)
         self.tried: dict[frozenset[str], Tried] = {}
         self.lines: list[float] = []
-        """Frequencies, Hz, that a disturbance may have."""
+        """Frequencies, Hz, in the random torque of the base model."""
         self.passed: dict[frozenset[str], Tried] = {}
         """Models that were not iterated, for to first order they have next to no part: as their
         parents, with the evidence that the first order gives."""
@@ -436,10 +436,12 @@ class Search:
             self.say(f"screening {len(self.candidates)} candidates")
             if self._ready is not None:
                 self._ready.result()
-            # A model with little random torque shows no line in it, however wrong it is.
-            self.lines = spectral_lines(self.scene, trajectory, self.lines)
+            # A model with little random torque shows no line in it, however wrong it is: the base
+            # model's, which is the loudest, stay.
+            lines = spectral_lines(self.scene, trajectory, self.lines)
+            self.lines = self.lines or lines
             effects = [e for e in self.candidates if self._may_join(e, trajectory)]
-            columns = Columns(self.scene, trajectory, effects, self.lines)
+            columns = Columns(self.scene, trajectory, effects, lines)
             # The likeliest random torque, one a decade below it, and none.
             used = sorted({intensity, 0.1 * intensity, 0.0}, reverse=True)
             self.screens[key] = columns.screen(used)

@@ -64,9 +64,13 @@ def state_slices(effects: Sequence[AbstractEffect]) -> list[slice]:
 
 def of_one_joint(effect: AbstractEffect) -> TypeGuard[JointEffect]:
     """Whether the effect's torque and states depend on the motion of its own joint alone."""
-    kind = type(effect)
+    return _of_one_joint(type(effect))
+
+
+@functools.cache
+def _of_one_joint(kind: type[AbstractEffect]) -> bool:
     return (
-        isinstance(effect, JointEffect)
+        issubclass(kind, JointEffect)
         and not kind.senses
         and kind.torque is JointEffect.torque
         and kind.rate is JointEffect.rate
@@ -277,6 +281,20 @@ def whole_law(effect: AbstractEffect, mechanism, q, v, t, z, step, spread, numbe
     return own.torque(motion, mechanism), level, rates
 
 
+def _with_slopes(f, count: int):
+    """Value and derivatives in the first so many arguments of a function of one instant."""
+
+    def at(*args):
+        def twice(*args):
+            value = f(*args)
+            return value, value
+
+        slopes, value = jax.jacfwd(twice, argnums=tuple(range(count)), has_aux=True)(*args)
+        return value, *slopes
+
+    return at
+
+
 def along_joint(effect: Any, room: tuple[int, int], q, v, t, z, numbers) -> Slopes:
     """`joint_law` (r = 2 + m) at N instants: `q`, `v`, `t` (N,), `z` (m, N), `numbers` (p,); `room`
     (m, p)."""
@@ -287,9 +305,8 @@ def along_joint(effect: Any, room: tuple[int, int], q, v, t, z, numbers) -> Slop
         return _rows((torque, level, *rates), 2 + room[0])
 
     def one(q, v, t, z):
-        args = q, v, z, numbers, t
-        by_q, by_v, by_z, by_u = jax.jacfwd(at, argnums=(0, 1, 2, 3))(*args)
-        return Slopes(at(*args), by_q[:, None], by_v[:, None], by_z, by_u)
+        value, by_q, by_v, by_z, by_u = _with_slopes(at, 4)(q, v, z, numbers, t)
+        return Slopes(value, by_q[:, None], by_v[:, None], by_z, by_u)
 
     return jax.vmap(one, in_axes=(0, 0, 0, -1), out_axes=-1)(q, v, t, z)
 
@@ -304,8 +321,7 @@ def along_whole(effect, room: tuple[int, int], mechanism, q, v, t, z, step, spre
         return _rows((*torques, *levels, *rates), 2 * q.shape[0] + room[0])
 
     def one(q, v, t, z, step, spread, mechanism):
-        args = q, v, z, numbers, t, step, spread, mechanism
-        return Slopes(at(*args), *jax.jacfwd(at, argnums=(0, 1, 2, 3))(*args))
+        return Slopes(*_with_slopes(at, 4)(q, v, z, numbers, t, step, spread, mechanism))
 
     axes = -1, -1, 0, -1, 0, -1, 0
     return jax.vmap(one, in_axes=axes, out_axes=-1)(q, v, t, z, step, spread, mechanism)
@@ -325,9 +341,8 @@ def along_follow(effect, room: tuple[int, int], j, q, v, t, z, numbers, mechanis
         return _rows(tuple(own.follow(motion, mechanism)), room[0])
 
     def one(q, v, t, z, mechanism):
-        args = q, z, numbers, t, v, mechanism
-        by_q, by_z, by_u = jax.jacfwd(at, argnums=(0, 1, 2))(*args)
-        return Slopes(at(*args), by_q, jnp.zeros_like(by_q), by_z, by_u)
+        value, by_q, by_z, by_u = _with_slopes(at, 3)(q, z, numbers, t, v, mechanism)
+        return Slopes(value, by_q, jnp.zeros_like(by_q), by_z, by_u)
 
     return jax.vmap(one, in_axes=(-1, -1, 0, -1, 0), out_axes=-1)(q, v, t, z, mechanism)
 
@@ -345,10 +360,10 @@ def along_readings(effect, mechanism, angle, numbers):
         return stack(with_numbers(effect, u[:count]).delays(mechanism))
 
     def one(angle):
-        return at(angle, numbers), *jax.jacfwd(at, argnums=(0, 1))(angle, numbers)
+        return _with_slopes(at, 2)(angle, numbers)
 
     seen = jax.vmap(one, in_axes=-1, out_axes=-1)(angle)
-    return *seen, late(numbers), jax.jacfwd(late)(numbers)
+    return *seen, *_with_slopes(late, 1)(numbers)
 
 
 def states_along(effect: Any, numbers, mechanism, q, v, t, h, anew, z0):

@@ -102,9 +102,16 @@ def kept(like: Any) -> Callable[[Callable], "Kept"]:
 _MOST = 24
 """Programs that a process holds, 15 to 50 MB each: a diagnosis takes about 16. What is asked for
 again is in the cache."""
-_held: OrderedDict[tuple["Kept", Any], Callable] = OrderedDict()
+_held: OrderedDict[tuple["Kept", Any], "_Program"] = OrderedDict()
 """The programs of this process, the last used one last."""
 _lock = threading.Lock()
+
+
+class _Program:
+    """A compiled program, once somebody has needed it."""
+
+    def __init__(self):
+        self.lock, self.call = threading.Lock(), None
 
 
 class Kept:
@@ -123,22 +130,23 @@ class Kept:
         arrays = [x for x in leaves if eqx.is_array(x)]
         if any(isinstance(x, jax.Array) and len(x.devices()) > 1 for x in arrays):
             return self._plain(*args)
-        key = self, _key(leaves, structure)
+        key = self, (*_key(leaves, structure), _devices(arrays))
         with _lock:
-            program = _held.get(key)
-            if program is not None:
-                _held.move_to_end(key)
-        if program is None:
-            program = self._found(_cache, args, arrays, key[1])
-            with _lock:
-                _held[key] = program
-                gone = [_held.popitem(last=False) for _ in range(len(_held) - _MOST)]
-            if gone:
-                del gone
-                gc.collect()
-        return jax.tree.unflatten(self._out, program(*arrays))
+            program = _held.setdefault(key, _Program())
+            _held.move_to_end(key)
+            gone = [_held.popitem(last=False) for _ in range(len(_held) - _MOST)]
+        if gone:
+            del gone
+            gc.collect()
+        with program.lock:
+            if program.call is None:
+                found = self._found(_cache, args, arrays, key[1][:-1])
+                # Ahead of the call: by itself JAX would compile once more for arrays that another
+                # exported program has returned, which it takes for bound to their device.
+                program.call = found.lower(*arrays).compile()
+        return jax.tree.unflatten(self._out, program.call(*arrays))
 
-    def _found(self, cache: Cache, args, arrays, key) -> Callable:
+    def _found(self, cache: Cache, args, arrays, key) -> Any:
         """The program for these inputs, as it was kept, or traced and kept now."""
         words = _words(key[0], [x for x in key[1] if not isinstance(x, tuple)])
         if words is None:
@@ -178,6 +186,13 @@ def _key(leaves, structure) -> tuple:
     """All that tells one program of a function from another one."""
     told = tuple(_array(x) if eqx.is_array(x) else x for x in leaves)
     return structure, told, jax.config.jax_enable_x64, jax.default_backend()  # pyright: ignore
+
+
+def _devices(arrays) -> frozenset:
+    """Where a program with these inputs runs."""
+    bound = (x for x in arrays if isinstance(x, jax.Array) and x.committed)
+    default = jax.config.jax_default_device or jax.devices()[0]  # pyright: ignore
+    return frozenset(device for x in bound for device in x.devices()) or frozenset([default])
 
 
 def _array(x) -> tuple:
