@@ -241,6 +241,14 @@ def test_a_refit_by_the_smoother_is_the_fit_where_nothing_sticks(study, added):
     assert study.predicted(added) == pytest.approx(study.held_out(added, fit), rel=0.1)
 
 
+def test_a_refit_ends_at_its_next_step_where_nobody_waits_for_it_any_more(study):
+    steps = iter([None])
+    with pytest.raises(StopIteration):
+        study.refit(["gravity"], lambda: next(steps))
+    assert frozenset(["gravity"]) not in study.refits
+    assert study.refit(["gravity"]) is not None
+
+
 def test_what_is_hidden_shows_and_is_not_told(study):
     with jax.enable_x64(True):
         made, effect = hide_one(study, np.random.default_rng(1))

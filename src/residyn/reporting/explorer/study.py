@@ -38,8 +38,12 @@ from .first_order import FirstOrder, first_order
 _STEPS = 12  # of Gauss and Newton, at the most
 _WHOLE = 2  # steps that are whole where a joint may stick, before they are averaged
 _SETTLED = 0.2  # standard errors: a last step that moves no number by more
-_NEAR = 0.01  # of the error: the same where a joint may stick, which swings about its end
+_NEAR = 0.01  # of the error: the same of a whole step where a joint may stick, and swings
 _WORSE = 1.02  # of chi-square: with an effect more, a minimum above this is another one's
+
+
+def _go_on() -> None:
+    """Nothing else to do between two steps."""
 
 
 class Silent(NamedTuple):
@@ -132,17 +136,15 @@ class Study:
         """Candidates, by name."""
         return tuple(s.effect.label for s in self.screen.ranked)
 
-    def neighbours(self, added: Sequence[str], most: int) -> list[frozenset[str]]:
-        """Models with one effect less, and with one more of the so many most probable ones, which
-        takes the place of laws that it contains or that contain it."""
+    def neighbours(self, added: Sequence[str], more: Sequence[str]) -> list[frozenset[str]]:
+        """Models with one effect less, and with one more of some, which takes the place of laws
+        that it contains or that contain it."""
         own = {e.label: e for e in self.search.candidates}
-        ranked = self.found.candidates if self.found else []
-        likely = [c.effect for c in ranked if c.effect in own][:most]
         found = [[x for x in added if x != less] for less in added]
         found += [
-            [*(x for x in added if not nested(own[x], own[more])), more]
-            for more in likely
-            if more not in added
+            [*(x for x in added if not nested(own[x], own[new])), new]
+            for new in more
+            if new not in added
         ]
         return list(map(frozenset, found))
 
@@ -189,42 +191,40 @@ class Study:
 
     # -- by the smoother, without compiling anything ------------------------------------------
 
-    def refit(self, added: Sequence[str]) -> Refit | None:
+    def refit(self, added: Sequence[str], go_on: Callable[[], None] = _go_on) -> Refit | None:
         """The base model and some candidates by least squares: Gauss and Newton on the whole
-        motion, from the first order, with the programs that the screen has used. None if that does
-        not settle.
+        motion, from the likeliest model that is known and part of it, with the programs that the
+        screen has used. None if that does not settle. `go_on` is called before each step.
 
-        **Raises:** `ValueError` for what is no candidate.
+        **Raises:** `ValueError` for what is no candidate; what `go_on` raises.
         """
         key = frozenset(added)
         self._check(key)
         if key not in self.refits:
             with jax.enable_x64(True):
-                self.refits[key] = self._refitted(key, tuple(added))
+                self.refits[key] = self._refitted(tuple(added), go_on)
         return self.refits[key]
 
-    def predicted(self, added: Sequence[str]) -> np.ndarray | None:
+    def predicted(
+        self, added: Sequence[str], go_on: Callable[[], None] = _go_on
+    ) -> np.ndarray | None:
         """(n,) errors over the noise of a `refit` on what was held out; None where that does not
         settle. Of check recordings only the first states are fitted; last thirds are predicted from
         the rest.
 
-        **Raises:** `ValueError` for what is no candidate.
+        **Raises:** as `refit`.
         """
-        key, found = frozenset(added), self.refit(added)
+        key, found = frozenset(added), self.refit(added, go_on)
         if found is None:
             return None
         if key not in self.predictions:
             with jax.enable_x64(True):
-                self.predictions[key] = self._predicted(found.path)
+                self.predictions[key] = self._predicted(found.path, go_on)
         return self.predictions[key]
 
-    def _refitted(self, key: frozenset[str], added: tuple[str, ...]) -> Refit | None:
-        scene, known = self.search.scene, self.search.tried.get(key)
-        start = known.best if known else self._guessed(added).best
-        found = silent(scene, start)
-        if found is None and known is None:  # let the readings lead it to its own motion
-            (settled,) = settle(scene, [start], self.intensity)
-            found = None if settled is None else silent(scene, settled[1])
+    def _refitted(self, added: tuple[str, ...], go_on: Callable[[], None]) -> Refit | None:
+        scene = self.search.scene
+        found = silent(scene, self._near(added).best, go_on)
         if found is None:
             return None
         path, predicted, linear = found
@@ -233,17 +233,15 @@ class Study:
 
     def motion(self, added: Sequence[str]) -> Trajectory:
         """The motion of a model, as well as it is known."""
-        known, near = self.search.tried.get(frozenset(added)), self.refit(added)
-        if known is not None:  # where it sticks as it should
-            return known.best
-        return self._guessed(tuple(added)).best if near is None else near.path
+        known = self.search.tried.get(frozenset(added))  # where it sticks as it should
+        return (known or self._near(tuple(added))).best
 
     @functools.cached_property
     def base_torque(self) -> np.ndarray:
         """(K, n) what the base model resists with, N m."""
         return sum_of(self.search.scene.torques(self.search.base.best))
 
-    def _predicted(self, path: Trajectory) -> np.ndarray | None:
+    def _predicted(self, path: Trajectory, go_on: Callable[[], None]) -> np.ndarray | None:
         other, begin, counts = self.beside
         if begin is not None:
             numbers, room = path.numbers, len(path.first)
@@ -256,7 +254,7 @@ class Study:
             if any(e.memory for e in path.effects):  # of which nothing is known there
                 (led,) = settle(other, [path], INTENSITIES[0])
                 path = path if led is None else led[1]
-        found = silent(other, path)
+        found = silent(other, path, go_on)
         if found is None:
             return None
         measured = other if begin is not None else self.search.scene
@@ -315,11 +313,8 @@ class Study:
     def _fitted(self, added: tuple[str, ...], progress: Callable[[str], None] | None) -> Fit:
         known = self.search.tried.get(frozenset(added))
         if known is None:
-            near = self.refit(added)
-            known = self._guessed(added)
-            if near is not None:
-                none = np.where(np.array(INTENSITIES) == 0, 0.0, -np.inf)
-                known = dataclasses.replace(known, evidences=none, best=near.path)
+            self.refit(added)
+            known = self._near(added)
         found = self.least_squares.fitted(known, progress)
         if added:
             base = self.fits.get(frozenset())
@@ -330,19 +325,28 @@ class Study:
                 found = min(found, again, key=lambda f: f.reduced_chi2)
         return found
 
-    def _guessed(self, added: tuple[str, ...]) -> Tried:
-        """A model from the first order of its effects together."""
+    def _near(self, added: tuple[str, ...]) -> Tried:
+        """A model from what is known of it: the search's, or by least squares, or the likeliest
+        without a random torque of those that are part of it, with the other effects as the first
+        order has them together."""
+        key, none = frozenset(added), np.array(INTENSITIES) == 0
+        known = list(self.search.tried.values())
+        for part, refit in list(self.refits.items()):
+            if refit is not None:
+                here = np.where(none, refit.path.log_evidence, -np.inf)
+                known.append(Tried(tuple(part), here, refit.path, 0.0))
+        known = [t for t in known if key.issuperset(t.added)]
+        near = max(known, key=lambda t: (len(t.added) == len(key), t.evidences[-1]))
         rows = {s.effect.label: s for s in self.screen.ranked}
         chosen: list[Screened] = [rows[x] for x in added]
         _, means = self.screen.gain(chosen)
-        trajectory, first = self.loud, 0
+        trajectory, first = near.best, 0
         for s in chosen:
-            own = means[first : first + len(s.which)]
+            s = s._replace(regressors=means[first : first + len(s.which)])
             first += len(s.which)
-            s = s._replace(regressors=own)
-            trajectory = extended(self.search.scene, trajectory, prior_of, s)
-        here = np.where(np.array(INTENSITIES) == self.intensity, 0.0, -np.inf)
-        return Tried(added, here, trajectory, 0.0)
+            if s.effect.label not in near.added:
+                trajectory = extended(self.search.scene, trajectory, prior_of, s)
+        return dataclasses.replace(near, added=added, best=trajectory)
 
     def _holding(self, found: Fit, held: Mapping[str, float]) -> Fit:
         """A fit again, from where it is, with some numbers kept at given values."""
@@ -388,33 +392,32 @@ class Study:
         self.search.deadline = 0.0
 
 
-def silent(scene: Scene, path: Trajectory) -> Silent | None:
+def silent(scene: Scene, path: Trajectory, go_on: Callable[[], None] = _go_on) -> Silent | None:
     """A model without a random torque, from a motion near the readings: Gauss and Newton until the
-    numbers stand still. None where that does not settle.
+    numbers stand still. None where that does not settle. `go_on` is called before each step.
 
     Readings and torques are those of the last linearisation, moved by the last step. Where a joint
     may stick whole steps swing about the end, and averages of them converge to it.
     """
     sticks = any(e.dry or e.follows for e in path.effects)
-    before = np.full(scene.n, np.nan)
     for k in range(_STEPS):
+        go_on()
         share = 2.0 / (2.0 + k) if sticks and k >= _WHOLE else 1.0
         linear = scene.linearised(path)
         moved = scene.smoothed(path, linear, 0.0, share)
         if moved is None:
             return None
         system, change = linear.system, moved.path - path.path
-        predicted = np.asarray(linear.seen) + np.asarray(system.Hu) @ (moved.u - path.u)
-        predicted += np.einsum("kjx,kx->kj", np.asarray(system.Hx), change)
-        errors, count = times_noise(scene, predicted), len(moved.prior.mean)
-        std = np.sqrt(np.diag(moved.covariance)[:count]) * max(1.0, np.max(errors))
+        seen = np.asarray(linear.seen)
+        beyond = np.asarray(system.Hu) @ (moved.u - path.u)
+        beyond += np.einsum("kjx,kx->kj", np.asarray(system.Hx), change)
+        here, there = times_noise(scene, seen), times_noise(scene, seen + beyond / share)
+        count = len(moved.prior.mean)
+        std = np.sqrt(np.diag(moved.covariance)[:count]) * max(1.0, np.max(here))
         step = np.max(np.abs(moved.u - path.u)[:count] / std)
-        averaged = sticks and k >= _WHOLE + 3
-        if step < _SETTLED * share or (
-            averaged and np.allclose(errors, before, rtol=_NEAR * share)
-        ):
-            return Silent(moved, predicted, linear)
-        path, before = moved, errors
+        if step < _SETTLED * share or (share < 1 and np.allclose(there, here, rtol=_NEAR)):
+            return Silent(moved, seen + beyond, linear)
+        path = moved
     return None
 
 

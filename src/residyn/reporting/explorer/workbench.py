@@ -24,7 +24,6 @@ from .payload import fitted, packed, payload, refitted
 from .study import Study
 
 _IDLE = 2.0  # s without a question, after which fits ahead that compile are begun
-_AHEAD = 8  # effects: as many as the page shows first
 
 
 class How(enum.StrEnum):
@@ -61,6 +60,8 @@ class Workbench:
         """When somebody last asked for a fit, and how many wait for one."""
         self.looked_at: tuple[str, ...] = ()
         """The model that somebody looks at."""
+        self.shown: tuple[str, ...] = ()
+        """Effects whose chips are shown first, the most probable one first."""
         self.thread = threading.Thread(target=self._work, daemon=True)
         self.thread.start()
 
@@ -83,31 +84,37 @@ class Workbench:
 
     def _ahead(self, study: Study) -> None:
         """While nobody asks, fit what is likely to be asked for next: the model that somebody looks
-        at with one of the most probable effects more or less; by the smoother first."""
-        tried: set[frozenset[str]] = set()
+        at with one of the effects that are shown more or less; by the smoother first."""
+        failed: set[frozenset[str]] = set()
         while not self.stopped:
             time.sleep(0.05)
-            next_ = study.neighbours(self.looked_at, _AHEAD)
+            next_ = study.neighbours(self.looked_at, self.shown)
             if self.asking:
                 continue
-            for work, known in (study.refit, study.refits), (study.predicted, study.predictions):
-                todo = [k for k in next_ if k not in known and study.refits.get(k, True)]
-                if todo:
-                    work(sorted(todo[0]))
-                    break
-            else:
-                # What does not settle takes many starts: only if it is asked for.
-                todo = [k for k in next_ if k not in study.fits and k not in tried]
-                todo = [k for k in todo if study.refits[k]]
-                if not todo or time.monotonic() - self.asked < _IDLE:
-                    continue
-                tried.add(todo[0])
-                with contextlib.suppress(FitError, Superseded):
-                    study.fit(sorted(todo[0]), progress=self._go_on)
-                    study.predict(sorted(todo[0]))
-            self.version += 1
+            with contextlib.suppress(Superseded):
+                quick = [(study.refit, k) for k in next_ if k not in study.refits]
+                quick += [
+                    (study.predicted, k)
+                    for k in next_
+                    if study.refits.get(k) and k not in study.predictions
+                ]
+                if quick:
+                    work, key = quick[0]
+                    work(sorted(key), self._go_on)
+                else:
+                    # What does not settle first: it takes longest if somebody waits for it.
+                    todo = [k for k in next_ if k not in study.fits and k not in failed]
+                    todo.sort(key=lambda k: study.refits[k] is not None)
+                    if not todo or time.monotonic() - self.asked < _IDLE:
+                        continue
+                    try:
+                        study.fit(sorted(todo[0]), progress=self._go_on)
+                        study.predict(sorted(todo[0]))
+                    except FitError:
+                        failed.add(todo[0])
+                self.version += 1
 
-    def _go_on(self, words: str) -> None:
+    def _go_on(self, words: str = "") -> None:
         if self.stopped or self.asking:
             raise Superseded
 
@@ -130,6 +137,12 @@ class Workbench:
             "new": [] if self.files is None else self.files.new(),
         }
 
+    @staticmethod
+    def quick(study: Study, added: list[str], held: dict[str, float], how: How) -> bool:
+        """Whether an answer is there, or comes by programs that are."""
+        known = held or frozenset(added) in study.fits  # predicted, it needs a program of its own
+        return how is How.SMOOTHED or (how is How.PREDICTED and not known)
+
     def fit(
         self,
         study: Study,
@@ -144,8 +157,8 @@ class Workbench:
         self.asking += 1
         try:
             if how is not How.REFITTED and not held and frozenset(added) not in study.fits:
-                if how is How.PREDICTED:
-                    study.predicted(added)
+                work = study.refit if how is How.SMOOTHED else study.predicted
+                work(added, lambda: progress(""))
                 return {"fit": refitted(study, sorted(added))}
             found = study.fit(added, held, progress)
             if how is How.PREDICTED:
@@ -158,11 +171,11 @@ class Workbench:
             self.asking -= 1
 
     def look(self, words: str) -> None:
-        """Somebody looks at these effects, a JSON list."""
-        with contextlib.suppress(ValueError):
-            seen = json.loads(words)
-            if isinstance(seen, list) and self.study and set(seen) <= set(self.study.labels):
-                self.looked_at = tuple(seen)
+        """Somebody looks at some effects, and at chips of others: a JSON list of two."""
+        with contextlib.suppress(TypeError, ValueError):
+            seen, shown = map(tuple, json.loads(words))
+            if self.study and {*seen, *shown} <= set(self.study.labels):
+                self.looked_at, self.shown = seen, shown
 
     def stop(self) -> None:
         """End what is under way, at its next step."""

@@ -24,10 +24,13 @@ export class Chips {
       .map(([label]) => label);
   }
 
+  get first() {
+    return this.order.slice(0, MOST);
+  }
+
   /** `weighed(exact)`: whether a probability is worth showing yet. */
   draw(chosen, probabilities, weighed) {
-    const top = this.order.slice(0, MOST);
-    const shown = [...top, ...chosen.filter((x) => !top.includes(x))];
+    const shown = [...this.first, ...chosen.filter((x) => !this.first.includes(x))];
     const rest = this.order.filter((x) => !shown.includes(x)).sort();
     const focused = document.activeElement?.dataset?.effect;
     const chip = (label) => this.chip(label, chosen, probabilities.get(label), weighed);

@@ -8,8 +8,8 @@ const MOST_FILES = 3; // offered at a time
 export class News {
   /**
    * `page`: `learn(news)` takes what the search has added, `names(label)` an effect in words,
-   * `chosen()` what is on; `open(study, hidden)` shows another study; `hidden`: whether an effect
-   * is hidden in this one.
+   * `chosen()` what is on, `chips.first` what is shown first; `open(study, hidden)` shows another
+   * study; `hidden`: whether an effect is hidden in this one.
    */
   constructor(server, page, open, hidden) {
     Object.assign(this, { server, page, open, hidden });
@@ -37,7 +37,8 @@ export class News {
   }
 
   async once() {
-    const seen = encodeURIComponent(JSON.stringify(this.page.chosen()));
+    const { page } = this;
+    const seen = encodeURIComponent(JSON.stringify([page.chosen(), page.chips.first]));
     const state = await this.server.get(`state?seen=${seen}`);
     if (this.stopped) return;
     this.ended = !state.words;

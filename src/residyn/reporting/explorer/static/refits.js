@@ -35,7 +35,7 @@ export class Refits {
     for (const how of this.missing(known, held)) {
       const { model } = this.state.values;
       if (how === "predicted" && (model.how === "first order" || model.held_out)) continue;
-      if (how === "refitted" && model.how === "smoothed" && !this.models.sticks(chosen)) {
+      if (how === "refitted" && model.how === "smoothed") {
         await new Promise((resolve) => setTimeout(resolve, IDLE));
         if (asked !== this.asked) return;
       }
