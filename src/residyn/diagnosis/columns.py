@@ -58,8 +58,6 @@ from .evidence import (
     width_of,
 )
 
-_NOTHING = 1e-6  # of the prior's information on a strength: readings that say less say nothing
-
 
 def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
     """Effects of the catalogue that could be missing from a model, at every place where they can
@@ -469,16 +467,9 @@ class Screen:
         self.rows, self.weights, self.base_means = rows, weights, base_means
         self.grams = np.asarray(grams)
         best: dict[str, list[Screened]] = {}
-        self.blind: list[Screened] = []
-        """Shapes at which a law does nothing along this motion, so that no slope says what it would
-        do along its own: a brake that slips once, before the motion that is left shows it. With
-        strengths of a prior width."""
-        informed = self.grams.diagonal(axis1=1, axis2=2).max(0)[1:]
         for row, (gain, u) in zip(rows, self._gains([[row] for row in rows]), strict=True):
             found = Screened(row.effect, gain, row.shape, u, row.which, row.states)
             best.setdefault(row.effect.label, []).append(found)
-            if informed[list(row.which)].max() < _NOTHING:
-                self.blind.append(found._replace(regressors=np.ones(len(row.which))))
         ranked = []
         for each in best.values():
             gains = np.array([s.gain for s in each])

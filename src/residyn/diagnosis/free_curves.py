@@ -390,6 +390,8 @@ def settle(scene: Scene, added: tuple[str, ...], start: Trajectory, first: Scree
             return None
         if turn == _ITERATIONS - 1 or (likeliest == level and abs(here - before) < _SETTLED):
             found = posterior(along, place, INTENSITIES, heights)
+            if not np.isfinite(found.evidences).any():
+                return None
             share = _share(along, place, found.mean)
             own = found.mean, found.covariance, heights, share
             return CurveModel(added, found.evidences, t, log_prior, place, *own)

@@ -237,7 +237,8 @@ class _Descent(_Step):
         against = len(self.before) > 0 and bool(step @ self.before < 0)
         lowest = self.level == len(INTENSITIES) - 1
         size = np.abs(step).max() * (_FINER if lowest else 1.0)
-        settled = last or self.here + 1 == _HERE or size < 1.0
+        own = size < 1.0
+        settled = last or self.here + 1 == _HERE or own
         found = dataclasses.replace(
             self,
             trajectory=moved,
@@ -255,7 +256,8 @@ class _Descent(_Step):
         )
         if not settled and np.isfinite(here).any():
             return found
-        if last or lowest or not here[self.level :].max() > known.max() - HOPELESS:
+        hopeless = own and not here[self.level :].max() > known.max() - HOPELESS
+        if last or lowest or hopeless:
             return found._ended(scene)
         level = min(self.level + _FALL, len(here) - 1)
         return _Descent(moved, level, known, found.rise, best=best)
@@ -468,17 +470,16 @@ class Search:
             worth = price + math.log(IN_PLAY)
             chosen = {k: s for k, s in chosen.items() if s.gain > worth}
             for s in ranked:
-                if s.effect.label not in chosen:
+                if s.gain <= worth:
                     self._pass(parent, s)
         if not chosen:
             return
         self.say(f"weighing {len(chosen)} candidates")
-        rows = [*chosen.values(), *(s for s in screen.blind if s.effect.label in chosen)]
-        starts = [extended(self.scene, trajectory, prior_of, s) for s in rows]
+        starts = [extended(self.scene, trajectory, prior_of, s) for s in chosen.values()]
         results = settle(self.scene, starts, intensity, self.deadline)
-        for row, found in zip(rows, results, strict=True):
+        for label, found in zip(chosen, results, strict=True):
             if found is not None:
-                self._keep((*parent.added, row.effect.label), *found)
+                self._keep((*parent.added, label), *found)
 
     def screening_motion(self, model: Tried) -> tuple[Trajectory, float]:
         """The motion that candidates are screened along, and its random torque: the likeliest, or
