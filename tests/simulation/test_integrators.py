@@ -13,7 +13,9 @@ import pytest
 import residyn
 from residyn.cli import main
 from residyn.fitting import FitError
-from residyn.fitting.integration import checked
+from residyn.fitting.integration import checked, corrected
+from residyn.fitting.lanes import alone, evaluating
+from residyn.fitting.multistart import Descent
 from residyn.fitting.problem import Ready, ready
 from residyn.recordings.tables import InertiaTable
 from tests.exact import EXACT, IMPLICIT, LaggingDrag, dry_motion, error_of, recorded, two_joints
@@ -249,6 +251,27 @@ def test_the_error_of_coarse_steps_is_not_in_the_numbers(smooth, monkeypatch):
     # It could have moved the numbers by so many standard errors.
     assert fit.integration_error * math.sqrt(2 * len(TIME)) > 0.5
     assert off(fit, exact) < 0.02
+
+
+def test_a_correction_that_the_model_does_not_follow_is_not_made(usual):
+    with jax.enable_x64(True):
+        problem, y = usual.problem, usual.unknowns
+        here = alone(evaluating(problem, y))
+        cost = float(np.sum(here.along**2) + np.sum(here.beside**2))
+        wild = [~r.used for r in usual.recordings]
+        descent = Descent(usual.ready, problem, wild, y, here, cost, 1, True, 1, 1)
+        moved, times = [], 1.0
+
+        def evaluate(which, where):
+            found = yield from evaluating(which, where)
+            moved.append(where is not y)
+            return found._replace(beside=times * found.beside) if moved[-1] else found
+
+        for times in (1.0, 10.0):
+            moved.clear()
+            found, _ = alone(corrected(descent, usual.experiment.fit_recordings, evaluate))
+            assert moved == [False, True]
+            assert (found is descent) == (times == 10.0)
 
 
 def test_steps_that_are_too_coarse_are_refined_once_and_that_is_said(smooth, monkeypatch):

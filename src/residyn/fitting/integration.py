@@ -81,6 +81,8 @@ def corrected(
     if watch is not None:
         watch.descended(problem, there, 1)
     cost = float(np.sum(found.along**2) + np.sum(found.beside**2))
+    if not math.sqrt(cost) <= math.sqrt(descent.cost) + moved:  # it bends more than slopes say
+        return descent, error
     return descent._replace(unknowns=there, compressed=found, cost=cost), error
 
 
