@@ -300,7 +300,7 @@ def _tried(search: Search, model: CurveModel, found: FoundLaw) -> Tried | None:
     start = dataclasses.replace(before, effects=effects, prior=prior, u=u)
     loudest = INTENSITIES[max(INTENSITIES.index(model.intensity) - 2, 0)]
     try:
-        (ended,) = settle(scene, [start], loudest, search.deadline)
+        (ended,) = settle(scene, [start], loudest, search.in_time)
     except OutOfTime:
         return None
     if ended is None:

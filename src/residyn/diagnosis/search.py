@@ -105,10 +105,13 @@ class Tried:
 
 
 def settle(
-    scene: Scene, starts: Sequence[Trajectory], loudest: float, deadline: float = math.inf
+    scene: Scene,
+    starts: Sequence[Trajectory],
+    loudest: float,
+    go_on: Callable[[], None] = lambda: None,
 ) -> list[tuple[np.ndarray, Trajectory] | None]:
     """Iterate models side by side, each to its likeliest random torque and its own motion under it;
-    None for one that ran away, or fell hopelessly behind.
+    None for one that ran away, or fell hopelessly behind. `go_on` is called before each iteration.
 
     Linearised along its motion, a model has an evidence under every random torque; the next motion
     is smoothed under the likeliest one, which falls by a decade an iteration at the most, from
@@ -122,8 +125,7 @@ def settle(
         _Descent(t, first) if _sticks(t) else _Step(t, first - _FALL) for t in starts
     ]
     for turn in range(_ITERATIONS):
-        if time.perf_counter() > deadline:
-            raise OutOfTime
+        go_on()
         moving = [i for i, s in enumerate(steps) if s is not None and not s.done]
         if not moving:
             break
@@ -381,6 +383,11 @@ class Search:
         alone = tried_alone(scene, base)
         self._keep((), alone.evidences, alone.best)
 
+    def in_time(self) -> None:
+        """**Raises:** `OutOfTime` after the deadline."""
+        if time.perf_counter() > self.deadline:
+            raise OutOfTime
+
     @property
     def base(self) -> Tried:
         return self.tried[frozenset()]
@@ -476,7 +483,7 @@ class Search:
             return
         self.say(f"weighing {len(chosen)} candidates")
         starts = [extended(self.scene, trajectory, prior_of, s) for s in chosen.values()]
-        results = settle(self.scene, starts, intensity, self.deadline)
+        results = settle(self.scene, starts, intensity, self.in_time)
         for label, found in zip(chosen, results, strict=True):
             if found is not None:
                 self._keep((*parent.added, label), *found)
@@ -505,7 +512,7 @@ class Search:
                 continue
             trajectory, intensity = self.screening_motion(model)
             start = without(self.scene, trajectory, label)
-            (found,) = settle(self.scene, [start], intensity, self.deadline)
+            (found,) = settle(self.scene, [start], intensity, self.in_time)
             if found is not None:
                 self._keep(rest, *found)
 

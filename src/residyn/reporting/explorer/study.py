@@ -38,12 +38,9 @@ from .first_order import FirstOrder, first_order
 _STEPS = 12  # of Gauss and Newton, at the most
 _WHOLE = 2  # steps that are whole where a joint may stick, before they are averaged
 _SETTLED = 0.2  # standard errors: a last step that moves no number by more
-_NEAR = 0.01  # of the error: the same of a whole step where a joint may stick, and swings
+_NEAR = 0.01  # of the error: the same of a whole step where a joint may stick, which swings
+_SWING = 10.0  # standard errors: by which it moves the numbers that say least, at the most
 _WORSE = 1.02  # of chi-square: with an effect more, a minimum above this is another one's
-
-
-def _go_on() -> None:
-    """Nothing else to do between two steps."""
 
 
 class Silent(NamedTuple):
@@ -191,7 +188,7 @@ class Study:
 
     # -- by the smoother, without compiling anything ------------------------------------------
 
-    def refit(self, added: Sequence[str], go_on: Callable[[], None] = _go_on) -> Refit | None:
+    def refit(self, added: Sequence[str], go_on: Callable[[], None] = lambda: None) -> Refit | None:
         """The base model and some candidates by least squares: Gauss and Newton on the whole
         motion, from the likeliest model that is known and part of it, with the programs that the
         screen has used. None if that does not settle. `go_on` is called before each step.
@@ -206,7 +203,7 @@ class Study:
         return self.refits[key]
 
     def predicted(
-        self, added: Sequence[str], go_on: Callable[[], None] = _go_on
+        self, added: Sequence[str], go_on: Callable[[], None] = lambda: None
     ) -> np.ndarray | None:
         """(n,) errors over the noise of a `refit` on what was held out; None where that does not
         settle. Of check recordings only the first states are fitted; last thirds are predicted from
@@ -252,7 +249,7 @@ class Study:
                 path=np.concatenate([begin.path[:, :n], np.zeros((other.K, room))], axis=1),
             )  # fmt: skip
             if any(e.memory for e in path.effects):  # of which nothing is known there
-                (led,) = settle(other, [path], INTENSITIES[0])
+                (led,) = settle(other, [path], INTENSITIES[0], go_on)
                 path = path if led is None else led[1]
         found = silent(other, path, go_on)
         if found is None:
@@ -392,7 +389,9 @@ class Study:
         self.search.deadline = 0.0
 
 
-def silent(scene: Scene, path: Trajectory, go_on: Callable[[], None] = _go_on) -> Silent | None:
+def silent(
+    scene: Scene, path: Trajectory, go_on: Callable[[], None] = lambda: None
+) -> Silent | None:
     """A model without a random torque, from a motion near the readings: Gauss and Newton until the
     numbers stand still. None where that does not settle. `go_on` is called before each step.
 
@@ -414,8 +413,9 @@ def silent(scene: Scene, path: Trajectory, go_on: Callable[[], None] = _go_on) -
         here, there = times_noise(scene, seen), times_noise(scene, seen + beyond / share)
         count = len(moved.prior.mean)
         std = np.sqrt(np.diag(moved.covariance)[:count]) * max(1.0, np.max(here))
-        step = np.max(np.abs(moved.u - path.u)[:count] / std)
-        if step < _SETTLED * share or (share < 1 and np.allclose(there, here, rtol=_NEAR)):
+        step = np.max(np.abs(moved.u - path.u)[:count] / std) / share
+        swings = share < 1 and np.allclose(there, here, rtol=_NEAR)
+        if step < (_SWING if swings else _SETTLED):
             return Silent(moved, seen + beyond, linear)
         path = moved
     return None
