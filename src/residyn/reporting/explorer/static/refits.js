@@ -7,6 +7,7 @@ const WORKING = {
   smoothed: "refitting",
   predicted: "predicting what is held out",
   refitted: "refining",
+  alone: "the smoother does not settle: refitting by simulation, which takes some seconds",
 };
 
 export class Refits {
@@ -39,7 +40,8 @@ export class Refits {
         await new Promise((resolve) => setTimeout(resolve, IDLE));
         if (asked !== this.asked) return;
       }
-      this.state.set({ working: WORKING[how] });
+      const alone = how === "refitted" && model.how === "first order" && !held.size;
+      this.state.set({ working: WORKING[alone ? "alone" : how] });
       let found;
       try {
         found = await this.server.fit(chosen, held, how);

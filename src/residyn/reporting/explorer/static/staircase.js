@@ -27,7 +27,7 @@ export class Staircase {
         const size = sizes[i];
         const names = step.labels.map(this.nameOf);
         const name = names.length ? `+ ${listed(names)}` : "springs and dampers";
-        const tread = element("span", { class: "tread" });
+        const tread = element("span", { class: size === null ? "tread unknown" : "tread" });
         tread.style.height = `${size === null ? 6 : height(size)}px`;
         const how = step.model?.how === "first order" ? " (first order)" : "";
         return element(
