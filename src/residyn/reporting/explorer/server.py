@@ -132,7 +132,7 @@ class Explorer:
             held = {str(k): float(v) for k, v in asked.get("held", {}).items()}
         except (KeyError, TypeError, ValueError, AttributeError):
             return JSONResponse({"error": "a fit needs window, number, added and how"}, 400)
-        worker = self.quick_worker if bench.quick(study, added, held, how) else self.worker
+        worker = self.quick_worker if how is How.SMOOTHED else self.worker
 
         def work() -> dict[str, Any]:
             go_on = lambda words: worker.go_on(window, number)  # noqa: E731

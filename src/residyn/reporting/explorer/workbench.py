@@ -137,12 +137,6 @@ class Workbench:
             "new": [] if self.files is None else self.files.new(),
         }
 
-    @staticmethod
-    def quick(study: Study, added: list[str], held: dict[str, float], how: How) -> bool:
-        """Whether an answer is there, or comes by programs that are."""
-        known = held or frozenset(added) in study.fits  # predicted, it needs a program of its own
-        return how is How.SMOOTHED or (how is How.PREDICTED and not known)
-
     def fit(
         self,
         study: Study,

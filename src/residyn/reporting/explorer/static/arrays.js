@@ -32,8 +32,11 @@ function drawnValues(steps, width, scale) {
 export async function opened(message) {
   if (!message.tree) return message;
   const packed = Uint8Array.from(atob(message.bytes), (letter) => letter.charCodeAt(0));
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
+  const { readable, writable } = new DecompressionStream("deflate");
+  const writer = writable.getWriter(); // not by a Blob, which goes through another process
+  writer.write(packed);
+  writer.close();
+  const bytes = new Uint8Array(await new Response(readable).arrayBuffer());
   const walk = (x) => {
     if (Array.isArray(x)) return x.map(walk);
     if (x === null || typeof x !== "object") return x;

@@ -61,6 +61,7 @@ export class Page {
   follow() {
     const { state } = this;
     const { values } = state;
+    state.on(["chosen"], () => this.refits?.chosen()); // first: the server works while the page draws
     state.on(["model", "found"], () => this.drawModel());
     state.on(["chosen", "found"], () => this.drawChips());
     state.on(["model", "recording", "stretch"], () => {
@@ -94,7 +95,6 @@ export class Page {
       error: "",
       steps: seen ? steps : [...steps, { key, labels: chosen }],
     });
-    this.refits?.chosen();
   }
 
   toggle(label) {
