@@ -102,9 +102,9 @@ class Workbench:
                     work, key = quick[0]
                     work(sorted(key), self._go_on)
                 else:
-                    # What does not settle first: it takes longest if somebody waits for it.
+                    # Only what does not settle: a compilation, once begun, slows a click down.
                     todo = [k for k in next_ if k not in study.fits and k not in failed]
-                    todo.sort(key=lambda k: study.refits[k] is not None)
+                    todo = [k for k in todo if study.refits[k] is None]
                     if not todo or time.monotonic() - self.asked < _IDLE:
                         continue
                     try:
