@@ -2,6 +2,8 @@
 by MuJoCo (tests/rig), which shares no code with the package; what decides is held against closed
 forms in test_evidence.py."""
 
+import dataclasses
+import importlib
 import json
 from types import SimpleNamespace
 
@@ -131,6 +133,18 @@ def test_the_next_experiment_is_for_two_explanations_that_cannot_be_told_apart(f
     assert models == [(friction_,), (cubic,)]
     np.testing.assert_allclose(p[1] / p[0], np.exp(-2.0) / (1 + np.exp(-1.0)))
     assert rivals(-4.0)[0] == [(friction_,)]
+
+
+def test_a_model_fits_no_worse_than_one_that_it_contains(friction, monkeypatch):
+    """Also where its descent begins with springs so stiff that no phase is right."""
+    tried = next(t for t in friction.search.tried.values() if t.added == friction.added)
+    lost = dataclasses.replace(tried.best, u=tried.best.u + 3.0 * (tried.best.u != 0))
+    module = importlib.import_module("residyn.diagnosis.diagnose")
+    monkeypatch.setattr(module, "silenced", lambda scene, t, intensity: lost)
+    with jax.enable_x64(True):
+        again = friction.fits.fitted(tried)
+    assert again.model.labels == friction.fit.model.labels
+    assert again.reduced_chi2 < 1.02 * friction.base.reduced_chi2
 
 
 def test_law_and_place_share_the_probability_of_their_family(friction):

@@ -5,13 +5,14 @@ squares then gives the numbers of the models on the way, their standard errors, 
 error on readings that were fitted and on readings that were not.
 """
 
+import contextlib
 import dataclasses
 import datetime
 import math
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +20,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ..effects import AbstractEffect
-from ..filtering.law import number_slices, numbers_of
+from ..filtering.law import number_slices, numbers_of, state_slices
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import DEFAULT_STARTS, FitError, fit
 from ..fitting.conclusion import finish, with_held_out
@@ -49,6 +50,7 @@ from .search import Search, Tried, silenced
 
 MOST_EFFECTS = 3
 """How many effects are added unless it is told otherwise."""
+_WORSE = 1.02  # of chi-square: what a descent may end above a minimum by
 _CURVES = 2  # rivals whose curves are drawn beside the missing torque
 
 
@@ -123,6 +125,8 @@ class Fits:
         self.experiment, self.wild, self.cut = experiment, wild, False
         self.lock, self._pool = threading.Lock(), ThreadPoolExecutor(2)
         self._begun: dict[Tried, Future[Fit]] = {}
+        self.known: list[Fit] = []
+        """Of the fitted recordings: a model that contains the effects of another fits no worse."""
 
     def begin(self, tried: Tried) -> "Future[Fit]":
         """Fit one model, in another thread."""
@@ -138,6 +142,8 @@ class Fits:
         return self.begin(tried).result()
 
     def _of(self, tried: Tried) -> Fit:
+        before = list(self._begun.items())
+        wait([f for t, f in before if set(t.added) < set(tried.added)])
         with jax.enable_x64(True):  # JAX's settings are each thread's own
             return self.with_held_out(self.fitted(tried))
 
@@ -158,17 +164,47 @@ class Fits:
             self._cut(t.numbers, own)
         known = self.experiment.fit_recordings
         fitted = dataclasses.replace(self.experiment, recordings=known)
+        here = ready(fitted, known, own)
+
+        def descended(numbers: np.ndarray, states: np.ndarray) -> Fit:
+            begin, wild = here.model.with_vector(jnp.asarray(numbers)), self._wild(here.recordings)
+            found = descend(here, begin, numbers[None], wild, near=states[None], search=polish)
+            return finish(fitted, numbers, found, began, polish, evaluated)
+
         try:
-            here = ready(fitted, known, own)
-            states = np.stack([self._state(t, r) for r in here.recordings])
-            begin = here.model.with_vector(jnp.asarray(t.numbers))
-            wild = self._wild(here.recordings)
-            found = descend(here, begin, t.numbers[None], wild, near=states[None], search=polish)
-            return finish(fitted, t.numbers, found, began, polish, evaluated)
+            found = descended(t.numbers, np.stack([self._state(t, r) for r in here.recordings]))
         except FitError:
             lost = tried.complete < 0.5  # no start of a wrong model is better than another one
             starts = 1 if lost else self.starts
-            return fit(fitted, effects=own, starts=starts, progress=progress)
+            found = fit(fitted, effects=own, starts=starts, progress=progress)
+        with self.lock:
+            within = [f for f in self.known if set(f.model.labels) < set(t.labels)]
+            self.known.append(found)
+        best = min(within, key=lambda f: f.reduced_chi2, default=found)
+        if found.reduced_chi2 > _WORSE * best.reduced_chi2:
+            with contextlib.suppress(FitError):
+                again = descended(*self._from(best, t))
+                found = min(found, again, key=lambda f: f.reduced_chi2)
+        return found
+
+    def _from(self, best: Fit, t: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers and initial states (R, s) of a model at the minimum of one that it contains: what
+        else it has does nothing."""
+        values = {n.name: float(n.value) for n in best.numbers}
+        names = [f"{e.label}.{n.name}" for e in t.effects for n in numbers_of(e)]
+        silent = [n.silent for e in t.effects for n in numbers_of(e)]
+        numbers = [
+            values.get(name, x if nothing is None else nothing)
+            for name, x, nothing in zip(names, t.numbers, silent, strict=True)
+        ]
+        n, inner = 2 * self.scene.n, state_slices(best.model.effects)
+        known = dict(zip(best.model.labels, inner, strict=True))
+        states = []
+        for r in (r for r in best.recordings if r.recording.role != "check"):
+            own = [r.state[n:][known[e.label]] if e.label in known else np.zeros(len(e.memory))
+                   for e in t.effects]  # fmt: skip
+            states.append(np.concatenate([r.state[:n], *own]))
+        return np.array(numbers), np.stack(states)
 
     def _cut(self, numbers: np.ndarray, own: Sequence[AbstractEffect]) -> None:
         """What drives a joint that nothing pulls back is fitted in segments, in all models."""

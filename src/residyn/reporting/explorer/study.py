@@ -27,7 +27,7 @@ from ...diagnosis.search import Search, Tried, nested, settle, tried_alone
 from ...effects import AbstractEffect
 from ...filtering.linearised import Linear
 from ...filtering.trajectory import Prior, Scene, Trajectory
-from ...fitting import DEFAULT_STARTS, fit
+from ...fitting import DEFAULT_STARTS
 from ...fitting.conclusion import finish
 from ...fitting.multistart import Descent, outliers_among
 from ...fitting.problem import Unknowns, ready
@@ -40,7 +40,6 @@ _WHOLE = 2  # steps that are whole where a joint may stick, before they are aver
 _SETTLED = 0.2  # standard errors: a last step that moves no number by more
 _NEAR = 0.01  # of the error: the same of a whole step where a joint may stick, which swings
 _SWING = 10.0  # standard errors: by which it moves the numbers that say least, at the most
-_WORSE = 1.02  # of chi-square: with an effect more, a minimum above this is another one's
 
 
 class Silent(NamedTuple):
@@ -312,15 +311,7 @@ class Study:
         if known is None:
             self.refit(added)
             known = self._near(added)
-        found = self.least_squares.fitted(known, progress)
-        if added:
-            base = self.fits.get(frozenset())
-            if base is not None and found.reduced_chi2 > _WORSE * base.reduced_chi2:
-                own = {e.label: e for e in self.search.candidates}
-                effects = [*self.effects, *(own[x] for x in added)]
-                again = fit(found.experiment, effects=effects, progress=progress)
-                found = min(found, again, key=lambda f: f.reduced_chi2)
-        return found
+        return self.least_squares.fitted(known, progress)
 
     def _near(self, added: tuple[str, ...]) -> Tried:
         """A model from what is known of it: the search's, or by least squares, or the likeliest
