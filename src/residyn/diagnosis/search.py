@@ -66,7 +66,7 @@ class Tried:
     """At the likeliest of them."""
     log_prior: float
 
-    @functools.cached_property
+    @property
     def log_evidence(self) -> float:
         """The random torque summed over."""
         return over_intensities(self.evidences, INTENSITIES)
