@@ -171,20 +171,23 @@ class Fits:
             found = descend(here, begin, numbers[None], wild, near=states[None], search=polish)
             return finish(fitted, numbers, found, began, polish, evaluated)
 
-        try:
-            found = descended(t.numbers, np.stack([self._state(t, r) for r in here.recordings]))
-        except FitError:
-            lost = tried.complete < 0.5  # no start of a wrong model is better than another one
-            starts = 1 if lost else self.starts
-            found = fit(fitted, effects=own, starts=starts, progress=progress)
         with self.lock:
             within = [f for f in self.known if set(f.model.labels) < set(t.labels)]
-            self.known.append(found)
-        best = min(within, key=lambda f: f.reduced_chi2, default=found)
-        if found.reduced_chi2 > _WORSE * best.reduced_chi2:
+        best = min(within, key=lambda f: f.reduced_chi2, default=None)
+        found = None
+        with contextlib.suppress(FitError):
+            found = descended(t.numbers, np.stack([self._state(t, r) for r in here.recordings]))
+        lost = found is None or (best and found.reduced_chi2 > _WORSE * best.reduced_chi2)
+        if best and lost:
             with contextlib.suppress(FitError):
                 again = descended(*self._from(best, t))
-                found = min(found, again, key=lambda f: f.reduced_chi2)
+                found = min(found or again, again, key=lambda f: f.reduced_chi2)
+        if found is None:
+            # No start of a wrong model is better than another one.
+            starts = 1 if tried.complete < 0.5 else self.starts
+            found = fit(fitted, effects=own, starts=starts, progress=progress)
+        with self.lock:
+            self.known.append(found)
         return found
 
     def _from(self, best: Fit, t: Trajectory) -> tuple[np.ndarray, np.ndarray]:

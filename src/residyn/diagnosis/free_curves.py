@@ -301,7 +301,8 @@ def signs(along: Along, square: np.ndarray) -> float:
     columns at their prior's width; `square` is the Gram matrix of both."""
     P = len(along.trajectory.u)
     inverse = np.linalg.inv(square[1:, 1:] + np.eye(len(square) - 1))
-    mean, std = -inverse @ square[1:, 0], np.sqrt(np.diag(inverse))
+    with np.errstate(invalid="ignore"):  # of what rounding has spoilt nothing is finite
+        mean, std = -inverse @ square[1:, 0], np.sqrt(np.diag(inverse))
     found = Evidences(np.zeros(1), mean[None, :P], std[None, :P])
     return float(half_normals(along.trajectory.effects, along.trajectory.prior, found)[0])
 
