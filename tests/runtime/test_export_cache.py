@@ -69,6 +69,33 @@ def test_other_numbers_are_the_same_program_and_other_shapes_are_not(folder):
     assert len(list(folder.iterdir())) == 4
 
 
+def test_a_program_is_compiled_once_for_numpy_and_for_results_of_another_program(folder):
+    @kept.kept(like=0)
+    def doubled(x):
+        return 2.0 * x
+
+    @kept.kept(like=0)
+    def summed(x):
+        return jnp.sum(x)
+
+    compiled = []
+
+    def listen(event, duration, **more):
+        if event == "/jax/core/compile/backend_compile_duration":
+            compiled.append(event)
+
+    numbers = np.arange(3, dtype=np.float32)
+    first = doubled(numbers)
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        assert float(summed(numbers)) == 3.0
+        assert len(compiled) == 1
+        assert float(summed(first)) == 6.0
+        assert len(compiled) == 1
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+
+
 def test_a_process_lets_go_of_old_programs(folder):
     @kept.kept(like=0)
     def applied(function, x):

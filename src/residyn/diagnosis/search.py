@@ -239,8 +239,8 @@ class _Descent(_Step):
         against = len(self.before) > 0 and bool(step @ self.before < 0)
         lowest = self.level == len(INTENSITIES) - 1
         size = np.abs(step).max() * (_FINER if lowest else 1.0)
-        own = size < 1.0
-        settled = last or self.here + 1 == _HERE or own
+        converged = size < 1.0
+        settled = last or self.here + 1 == _HERE or converged
         found = dataclasses.replace(
             self,
             trajectory=moved,
@@ -258,7 +258,7 @@ class _Descent(_Step):
         )
         if not settled and np.isfinite(here).any():
             return found
-        hopeless = own and not here[self.level :].max() > known.max() - HOPELESS
+        hopeless = converged and not here[self.level :].max() > known.max() - HOPELESS
         if last or lowest or hopeless:
             return found._ended(scene)
         level = min(self.level + _FALL, len(here) - 1)

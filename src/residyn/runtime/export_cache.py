@@ -102,7 +102,7 @@ def kept(like: Any) -> Callable[[Callable], "Kept"]:
 _MOST = 24
 """Programs that a process holds, 15 to 50 MB each: a diagnosis takes about 16. What is asked for
 again is in the cache."""
-_held: OrderedDict[tuple["Kept", Any], "_Program"] = OrderedDict()
+_held: OrderedDict[tuple["Kept", Any, Any], "_Program"] = OrderedDict()
 """The programs of this process, the last used one last."""
 _lock = threading.Lock()
 
@@ -130,7 +130,8 @@ class Kept:
         arrays = [x for x in leaves if eqx.is_array(x)]
         if any(isinstance(x, jax.Array) and len(x.devices()) > 1 for x in arrays):
             return self._plain(*args)
-        key = self, (*_key(leaves, structure), _devices(arrays))
+        told = _key(leaves, structure)
+        key = self, told, _devices(arrays)
         with _lock:
             program = _held.setdefault(key, _Program())
             _held.move_to_end(key)
@@ -140,7 +141,7 @@ class Kept:
             gc.collect()
         with program.lock:
             if program.call is None:
-                found = self._found(_cache, args, arrays, key[1][:-1])
+                found = self._found(_cache, args, arrays, told)
                 # Ahead of the call: by itself JAX would compile once more for arrays that another
                 # exported program has returned, which it takes for bound to their device.
                 program.call = found.lower(*arrays).compile()
