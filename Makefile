@@ -50,7 +50,7 @@ oldest:
 	  --constraint $(OLDEST)/constraints.txt --editable ".[test]"
 	$(OLDEST)/bin/residyn demo --report $(OLDEST)/demo.html
 	$(OLDEST)/bin/python -m pytest -n 2 --dist loadfile \
-	  $(addprefix tests/,$(addsuffix .py,cli/test_cli cli/test_table_option effects/test_catalogue effects/test_own_effects \
+	  $(addprefix tests/,$(addsuffix .py,cli/test_cli effects/test_catalogue effects/test_own_effects \
 	  fitting/test_batch fitting/test_gaussian_draws fitting/test_genetic fitting/test_posterior \
 	  physics/test_equation_of_motion recordings/test_lab_files \
 	  recordings/test_recording reporting/explorer/test_explorer_server reporting/test_published_tables \

@@ -14,12 +14,6 @@ import pytest
 from residyn.cli import main
 
 STIFFNESS, DAMPING, MASS, NOISE = 100.0, 0.8, 1.0, 1e-4
-SETTINGS = (
-    "jax_enable_x64",
-    "jax_compilation_cache_dir",
-    "jax_persistent_cache_min_compile_time_secs",
-    "jax_persistent_cache_min_entry_size_bytes",
-)
 COMPILING = ("fit", "diagnose", "simulate", "demo")
 CONTRACT = {
     "model",
@@ -61,17 +55,6 @@ file = "two.csv"
 noise = {NOISE}
 role = "check"
 """
-
-
-@pytest.fixture(scope="module", autouse=True)
-def settings():
-    """A command changes JAX's settings, as a process of its own may; here, others come after."""
-    import jax
-
-    before = {name: jax.config.values[name] for name in SETTINGS}
-    yield
-    for name, value in before.items():
-        jax.config.update(name, value)
 
 
 @pytest.fixture(scope="module")
@@ -176,9 +159,11 @@ BAD = {
     "both into one": (["fit", "cart.toml", "--report", "x", "--json", "./x"], "same file"),
     "json over input": (["fit", "cart.toml", "--json", "one.csv"], "input"),
     "report over input": (["fit", "cart.toml", "--report", "./cart.toml"], "input"),
-    "less than none": (["diagnose", "cart.toml", "--max-effects", "-1"], "--max-effects"),
+    "table of another kind": (["fit", "cart.toml", "--table", "x.pdf"], "must end in .tex or .csv"),
+    "table nowhere": (["fit", "cart.toml", "--table", "no/x.tex"], "cannot be written"),
+    "table over input": (["fit", "cart.toml", "--table", "one.csv"], "input"),
+    "table into JSON": (["fit", "cart.toml", "--table", "a.csv", "--json", "./a.csv"], "same file"),
     "no such suspect": (["diagnose", "cart.toml", "--with", "coulomb"], "coulomb_friction"),
-    "diagnose nothing": (["diagnose", "none.toml"], "none.toml"),
     "demo nowhere": (["demo", "--report", "no/such.html"], "no/such.html"),
     "no catalogue entry": (["effects", "coulomb"], "coulomb_friction"),
     "set without value": (
@@ -245,6 +230,13 @@ def test_json_keeps_the_contract(fitted):
 
 def test_report_is_written(fitted):
     assert "spring:" in fitted[1]
+
+
+def test_a_table_is_latex_or_csv_by_its_name(command, folder, fitted):
+    for name, begins in (("fit.csv", "name,value,std,unit\nspring:cart"), ("fit.tex", "% needs")):
+        end = command("fit", "cart.toml", "--starts", "1", "--table", name)
+        assert (end.status, f"table: {name}" in end.out) == (0, True)
+        assert (folder / name).read_text().startswith(begins)
 
 
 def test_two_models_side_by_side(command, fitted):

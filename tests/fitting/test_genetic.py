@@ -203,10 +203,7 @@ def folder(tmp_path, experiment, monkeypatch):
         f'[[recordings]]\nfile = "release.csv"\ntheta2 = 0.3\nnoise = {NOISE}\n'
     )
     monkeypatch.chdir(tmp_path)
-    before = {"jax_enable_x64": jax.config.values["jax_enable_x64"]}
-    yield tmp_path
-    for name, value in before.items():
-        jax.config.update(name, value)
+    return tmp_path
 
 
 def test_a_missing_extra_is_one_line(experiment, without_evosax):

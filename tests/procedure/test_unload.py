@@ -636,16 +636,13 @@ def command(tmp_path, monkeypatch, capsys):
     recording = from_numbers(STEP_2)
     write_csv(tmp_path / "made.csv", recording.time, recording.angle)
     monkeypatch.chdir(tmp_path)
-    before = {n: jax.config.values[n] for n in ("jax_enable_x64", "jax_compilation_cache_dir")}
 
     def run(text, *words):
         (tmp_path / "arm.toml").write_text(text)
         status = main(["unload", "arm.toml", "--no-cache", *words])
         return status, *capsys.readouterr()
 
-    yield run
-    for name, value in before.items():
-        jax.config.update(name, value)
+    return run
 
 
 def test_command(command):
