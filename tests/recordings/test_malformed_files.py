@@ -1,4 +1,7 @@
-"""What is malformed ends with status 2 and one line that names where; never a traceback."""
+"""What is malformed ends with status 2 and one line that names where; never a traceback.
+
+Which words refuse which table, key or cell is in `test_recording.py`, and not repeated here.
+"""
 
 import io
 import os
@@ -36,49 +39,29 @@ def scaled(time=T, angle=Q, header=HEADER):
 
 
 CSV = {
-    "empty": "",
-    "blank lines": "\n\n  \n",
-    "a header alone": "t,q1,q2\n",
-    "no header": "\n".join(ROWS),
-    "a header of words": GOOD.replace(HEADER, "when,what,who"),
     "no t": GOOD.replace(HEADER, "x,q1,q2"),
-    "no q2": GOOD.replace(HEADER, "t,q1,z"),
     "three joints": GOOD.replace(HEADER, "t,q1,q3"),
-    "q1 twice": GOOD.replace(HEADER, "t,q1,q1"),
     "t twice": GOOD.replace(HEADER, "t,t,q1"),
-    "a unit of another world": GOOD.replace(HEADER, "t [fortnight],q1,q2"),
     "a unit of another quantity": GOOD.replace(HEADER, "t,q1 [mm],q2"),
     "angle in seconds": GOOD.replace(HEADER, "t,q1 [s],q2"),
     "one row": "t,q1,q2\n0,0.1,0.2\n",
     "ten rows": "\n".join([HEADER, *ROWS[:10]]),
-    "a short row": row(7, "0.12,0.1"),
-    "a long row": row(7, "0.12,0.1,0.2,0.3"),
     "an empty row of commas": row(7, ",,"),
-    "a word": row(7, "0.12,lost,0.2"),
     "a footer": GOOD + "end of the measurement\n",
     "a second header": row(90, HEADER),
     "a clock": row(7, "12:30:01,0.1,0.2"),
     "a date": row(7, "2024-03-01,0.1,0.2"),
     "hexadecimal": row(7, "0.12,0x1F,0.2"),
-    "digits with bars": row(7, "0.12,1_000,0.2"),
-    "other digits": row(7, "0.12,\u0661,0.2"),
     "two points": row(7, "0.12,1.2.3,0.2"),
     "thousands": row(7, '0.12,"1,234.5",0.2'),
-    "infinite": row(7, "0.12,inf,0.2"),
-    "too large for a float": row(7, "0.12,1e999,0.2"),
     "1e99": row(7, "0.12,1e99,0.2"),
     "1e99 seconds": GOOD + "1e99,0.1,0.2\n",
-    "no time": row(7, ",0.1,0.2"),
-    "time stands": row(7, "0.10,0.1,0.2"),
-    "time goes back": row(90, "0.10,0.1,0.2"),
     "time backwards": "\n".join([HEADER, *ROWS[::-1]]),
     "steps of 1e-200 s": scaled(T * 1e-200),
     "steps of 1e-12 s": scaled(T * 1e-12),
     "milliseconds": scaled(T * 1e3),
     "microseconds": scaled(T * 1e6),
     "samples": scaled(np.arange(200)),
-    "degrees": scaled(angle=np.degrees(Q)),
-    "another zero": scaled(angle=Q + np.array([1.0, -2.0])),
     "a hold": scaled(angle=np.concatenate([np.tile(Q[0], (100, 1)), Q[:100]])),
     "an arm that never moves": scaled(angle=0 * Q + [0.1, 0.0]),
     "every reading lost": "\n".join([HEADER, *(f"{t:.2f},," for t in T)]),
@@ -100,83 +83,17 @@ CSV = {
     "no drive to be had": "\n".join(["t,q1,q2,u1", *(f"{r}," for r in ROWS)]),
 }
 TOML = {
-    "empty": "",
-    "not TOML": "this is no TOML\n",
     "half a string": f'{ARM}\n[[recordings]]\nfile = "x.c',
-    "a tab of brackets": "[" * 5000,
-    "a huge integer": f"[arm]\nshoulder = {'9' * 5000}\n",
-    "bytes": b"\xff\xfe\x00[arm]",
-    "no arm": RECORDING,
-    "arm and inertia": f'{ARM}[inertia]\njoints = ["a"]\nmatrix = [[1]]\n{RECORDING}',
-    "no recordings": ARM,
-    "recordings as one table": ARM + '[recordings]\nfile = "x.csv"\n',
-    "recordings as numbers": f"recordings = [1, 2]\n{ARM}",
-    "arm as a number": f"arm = 3\n{RECORDING}",
-    "an unknown table": ARM + RECORDING + "[extra]\na = 1\n",
-    "an unknown key of the arm": ARM + "mass = 1\n" + RECORDING,
-    "no link_lengths": ARM.replace("link_lengths = [0.4, 0.4]\n", "") + RECORDING,
-    "one link": ARM.replace("[0.4, 0.4]", "[0.4]") + RECORDING,
-    "a link of no length": ARM.replace("[0.4, 0.4]", "[0.4, 0]") + RECORDING,
-    "a negative inertia": ARM.replace("1.2", "-1.2") + RECORDING,
-    "an inertia in words": ARM.replace("1.2", '"?"') + RECORDING,
     "an inertia of 1e99": ARM.replace("1.2", "1e99") + RECORDING,
     "a decimal comma": ARM.replace("0.6", "0,6") + RECORDING,
     "a path of Windows": f'{ARM}[[recordings]]\nfile = "C:\\data\\x.csv"\n',
-    "an infinite inertia": ARM.replace("1.2", "inf") + RECORDING,
-    "no inertia": ARM.replace("shoulder = 1.2\n", "") + RECORDING,
-    "no body has it": ARM.replace("1.4", "5.0") + RECORDING,
-    "a bearing nowhere": ARM
-    + '[[air_bearings]]\njoint = "hip"\nmass = 1\ninertia = 1\n'
-    + RECORDING,
-    "a bearing without mass": ARM + '[[air_bearings]]\njoint = "elbow"\n' + RECORDING,
-    "a bearing heavier than all": ARM
-    + '[[air_bearings]]\njoint = "wrist"\nmass = 100\ninertia = 1\n'
-    + RECORDING,
-    "a matrix that is none": '[inertia]\njoints = ["a", "b"]\nmatrix = [[1, 2]]\n' + RECORDING,
-    "a matrix without symmetry": '[inertia]\njoints = ["a", "b"]\nmatrix = [[2, 1], [0, 2]]\n'
-    + RECORDING.replace("theta2 = 0.1\n", ""),
-    "a matrix of nothing": '[inertia]\njoints = ["a", "b"]\nmatrix = [[0, 0], [0, 0]]\n'
-    + RECORDING.replace("theta2 = 0.1\n", ""),
-    "no joints": "[inertia]\njoints = []\nmatrix = []\n" + RECORDING,
-    "joints of one name": '[inertia]\njoints = ["a", "a"]\nmatrix = [[1, 0], [0, 1]]\n' + RECORDING,
-    "other units": '[inertia]\njoints = ["a"]\nmatrix = [[1]]\nunits = ["ft"]\n' + RECORDING,
-    "theta2 without arm": '[inertia]\njoints = ["a", "b"]\nmatrix = [[1, 0], [0, 1]]\n' + RECORDING,
 }
 KEYS = {
     "no file": 'file = ""',
-    "file as a number": "file = 3",
-    "no such file": 'file = "y.csv"',
-    "a folder": 'file = "."',
     "a device": 'file = "/dev/zero"',
     "a pipe": 'file = "pipe"',
-    "a name with a zero": 'file = "x\\u0000.csv"',
     "a very long name": f'file = "{"x" * 5000}"',
-    "C3D that is none": 'file = "x.c3d"',
-    "MATLAB that is none": 'file = "x.mat"',
-    "Parquet that is none": 'file = "x.parquet"',
-    "a role of no play": 'role = "train"',
-    "all held out": 'role = "check"',
-    "inertia without drive": 'role = "inertia"',
-    "theta2 in degrees": "theta2 = 17",
-    "theta2 in words": 'theta2 = "straight"',
-    "no noise": "noise = 0",
-    "negative noise": "noise = -1e-3",
-    "noise of three": "noise = [1, 2, 3]",
-    "start in words": 'start = "now"',
-    "start after the end": "start = 100",
-    "stop before the start": "start = 2\nstop = 1",
-    "hardly anything left": "start = 3.9",
-    "stop in words": 'stop = "end"',
-    "bearings in words": 'air_bearings = "no"',
-    "off bearings that are none": "air_bearings = false",
-    "load on an arm": "extra_mass = 1",
-    "markers of no markers": 'markers = ["a", "b", "c"]',
     "normal of no markers": "normal = [0, 0, 1]",
-    "rest in words": 'rest = "zero"',
-    "units that are none": 'units = { q1 = "turns" }',
-    "columns that are none": 'columns = { t = "clock" }',
-    "a separator of two": 'separator = "::"',
-    "another decimal sign": 'decimal = "x"',
 }
 
 
@@ -218,8 +135,6 @@ def test_experiments(refused, content):
 @pytest.mark.parametrize("key", KEYS.values(), ids=KEYS)
 def test_keys(refused, key):
     write("x.csv", GOOD)
-    for name in ("x.c3d", "x.mat", "x.parquet"):
-        write(name, GOOD)
     os.mkfifo("pipe")
     own = key.split(" = ")[0]
     kept = [line for line in RECORDING.splitlines() if line.split(" = ")[0] != own]
@@ -255,4 +170,3 @@ def test_the_good_ones_are_good(tmp_path, monkeypatch):
     write("x.toml", ARM + RECORDING)
     (recording,) = load("x.toml").recordings
     assert (recording.warnings, recording.understood) == ((), "")
-    assert len(CSV) + len(TOML) + len(KEYS) >= 120
