@@ -5,10 +5,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .. import reporting
 from ..reporting.numbers import times
 from . import _options
 from ._shell import NoNumbers, progress, set_up_jax
-from ._work import Work, computing, models, report_of
+from ._work import Work, computing, models
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -75,7 +76,7 @@ def demo(
     out.write_json(found.to_dict())
     with progress() as say:
         say("writing the report")
-        report_of(models(found), diagnosis=found)(report or _REPORT)
+        reporting.write_report(report or _REPORT, models(found), diagnosis=found)
     words.print(f"\nReport with pictures: {Path(report or _REPORT).resolve()}", soft_wrap=True)
     if not found.fit.converged:
         raise NoNumbers("the demo's fit did not settle")

@@ -4,10 +4,11 @@ from typing import Annotated
 
 import typer
 
+from .. import reporting
 from ..errors import InputError
 from . import _options
 from ._shell import INTERRUPTED, NoNumbers, complain
-from ._work import Work, computing, models, report_of, title
+from ._work import Work, computing, models, title
 
 
 def compare(
@@ -28,7 +29,8 @@ def compare(
 
         fitted = fit(loaded, effects=effects or [], starts=starts, progress=say)
         result = compare_fit(fitted, say)
-    out.give(result, report_of([(title(experiment), fitted)], compared=result))
+    fits = [(title(experiment), fitted)]
+    out.give(result, lambda path: reporting.write_report(path, fits, compared=result))
     if not fitted.stands:
         raise NoNumbers(fitted.reason)
 
@@ -55,7 +57,8 @@ def diagnose(
         from ..diagnosis import diagnose
 
         found = diagnose(loaded, **how, progress=say)
-    out.give(found, report_of(models(found, title(experiment)), diagnosis=found))
+    fits = models(found, title(experiment))
+    out.give(found, lambda path: reporting.write_report(path, fits, diagnosis=found))
     if found.budget.stopped == "interrupted":
         raise typer.Exit(complain("interrupted: the best so far is above", INTERRUPTED))
     if not found.fit.converged:

@@ -9,12 +9,13 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .. import reporting
 from ..errors import InputError
 from ..reporting.numbers import plain, times, with_error
 from ..runtime.json import finite
 from . import _options
 from ._shell import NoNumbers, interruptible, progress, set_up_jax
-from ._work import Work, bring, computing, report_of, title
+from ._work import Work, bring, computing, title
 
 if TYPE_CHECKING:
     from ..fitting.batch import Each
@@ -98,7 +99,7 @@ def fit(
         from ..reporting.side_by_side import SideBySide, headings
 
         found = SideBySide(*fits)
-        out.give(found, report_of(headings(found)))
+        out.give(found, lambda path: reporting.write_report(path, headings(found)))
         for name, one in zip("AB", fits, strict=True):
             if not one.stands:
                 raise NoNumbers(f"{name}: {one.reason}")
@@ -109,7 +110,8 @@ def fit(
         out.words.print(
             f"the model misses something: residyn diagnose {experiment}", soft_wrap=True
         )
-    out.write(result, report_of([(title(experiment), result)]))
+    fits = [(title(experiment), result)]
+    out.write(result, lambda path: reporting.write_report(path, fits))
     if not result.stands:
         raise NoNumbers(result.reason)
     if result.unphysical:

@@ -2,11 +2,12 @@
 
 from typing import Annotated
 
+from .. import reporting
 from ..errors import InputError, inside
 from . import _options
 from ._diagnose import check_budget
 from ._shell import NoNumbers
-from ._work import Work, computing, page_of, title
+from ._work import Work, computing, title
 
 
 def inertia(
@@ -23,7 +24,7 @@ def inertia(
 
         say("solving Eq. 10 and 11")
         result = procedure.inertia(loaded)
-    out.give(result, page_of(result, title(experiment)))
+    out.give(result, lambda path: reporting.write_page(path, result, title(experiment)))
     if result.problem is not None:
         raise NoNumbers(result.problem)
     out.words.print(f"\n{result.to_toml()}", soft_wrap=True, end="")
@@ -72,7 +73,7 @@ def unload(
             first = diagnosis.diagnose(loaded, **how, max_effects=most, budget=budget, progress=say)
         found = procedure.unload(loaded, **how, inertia_std=std, diagnosis=first, progress=say)
     out.words.print(str(found.fit), soft_wrap=True)
-    out.give(found, page_of(found, title(experiment)))
+    out.give(found, lambda path: reporting.write_page(path, found, title(experiment)))
     if not found.fit.converged:
         raise NoNumbers(found.fit.reason)
     if not found.physical:

@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .. import reporting
 from ..errors import InputError
 from . import _options
 from ._shell import INTERRUPTED, NoNumbers, complain, console
-from ._work import Work, one_complaint, page_of, title
+from ._work import Work, one_complaint, title
 
 if TYPE_CHECKING:
     from ..fitting.history import Watch
@@ -63,7 +64,7 @@ def race(
             progress=say,
             news=news,
         )
-    out.give(found, page_of(found, title(experiment)))
+    out.give(found, lambda path: reporting.write_page(path, found, title(experiment)))
     if found.interrupted:
         raise typer.Exit(complain("interrupted", INTERRUPTED))
     if found.best is None:

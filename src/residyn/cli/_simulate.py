@@ -75,6 +75,8 @@ def simulate(
             words.print(f"begins with {' and '.join(taken)}; --q0 and --v0 give others")
     else:
         with computing() as say:
+            import numpy as np
+
             from ..fitting import fit
 
             result = fit(loaded, effects=effects or [], starts=starts, progress=say)
@@ -90,21 +92,13 @@ def simulate(
                 if angles is None and rates is None:
                     predicted.append(fitted.predicted)
                     continue
-                first, rate, memory = _split(fitted.state, r.joints)
-                first, rate = (
-                    (first if angles is None else angles),
-                    (rate if rates is None else rates),
-                )
-                predicted.append(_motion(result.model, loaded, r, first, rate, memory))
+                q, v, memory = np.split(fitted.state, [r.joints, 2 * r.joints])
+                first, begin = q if angles is None else angles, v if rates is None else rates
+                predicted.append(_motion(result.model, loaded, r, first, begin, memory))
     _write(paths, shown, predicted, noise, seed)
     for path, recording in zip(paths, shown, strict=True):
         print(f"{path}: {len(recording.time)} samples, at the times of {recording.name}")
     raise typer.Exit(status)
-
-
-def _split(state: "np.ndarray", joints: int) -> "tuple[np.ndarray, np.ndarray, np.ndarray]":
-    """Angles, rates and memory of an initial state."""
-    return state[:joints], state[joints : 2 * joints], state[2 * joints :]
 
 
 def _model_with(

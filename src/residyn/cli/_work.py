@@ -18,11 +18,8 @@ from ._shell import NoNumbers, console, interruptible, progress, set_up_jax
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ..diagnosis import Comparison
     from ..diagnosis.result import Diagnosis
-    from ..fitting.race import Race
     from ..fitting.result import Fit
-    from ..procedure import InertiaResult, Unloading
     from ..recordings.experiment import Experiment
 
 _TABLES = (".tex", ".csv")
@@ -205,30 +202,6 @@ def input_files(path: str, experiment: "Experiment") -> list[Path]:
 def title(path: str) -> str:
     """What to call an experiment at the head of a page."""
     return "Experiment from standard input" if path == "-" else Path(path).name
-
-
-def report_of(
-    fits: "Sequence[tuple[str, Fit]]", **more: "Comparison | Diagnosis"
-) -> Callable[[str], None]:
-    """What writes the report of these fits to a path; `more` as of `reporting.write_report`."""
-
-    def write_to(path: str) -> None:
-        from ..reporting import write_report
-
-        write_report(path, fits, **more)  # pyright: ignore[reportArgumentType]
-
-    return write_to
-
-
-def page_of(found: "InertiaResult | Unloading | Race", title: str) -> Callable[[str], None]:
-    """What writes the page of another result to a path."""
-
-    def write_to(path: str) -> None:
-        from ..reporting import write_page
-
-        write_page(path, found, title)
-
-    return write_to
 
 
 def models(found: "Diagnosis", title: str = "") -> "list[tuple[str, Fit]]":
