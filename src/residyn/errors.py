@@ -78,3 +78,14 @@ def flag(key: str, value: Any) -> bool:
     if not isinstance(value, bool):
         raise InputError(f"{key} = {quote(value)}: must be true or false")
     return value
+
+
+def entries(key: str, value: Any, right: str, count: int | None = None) -> list[Any]:
+    """`value`, a list, a tuple or an array, as a list; of `count` entries, if that is given.
+
+    `right` says what would be right.
+    """
+    found = value.tolist() if hasattr(value, "tolist") else value
+    if not isinstance(found, list | tuple) or count not in (None, len(found)):
+        raise InputError(f"{key} = {quote(value)}: must be {right}")
+    return list(found)

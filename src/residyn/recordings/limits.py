@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..errors import InputError, number, quote
+from ..errors import InputError, entries, number, quote
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,10 @@ class Limits:
         ):
             given = getattr(self, key)
             if given is not None:
-                right = f"must be two numbers ({unit}), the lower one first, as [a, b]"
-                if not isinstance(given, list | tuple) or len(given) != 2:
-                    raise InputError(f"{key} = {quote(given)}: {right}")
-                low, high = (number(key, x, unit) for x in given)
+                right = f"two numbers ({unit}), the lower one first, as [a, b]"
+                low, high = (number(key, x, unit) for x in entries(key, given, right, 2))
                 if not least <= low <= high:
-                    raise InputError(f"{key} = {quote(list(given))}: {right}")
+                    raise InputError(f"{key} = {quote(list(given))}: must be {right}")
                 object.__setattr__(self, key, (low, high))
         if self.duration is not None:
             object.__setattr__(self, "duration", number("duration", self.duration, "s", above=0))

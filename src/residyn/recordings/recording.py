@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InputError, flag, inside, number, quote
+from ..errors import InputError, entries, flag, inside, number
 from .arrays import (
     check_drive,
     check_enough,
@@ -253,12 +253,8 @@ def _rest(rest: Any, time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, l
     """(n,) angles at rest, given or found, and what is doubtful of them."""
     n = angle.shape[1]
     if rest != "estimate" or not isinstance(rest, str):
-        values = rest.tolist() if hasattr(rest, "tolist") else rest
-        if not isinstance(values, list | tuple) or len(values) != n:
-            raise InputError(
-                f'rest = {quote(rest)}: must be "estimate", or {n} number{"s" * (n > 1)} (rad or '
-                "m), one for each joint, in a list"
-            )
+        many = f"{n} number{'s' * (n > 1)} (rad or m), one for each joint, in a list"
+        values = entries("rest", rest, f'"estimate", or {many}', n)
         return np.array([number("rest", x, "rad or m") for x in values]), []
     check_enough(angle, part=False)
     return estimated_rest(time, angle)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, number, quote
+from ..errors import InputError, entries, number, quote
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class ArmTable:
     coupling: float | None = None
 
     def __post_init__(self):
-        lengths = _list("link_lengths", self.link_lengths, "two lengths in m, [l1, l2]")
+        lengths = entries("link_lengths", self.link_lengths, "two lengths in m, [l1, l2]")
         if len(lengths) != 2:
             raise InputError(f"link_lengths has {len(lengths)} numbers: must be [l1, l2], in m")
         lengths = tuple(number("link_lengths", x, "m", above=0) for x in lengths)
@@ -73,7 +73,7 @@ class InertiaTable:
     units: tuple[str, ...] | None = None
 
     def __post_init__(self):
-        joints = tuple(_list("joints", self.joints, 'a list of names, as ["cart"]'))
+        joints = tuple(entries("joints", self.joints, 'a list of names, as ["cart"]'))
         for name in joints:
             if not isinstance(name, str) or not name or not name.isprintable():
                 raise InputError(f"joints has {quote(name)}: must be names, none of them empty")
@@ -87,14 +87,14 @@ class InertiaTable:
         if not n:
             raise InputError("joints is empty: must have one name per coordinate")
         right = f"{n} by {n} numbers, one row per joint, as [[0.5]] for one"
-        rows = [_list("matrix", row, right) for row in _list("matrix", self.matrix, right)]
+        rows = [entries("matrix", row, right) for row in entries("matrix", self.matrix, right)]
         if len(rows) != n or any(len(row) != n for row in rows):
             raise InputError(f"matrix = {quote(rows)}: must be {right}")
         matrix = tuple(tuple(number("matrix", x, "kg or kg m^2") for x in row) for row in rows)
         _check_matrix(matrix)
         units = self.units
         if units is not None:
-            units = tuple(_list("units", units, 'a list, as ["m"]'))
+            units = tuple(entries("units", units, 'a list, as ["m"]'))
             if len(units) != n or any(unit not in ("m", "rad") for unit in units):
                 raise InputError(
                     f'units = {quote(list(units))}: must have "m" or "rad" for each of {n} joints'
@@ -172,10 +172,3 @@ def _check_matrix(matrix: tuple[tuple[float, ...], ...]) -> None:
         if np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled).min() > 1e-12:
             return
     raise InputError("matrix is not positive definite: some motion would have no inertia")
-
-
-def _list(key: str, value: Any, right: str) -> list[Any]:
-    value = value.tolist() if isinstance(value, np.ndarray) else value
-    if not isinstance(value, (list, tuple)):
-        raise InputError(f"{key} = {quote(value)}: must be {right}")
-    return list(value)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import InputError, number, quote
+from ...errors import InputError, entries, number, quote
 from .labels import Labels
 from .rigid import Rigid
 from .trajectories import Trajectories
@@ -69,9 +69,7 @@ def check_believable(
 
 def direction(normal: Any) -> np.ndarray:
     """`normal`, (3,), if it is a direction."""
-    values = normal.tolist() if isinstance(normal, np.ndarray) else normal
-    if not isinstance(values, (list, tuple)) or len(values) != 3:
-        raise InputError(f"normal = {quote(normal)}: must be three numbers, as [0, 0, 1]")
+    values = entries("normal", normal, "three numbers, as [0, 0, 1]", 3)
     found = np.array([number("normal", value, "of any unit") for value in values])
     if not np.linalg.norm(found) > 0:
         raise InputError(f"normal = {quote(normal)}: must point somewhere, as [0, 0, 1]")
