@@ -11,7 +11,7 @@ from ...diagnosis import Comparison, Curve, MissingTorque
 from ...diagnosis.residuals import Part
 from ..names import own_name, title
 from ..numbers import plain, prefixed
-from .style import BAND, DASHED, FAINT, INK, JOINTS, MODEL, NARROW, RESIDUAL, WIDE, styled
+from .style import BAND, DASHED, FAINT, INK, JOINTS, MODEL, RESIDUAL, blank, styled
 
 _LOG = 4.0  # from this range on the errors ahead are on a logarithmic scale
 
@@ -24,7 +24,7 @@ def where(compared: Comparison, *, narrow: bool = False) -> Figure:
     """
     at = compared.where
     shape = (3, 1) if narrow else (1, 3)
-    figure = Figure(figsize=(NARROW, 8.6) if narrow else (WIDE, 3.3), layout="constrained")
+    figure = blank(narrow, 8.6 if narrow else 3.3)
     time, swing, band = figure.subplots(*shape).ravel()
     _bars(time, [f"{plain(p.start, 2)}-{plain(p.stop, 2)}" for p in at.time], at.time, at.joints)
     cut = any(r.recording.segment_of is not None for r in compared.fit.recordings)
@@ -86,7 +86,7 @@ def horizon(compared: Comparison, *, narrow: bool = False) -> Figure:
     found = compared.horizon
     if found is None:
         raise ValueError("this comparison has no horizon: the fit of the first third did not end")
-    figure = Figure(figsize=(NARROW if narrow else WIDE, 3.0), layout="constrained")
+    figure = blank(narrow, 3.0)
     ax = figure.subplots()
     ahead = np.array([0.5 * (a.start + a.stop) for a in found.ahead])
     for j, joint in enumerate(compared.fit.joints):
@@ -145,7 +145,7 @@ def missing_torque(
     torque_unit, rate_unit = ("N", "m/s") if unit == "m" else ("N m", "rad/s")
     angle_unit = unit or "rad or m"
     shown = next((c for c in curves if c.share > _WORTH and np.any(c.torque[:, joint])), None)
-    figure = Figure(figsize=(NARROW, 10.0) if narrow else (WIDE, 5.4), layout="constrained")
+    figure = blank(narrow, 10.0 if narrow else 5.4)
     axes = figure.subplot_mosaic("t;q;v;a" if narrow else "ttt;qva")
     t, tau = missing.time - missing.time[0], missing.torque[:, joint]
     own = None if shown is None else shown.torque[:, joint]

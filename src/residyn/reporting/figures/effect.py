@@ -14,7 +14,7 @@ from ...physics.motion import Motion, stack
 from ...physics.parameter import Scales, parameters_of
 from ...simulation.simulate import simulate
 from ..names import title
-from .style import FAINT, MEASURED, MODEL, NARROW, RESIDUAL, WIDE, styled
+from .style import FAINT, MEASURED, MODEL, RESIDUAL, blank, styled
 
 _RELEASE = (0.2, -0.2)
 _SECONDS, _RATE = 16.0, 400.0
@@ -48,7 +48,7 @@ def signature(name: str, *, narrow: bool = False) -> Figure:
     q, v, tau = angle[:, joint], rate[:, joint], torque[:, joint]
     # The smallest range that holds all but the instants of a jump, where a difference overshoots.
     most = 1.15 * float(np.quantile(np.abs(tau), 0.995)) or 1.0
-    figure = Figure(figsize=(NARROW, 9.0) if narrow else (WIDE, 5.2), layout="constrained")
+    figure = blank(narrow, 9.0 if narrow else 5.2)
     (top, *rest) = figure.subplots(*((4, 1) if narrow else (2, 2))).ravel()
     top.plot(t, without[:, joint], color=MEASURED, lw=2.2, label="without")
     top.plot(t, with_it[:, joint], color=MODEL, lw=0.9, label="with")

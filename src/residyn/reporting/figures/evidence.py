@@ -12,7 +12,7 @@ from ...diagnosis.evidence import INDISTINGUISHABLE
 from ...diagnosis.result import Diagnosis
 from ..names import at_place, base_name, worth_showing
 from ..numbers import nats, percent
-from .style import BAND, DASHED, HELD_OUT, INK, MODEL, NARROW, RESIDUAL, WIDE, styled
+from .style import BAND, DASHED, HELD_OUT, INK, MODEL, RESIDUAL, blank, styled
 
 _ROW, _MARGIN = 0.36, 0.85  # inches
 _MOST = 8
@@ -34,8 +34,7 @@ def candidates(found: Diagnosis, *, narrow: bool = False) -> Figure:
     rows = len(shown) + 1
     panel = _ROW * rows + _MARGIN
     shape = (2, 1) if narrow else (1, 2)
-    size = (NARROW, 2 * panel + 0.45) if narrow else (WIDE, panel + 0.3)
-    figure = Figure(figsize=size, layout="constrained")
+    figure = blank(narrow, 2 * panel + 0.45 if narrow else panel + 0.3)
     likely, behind = figure.subplots(
         *shape, sharey=not narrow, width_ratios=None if narrow else (2, 3)
     )

@@ -16,12 +16,12 @@ from ...fitting.result import Fit
 from ..fit import joint_errors
 from ..names import HELD_OUT, at_place, listed, lower, model_name, times_noise
 from ..numbers import amount, plain, times
-from .style import BAND, DASHED, FAINT, INK, JOINTS, NARROW, SOFT, WIDE, shortened, styled
+from .style import BAND, DASHED, FAINT, INK, JOINTS, SOFT, blank, shortened, styled
 
 _LOG = 4.0  # from this fall on the scale is logarithmic
 _PANEL, _AXIS = 2.2, 0.5  # inches: height of the panel, room for the numbers of its axis
 _STRIP = 0.13  # of the scale lies below the least error: room for the name of the noise
-_ABREAST = 4  # models whose names have room under the axis
+_MOST_NAMES = 4  # that have room under the axis
 _LINE = 0.155  # inches from one line of words to the next
 _ALIKE = 1.1  # times: errors that differ by less are one number to the reader
 _BESIDE = 0.12  # inches from a dot to its words
@@ -85,7 +85,7 @@ def _falling(
             values = [math.nan if (x := model[joint][held]) is None else x for model in each]
             if np.isfinite(values).any():
                 lines.append(_Line(joint, held, values))
-    beneath = narrow or count > _ABREAST  # there is no room for names under their dots
+    beneath = narrow or count > _MOST_NAMES  # there is no room for names under their dots
     below = ["\n".join(textwrap.wrap(n.replace(" + ", " +\u00a0"), 26)) for n in names]
     rows = [
         row
@@ -96,8 +96,8 @@ def _falling(
     ]
     under = len(rows) + 1 if beneath else max(name.count("\n") + 1 for name in below)
     head = 0.7 + (_LINE + 0.04) * max(2, len(joints)) if narrow else 0.45
-    width = NARROW if narrow else WIDE
-    figure = Figure(figsize=(width, _PANEL + head + _LINE * under), layout="constrained")
+    figure = blank(narrow, _PANEL + head + _LINE * under)
+    width = figure.get_figwidth()
     ax = figure.subplots()
     before, after = (0.72, 0.86) if narrow else (1.95, 0.9)  # inches, for numbers beside dots
     step = (count - 1) / (width - _AXIS - before - after) or 1.0  # models an inch

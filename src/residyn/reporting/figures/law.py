@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from ...diagnosis.law import Law
 from ..names import lower, title
-from .style import BAND, DASHED, FAINT, INK, JOINTS, NARROW, RESIDUAL, SHADE, WIDE, styled
+from .style import BAND, DASHED, FAINT, INK, JOINTS, RESIDUAL, SHADE, blank, styled
 
 
 @styled
@@ -16,8 +16,7 @@ def law(found: Law, *, narrow: bool = False) -> Figure:
     All are drawn less the line (of a stiffness or damping: less the constant) that springs and
     dampers take up.
     """
-    size = (NARROW, 4.4) if narrow else (WIDE, 4.2)
-    figure = Figure(figsize=size, layout="constrained")
+    figure = blank(narrow, 4.4 if narrow else 4.2)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(6, 1))
     x, y, band = found.grid, found.mean, 1.96 * found.std
     above.fill_between(x, y - band, y + band, color=BAND, lw=0, label="95 % band")

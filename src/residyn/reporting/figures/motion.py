@@ -20,11 +20,10 @@ from .style import (
     INK,
     MEASURED,
     MODEL,
-    NARROW,
     RESIDUAL,
     SHADE,
-    WIDE,
     WILD,
+    blank,
     largest,
     shortened,
     styled,
@@ -49,9 +48,8 @@ def overlay(
     **Arguments:** `recordings`: which of `fit.whole` to draw; all if not given.
     """
     shown, joints = tuple(fit.whole if recordings is None else recordings), len(fit.joints)
-    size = NARROW if narrow else WIDE, _KEY * (1 + narrow) + len(shown) * (_HEAD + _PANEL * joints)
     columns = (2.6,) if narrow else (4.7, 2.3)  # their widths, about, in inches
-    figure = Figure(figsize=size, layout="constrained")
+    figure = blank(narrow, _KEY * (1 + narrow) + len(shown) * (_HEAD + _PANEL * joints))
     figure.set_layout_engine("constrained", hspace=0.0)
     axes = figure.subplots(
         2 * joints * len(shown),
@@ -226,7 +224,7 @@ def spectrum(fit: Fit, *, narrow: bool = False) -> Figure:
     joints = fit.joints
     fitted = [r for r in fit.whole if r.recording.role != "check"]
     height = (2.1 if narrow else 2.2) * len(joints) + (1.6 if narrow else 1.0)
-    figure = Figure(figsize=(NARROW if narrow else WIDE, height), layout="constrained")
+    figure = blank(narrow, height)
     axes = list(figure.subplots(len(joints), 1, sharex=True, squeeze=False)[:, 0])
     for joint, ax in enumerate(axes):
         frequency, measured, left, floor = _spectra(fitted, joint)

@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from ...procedure import InertiaResult, Unloading
 from ...procedure.ringdown import RingDown
 from ..numbers import prefixed
-from .style import FAINT, INK, MEASURED, MODEL, NARROW, RESIDUAL, WIDE, largest, shortened, styled
+from .style import FAINT, INK, MEASURED, MODEL, RESIDUAL, blank, largest, shortened, styled
 
 
 @styled
@@ -21,7 +21,7 @@ def composite_inertia(found: InertiaResult, *, narrow: bool = False) -> Figure:
     Its slope is 2 l1 coupling. Grey bars are two standard errors to each side; the band is that of
     the line.
     """
-    figure = Figure(figsize=(NARROW if narrow else WIDE, 2.8), layout="constrained")
+    figure = blank(narrow, 2.8)
     ax = figure.subplots()
     cosines = np.linspace(-1.0, 1.0, 60)
     line = [found.composite(float(np.arccos(c))) for c in cosines]
@@ -78,7 +78,7 @@ def ring_down(
     times = np.asarray(sides[0].path.t)
     joints, units = found.fit.joints, found.fit.experiment.units
     high = 0.62 + 1.75 * len(joints)
-    figure = Figure(figsize=(NARROW if narrow else WIDE, high), layout="constrained")
+    figure = blank(narrow, high)
     axes = figure.subplots(len(joints), 1, sharex=True, squeeze=False).ravel()
     for joint, ax in enumerate(axes):
         unit = units[joint] if units else None

@@ -8,7 +8,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from ...fitting.history import History
 from ..numbers import plain
-from .style import INK, JOINTS, NARROW, SOFT, WIDE, WILD, styled
+from .style import INK, JOINTS, SOFT, WILD, blank, styled
 
 _COLOURS = (JOINTS[0], JOINTS[1], JOINTS[2], WILD, "#e69f00", "#56b4e9", SOFT)
 _DASHES = ("-", "-", "-", "-", (0, (5, 2)), (0, (5, 2)), (0, (5, 2)))
@@ -34,7 +34,7 @@ def convergence(
     """
     rows = -(-len(names) // (1 if narrow else 2))
     high = 2.6 + 0.2 * rows
-    figure = Figure(figsize=(NARROW if narrow else WIDE, high), layout="constrained")
+    figure = blank(narrow, high)
     ax = figure.subplots()
     values = []
     for i, (history, name) in enumerate(zip(histories, names, strict=True)):

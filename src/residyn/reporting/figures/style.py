@@ -76,6 +76,11 @@ def styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
     return wrapped
 
 
+def blank(narrow: bool, high: float) -> Figure:
+    """A figure as wide as a phone's page or a laptop's, `high` inches."""
+    return Figure(figsize=(NARROW if narrow else WIDE, high), layout="constrained")
+
+
 def largest(values: np.ndarray) -> float:
     """Largest size among the finite values; 0 if there are none."""
     values = np.abs(values[np.isfinite(values)])
