@@ -174,10 +174,10 @@ def test_hidden_coulomb_friction_shows_and_then_fits():
     base = residyn.fit(experiment(case, noise=2e-4))
     assert base.reduced_chi2 > 4
     assert any("misses something" in w for w in base.warnings)
-    mended = residyn.fit(experiment(case, noise=2e-4), effects=[f"coulomb_friction:{name}"])
-    assert 0.9 < mended.reduced_chi2 < 1.15
-    assert mended.numbers[-1].name == f"coulomb_friction:{name}.torque"
-    assert mended.numbers[-1].value == pytest.approx(max(case.frictionloss), rel=0.01)
+    right = residyn.fit(experiment(case, noise=2e-4), effects=[f"coulomb_friction:{name}"])
+    assert 0.9 < right.reduced_chi2 < 1.15
+    assert right.numbers[-1].name == f"coulomb_friction:{name}.torque"
+    assert right.numbers[-1].value == pytest.approx(max(case.frictionloss), rel=0.01)
 
 
 def test_driven_recording_of_a_cart_without_spring():
@@ -422,7 +422,7 @@ def test_a_slow_start_does_not_spoil_the_others(arm, q0, label, values, noise):
 )
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_fit_by_name_begins_again_from_springs_and_dampers(arm, q0, label, values, noise, seed):
-    """From the closed form all starts may end in valleys, or in motions that cannot be."""
+    """From the closed form all starts may end in local minima, or in motions that cannot be."""
     hidden, rng = [rig.Hidden(label, values)], np.random.default_rng(seed)
     case = rig.record(rng, arm, np.array(q0), hidden, seconds=20.0, rate=100.0, noise=noise)
     fit = residyn.fit(experiment(case, noise=noise), effects=[label])

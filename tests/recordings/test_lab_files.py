@@ -182,7 +182,7 @@ def test_a_missing_extra_is_named(tmp_path, monkeypatch, module, extra, file):
 # In an experiment
 
 
-def test_an_experiment_reads_markers_and_says_what_it_mended(tmp_path):
+def test_an_experiment_reads_markers_and_says_what_it_repaired(tmp_path):
     here, angle, pose = positions(1500)
     here[300:400, [1, 2]] = here[300:400, [2, 1]]
     here[700:705, 2] = np.nan

@@ -279,7 +279,7 @@ def test_a_recording_is_counted_from_rest(tmp_path):
     assert any("leave theta2 out" in line for line in wrong.warnings)
 
 
-def test_what_was_mended_is_a_recordings_warning(tmp_path):
+def test_what_was_repaired_is_a_recordings_warning(tmp_path):
     position, _, _ = arm(1)
     here = read(tmp_path, swapped(position, (1, 2), 100, 200)).recording(name="mine")
     assert any(line.startswith('mine: "Knee" and "Tip" had exchanged') for line in here.warnings)

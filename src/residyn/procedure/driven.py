@@ -110,7 +110,7 @@ def driven_test(recording: Recording) -> DrivenTest:
         max(torque_noise, _FINEST * size),
         rate,
         clear & grid.good,
-        tuple(_doubts(recording, joint)),
+        tuple(_warnings(recording, joint)),
     )
 
 
@@ -187,7 +187,7 @@ def _pace(grid: Uniform, joint: int, recording: Recording) -> tuple[int, float]:
     return knot, max(_SLOW * rate, unsure)
 
 
-def _doubts(recording: Recording, joint: int) -> list[str]:
+def _warnings(recording: Recording, joint: int) -> list[str]:
     rest = float(np.nanmedian(recording.angle[:, 1 - joint]))
     if abs(rest) < _ASTRAY:
         return []

@@ -102,7 +102,7 @@ def check_noise(noise: Any, joints: int) -> np.ndarray:
     return np.array([number("noise", value, "rad or m", above=0) for value in values])
 
 
-def doubtful_clock(time: np.ndarray) -> list[str]:
+def clock_warnings(time: np.ndarray) -> list[str]:
     """Doubts about the unit of time: nothing that rings is read so slowly for so long."""
     step = float(np.median(np.diff(time)))
     if len(time) < 50 or step < 0.5:

@@ -132,8 +132,8 @@ class Experiment:
     def warnings(self) -> tuple[str, ...]:
         """What is doubtful in the recordings, and in their fitting together."""
         own = [line for recording in self.recordings for line in recording.warnings]
-        doubts = (_in_degrees, _not_held_out, _twice, _no_load)
-        return (*own, *(line for doubtful in doubts for line in doubtful(self)))
+        checks = (_in_degrees, _not_held_out, _twice, _no_load)
+        return (*own, *(line for check in checks for line in check(self)))
 
 
 def must_be_experiment(given: Any) -> None:
@@ -243,7 +243,7 @@ def _from_markers(
     normal: Any = None,
     **options: Any,
 ) -> Recording:
-    """The recording in a file of markers; what was mended in it is among its warnings."""
+    """The recording in a file of markers; what was repaired in it is among its warnings."""
     if "m" in (inertia.units or ()):
         raise InputError(f"{options['name']}: markers give angles, but a joint is in m")
     lengths = inertia.link_lengths if isinstance(inertia, ArmTable) else None
@@ -253,7 +253,7 @@ def _from_markers(
 
 def _in_degrees(experiment: Experiment) -> list[str]:
     """Doubts about the unit of angles: no braked joint turns by five radians."""
-    doubts = []
+    warnings = []
     for recording, _ in by_recording(experiment.recordings):
         sizes = np.nanquantile(np.abs(recording.angle), 0.99, axis=0)
         units = experiment.reading_units
@@ -264,37 +264,37 @@ def _in_degrees(experiment: Experiment) -> list[str]:
         ]
         if abs(recording.theta2) > 2 * np.pi:
             large.append(f"theta2 = {recording.theta2:g}")
-        doubts += [f"{recording.name}: {x}: in degrees? it must be in rad" for x in large]
-    return doubts
+        warnings += [f"{recording.name}: {x}: in degrees? it must be in rad" for x in large]
+    return warnings
 
 
 def _not_held_out(experiment: Experiment) -> list[str]:
     """A check on readings that were fitted is none."""
-    doubts = []
+    warnings = []
     for check, _ in by_recording(experiment.check_recordings):
         for fit, _ in by_recording(experiment.fit_recordings):
             _, i, j = np.intersect1d(check.time, fit.time, return_indices=True)
             same = np.array_equal(check.angle[i], fit.angle[j], equal_nan=True)
             if check.name == fit.name and len(i) and same:
-                doubts.append(
+                warnings.append(
                     f'{check.name}: {len(i)} of its samples have role = "check" and are fitted too'
                 )
-    return doubts
+    return warnings
 
 
 def _twice(experiment: Experiment) -> list[str]:
     """Readings that are fitted twice seem to be known better than they are."""
     first: dict[tuple[bytes, bytes], int] = {}
     fitted = [r for r, _ in by_recording(experiment.fit_recordings)]
-    doubts = []
+    warnings = []
     for i, r in enumerate(fitted):
         same = first.setdefault((r.time.tobytes(), r.angle.tobytes()), i)
         if same != i:
-            doubts.append(
+            warnings.append(
                 f"{r.name}: has the readings of {fitted[same].name}, so that they are fitted "
                 "twice: errors come out too small"
             )
-    return doubts
+    return warnings
 
 
 def _no_load(experiment: Experiment) -> list[str]:

@@ -25,13 +25,13 @@ def estimate_noise(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
     **Returns:** (n,) rad or m, all positive.
     """
-    return noise_and_doubts(time, angle)[0]
+    return noise_and_warnings(time, angle)[0]
 
 
-def noise_and_doubts(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, list[str]]:
+def noise_and_warnings(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """`estimate_noise`, and in words the joints whose noise could not be seen."""
     time, angle = check_table(time, angle)
-    sigma, doubts, still = np.zeros(angle.shape[1]), [], []
+    sigma, warnings, still = np.zeros(angle.shape[1]), [], []
     for j, column in enumerate(angle.T):
         seen, y, unit = scaled(column)
         if len(seen) < 8:
@@ -46,15 +46,15 @@ def noise_and_doubts(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, l
         own = max(float(np.median(spread)), grid_step(y) / math.sqrt(12))
         sigma[j] = unit * max(own, floor)
         if own < floor:
-            doubts.append(
+            warnings.append(
                 f"noise of q{j + 1} could not be seen in the data; {sigma[j]:.3g} is taken, 1e-9 "
                 "of its rms motion; give noise to say what it is"
             )
     for j in still:
         value = abs(float(angle[np.isfinite(angle[:, j]), j][0]))
         sigma[j] = sigma.max() if len(still) < len(sigma) else 1e-9 * max(value, 1.0)
-        doubts.append(
+        warnings.append(
             f"q{j + 1} never moves: all its readings are the same, so their noise cannot be seen; "
             f"{sigma[j]:.3g} is taken; give noise to say what it is"
         )
-    return sigma, doubts
+    return sigma, warnings

@@ -18,9 +18,9 @@ from .arrays import (
     check_enough,
     check_noise,
     check_table,
-    doubtful_clock,
+    clock_warnings,
 )
-from .noise import noise_and_doubts
+from .noise import noise_and_warnings
 from .outliers import outlier_mask
 from .reads import READS, angles_from, check_reads
 from .release import window
@@ -128,23 +128,23 @@ class Recording:
             time, angle = time[part], angle[part]
             force = None if force is None else force[part]
             check_enough(angle, part=start is not None or stop is not None)
-            warnings += doubtful_clock(time)
+            warnings += clock_warnings(time)
             many = -(-len(time) // MOST)
             if many > 1:
                 time, angle, force, words = _means(time, angle, force, many)
                 warnings.append(words)
             understood = ""
             if rest is not None:
-                off, doubts = _rest(rest, time, angle)
-                angle, warnings = angle - off, warnings + doubts
+                off, more = _rest(rest, time, angle)
+                angle, warnings = angle - off, warnings + more
                 each = ", ".join(f"q{j + 1} {x:.5g}" for j, x in enumerate(off))
                 understood = f"rest at {each}, taken off" if off.any() else ""
             if noise is None:
-                sigma, doubts = noise_and_doubts(time, angle)
+                sigma, more = noise_and_warnings(time, angle)
             else:
                 sigma = check_noise(noise, angle.shape[1]) / many**0.5
                 still = np.nanmax(angle, axis=0) == np.nanmin(angle, axis=0)
-                doubts = [
+                more = [
                     f"q{j + 1} never moves: all its readings are the same"
                     for j in np.flatnonzero(still)
                 ]
@@ -165,13 +165,13 @@ class Recording:
                 load=number("load", load, "N", least=0),
                 own=check_own(own, role),
                 reads=kinds,
-                warnings=tuple(f"{name}: {warning}" for warning in [*warnings, *doubts]),
+                warnings=tuple(f"{name}: {warning}" for warning in [*warnings, *more]),
                 understood=understood,
             )
 
-    def saying(self, doubts: Iterable[str]) -> "Recording":
+    def saying(self, warnings: Iterable[str]) -> "Recording":
         """The same recording with further warnings, each given its name."""
-        said = tuple(f"{self.name}: {doubt}" for doubt in doubts)
+        said = tuple(f"{self.name}: {warning}" for warning in warnings)
         return dataclasses.replace(self, warnings=(*self.warnings, *said))
 
     @property

@@ -62,11 +62,11 @@ def estimated_rest(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, lis
     """(n,) rad: where a ring-down rests, and in words where that is known roughly."""
     clock, motion = evenly_sampled(time, angle)
     count = len(motion) / slowest_period(motion - motion.mean(axis=0))
-    doubts = [
+    warnings = [
         f"with {count:.2g} swings of the slowest mode its rest is known roughly: if the residual "
         "has an offset, fit sensor_offset too"
     ]
-    return rest_angles(*decimated(clock, motion)), doubts if count < SWINGS else []
+    return rest_angles(*decimated(clock, motion)), warnings if count < SWINGS else []
 
 
 def _window(count: int, period: float) -> np.ndarray:

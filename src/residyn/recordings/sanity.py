@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .arrays import doubtful_clock
+from .arrays import clock_warnings
 from .recording import Recording
 from .resampling import decimated, evenly_sampled, slowest_period
 from .rest import rest_angles
@@ -62,8 +62,8 @@ def not_free(
     if abs(recording.theta2) > 2 * np.pi:
         words = f"theta2 = {recording.theta2:g}: in degrees? it must be in rad"
         return Finding(words, "theta2", float(np.radians(recording.theta2)))
-    if "t" not in said and (doubts := doubtful_clock(time)):
-        words = f'{doubts[0]}; units = {{ t = "ms" }} says so, or "s" if it is'
+    if "t" not in said and (warnings := clock_warnings(time)):
+        words = f'{warnings[0]}; units = {{ t = "ms" }} says so, or "s" if it is'
         return Finding(words, "units", {"t": "ms"})
     for j, size in enumerate(np.nanquantile(np.abs(angle), 0.99, axis=0)):
         if units and units[j] == "rad" and f"q{j + 1}" not in said and size > _TURN:

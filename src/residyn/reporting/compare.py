@@ -52,16 +52,16 @@ _WORSE = 1.15
 def sentences(found: Comparison) -> tuple[str, ...]:
     """The verdict in a few sentences."""
     white, chi2 = found.p >= NOISE, found.fit.reduced_chi2
-    held, left, chances = _held_out(found), _left(found), _chances(found)
+    held, left, p_values = _held_out(found), _left(found), _p_values(found)
     if white and chi2 > _LARGER:
         first = (
-            f"What is left is white ({chances}), and yet {left}: more noise than was stated, not "
+            f"What is left is white ({p_values}), and yet {left}: more noise than was stated, not "
             "a motion that the model lacks."
         )
         return (first, *held)
     if white:
         first = (
-            f"Nothing is left that the noise does not explain: what is left is white ({chances}), "
+            f"Nothing is left that the noise does not explain: what is left is white ({p_values}), "
             f"{left}."
         )
         less = "The noise that was stated is more than these readings show."
@@ -72,7 +72,7 @@ def sentences(found: Comparison) -> tuple[str, ...]:
         first = f"Something small is left that is not noise: {left}, but not white"
     at = found.where
     told = (_when(at), _swing(at), _frequency(found))
-    return (f"{first} ({chances}).", *(t for t in told if t), *held)
+    return (f"{first} ({p_values}).", *(t for t in told if t), *held)
 
 
 def _excess(cell: Cell) -> float:
@@ -95,7 +95,7 @@ def _left(found: Comparison) -> str:
     return listed(words)
 
 
-def _chances(found: Comparison) -> str:
+def _p_values(found: Comparison) -> str:
     """The p-value of the whiteness test at each joint, and what it is compared with."""
     each = [white.p for white in found.where.white.values() if math.isfinite(white.p)]
     if not each:
@@ -251,8 +251,8 @@ def _where(found: Comparison) -> list[str]:
         ]
 
     out = section("Where", "share of the squared residual, and rms in times the noise")
-    chances = ["-" if math.isnan(w.p) else f"{w.p:.1g}" for w in at.white.values()]
-    white = (f"p of whiteness test ({NOISE:g})", chances)
+    p_values = ["-" if math.isnan(w.p) else f"{w.p:.1g}" for w in at.white.values()]
+    white = (f"p of whiteness test ({NOISE:g})", p_values)
     out += _by_joint("", at.joints, [("all", cells(at.joint)), white])
     out += _by_joint("time since the start, s", at.joints, rows(at.time))
     for joint, unit, parts in zip(at.joints, at.units, at.amplitude, strict=True):

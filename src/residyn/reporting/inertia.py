@@ -34,7 +34,7 @@ def warnings(result: InertiaResult) -> tuple[str, ...]:
     """All warnings of step 1: the recordings' own, then the result's."""
     return (
         *(w for t in result.tests for w in (*_recording(t), *t.test.warnings)),
-        *(line for t in result.tests for line in _doubts(t)),
+        *(line for t in result.tests for line in _of_test(t)),
         *_close(result),
         *_contradiction(result),
         *_bearings(result),
@@ -48,7 +48,7 @@ def _recording(test: TestResult) -> Iterable[str]:
     return (w for w in test.test.recording.warnings if still not in w)
 
 
-def _doubts(test: TestResult) -> Iterable[str]:
+def _of_test(test: TestResult) -> Iterable[str]:
     left = times(float(np.sqrt(test.solved.chi2)))
     if test.solved.chi2 > _STRUCTURE and test.solved.enlarged:
         yield (

@@ -74,7 +74,7 @@ class MotionCapture:
         """
 
         options = {"name": self.name, **options}
-        rest, doubts = self._rest(options.get("start"), options.get("stop"))
+        rest, of_rest = self._rest(options.get("start"), options.get("stop"))
         said = [*self.repairs, *self.warnings]
         if self.angle.shape[1] == 2:
             if "theta2" in options:
@@ -90,7 +90,7 @@ class MotionCapture:
         turned = ", ".join(f"q{j + 1} from {angle:.4f} rad" for j, angle in enumerate(rest))
         said.append(f"angles are counted from rest, {turned} of its markers")
         return Recording.from_arrays(self.time, self.angle - rest, **options).saying(
-            [*said, *doubts]
+            [*said, *of_rest]
         )
 
 

@@ -41,11 +41,11 @@ def candidates(found: Diagnosis, *, narrow: bool = False) -> Figure:
     colours = [RESIDUAL if c.effect in found.added else MODEL for c in shown]
     place = range(len(shown))
 
-    chances = [100 * c.probability for c in shown]
+    percents = [100 * c.probability for c in shown]
     likely.barh(place, [100.0] * len(shown), 0.5, color=BAND, alpha=0.5, zorder=1)
-    likely.barh(place, chances, 0.5, color=colours, zorder=2)
-    for y, chance, c in zip(place, chances, shown, strict=True):
-        _at_end(likely, chance if math.isfinite(chance) else 0.0, y, percent(c.probability))
+    likely.barh(place, percents, 0.5, color=colours, zorder=2)
+    for y, share, c in zip(place, percents, shown, strict=True):
+        _at_end(likely, share if math.isfinite(share) else 0.0, y, percent(c.probability))
     likely.set(xlim=(0, 130), xlabel="probability (%)", title="how probable")
     likely.set_xticks([0, 50, 100])
 
