@@ -38,3 +38,10 @@ def forget():
     jax.clear_caches()
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture
+def float64():
+    """In double precision, as commands compute; modules ask for it with `pytestmark`."""
+    with jax.enable_x64(True):
+        yield

@@ -65,10 +65,7 @@ def own_part(with_it, motion):
     return np.delete(np.array(response(with_it, motion)), slice(2, 2 + len(with_it.memory)))
 
 
-@pytest.fixture(autouse=True)
-def double():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("float64")
 
 
 def test_where_effects_can_act_is_asked_in_any_precision():

@@ -4,7 +4,6 @@ The truth comes from the rig, which shares no code with the package and uses MuJ
 friction, tendons, gravity and bodies wherever it has them.
 """
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -19,10 +18,7 @@ from tests.rig import NAMES, Arm, Hidden, hidden_cases, record
 SMOOTH, DRY = 1.2e-4, 5e-4
 
 
-@pytest.fixture(autouse=True)
-def double():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("float64")
 
 
 def truth(case):

@@ -1,17 +1,12 @@
 """Effects that rigs showed, against closed forms."""
 
-import jax
 import numpy as np
 import pytest
 
 import residyn
 from residyn.physics.motion import Motion
 
-
-@pytest.fixture(autouse=True)
-def double():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("float64")
 
 
 @pytest.mark.parametrize("rate", [2.0, -3.0])

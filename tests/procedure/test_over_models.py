@@ -33,10 +33,7 @@ BEARINGS = (Bearing("elbow", 0.1, 1e-4), Bearing("wrist", 0.1, 1e-4))
 NOISE = 1e-3
 
 
-@pytest.fixture(autouse=True)
-def float64():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("float64")
 
 
 @pytest.fixture(scope="module")

@@ -40,10 +40,7 @@ STEP_2 = {
 """What the paper's step 2 found."""
 
 
-@pytest.fixture(autouse=True)
-def double():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("float64")
 
 
 def recordings_of(wanted, roles, places=("elbow", "wrist"), **options):
@@ -456,49 +453,46 @@ MOTIONS = st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4)
 @given(ARMS, BEARINGS, MOTIONS)
 def test_eq_5_adds_each_bearings_own_kinetic_energy(arm, bearings, motion):
     """A bearing is a body at a point of link 2, which moves and turns with it."""
-    with jax.enable_x64(True):
-        q, v = tuple(motion[:2]), tuple(motion[2:])
-        l1, l2 = np.asarray(arm.link_lengths)
-        added = 0.0
-        for bearing in bearings:
-            reach = l2 if bearing.joint == "wrist" else 0.0
-            angle, turn = q[0] + float(arm.theta2) + q[1], v[0] + v[1]
-            velocity = l1 * v[0] * np.array([-np.sin(q[0]), np.cos(q[0])])
-            velocity = velocity + reach * turn * np.array([-np.sin(angle), np.cos(angle)])
-            added += 0.5 * float(bearing.mass) * velocity @ velocity
-            added += 0.5 * float(bearing.inertia) * turn**2
-        loaded = residyn.with_bearings(arm, bearings)
-        whole = float(loaded.kinetic_energy(q, v))
-        assert whole == pytest.approx(float(arm.kinetic_energy(q, v)) + added, rel=1e-9, abs=1e-12)
+    q, v = tuple(motion[:2]), tuple(motion[2:])
+    l1, l2 = np.asarray(arm.link_lengths)
+    added = 0.0
+    for bearing in bearings:
+        reach = l2 if bearing.joint == "wrist" else 0.0
+        angle, turn = q[0] + float(arm.theta2) + q[1], v[0] + v[1]
+        velocity = l1 * v[0] * np.array([-np.sin(q[0]), np.cos(q[0])])
+        velocity = velocity + reach * turn * np.array([-np.sin(angle), np.cos(angle)])
+        added += 0.5 * float(bearing.mass) * velocity @ velocity
+        added += 0.5 * float(bearing.inertia) * turn**2
+    loaded = residyn.with_bearings(arm, bearings)
+    whole = float(loaded.kinetic_energy(q, v))
+    assert whole == pytest.approx(float(arm.kinetic_energy(q, v)) + added, rel=1e-9, abs=1e-12)
 
 
 @settings(max_examples=60)
 @given(ARMS, BEARINGS, st.randoms(use_true_random=False))
 def test_eq_5_on_and_off_is_nothing_in_any_order(arm, bearings, random):
-    with jax.enable_x64(True):
-        shuffled = list(bearings)
-        random.shuffle(shuffled)
-        again = residyn.without_bearings(residyn.with_bearings(arm, bearings), shuffled)
-        for one, other in zip(jax.tree.leaves(arm), jax.tree.leaves(again), strict=True):
-            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
+    shuffled = list(bearings)
+    random.shuffle(shuffled)
+    again = residyn.without_bearings(residyn.with_bearings(arm, bearings), shuffled)
+    for one, other in zip(jax.tree.leaves(arm), jax.tree.leaves(again), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
 
 
 @settings(max_examples=10)
 @given(ARMS, BEARINGS)
 def test_bearings_slow_every_mode_and_leave_with_their_drag(arm, bearings):
     """Rayleigh: more inertia, no frequency higher. And what is of the bearings, goes with them."""
-    with jax.enable_x64(True):
-        loaded = residyn.with_bearings(arm, bearings)
-        springs = (residyn.Spring("shoulder", 16.0), residyn.Spring("elbow", 9.0))
-        bare, on = (residyn.Model(m, springs) for m in (arm, loaded))
-        slow, fast = (np.asarray(residyn.modes(m).frequency_hz) for m in (on, bare))
-        assert (slow <= fast * (1 + 1e-9)).all()
-        drags = on + residyn.BearingDrag(0.3) + residyn.BearingFriction(0.1)
-        drags = drags + residyn.BearingQuadraticDrag(0.2) + residyn.CoulombFriction("elbow", 0.1)
-        assert without_effects_of_bearings(drags).labels == (
-            *on.labels,
-            "coulomb_friction:elbow",
-        )
+    loaded = residyn.with_bearings(arm, bearings)
+    springs = (residyn.Spring("shoulder", 16.0), residyn.Spring("elbow", 9.0))
+    bare, on = (residyn.Model(m, springs) for m in (arm, loaded))
+    slow, fast = (np.asarray(residyn.modes(m).frequency_hz) for m in (on, bare))
+    assert (slow <= fast * (1 + 1e-9)).all()
+    drags = on + residyn.BearingDrag(0.3) + residyn.BearingFriction(0.1)
+    drags = drags + residyn.BearingQuadraticDrag(0.2) + residyn.CoulombFriction("elbow", 0.1)
+    assert without_effects_of_bearings(drags).labels == (
+        *on.labels,
+        "coulomb_friction:elbow",
+    )
 
 
 # -- the paper's slips -----------------------------------------------------------------------
@@ -672,15 +666,8 @@ def test_command_ends_with_1_where_a_mode_grows(command, tmp_path):
     ("text", "words", "says"),
     [
         (TOML + RECORDING, [], ["arm.toml", "[[air_bearings]]", "mass"]),
-        (TOML + BEARING_TABLES + RECORDING, ["--with", "bearing_rust"], ["bearing_rust"]),
         (TOML + BEARING_TABLES + RECORDING, ["--inertia-std", "1,2"], ["--inertia-std", "three"]),
         (TOML + BEARING_TABLES + RECORDING, ["--inertia-std", "1,2,x"], ["--inertia-std"]),
-        (
-            TOML + BEARING_TABLES + RECORDING + "air_bearings = false\n",
-            [],
-            ["arm.toml", "bearings on"],
-        ),
-        (TOML + BEARING_TABLES + RECORDING, ["--json", "made.csv"], ["made.csv"]),
     ],
 )
 def test_command_says_what_is_wrong_in_one_line(command, text, words, says):

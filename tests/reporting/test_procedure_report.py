@@ -24,10 +24,7 @@ from tests.procedure.test_unload import BOTH, GROWS, PAPER, STEP_2, from_numbers
 NASTY = "<b>& 'arm'"
 
 
-@pytest.fixture(autouse=True)
-def double():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("float64")
 
 
 @pytest.fixture(scope="module")
