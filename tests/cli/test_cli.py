@@ -14,7 +14,7 @@ import pytest
 from residyn.cli import main
 
 STIFFNESS, DAMPING, MASS, NOISE = 100.0, 0.8, 1.0, 1e-4
-COMPILING = ("fit", "diagnose", "simulate", "demo")
+COMPILING = ("fit", "diagnose", "simulate", "demo", "race")
 CONTRACT = {
     "model",
     "parameters",
@@ -68,6 +68,7 @@ def folder(tmp_path_factory):
         lines[7] = lines[7].split(",")[0] + ","  # a lost sample
         (folder / f"{name}.csv").write_text("\n".join(["t,q1", *lines, ""]))
     (folder / "cart.toml").write_text(TOML)
+    (folder / "empty").mkdir()
     return folder
 
 
@@ -163,6 +164,22 @@ BAD = {
     "table nowhere": (["fit", "cart.toml", "--table", "no/x.tex"], "cannot be written"),
     "table over input": (["fit", "cart.toml", "--table", "one.csv"], "input"),
     "table into JSON": (["fit", "cart.toml", "--table", "a.csv", "--json", "./a.csv"], "same file"),
+    "each nowhere": (["fit", "--each", "nowhere"], "no such folder"),
+    "each of nothing": (["fit", "--each", "empty"], "no experiment in it"),
+    "each and one": (["fit", "cart.toml", "--each", "."], "leave one of them out"),
+    "jobs of one": (["fit", "cart.toml", "--jobs", "2"], "--jobs 2 goes with --each"),
+    "no jobs": (["fit", "--each", ".", "--jobs", "0"], "--jobs"),
+    "lines nowhere": (["fit", "--each", ".", "--json", "no/all.jsonl"], "cannot be written"),
+    "lines over input": (["fit", "--each", ".", "--json", "cart.toml"], "is an input"),
+    "race of nonsense": (["race", "cart.toml", "--methods", "nonsense"], "no such method"),
+    "race of no minimiser": (["race", "cart.toml", "--methods", "optax.x"], "optax has no such"),
+    "race back in time": (["race", "cart.toml", "--seconds", "-3"], "seconds = -3"),
+    "race of nothing": (["race", "cart.toml", "--simulations", "0"], "simulations = 0"),
+    "race of two lengths": (
+        ["race", "cart.toml", "--seconds", "1", "--simulations", "9"],
+        "give one of them",
+    ),
+    "no such solver": (["race", "cart.toml", "--integrator", "Euler99"], "no such solver"),
     "no such suspect": (["diagnose", "cart.toml", "--with", "coulomb"], "coulomb_friction"),
     "demo nowhere": (["demo", "--report", "no/such.html"], "no/such.html"),
     "no catalogue entry": (["effects", "coulomb"], "coulomb_friction"),

@@ -330,26 +330,3 @@ def test_other_files_are_not_written_into(folder):
         next(residyn.fit_many([str(folder / "a.toml")], out=folder / "notes.txt"))
     with pytest.raises(residyn.InputError, match="twice"):
         next(residyn.fit_many([str(folder / "a.toml")] * 2))
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["--each", "nowhere"], "no such folder"),
-        (["x.toml", "--jobs", "2"], "--jobs 2 goes with --each"),
-        (["--each", "one", "--jobs", "0"], "--jobs"),
-        (["--each", "."], "no experiment in it"),
-        (["x.toml", "--each", "."], "leave one of them out"),
-        ([], "EXPERIMENT is needed"),
-        (["--each", "one", "--json", "nowhere/all.jsonl"], "cannot be written"),
-        (["--each", "one", "--json", "one/x.toml"], "is an input"),
-    ],
-)
-def test_what_each_cannot_do_is_said_in_one_line(words, says, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "one").mkdir()
-    (tmp_path / "one" / "x.toml").write_text("[inertia]\n")
-    assert cli.main(["fit", *words]) == 2
-    error = capsys.readouterr().err
-    assert says in error
-    assert error.count("\n") == 1

@@ -241,24 +241,6 @@ def test_the_command_writes_what_it_found(demo, tmp_path, capsys):
     assert "least objective (Eq. 17)" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--methods", "nonsense"], "no such method"),
-        (["--methods", "optax.nonsense"], "optax has no such"),
-        (["--seconds", "-3"], "seconds = -3"),
-        (["--simulations", "0"], "simulations = 0"),
-        (["--seconds", "1", "--simulations", "9"], "give one of them"),
-        (["--integrator", "Euler99"], "no such solver"),
-    ],
-)
-def test_bad_input_is_one_line(demo, words, said, capsys):
-    assert main(["race", str(demo), "--no-cache", *words]) == 2
-    error = capsys.readouterr().err.strip()
-    assert said in error
-    assert len(error.splitlines()) == 1
-
-
 def test_a_race_without_the_extra_is_one_line(demo, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "evosax.algorithms", None)
     assert main(["race", str(demo), "--no-cache"]) == 2
