@@ -25,6 +25,8 @@ from .problem import Problem, Ready, Unknowns, mechanism_of, posed
 from .result import Fit, FitError, RecordingFit
 
 _FAR = 1.0  # standard errors that least squares would still go
+_CONVERGED = "converged: the last step moved the fit by less than 1/100 of its error"
+_STOPPED = "step limit reached before the numbers settled"
 
 
 def finish(*given, **more) -> Fit:
@@ -74,7 +76,7 @@ def finishing(
         starts=descent.starts,
         agreeing_starts=descent.agreeing,
         converged=descent.converged,
-        reason=_reason(descent.converged),
+        reason=_CONVERGED if descent.converged else _STOPPED,
         steps=descent.steps,
         integration_error=error,
         seconds=time.perf_counter() - began,
@@ -165,9 +167,3 @@ def _held_out(
         end = yield from descending(here, begin, numbers, outliers, like=like, search=search)
         found += end.beside(filled)[: len(some)]
     return found
-
-
-def _reason(converged: bool) -> str:
-    if converged:
-        return "converged: the last step moved the fit by less than 1/100 of its error"
-    return "step limit reached before the numbers settled"

@@ -43,15 +43,15 @@ class History(NamedTuple):
 
     def until(self, objective: float) -> float:
         """Simulations spent until this objective was reached; inf if it was not."""
-        reached = np.flatnonzero(self.objective <= objective)
-        return float(self.simulations[reached[0]]) if len(reached) else float("inf")
+        return self._until(objective, self.simulations)
 
     def seconds_until(self, objective: float) -> float:
         """The same in seconds; inf, too, if they were not kept."""
+        return math.inf if self.seconds is None else self._until(objective, self.seconds)
+
+    def _until(self, objective: float, spent: np.ndarray) -> float:
         reached = np.flatnonzero(self.objective <= objective)
-        if self.seconds is None or not len(reached):
-            return float("inf")
-        return float(self.seconds[reached[0]])
+        return float(spent[reached[0]]) if len(reached) else math.inf
 
 
 def relative_error(problem: Problem, y: Unknowns) -> Float[Array, ""]:
@@ -109,12 +109,12 @@ class Watch:
         self.simulations, self.best = 0.0, math.inf
         self.rows: list[tuple[float, float, float]] = []
         self._first: Any = None
-        self._began, self._paused = time.perf_counter(), 0.0
+        self._began, self.paused_for = time.perf_counter(), 0.0  # s that were not counted
 
     @property
     def seconds(self) -> float:
         """Seconds on the clock."""
-        return time.perf_counter() - self._began - self._paused
+        return time.perf_counter() - self._began - self.paused_for
 
     def over(self) -> bool:
         """Whether the budget is spent."""
@@ -122,12 +122,7 @@ class Watch:
 
     def restart(self) -> None:
         """Begin to count, once programs are compiled."""
-        self._began, self._paused, self.simulations = time.perf_counter(), 0.0, 0.0
-
-    @property
-    def paused_for(self) -> float:
-        """Seconds that were not counted."""
-        return self._paused
+        self._began, self.paused_for, self.simulations = time.perf_counter(), 0.0, 0.0
 
     @contextlib.contextmanager
     def paused(self) -> Iterator[None]:
@@ -136,7 +131,7 @@ class Watch:
         try:
             yield
         finally:
-            self._paused += time.perf_counter() - stopped
+            self.paused_for += time.perf_counter() - stopped
 
     def add(self, simulations: float, *objectives: float) -> None:
         """For each of these objectives, so many more simulations of all fitted recordings that led

@@ -163,12 +163,8 @@ class Race(TableResult):
             "error": run.error or None,
         }
         if run.fit is not None:
-            numbers = run.fit.numbers
-            found["parameters"] = {
-                n.name: {"value": number(n.value), "std": number(n.std), "unit": n.unit}
-                for n in numbers
-            }
-            off = {n.name: number(x) for n, x in zip(numbers, self.off(run), strict=True)}
+            found["parameters"] = own = run.fit.to_dict()["parameters"]
+            off = {name: number(x) for name, x in zip(own, self.off(run), strict=True)}
             found["standard_errors_off"] = off
         return found
 
@@ -266,8 +262,7 @@ def _run(experiment, effects, name: str, method, seed: int, most, hear) -> Run:
         with watched(Watch(lambda watch: hear(name, seed, watch), *most)) as watch:
             found = fit(experiment, **how)
     except FitError as error:
-        empty = History(np.zeros(0), np.zeros(0), np.zeros(0))
-        return Run(name, seed, None, empty, 0.0, str(error))
+        return Run(name, seed, None, History.of([]), 0.0, str(error))
     rows = [row for row in watch.rows if math.isfinite(row[2])]
     if descent:  # the whole fit, and what it ends with
         simulations, _, best = rows[-1]

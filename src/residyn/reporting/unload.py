@@ -1,8 +1,6 @@
 """All that is said of step 3: how the arm rings on its bearings and without them.
 
-A mode falls to 1/e in 1 / (2 pi f zeta). An arm that nothing drives loses energy, so zeta > 0. A
-fitted zeta below zero has no decay time: the mode grows, which is a statement about the fit, or
-about what the recordings do not determine, and never about the arm.
+When a mode falls to 1/e, and when it has no such time, is in `procedure.decay`.
 
 Viscous drag of a bearing on the elbow is exactly a damper at the shoulder. That of one on the wrist
 is a damping matrix with off-diagonal terms, which turns with the elbow angle and leaves with the
