@@ -40,7 +40,7 @@ def forget():
     gc.freeze()
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def float64():
     """In double precision, as commands compute; modules ask for it with `pytestmark`."""
     with jax.enable_x64(True):

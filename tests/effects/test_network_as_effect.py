@@ -21,10 +21,7 @@ STARTS = np.array([[0.2, -0.2], [-0.2, 0.2], [0.1, 0.25], [0.25, 0.05]])  # rad
 BODIES = PlanarArm((ARM.l1, ARM.l2), ARM.shoulder, ARM.elbow, ARM.coupling, ARM.theta2)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def float64():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("float64")
 
 
 class NetworkTorque(residyn.JointEffect):

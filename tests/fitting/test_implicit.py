@@ -16,10 +16,7 @@ T = np.arange(round(SECONDS * 50)) / 50.0
 BEARING = [AirBearing("wrist", 1.9635, 0.00245)]
 
 
-@pytest.fixture(scope="module", autouse=True)
-def float64():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("float64")
 
 
 def experiment(shoulder=ARM.shoulder, elbow=ARM.elbow, coupling=ARM.coupling, angle=None, seed=0):
@@ -31,7 +28,7 @@ def experiment(shoulder=ARM.shoulder, elbow=ARM.elbow, coupling=ARM.coupling, an
 
 
 @pytest.fixture(scope="module")
-def fit(float64):
+def fit():
     return residyn.fit(experiment(), starts=1)
 
 

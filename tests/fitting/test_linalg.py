@@ -11,10 +11,7 @@ from residyn.fitting.problem import Unknowns
 DAMPING = 0.09
 
 
-@pytest.fixture(autouse=True)
-def _wide():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("float64")
 
 
 def problem_of(recordings: int, numbers: int = 4, states: int = 5):

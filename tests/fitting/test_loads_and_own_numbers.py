@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -17,17 +16,18 @@ MASS, STIFFNESS, DAMPING, FRICTION, COEFFICIENT = 1.5, 200.0, 0.4, 0.2, 0.03
 NOISE = 2e-5
 TABLE = InertiaTable(("cart",), ((MASS,),), ("m",))
 
+pytestmark = pytest.mark.usefixtures("float64")
+
 
 def release(load=0.0, friction=FRICTION, seed=0, rate=100.0, **more):
     """A cart pulled 0.1 m and let go; its friction, and what its load adds to it."""
-    with jax.enable_x64(True):
-        cart = ConstantInertia([[MASS]], ["cart"], ["m"], load=load)
-        model = cart + residyn.Spring("cart", STIFFNESS) + residyn.Damper("cart", DAMPING)
-        model = model + residyn.CoulombFriction("cart", friction)
-        if load:
-            model = model + residyn.LoadFriction("cart", COEFFICIENT)
-        t = np.arange(0.0, 5.0, 1 / rate)
-        q = np.asarray(residyn.simulate(model, t, [0.1], steps=2000).q)
+    cart = ConstantInertia([[MASS]], ["cart"], ["m"], load=load)
+    model = cart + residyn.Spring("cart", STIFFNESS) + residyn.Damper("cart", DAMPING)
+    model = model + residyn.CoulombFriction("cart", friction)
+    if load:
+        model = model + residyn.LoadFriction("cart", COEFFICIENT)
+    t = np.arange(0.0, 5.0, 1 / rate)
+    q = np.asarray(residyn.simulate(model, t, [0.1], steps=2000).q)
     noise = NOISE * np.random.default_rng(seed).standard_normal(q.shape)
     return Recording.from_arrays(t, q + noise, noise=NOISE, name=f"run{seed}", load=load, **more)
 
@@ -54,11 +54,10 @@ def test_friction_of_a_load_is_told_from_friction_without_one():
 
 def test_friction_of_a_load_decays_as_its_closed_form_says():
     """Without a damper the amplitude falls by 4 mu N / k every cycle."""
-    with jax.enable_x64(True):
-        cart = ConstantInertia([[MASS]], ["cart"], ["m"], load=10.0)
-        model = cart + residyn.Spring("cart", STIFFNESS) + residyn.LoadFriction("cart", COEFFICIENT)
-        cycle = 2 * np.pi * np.sqrt(MASS / STIFFNESS)
-        q = np.asarray(residyn.simulate(model, [0.0, cycle, 2 * cycle], [0.1], steps=400).q)[:, 0]
+    cart = ConstantInertia([[MASS]], ["cart"], ["m"], load=10.0)
+    model = cart + residyn.Spring("cart", STIFFNESS) + residyn.LoadFriction("cart", COEFFICIENT)
+    cycle = 2 * np.pi * np.sqrt(MASS / STIFFNESS)
+    q = np.asarray(residyn.simulate(model, [0.0, cycle, 2 * cycle], [0.1], steps=400).q)[:, 0]
     np.testing.assert_allclose(np.diff(q), -4 * COEFFICIENT * 10.0 / STIFFNESS, rtol=1e-4)
 
 
@@ -107,30 +106,26 @@ def test_an_effect_with_own_numbers_is_that_effect_at_those_numbers(effect, labe
     from residyn.physics.motion import Motion
     from residyn.physics.parameter import parameters_of
 
-    with jax.enable_x64(True):
-        cart = ConstantInertia([[MASS]], ["cart"], ["m"])
-        (plain,) = effects_named(effect, cart)
-        own = with_own(plain, ((1, "one"), (2, "two")))
-        assert own.label == label
-        assert len(parameters_of(own)) == 3 * fields
-        values = {p.field: 0.3 + 0.1 * i for i, p in enumerate(parameters_of(own))}
-        own = dataclasses.replace(own, **values)
-        motion = Motion.at(0.0, [0.2], [0.5], [0.1] * len(own.memory))._replace(turn=(0.2,))
-        for run in (0, 1, 2):
-            at = dataclasses.replace(
-                plain,
-                **{
-                    p.field: values[p.field + (f"_{run}" if run else "")]
-                    for p in parameters_of(plain)
-                },
-            )
-            here = ConstantInertia([[MASS]], ["cart"], ["m"], run=run)
-            assert own.torque(motion, here) == at.torque(motion, here)
-            assert own.rate(motion, here) == at.rate(motion, here)
-            assert own.follow(motion, here) == at.follow(motion, here)
-            assert own.delays(here) == at.delays(here)
-            angles = (jnp.asarray([0.2]),)
-            assert own.reading(angles, here) == at.reading(angles, here)
+    cart = ConstantInertia([[MASS]], ["cart"], ["m"])
+    (plain,) = effects_named(effect, cart)
+    own = with_own(plain, ((1, "one"), (2, "two")))
+    assert own.label == label
+    assert len(parameters_of(own)) == 3 * fields
+    values = {p.field: 0.3 + 0.1 * i for i, p in enumerate(parameters_of(own))}
+    own = dataclasses.replace(own, **values)
+    motion = Motion.at(0.0, [0.2], [0.5], [0.1] * len(own.memory))._replace(turn=(0.2,))
+    for run in (0, 1, 2):
+        at = dataclasses.replace(
+            plain,
+            **{p.field: values[p.field + (f"_{run}" if run else "")] for p in parameters_of(plain)},
+        )
+        here = ConstantInertia([[MASS]], ["cart"], ["m"], run=run)
+        assert own.torque(motion, here) == at.torque(motion, here)
+        assert own.rate(motion, here) == at.rate(motion, here)
+        assert own.follow(motion, here) == at.follow(motion, here)
+        assert own.delays(here) == at.delays(here)
+        angles = (jnp.asarray([0.2]),)
+        assert own.reading(angles, here) == at.reading(angles, here)
 
 
 @pytest.mark.parametrize(

@@ -21,10 +21,7 @@ T = np.arange(200) / 50.0  # s
 DRAWS = 600
 
 
-@pytest.fixture(scope="module", autouse=True)
-def float64():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("float64")
 
 
 def dragging(t, q, v):
@@ -32,7 +29,7 @@ def dragging(t, q, v):
 
 
 @pytest.fixture(scope="module")
-def embedded(float64):
+def embedded():
     truth, _ = rig.simulate(ARM, T, [0.2, -0.3], torque=dragging)
     noise = NOISE * np.random.default_rng(4).standard_normal(truth.shape)
     recording = residyn.Recording.from_arrays(T, truth + noise, noise=NOISE, theta2=ARM.theta2)

@@ -17,11 +17,7 @@ from residyn.simulation.simulate import march
 
 rig = pytest.importorskip("tests.rig")
 
-
-@pytest.fixture(autouse=True)
-def double():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("float64")
 
 
 def arm_of(case_arm) -> residyn.Model:
@@ -50,7 +46,7 @@ def energy(model, nodes):
 
 
 @pytest.fixture
-def undamped(double):
+def undamped():
     arm = PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.7)
     return arm + Spring("shoulder", 16.67) + Spring("elbow", 16.67)
 
@@ -250,10 +246,9 @@ def test_dry_friction_of_a_bearing_damps_no_mode():
     arm = PlanarArm([0.4, 0.4], 1.1662, 0.5790, 1.4384, 0.4, bearings=[1, 1])
     model = arm + Spring("shoulder", 16.0) + Spring("elbow", 16.0)
     rubbed = model + residyn.BearingFriction(0.05)
-    with jax.enable_x64(True):
-        pairs = zip(residyn.modes(model), residyn.modes(rubbed), strict=True)
-        for clean, found in pairs:
-            np.testing.assert_allclose(found, clean, atol=1e-9)
+    pairs = zip(residyn.modes(model), residyn.modes(rubbed), strict=True)
+    for clean, found in pairs:
+        np.testing.assert_allclose(found, clean, atol=1e-9)
 
 
 @pytest.mark.parametrize("tilted", [False, True])

@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import jax
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -40,28 +39,27 @@ pytestmark = pytest.mark.usefixtures("float64")
 def two():
     """An arm on bearings that drag, and what springs and dampers make of it, with drag and
     without."""
-    with jax.enable_x64(True):
-        time = np.arange(0.0, 8.0, 0.02)
-        still = residyn.Recording.from_arrays(time, np.sin(time)[:, None] * [1, 1], noise=NOISE)
-        experiment = residyn.Experiment(ARM, (still,), BEARINGS)
-        mechanism = residyn.fitting.mechanism_of(experiment, still)
-        model = residyn.fitting.model_for(mechanism, ["bearing_drag"])
-        truth = model.with_values({
-            "spring:shoulder.stiffness": 40.0, "spring:elbow.stiffness": 30.0,
-            "damper:shoulder.damping": 0.2, "damper:elbow.damping": 0.1,
-            "bearing_drag.coefficient": 0.4,
-        })  # fmt: skip
-        q = np.asarray(residyn.simulate(truth, time, [0.2, -0.15]).q)
-        q = q + NOISE * np.random.default_rng(0).standard_normal(q.shape)
-        made = residyn.Recording.from_arrays(time, q, noise=NOISE, theta2=1.0)
-        made = dataclasses.replace(made, theta2=0.0)
-        experiment = residyn.Experiment(ARM, (made,), BEARINGS)
-        scene, base, _ = scene_of(experiment, ())
-        both = (*base, BearingDrag())
-        (found,) = settle(scene, [scene.start(both, prior_of(scene, both))], 1.0)
-        assert found is not None
-        models = [tried_alone(scene, base), Tried(("bearing_drag",), *found, log_prior=0.0)]
-        return experiment, scene, models, truth
+    time = np.arange(0.0, 8.0, 0.02)
+    still = residyn.Recording.from_arrays(time, np.sin(time)[:, None] * [1, 1], noise=NOISE)
+    experiment = residyn.Experiment(ARM, (still,), BEARINGS)
+    mechanism = residyn.fitting.mechanism_of(experiment, still)
+    model = residyn.fitting.model_for(mechanism, ["bearing_drag"])
+    truth = model.with_values({
+        "spring:shoulder.stiffness": 40.0, "spring:elbow.stiffness": 30.0,
+        "damper:shoulder.damping": 0.2, "damper:elbow.damping": 0.1,
+        "bearing_drag.coefficient": 0.4,
+    })  # fmt: skip
+    q = np.asarray(residyn.simulate(truth, time, [0.2, -0.15]).q)
+    q = q + NOISE * np.random.default_rng(0).standard_normal(q.shape)
+    made = residyn.Recording.from_arrays(time, q, noise=NOISE, theta2=1.0)
+    made = dataclasses.replace(made, theta2=0.0)
+    experiment = residyn.Experiment(ARM, (made,), BEARINGS)
+    scene, base, _ = scene_of(experiment, ())
+    both = (*base, BearingDrag())
+    (found,) = settle(scene, [scene.start(both, prior_of(scene, both))], 1.0)
+    assert found is not None
+    models = [tried_alone(scene, base), Tried(("bearing_drag",), *found, log_prior=0.0)]
+    return experiment, scene, models, truth
 
 
 def test_inertias_that_are_off_by_one_share_move_stiffness_and_damping_by_it(two):

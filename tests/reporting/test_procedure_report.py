@@ -4,7 +4,6 @@ import dataclasses
 import html
 import re
 
-import jax
 import numpy as np
 import pytest
 
@@ -29,8 +28,7 @@ pytestmark = pytest.mark.usefixtures("float64")
 
 @pytest.fixture(scope="module")
 def found():
-    with jax.enable_x64(True):
-        return residyn.unload(Experiment(PAPER, (from_numbers(STEP_2, noise=1e-3),), BOTH))
+    return residyn.unload(Experiment(PAPER, (from_numbers(STEP_2, noise=1e-3),), BOTH))
 
 
 def words_of(page):
