@@ -2,8 +2,6 @@
 MuJoCo arms (tests/rig) with laws of no catalogue, no curve where a name or nothing is hidden, and a
 class that is loaded and fitted from the file that was written."""
 
-import dataclasses
-
 import jax
 import numpy as np
 import pytest
@@ -13,8 +11,9 @@ from residyn import effects
 from residyn.cli import main
 from residyn.diagnosis import free_curves
 from residyn.diagnosis.evidence import INTENSITIES, conditional, prior_of, subset
-from residyn.diagnosis.free_curves import Along, FreeCurve, Kind, Place, splines
+from residyn.diagnosis.free_curves import Along, Kind, Place, splines
 from residyn.effects import Damper, Spring
+from residyn.filtering.free_curve import HEIGHTS, FreeCurve
 from residyn.filtering.trajectory import Scene
 from residyn.recordings.tables import ArmTable
 from tests import rig
@@ -67,12 +66,13 @@ def test_a_curve_s_columns_are_the_slopes_of_its_torque():
     with jax.enable_x64(True):
         scene, base = a_cart(bump)
         place = Place(Kind("angle"), 0, -0.4, 0.4)
-        heights = np.random.default_rng(1).standard_normal(free_curves.SPLINES)
+        mean = np.random.default_rng(1).standard_normal(free_curves.SPLINES)
+        law = free_curves.Posterior(np.zeros(0), mean, np.zeros(0))
         along = Along(scene, base)
-        held = dataclasses.replace(base, effects=(*base.effects, place.effect(scene, heights)))
+        held = free_curves.with_curve(scene, base, place, law.heights)
         torque = scene.torques(held)["free_curve:cart"][:, 0]
-        columns = place.columns(along)[:, : scene.K]
-        assert np.allclose(heights @ columns, torque, atol=1e-9)
+        columns = splines(along.variable("angle", 0), -0.4, 0.4)[:, : scene.K]
+        assert np.allclose(mean @ columns, torque, atol=1e-9)
 
 
 def test_the_band_holds_a_known_curve_and_the_curve_is_found():
@@ -81,7 +81,7 @@ def test_the_band_holds_a_known_curve_and_the_curve_is_found():
         along = Along(scene, base)
         found = free_curves.screen(along, [0.1, 0.01, 0.0])
         assert found[0].place.kind == Kind("angle")
-        settled = free_curves.settle(scene, (), base, found[0], 0.1, 0.0)
+        settled = free_curves.settled_curve(scene, (), base, found[0], 0.1, 0.0)
         assert INTENSITIES[int(np.argmax(settled.evidences))] == 0.0
         x = np.linspace(settled.place.low, settled.place.high, 81)
         # Beside the line, which the spring takes up.
@@ -98,15 +98,13 @@ def test_what_is_held_is_taken_away_again():
     with jax.enable_x64(True):
         scene, base = a_cart(lambda q: 0.0 * q)
         place = Place(Kind("time"), 0, 0.0, 12.0)  # linear in nothing but the heights
-        heights = 0.1 * np.ones(free_curves.SPLINES)
-        held = dataclasses.replace(base, effects=(*base.effects, place.effect(scene, heights)))
-        P, own = len(base.u), free_curves.SPLINES
-        logs = []
-        for t, at in ((base, np.zeros(own)), (held, heights)):
-            along = Along(scene, t)
-            total, grams = along.gram(0, place.columns(along), [0.0], at)
-            evidence, rest = conditional(grams[0], P)
-            logs.append((total[0] + evidence, subset(rest, np.arange(own))[0]))
+        heights = 0.1 * np.ones(HEIGHTS)
+        held = free_curves.with_curve(scene, base, place, heights)
+        logs, own = [], np.eye(HEIGHTS)[:, :40]
+        for t, at in ((base, None), (held, heights)):
+            total, grams = Along(scene, t).gram([place], [own], [0.0], at)
+            evidence, rest = conditional(grams[0], len(base.u))
+            logs.append((total[0] + evidence, subset(rest, np.arange(40))[0]))
         assert np.allclose(*logs, atol=1e-5)
 
 

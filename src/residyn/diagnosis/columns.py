@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from ..effects import AbstractEffect
-from ..filtering.kalman import gram
+from ..filtering.kalman import Inputs, gram
 from ..filtering.law import (
     Laws,
     Table,
@@ -432,7 +432,7 @@ class Columns:
         innovations of readings, of the model's own regressors and of all columns, under each of
         some random torques."""
         scene, noise = self.scene, self.scene.noise(self.trajectory)
-        args = self.linear.system, tuple(self._more[:2]), scene.readings, noise
+        args = self.linear.system, Inputs(*self._more[:2]), (), scene.readings, noise
         found = [gram(*args, np.asarray(x, float)) for x in intensities]
         P = 1 + len(self.trajectory.u)
         keep = np.r_[0:P, P + self._used]

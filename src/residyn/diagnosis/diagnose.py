@@ -46,7 +46,7 @@ from .result import (
     Value,
     Verdict,
 )
-from .search import Search, Tried, silenced
+from .search import Search, Tried
 
 MOST_EFFECTS = 3
 """How many effects are added unless it is told otherwise."""
@@ -158,7 +158,7 @@ class Fits:
         **Raises:** `FitError`; what `progress` raises.
         """
         began = time.perf_counter()
-        t = silenced(self.scene, tried.best, tried.intensity)
+        t = tried.silenced(self.scene)
         own = [e for e in t.valued() if e.name not in ("spring", "damper")]
         with self.lock:
             self._cut(t.numbers, own)

@@ -1,25 +1,28 @@
 """A formula for a free curve: at most three terms out of a small grammar.
 
-A term is a function of one variable, with up to two shape numbers on a grid. Along the curve's
-motion every term is a column beside the model, so the evidence of any sum of terms is a Cholesky
-factorisation of a few rows of one Gram matrix: strengths are integrated out in closed form, shapes
-are summed over their grids. Sums are sought by adding the best term to the best sums. The likeliest
-becomes an effect, and is then iterated and fitted as any effect is.
+A term is a function of one variable, with up to two shape numbers on a grid. Every function of the
+variable is a sum of the same fine splines, whose Gram matrix along the curve's motion takes one
+pass of the filter. So the evidence of any sum of terms is a Cholesky factorisation of a few rows:
+strengths are integrated out in closed form, shapes are summed over their grids. Sums are sought by
+adding the best term to the best sums. The likeliest is iterated as a curve is, and fitted as a
+class.
 """
 
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
 
 from ..effects.found import FoundLaw, FoundNumber
+from ..filtering.free_curve import HEIGHTS
 from ..filtering.trajectory import Scene
 from .evidence import (
     CURVE_AMPLITUDES,
     FURTHER,
+    HOPELESS,
     INDISTINGUISHABLE,
     INTENSITIES,
     SHAPE,
@@ -29,7 +32,7 @@ from .evidence import (
     log_prior_model,
     subset,
 )
-from .free_curves import Along, CurveModel, Place, signs
+from .free_curves import Along, CurveModel, Place, heights_of, points, signs
 
 MOST_TERMS = 3
 _KEPT = 12  # sums that a further term is tried with
@@ -138,6 +141,7 @@ class Column(NamedTuple):
 class Sum(NamedTuple):
     """A sum of terms, to first order."""
 
+    place: Place
     columns: tuple[Column, ...]
     log_evidence: float
     """With the prior of its terms and shapes."""
@@ -145,11 +149,48 @@ class Sum(NamedTuple):
     """Of the choice of its terms, and what other widths of its strengths' prior add."""
     strengths: np.ndarray
     """One for each part of each term, in the height's unit."""
+    evidences: np.ndarray = np.zeros(0)
+    """(I,) log evidence of a model and these terms under each random torque, where it is beside
+    one."""
 
     @property
     def families(self) -> tuple[str, ...]:
         """Kinds of its terms."""
         return tuple(c.term.family for c in self.columns)
+
+    @property
+    def heights(self) -> np.ndarray:
+        """(HEIGHTS,) of its curve."""
+        parts = np.concatenate([_parts(self.place, c) for c in self.columns], axis=1)
+        return parts @ self.strengths
+
+    def beside(
+        self, along: Along, place: Place, intensities: Sequence[float] | np.ndarray
+    ) -> "Sum":
+        """The terms beside a model that holds them as they are here already, each shape known to an
+        e-fold."""
+        strong = [_parts(place, c) for c in self.columns]
+        width, count = WIDTH * place.unit(along.scene), len(self.strengths)
+        columns = np.concatenate([*(width * x for x in strong), _bends(self)], axis=1)
+        totals, grams = along.gram([place], [columns], intensities, self.heights)
+        P, every, evidences, means = len(along.trajectory.u), np.arange(columns.shape[1]), [], []
+        for total, square in zip(totals, grams, strict=True):
+            base, rest = conditional(square, P)
+            gain, mean, _ = subset(rest, every)
+            evidences.append(total + base + gain + signs(along, square))
+            means.append(mean)
+        evidences = np.array(evidences)
+        evidences = np.where(np.isfinite(evidences), evidences, -np.inf)
+        mean = means[int(np.argmax(evidences + log_prior_intensity(list(intensities))))]
+        moved = self.moved(np.clip(SHAPE * mean[count:], -_FURTHEST, _FURTHEST))
+        return moved._replace(strengths=width * mean[:count], evidences=evidences)
+
+    def moved(self, by: np.ndarray) -> "Sum":
+        """The sum with the logarithms of its shapes moved."""
+        steps, columns = iter(by), []
+        for c in self.columns:
+            columns.append(c._replace(shape=tuple(x * math.exp(next(steps)) for x in c.shape)))
+        return self._replace(columns=tuple(columns))
 
 
 def scale_of(place: Place) -> float:
@@ -173,47 +214,65 @@ def _columns(place: Place) -> list[Column]:
     return found
 
 
-def _torques(place: Place, along: Along, column: Column) -> list[np.ndarray]:
-    """Torque of each part of a term, N m at unit strength, at the nodes of a motion."""
-    x, factor = (
-        along.variable(place.kind.variable, place.joint),
-        along.factor(place.kind.factor, place.joint),
-    )
+def _parts(place: Place, column: Column) -> np.ndarray:
+    """(HEIGHTS, p) curve of each part of a term at unit strength."""
+    x, x0 = points(place.low, place.high), scale_of(place)
     shapes = dict(zip((name for name, _ in column.term.shapes), column.shape, strict=True))
-    return [factor * _value(part, x, scale_of(place), shapes) for part in column.term.parts]
+    return heights_of(np.stack([_value(part, x, x0, shapes) for part in column.term.parts], 1))
+
+
+class Every:
+    """Every function of a curve's variable beside its model, to first order."""
+
+    def __init__(self, along: Along, model: CurveModel):
+        self.along, self.model = along, model
+        logs = np.where(np.isfinite(model.evidences), model.evidences, -np.inf)
+        logs = logs + log_prior_intensity(INTENSITIES)
+        order = np.argsort(-logs)
+        # A formula is a curve: where no curve has a part in the evidence, it has none.
+        order = order[logs[order] > logs[order[0]] - HOPELESS]
+        at = np.array(INTENSITIES)[order]
+        totals, self.grams = along.gram([model.place], [np.eye(HEIGHTS)], at, model.held)
+        each = [conditional(square, len(along.trajectory.u)) for square in self.grams]
+        self.bases = totals + [b for b, _ in each] + log_prior_intensity(at.tolist())
+        """(I,) the likeliest random torque first."""
+        self.rests = np.stack([rest for _, rest in each])
+
+    def of(self, columns: np.ndarray) -> np.ndarray:
+        """(I, 1 + C, 1 + C) Gram matrices of functions (HEIGHTS, C)."""
+        return _among(self.rests, columns)
+
+    def signs(self, columns: np.ndarray) -> float:
+        """`free_curves.signs` beside functions, under the likeliest random torque."""
+        return signs(self.along, _among(self.grams[0], columns))
+
+
+def _among(square: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """A Gram matrix (..., F + HEIGHTS, F + HEIGHTS) as that of sums (HEIGHTS, C) of its last ones:
+    (..., F + C, F + C)."""
+    first = square.shape[-1] - len(columns)
+    move = np.zeros((square.shape[-1], first + columns.shape[1]))
+    move[:first, :first] = np.eye(first)
+    move[first:, first:] = columns
+    return move.T @ square @ move
 
 
 class Sums:
     """All sums of some columns beside a model, to first order, under its `most` likeliest random
-    torques; `more` (C, 3 K) are further torques, at their prior's width, which no sum has."""
+    torques; `more` (HEIGHTS, C) are further functions, at their prior's width, which no sum has."""
 
     def __init__(
-        self, along: Along, model: CurveModel, columns: Sequence[Column], more: Any = (),
-        most: int = 1,
+        self, every: Every, columns: Sequence[Column], more: np.ndarray | None = None,
+        most: int | None = 1,
     ):  # fmt: skip
-        self.columns, place = list(columns), model.place
-        self.terms = len(grammar(place))
-        self.width = WIDTH * place.unit(along.scene)
-        rows, ends = [], [0]
-        for column in columns:
-            rows += [self.width * x for x in _torques(place, along, column)]
-            ends.append(len(rows))
+        self.columns, self.place = list(columns), every.model.place
+        self.terms = len(grammar(self.place))
+        self.width = WIDTH * self.place.unit(every.along.scene)
+        parts = [self.width * _parts(self.place, c) for c in columns]
+        ends = itertools.accumulate((x.shape[1] for x in parts), initial=0)
         self.which = [tuple(range(a, b)) for a, b in itertools.pairwise(ends)]
-        # The system holds the curve: its own columns take it away again.
-        torques = np.concatenate([place.columns(along), np.stack([*rows, *more])])
-        logs = np.where(np.isfinite(model.evidences), model.evidences, -np.inf)
-        logs = logs + log_prior_intensity(INTENSITIES)
-        used = np.argsort(-logs)[:most]
-        at = np.array(INTENSITIES)[used]
-        totals, grams = along.gram(place.joint, torques, at, model.held)
-        P, count, bases, rests = len(along.trajectory.u), len(model.held), [], []
-        keep = np.r_[0 : 1 + P, 1 + P + count : grams.shape[-1]]
-        for total, square in zip(totals, grams, strict=True):
-            base, rest = conditional(square[np.ix_(keep, keep)], P)
-            bases.append(total + base)
-            rests.append(rest)
-        self.bases = np.array(bases) + log_prior_intensity(at.tolist())
-        self.rests, self.square = np.stack(rests), grams[0][np.ix_(keep, keep)]
+        self.functions = np.concatenate([*parts, *([] if more is None else [more])], axis=1)
+        self.bases, self.rests = every.bases[:most], every.of(self.functions)[:most]
 
     def of(self, sets: list[tuple[int, ...]]) -> list[Sum]:
         """Sums of these columns."""
@@ -230,7 +289,7 @@ class Sums:
                 prior = log_prior_model(len(columns), self.terms) - math.log(FURTHER)
                 evidence = float(logsumexp(each[:, k])) - sum(c.price for c in columns)
                 strengths = self.width * mean[top[k], k]
-                found[i] = Sum(columns, evidence + prior, prior, strengths)
+                found[i] = Sum(self.place, columns, evidence + prior, prior, strengths)
         return [s for s in found if s is not None]
 
     def best(self) -> list[tuple[tuple[int, ...], Sum]]:
@@ -257,44 +316,38 @@ class Sums:
 def likeliest(along: Along, model: CurveModel) -> list[Sum]:
     """For a curve the likeliest sum of one, of two and of three terms, shapes moved off their
     grids: those that cannot be told from the likeliest, which comes first."""
-    columns = _columns(model.place)
-    alone = Sums(along, model, columns)
+    columns, every = _columns(model.place), Every(along, model)
+    alone = Sums(every, columns)
     singles = alone.of([(k,) for k in range(len(columns))])
     for term in {id(c.term): c.term for c in columns if c.term.shapes}.values():
         own = [s for s in singles if s.columns[0].term is term]
         best = max(own, key=lambda s: s.log_evidence)
-        columns += _refined(along, model, best).columns
-    every = Sums(along, model, columns).best()
-    tops = [
-        next((s for k, s in every if len(k) == size), None) for size in range(1, MOST_TERMS + 1)
-    ]
-    refined = [_weighed(along, model, _refined(along, model, s)) for s in tops if s is not None]
+        columns += _refined(every, best).columns
+    sums = Sums(every, columns).best()
+    tops = [next((s for k, s in sums if len(k) == size), None) for size in range(1, MOST_TERMS + 1)]
+    refined = [_weighed(every, _refined(every, s)) for s in tops if s is not None]
     refined.sort(key=lambda s: -s.log_evidence)
     least = refined[0].log_evidence - INDISTINGUISHABLE
     return [s for s in refined if s.log_evidence > least]
 
 
-def _bends(along: Along, place: Place, found: Sum) -> list[np.ndarray]:
-    """What a change of each shape of a sum does to its torque, at the shape's prior width."""
-    strengths, bends = iter(found.strengths), []
-    for column in found.columns:
-        own = [next(strengths) for _ in column.term.parts]
-        for i, value in enumerate(column.shape):
-            ends = []
-            for near in (value * math.exp(_STEP), value * math.exp(-_STEP)):
-                moved = column._replace(shape=(*column.shape[:i], near, *column.shape[i + 1 :]))
-                each = _torques(place, along, moved)
-                ends.append(sum(a * x for a, x in zip(own, each, strict=True)))
-            bends.append(SHAPE * (ends[0] - ends[1]) / (2 * _STEP))
-    return bends
+def _bends(found: Sum) -> np.ndarray:
+    """(HEIGHTS, b) what a change of each shape of a sum does to its curve, at the shape's prior
+    width."""
+    count = sum(len(c.shape) for c in found.columns)
+    bends = [np.zeros((HEIGHTS, 0))]
+    for step in np.eye(count):
+        ends = [found.moved(side * _STEP * step).heights for side in (1.0, -1.0)]
+        bends.append(SHAPE * (ends[0] - ends[1])[:, None] / (2 * _STEP))
+    return np.concatenate(bends, axis=1)
 
 
-def _refined(along: Along, model: CurveModel, found: Sum) -> Sum:
+def _refined(every: Every, found: Sum) -> Sum:
     """The sum with its shapes where its evidence is highest (Gauss and Newton's method)."""
     best, here, share = None, found, 1.0
     move = np.zeros(sum(len(c.shape) for c in found.columns))
     for _ in range(_ITERATIONS):
-        sums = Sums(along, model, here.columns, _bends(along, model.place, here))
+        sums = Sums(every, here.columns, _bends(here))
         (here,) = sums.of([tuple(range(len(found.columns)))])
         if best is None or here.log_evidence > best.log_evidence:
             best, share = here, 1.0
@@ -304,29 +357,27 @@ def _refined(along: Along, model: CurveModel, found: Sum) -> Sum:
             share *= 0.5
         if np.max(np.abs(share * move), initial=0.0) < _STEP:
             break
-        steps, columns = iter(share * move), []
-        for c in best.columns:
-            columns.append(c._replace(shape=tuple(x * math.exp(next(steps)) for x in c.shape)))
-        here = best._replace(columns=tuple(columns))
+        here = best.moved(share * move)
     return found if best is None else best
 
 
-def _weighed(along: Along, model: CurveModel, found: Sum) -> Sum:
+def _weighed(every: Every, found: Sum) -> Sum:
     """The sum with the evidence that an effect has, each shape known to an e-fold; and as the curve
     has it, the prior's width of its strengths summed over."""
-    bends, count = _bends(along, model.place, found), len(found.strengths)
-    sums = Sums(along, model, found.columns, bends, len(INTENSITIES))
+    bends, count = _bends(found), len(found.strengths)
+    sums = Sums(every, found.columns, bends, None)
+    own = np.arange(sums.functions.shape[1])
 
     def evidence(amplitude: float) -> float:
-        size = np.ones(1 + count + len(bends))
+        size = np.ones(1 + len(own))
         size[1 : 1 + count] = amplitude / WIDTH
-        gain, _, _ = subset(size[:, None] * sums.rests * size, np.arange(count + len(bends)))
+        gain, _, _ = subset(size[:, None] * sums.rests * size, own)
         return float(logsumexp(gain + sums.bases))
 
     total = float(logsumexp([evidence(a) for a in CURVE_AMPLITUDES]))
     total -= math.log(len(CURVE_AMPLITUDES))
     prior = found.log_prior + total - evidence(WIDTH)
-    total += found.log_prior + signs(along, sums.square)
+    total += found.log_prior + every.signs(sums.functions)
     return found._replace(log_evidence=total, log_prior=prior)
 
 

@@ -20,8 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import logsumexp
 
-from ..effects import JointEffect
-from ..filtering.kalman import Evidences, gram
+from ..filtering.free_curve import HEIGHTS, FreeCurve, FreeFriction
+from ..filtering.kalman import Evidences, Functions, Torques, gram
 from ..filtering.linearised import Instants, Linear, nodes
 from ..filtering.trajectory import Scene, Trajectory
 from ..runtime.export_cache import kept
@@ -39,8 +39,10 @@ from .search import Tried
 
 SPLINES = 32
 """Of one curve."""
-WIDE = 4 * SPLINES
-"""Columns of one pass of the filter for several curves: two compiled programs serve every pass."""
+_ROOMS = 48, 128, 256
+"""Columns of one pass of the filter: of one curve or formula, of several curves, of every function
+of a variable. A compiled program for each."""
+_AT_ONCE = 4  # curves in one pass
 _ITERATIONS = 8
 _SETTLED = 0.1  # nats
 _NEAR, _FALL = 3, 2  # random torques looked at in an iteration, and that it may fall by
@@ -70,47 +72,40 @@ KINDS = (
 a stiffness, a damping and a friction that change with time."""
 
 
-def spline(x: Any) -> Any:
+def spline(x: np.ndarray) -> np.ndarray:
     """The cubic B-spline about 0 whose knots are one apart."""
-    a = jnp.abs(x)
+    a = np.abs(x)
     inner = 2 / 3 - a**2 + a**3 / 2
-    return jnp.where(a < 1, inner, jnp.maximum(2 - a, 0.0) ** 3 / 6)
+    return np.where(a < 1, inner, np.maximum(2 - a, 0.0) ** 3 / 6)
 
 
-def splines(x: Any, low: Any, high: Any) -> Any:
-    """(SPLINES, ...) their values at x; they cover low to high."""
-    at = jnp.clip((x - low) / (high - low), 0.0, 1.0) * (SPLINES - 3) + 1
-    return spline(at - jnp.arange(SPLINES, dtype=float).reshape(-1, *[1] * jnp.ndim(x)))
+def splines(x: Any, low: float, high: float, count: int = SPLINES) -> np.ndarray:
+    """(count, ...) their values at x; they cover low to high."""
+    x = np.asarray(x, float)
+    at = np.clip((x - low) / (high - low), 0.0, 1.0) * (count - 3) + 1
+    return spline(at - np.arange(count).reshape(-1, *[1] * x.ndim))
 
 
-class FreeCurve(JointEffect):
-    """A free curve with given heights, as an effect without numbers."""
-
-    name = "free_curve"
-    title = "A free curve"
-    variable: Any
-    """(3,) shares of angle, rate and time: as data, so that one compiled program has all kinds."""
-    factor: Any
-    """(3,) shares of angle, rate and 1."""
-    low: Any
-    high: Any
-    heights: Any
-
-    def joint_torque(self, motion):
-        of, by = self.variable, self.factor
-        x = of[0] * motion.q + of[1] * motion.v + of[2] * motion.t
-        factor = by[0] * motion.q + by[1] * motion.v + by[2]
-        return factor * jnp.sum(self.heights * splines(x, self.low, self.high))
+@functools.cache
+def _fine() -> np.ndarray:
+    """(HEIGHTS, 2 HEIGHTS) makes heights of values at `points`."""
+    return np.linalg.pinv(splines(points(0.0, 1.0), 0.0, 1.0, HEIGHTS).T)
 
 
-class FreeFriction(FreeCurve):
-    """A free curve times the direction of sliding."""
+def points(low: float, high: float) -> np.ndarray:
+    """(2 HEIGHTS,) where a function is told for its heights."""
+    return np.linspace(low, high, 2 * HEIGHTS)
 
-    name = "free_friction"
-    dry = True
 
-    def joint_torque(self, motion):
-        return motion.direction * super().joint_torque(motion)
+def heights_of(values: np.ndarray) -> np.ndarray:
+    """(HEIGHTS, ...) of functions with values (2 HEIGHTS, ...) at `points`."""
+    return _fine() @ values
+
+
+@functools.cache
+def _finer() -> np.ndarray:
+    """(HEIGHTS, SPLINES) heights of each spline of a free curve."""
+    return heights_of(splines(points(0.0, 1.0), 0.0, 1.0).T)
 
 
 @kept(like=(0, 0, 0, 0, 0))
@@ -158,27 +153,42 @@ class Along:
         return float(x.min()), float(x.max())
 
     def gram(
-        self, joint: int, torques: np.ndarray, intensities: Sequence[float] | np.ndarray,
-        held: Sequence[float] | np.ndarray = (),
+        self, places: "Sequence[Place]", functions: Sequence[np.ndarray],
+        intensities: Sequence[float] | np.ndarray, held: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """(I,) log normalisers, and the (I, 1 + P + C, 1 + P + C) Gram matrices of whitened
-        innovations with C torques (C, 3 K), N m, at one joint. The model may hold the first of them
-        already, at strengths `held`: they are taken away from it."""
-        K, count = self.scene.K, len(torques)
-        room = SPLINES if count <= SPLINES else WIDE * math.ceil(count / WIDE)
-        wide = np.zeros((room, 3, K))
-        wide[:count] = torques.reshape(count, 3, K)
-        B = np.einsum("axk,cak->kxc", self._answers[:, :, joint], wide, optimize=True)
-        read = -np.einsum("ik,ck->kic", self._pushed[:, joint], wide[:, 0])
+        innovations with functions (HEIGHTS, C / G) of each of G places at one joint. The model may
+        hold a curve of the first place already, of heights `held`: it is taken away."""
+        counts = [f.shape[1] for f in functions]
+        room = next(r for r in _ROOMS if r >= sum(counts) + (held is not None))
+        wide = np.zeros((len(places), HEIGHTS, room // len(places)))
+        for own, each in zip(wide, functions, strict=True):
+            own[:, : each.shape[1]] = each
+        if held is not None:
+            wide[0, :, -1] = held
+        K, joint = self.scene.K, places[0].joint
+
+        def nodes_of(rows):  # (K, 3, G)
+            return np.stack(list(rows), -1).reshape(3, K, -1).swapaxes(0, 1)
+
+        more = Torques(
+            self._answers[:, :, joint].transpose(2, 0, 1), -self._pushed[:, joint].T,
+            nodes_of(self.variable(p.kind.variable, p.joint) for p in places),
+            nodes_of(self.factor(p.kind.factor, p.joint) for p in places),
+        )  # fmt: skip
+        low, high = (np.array([getattr(p, x) for p in places]) for x in ("low", "high"))
+        args = self.linear.system, more, Functions(low, high, wide), self.scene.readings
         noise = self.scene.noise(self.trajectory)
-        args = self.linear.system, (B, read), self.scene.readings, noise
-        found = [gram(*args, np.asarray(x, float)) for x in intensities]
-        first = 1 + len(self.trajectory.u)
-        keep = first + count
-        move = np.eye(keep)
-        move[first : first + len(held), 0] = -np.asarray(held, float)
-        squares = [move.T @ np.asarray(g)[:keep, :keep] @ move for _, g in found]
-        return np.array([t for t, _ in found]), np.stack(squares)
+        found = [gram(*args, noise, np.asarray(x, float)) for x in intensities]
+        first, each = 1 + len(self.trajectory.u), room // len(places)
+        columns = [first + i * each + np.arange(c) for i, c in enumerate(counts)]
+        keep = np.concatenate([np.arange(first), *columns])
+        move = np.eye(first + room)[:, keep]
+        if held is not None:
+            move[first + each - 1, 0] = -1.0
+        return np.array([t for t, _ in found]), np.stack(
+            [move.T @ np.asarray(g) @ move for _, g in found]
+        )
 
 
 class Place(NamedTuple):
@@ -194,12 +204,6 @@ class Place(NamedTuple):
         """Over the range that a motion visits."""
         return cls(kind, joint, *along.span(kind.variable, joint))
 
-    def columns(self, along: Along) -> np.ndarray:
-        """(SPLINES, 3 K) torques of unit heights."""
-        x = along.variable(self.kind.variable, self.joint)
-        each = np.asarray(splines(x, self.low, self.high))
-        return along.factor(self.kind.factor, self.joint) * each
-
     def unit(self, scene: Scene) -> float:
         """Typical height: the spring's torque at full swing over the factor's typical size."""
         s = scene.scales[self.joint]
@@ -214,7 +218,7 @@ class Place(NamedTuple):
         return x if not self.kind.factor and self.kind.variable in ("angle", "rate") else None
 
     def effect(self, scene: Scene, heights: np.ndarray) -> FreeCurve:
-        """The curve with these heights."""
+        """The curve with these heights (HEIGHTS,)."""
         made = FreeFriction if self.kind.factor == "direction" else FreeCurve
         variable = np.array([self.kind.variable == x for x in ("angle", "rate", "time")], float)
         factor = np.array([self.kind.factor == x for x in ("angle", "rate")], float)
@@ -251,20 +255,24 @@ class Posterior(NamedTuple):
     covariance: np.ndarray
     """(SPLINES, SPLINES)"""
 
+    @property
+    def heights(self) -> np.ndarray:
+        """(HEIGHTS,) of the mean."""
+        return _finer() @ self.mean
+
+    def beside(
+        self, along: "Along", place: "Place", intensities: Sequence[float] | np.ndarray
+    ) -> "Posterior":
+        """The curve beside a model that holds it as it is here already."""
+        totals, grams = along.gram([place], [_finer()], intensities, self.heights)
+        return _posterior(along, place, intensities, totals, grams)
+
 
 def _mixed(weights, means, covariances) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of a mixture."""
     mean = np.tensordot(weights, means, 1)
     off = means - mean
     return mean, np.tensordot(weights, covariances + off[:, :, None] * off[:, None, :], 1)
-
-
-def posterior(
-    along: Along, place: Place, intensities: Sequence[float] | np.ndarray, held: np.ndarray
-) -> Posterior:
-    """A curve beside a model that holds it at these heights already."""
-    totals, grams = along.gram(place.joint, place.columns(along), intensities, held)
-    return _posterior(along, place, intensities, totals, grams)
 
 
 def _posterior(along: Along, place: Place, intensities, totals, grams) -> Posterior:
@@ -320,11 +328,9 @@ def screen(along: Along, intensities: Sequence[float]) -> list[Screened]:
     """Every free curve beside a model, to first order, the best first."""
     found, P = [], len(along.trajectory.u)
     for joint in range(along.scene.n):
-        for k in range(0, len(KINDS), WIDE // SPLINES):
-            kinds = KINDS[k : k + WIDE // SPLINES]
-            places = [Place.visited(along, kind, joint) for kind in kinds]
-            torques = np.concatenate([p.columns(along) for p in places])
-            totals, grams = along.gram(joint, torques, intensities)
+        for k in range(0, len(KINDS), _AT_ONCE):
+            places = [Place.visited(along, kind, joint) for kind in KINDS[k : k + _AT_ONCE]]
+            totals, grams = along.gram(places, [_finer()] * len(places), intensities)
             for i, place in enumerate(places):
                 own = 1 + P + SPLINES * i
                 keep = np.r_[0 : 1 + P, own : own + SPLINES]
@@ -345,7 +351,7 @@ class CurveModel(Tried):
     """(SPLINES,) heights of the curve."""
     covariance: np.ndarray
     held: np.ndarray
-    """(SPLINES,) heights that `best` has."""
+    """(HEIGHTS,) heights that `best` has."""
     share: float
     """Rms torque of the curve, beyond what springs and dampers take up, over the spring's torque at
     full swing."""
@@ -368,36 +374,66 @@ class CurveModel(Tried):
         return self.share > NEGLIGIBLE
 
 
-def settle(scene: Scene, added: tuple[str, ...], start: Trajectory, first: Screened, loudest: float,
-           log_prior: float) -> CurveModel | None:  # fmt: skip
-    """Iterate a model and a free curve to their motion: curve and evidences along the motion, then
-    the motion with that curve. None if it runs away."""
-    place, heights = first.place, first.posterior.mean
+class Settled(NamedTuple):
+    """A model and a law, iterated to their motion."""
+
+    evidences: np.ndarray
+    """(I,)"""
+    best: Trajectory
+    """With the law in it."""
+    law: Any
+    """As it is in `best`."""
+    found: Any
+    """The law, along that motion."""
+
+
+def settle(
+    scene: Scene, start: Trajectory, place: Place, law: Any, loudest: float
+) -> Settled | None:
+    """Iterate a model and a law to their motion: law and evidences along the motion, then the
+    motion with that law. `law` is a `Posterior`, or a `formula.Sum`. None if it runs away."""
     level = next(k for k, x in enumerate(INTENSITIES) if x <= loudest)
     before, prior = -math.inf, log_prior_intensity(INTENSITIES)
     t = start
     for turn in range(_ITERATIONS):
-        own = [e for e in t.effects if not isinstance(e, FreeCurve)]
-        t = dataclasses.replace(t, effects=(*own, place.effect(scene, heights)))
+        t = with_curve(scene, t, place, law.heights)
         moved = scene.smoothed(t, scene.linearised(t), INTENSITIES[level])
         if moved is None:
             return None
         t, along = moved, Along(scene, moved)
         near = np.arange(max(level - 1, 0), min(level + _NEAR, len(INTENSITIES)))
-        found = posterior(along, place, np.array(INTENSITIES)[near], heights)
+        found = law.beside(along, place, np.array(INTENSITIES)[near])
         likeliest = int(near[np.argmax(found.evidences + prior[near])])
         here = float(found.evidences.max())
         if not np.isfinite(here):
             return None
         if turn == _ITERATIONS - 1 or (likeliest == level and abs(here - before) < _SETTLED):
-            found = posterior(along, place, INTENSITIES, heights)
-            if not np.isfinite(found.evidences).any():
-                return None
-            share = _share(along, place, found.mean)
-            own = found.mean, found.covariance, heights, share
-            return CurveModel(added, found.evidences, t, log_prior, place, *own)
-        level, before, heights = min(likeliest, level + _FALL), here, found.mean
+            found = law.beside(along, place, INTENSITIES)
+            return Settled(found.evidences, t, law, found)
+        level, before, law = min(likeliest, level + _FALL), here, found
     return None
+
+
+def with_curve(scene: Scene, t: Trajectory, place: Place, heights: np.ndarray) -> Trajectory:
+    """A model with this curve, instead of the one that it has."""
+    own = [e for e in t.effects if not isinstance(e, FreeCurve)]
+    return dataclasses.replace(t, effects=(*own, place.effect(scene, heights)))
+
+
+def settled_curve(
+    scene: Scene, added: tuple[str, ...], start: Trajectory, first: Screened, loudest: float,
+    log_prior: float,
+) -> CurveModel | None:  # fmt: skip
+    """A model and a free curve, iterated to its evidence; None if it runs away."""
+    settled = settle(scene, start, first.place, first.posterior, loudest)
+    if settled is None or not np.isfinite(settled.evidences).any():
+        return None
+    evidences, best, held, found = settled
+    share = _share(Along(scene, best), first.place, found.mean)
+    return CurveModel(
+        added, evidences, best, log_prior, first.place, found.mean, found.covariance, held.heights,
+        share,
+    )  # fmt: skip
 
 
 def _share(along: Along, place: Place, heights: np.ndarray) -> float:
@@ -405,7 +441,7 @@ def _share(along: Along, place: Place, heights: np.ndarray) -> float:
         f(name, place.joint)[along.real]
         for f, name in ((along.variable, place.kind.variable), (along.factor, place.kind.factor))
     )
-    value, taken = np.asarray(splines(x, place.low, place.high)).T @ heights, place.taken(x)
+    value, taken = splines(x, place.low, place.high).T @ heights, place.taken(x)
     if taken is not None:
         value = value - taken * (taken @ value) / (taken @ taken)
     return float(np.sqrt(np.mean((factor * value) ** 2)) / along.scene.torque[place.joint])

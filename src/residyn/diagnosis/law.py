@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..effects.found import FoundLaw, FoundNumber
+from ..filtering.free_curve import FreeCurve
 from ..filtering.law import number_slices, numbers_of, of_one_joint
-from ..filtering.trajectory import Scene
+from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import FitError
 from ..fitting.result import Fit
 from ..physics.motion import JointMotion
@@ -33,10 +34,21 @@ from .evidence import (
 )
 from .forecast import HeldOut, held_out
 from .formula import likeliest, written
-from .free_curves import Along, CurveModel, FreeCurve, Kind, Place, screen, splines
-from .free_curves import settle as settle_curve
+from .free_curves import (
+    Along,
+    CurveModel,
+    Kind,
+    Place,
+    heights_of,
+    points,
+    screen,
+    settle,
+    settled_curve,
+    splines,
+    with_curve,
+)
 from .linearised_fit import LinearisedFit
-from .search import OutOfTime, Search, Tried, settle
+from .search import Search, Tried, silenced
 
 GRID = 101
 """Points at which a law is told."""
@@ -61,7 +73,7 @@ def curve_models(search: Search) -> list[CurveModel]:
         ]
     found.sort(key=lambda f: -f[0])
     least = max(best.log_posterior, found[0][0]) - HOPELESS
-    kept = [settle_curve(scene, *f[1:]) for f in found[:CONTENDERS] if f[0] > least]
+    kept = [settled_curve(scene, *f[1:]) for f in found[:CONTENDERS] if f[0] > least]
     models = [m for m in kept if m is not None]
     top = max([best, *models], key=lambda m: m.log_posterior).log_posterior
     close = [m for m in [best, *models] if m.log_posterior > top - INDISTINGUISHABLE]
@@ -215,7 +227,7 @@ def _law(search: Search, model: CurveModel, probability: float, best: float) -> 
     nearest = np.clip(np.rint((x - place.low) / (grid[1] - grid[0])).astype(int), 0, GRID - 1)
     visits = np.bincount(nearest, minlength=GRID) / len(nearest)
     rows = _beyond(place.taken(grid), visits)
-    rows = rows @ np.asarray(splines(grid, place.low, place.high)).T
+    rows = rows @ splines(grid, place.low, place.high).T
     variance = np.einsum("gi,ij,gj->g", rows, model.covariance, rows)
     units = scene.mechanisms[0].units
     kind = units[place.joint] if units else "rad"
@@ -259,53 +271,57 @@ def _named(search: Search, law: Law) -> tuple[tuple[str, np.ndarray], ...]:
 # -- its class -------------------------------------------------------------------------------------
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Written(Tried):
+    """A model with a law that is written as a class; `best` has it as a curve."""
+
+    found: FoundLaw
+
+    def silenced(self, scene: Scene) -> Trajectory:
+        """The model without a random torque, with the class."""
+        t = silenced(scene, self.best, self.intensity)
+        effect: Any = self.found.kind()(self.found.joint)  # pyright: ignore[reportCallIssue]
+        effects = (*(e for e in t.effects if not isinstance(e, FreeCurve)), effect)
+        prior, first = prior_of(scene, effects), number_slices(effects)[-1]
+        numbers = np.array(prior.mean)
+        numbers[first] = [float(getattr(effect, n.field)) for n in numbers_of(effect)]
+        u = np.zeros(scene.regressors(effects))
+        u[: first.start] = t.u[: first.start]
+        u[first] = prior.regressors(numbers)[first]
+        return dataclasses.replace(t, effects=effects, prior=prior, u=u)
+
+
 def _with_class(search: Search, model: CurveModel, law: Law, fits: Any, source: str) -> Law:
     """The law with its formula, or with a table where none was accepted."""
-    scene, parent = search.scene, search.tried[frozenset(model.added)]
+    scene, parent, place = search.scene, search.tried[frozenset(model.added)], model.place
     curve = over_intensities(model.evidences, INTENSITIES)
     terms = (model.formulas or likeliest(Along(scene, model.best), model))[0]
-    found = written(scene, model.place, terms, source)
-    tried = _tried(search, model, found)
-    if tried is not None and tried.log_evidence + terms.log_prior > curve:
-        fit, held = _fitted(fits, tried)
-        if fit is not None and _predicts(held, _fitted(fits, parent)[1]):
-            parameters = {
-                n.name.rpartition(".")[2]: (float(n.value), float(n.std), n.unit)
-                for n in fit.numbers
-                if n.name.rpartition(".")[0] == found.label
-            }
-            numbers = (n._replace(value=parameters[n.field][0]) for n in found.numbers)
-            found = found._replace(numbers=tuple(numbers))
-            more = tried.log_evidence + terms.log_prior - curve
-            formula = Formula(found.equation, terms.families, parameters, more)
-            return dataclasses.replace(law, formula=formula, found=found, fit=fit, held_out=held)
-    found = _tabulated(law, source)
-    tried = _tried(search, model, found)
-    fit, held = (None, None) if tried is None else _fitted(fits, tried)
-    return dataclasses.replace(law, found=found, fit=fit, held_out=held)
-
-
-def _tried(search: Search, model: CurveModel, found: FoundLaw) -> Tried | None:
-    """The model with the class in the curve's place, iterated to its evidence."""
-    scene, before = search.scene, model.best
-    effect: Any = found.kind()(found.joint)  # pyright: ignore[reportCallIssue]
-    effects = (*(e for e in before.effects if not isinstance(e, FreeCurve)), effect)
-    prior = prior_of(scene, effects)
-    first = number_slices(effects)[-1]
-    numbers = np.array(prior.mean)
-    numbers[first] = [float(getattr(effect, n.field)) for n in numbers_of(effect)]
-    u = np.zeros(scene.regressors(effects))
-    u[: first.start] = before.u[: first.start]
-    u[first] = prior.regressors(numbers)[first]
-    start = dataclasses.replace(before, effects=effects, prior=prior, u=u)
     loudest = INTENSITIES[max(INTENSITIES.index(model.intensity) - 2, 0)]
-    try:
-        (ended,) = settle(scene, [start], loudest, search.in_time)
-    except OutOfTime:
-        return None
-    if ended is None:
-        return None
-    return Tried((*model.added, found.label), *ended, model.log_prior)
+    settled = settle(scene, model.best, place, terms, loudest)
+
+    def of(found: FoundLaw, evidences: np.ndarray, t: Trajectory) -> Written:
+        return Written((*model.added, found.label), evidences, t, model.log_prior, found)
+
+    if settled is not None:
+        more = over_intensities(settled.evidences, INTENSITIES) + terms.log_prior - curve
+        found = written(scene, place, settled.found, source)
+        if more > 0:
+            fit, held = _fitted(fits, of(found, settled.evidences, settled.best))
+            if fit is not None and _predicts(held, _fitted(fits, parent)[1]):
+                parameters = {
+                    n.name.rpartition(".")[2]: (float(n.value), float(n.std), n.unit)
+                    for n in fit.numbers
+                    if n.name.rpartition(".")[0] == found.label
+                }
+                numbers = (n._replace(value=parameters[n.field][0]) for n in found.numbers)
+                found = found._replace(numbers=tuple(numbers))
+                own = Formula(found.equation, terms.families, parameters, more)
+                return dataclasses.replace(law, formula=own, found=found, fit=fit, held_out=held)
+    found = _tabulated(law, source)
+    values = np.interp(points(place.low, place.high), law.grid, law.mean)
+    t = with_curve(scene, model.best, place, heights_of(values))
+    fit, held = _fitted(fits, of(found, model.evidences, t))
+    return dataclasses.replace(law, found=found, fit=fit, held_out=held)
 
 
 def _fitted(fits: Any, tried: Tried) -> tuple[Fit | None, HeldOut | None]:

@@ -92,6 +92,10 @@ class Tried:
         """The likeliest random torque."""
         return INTENSITIES[int(np.argmax(self.weights))]
 
+    def silenced(self, scene: Scene) -> Trajectory:
+        """The model without a random torque: where a fit by least squares begins."""
+        return silenced(scene, self.best, self.intensity)
+
     def over_torques(self, scene: Scene) -> list[tuple[float, Trajectory]]:
         """The motion under each random torque that counts, with its posterior probability."""
         system = scene.linearised(self.best)

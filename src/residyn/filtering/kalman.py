@@ -11,12 +11,14 @@ innovations e = w + W u, and with the Gram matrix G of (w, W) the marginal likel
 readings under any subset of the regressors is a small Cholesky factorisation.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from ..runtime.export_cache import kept
+from .free_curve import curve
 
 
 class System(NamedTuple):
@@ -84,8 +86,8 @@ class Filtered(NamedTuple):
     F: Any  # (K, D, D) transitions
 
 
-def _filter(system: System, readings: Readings, noise: Noise, gains: bool = True) -> Any:
-    """Log normaliser -1/2 sum log 2 pi S, and `Filtered`, or of that the innovations only."""
+def _filter(system: System, readings: Readings, noise: Noise) -> tuple[Any, Filtered]:
+    """Log normaliser -1/2 sum log 2 pi S, and `Filtered`."""
     X, n, P = system.A.shape[-1], system.T.shape[-1], system.B.shape[-1]
     D = X + n
     first = jnp.concatenate([noise.mean, jnp.zeros(n)])[:, None]
@@ -112,7 +114,7 @@ def _filter(system: System, readings: Readings, noise: Noise, gains: bool = True
         push = jnp.concatenate([jnp.concatenate([s.c[:, None], s.B], 1), jnp.zeros((n, 1 + P))])
         out = Filtered(jnp.stack(white), M, V, jnp.stack(steps), jnp.stack(sizes), F)
         V = _times(_times(F, V), F.T) + jnp.diag(growth)
-        return (_times(F, M) + push, V, L), out if gains else out.white
+        return (_times(F, M) + push, V, L), out
 
     begin = means, jnp.diag(noise.variance), 0.0
     each = system, readings, noise.decay, noise.growth
@@ -120,16 +122,105 @@ def _filter(system: System, readings: Readings, noise: Noise, gains: bool = True
     return L, out
 
 
+class Inputs(NamedTuple):
+    """What C columns do to a system."""
+
+    B: Any  # (K, X, C)
+    Hu: Any  # (K, n, C)
+
+    def inputs(self, _fixed):
+        """Themselves."""
+        return self
+
+
+class Torques(NamedTuple):
+    """C torques at one joint, in the place of what they do to a system: functions of G variables of
+    its motion, each times a factor."""
+
+    by_torque: Any  # (K, 3, X) how a step answers to a torque at its beginning, middle and end
+    read: Any  # (K, n) what a torque at its beginning adds to the readings
+    x: Any  # (K, 3, G)
+    factor: Any  # (K, 3, G)
+
+    def inputs(self, fixed: "Functions"):
+        """B (K, X, C) and Hu (K, n, C)."""
+        of_each = jax.vmap(curve, in_axes=(-1, 0, 0, 0), out_axes=2)
+        torque = of_each(self.x, *fixed) * self.factor[..., None]
+        torque = torque.reshape(*torque.shape[:2], -1)
+        B = jnp.einsum("kax,kac->kxc", self.by_torque, torque)
+        return Inputs(B, self.read[:, :, None] * torque[:, :1])
+
+
+class Functions(NamedTuple):
+    """Functions of the G variables of `Torques`."""
+
+    low: Any  # (G,)
+    high: Any  # (G,)
+    heights: Any  # (G, HEIGHTS, C / G)
+
+
+_AT_ONCE = 64  # instants whose columns there are at the same time
+
+
 @kept(like=(0, 0))
-def gram(system: System, more: tuple[Any, Any], readings: Readings, noise: Noise, intensity):
+def gram(
+    system: System, more: Inputs | Torques, fixed: Any, readings: Readings, noise: Noise, intensity
+):
     """Log normaliser -1/2 sum log 2 pi S, and the Gram matrix (1 + P + C)^2 of the whitened
-    innovations: w of the readings, then W of the system's regressors and of C more, whose
-    B (K, X, C) and Hu (K, n, C) are `more` (e = w + W u)."""
-    B, Hu = (jnp.concatenate(x, -1) for x in zip((system.B, system.Hu), more, strict=True))
-    wide = system._replace(B=B, Hu=Hu)
-    L, white = _filter(wide, readings, noise.at(intensity), gains=False)
-    white = white.reshape(-1, white.shape[-1])
-    return L, white.T @ white
+    innovations: w of the readings, then W of the system's regressors and of C more,
+    `more.inputs(fixed)` (e = w + W u).
+
+    The gains come first, of no columns. Along them the next means and the innovations are one
+    matrix times the means, and a few instants of columns, of means and of innovations are held at a
+    time.
+    """
+    alone = system._replace(B=system.B[..., :0], Hu=system.Hu[..., :0])
+    L, out = _filter(alone, readings, noise.at(intensity))
+    K, n, D = out.gains.shape
+    C = jax.eval_shape(lambda m, f: m.inputs(f), more, fixed)[0].shape[-1]
+    W = 1 + system.B.shape[-1] + C
+    H = jnp.concatenate([system.Hx, system.Ht], -1)
+    H = jnp.where(readings.seen[..., None], H, 0.0)
+    # Means after the readings = here m + sum over j of given[j] y_j, with y less what is known.
+    here, given, rows, said = jnp.tile(jnp.eye(D), (K, 1, 1)), [], [], []
+    for j in range(n):
+        h, g, std = H[:, j], out.gains[:, j], jnp.sqrt(out.S[:, j])
+        row = jnp.einsum("ki,kij->kj", h, here)
+        own = [-jnp.sum(h * x, 1) for x in given]
+        own = [*own, jnp.ones(K), *[jnp.zeros(K)] * (n - 1 - j)]
+        rows.append(-row / std[:, None])
+        said.append(jnp.stack(own, -1) / std[:, None])
+        here = here - g[:, :, None] * row[:, None]
+        given = [x - g * jnp.sum(h * x, 1)[:, None] for x in given] + [g]
+    F = out.F
+    by_mean = jnp.concatenate([F @ here, jnp.stack(rows, 1)], 1)  # (K, D + n, D)
+    by_said = jnp.concatenate([F @ jnp.stack(given, -1), jnp.stack(said, 1)], 1)  # (K, D + n, n)
+    y = jnp.where(readings.seen, readings.y - system.hc, 0.0)
+    size = math.gcd(K, _AT_ONCE)
+
+    def part(carry, at):
+        M, G = carry
+        by_mean, by_said, y, seen, c, B, Hu, more = at
+        push, read = more.inputs(fixed)
+        push = jnp.concatenate([c[..., None], B, push], -1)
+        read = jnp.where(seen[..., None], jnp.concatenate([Hu, read], -1), 0.0)
+        known = by_said @ jnp.concatenate([y[..., None], -read], -1)
+        known = known.at[:, : push.shape[1]].add(push)
+
+        def step(M, at):
+            by_mean, known = at
+            out = by_mean @ M + known
+            return out[:D], out[D:]
+
+        M, white = jax.lax.scan(step, M, (by_mean, known))
+        white = white.reshape(-1, W)
+        return (M, G + white.T @ white), None
+
+    each = by_mean, by_said, y, readings.seen, system.c, system.B, system.Hu, more
+    each = jax.tree.map(lambda x: x.reshape(K // size, size, *x.shape[1:]), each)
+    M = jnp.zeros((D, W)).at[: len(noise.mean), 0].set(noise.mean)
+    (_, G), _ = jax.lax.scan(part, (M, jnp.zeros((W, W))), each)
+    return L, G
 
 
 class Evidences(NamedTuple):

@@ -2,9 +2,9 @@
 
 Along a given motion only the values and slopes of an effect's torque matter to a filter. A program
 holds the law of every effect of the catalogue once, as the branches of a switch; a model is a table
-of which law acts where and with which numbers, so no other model is compiled. An effect that is
-not in the catalogue, or whose fixed numbers are not the usual ones, is handed to the program itself
-and compiled for the models that have it.
+of which law acts where and with which numbers, so no other model is compiled. A curve is data, too
+(`free_curve`). Any other effect that is not in the catalogue, or whose fixed numbers are not the
+usual ones, is handed to the program itself and compiled for the models that have it.
 
 Dry friction jumps with the direction of sliding. It is split into the torque without it and the
 *level* L of friction at each joint: torque = torque + L direction, -1 <= direction <= 1.
@@ -26,6 +26,7 @@ from ..effects import AbstractEffect, JointEffect, catalogue
 from ..physics.inertia import AbstractInertia
 from ..physics.motion import JointMotion, Motion, split, stack
 from ..physics.parameter import Parameter, parameters_of
+from .free_curve import FreeCurve, no_curves
 
 _Effect = TypeVar("_Effect", bound=AbstractEffect)
 
@@ -87,18 +88,19 @@ def changes_bodies(effect: AbstractEffect) -> bool:
 
 
 class Laws(NamedTuple):
-    """The laws of a program: by name, those of the catalogue; and others, as they are."""
+    """The laws of a program: by name, those of the catalogue; others, as they are; and curves."""
 
     names: tuple[str, ...]
     """`name` of what acts at one joint, else its label."""
     others: tuple[AbstractEffect, ...] = ()
     orders: tuple[int, ...] = ()
     """Which derivative is read of each joint; () is angles."""
+    curves: tuple[FreeCurve, ...] = ()
 
     @property
     def each(self) -> tuple[AbstractEffect, ...]:
         """An effect of each law, in the order of `Table.law`."""
-        return (*map(_made, self.names), *self.others)
+        return (*map(_made, self.names), *self.others, *self.curves)
 
     def of(self, group: str) -> list[int]:
         """Which act at one "joint", on the "whole" mechanism, or are of the "sensor"."""
@@ -109,7 +111,7 @@ class Laws(NamedTuple):
         name = law_name(effect)
         if name in self.names and usual(effect):
             return self.names.index(name)
-        own = [law_name(e) for e in self.others]
+        own = [law_name(e) for e in (*self.others, *self.curves)]
         return len(self.names) + own.index(name)
 
 
@@ -158,10 +160,17 @@ def catalogue_on(mechanism: AbstractInertia) -> list[AbstractEffect]:
 def laws_for(effects: Sequence[AbstractEffect], catalogued: Sequence[AbstractEffect] = ()) -> Laws:
     """The laws of a program for some effects: the whole catalogue; or no others, if one of the
     effects is in no catalogue."""
-    others = {law_name(e): _blank(e) for e in effects if not usual(e)}
+    own = [e for e in effects if not usual(e) and not isinstance(e, FreeCurve)]
+    others = {law_name(e): _blank(e) for e in own}
     beside = effects if others else [*effects, *catalogued]
     names = sorted({law_name(e) for e in beside if usual(e)})
     return Laws(tuple(names), tuple(others.values()))
+
+
+def curves_of(effects: Sequence[AbstractEffect]) -> tuple[FreeCurve, ...]:
+    """The curves of a model, one of a kind at the most, as a program holds them."""
+    known = {e.name: _blank(e) for e in effects if isinstance(e, FreeCurve)}
+    return tuple(known.get(e.name, e) for e in no_curves())  # pyright: ignore
 
 
 def _blank(effect: AbstractEffect) -> AbstractEffect:

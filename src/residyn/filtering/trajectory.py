@@ -30,6 +30,7 @@ from .law import (
     Laws,
     Table,
     catalogue_on,
+    curves_of,
     group_of,
     laws_for,
     number_slices,
@@ -205,9 +206,10 @@ class Scene:
     def tabulated(self, t: Trajectory) -> tuple[Laws, Table]:
         """A model as data, and the laws of the program that takes it."""
         laws = self._laws.get(t.labels)
-        if laws is None or laws.others:  # the others may hold data of their own: a free curve's
+        if laws is None or laws.others:  # the others may hold data of their own
             laws = laws_for(t.effects, self.catalogued)._replace(orders=self.orders)
         self._laws[t.labels] = laws
+        laws = laws._replace(curves=curves_of(t.effects))
         slopes = t.prior.slopes(t.u)
         return laws, tabulated(laws, t.effects, self.joints, t.numbers, slopes, len(t.first))
 
