@@ -148,7 +148,47 @@ class Shaped(NamedTuple):
     widths: Any  # (J, s) of the strengths' priors
 
 
-@kept(like=(0, 0, 0, 0))
+class Acting(NamedTuple):
+    """Columns as what acts, which is a third of what they do to a system: C1 torques at one joint,
+    C2 of the whole mechanism, and C3 of the sensors."""
+
+    by_torque: Any  # (K, 3, X, n) how a step answers to torques at its beginning, middle and end
+    pushed: Any  # (K, n, n) what torques at its beginning add to the readings
+    joint: Any  # (K, 3, C1)
+    whole: Any  # (K, 3, n, C2)
+    sensors: Any  # (K, n, C3)
+
+    def torque(self, place):
+        """(K, n, C) at the beginning of each step; `place` (n, C1), 1 at the joint of each."""
+        parts = self.joint[:, 0, None] * place, self.whole[:, 0], 0 * self.sensors
+        return jnp.concatenate(parts, -1)
+
+    def inputs(self, place) -> Inputs:
+        """What they do to the system."""
+        joint = [
+            jnp.einsum("kax,kac->kxc", self.by_torque[..., i], self.joint * own)
+            for i, own in enumerate(place)
+        ]
+        whole = jnp.einsum("kaxi,kaic->kxc", self.by_torque, self.whole)
+        B = jnp.concatenate([sum(joint), whole], -1)
+        read = -jnp.einsum("kij,kjc->kic", self.pushed, self.torque(place))
+        acting, C = B.shape[-1], self.sensors.shape[-1]
+        B = jnp.pad(B, ((0, 0), (0, 0), (0, C)))
+        return Inputs(B, read.at[..., acting:].add(self.sensors))
+
+
+class Parts(NamedTuple):
+    """Columns of several programs, one after the other."""
+
+    each: tuple[Acting, ...]
+
+    def inputs(self, places) -> Inputs:
+        """What they do to the system; `places` as in `Acting`, of each."""
+        found = [x.inputs(place) for x, place in zip(self.each, places, strict=True)]
+        return Inputs(*(jnp.concatenate(x, -1) for x in zip(*found, strict=True)))
+
+
+@kept(like=(Acting(*[0] * 5), 0, 0))
 def columns(
     laws: Laws,
     shaped: Sequence[Shaped],
@@ -161,9 +201,8 @@ def columns(
 
     **Arguments:** `model` is along the motion, `field` its `by_x`, `by_torque`, `acceleration`.
 
-    **Returns:** by columns, in the order of `_places`, then shape, phase, strength: B (K, X, C),
-    what each adds to the states in a step; (K, n, C), what to the readings; (K, n, C) its torque,
-    N m, at the beginning of each step; and (F, K) internal states, in the same order.
+    **Returns:** what acts, N m, by columns, in the order of `_places`, then shape, phase, strength;
+    (n, C1) their joints; and (F, K) internal states, in the same order.
     """
     n, K = point.spread.shape[1], instants.step.shape[0]
     by_x, by_torque, acceleration = field
@@ -223,34 +262,21 @@ def columns(
             torque, z = of_place(effect, place, numbers, width)
             torques[place].append(torque)
             states.append(z)
-    W = responses(instants.step, by_x, -by_torque)
-    steps, begins = [], []
-    for place, each in enumerate(torques):
-        if each:
-            own = slice(place, place + 1) if place < n else slice(None)
-            torque = jnp.concatenate(each).reshape(-1, len(at.q[own]), 3, K)
-            parts = [
-                W[a][:, own][:, i, None] * torque[None, :, i, a]
-                for a in range(3)
-                for i in range(torque.shape[1])
-            ]
-            steps.append(sum(parts))
-            begins.append(jnp.zeros((n, len(torque), K)).at[own].set(
-                torque[:, :, 0].transpose(1, 0, 2)))  # fmt: skip
-    acting, C = sum(x.shape[1] for x in steps), sum(x.shape[1] for x in readings)
+    W = jnp.where(instants.last, 0.0, jnp.stack(responses(instants.step, by_x, -by_torque)))
 
-    def filled(x, rows: int, before: int, after: int):
-        """Arrays (rows, ., K) as (K, rows, before + . + after)."""
-        whole = jnp.concatenate([jnp.zeros((rows, 0, K)), *x], 1)
-        return jnp.pad(whole, ((0, 0), (before, after), (0, 0))).transpose(2, 0, 1)
+    def nodes_of(each, rows: int):
+        """(K, 3, r, C) of torques (C, r, 3 K)."""
+        whole = jnp.concatenate([jnp.zeros((0, rows, 3 * K)), *each])
+        return whole.reshape(-1, rows, 3, K).transpose(3, 2, 1, 0)
 
-    B = [jnp.where(instants.last, 0.0, x) for x in steps]
-    rows = jnp.concatenate([jnp.zeros((0, K)), *states])
-    B, torque = filled(B, by_x.shape[0], 0, C), filled(begins, n, 0, C)
-    read = filled(readings, n, acting, 0)
-    if 2 in model[0].orders:
-        read = read - jnp.einsum("ijk,kjc->kic", pushed, torque)
-    return B, read, torque, rows
+    counts = [sum(len(x) for x in each) for each in torques[:n]]
+    joint = nodes_of([x for each in torques[:n] for x in each], 1)[:, :, 0]
+    place = jnp.repeat(jnp.eye(n), np.array(counts), axis=1, total_repeat_length=sum(counts))
+    sensors = jnp.concatenate([jnp.zeros((n, 0, K)), *readings], 1).transpose(2, 0, 1)
+    acting = Acting(
+        W.transpose(3, 0, 1, 2), pushed.transpose(2, 0, 1), joint, nodes_of(torques[n], n), sensors
+    )
+    return acting, place, jnp.concatenate([jnp.zeros((0, K)), *states])
 
 
 def _seen(orders, at, by_x, by_torque, acceleration):
@@ -366,9 +392,8 @@ class Columns:
             row._replace(which=tuple(range(first, first + len(row.which))))
             for row, first in zip(self.rows, ends, strict=False)
         ]
-        self._more = parts[0] if len(parts) == 1 else [
-            jnp.concatenate(x, -1) for x in zip(*parts, strict=True)
-        ]  # fmt: skip
+        self._more = Parts(tuple(acting for acting, _ in parts))
+        self._where = tuple(place for _, place in parts)
 
     def _part(self, group, wanted, frequencies, shape_of):
         """The columns of some effects by one program."""
@@ -419,20 +444,21 @@ class Columns:
     @property
     def inputs(self) -> tuple[np.ndarray, np.ndarray]:
         """(K, X, C) what each column adds to the states in a step, (K, n, C) to the readings."""
-        B, read = (np.asarray(x)[..., self._used] for x in self._more[:2])
-        return B, read
+        B, read = self._more.inputs(self._where)
+        return np.asarray(B)[..., self._used], np.asarray(read)[..., self._used]
 
     @property
     def torque(self) -> np.ndarray:
         """(K, n, C) of each column, at its prior's width, N m."""
-        return np.asarray(self._more[2])[..., self._used]
+        each = zip(self._more.each, self._where, strict=True)
+        return np.concatenate([x.torque(place) for x, place in each], -1)[..., self._used]
 
     def gram(self, intensities: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(I,) log normalisers, and the (I, 1 + P + C, 1 + P + C) Gram matrices of whitened
         innovations of readings, of the model's own regressors and of all columns, under each of
         some random torques."""
         scene, noise = self.scene, self.scene.noise(self.trajectory)
-        args = self.linear.system, Inputs(*self._more[:2]), (), scene.readings, noise
+        args = self.linear.system, self._more, self._where, scene.readings, noise
         found = [gram(*args, np.asarray(x, float)) for x in intensities]
         P = 1 + len(self.trajectory.u)
         keep = np.r_[0:P, P + self._used]
