@@ -24,7 +24,8 @@ def set_up(*, cache: bool | str | Path = True) -> None:
 
     Switches float64 on, has XLA compile loops as one kernel and compile sooner (JAX reads those
     options at its first computation and never again; fits with friction or memory gain most), and
-    keeps compiled programs for the next run. An option that `XLA_FLAGS` sets is left as it is.
+    keeps compiled programs for the next run. An option that `XLA_FLAGS` sets is left as it is. Has
+    glibc give large arrays back to the system when they are freed.
 
     **Arguments:**
 
@@ -37,7 +38,9 @@ def set_up(*, cache: bool | str | Path = True) -> None:
 
     jax.config.update("jax_enable_x64", True)
     from .export_cache import check_compiled, keep_in
+    from .memory import give_back_arrays
 
+    give_back_arrays()
     folder = cache_folder() if cache is True else None if cache is False else Path(cache)
     folder = keep_in(folder)
     if folder is not None and check_compiled():
