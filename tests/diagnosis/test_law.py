@@ -9,7 +9,7 @@ import pytest
 import residyn
 from residyn import effects
 from residyn.cli import main
-from residyn.diagnosis import free_curves
+from residyn.diagnosis import formula, free_curves
 from residyn.diagnosis.evidence import INTENSITIES, conditional, prior_of, subset
 from residyn.diagnosis.free_curves import Along, Kind, Place, splines
 from residyn.effects import Damper, Spring
@@ -73,6 +73,29 @@ def test_a_curve_s_columns_are_the_slopes_of_its_torque():
         torque = scene.torques(held)["free_curve:cart"][:, 0]
         columns = splines(along.variable("angle", 0), -0.4, 0.4)[:, : scene.K]
         assert np.allclose(mean @ columns, torque, atol=1e-9)
+
+
+def test_a_model_with_a_curve_has_the_program_of_the_one_without():
+    with jax.enable_x64(True):
+        scene, base = a_cart(bump)
+        place = Place(Kind("rate", "direction"), 0, -1.0, 1.0)
+        held = free_curves.with_curve(scene, base, place, np.ones(HEIGHTS))
+
+        def program(t):
+            return jax.tree.map(np.shape, scene.tabulated(t))
+
+        assert program(held) == program(base)
+
+
+def test_a_formula_is_the_curve_of_its_terms():
+    place = Place(Kind("angle"), 0, -0.37, 0.4)
+    x = np.linspace(place.low, place.high, 1001)
+    for column in formula._columns(place):
+        shapes = dict(zip((n for n, _ in column.term.shapes), column.shape, strict=True))
+        for part, heights in zip(column.term.parts, formula._parts(place, column).T, strict=True):
+            exact = formula._value(part, x, formula.scale_of(place), shapes)
+            error = splines(x, place.low, place.high, HEIGHTS).T @ heights - exact
+            assert np.sqrt(np.mean(error**2)) < 2e-4 * np.abs(exact).max()
 
 
 def test_the_band_holds_a_known_curve_and_the_curve_is_found():
