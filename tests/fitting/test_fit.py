@@ -433,7 +433,7 @@ def test_a_fit_by_name_begins_again_from_springs_and_dampers(arm, q0, label, val
 
 @pytest.mark.slow
 @pytest.mark.skipif(not (DATA / "carts").is_dir(), reason="measured data are not here")
-def test_many_starts_are_no_worse_than_one_where_all_first_cycles_mislead():
+def test_many_starts_are_no_worse_than_one_where_no_first_cycles_are_typical():
     """Three runs of a cart, with friction and hysteresis: their first cycles show no memory."""
     paths = sorted((DATA / "carts").glob("high_spring_loaded_*.csv"))
     runs = [residyn.recording.read_csv(path, 1)[:2] for path in paths]

@@ -1,4 +1,4 @@
-"""Driven motion that nothing pulls back: fitted in stretches, so that what is missing is a torque
+"""Driven motion that nothing pulls back: fitted in segments, so that what is missing is a torque
 and not where it has led to."""
 
 import numpy as np
@@ -59,7 +59,7 @@ def test_friction_of_a_driven_slide_is_found(fit):
     assert found["coulomb_friction:slide.torque"] == pytest.approx(DRY, rel=0.03)
 
 
-def test_stretches_are_told_of_once_and_drawn_as_one(fit):
+def test_segments_are_told_of_once_and_drawn_as_one(fit):
     assert len(fit.recordings) > 16
     said = [w for w in fit.warnings if "nothing pulls it back" in w]
     assert [w.partition(":")[0] for w in said] == ["slide.csv", "check.csv"]

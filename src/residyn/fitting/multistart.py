@@ -1,16 +1,16 @@
 """From several starts to the best minimum: growing horizons, and multiple shooting.
 
-Ringing makes a cruel cost: off by half a cycle at the end of the record, a descent ends in another
-minimum. So each start is first fitted to the first few cycles alone, where no phase can slip, then
-to a longer horizon, then to everything. Starts that end in the same place go on as one, and those
-that have fallen far behind do not go on.
+Ringing makes a cost with many minima: off by half a cycle at the end of the record, a descent ends
+in another one. So each start is first fitted to the first few cycles alone, where no phase can
+slip, then to a longer horizon, then to everything. Starts that end in the same place go on as one,
+and those that have fallen far behind do not go on.
 
 Where that ends above the noise and starts disagree, the first cycles were not enough, or they
-misled (a brake that slips in the first swing and holds then; 5 % of noise). Then comes *multiple
-shooting* (Bock and Plitt, 1984): recordings are cut into segments of a few cycles, each with an
-initial state of its own, read off the measurement. All readings count at once, and in no segment
-can a phase slip. To least squares, segments are recordings (`linalg`). From the numbers found so,
-the segments are joined: their states go, and the horizon grows once more.
+were not typical (a brake that slips in the first swing and holds then; 5 % of noise). Then comes
+*multiple shooting* (Bock and Plitt, 1984): recordings are cut into segments of a few cycles, each
+with an initial state of its own, read off the measurement. All readings count at once, and in no
+segment can a phase slip. To least squares, segments are recordings (`linalg`). From the numbers
+found so, the segments are joined: their states go, and the horizon grows once more.
 """
 
 import contextlib
@@ -43,12 +43,12 @@ from .smoothing import uniform
 DEFAULT_STARTS = 6
 
 _CALLS = 4  # of at most `least_squares.STEPS` steps
-_BEHIND = 25.0  # times the least cost: a start that is worse after a horizon has lost its way
+_BEHIND = 25.0  # times the least cost: a start that is worse after a horizon does not go on
 _SAME = 0.5  # starts that end within this many standard errors of another one have ended there
 _CYCLES = 3  # of the fastest mode, in the first horizon and in a segment
 _MOST_OUTLIERS = 0.05  # a larger share of readings is not a few outliers, it is another motion
 _ROUNDS = 3
-_MISLED = 2.0  # times the noise, where a law that sticks or rattles leaves more
+_EXCESS = 2.0  # times the noise, where a law that sticks or rattles leaves more
 _ABSURD = 1e9  # rad or m
 _FAR = 5.0  # sigma: what is nearer to the model than this is no outlier beside it
 _USUAL = 0.5  # of the residual's own size: what an outlier must exceed, too
@@ -121,7 +121,7 @@ def multistart(
         found.append((yield from descending(here, begin, numbers, outliers, progress, memory)))
     except FitError as error:
         failed = error
-    if found and not _led_astray(found[0]):
+    if found and not _perhaps_local(found[0]):
         return found[0]
     progress("multiple shooting: segments with initial states of their own")
     with contextlib.suppress(FitError):
@@ -137,12 +137,12 @@ def multistart(
     return best._replace(starts=starts, steps=sum(d.steps for d in found))
 
 
-def _led_astray(descent: Descent) -> bool:
-    """Whether starts ended in different places, and the best of them above the noise, or a law that
-    sticks or rattles well above it."""
+def _perhaps_local(descent: Descent) -> bool:
+    """Whether this may be a local minimum: starts ended in different places, the best of them above
+    the noise, or a law that sticks or rattles well above it."""
     readings = np.count_nonzero(descent.problem.recorded.weights)
-    misled = descent.here.model.rough and descent.cost > _MISLED * readings
-    return misled or (descent.agreeing < descent.starts and descent.above_noise)
+    nonsmooth = descent.here.model.rough and descent.cost > _EXCESS * readings
+    return nonsmooth or (descent.agreeing < descent.starts and descent.above_noise)
 
 
 # -- one problem, growing horizons ---------------------------------------------------------------

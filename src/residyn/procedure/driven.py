@@ -31,7 +31,7 @@ _SURE = 4.0
 """Standard errors of the rate which that must be."""
 _SHORTEST = 60
 """Samples of a test, at least."""
-_ASTRAY = 0.1
+_OFFSET = 0.1
 """rad from its pose beyond which a braked joint makes one doubt what its angle is measured from."""
 
 
@@ -189,7 +189,7 @@ def _pace(grid: Uniform, joint: int, recording: Recording) -> tuple[int, float]:
 
 def _warnings(recording: Recording, joint: int) -> list[str]:
     rest = float(np.nanmedian(recording.angle[:, 1 - joint]))
-    if abs(rest) < _ASTRAY:
+    if abs(rest) < _OFFSET:
         return []
     if joint == 0:
         return [

@@ -50,7 +50,7 @@ def parts(index: np.ndarray) -> list[np.ndarray]:
 
 
 class Blocks(NamedTuple):
-    """Short stretches of one joint's readings, each expressed in polynomials."""
+    """Short blocks of one joint's readings, each expressed in polynomials."""
 
     first: np.ndarray
     """(B,) index of each block's first reading; neighbours overlap by half."""

@@ -77,7 +77,7 @@ class Recording:
     warnings: tuple[str, ...] = ()
     """What is doubtful, a line each that names the recording."""
     segment_of: "Recording | None" = None
-    """What this is a stretch of, if it is one."""
+    """What this is a segment of, if it is one."""
     understood: str = ""
     """What was made of a file that is not written as this package writes it, in one line."""
 

@@ -150,7 +150,7 @@ def _misfit(q: np.ndarray, v: np.ndarray, a: np.ndarray, live: np.ndarray) -> np
 
 
 def _after_last(broken: np.ndarray, quarter: int) -> int:
-    """The first sample after the last stretch that is broken for most of a quarter period."""
+    """The first sample after the last part that is broken for most of a quarter period."""
     n, half = len(broken), max(1, quarter // 2)
     count = np.concatenate([[0], np.cumsum(broken)])
     low, high = np.maximum(np.arange(n) - half, 0), np.minimum(np.arange(n) + half + 1, n)

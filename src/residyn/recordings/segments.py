@@ -14,7 +14,7 @@ from .recording import Recording
 
 
 def segments_of(recording: Recording, seconds: float) -> "tuple[Recording, ...]":
-    """The recording cut into stretches of about so many seconds, none shorter than half of that.
+    """The recording cut into segments of about so many seconds, none shorter than half of that.
 
     Each has more than the two instants that its initial state takes: over a gap in time there is
     no cut.
@@ -44,7 +44,7 @@ def segments_of(recording: Recording, seconds: float) -> "tuple[Recording, ...]"
 
 
 def by_recording(recordings: "Sequence[Recording]") -> "list[tuple[Recording, list[int]]]":
-    """Each recording as it was read, and which of the given ones are its stretches."""
+    """Each recording as it was read, and which of the given ones are its segments."""
     found: dict[int, tuple[Recording, list[int]]] = {}
     for i, r in enumerate(recordings):
         whole = r.segment_of or r

@@ -54,7 +54,7 @@ def frame_of(normal: np.ndarray, tilt: float = 0.0) -> Plane:
 def fit(joints: np.ndarray, noise: float) -> Plane:
     """The plane that joints (N, n + 1, 3) m move in, NaN where lost; `noise` of a coordinate, m."""
     size = float(np.nanmedian(np.linalg.norm(np.diff(joints, axis=1), axis=2)))
-    # A few readings off the table, before they are known as such, may lead one start astray.
+    # A few readings off the table, before they are known as such, may spoil one start.
     found = [_settle(joints, noise, size, level * size) for level in (_LEVEL, 0.01 * _LEVEL)]
     normal, _, tilt = min(found, key=lambda each: each[1])
     return frame_of(normal * np.sign(normal[np.abs(normal).argmax()]), tilt)
