@@ -496,13 +496,14 @@ class Screen:
         for row, (gain, u) in zip(rows, self._gains([[row] for row in rows]), strict=True):
             found = Screened(row.effect, gain, row.shape, u, row.which, row.states)
             best.setdefault(row.effect.label, []).append(found)
-        ranked = []
-        for each in best.values():
-            gains = np.array([s.gain for s in each])
-            top = each[int(np.argmax(gains))]
-            ranked.append(top._replace(gain=float(logsumexp(gains) - math.log(len(gains)))))
-        self.ranked = sorted(ranked, key=lambda s: -s.gain)
+        self.ranked = sorted(map(_averaged, best.values()), key=lambda s: -s.gain)
         """Each candidate at its likeliest shape, the best first."""
+
+    def revise(self, known: Sequence[Sequence[Screened]]) -> None:
+        """Rank some candidates anew, each by what is known of it at the points of a grid."""
+        new = {each[0].effect.label: _averaged(each) for each in known}
+        self.ranked = [new.get(s.effect.label, s) for s in self.ranked]
+        self.ranked.sort(key=lambda s: -s.gain)
 
     def gain(self, rows: Sequence[Screened]) -> tuple[float, np.ndarray]:
         """Gain of some columns together, and their regressors at the likeliest random torque."""
@@ -531,6 +532,13 @@ class Screen:
         return sorted(
             ((g, a, b) for g, (a, b) in zip(gains, each, strict=True)), key=lambda f: -f[0]
         )
+
+
+def _averaged(each: Sequence[Screened]) -> Screened:
+    """A candidate at the likeliest point of a grid, with its gain averaged over the grid."""
+    gains = np.array([s.gain for s in each])
+    top = each[int(np.argmax(gains))]
+    return top._replace(gain=float(logsumexp(gains) - math.log(len(gains))))
 
 
 def _signs(row: Column | Screened) -> list[bool]:

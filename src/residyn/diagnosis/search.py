@@ -37,6 +37,7 @@ from .evidence import (
     INTENSITIES,
     NEGLIGIBLE,
     READINGS_LEAD,
+    STRENGTHS,
     half_normals,
     log_prior_intensity,
     log_prior_model,
@@ -380,6 +381,7 @@ class Search:
         """`law.CurveModel`s: models with a law that has no name."""
         self.stopped: str | None = None
         """Why the search ended early, if it did: "interrupted" or "budget"."""
+        self._reduced: set[tuple[Tried, tuple[str, ...]]] = set()
         self.screens: dict[frozenset[str], Screen] = {}
         """First-order evidence of all candidates beside the models that were extended."""
         say("smoothing the motion with the model")
@@ -457,8 +459,42 @@ class Search:
             columns = Columns(self.scene, trajectory, effects, lines)
             # The likeliest random torque, one a decade below it, and none.
             used = sorted({intensity, 0.1 * intensity, 0.0}, reverse=True)
-            self.screens[key] = columns.screen(used)
+            screen = self.screens[key] = columns.screen(used)
+            if parent.complete <= 0.5:  # else little is left, and the first order right
+                screen.revise(self._sticking(screen, trajectory, columns.linear, intensity))
         return self.screens[key]
+
+    def _sticking(
+        self, screen: Screen, trajectory: Trajectory, linear: Linear, intensity: float
+    ) -> list[list[Screened]]:
+        """The candidates in which something sticks, at each of their shapes and of `STRENGTHS`.
+
+        When it sticks depends on the strength, so that one linearisation about none of it says
+        little: each point of the grid has its own.
+        """
+        scene, first = self.scene, INTENSITIES.index(intensity)
+        first = min(max(first - 1, 0), len(INTENSITIES) - _NEAR)
+        levels = np.arange(first, first + _NEAR)
+        none = over_intensities(_evidences(scene, trajectory, linear, levels), INTENSITIES)
+
+        def at(row: Screened) -> Screened:
+            self.in_time()
+            t = scene.consistent(extended(scene, trajectory, prior_of, row))
+            here = _evidences(scene, t, scene.linearised(t), levels)
+            return row._replace(gain=over_intensities(here, INTENSITIES) - none)
+
+        found: dict[str, list[Screened]] = {}
+        points = []
+        for row in screen.rows:
+            if row.effect.dry or row.effect.follows:
+                for x in STRENGTHS:
+                    regressors = np.zeros(len(row.which))
+                    regressors[0] = x
+                    points.append(Screened(row.effect, 0.0, row.shape, regressors, *row[2:]))
+        work = [functools.partial(at, point) for point in points]
+        for point in side_by_side(work):
+            found.setdefault(point.effect.label, []).append(point)
+        return list(found.values())
 
     def extend(self, parent: Tried) -> None:
         """Try a model with one more effect, each contender in turn."""
@@ -471,9 +507,6 @@ class Search:
         for _, a, b in likeliest:
             for s in (a, b):
                 chosen.setdefault(s.effect.label, found[s.effect.label])
-        for s in ranked:  # linear nowhere: the first order cannot see it
-            if s.effect.dry:
-                chosen.setdefault(s.effect.label, s)
         if parent.complete > 0.5:
             # What is left is small, and the first order right: by it most have no part.
             n, m = len(self.candidates), len(parent.added)
@@ -486,7 +519,10 @@ class Search:
         if not chosen:
             return
         self.say(f"weighing {len(chosen)} candidates")
-        starts = [extended(self.scene, trajectory, prior_of, s) for s in chosen.values()]
+        starts = [
+            self.scene.consistent(extended(self.scene, trajectory, prior_of, s))
+            for s in chosen.values()
+        ]
         results = settle(self.scene, starts, intensity, self.in_time)
         for label, found in zip(chosen, results, strict=True):
             if found is not None:
@@ -508,15 +544,18 @@ class Search:
         )
 
     def reduce(self, model: Tried) -> None:
-        """Try a model without each of its effects but the last."""
+        """Try a model without each of its effects, from its own motion: where that leads to a
+        likelier one than the way there did, it takes its place."""
         self.say("weighing simpler models")
-        for label in model.added[:-1]:
-            rest = tuple(x for x in model.added if x != label)
-            if frozenset(rest) in self.tried:
-                continue
-            trajectory, intensity = self.screening_motion(model)
-            start = without(self.scene, trajectory, label)
-            (found,) = settle(self.scene, [start], intensity, self.in_time)
+        rests = [tuple(x for x in model.added if x != label) for label in model.added]
+        rests = [r for r in rests if r and (model, r) not in self._reduced]
+        self._reduced.update((model, r) for r in rests)
+        trajectory, intensity = self.screening_motion(model)
+        gone = [next(iter(set(model.added) - set(r))) for r in rests]
+        starts = [without(self.scene, trajectory, label) for label in gone]
+        for rest, found in zip(
+            rests, settle(self.scene, starts, intensity, self.in_time), strict=True
+        ):
             if found is not None:
                 self._keep(rest, *found)
 

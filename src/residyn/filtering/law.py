@@ -336,18 +336,24 @@ def along_whole(effect, room: tuple[int, int], mechanism, q, v, t, z, step, spre
     return jax.vmap(one, in_axes=axes, out_axes=-1)(q, v, t, z, step, spread, mechanism)
 
 
+def follow(effect, room: int, j, q, v, t, z, numbers, mechanism):
+    """(room,) internal states after a step that began with states `z` (m,) and ended at `q`, `v`
+    (n,)."""
+    own: Any = with_numbers(effect, numbers[: len(numbers_of(effect))])
+    z = split(z[: len(effect.memory)])
+    if of_one_joint(effect):
+        motion = JointMotion(t, q[j], v[j], jnp.sign(v[j]), z, q[j])
+        return _rows(tuple(own.joint_follow(motion)), room)
+    motion = Motion.at(t, q, v, z)._replace(turn=split(q))
+    return _rows(tuple(own.follow(motion, mechanism)), room)
+
+
 def along_follow(effect, room: tuple[int, int], j, q, v, t, z, numbers, mechanism) -> Slopes:
-    """Internal states after steps that began with states `z` (m, N) and ended at `q`, `v` (n, N);
-    slopes in the angles, the states and the numbers."""
-    states, count = len(effect.memory), len(numbers_of(effect))
+    """`follow` (r = m) of K steps, states `z` (m, K), ends `q`, `v` (n, K); slopes in the angles,
+    the states and the numbers."""
 
     def at(q, z, u, t, v, mechanism):
-        own = with_numbers(effect, u[:count])
-        if of_one_joint(effect):
-            motion = JointMotion(t, q[j], v[j], jnp.sign(v[j]), split(z[:states]), q[j])
-            return _rows(tuple(own.joint_follow(motion)), room[0])
-        motion = Motion.at(t, q, v, z[:states])._replace(turn=split(q))
-        return _rows(tuple(own.follow(motion, mechanism)), room[0])
+        return follow(effect, room[0], j, q, v, t, z, u, mechanism)
 
     def one(q, v, t, z, mechanism):
         value, by_q, by_z, by_u = _with_slopes(at, 3)(q, z, numbers, t, v, mechanism)

@@ -32,6 +32,7 @@ from .law import (
     along_readings,
     along_whole,
     changes_bodies,
+    follow,
     most_numbers,
     most_states,
     numbers_of,
@@ -493,6 +494,48 @@ def _followed_by(known, slots: Slots, at: Nodes, mechanism, phi, inputs: int):
     spare = jnp.concatenate([phi, jnp.zeros((m, W, K))])
     step = lambda e, phi: jax.lax.switch(slots.law[e], branches, phi, e)  # noqa: E731
     return jax.lax.fori_loop(0, slots.count, step, spare)[:X]
+
+
+@kept(like=0)
+def followed(laws: Laws, table: Table, instants: Instants, path):
+    """A motion (K, X) along which the internal states that have no rate follow the angles, from
+    where they are at the beginning of each recording: z+ = f(z, q+)."""
+    n = instants.drive.shape[1]
+    bodies = changed_bodies(laws, table.whole, table.whole.numbers, instants.mechanisms)
+    begins = jnp.concatenate([jnp.ones(1, bool), instants.last[:-1]])
+
+    def step(z, at):
+        x, t, run, begins = at
+        q, v, given = x[:n], x[n : 2 * n], x[2 * n :]
+        mechanism, moved = jax.tree.map(lambda leaf: leaf[run], bodies), z
+        for group, slots in (("joint", table.joint), ("whole", table.whole)):
+            known = [laws.each[i] for i in laws.of(group)]
+            if any(e.follows for e in known):
+                moved = _moved(known, slots, mechanism, q, v, t, moved)
+        z = jnp.where(begins | ~table.held, given, moved)
+        return z, z
+
+    _, z = jax.lax.scan(step, path[0, 2 * n :], (path, instants.time, instants.run, begins))
+    return jnp.concatenate([path[:, : 2 * n], z], axis=1)
+
+
+def _moved(known, slots: Slots, mechanism, q, v, t, z):
+    """Internal states (M,) after one step that ended at q, v (n,)."""
+    M, m = len(z), most_states(known)
+
+    def branch(effect):
+        def moved(z, e):
+            state = slots.state[e]
+            own = jax.lax.dynamic_slice(z, (state,), (m,))
+            args = slots.joint[e], q, v, t, own, slots.numbers[e], mechanism
+            new = follow(effect, m, *args)[: len(effect.memory)]
+            return jax.lax.dynamic_update_slice(z, new, (state,))
+
+        return moved if effect.follows else lambda z, e: z
+
+    branches = [branch(e) for e in known]
+    move = lambda e, z: jax.lax.switch(slots.law[e], branches, z, e)  # noqa: E731
+    return jax.lax.fori_loop(0, slots.count, move, jnp.pad(z, (0, m)))[:M]
 
 
 class Seen(NamedTuple):

@@ -40,7 +40,7 @@ from .law import (
     tabulated,
     with_numbers,
 )
-from .linearised import Instants, Linear, Point, linearise
+from .linearised import Instants, Linear, Point, followed, linearise
 
 
 def _not_yet() -> np.ndarray:
@@ -272,13 +272,17 @@ class Scene:
         self, t: Trajectory, linear: Linear, intensity: float, share: float = 1.0
     ) -> Trajectory | None:
         """A model's motion and numbers given the readings and a random torque: one Gauss-Newton
-        step from where it is, or a share of it; None where the model runs away."""
+        step from where it is, or a share of it; None where the model runs away.
+
+        Internal states that follow the angles are functions of them, with corners: these are
+        evaluated along the new motion, for the linear step is right on one side of a corner only.
+        """
         n, X = self.n, t.path.shape[1]
         found = smooth(linear.system, self.readings, self.noise(t), np.asarray(intensity, float))
         evidence, u, covariance, mean, variance = map(np.asarray, found)
         if not (np.isfinite(evidence) and np.isfinite(mean).all()):
             return None
-        return dataclasses.replace(
+        moved = dataclasses.replace(
             t,
             u=t.u + share * (u - t.u),
             path=t.path + share * (mean[:, :X] - t.path),
@@ -288,6 +292,14 @@ class Scene:
             torque=mean[:, X:],
             torque_variance=np.maximum(variance[:, X:], 0.0),
         )
+        return self.consistent(moved)
+
+    def consistent(self, t: Trajectory) -> Trajectory:
+        """A motion with the internal states that follow its angles."""
+        if not any(e.follows for e in t.effects):
+            return t
+        path = followed(*self.tabulated(t), self.instants, t.path)
+        return dataclasses.replace(t, path=np.asarray(path))
 
     def model(self, t: Trajectory) -> Model:
         """The model of the first recording's pose."""
