@@ -13,9 +13,9 @@ import pytest
 import residyn
 from residyn import effects
 from residyn.diagnosis.diagnose import Posterior
-from residyn.diagnosis.evidence import INTENSITIES
+from residyn.diagnosis.evidence import INTENSITIES, over_intensities
 from residyn.diagnosis.missing_torque import scene_of
-from residyn.diagnosis.search import Search, Tried
+from residyn.diagnosis.search import Search, Tried, settle
 from residyn.physics.effect import JointEffect
 from residyn.physics.parameter import Dimension, param
 from residyn.recordings.tables import ArmTable
@@ -185,6 +185,55 @@ def test_a_late_sensor_is_no_torque():
     assert found.candidates[0].probability > 0.99
     value, std = parameter(found, "sensor_delay:elbow.delay")
     assert abs(value - 0.02) < 4 * std
+
+
+def test_a_brake_that_slips_in_every_swing_is_told_from_a_smooth_loop():
+    # Its corners need the motion's own slip, and the turning points between two readings.
+    found = diagnosed(("brake_slip:elbow", {"stiffness": 15.0, "angle": 0.08}))
+    assert (found.verdict, found.added) == ("missing", ("brake_slip:elbow",))
+    assert found.verdict_probability > 0.99
+    value, std = parameter(found, "brake_slip:elbow.angle")
+    assert abs(value - 0.08) < 4 * std
+
+
+def strong_friction():
+    """A friction of 6 % of the spring's torque at full swing, in noise of 1 % of the swings."""
+    rng = np.random.default_rng([5100, *b"coulomb_friction:shoulder"])
+    strength = float(np.exp(rng.uniform(*np.log([0.01, 0.3]))))
+    (case,) = rig.hidden_cases(rng, "coulomb_friction:shoulder", 1, strength=strength)
+    noise = 0.01 * float(np.sqrt(np.mean(np.abs(case.motion[0]).max(axis=0) ** 2)))
+    q = case.truth + noise / case.noise * (case.q - case.truth)
+    return dataclasses.replace(case, q=q, noise=noise)
+
+
+def slipping_brake():
+    """A brake that slips in the first swings."""
+    return release(("brake_slip:elbow", {"stiffness": 8.0, "angle": 0.1}))
+
+
+@pytest.mark.parametrize("made", [strong_friction, slipping_brake])
+def test_what_sticks_is_found_from_afar_as_from_its_own_numbers(made):
+    case = made()
+    arm, (hidden,) = case.arm, case.hidden
+    assert case.motion is not None
+    table = ArmTable((arm.l1, arm.l2), arm.shoulder, arm.elbow, arm.coupling)
+    seen = residyn.Recording.from_arrays(case.t, case.q, noise=case.noise, theta2=arm.theta2)
+    scene, base, _ = scene_of(residyn.Experiment(table, (seen,)), ())
+    with jax.enable_x64(True):
+        search = Search(scene, base)
+        search.extend(search.base)
+        found = search.tried[frozenset([hidden.label])]
+        start = found.best
+        numbers = np.array([*arm.stiffness, *arm.damping, *hidden.values.values()])
+        u, path = np.array(start.u), np.array(start.path)
+        u[: len(numbers)] = start.prior.regressors(numbers)
+        n = len(case.t)
+        path[:n, :2], path[:n, 2:4] = case.motion
+        true = scene.consistent(dataclasses.replace(start, u=u, path=path))
+        ((evidences, _),) = settle(scene, [true], 1e-3)
+    best = over_intensities(evidences, INTENSITIES)
+    assert found.log_evidence > best - 1.0
+    assert best > search.base.log_evidence + 100.0
 
 
 def test_two_effects_are_found_one_after_the_other():

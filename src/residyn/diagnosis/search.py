@@ -469,7 +469,7 @@ class Search:
     ) -> list[list[Screened]]:
         """The candidates in which something sticks, at each of their shapes and of `STRENGTHS`.
 
-        When it sticks depends on the strength, so that one linearisation about none of it says
+        When it sticks depends on the numbers, so that one linearisation about no strength says
         little: each point of the grid has its own.
         """
         scene, first = self.scene, INTENSITIES.index(intensity)
@@ -486,11 +486,11 @@ class Search:
         found: dict[str, list[Screened]] = {}
         points = []
         for row in screen.rows:
-            if row.effect.dry or row.effect.follows:
-                for x in STRENGTHS:
-                    regressors = np.zeros(len(row.which))
-                    regressors[0] = x
-                    points.append(Screened(row.effect, 0.0, row.shape, regressors, *row[2:]))
+            # The torque of what follows the angle is in proportion to its strength: one will do.
+            for x in STRENGTHS if row.effect.dry else STRENGTHS[1:2] if row.effect.follows else ():
+                # Further strengths are next to silent: of Stribeck's law, Coulomb's is left.
+                each = np.eye(len(row.which))[0] * x
+                points.append(Screened(row.effect, 0.0, row.shape, each, row.which, row.states))
         work = [functools.partial(at, point) for point in points]
         for point in side_by_side(work):
             found.setdefault(point.effect.label, []).append(point)

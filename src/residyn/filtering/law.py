@@ -336,30 +336,37 @@ def along_whole(effect, room: tuple[int, int], mechanism, q, v, t, z, step, spre
     return jax.vmap(one, in_axes=axes, out_axes=-1)(q, v, t, z, step, spread, mechanism)
 
 
-def follow(effect, room: int, j, q, v, t, z, numbers, mechanism):
+def beyond(v0, v1, h):
+    """How far beyond its end a joint was that turned round in a step from rate v0 to v1: by a
+    parabola."""
+    turns = v0 * v1 < 0
+    return jnp.where(turns, -0.5 * h * v1**2 / jnp.where(turns, v1 - v0, 1.0), 0.0)
+
+
+def follow(effect, room: int, j, q, v, t, z, far, numbers, mechanism):
     """(room,) internal states after a step that began with states `z` (m,) and ended at `q`, `v`
-    (n,)."""
+    (n,), `far` (n,) from where it turned round."""
     own: Any = with_numbers(effect, numbers[: len(numbers_of(effect))])
-    z = split(z[: len(effect.memory)])
+    z, turn = split(z[: len(effect.memory)]), q + far
     if of_one_joint(effect):
-        motion = JointMotion(t, q[j], v[j], jnp.sign(v[j]), z, q[j])
+        motion = JointMotion(t, q[j], v[j], jnp.sign(v[j]), z, turn[j])
         return _rows(tuple(own.joint_follow(motion)), room)
-    motion = Motion.at(t, q, v, z)._replace(turn=split(q))
+    motion = Motion.at(t, q, v, z)._replace(turn=split(turn))
     return _rows(tuple(own.follow(motion, mechanism)), room)
 
 
-def along_follow(effect, room: tuple[int, int], j, q, v, t, z, numbers, mechanism) -> Slopes:
+def along_follow(effect, room: tuple[int, int], j, q, v, t, z, far, numbers, mechanism) -> Slopes:
     """`follow` (r = m) of K steps, states `z` (m, K), ends `q`, `v` (n, K); slopes in the angles,
     the states and the numbers."""
 
-    def at(q, z, u, t, v, mechanism):
-        return follow(effect, room[0], j, q, v, t, z, u, mechanism)
+    def at(q, z, u, t, v, far, mechanism):
+        return follow(effect, room[0], j, q, v, t, z, far, u, mechanism)
 
-    def one(q, v, t, z, mechanism):
-        value, by_q, by_z, by_u = _with_slopes(at, 3)(q, z, numbers, t, v, mechanism)
+    def one(q, v, t, z, far, mechanism):
+        value, by_q, by_z, by_u = _with_slopes(at, 3)(q, z, numbers, t, v, far, mechanism)
         return Slopes(value, by_q, jnp.zeros_like(by_q), by_z, by_u)
 
-    return jax.vmap(one, in_axes=(-1, -1, 0, -1, 0), out_axes=-1)(q, v, t, z, mechanism)
+    return jax.vmap(one, in_axes=(-1, -1, 0, -1, -1, 0), out_axes=-1)(q, v, t, z, far, mechanism)
 
 
 def along_readings(effect, mechanism, angle, numbers):
@@ -390,16 +397,16 @@ def states_along(effect: Any, numbers, mechanism, q, v, t, h, anew, z0):
     own: Any = with_numbers(effect, numbers)
     one = of_one_joint(effect)
 
-    def motion(t, q, v, z):
-        found = Motion.at(t, q, v, z)
-        return found.of(0)._replace(turn=q[0]) if one else found._replace(turn=split(q))
+    def motion(t, q, v, z, far: Any = 0.0):
+        found, turn = Motion.at(t, q, v, z), q + far
+        return found.of(0)._replace(turn=turn[0]) if one else found._replace(turn=split(turn))
 
     def step(z, at):
         q, v, t, h, anew, mechanism = at
         held = z = jnp.where(anew, z0, z)
         if effect.follows:
             for i in (1, 2):
-                here = motion(t[i], q[i], v[i], z)
+                here = motion(t[i], q[i], v[i], z, beyond(v[i - 1], v[i], h / 2))
                 z = stack(own.joint_follow(here) if one else own.follow(here, mechanism))
             return z, jnp.stack([held, held, held])
 

@@ -31,6 +31,7 @@ from .law import (
     along_joint,
     along_readings,
     along_whole,
+    beyond,
     changes_bodies,
     follow,
     most_numbers,
@@ -410,7 +411,7 @@ def _linearised(laws: Laws, table: Table, instants: Instants, at: Nodes, bodies,
     const = f.f - jnp.sum(f.by_x * x[None], axis=1)
     field = jnp.concatenate([f.by_x, const[:, None], f.by_torque, f.by_u], 1)
     phi = here(transition(h, here(field), X))
-    phi = _followed(laws, table, at, bodies, instants.run, phi, X + 1 + n)
+    phi = _followed(laws, table, at, h, bodies, instants.run, phi, X + 1 + n)
     A, c, T, B = phi[:, :X], phi[:, X], phi[:, X + 1 : X + 1 + n], phi[:, X + 1 + n :]
     Hx, Ht, Hu, seen = _readings(laws, table, instants, at, f, point)
     hc = seen - jnp.sum(Hx * x[None, :, :K], 1) - jnp.sum(Hu * point.u[:, None], 1)
@@ -456,21 +457,22 @@ def _of_bodies(laws: Laws, table: Table, instants: Instants, at: Nodes, accelera
     return jax.lax.cond(jnp.any(own), with_bodies, lambda x: x, torque_u)
 
 
-def _followed(laws: Laws, table: Table, at: Nodes, bodies, run, phi, inputs: int):
+def _followed(laws: Laws, table: Table, at: Nodes, h, bodies, run, phi, inputs: int):
     """The step phi (X, W, K) with the internal states that follow the motion instead of having a
     rate: z+ = f(z, q+)."""
     effects, mechanism = laws.each, at_nodes(bodies, run, 1)
     for group, slots in (("joint", table.joint), ("whole", table.whole)):
         known = [effects[i] for i in laws.of(group)]
         if any(e.follows for e in known):
-            phi = _followed_by(known, slots, at, mechanism, phi, inputs)
+            phi = _followed_by(known, slots, at, h, mechanism, phi, inputs)
     return phi
 
 
-def _followed_by(known, slots: Slots, at: Nodes, mechanism, phi, inputs: int):
+def _followed_by(known, slots: Slots, at: Nodes, h, mechanism, phi, inputs: int):
     """The same for the effects of one group."""
     n, (X, W, K) = at.q.shape[0], phi.shape
     end = at.q[:, 2 * K :], at.v[:, 2 * K :], at.time[2 * K :]
+    far = beyond(at.v[:, :K], end[1], h)
     m, p = most_states(known), most_numbers(known)
     z = jnp.pad(at.z[:, :K], ((0, m), (0, 0)))
 
@@ -478,7 +480,8 @@ def _followed_by(known, slots: Slots, at: Nodes, mechanism, phi, inputs: int):
         def moved(phi, e):
             state = slots.state[e]
             own = jax.lax.dynamic_slice(z, (state, 0), (m, K))
-            f = along_follow(effect, (m, p), slots.joint[e], *end, own, slots.numbers[e], mechanism)
+            args = slots.joint[e], *end, own, far, slots.numbers[e], mechanism
+            f = along_follow(effect, (m, p), *args)
             rows = _product(f.by_q, phi[:n])
             gone = jnp.sum(f.by_z * own[None], 1) + jnp.sum(f.by_q * end[0][None], 1)
             rows = rows.at[:, X].add(f.value - gone)
@@ -505,29 +508,33 @@ def followed(laws: Laws, table: Table, instants: Instants, path):
     begins = jnp.concatenate([jnp.ones(1, bool), instants.last[:-1]])
 
     def step(z, at):
-        x, t, run, begins = at
+        x, t, run, begins, far = at
         q, v, given = x[:n], x[n : 2 * n], x[2 * n :]
         mechanism, moved = jax.tree.map(lambda leaf: leaf[run], bodies), z
         for group, slots in (("joint", table.joint), ("whole", table.whole)):
             known = [laws.each[i] for i in laws.of(group)]
             if any(e.follows for e in known):
-                moved = _moved(known, slots, mechanism, q, v, t, moved)
+                moved = _moved(known, slots, mechanism, q, v, t, far, moved)
         z = jnp.where(begins | ~table.held, given, moved)
         return z, z
 
-    _, z = jax.lax.scan(step, path[0, 2 * n :], (path, instants.time, instants.run, begins))
+    v = path[:, n : 2 * n]
+    far = beyond(v[:-1], v[1:], instants.step[:-1, None])
+    far = jnp.concatenate([jnp.zeros((1, n)), far])
+    each = path, instants.time, instants.run, begins, far
+    _, z = jax.lax.scan(step, path[0, 2 * n :], each)
     return jnp.concatenate([path[:, : 2 * n], z], axis=1)
 
 
-def _moved(known, slots: Slots, mechanism, q, v, t, z):
-    """Internal states (M,) after one step that ended at q, v (n,)."""
+def _moved(known, slots: Slots, mechanism, q, v, t, far, z):
+    """Internal states (M,) after one step that ended at q, v (n,), `far` (n,) from a turn."""
     M, m = len(z), most_states(known)
 
     def branch(effect):
         def moved(z, e):
             state = slots.state[e]
             own = jax.lax.dynamic_slice(z, (state,), (m,))
-            args = slots.joint[e], q, v, t, own, slots.numbers[e], mechanism
+            args = slots.joint[e], q, v, t, own, far, slots.numbers[e], mechanism
             new = follow(effect, m, *args)[: len(effect.memory)]
             return jax.lax.dynamic_update_slice(z, new, (state,))
 
