@@ -90,10 +90,10 @@ def test_a_model_with_a_curve_has_the_program_of_the_one_without():
 def test_a_formula_is_the_curve_of_its_terms():
     place = Place(Kind("angle"), 0, -0.37, 0.4)
     x = np.linspace(place.low, place.high, 1001)
-    for column in formula._columns(place):
+    for column in formula.columns_of(place):
         shapes = dict(zip((n for n, _ in column.term.shapes), column.shape, strict=True))
-        for part, heights in zip(column.term.parts, formula._parts(place, column).T, strict=True):
-            exact = formula._value(part, x, formula.scale_of(place), shapes)
+        for part, heights in zip(column.term.parts, formula.parts_of(place, column).T, strict=True):
+            exact = formula.value_of(part, x, formula.scale_of(place), shapes)
             error = splines(x, place.low, place.high, HEIGHTS).T @ heights - exact
             assert np.sqrt(np.mean(error**2)) < 2e-4 * np.abs(exact).max()
 

@@ -161,7 +161,7 @@ class Sum(NamedTuple):
     @property
     def heights(self) -> np.ndarray:
         """(HEIGHTS,) of its curve."""
-        parts = np.concatenate([_parts(self.place, c) for c in self.columns], axis=1)
+        parts = np.concatenate([parts_of(self.place, c) for c in self.columns], axis=1)
         return parts @ self.strengths
 
     def beside(
@@ -169,7 +169,7 @@ class Sum(NamedTuple):
     ) -> "Sum":
         """The terms beside a model that holds them as they are here already, each shape known to an
         e-fold."""
-        strong = [_parts(place, c) for c in self.columns]
+        strong = [parts_of(place, c) for c in self.columns]
         width, count = WIDTH * place.unit(along.scene), len(self.strengths)
         columns = np.concatenate([*(width * x for x in strong), _bends(self)], axis=1)
         totals, grams = along.gram([place], [columns], intensities, self.heights)
@@ -198,14 +198,15 @@ def scale_of(place: Place) -> float:
     return float(f"{max(abs(place.low), abs(place.high)):.1e}")
 
 
-def _value(expression: str, x: np.ndarray, x0: float, shapes: dict[str, float]) -> np.ndarray:
+def value_of(expression: str, x: np.ndarray, x0: float, shapes: dict[str, float]) -> np.ndarray:
     """A term's expression at x: the text that the class will have, with NumPy in JAX's place."""
     code = expression.format(x0=repr(x0), **{k: repr(v) for k, v in shapes.items()})
     with np.errstate(over="ignore"):
         return eval(code, {"jnp": np, "x": x}) * np.ones_like(x)
 
 
-def _columns(place: Place) -> list[Column]:
+def columns_of(place: Place) -> list[Column]:
+    """Every term at every value on its grids."""
     x0, found = scale_of(place), []
     for term in grammar(place):
         grids = [[x0 * g for g in grid] for _, grid in term.shapes]
@@ -214,11 +215,11 @@ def _columns(place: Place) -> list[Column]:
     return found
 
 
-def _parts(place: Place, column: Column) -> np.ndarray:
+def parts_of(place: Place, column: Column) -> np.ndarray:
     """(HEIGHTS, p) curve of each part of a term at unit strength."""
     x, x0 = points(place.low, place.high), scale_of(place)
     shapes = dict(zip((name for name, _ in column.term.shapes), column.shape, strict=True))
-    return heights_of(np.stack([_value(part, x, x0, shapes) for part in column.term.parts], 1))
+    return heights_of(np.stack([value_of(part, x, x0, shapes) for part in column.term.parts], 1))
 
 
 class Every:
@@ -268,7 +269,7 @@ class Sums:
         self.columns, self.place = list(columns), every.model.place
         self.terms = len(grammar(self.place))
         self.width = WIDTH * self.place.unit(every.along.scene)
-        parts = [self.width * _parts(self.place, c) for c in columns]
+        parts = [self.width * parts_of(self.place, c) for c in columns]
         ends = itertools.accumulate((x.shape[1] for x in parts), initial=0)
         self.which = [tuple(range(a, b)) for a, b in itertools.pairwise(ends)]
         self.functions = np.concatenate([*parts, *([] if more is None else [more])], axis=1)
@@ -316,7 +317,7 @@ class Sums:
 def likeliest(along: Along, model: CurveModel) -> list[Sum]:
     """For a curve the likeliest sum of one, of two and of three terms, shapes moved off their
     grids: those that cannot be told from the likeliest, which comes first."""
-    columns, every = _columns(model.place), Every(along, model)
+    columns, every = columns_of(model.place), Every(along, model)
     alone = Sums(every, columns)
     singles = alone.of([(k,) for k in range(len(columns))])
     for term in {id(c.term): c.term for c in columns if c.term.shapes}.values():
