@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import logsumexp
 
 from ..effects import AbstractEffect
 from ..filtering.kalman import Inputs, gram
@@ -52,6 +51,7 @@ from .evidence import (
     conditional,
     half_normal,
     log_prior_intensity,
+    log_sum,
     means_of_base,
     signed,
     subset,
@@ -475,7 +475,7 @@ class Columns:
             rests.append(rest)
             base_means.append(means_of_base(square, P))
         known = np.array(evidences) + log_prior_intensity(intensities)
-        return Screen(self.rows, known - logsumexp(known), rests, base_means)
+        return Screen(self.rows, known - log_sum(known), rests, base_means)
 
 
 class Screen:
@@ -522,7 +522,7 @@ class Screen:
             each = gain + np.asarray(self.weights)[:, None]
             top = np.argmax(each, axis=0)
             for k, i in enumerate(own):
-                found[i] = float(logsumexp(each[:, k])), mean[top[k], k]
+                found[i] = log_sum(each[:, k]), mean[top[k], k]
         return found
 
     def pairs(self, most: int) -> list[tuple[float, Screened, Screened]]:
@@ -538,7 +538,7 @@ def _averaged(each: Sequence[Screened]) -> Screened:
     """A candidate at the likeliest point of a grid, with its gain averaged over the grid."""
     gains = np.array([s.gain for s in each])
     top = each[int(np.argmax(gains))]
-    return top._replace(gain=float(logsumexp(gains) - math.log(len(gains))))
+    return top._replace(gain=log_sum(gains) - math.log(len(gains)))
 
 
 def _signs(row: Column | Screened) -> list[bool]:

@@ -17,7 +17,6 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import logsumexp
 
 from ..effects import AbstractEffect
 from ..filtering.law import number_slices, numbers_of, state_slices
@@ -31,7 +30,7 @@ from ..physics.motion import Motion
 from ..recordings.experiment import Experiment, must_be_experiment
 from ..runtime.memory import give_back
 from .candidate_tests import best_tests
-from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES, at_work
+from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES, at_work, shares
 from .forecast import held_out
 from .law import curve_models, laws_of
 from .linearised_fit import LinearisedFit, evaluated, polish
@@ -349,7 +348,7 @@ class Posterior:
         self.named = [*self.models, *passed]
         """With those that are known to first order only."""
         logs = np.array([m.log_posterior for m in [*self.named, *self.curves]])
-        each = np.exp(logs - logsumexp(logs))
+        each = shares(logs)
         self.each, self.of_curves = np.split(each / each.sum(), [len(self.named)])
         """Probability of each model with names only, and of each with a free curve."""
         self.of_tried = self.each[: len(self.models)]

@@ -10,6 +10,7 @@ Algorithms, 2003, ch. 28). Nothing else in this folder decides.
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from scipy.special import erf, log_ndtr, logsumexp
@@ -181,11 +182,20 @@ def at_work() -> np.ndarray:
     return np.minimum.accumulate((work / (work + outside))[::-1])[::-1]
 
 
+def log_sum(logs) -> float:
+    """Log of the sum of what some logarithms are of."""
+    total: Any = logsumexp(logs)
+    return float(total)
+
+
+def shares(logs: np.ndarray) -> np.ndarray:
+    """What some logarithms are of, normalised to 1."""
+    return np.exp(logs - log_sum(logs))
+
+
 def over_intensities(evidences: np.ndarray, intensities: Sequence[float]) -> float:
     """Log evidence of a model, its random torque's intensity summed over."""
-    return float(
-        logsumexp(np.nan_to_num(evidences, nan=-np.inf) + log_prior_intensity(intensities))
-    )
+    return log_sum(np.nan_to_num(evidences, nan=-np.inf) + log_prior_intensity(intensities))
 
 
 def log_prior_model(added: int, candidates: int) -> float:

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 
 from ..effects.found import FoundLaw, FoundNumber
 from ..filtering.free_curve import HEIGHTS
@@ -30,6 +29,7 @@ from .evidence import (
     conditional,
     log_prior_intensity,
     log_prior_model,
+    log_sum,
     subset,
 )
 from .free_curves import Along, CurveModel, Place, heights_of, points, signs
@@ -288,7 +288,7 @@ class Sums:
                 columns = tuple(self.columns[j] for j in sets[i])
                 # There is one term at least.
                 prior = log_prior_model(len(columns), self.terms) - math.log(FURTHER)
-                evidence = float(logsumexp(each[:, k])) - sum(c.price for c in columns)
+                evidence = log_sum(each[:, k]) - sum(c.price for c in columns)
                 strengths = self.width * mean[top[k], k]
                 found[i] = Sum(self.place, columns, evidence + prior, prior, strengths)
         return [s for s in found if s is not None]
@@ -373,9 +373,9 @@ def _weighed(every: Every, found: Sum) -> Sum:
         size = np.ones(1 + len(own))
         size[1 : 1 + count] = amplitude / WIDTH
         gain, _, _ = subset(size[:, None] * sums.rests * size, own)
-        return float(logsumexp(gain + sums.bases))
+        return log_sum(gain + sums.bases)
 
-    total = float(logsumexp([evidence(a) for a in CURVE_AMPLITUDES]))
+    total = log_sum([evidence(a) for a in CURVE_AMPLITUDES])
     total -= math.log(len(CURVE_AMPLITUDES))
     prior = found.log_prior + total - evidence(WIDTH)
     total += found.log_prior + every.signs(sums.functions)

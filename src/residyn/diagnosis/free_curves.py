@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import logsumexp
 
 from ..filtering.free_curve import HEIGHTS, FreeCurve, FreeFriction
 from ..filtering.kalman import Evidences, Functions, Torques, gram
@@ -34,6 +33,8 @@ from .evidence import (
     conditional,
     half_normals,
     log_prior_intensity,
+    log_sum,
+    shares,
 )
 from .search import Tried
 
@@ -286,12 +287,12 @@ def _posterior(along: Along, place: Place, intensities, totals, grams) -> Poster
         slope = np.swapaxes(roots, 1, 2) @ rest[1:, 0]
         z = -(inverse @ slope[..., None])[..., 0]
         gains = -0.5 * np.sum(slope * z, -1) - 0.5 * np.linalg.slogdet(inner)[1]
-        weights = np.exp(gains - logsumexp(gains))
+        weights = shares(gains)
         keep = weights > _LIGHT
         heights = (roots[keep] @ z[keep][..., None])[..., 0]
         spread = roots[keep] @ inverse[keep] @ np.swapaxes(roots[keep], 1, 2)
         mean, covariance = _mixed(weights[keep] / weights[keep].sum(), heights, spread)
-        gain = logsumexp(gains) - math.log(len(gains))
+        gain = log_sum(gains) - math.log(len(gains))
         scale = np.eye(len(square))
         scale[1 + P :, 1 + P :] = roots[np.argmax(gains)]
         evidences.append(total + base + gain + signs(along, scale.T @ square @ scale))
@@ -299,7 +300,7 @@ def _posterior(along: Along, place: Place, intensities, totals, grams) -> Poster
     evidences = np.array(evidences)
     evidences = np.where(np.isfinite(evidences), evidences, -np.inf)
     logs = evidences + log_prior_intensity(intensities)
-    weights = np.exp(logs - logsumexp(logs))
+    weights = shares(logs)
     means, covariances = (np.stack(x) for x in zip(*each, strict=True))
     return Posterior(evidences, *_mixed(weights, means, covariances))
 
@@ -337,7 +338,7 @@ def screen(along: Along, intensities: Sequence[float]) -> list[Screened]:
                 each = grams[:, keep[:, None], keep]
                 post = _posterior(along, place, intensities, totals, each)
                 logs = post.evidences + log_prior_intensity(intensities)
-                found.append(Screened(place, float(logsumexp(logs)), post))
+                found.append(Screened(place, log_sum(logs), post))
     return sorted(found, key=lambda s: -s.log_evidence)
 
 
@@ -366,7 +367,7 @@ class CurveModel(Tried):
         curve = super().log_evidence
         if not self.formulas:
             return curve
-        return float(logsumexp([curve, *(s.log_evidence for s in self.formulas)])) - math.log(2.0)
+        return log_sum([curve, *(s.log_evidence for s in self.formulas)]) - math.log(2.0)
 
     @property
     def matters(self) -> bool:

@@ -18,7 +18,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from scipy.special import logsumexp
 
 from ..effects import AbstractEffect
 from ..filtering.kalman import System
@@ -43,6 +42,7 @@ from .evidence import (
     log_prior_model,
     over_intensities,
     prior_of,
+    shares,
 )
 
 _ITERATIONS = 20  # of one model, at the most
@@ -81,7 +81,7 @@ class Tried:
     def weights(self) -> np.ndarray:
         """(I,) posterior of the random torque's intensity, given the model."""
         each = self.evidences + log_prior_intensity(INTENSITIES)
-        return np.exp(each - logsumexp(each))
+        return shares(each)
 
     @property
     def complete(self) -> float:
