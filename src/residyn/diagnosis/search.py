@@ -381,7 +381,7 @@ class Search:
         """`law.CurveModel`s: models with a law that has no name."""
         self.stopped: str | None = None
         """Why the search ended early, if it did: "interrupted" or "budget"."""
-        self._reduced: set[tuple[Tried, tuple[str, ...]]] = set()
+        self._reduced: set[tuple[Tried, str]] = set()
         self.screens: dict[frozenset[str], Screen] = {}
         """First-order evidence of all candidates beside the models that were extended."""
         say("smoothing the motion with the model")
@@ -547,17 +547,16 @@ class Search:
         """Try a model without each of its effects, from its own motion: where that leads to a
         likelier one than the way there did, it takes its place."""
         self.say("weighing simpler models")
-        rests = [tuple(x for x in model.added if x != label) for label in model.added]
-        rests = [r for r in rests if r and (model, r) not in self._reduced]
-        self._reduced.update((model, r) for r in rests)
+        todo = [x for x in model.added if len(model.added) > 1 and (model, x) not in self._reduced]
+        if not todo:
+            return
+        self._reduced.update((model, label) for label in todo)
         trajectory, intensity = self.screening_motion(model)
-        gone = [next(iter(set(model.added) - set(r))) for r in rests]
-        starts = [without(self.scene, trajectory, label) for label in gone]
-        for rest, found in zip(
-            rests, settle(self.scene, starts, intensity, self.in_time), strict=True
-        ):
+        starts = [without(self.scene, trajectory, label) for label in todo]
+        each = settle(self.scene, starts, intensity, self.in_time)
+        for label, found in zip(todo, each, strict=True):
             if found is not None:
-                self._keep(rest, *found)
+                self._keep([x for x in model.added if x != label], *found)
 
 
 def nested(a: AbstractEffect, b: AbstractEffect) -> bool:
