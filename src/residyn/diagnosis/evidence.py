@@ -37,8 +37,9 @@ SHAPE = 1.0
 """Prior standard deviation of the logarithm of a shape (a gap, a rate, a frequency): an e-fold
 about the middle of its grid."""
 STRENGTHS = (0.03, 0.3, 3.0)
-"""Strengths, in standard deviations of the prior, about which a law that sticks is linearised: a
-decade apart, which is as far as one linearisation finds its way, up to where the prior ends."""
+"""Strengths, in standard deviations of the prior, about which a law that sticks is linearised: up
+to where a half-normal prior ends, a decade apart. The iteration goes on from the likeliest, so that
+the grid need only be near; no evidence of a model depends on it."""
 INTENSITIES = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4, 0.0)
 """Random torques (rms, in the spring's torque at full swing) over which the evidence is summed:
 half a decade apart, which no posterior of it is narrower than with a hundred independent
