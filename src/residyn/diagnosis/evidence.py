@@ -39,7 +39,7 @@ about the middle of its grid."""
 STRENGTHS = (0.03, 0.3, 3.0)
 """Strengths, in standard deviations of the prior, about which a law that sticks is linearised: up
 to where a half-normal prior ends, a decade apart. The iteration goes on from the likeliest, so that
-the grid need only be near; no evidence of a model depends on it."""
+the grid need only be near: it decides which models are iterated, not what they come to."""
 INTENSITIES = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4, 0.0)
 """Random torques (rms, in the spring's torque at full swing) over which the evidence is summed:
 half a decade apart, which no posterior of it is narrower than with a hundred independent
