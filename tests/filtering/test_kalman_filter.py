@@ -326,3 +326,15 @@ def test_typical_stiffness_is_that_of_the_springs():
     inertia = np.array([[float(x) for x in row] for row in rows])
     found = Spectrum.of(recording, np.zeros(recording.angle.shape, bool)).stiffness(inertia)
     np.testing.assert_allclose(found, [30.0, 8.0], rtol=0.15)
+
+
+def test_typical_stiffness_is_the_springs_though_an_encoder_jumps():
+    truth = ARM + Spring("shoulder", 30.0) + Spring("elbow", 8.0)
+    recording, _ = a_recording(truth, seconds=20.0)
+    angle = np.array(recording.angle)
+    angle[len(angle) // 3 :, 1] += 0.5 * np.std(angle[:, 1])
+    jumped = Recording.from_arrays(recording.time, angle, noise=recording.noise)
+    rows = ARM.mass_matrix((0.0, 0.0))
+    inertia = np.array([[float(x) for x in row] for row in rows])
+    found = Spectrum.of(jumped, np.zeros(angle.shape, bool)).stiffness(inertia)
+    np.testing.assert_allclose(found, [30.0, 8.0], rtol=0.5)

@@ -108,12 +108,12 @@ class Spectrum(NamedTuple):
         return float(top)
 
     def stiffness(self, inertia: np.ndarray) -> np.ndarray:
-        """(n,) rms of the torque Z q'' that moves each joint over the rms of its angle, N m/rad;
-        `inertia` (n, n) is Z."""
+        """(n,) size of each joint's spring by least squares: of the slope of the torque Z q'' that
+        moves it against its angle, N m/rad; `inertia` (n, n) is Z."""
         kept = np.where((self.signal > 0) & (self.pace <= self.fastest), self.lines, 0.0)
         torque = inertia @ (self.pace**2 * kept)
-        sizes = [np.sqrt(np.sum(np.abs(x) ** 2, axis=1)) for x in (torque, self.lines)]
-        return sizes[0] / np.maximum(sizes[1], 1e-300)
+        along = np.sum((torque * self.lines.conj()).real, axis=1)
+        return np.abs(along) / np.maximum(np.sum(np.abs(self.lines) ** 2, axis=1), 1e-300)
 
 
 def _averaged(power: np.ndarray) -> np.ndarray:
