@@ -196,14 +196,25 @@ def test_a_brake_that_slips_in_every_swing_is_told_from_a_smooth_loop():
     assert abs(value - 0.08) < 4 * std
 
 
-def strong_friction():
-    """A friction of 6 % of the spring's torque at full swing, in noise of 1 % of the swings."""
-    rng = np.random.default_rng([5100, *b"coulomb_friction:shoulder"])
-    strength = float(np.exp(rng.uniform(*np.log([0.01, 0.3]))))
-    (case,) = rig.hidden_cases(rng, "coulomb_friction:shoulder", 1, strength=strength)
+def of_rig(rng, label, strength=None):
+    """A hidden case in noise of 1 % of the swings."""
+    (case,) = rig.hidden_cases(rng, label, 1, strength=strength)
     noise = 0.01 * float(np.sqrt(np.mean(np.abs(case.motion[0]).max(axis=0) ** 2)))
     q = case.truth + noise / case.noise * (case.q - case.truth)
     return dataclasses.replace(case, q=q, noise=noise)
+
+
+def strong_friction():
+    """A friction of 6 % of the spring's torque at full swing."""
+    rng = np.random.default_rng([5100, *b"coulomb_friction:shoulder"])
+    strength = float(np.exp(rng.uniform(*np.log([0.01, 0.3]))))
+    return of_rig(rng, "coulomb_friction:shoulder", strength)
+
+
+def friction_that_is_higher_near_rest():
+    """A friction that Coulomb's law leaves much of."""
+    label = "stribeck_friction:shoulder"
+    return of_rig(np.random.default_rng([7003, *label.encode(), 10_000]), label)
 
 
 def slipping_brake():
@@ -211,7 +222,9 @@ def slipping_brake():
     return release(("brake_slip:elbow", {"stiffness": 8.0, "angle": 0.1}))
 
 
-@pytest.mark.parametrize("made", [strong_friction, slipping_brake])
+@pytest.mark.parametrize(
+    "made", [strong_friction, friction_that_is_higher_near_rest, slipping_brake]
+)
 def test_what_sticks_is_found_from_afar_as_from_its_own_numbers(made):
     case = made()
     arm, (hidden,) = case.arm, case.hidden

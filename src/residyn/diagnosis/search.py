@@ -21,13 +21,13 @@ import numpy as np
 
 from ..effects import AbstractEffect
 from ..filtering.kalman import System
-from ..filtering.law import number_slices, state_slices
+from ..filtering.law import number_slices, numbers_of, state_slices
 from ..filtering.linearised import Linear
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import FitError
 from ..runtime.memory import give_back
 from ..runtime.parallel import side_by_side
-from .columns import Columns, Screen, Screened, candidates, extended, spectral_lines
+from .columns import Columns, Screen, Screened, candidates, extended, spectral_lines, strengths
 from .evidence import (
     CONTENDERS,
     EXPLAINS_NOTHING,
@@ -519,14 +519,30 @@ class Search:
         if not chosen:
             return
         self.say(f"weighing {len(chosen)} candidates")
-        starts = [
-            self.scene.consistent(extended(self.scene, trajectory, prior_of, s))
-            for s in chosen.values()
-        ]
-        results = settle(self.scene, starts, intensity, self.in_time)
-        for label, found in zip(chosen, results, strict=True):
-            if found is not None:
-                self._keep((*parent.added, label), *found)
+        # A law that contains another's begins where that one has ended.
+        later = {k: s for k, s in chosen.items() if s.effect.extends}
+        for some in ({k: s for k, s in chosen.items() if k not in later}, later):
+            starts = [self._start(parent, trajectory, s) for s in some.values()]
+            results = settle(self.scene, starts, intensity, self.in_time)
+            for label, found in zip(some, results, strict=True):
+                if found is not None:
+                    self._keep((*parent.added, label), *found)
+
+    def _start(self, parent: Tried, trajectory: Trajectory, found: Screened) -> Trajectory:
+        """Where the iteration of a model with one more effect begins: as the screen has it, or, if
+        the model with the law that it contains has ended already, from there."""
+        law = found.effect
+        within = [e for e in self.candidates if e.place == law.place and e.name == law.extends]
+        ended = self.tried.get(frozenset(e.label for e in within).union(parent.added))
+        if within and ended is not None:
+            t, less = ended.best, within[0]
+            known = t.u[number_slices(t.effects)[t.labels.index(less.label)]]
+            at = {n.field: u for n, u in zip(numbers_of(less), known, strict=True)}
+            screened = zip(strengths(law), found.regressors, strict=True)
+            begun = [at.get(n.field, u) for n, u in screened]
+            trajectory = without(self.scene, t, less.label)
+            found = found._replace(regressors=np.array(begun))
+        return self.scene.consistent(extended(self.scene, trajectory, prior_of, found))
 
     def screening_motion(self, model: Tried) -> tuple[Trajectory, float]:
         """The motion that candidates are screened along, and its random torque: the likeliest, or
