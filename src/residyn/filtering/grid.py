@@ -112,7 +112,7 @@ class Spectrum(NamedTuple):
         moves it against its angle, N m/rad; `inertia` (n, n) is Z."""
         kept = np.where((self.signal > 0) & (self.pace <= self.fastest), self.lines, 0.0)
         torque = inertia @ (self.pace**2 * kept)
-        along = np.sum((torque * self.lines.conj()).real, axis=1)
+        along = np.real(torque * self.lines.conj()).sum(axis=1)
         return np.abs(along) / np.maximum(np.sum(np.abs(self.lines) ** 2, axis=1), 1e-300)
 
 
