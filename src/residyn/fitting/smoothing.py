@@ -84,9 +84,9 @@ class Smoothed(NamedTuple):
 
     def kept(self, halves: np.ndarray) -> np.ndarray:
         """(H,) share of the motion (rms about its mean, best joint) that passes each kernel."""
-        index, half = np.arange(self.q.shape[1]), halves[:, None]
-        inside = (index >= half) & (index < np.maximum(half + 1, len(index) - half))
-        passed = self.q.std(axis=1, where=inside[..., None])
+        length = self.q.shape[1]
+        inside = (q[h : max(h + 1, length - h)] for q, h in zip(self.q, halves, strict=True))
+        passed = np.stack([part.std(axis=0) for part in inside])
         return (passed / np.maximum(self.q[0].std(axis=0), 1e-300)).max(axis=1)
 
 
@@ -99,9 +99,13 @@ def smooth(data: Uniform, halves: np.ndarray, noise: np.ndarray, stride: int) ->
     def through(columns: np.ndarray, responses: np.ndarray) -> np.ndarray:
         if not columns.any():
             return np.zeros((*responses.shape[:-1], *columns[::stride].shape))
-        spectrum = np.fft.rfft(columns.T, size)
-        passed = np.fft.irfft(responses[..., None, :] * spectrum, size)
-        return passed[..., :length:stride].swapaxes(-1, -2)
+        passed = responses[..., None, :] * np.fft.rfft(columns.T, size)
+        if stride > 1:  # fewer instants, of a spectrum that is folded
+            assert stride == 2
+            half = size // 4 + 1
+            passed = 0.5 * (passed[..., :half] + passed[..., : -half - 1 : -1].conj())
+        found = np.fft.irfft(passed, size // stride)[..., : -(-length // stride)]
+        return found.swapaxes(-1, -2)
 
     responses, louder = _responses(tuple(int(half) for half in halves), size)
     q, v, a = through(data.q, responses) / data.dt ** np.arange(3.0).reshape(3, 1, 1, 1)
@@ -109,12 +113,12 @@ def smooth(data: Uniform, halves: np.ndarray, noise: np.ndarray, stride: int) ->
     inside = (index >= halves[:, None]) & (index < length - halves[:, None])
     inside &= _sums(~data.good, halves, stride) == 0
     # Where the motion has died away only noise is left, which would pull the numbers to itself.
-    left = noise * louder[:, None]
+    left = noise[:, None, None] * louder[:, None]
     rest = np.median(data.q[-max(10, length // 10) :], axis=0)
     wide = 2 * halves
-    size2 = np.stack([_sums(x, wide, stride) for x in ((data.q - rest) ** 2).T], axis=-1)
-    size2 = np.maximum(size2, 0.0) / (2 * wide + 1)[:, None, None]
-    share = (size2 / (6 * left[:, None]) ** 2).max(axis=2)
+    size2 = np.stack([_sums(x, wide, stride) for x in ((data.q - rest) ** 2).T])  # (n, H, G)
+    size2 = np.maximum(size2, 0.0) / (2 * wide + 1)[:, None]
+    share = (size2 / (6 * left) ** 2).max(axis=0)
     weight = share / (1 + share) * inside
     return Smoothed(q, v, a, through(data.drive, responses[0]), weight)
 
