@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
@@ -30,14 +31,24 @@ _STEPS = 10  # of starts side by side, where all wait for the last one
 _PART = 8  # the first cycles, where they are no more than this part of the readings
 
 
+_SHARES = 3  # of a descent
+
+
 class Wanted(NamedTuple):
-    """A descent over the first `share` (0 to 1) of every recording; `size` is what counts as one
-    sigma, in sigma."""
+    """Descents over growing `shares` (0 to 1) of every recording, one after the other; `size` is
+    what counts as one sigma, in sigma."""
 
     problem: Problem
     unknowns: Unknowns
-    share: np.ndarray
+    shares: np.ndarray
     size: np.ndarray
+
+    @classmethod
+    def of(cls, problem: Problem, y: Unknowns, shares: Sequence[float], size: float) -> "Wanted":
+        """The same, always in arrays of one size."""
+        filled = np.zeros(_SHARES)
+        filled[: len(shares)] = shares
+        return cls(problem, y, filled, np.asarray(float(size)))
 
 
 Fitting = Generator[list[Wanted], Sequence[Any], Result]
@@ -48,7 +59,7 @@ returns a result."""
 def evaluating(problem: Problem, y: Unknowns) -> Fitting[Compressed]:
     """Residual and Jacobian at these unknowns, by the program of the descents: nothing else need be
     compiled. To an optimiser for which one sigma is infinite all is small, so it goes nowhere."""
-    ((_, squeezed, *_),) = yield [Wanted(problem, y, np.asarray(1.0), np.asarray(np.inf))]
+    ((_, squeezed, *_),) = yield [Wanted.of(problem, y, [1.0], np.inf)]
     return squeezed
 
 
@@ -58,7 +69,7 @@ def alone(fitting: Fitting[Result]) -> Result:
         wanted = next(fitting)
         while True:
             few = _FEW if jax.default_backend() == "cpu" else 1
-            many = len(wanted) > few and float(wanted[0].share) < 1.0
+            many = len(wanted) > few and wanted[0].shares[0] < 1.0
             answer = _starts(wanted) if many else [one_start(*each) for each in wanted]
             wanted = fitting.send(answer)
     except StopIteration as end:
@@ -68,8 +79,8 @@ def alone(fitting: Fitting[Result]) -> Result:
 def _starts(wanted: list[Wanted]) -> list[Any]:
     """Descents of many starts over the first cycles, side by side: cheap there, but all wait for
     the last one, so they end early."""
-    share, size = wanted[0].share, np.max([each.size for each in wanted])
-    head = _head(wanted[0].problem, float(share))
+    share, size = wanted[0].shares[0], np.max([each.size for each in wanted])
+    head = _head(wanted[0].problem, share)
 
     def run(some: list[Wanted]):
         return _descents_of_starts(head, stacked([each.unknowns for each in some]), share, size)
@@ -101,12 +112,12 @@ def _head(problem: Problem, share: float) -> Problem:
 
 @kept(like=ENDED)
 def _descents_of_starts(problem: Problem, y: Unknowns, share, size):
-    """`one_descent` of starts (S, ...) side by side."""
+    """`one_descent` of starts (S, ...) side by side, over one share."""
     horizon = Horizon.of(problem, share)._replace(size=size)
     # See `over_recordings`: what dry friction seldom asks for must stay seldom.
-    if problem.model.dry:
-        return jax.lax.map(lambda start: descended(horizon, start, _STEPS), y)
-    return jax.vmap(lambda start: descended(horizon, start, _STEPS))(y)
+    side_by_side = jax.lax.map if problem.model.dry else lambda one, y: jax.vmap(one)(y)
+    ended = side_by_side(lambda start: descended(horizon, start, _STEPS), y)
+    return *ended, jnp.ones_like(ended[-1], int)
 
 
 def lanes(batch: int | None, usual: int) -> int:

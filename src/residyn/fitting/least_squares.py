@@ -265,12 +265,37 @@ class Horizon(NamedTuple):
         return cls(eqx.tree_at(lambda p: p.recorded.weights, problem, weights), only)
 
 
-ENDED = Unknowns(0, 0), Compressed(0, 0, 0, 0), 0, 0, 0  # pyright: ignore[reportArgumentType]
+ENDED = Unknowns(0, 0), Compressed(0, 0, 0, 0), 0, 0, 0, 0  # pyright: ignore[reportArgumentType]
 
 
-def one_descent(problem: Problem, y: Unknowns, share, size):
-    """One start's descent: where it ended, J there, the cost, steps, whether it converged."""
-    return descended(Horizon.of(problem, share)._replace(size=size), y, STEPS)
+def one_descent(problem: Problem, y: Unknowns, shares, size):
+    """One start's descents over growing `shares` (K,) of the recordings, those of 0 left out, as
+    long as they converge: where the last one ended, J there, the cost, the steps of all, whether it
+    converged, and how many there were."""
+
+    count, (recordings, instants, n) = jnp.sum(shares > 0), problem.recorded.angles.shape
+    size_of_J = y.numbers.shape[0] + y.states.shape[1]
+
+    def more(carry):
+        *_, converged, done = carry
+        return (done < count) & ((done == 0) | converged)
+
+    def another(carry):
+        y, _, _, steps, _, done = carry
+        horizon = Horizon.of(problem, shares[done])._replace(size=size)
+        y, squeezed, cost, more_steps, converged = descended(horizon, y, STEPS)
+        return y, squeezed, cost, steps + more_steps, converged, done + 1
+
+    nothing = Compressed(
+        jnp.zeros((recordings, instants, n)),
+        jnp.zeros((recordings, size_of_J, size_of_J)),
+        jnp.zeros((recordings, size_of_J)),
+        jnp.zeros(recordings),
+    )
+    none = jnp.asarray(0)
+    y = jax.tree.map(jnp.asarray, y)
+    begin = y, nothing, jnp.asarray(jnp.inf), none, jnp.asarray(False), none
+    return jax.lax.while_loop(more, another, begin)
 
 
 one_start = kept(like=ENDED)(one_descent)

@@ -242,40 +242,47 @@ def polishing(problem: Problem, starts: Unknowns, shares: Sequence[float]) -> Fi
     going, shares = _begun(starts), list(shares)
     if len(going) > 1:
         # Those that had not settled go on where they are before more of the recording counts.
-        going = distinct((yield from _further(problem, going, shares[0], calls=1)))
-        going = distinct((yield from _further(problem, going, shares[0])))
+        going = distinct((yield from _further(problem, going, shares[:1], calls=1)))
+        going = distinct((yield from _further(problem, going, shares[:1])))
         shares = shares[1:] or shares
-    for share in shares:
+    while shares:
+        # One alone need not wait for others after each share.
+        few = len(shares) if len(going) == 1 else 1
         again = [end._replace(converged=False) for end in going]
-        going = distinct((yield from _further(problem, again, share)))
+        going = distinct((yield from _further(problem, again, shares[:few])))
+        shares = shares[few:]
     return going[0]
 
 
 def _further(
-    problem: Problem, ends: Sequence[Polished], share: float, calls: int = _CALLS
+    problem: Problem, ends: Sequence[Polished], shares: Sequence[float], calls: int = _CALLS
 ) -> Fitting[list[Polished]]:
-    """Where those that have not settled end over a share of the recordings."""
+    """Where those that have not settled end over growing shares of the recordings, of which each
+    has so many calls."""
     readings = max(1, np.count_nonzero(problem.recorded.weights))
-    ends, units = list(ends), [1.0] * len(ends)
-    for _ in range(calls):
-        going = [i for i, end in enumerate(ends) if not end.converged]
-        if not going:
-            break
-        whole = np.asarray(float(share))
-        outs = yield [Wanted(problem, ends[i].unknowns, whole, np.asarray(units[i])) for i in going]
-        watch = watching()
+    ends, left = list(ends), [() if end.converged else tuple(shares) for end in ends]
+    units, made = [1.0] * len(ends), [0] * len(ends)
+    while going := [i for i, own in enumerate(left) if own]:
+        watch = watching()  # which looks at each share's end
+        few = [1 if watch is not None or units[i] > 1.0 else len(left[i]) for i in going]
+        pairs = zip(going, few, strict=True)
+        outs = yield [
+            Wanted.of(problem, ends[i].unknowns, left[i][:few], units[i]) for i, few in pairs
+        ]
         for i, out in zip(going, outs, strict=True):
-            y, squeezed, cost, steps, good = jax.device_get(out)
+            y, squeezed, cost, steps, good, done = jax.device_get(out)
             before = ends[i]
             ends[i] = Polished(
                 y, squeezed, float(cost), before.steps + int(steps), bool(good), before.agreeing
             )
+            made[i] = made[i] + 1 if done == 1 else 1
+            left[i] = left[i][int(done) - 1 :]
             if np.isfinite(ends[i].cost):
                 units[i] = max(1.0, math.sqrt(ends[i].cost / readings))
             if watch is not None:
                 watch.descended(problem, y, int(steps))
-        if watch is not None and watch.over():
-            break
+            if good or made[i] == calls or (watch is not None and watch.over()):
+                left[i], units[i], made[i] = left[i][1:], 1.0, 0
     return ends
 
 
@@ -401,8 +408,8 @@ def _shooting(
             here, outliers, numbers, memory, [(int(r), cut[i].time[0]) for i, r in enumerate(which)]
         )
     y = Unknowns(numbers / problem.scale.numbers, each / problem.scale.states)
-    ends = distinct((yield from _further(problem, _begun(y), 1.0, calls=1)))[:2]
-    end = distinct((yield from _further(problem, ends, 1.0)))[0]
+    ends = distinct((yield from _further(problem, _begun(y), [1.0], calls=1)))[:2]
+    end = distinct((yield from _further(problem, ends, [1.0])))[0]
     if not np.isfinite(end.cost):
         return None
     numbers = np.asarray(problem.numbers(end.unknowns))
