@@ -70,14 +70,13 @@ def modes_of(model: Model, covariance: np.ndarray) -> tuple[Mode, ...]:
     beside = np.concatenate([vector[None], vector + steps, vector - steps])
     # All at once: one by one, these small matrices would take as long as the search.
     matrices = state_matrices(model, beside)
-    values = np.linalg.eigvals(np.asarray(matrices))
-    best, *others = (np.stack(rings_of(x)) for x in values)
-    up, down = np.split(np.asarray(others).reshape(-1, *best.shape), 2)
-    slopes = (up - down) / (2 * np.diag(steps)[:, None, None])
+    rings = np.stack(rings_of(np.linalg.eigvals(np.asarray(matrices))))  # (2, 2 P + 1, n)
+    best, (up, down) = rings[:, 0], np.split(rings[:, 1:], 2, axis=1)
+    slopes = (up - down) / (2 * np.diag(steps)[:, None])
     found = []
     for i, (frequency, damping) in enumerate(best.T):
         if frequency > 0 and abs(damping) < 1 - 1e-9:
-            spread = [_carried(slopes[:, j, i], covariance) for j in (0, 1)]
+            spread = [_carried(slopes[j, :, i], covariance) for j in (0, 1)]
             found.append(Mode(float(frequency), spread[0], float(damping), spread[1]))
     return tuple(found)
 

@@ -282,8 +282,8 @@ def _equations(models, trials: Trials, spacing, data, chunks) -> _Equations:
             part = jax.tree.map(
                 lambda x: jax.lax.dynamic_slice_in_dim(x, index * chunk, chunk, 1), (data, z, t)
             )
-            of = lambda *x: (_error(*x), jax.jacfwd(_error)(*x))  # noqa: E731
-            e, j = _errors(of, models, vector, *part)
+            of = jax.jacfwd(lambda *x: (_error(*x),) * 2, has_aux=True)
+            j, e = _errors(of, models, vector, *part)
             j = jnp.where(shape, 0.0, j)
             more = jnp.einsum("rgnp,rgnk->pk", j, j), jnp.einsum("rgnp,rgn->p", j, e), jnp.sum(e**2)
             return jax.tree.map(jnp.add, sums, more)

@@ -165,19 +165,20 @@ def modes(model: Model) -> Modes:
     return modes_of(jnp.linalg.eigvals(state_matrix(model)))
 
 
-def modes_of(values: Complex[Array | np.ndarray, " 2n"]) -> Modes:
-    """Modes from the eigenvalues of a state matrix."""
+def modes_of(values: Complex[Array | np.ndarray, "*k 2n"]) -> Modes:
+    """Modes from the eigenvalues of a state matrix, or of several."""
     # NumPy where nothing is traced: JAX would compile each of these operations by itself.
     concrete = isinstance(values, np.ndarray)
     here = np if concrete else jnp
     sort = partial(np.argsort, kind="stable") if concrete else jnp.argsort
+    along = partial(here.take_along_axis, axis=-1)
     size = here.abs(values)
     # One of each conjugate pair: the upper half plane first, real values by size after it.
-    order = -here.sign(here.imag(values)) - 1e-9 * size / here.max(size)
-    keep = sort(order)[: len(values) // 2]
-    keep = keep[sort(size[keep])]
+    order = -here.sign(here.imag(values)) - 1e-9 * size / here.max(size, axis=-1, keepdims=True)
+    keep = sort(order)[..., : values.shape[-1] // 2]
+    keep = along(keep, sort(along(size, keep)))
     safe = here.where(size > 0, size, 1.0)
-    return Modes((size / (2 * np.pi))[keep], (-here.real(values) / safe)[keep])
+    return Modes(along(size / (2 * np.pi), keep), along(-here.real(values) / safe, keep))
 
 
 def _pull(model: Model, q) -> Float[Array, " n"]:

@@ -92,8 +92,9 @@ def blocks(time: np.ndarray, values: np.ndarray) -> Blocks:
     # then up again by two, past motion that was too small to be noticed.
     limit = math.sqrt(1 + 3 * math.sqrt(4 / len(live)))
     each = spread_of_columns(live)
+    above = np.sqrt(np.cumsum(each[::-1] ** 2) / np.arange(1, m + 1))[::-1]
     degree = top
-    while degree > 1 and each[degree - 1] <= limit * spread(live[:, degree:]):
+    while degree > 1 and each[degree - 1] <= limit * above[degree]:
         degree -= 1
     degree = min(degree + 2, top)
     return Blocks(first, basis, share, degree, spread(share[moves, degree:]))
