@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import residyn
-from residyn.fitting import initial_guess
+from residyn.fitting import initial_guess, lanes
 from residyn.fitting.least_squares import Compressed, Polished
 from residyn.fitting.multistart import distinct
 from residyn.fitting.problem import Unknowns, ready
@@ -49,6 +49,26 @@ def fit(case):
 def relative_errors(fit, case):
     truth = np.array([*case.arm.stiffness, *case.arm.damping])
     return np.abs(np.array([n.value for n in fit.numbers[:4]]) / truth - 1)
+
+
+def test_a_start_alone_takes_all_its_horizons_in_one_call(case, fit, monkeypatch):
+    asked = []
+    call = lanes.one_start
+
+    def counted(problem, y, shares, size):
+        asked.append(shares[shares > 0])
+        return call(problem, y, shares, size)
+
+    monkeypatch.setattr(lanes, "one_start", counted)
+    alone = residyn.fit(experiment(case), starts=1)
+    grown, *exact = asked
+    assert len(grown) == 3
+    assert (np.diff(grown) > 0).all()
+    assert [list(shares) for shares in exact] == [[1.0], [1.0]]  # the integration's error
+    assert (
+        max(abs(a.value - b.value) / b.std for a, b in zip(alone.numbers, fit.numbers, strict=True))
+        < 1e-3
+    )
 
 
 @pytest.mark.parametrize("seed", range(4))

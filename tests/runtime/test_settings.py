@@ -2,8 +2,11 @@
 
 import json
 import os
+import platform
 import subprocess
 import sys
+
+import pytest
 
 ASK = """
 import json, os
@@ -42,6 +45,23 @@ def test_float64_compiler_options_and_a_cache(tmp_path):
 def test_no_cache_and_a_cache_elsewhere(tmp_path):
     assert told("residyn.set_up(cache=False)")[2] is None
     assert told(f"residyn.set_up(cache={str(tmp_path)!r})")[2] == str(tmp_path)
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="of glibc alone")
+def test_an_array_that_is_made_again_and_again_has_the_same_pages():
+    again = """
+import resource
+import numpy as np
+import residyn
+residyn.set_up(cache=False)
+made = lambda times: [np.ones(450_000).sum() for _ in range(times)]
+made(10)
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+made(100)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+    done = subprocess.run([sys.executable, "-c", again], capture_output=True, text=True, check=True)
+    assert int(done.stdout) < 4 * 900  # pages of a few such arrays, of a hundred
 
 
 def test_flags_of_the_user_stay():
