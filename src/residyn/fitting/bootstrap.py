@@ -18,7 +18,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from ..runtime.parallel import cores, in_order
-from .implicit import Embedded, embed, minimum
+from .implicit import Embedded, embedded, minimum
 from .lanes import lanes
 from .least_squares import first_step, look
 from .result import Fit
@@ -76,7 +76,7 @@ def bootstrap(
     width = min(lanes(batch, _TOGETHER), -(-draws // len(devices)) * len(devices))
     each = width * min(_ROUNDS, -(-draws // width))
     with jax.enable_x64(True):
-        fits = embed(fit)
+        fits = embedded(fit, fixed=False)
         fitted = [r for r in fit.recordings if r.recording.role != "check"]
         size = float(np.sqrt(max(1.0, fit.reduced_chi2)))
         noise = [jnp.asarray(size * r.recording.noise) for r in fitted]

@@ -23,7 +23,7 @@ from ..physics.mechanism import AbstractMechanism
 from ..physics.model import Model
 from ..physics.parameter import all_floating, stacked
 from .least_squares import Compressed, Horizon, compressed, cost_of, descended, predict, whiten
-from .problem import Problem, Unknowns, posed, ready
+from .problem import Problem, Unknowns, posed, ready, tight
 from .result import Fit
 
 _STEPS = 60
@@ -193,13 +193,18 @@ def embed(fit: Fit, *, integrator: Any = None) -> Embedded:
             "no fit can settle in single precision: embed it in float64, after "
             'jax.config.update("jax_enable_x64", True) or inside `with jax.enable_x64(True)`'
         )
+    return embedded(fit, integrator)
+
+
+def embedded(fit: Fit, integrator: Any = None, fixed: bool = True) -> Embedded:
+    """`embed`, in float64. Without `fixed` steps, which reverse mode asks for, it is quicker."""
     fitted = [r for r in fit.recordings if r.recording.role != "check"]
     effects = [e for e in fit.model.effects if e.name not in ("spring", "damper")]
     experiment = fit.experiment
     if integrator is not None:
         experiment = dataclasses.replace(experiment, integrator=integrator)
     here = ready(experiment, [r.recording for r in fitted], effects)
-    problem, _ = here.problem(fit.model, [r.wild for r in fitted], fixed=True)
+    problem = tight(here.problem(fit.model, [r.wild for r in fitted], fixed=fixed)[0])
     start = problem.scaled(fit.model.vector(), jnp.asarray(np.stack([r.state for r in fitted])))
     return Embedded(
         problem=jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_array_like(x) else x, problem),
