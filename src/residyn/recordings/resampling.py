@@ -9,24 +9,26 @@ from scipy.fft import next_fast_len
 from .outliers import outlier_mask
 
 
-def evenly_sampled(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The recording at equal steps, missing readings and outliers filled in."""
+def evenly_sampled(
+    time: np.ndarray, angle: np.ndarray, outliers: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The recording at equal steps, missing readings and outliers (N, n) filled in, which are
+    looked for if they are not known."""
     step = float(np.median(np.diff(time)))
     # A long pause of the logger must not make the even clock endless.
     step = max(step, (time[-1] - time[0]) / (10 * len(time)))
     clock = time[0] + step * np.arange(math.floor((time[-1] - time[0]) / step + 1e-6) + 1)
-    good = np.isfinite(angle) & ~outlier_mask(time, angle)
+    outliers = outlier_mask(time, angle) if outliers is None else outliers
+    good = np.isfinite(angle) & ~outliers
     columns = [np.interp(clock, time[g], a[g]) for g, a in zip(good.T, angle.T, strict=True)]
     return clock, np.stack(columns, axis=1)
 
 
-def decimated(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def decimated(motion: np.ndarray) -> np.ndarray:
     """Means of so many samples after each other that 40 or more are left of the slowest period: all
-    that a rest needs. Times (N,) s at equal steps and angles (N, n), as they come back."""
-    many = int(slowest_period(angle - angle.mean(axis=0)) / 40)
-    if many < 2:
-        return time, angle
-    return block_means(time, many), block_means(angle, many)
+    that a rest needs, of angles (N, n) at equal steps."""
+    many = int(slowest_period(motion - motion.mean(axis=0)) / 40)
+    return motion if many < 2 else block_means(motion, many)
 
 
 def slowest_period(motion: np.ndarray) -> float:

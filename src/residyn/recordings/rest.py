@@ -33,9 +33,8 @@ _ASIDE = 0.5
 """How far a swing of one radian typically pulls an arm aside, rad."""
 
 
-def rest_angles(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """(n,) rad: angles at rest, from a ring-down (N, n) rad at times (N,) s, NaN where missing."""
-    _clock, motion = evenly_sampled(time, angle)
+def rest_angles(motion: np.ndarray) -> np.ndarray:
+    """(n,) rad: angles at rest, from a ring-down (N, n) rad at equal steps."""
     rest = motion.mean(axis=0)
     if not (np.ptp(motion, axis=0) > 1e-9).any():
         return rest
@@ -60,13 +59,13 @@ def rest_angles(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 def estimated_rest(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """(n,) rad: where a ring-down rests, and in words where that is known roughly."""
-    clock, motion = evenly_sampled(time, angle)
+    _clock, motion = evenly_sampled(time, angle)
     count = len(motion) / slowest_period(motion - motion.mean(axis=0))
     warnings = [
         f"with {count:.2g} swings of the slowest mode its rest is known roughly: if the residual "
         "has an offset, fit sensor_offset too"
     ]
-    return rest_angles(*decimated(clock, motion)), warnings if count < SWINGS else []
+    return rest_angles(decimated(motion)), warnings if count < SWINGS else []
 
 
 def _window(count: int, period: float) -> np.ndarray:

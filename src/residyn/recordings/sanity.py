@@ -74,7 +74,7 @@ def not_free(
             return Finding(words, "units", {f"q{j + 1}": "deg"})
     if recording.drive is not None or not (np.nanmax(angle, 0) > np.nanmin(angle, 0)).any():
         return None
-    clock, motion = evenly_sampled(time, angle)
+    clock, motion = evenly_sampled(time, angle, recording.outliers)
     step = clock[1] - clock[0]
     period = slowest_period(motion - motion.mean(axis=0))
     if "t" not in said and period * step > _SLOW:
@@ -91,7 +91,7 @@ def not_free(
         )
         return Finding(words, "start", "release")
     if "rest" not in keys and len(motion) >= _FEWEST * period:
-        return _off_rest(clock, motion, units)
+        return _off_rest(motion, units)
     return None
 
 
@@ -117,11 +117,9 @@ def _held_until(motion: np.ndarray, period: float) -> float | None:
     return moves + width // 2 if quite.max() < _QUITE + 4 * noise else None
 
 
-def _off_rest(
-    clock: np.ndarray, motion: np.ndarray, units: tuple[str, ...] | None
-) -> Finding | None:
+def _off_rest(motion: np.ndarray, units: tuple[str, ...] | None) -> Finding | None:
     """That angles (N, n) are not counted from rest, if so."""
-    rest = rest_angles(*decimated(clock, motion))
+    rest = rest_angles(decimated(motion))
     size = np.abs(motion - rest).max(axis=0)
     off = np.abs(rest) > _OFF * size
     # A brake that slips takes its joint's rest along, towards where it was released.

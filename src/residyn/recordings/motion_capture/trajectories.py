@@ -48,7 +48,9 @@ class Trajectories:
 
 def is_vicon(text: str) -> bool:
     """Whether a CSV file's text is one of marker trajectories."""
-    return any(_first_cell(line) == "trajectories" for line in text[:_HEAD].splitlines())
+    head, name = text[:_HEAD], "trajectories"
+    # The line is looked for only in what has the word.
+    return name in head.lower() and any(_first_cell(line) == name for line in head.splitlines())
 
 
 def read_trajectories(path: str | os.PathLike[str]) -> Trajectories:
