@@ -25,6 +25,8 @@ coupling = 1.4
 """
 RECORDING = '[[recordings]]\nfile = "x.csv"\ntheta2 = 0.1\n'
 
+NOTED = "\n".join(["x,y," + HEADER, *("a,b," + line for line in ROWS), ""])
+
 
 def row(i, text):
     """The good file with another row."""
@@ -53,6 +55,9 @@ CSV = {
     "a date": row(7, "2024-03-01,0.1,0.2"),
     "hexadecimal": row(7, "0.12,0x1F,0.2"),
     "two points": row(7, "0.12,1.2.3,0.2"),
+    # A cell less than the header has, but as many separators.
+    "a comma in quotes": NOTED.replace("a,b,0.12,", '"a,b",0.12,'),
+    "a lost note": NOTED.replace(",", " ").replace("a b 0.12 ", " b 0.12 "),
     "thousands": row(7, '0.12,"1,234.5",0.2'),
     "1e99": row(7, "0.12,1e99,0.2"),
     "1e99 seconds": GOOD + "1e99,0.1,0.2\n",
