@@ -14,7 +14,7 @@ import residyn
 from residyn import effects
 from residyn.diagnosis.diagnose import Posterior
 from residyn.diagnosis.evidence import INTENSITIES, over_intensities
-from residyn.diagnosis.missing_torque import scene_of
+from residyn.diagnosis.missing_torque import missing_of, scene_of
 from residyn.diagnosis.search import Search, Tried, settle
 from residyn.physics.effect import JointEffect
 from residyn.physics.parameter import Dimension, param
@@ -160,6 +160,23 @@ def test_what_the_model_still_lacks_is_small_beside_the_spring(friction):
         assert each.low <= each.rms <= each.high
         assert each.share_of_spring < 0.01
     assert friction.missing[0].torque.rms[1] > 10 * friction.still_missing[0].torque.rms[1]
+
+
+def test_the_right_effect_draws_the_curve_of_the_torque_that_is_missing():
+    case = release((COULOMB[0], {"torque": 0.15}), q0=(0.25, -0.2))
+    with jax.enable_x64(True):
+        scene, base, _ = scene_of(experiment(of(case)), ())
+        search = Search(scene, base)
+        search.extend(search.base)
+        model = search.tried[frozenset([COULOMB[0]])]
+        (found,) = missing_of(scene, search.base, [(model, COULOMB[0])])
+    (best,) = found.curves_at(1)
+    ((value, unit),) = best.values.values()
+    assert unit == "N m"
+    assert value == pytest.approx(0.15, rel=0.1)
+    assert best.share > 0.8
+    assert not np.any(best.torque[:, 0])
+    assert found.curves_at(0) == ()
 
 
 def test_nothing_hidden_nothing_found(clean):

@@ -1,13 +1,10 @@
 """The missing torque beside a known one, on MuJoCo data; and the curves that belong over it."""
 
-import jax
 import numpy as np
 import pytest
 
 import residyn
 from residyn.diagnosis import missing_torque
-from residyn.diagnosis.missing_torque import missing_of, scene_of
-from residyn.diagnosis.search import Search
 from tests import rig
 
 ARM = rig.paper_twin(0.3)
@@ -109,21 +106,3 @@ def test_the_model_that_has_the_effect_lacks_nothing(friction, found):
     model = base() + residyn.CoulombFriction("elbow", 0.15)
     left = missing_torque(model, as_recording(friction))
     assert left.rms[1] < 0.3 * found.rms[1]
-
-
-def test_the_right_effect_draws_the_curve():
-    friction = recorded(FRICTION, seconds=6.0, rate=80.0)  # as in test_diagnose: no program more
-    table = residyn.recording.ArmTable((ARM.l1, ARM.l2), ARM.shoulder, ARM.elbow, ARM.coupling)
-    with jax.enable_x64(True):
-        scene, effects, _ = scene_of(residyn.Experiment(table, (as_recording(friction),)), ())
-        search = Search(scene, effects)
-        search.extend(search.base)
-        model = search.tried[frozenset(["coulomb_friction:elbow"])]
-        (found,) = missing_of(scene, search.base, [(model, "coulomb_friction:elbow")])
-    (best,) = found.curves_at(1)
-    ((value, unit),) = best.values.values()
-    assert unit == "N m"
-    assert value == pytest.approx(0.15, rel=0.1)
-    assert best.share > 0.8
-    assert not np.any(best.torque[:, 0])
-    assert found.curves_at(0) == ()
