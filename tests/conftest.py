@@ -41,6 +41,15 @@ def forget():
 
 
 @pytest.fixture(scope="module")
+def compiled_in_less_time():
+    """Without most of XLA's optimisations: a program compiles in half the time and runs several
+    times as long. For modules of many programs that run once or twice, not for searches."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
+@pytest.fixture(scope="module")
 def float64():
     """In double precision, as commands compute; modules ask for it with `pytestmark`."""
     with jax.enable_x64(True):

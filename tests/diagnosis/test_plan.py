@@ -4,7 +4,6 @@ import dataclasses
 import json
 import math
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -28,10 +27,7 @@ ARM = ArmTable((0.4, 0.4), 1.2, 0.6, 1.4)
 BASE = (Spring("cart", 80.0), Damper("cart", 0.5))
 
 
-@pytest.fixture(autouse=True)
-def float64():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("float64", "compiled_in_less_time")
 
 
 def ringing(size, *more, seed=0, seconds=6.0, **where):
@@ -62,9 +58,8 @@ def models_of(experiment, *added):
 @pytest.fixture(scope="module")
 def cubic():
     """A swing too small to show whether the spring is cubic."""
-    with jax.enable_x64(True):
-        experiment = residyn.Experiment(CART, (ringing(0.01),))
-        return experiment, *models_of(experiment, CubicStiffness("cart"))
+    experiment = residyn.Experiment(CART, (ringing(0.01),))
+    return experiment, *models_of(experiment, CubicStiffness("cart"))
 
 
 def limited(experiment, **limits):
@@ -180,11 +175,10 @@ def test_every_test_is_within_the_limits():
     experiment = arm(
         angle=[0.3, 0.0], theta2=[-0.5, 0.5], air_bearings=True, duration=12.0, drive=[0.0, 2.0]
     )
-    with jax.enable_x64(True):
-        scene, base, _ = scene_of(experiment, ())
-        model = residyn.Model(scene.mechanisms[0], tuple(e for e in base))
-        model = model.with_vector(jnp.array([20.0, 10.0, 0.1, 0.1]))
-        settings = settings_of(experiment, scene, model)
+    scene, base, _ = scene_of(experiment, ())
+    model = residyn.Model(scene.mechanisms[0], tuple(e for e in base))
+    model = model.with_vector(jnp.array([20.0, 10.0, 0.1, 0.1]))
+    settings = settings_of(experiment, scene, model)
     assert {abs(s.release[1]) for s in settings} == {0.0}
     assert max(abs(s.release[0]) for s in settings) == pytest.approx(0.3)
     assert all(-0.5 <= s.recording.theta2 <= 0.5 for s in settings)

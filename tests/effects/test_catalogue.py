@@ -65,7 +65,7 @@ def own_part(with_it, motion):
     return np.delete(np.array(response(with_it, motion)), slice(2, 2 + len(with_it.memory)))
 
 
-pytestmark = pytest.mark.usefixtures("float64")
+pytestmark = pytest.mark.usefixtures("float64", "compiled_in_less_time")
 
 
 def test_where_effects_can_act_is_asked_in_any_precision():

@@ -18,7 +18,7 @@ from tests.rig import NAMES, Arm, Hidden, hidden_cases, record
 SMOOTH, DRY = 1.2e-4, 5e-4
 
 
-pytestmark = pytest.mark.usefixtures("float64")
+pytestmark = pytest.mark.usefixtures("float64", "compiled_in_less_time")
 
 
 def truth(case):

@@ -6,7 +6,7 @@ import pytest
 import residyn
 from residyn.physics.motion import Motion
 
-pytestmark = pytest.mark.usefixtures("float64")
+pytestmark = pytest.mark.usefixtures("float64", "compiled_in_less_time")
 
 
 @pytest.mark.parametrize("rate", [2.0, -3.0])

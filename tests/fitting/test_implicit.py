@@ -16,7 +16,7 @@ T = np.arange(round(SECONDS * 50)) / 50.0
 BEARING = [AirBearing("wrist", 1.9635, 0.00245)]
 
 
-pytestmark = pytest.mark.usefixtures("float64")
+pytestmark = pytest.mark.usefixtures("float64", "compiled_in_less_time")
 
 
 def experiment(shoulder=ARM.shoulder, elbow=ARM.elbow, coupling=ARM.coupling, angle=None, seed=0):

@@ -11,7 +11,7 @@ from residyn.fitting.problem import Unknowns
 DAMPING = 0.09
 
 
-pytestmark = pytest.mark.usefixtures("float64")
+pytestmark = pytest.mark.usefixtures("float64", "compiled_in_less_time")
 
 
 def problem_of(recordings: int, numbers: int = 4, states: int = 5):

@@ -17,7 +17,7 @@ from residyn.simulation.simulate import march
 
 rig = pytest.importorskip("tests.rig")
 
-pytestmark = pytest.mark.usefixtures("float64")
+pytestmark = pytest.mark.usefixtures("float64", "compiled_in_less_time")
 
 
 def arm_of(case_arm) -> residyn.Model:
