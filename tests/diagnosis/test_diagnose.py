@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import residyn
 from residyn import effects
@@ -18,7 +19,7 @@ from residyn.diagnosis.missing_torque import missing_of, scene_of
 from residyn.diagnosis.search import Search, Tried, settle
 from residyn.physics.effect import JointEffect
 from residyn.physics.parameter import Dimension, param
-from residyn.recordings.tables import ArmTable
+from residyn.recordings.tables import ArmTable, InertiaTable
 from tests import rig
 
 ARM = rig.paper_twin(0.3)
@@ -275,6 +276,28 @@ def test_two_effects_are_found_one_after_the_other():
     falling = [step.times_noise.max() for step in found.ladder]
     assert falling[0] > falling[-1]
     assert falling[-1] < 1.1
+
+
+def test_a_pendulum_in_air_lacks_gravity_and_drag_and_needs_no_spring():
+    # Forward selection comes to a cubic spring and drag first, then to gravity beside them.
+    time, moment = np.arange(0, 20, 0.02), 1.5
+
+    def rates(_, x):
+        q, v = x
+        return v, -(moment * np.sin(q) + 2e-3 * v + 3e-3 * v * abs(v)) / 0.06
+
+    angle = solve_ivp(rates, (0, 20), (1.4, 0.0), t_eval=time, rtol=1e-10, atol=1e-12).y[0]
+    angle = angle + 2e-3 * np.random.default_rng(1).standard_normal(len(time))
+    seen = residyn.Recording.from_arrays(time, angle[:, None], noise=2e-3)
+    found = residyn.diagnose(
+        residyn.Experiment(InertiaTable(("axis",), ((0.06,),), ("rad",)), (seen,))
+    )
+    assert found.verdict == "missing"
+    assert set(found.added) == {"gravity", "quadratic_drag:axis"}
+    value, std = parameter(found, "gravity.moment1")
+    assert abs(value - moment) < 4 * std
+    value, std = parameter(found, "quadratic_drag:axis.coefficient")
+    assert abs(value - 3e-3) < 4 * std
 
 
 # -- recordings of other kinds --------------------------------------------------------------------

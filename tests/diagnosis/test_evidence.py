@@ -31,6 +31,7 @@ from residyn.diagnosis.evidence import (
     log_prior_model,
     over_intensities,
     prior_of,
+    savage_dickey,
     subset,
 )
 from residyn.diagnosis.search import Tried, settle, tried_alone
@@ -140,6 +141,28 @@ def test_one_gram_matrix_holds_the_dense_gaussian_of_every_subset(seed, base, mo
     spread = np.linalg.inv(np.eye(len(among)) + W[:, among].T @ W[:, among])
     np.testing.assert_allclose(mean, (spread @ W[:, among].T @ -w)[base:], atol=1e-9)
     np.testing.assert_allclose(covariance, spread[base:, base:], atol=1e-9)
+
+
+def test_the_density_of_none_tells_what_a_model_without_some_columns_has():
+    rng = np.random.default_rng(3)
+    columns = rng.standard_normal((30, 6)) @ np.diag([3.0, 1.0, 2.0, 0.5, 1.0, 1.0])
+    gram = columns.T @ columns
+    whole, mean, covariance = subset(gram, range(5))
+    for gone in ([0], [1, 3], [0, 2, 4]):
+        less, *_ = subset(gram, [i for i in range(5) if i not in gone])
+        own = covariance[np.ix_(gone, gone)]
+        found = savage_dickey(mean[gone], own, [False] * len(gone))
+        assert found == pytest.approx(whole - less, abs=1e-9)
+
+
+def test_the_density_of_none_under_a_half_normal_prior_is_the_integral_of_the_right_side():
+    # One reading of a strength that is positive: its evidence is a ratio of two integrals.
+    reading, noise = 0.4, 0.3
+    both = lambda u: norm.pdf(reading, u, noise) * norm.pdf(u)  # noqa: E731
+    whole = 2 * quad(both, 0, 10)[0] / norm.pdf(reading, 0, noise)
+    precision = 1 + 1 / noise**2
+    mean, covariance = np.array([reading / noise**2 / precision]), np.array([[1 / precision]])
+    assert savage_dickey(mean, covariance, [True]) == pytest.approx(math.log(whole), abs=1e-6)
 
 
 def test_evidence_and_gain_of_a_column_are_those_of_a_line_fit_by_hand():

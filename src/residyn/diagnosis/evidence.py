@@ -152,6 +152,17 @@ def half_normal(ratio):
     return math.log(2.0) + log_ndtr(ratio)
 
 
+def savage_dickey(mean: np.ndarray, covariance: np.ndarray, signs: Sequence[bool]) -> float:
+    """By how much k strengths raise the log evidence of a model that has them: the log of their
+    prior density over their posterior density where they are silent (Dickey, Annals of Mathematical
+    Statistics 42, 1971). `mean` (k,) and `covariance` (k, k) of the posterior, in prior widths from
+    there; `signs`: which of them have a half-normal prior."""
+    ratio = mean / np.sqrt(np.diag(covariance))
+    halves = float(np.sum(half_normal(ratio)[np.asarray(signs)]))
+    bits = np.linalg.slogdet(covariance)[1] + mean @ np.linalg.solve(covariance, mean)
+    return 0.5 * float(bits) + halves
+
+
 def log_prior_intensity(intensities: Sequence[float]) -> np.ndarray:
     """(I,) log prior of each intensity, of which 0 is one."""
     others = len(INTENSITIES) - 1

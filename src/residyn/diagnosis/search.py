@@ -33,6 +33,7 @@ from .evidence import (
     EXPLAINS_NOTHING,
     HOPELESS,
     IN_PLAY,
+    INDISTINGUISHABLE,
     INTENSITIES,
     NEGLIGIBLE,
     READINGS_LEAD,
@@ -42,7 +43,9 @@ from .evidence import (
     log_prior_model,
     over_intensities,
     prior_of,
+    savage_dickey,
     shares,
+    signed,
 )
 
 _ITERATIONS = 20  # of one model, at the most
@@ -381,7 +384,7 @@ class Search:
         """`law.CurveModel`s: models with a law that has no name."""
         self.stopped: str | None = None
         """Why the search ended early, if it did: "interrupted" or "budget"."""
-        self._reduced: set[tuple[Tried, str]] = set()
+        self._reduced: set[tuple[Tried, tuple[str, ...]]] = set()
         self.screens: dict[frozenset[str], Screen] = {}
         """First-order evidence of all candidates beside the models that were extended."""
         say("smoothing the motion with the model")
@@ -428,14 +431,22 @@ class Search:
                 best = frozenset(self.best.added)
                 if best in extended or len(best) >= most:
                     # Each effect in turn might have another in its place.
-                    rest = [best - {x} for x in self.best.added[:-1]]
-                    todo = [s for s in rest if s in self.tried and s not in extended]
+                    model = self.best
+                    todo = [x for x in model.added[:-1] if best - {x} not in extended]
                     if not todo:
                         break
-                    best = todo[0]
+                    self._simplify([(model, x, None) for x in todo if best - {x} not in self.tried])
+                    rest = [best - {x} for x in todo]
+                    extended.update(
+                        r for r in rest if r not in self.tried
+                    )  # no motion goes with it
+                    rest = [r for r in rest if r in self.tried]
+                    if not rest:
+                        continue
+                    best = rest[0]
                 self.extend(self.tried[best])
                 extended.add(best)
-                self.reduce(self.best)
+                self.reduce()
             if self.best.intensity >= EXPLAINS_NOTHING:  # then no name says anything
                 self.tried, self.passed = {frozenset(): self.base}, {}
         except KeyboardInterrupt:
@@ -531,18 +542,26 @@ class Search:
     def _start(self, parent: Tried, trajectory: Trajectory, found: Screened) -> Trajectory:
         """Where the iteration of a model with one more effect begins: as the screen has it, or, if
         the model with the law that it contains has ended already, from there."""
-        law = found.effect
-        within = [e for e in self.candidates if e.place == law.place and e.name == law.extends]
-        ended = self.tried.get(frozenset(e.label for e in within).union(parent.added))
-        if within and ended is not None:
-            t, less = ended.best, within[0]
-            known = t.u[number_slices(t.effects)[t.labels.index(less.label)]]
-            at = {n.field: u for n, u in zip(numbers_of(less), known, strict=True)}
-            screened = zip(strengths(law), found.regressors, strict=True)
-            begun = [at.get(n.field, u) for n, u in screened]
-            trajectory = without(self.scene, t, less.label)
-            found = found._replace(regressors=np.array(begun))
-        return self.scene.consistent(extended(self.scene, trajectory, prior_of, found))
+        less = self._contained(found.effect)
+        ended = less and self.tried.get(frozenset([*parent.added, less.label]))
+        if less is None or ended is None:
+            return self.scene.consistent(extended(self.scene, trajectory, prior_of, found))
+        return self._instead(ended.best, less, found)
+
+    def _contained(self, law: AbstractEffect) -> AbstractEffect | None:
+        """The candidate that a law is with its further numbers silent."""
+        within = (e for e in self.candidates if e.place == law.place and e.name == law.extends)
+        return next(within, None)
+
+    def _instead(self, t: Trajectory, old: AbstractEffect, found: Screened) -> Trajectory:
+        """A model with another law in the place of one of its effects; what both have keeps its
+        value."""
+        known = t.u[number_slices(t.effects)[t.labels.index(old.label)]]
+        at = {n.field: u for n, u in zip(numbers_of(old), known, strict=True)}
+        screened = zip(strengths(found.effect), found.regressors, strict=True)
+        begun = np.array([at.get(n.field, u) for n, u in screened])
+        rest, found = without(self.scene, t, old.label), found._replace(regressors=begun)
+        return self.scene.consistent(extended(self.scene, rest, prior_of, found))
 
     def screening_motion(self, model: Tried) -> tuple[Trajectory, float]:
         """The motion that candidates are screened along, and its random torque: the likeliest, or
@@ -559,20 +578,63 @@ class Search:
             nested(effect, present) for present in trajectory.effects
         )
 
-    def reduce(self, model: Tried) -> None:
-        """Try a model without each of its effects, from its own motion: where that leads to a
-        likelier one than the way there did, it takes its place."""
-        self.say("weighing simpler models")
-        todo = [x for x in model.added if len(model.added) > 1 and (model, x) not in self._reduced]
+    def reduce(self) -> None:
+        """Try simpler models from the richer one's motion: those that it says, to first order, to
+        be in play, and likelier than the way there has shown."""
+        lowest, todo = self.best.log_posterior - INDISTINGUISHABLE, []
+        for model in self.tried.values():
+            for label in model.added:
+                effect = model.best.effects[model.best.labels.index(label)]
+                within = self._contained(effect)
+                for less in (None, within) if within else (None,):
+                    rest = _replaced(model.added, label, less)
+                    price = log_prior_model(len(rest), len(self.candidates)) - model.log_prior
+                    hoped = model.log_posterior + price - bayes_factor(model.best, effect, less)
+                    known = self.tried.get(frozenset(rest))
+                    above = known.log_posterior + INDISTINGUISHABLE if known else lowest
+                    if rest and hoped > max(lowest, above) and (model, rest) not in self._reduced:
+                        todo.append((model, label, less))
+        self._simplify(todo)
+
+    def _simplify(self, todo: Sequence[tuple[Tried, str, AbstractEffect | None]]) -> None:
+        """Try models without an effect, or with a law that it contains in its place."""
         if not todo:
             return
-        self._reduced.update((model, label) for label in todo)
-        trajectory, intensity = self.screening_motion(model)
-        starts = [without(self.scene, trajectory, label) for label in todo]
-        each = settle(self.scene, starts, intensity, self.in_time)
-        for label, found in zip(todo, each, strict=True):
+        self._reduced.update((m, _replaced(m.added, label, less)) for m, label, less in todo)
+        self.say("weighing simpler models")
+        starts, loudest = [], 0.0
+        for model, label, less in todo:
+            t, intensity = self.screening_motion(model)
+            loudest = max(loudest, intensity)
+            if less is None:
+                starts.append(without(self.scene, t, label))
+                continue
+            begin, states = (
+                np.zeros(len(strengths(less))),
+                np.zeros((self.scene.K, len(less.memory))),
+            )
+            old = t.effects[t.labels.index(label)]
+            starts.append(self._instead(t, old, Screened(less, 0.0, {}, begin, (), states)))
+        each = settle(self.scene, starts, loudest, self.in_time)
+        for (model, label, less), found in zip(todo, each, strict=True):
             if found is not None:
-                self._keep([x for x in model.added if x != label], *found)
+                self._keep(_replaced(model.added, label, less), *found)
+
+
+def _replaced(added: Sequence[str], label: str, less: AbstractEffect | None) -> tuple[str, ...]:
+    """Labels without one of them, or with another one in its place, which comes last."""
+    return (*(x for x in added if x != label), *([less.label] if less else ()))
+
+
+def bayes_factor(t: Trajectory, effect: AbstractEffect, less: AbstractEffect | None) -> float:
+    """Log evidence of a model over that without one of its effects, or with a law that it contains
+    in its place, to first order (`savage_dickey`)."""
+    kept = [n.field for n in strengths(less)] if less else []
+    gone = [n for n in strengths(effect) if n.field not in kept]
+    first = number_slices(t.effects)[t.labels.index(effect.label)].start
+    which = [first + i for i, n in enumerate(numbers_of(effect)) if n in gone]
+    covariance = t.covariance[np.ix_(which, which)]
+    return savage_dickey(t.u[which], covariance, [signed(n) for n in gone])
 
 
 def nested(a: AbstractEffect, b: AbstractEffect) -> bool:

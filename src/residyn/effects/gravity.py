@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from ..physics.effect import AbstractEffect
 from ..physics.motion import Scalar
-from ..physics.parameter import TORQUE, param
+from ..physics.parameter import MOMENT, TORQUE, param
 
 
 class Gravity(AbstractEffect):
@@ -24,8 +24,8 @@ class Gravity(AbstractEffect):
     looks_like = "frequency falls with amplitude; rest shifts on a tilted table"
     source = "Lagrange, with V = sum of -M_i cos(phi_i) + L_i sin(phi_i)"
 
-    moment1: Scalar = param("pull of link 1 (and what it carries) towards 0", TORQUE)
-    moment2: Scalar = param("pull of link 2 towards 0", TORQUE)
+    moment1: Scalar = param("pull of link 1 (and what it carries) towards 0", MOMENT)
+    moment2: Scalar = param("pull of link 2 towards 0", MOMENT)
     lateral1: Scalar = param("pull of link 1 across", TORQUE)
     lateral2: Scalar = param("pull of link 2 across", TORQUE)
 

@@ -53,6 +53,8 @@ DURATION = Dimension("s", "s", lambda s: 1.0 / s.frequency)
 FREQUENCY = Dimension("Hz", "Hz", lambda s: s.frequency / (2 * math.pi))
 INERTIA = Dimension("kg m^2", "kg", lambda s: s.inertia)
 TORQUE = Dimension("N m", "N", lambda s: s.inertia * s.frequency**2 * s.amplitude)
+# Times the sine of an angle: as large as a stiffness, not as the torque at one swing.
+MOMENT = Dimension("N m", "N", lambda s: s.inertia * s.frequency**2)
 STIFFNESS = Dimension("N m/rad", "N/m", lambda s: s.inertia * s.frequency**2)
 STIFFNESS_RATE = Dimension("N m/(rad s)", "N/(m s)", lambda s: s.inertia * s.frequency**3)
 CUBIC = Dimension("N m/rad^3", "N/m^3", lambda s: s.inertia * (s.frequency / s.amplitude) ** 2)
