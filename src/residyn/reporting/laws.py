@@ -56,10 +56,11 @@ def _held_out(found: Diagnosis, law: Law) -> str:
     j = found.fit.joints.index(law.joint)
     if not np.isfinite([before[j], after[j]]).all():
         return ""
-    return (
-        f"With it the held-out error falls from {times(float(before[j]))} to "
-        f"{times(float(after[j]))} times the noise."
-    )
+    first, last = times(float(before[j])), times(float(after[j]))
+    if first == last:
+        return f"With it the held-out error stays {last} times the noise."
+    verb = "falls" if after[j] < before[j] else "rises"
+    return f"With it the held-out error {verb} from {first} to {last} times the noise."
 
 
 def text(found: Diagnosis) -> list[str]:
