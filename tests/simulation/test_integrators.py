@@ -79,10 +79,11 @@ def test_the_integration_error_compiles_no_further_program(smooth):
     jax.clear_caches()
     # It stays: JAX 0.8 takes none back.
     jax.monitoring.register_event_duration_secs_listener(listen)
+    jax.jit(lambda x: x + 1.0)(0.0)
+    assert happened
     fit = residyn.fit(smooth, starts=1, progress=lambda words: happened.append(f": {words}"))
     assert 0.0 < fit.integration_error < 1.0
     end = happened.index(": errors, modes and held-out recordings")
-    assert any(not words.startswith(":") for words in happened[:end])
     assert happened[end + 1 :] == []
 
 
