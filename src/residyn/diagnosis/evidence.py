@@ -157,10 +157,9 @@ def savage_dickey(mean: np.ndarray, covariance: np.ndarray, signs: Sequence[bool
     prior density over their posterior density where they are silent (Dickey, Annals of Mathematical
     Statistics 42, 1971). `mean` (k,) and `covariance` (k, k) of the posterior, in prior widths from
     there; `signs`: which of them have a half-normal prior."""
-    ratio = mean / np.sqrt(np.diag(covariance))
-    halves = float(np.sum(half_normal(ratio)[np.asarray(signs)]))
-    bits = np.linalg.slogdet(covariance)[1] + mean @ np.linalg.solve(covariance, mean)
-    return 0.5 * float(bits) + halves
+    ratio = half_normal(mean / np.sqrt(np.diag(covariance)))
+    normal = np.linalg.slogdet(covariance)[1] + mean @ np.linalg.solve(covariance, mean)
+    return float(0.5 * normal + ratio[np.asarray(signs)].sum())
 
 
 def log_prior_intensity(intensities: Sequence[float]) -> np.ndarray:

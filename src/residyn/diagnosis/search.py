@@ -437,13 +437,11 @@ class Search:
                         break
                     self._simplify([(model, x, None) for x in todo if best - {x} not in self.tried])
                     rest = [best - {x} for x in todo]
-                    extended.update(
-                        r for r in rest if r not in self.tried
-                    )  # no motion goes with it
-                    rest = [r for r in rest if r in self.tried]
-                    if not rest:
+                    extended.update(x for x in rest if x not in self.tried)  # no motion has it
+                    found = [x for x in rest if x in self.tried]
+                    if not found:
                         continue
-                    best = rest[0]
+                    best = found[0]
                 self.extend(self.tried[best])
                 extended.add(best)
                 self.reduce()
@@ -609,12 +607,9 @@ class Search:
             if less is None:
                 starts.append(without(self.scene, t, label))
                 continue
-            begin, states = (
-                np.zeros(len(strengths(less))),
-                np.zeros((self.scene.K, len(less.memory))),
-            )
-            old = t.effects[t.labels.index(label)]
-            starts.append(self._instead(t, old, Screened(less, 0.0, {}, begin, (), states)))
+            old, none = t.effects[t.labels.index(label)], np.zeros(len(strengths(less)))
+            states = np.zeros((self.scene.K, len(less.memory)))
+            starts.append(self._instead(t, old, Screened(less, 0.0, {}, none, (), states)))
         each = settle(self.scene, starts, loudest, self.in_time)
         for (model, label, less), found in zip(todo, each, strict=True):
             if found is not None:
