@@ -185,7 +185,7 @@ class _Step:
         if likeliest == first > 0:  # it may be a louder one
             known = _evidences(scene, t, linear, np.arange(len(INTENSITIES)))
             likeliest = int(np.argmax(known + prior))
-        fall = self.evidences.max() - known.max()
+        fall = float(self.evidences.max()) - float(known.max())
         if not fall < _SETTLED and self.back is not None:
             return self._shorter(scene, last or fall < _ROUGH)
         if not np.isfinite(known).any():
@@ -196,7 +196,7 @@ class _Step:
         if done:
             known = _evidences(scene, t, linear, np.arange(len(INTENSITIES)))
         moved = scene.smoothed(t, linear, INTENSITIES[level])
-        rise = known.max() - self.evidences.max()
+        rise = float(known.max()) - float(self.evidences.max())
         return moved and _Step(moved, level, known, rise, done, back=t)
 
     def _shorter(self, scene: Scene, last: bool) -> "_Step":
@@ -258,19 +258,20 @@ class _Descent(_Step):
         )
         if not (settled or lowest):
             return found
-        here, before = _evidences(scene, t, linear, np.arange(len(INTENSITIES))), self.evidences
-        best = tuple(t if x > y else b for x, y, b in zip(here, before, self.best, strict=True))
-        known = np.maximum(here, before)
-        found = dataclasses.replace(
-            found, evidences=known, best=best, rise=known.max() - before.max()
-        )
-        if not settled and np.isfinite(here).any():
+        # Of its own motion each: what one under a louder torque says of them is a promise.
+        own = np.arange(self.level, min(self.level + _FALL, len(INTENSITIES)))
+        known, best = self.evidences.copy(), list(self.best)
+        known[own] = _evidences(scene, t, linear, own)[own]
+        for i in own:
+            best[i] = t
+        found = dataclasses.replace(found, evidences=known, best=tuple(best))
+        if not settled and np.isfinite(known[own]).any():
             return found
-        hopeless = converged and not here[self.level :].max() > known.max() - HOPELESS
+        hopeless = converged and not known[own].max() > known.max() - HOPELESS
         if last or lowest or hopeless:
             return found._ended(scene)
-        level = min(self.level + _FALL, len(here) - 1)
-        return _Descent(moved, level, known, found.rise, best=best)
+        level = min(self.level + _FALL, len(known) - 1)
+        return _Descent(moved, level, known, best=tuple(best))
 
     def _ended(self, scene: Scene) -> "_Step | None":
         """At the likeliest random torque."""
