@@ -258,7 +258,7 @@ class _Descent(_Step):
         )
         if not (settled or lowest):
             return found
-        # Of its own motion each: what one under a louder torque says of them is a promise.
+        # Each of its own motion: one under a louder torque says of them what is linear only.
         own = np.arange(self.level, min(self.level + _FALL, len(INTENSITIES)))
         known, best = self.evidences.copy(), list(self.best)
         known[own] = _evidences(scene, t, linear, own)[own]
