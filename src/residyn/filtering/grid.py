@@ -107,13 +107,16 @@ class Spectrum(NamedTuple):
                 top = max(top, self.pace[np.flatnonzero(above > _MINOR * above[0])[-1]])
         return float(top)
 
-    def stiffness(self, inertia: np.ndarray) -> np.ndarray:
+    def stiffness(self, inertia: np.ndarray, driven: bool = False) -> np.ndarray:
         """(n,) size of each joint's spring by least squares: of the slope of the torque Z q'' that
-        moves it against its angle, N m/rad; `inertia` (n, n) is Z."""
+        moves it against its angle, N m/rad; `inertia` (n, n) is Z. What is `driven` may have no
+        spring: there, the rms of that torque over the rms of the angle."""
         kept = np.where((self.signal > 0) & (self.pace <= self.fastest), self.lines, 0.0)
         torque = inertia @ (self.pace**2 * kept)
-        along = np.real(torque * self.lines.conj()).sum(axis=1)
-        return np.abs(along) / np.maximum(np.sum(np.abs(self.lines) ** 2, axis=1), 1e-300)
+        power = np.maximum(np.sum(np.abs(self.lines) ** 2, axis=1), 1e-300)
+        if driven:
+            return np.sqrt(np.sum(np.abs(torque) ** 2, axis=1) / power)
+        return np.abs(np.real(torque * self.lines.conj()).sum(axis=1)) / power
 
 
 def _averaged(power: np.ndarray) -> np.ndarray:

@@ -152,7 +152,8 @@ class Scene:
         noise = np.sqrt(g.variance[0]) * recordings[0].as_angles.noise / recordings[0].noise
         amplitude = np.maximum(np.std(q[seen], axis=0), 3 * noise)
         long = int(np.argmax([r.duration for r in recordings]))
-        stiffness = Spectrum.of(recordings[long], wild[long]).stiffness(inertia)
+        driven = recordings[long].drive is not None
+        stiffness = Spectrum.of(recordings[long], wild[long]).stiffness(inertia, driven)
         slowest = 2 * math.pi / recordings[long].duration
         pace = np.maximum(np.sqrt(stiffness / np.diag(inertia)), slowest)
         self.scales = [
