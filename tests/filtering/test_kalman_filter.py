@@ -340,17 +340,14 @@ def test_typical_stiffness_is_the_springs_though_an_encoder_jumps():
     np.testing.assert_allclose(found, [30.0, 8.0], rtol=0.5)
 
 
-def test_typical_stiffness_of_a_driven_slide_without_a_spring_is_of_the_drive():
-    # To and fro by short pulses: the slope of force against position is nearly nothing.
+def test_typical_torque_of_a_driven_slide_without_a_spring_is_the_motors():
+    # Short pulses to and fro: the slope of force against position leaves out a half of the force.
     time = np.arange(2000) / 100
-    force = (
-        5.0 * np.sign(np.sin(2 * np.pi * time / 4)) * (np.abs(np.sin(2 * np.pi * time / 4)) > 0.98)
-    )
+    wave = np.sin(2 * np.pi * time / 4)
+    force = 5.0 * np.sign(wave) * (np.abs(wave) > 0.98)
     rate = np.cumsum(force - force.mean()) / 100
     place = np.cumsum(rate - rate.mean()) / 100
-    drive = force[:, None]
-    recording = Recording.from_arrays(time, place[:, None], noise=1e-4, drive=drive)
-    spectrum = Spectrum.of(recording, np.zeros((2000, 1), bool))
-    found = spectrum.stiffness(np.eye(1), driven=True)[0] * np.std(place)
-    assert 0.9 < found / np.std(force) < 1.1
-    assert spectrum.stiffness(np.eye(1))[0] * np.std(place) < 0.65 * np.std(force)
+    seen = Recording.from_arrays(time, place[:, None], noise=1e-4, drive=force[:, None])
+    slide = ConstantInertia([[1.0]], joints=("slide",), units=("m",))
+    scene = Scene([seen], [slide], [np.zeros((2000, 1), bool)])
+    assert scene.torque[0] / np.sqrt(2) == pytest.approx(np.std(force), rel=0.1)
