@@ -214,6 +214,16 @@ def test_a_brake_that_slips_in_every_swing_is_told_from_a_smooth_loop():
     assert abs(value - 0.08) < 4 * std
 
 
+def test_a_brake_without_stiffness_does_not_stand_for_a_constant_torque():
+    # To first order about none, one that slipped beforehand is a constant torque.
+    case = release(("constant_torque:elbow", {"torque": 0.1}))
+    with jax.enable_x64(True):
+        scene, base, _ = scene_of(experiment(of(case)), ())
+        search = Search(scene, base)
+        search.extend(search.base)
+    assert search.best.added == ("constant_torque:elbow",)
+
+
 def of_rig(rng, label, strength=None):
     """A hidden case in noise of 1 % of the swings."""
     (case,) = rig.hidden_cases(rng, label, 1, strength=strength)
