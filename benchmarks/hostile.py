@@ -226,6 +226,8 @@ def diagnosed(name: str) -> Outcome:
             if f["probability"] > SURE and not {m["effect"] for m in f["members"]} & set(right):
                 wrong.append(f"{f['name']} ({f['place']}) {f['probability']:.0%}")
         line = f"{found['verdict']} ({found['verdict_probability']:.0%})"
+        if found["channels"]:
+            line += f": {found['channels']['words']}"
     elif run.returncode not in (1, 2) or line.count("\n") or "should not have" in line:
         wrong.append(f"status {run.returncode}")
     if seconds > LONGEST:

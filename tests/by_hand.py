@@ -240,6 +240,7 @@ def a_diagnosis(verdict, ladder, **changed):
         "laws": (),
         "random_torque": torques(1e-3),
         "intensity": 1e-4,
+        "channels": None,
         "explains_nothing": False,
         "budget": Budget(13, 40, None),
         "seconds": 31.0,

@@ -125,7 +125,9 @@ def test_the_next_experiment_is_for_two_explanations_that_cannot_be_told_apart(f
             )
             for added, x in logs.items()
         }
-        search = SimpleNamespace(candidates=known, tried=tried, passed={}, curves=[])
+        search = SimpleNamespace(
+            candidates=known, tried=tried, passed={}, curves=[], reassigned=None
+        )
         models, p = Posterior(search).rivals()  # pyright: ignore
         return [m.added for m in models], p
 
@@ -350,6 +352,31 @@ def test_readings_in_degrees_are_no_motion_of_this_arm(outside):
     assert found.added == ()
 
 
+@pytest.mark.parametrize(
+    ("columns", "words", "hidden"),
+    [
+        ([[0, 1], [1, 0]], "the columns of shoulder and elbow are exchanged", ()),
+        ([[1, 0], [0, -1]], "the sign of elbow's column is reversed", ()),
+        ([[1, 0], [1, 1]], "elbow's column is its link's angle to the table", ()),
+        ([[0, 1], [1, 0]], "the columns of shoulder and elbow are exchanged", (COULOMB,)),
+    ],
+    ids=["exchanged", "reversed", "to the table", "exchanged, and with friction"],
+)
+def test_columns_that_are_not_what_the_file_says_are_told_and_no_effect_is_named(
+    columns, words, hidden
+):
+    case = release(*hidden)
+    seen = of(case, case.q @ np.array(columns).T)
+    found = residyn.diagnose(experiment(seen), max_effects=1)
+    assert found.verdict == "unexplained"
+    assert found.channels is not None
+    assert found.channels.words.startswith(words)
+    assert found.channels.probability > 0.99
+    assert found.channels.complete is not bool(hidden)
+    assert max((c.probability for c in found.candidates), default=0.0) < 0.01
+    assert words in " ".join(found.words)
+
+
 # -- what a user brings ---------------------------------------------------------------------------
 
 TORQUE = Dimension("N m", "N", lambda s: s.inertia * s.frequency**2 * s.amplitude)
@@ -450,6 +477,7 @@ def test_json_is_the_contract(friction):
     assert set(found) == {
         "verdict", "verdict_probability", "words", "added", "ladder", "candidates", "families",
         "lookalikes", "next_experiment", "missing_torque", "random_torque", "budget", "fit", "laws",
+        "channels",
     }  # fmt: skip
     assert found["ladder"][0]["model"] == list(friction.base.model.labels)
     for row in found["ladder"]:

@@ -8,6 +8,7 @@ error on readings that were fitted and on readings that were not.
 import contextlib
 import dataclasses
 import datetime
+import functools
 import math
 import threading
 import time
@@ -30,6 +31,7 @@ from ..physics.motion import Motion
 from ..recordings.experiment import Experiment, must_be_experiment
 from ..runtime.memory import give_back
 from .candidate_tests import best_tests
+from .channels import reassigned
 from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES, at_work, shares
 from .forecast import held_out
 from .law import curve_models, laws_of
@@ -38,6 +40,7 @@ from .missing_torque import missing_of, scene_of
 from .result import (
     Budget,
     Candidate,
+    ChannelError,
     Diagnosis,
     Family,
     ModelState,
@@ -102,10 +105,11 @@ def diagnose(
         fits = Fits(experiment, scene, wild, starts)
         search = Search(scene, base, deadline=deadline, say=say)
         fits.begin(search.base)
-        search.run(max_effects)
+        otherwise = functools.partial(reassigned, experiment, effects, scene, search.base)
+        search.run(max_effects, otherwise)
         best = search.best
         unexplained = best.complete < 0.5 and best.intensity < EXPLAINS_NOTHING
-        if unexplained and not search.stopped:
+        if unexplained and not (search.stopped or search.reassigned):
             say("looking for a law without a name")
             search.curves = curve_models(search)
         say("fitting the models on the way")
@@ -291,6 +295,7 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
         still_missing=still,
         laws=laws,
         random_torque=_random_torque(scene, best),
+        channels=_channels(search, posterior.otherwise),
         intensity=float(np.dot(best.weights, INTENSITIES)),
         explains_nothing=best.intensity >= EXPLAINS_NOTHING,
         budget=Budget(len(search.tried), len(search.candidates), search.stopped),
@@ -298,6 +303,12 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
         search=search,
         fits=fits,
     )
+
+
+def _channels(search: Search, probability: float) -> ChannelError | None:
+    """What the columns are instead, if that alone explains the readings."""
+    other = search.reassigned
+    return other and ChannelError(other.channels.words, probability, other.tried.complete > 0.5)
 
 
 def _source(experiment: Experiment) -> str:
@@ -347,10 +358,15 @@ class Posterior:
         passed = [m for added, m in search.passed.items() if added not in search.tried]
         self.named = [*self.models, *passed]
         """With those that are known to first order only."""
-        logs = np.array([m.log_posterior for m in [*self.named, *self.curves]])
-        each = shares(logs)
-        self.each, self.of_curves = np.split(each / each.sum(), [len(self.named)])
-        """Probability of each model with names only, and of each with a free curve."""
+        other = search.reassigned
+        logs = [m.log_posterior for m in [*self.named, *self.curves]]
+        logs += [search.log_posterior_of(other)] if other else []
+        each = shares(np.array(logs))
+        ends = np.cumsum([len(self.named), len(self.curves)])
+        self.each, self.of_curves, of_other = np.split(each / each.sum(), ends)
+        """Probability of each model with names only, of each with a free curve, and of the base
+        model with the columns read otherwise."""
+        self.otherwise = float(of_other.sum())
         self.of_tried = self.each[: len(self.models)]
         verdict = self.verdict()[0]
         chosen = {"adequate": False, "missing": True}.get(verdict)
@@ -386,8 +402,9 @@ class Posterior:
             complete = 0.0 if model.matters else model.complete
             sums["missing" if model.added else "adequate"] += p * complete
             sums["unexplained"] += p * (1.0 - complete)
+        sums["unexplained"] += self.otherwise  # by anything of the readings as they stand
         likeliest: Verdict = max(sums, key=lambda v: sums[v])  # pyright: ignore
-        return likeliest, sums[likeliest]
+        return likeliest, float(sums[likeliest])
 
     def candidates(self) -> tuple[Candidate, ...]:
         """Every effect and place."""
@@ -433,7 +450,10 @@ class Posterior:
 
     def rivals(self) -> tuple[list[Tried], np.ndarray]:
         """The likeliest explanation (kinds of law and their places) and the next one, if the two
-        cannot be told apart: the likeliest model of each, and their probabilities."""
+        cannot be told apart: the likeliest model of each, and their probabilities. None where the
+        columns are to be put right first."""
+        if self.otherwise:
+            return [], np.zeros(0)
         kinds = {e.label: (e.kind(), e.place) for e in self.search.candidates}
         groups: dict[frozenset, list[int]] = {}
         for i, model in enumerate(self.models):

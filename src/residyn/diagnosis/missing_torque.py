@@ -206,9 +206,12 @@ def missing_of(
     return tuple(found)
 
 
-def scene_of(experiment: Experiment, effects: Sequence[str | AbstractEffect]):
-    """The fitted recordings of an experiment as a scene, and the base model with some effects."""
+def scene_of(
+    experiment: Experiment, effects: Sequence[str | AbstractEffect], fast: float | None = None
+):
+    """The fitted recordings of an experiment as a scene, and the base model with some effects;
+    `fast` as in `Scene`."""
     here = ready(experiment, experiment.fit_recordings, effects)
     wild = outliers_among(here)
-    scene = Scene(here.recordings, here.mechanisms, wild, correlation=CORRELATION)
+    scene = Scene(here.recordings, here.mechanisms, wild, CORRELATION, fast)
     return scene, here.model.effects, wild

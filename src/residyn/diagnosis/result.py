@@ -152,6 +152,17 @@ class Budget:
     """Why the search ended before nothing more could be gained: "budget" or "interrupted"."""
 
 
+@dataclass(frozen=True)
+class ChannelError:
+    """What the columns of the recordings seem to be instead of what the file says."""
+
+    words: str
+    """One clause."""
+    probability: float
+    complete: bool
+    """Whether springs and dampers explain all readings so; effects were then not looked for."""
+
+
 @dataclass(frozen=True, eq=False)
 class Diagnosis(TableResult):
     """Which physical effect is missing. Print it; or `to_dict()` for the JSON."""
@@ -181,6 +192,9 @@ class Diagnosis(TableResult):
     intensity: float
     """Posterior mean of the likeliest model's random torque, as a share of the spring's torque at
     full swing."""
+    channels: ChannelError | None
+    """What the columns are instead, where springs and dampers alone are likelier so than any model
+    of the columns as they stand."""
     explains_nothing: bool
     """Whether even the likeliest model is none of this motion."""
     budget: Budget
@@ -239,6 +253,7 @@ class Diagnosis(TableResult):
             "next_experiment": None
             if self.next_experiment is None
             else self.next_experiment.to_dict(),
+            "channels": self.channels and dict(vars(self.channels)),
             "laws": [law.to_dict() for law in self.laws],
             "missing_torque": summary(self.missing),
             "random_torque": {r.joint: r.to_dict() for r in self.random_torque},

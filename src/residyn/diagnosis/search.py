@@ -117,9 +117,11 @@ def settle(
     starts: Sequence[Trajectory],
     loudest: float,
     go_on: Callable[[], None] = lambda: None,
+    known: float = -math.inf,
 ) -> list[tuple[np.ndarray, Trajectory] | None]:
     """Iterate models side by side, each to its likeliest random torque and its own motion under it;
-    None for one that ran away, or fell hopelessly behind. `go_on` is called before each iteration.
+    None for one that ran away, or fell hopelessly behind another, or behind the log evidence
+    `known`. `go_on` is called before each iteration.
 
     Linearised along its motion, a model has an evidence under every random torque; the next motion
     is smoothed under the likeliest one, which falls by a decade an iteration at the most, from
@@ -141,7 +143,7 @@ def settle(
         work = [functools.partial(steps[i].next, scene, last) for i in moving]  # pyright: ignore
         for i, step in zip(moving, side_by_side(work), strict=True):
             steps[i] = step
-        best = max((s.evidences.max() for s in steps if s is not None), default=-math.inf)
+        best = max([known, *(s.evidences.max() for s in steps if s is not None)])
         steps = [s and s.unless_hopeless(best) for s in steps]
     return [s and (s.evidences, s.trajectory) for s in steps]
 
@@ -350,12 +352,14 @@ class OutOfTime(Exception):
     """The search's time is over."""
 
 
-def tried_alone(scene: Scene, effects: Sequence[AbstractEffect]) -> Tried:
-    """A model by itself.
+def tried_alone(scene: Scene, effects: Sequence[AbstractEffect], known: float = -math.inf) -> Tried:
+    """A model by itself; where it falls hopelessly behind a log evidence that is `known`, as far as
+    it has come.
 
     **Raises:** `FitError` if no motion goes with it.
     """
-    (found,) = settle(scene, [scene.start(effects, prior_of(scene, effects))], INTENSITIES[0])
+    start = scene.start(effects, prior_of(scene, effects))
+    (found,) = settle(scene, [start], INTENSITIES[0], known=known)
     if found is None:
         raise FitError("no motion of the model goes with the readings")
     return Tried((), *found, log_prior=0.0)
@@ -383,6 +387,9 @@ class Search:
         parents, with the evidence that the first order gives."""
         self.curves: list[Any] = []
         """`law.CurveModel`s: models with a law that has no name."""
+        self.otherwise: Sequence[Any] = ()
+        """`channels.Reassigned`s: the base model with the columns of the readings read otherwise,
+        where it does not explain them as they stand."""
         self.stopped: str | None = None
         """Why the search ended early, if it did: "interrupted" or "budget"."""
         self._reduced: set[tuple[Tried, tuple[str, ...]]] = set()
@@ -421,11 +428,32 @@ class Search:
             added, parent.evidences + row.gain, parent.best, prior
         )
 
-    def run(self, most: int) -> None:
+    @property
+    def reassigned(self) -> Any:
+        """The likeliest other reading of the columns, if it explains any of the motion and is
+        likelier than all models of the columns as they stand; else None."""
+        each = [r for r in self.otherwise if r.tried.intensity < EXPLAINS_NOTHING]
+        likeliest = max(each, key=self.log_posterior_of, default=None)
+        if likeliest is None or self.log_posterior_of(likeliest) < self.best.log_posterior:
+            return None
+        return likeliest
+
+    def log_posterior_of(self, other: Any) -> float:
+        """Of one of `otherwise`, on the scale of `Tried.log_posterior`: as unlikely beforehand as
+        one effect."""
+        known = len(self.candidates) + len(self.otherwise)
+        return other.tried.log_evidence + log_prior_model(1, known)
+
+    def run(self, most: int, otherwise: Callable[[], Sequence[Any]] = tuple) -> None:
         """Add effects, `most` at most, until no model beats the one that there is, or as long as
         the likeliest explains anything of the motion. Ctrl-C and the deadline end it with what
-        there is."""
+        there is. `otherwise` makes `channels.Reassigned`s."""
         try:
+            if self.base.complete < 0.5:
+                self.say("reading the columns otherwise")
+                self.otherwise = otherwise()
+            if self.reassigned is not None and self.reassigned.tried.complete > 0.5:
+                return  # nothing is left to be explained
             extended: set[frozenset[str]] = set()
             self.screen(self.base)
             while not extended or self.best.intensity < EXPLAINS_NOTHING:

@@ -51,6 +51,8 @@ class Grid(NamedTuple):
     """(K,) whether a recording ends here and another one follows."""
     real: int
     """How many instants are no filling."""
+    fast: float
+    """rad/s, of the fastest motion that its steps are made for."""
 
     def of(self, recording: int) -> np.ndarray:
         """Indices of the instants of one recording."""
@@ -128,9 +130,13 @@ def _averaged(power: np.ndarray) -> np.ndarray:
     return (total[last] - total[first]) / (last - first)
 
 
-def lay_out(recordings: Sequence[Recording], wild: Sequence[np.ndarray]) -> Grid:
-    """The grid of some recordings; `wild` (N, n) of each marks readings that do not count."""
-    fast = max(Spectrum.of(r, w).fastest for r, w in zip(recordings, wild, strict=True))
+def lay_out(
+    recordings: Sequence[Recording], wild: Sequence[np.ndarray], fast: float | None = None
+) -> Grid:
+    """The grid of some recordings; `wild` (N, n) of each marks readings that do not count. `fast`
+    (rad/s) is the fastest motion, if that is known."""
+    if fast is None:
+        fast = max(Spectrum.of(r, w).fastest for r, w in zip(recordings, wild, strict=True))
     most = sum(len(r.time) for r in recordings) / _ENOUGH  # readings in an average
     parts = [_one(r, w, fast, most) for r, w in zip(recordings, wild, strict=True)]
     run = np.concatenate([np.full(len(p[0]), i) for i, p in enumerate(parts)])
@@ -155,6 +161,7 @@ def lay_out(recordings: Sequence[Recording], wild: Sequence[np.ndarray]) -> Grid
         run=filled(run),
         last=filled(ends, False),
         real=real,
+        fast=fast,
     )
 
 

@@ -120,10 +120,12 @@ class Scene:
         mechanisms: Sequence[AbstractInertia],
         wild: Sequence[np.ndarray],
         correlation: float = 1.0,
+        fast: float | None = None,
     ):
-        """`correlation`: time of the random torque, in radians of a joint's ringing."""
+        """`correlation`: time of the random torque, in radians of a joint's ringing; `fast`: rad/s
+        of the fastest motion, if that is known."""
         self.recordings, self.mechanisms = tuple(recordings), tuple(mechanisms)
-        self.grid: Grid = lay_out(recordings, wild)
+        self.grid: Grid = lay_out(recordings, wild, fast)
         g = self.grid
         self.joints = mechanisms[0].joints
         self.catalogued = catalogue_on(richest(mechanisms))

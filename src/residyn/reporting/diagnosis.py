@@ -16,6 +16,7 @@ import numpy as np
 from ..diagnosis.missing_torque import Curve, Missing
 from ..diagnosis.result import (
     Candidate,
+    ChannelError,
     Diagnosis,
     Family,
     ModelState,
@@ -80,6 +81,8 @@ def held_out(found: Diagnosis) -> str | None:
 def sentences(found: Diagnosis) -> tuple[str, ...]:
     """The verdict in a few sentences, the surest first."""
     words = [*_stopped(found), *_unphysical(found)]
+    if found.channels is not None:
+        return (*words, *_channels(found.channels))
     if found.explains_nothing:
         return (*words, *_nothing_explained(found))
     words += _families(found) if found.added else [_none_named(found)]
@@ -117,6 +120,20 @@ def _unphysical(found: Diagnosis) -> list[str]:
     if first:
         return [f"Springs and dampers alone cannot be right: {listed(first)}."]
     return []
+
+
+def _channels(error: ChannelError) -> list[str]:
+    so = (
+        "explain all readings to within the noise, and as they stand they do not"
+        if error.complete
+        else "alone explain more than any model of the readings as they stand"
+    )
+    return [
+        f"It seems that {error.words} ({percent(error.probability)}): read so, springs and dampers "
+        f"{so}.",
+        "No effect is named before that is settled. Put the columns right in the recordings, or "
+        "with the key columns of the experiment file, and diagnose again.",
+    ]
 
 
 def _nothing_explained(found: Diagnosis) -> list[str]:
@@ -478,6 +495,8 @@ def torques_lacked(found: Diagnosis) -> list[tuple[Missing, int]]:
 
 def title_of(found: Diagnosis) -> str:
     """The headline."""
+    if found.channels is not None:
+        return "The columns of the recordings are not what the file says"
     if found.explains_nothing:
         return "The model explains nothing of this motion"
     if found.verdict == "adequate":

@@ -1,0 +1,91 @@
+"""Whether the columns of the recordings are what the experiment's file says they are.
+
+Exchanged cables, a reversed sign, or angles counted from the table instead of from the link before:
+the model is right and the readings are another joint's. Each of these is a linear map of the
+readings. The base model's evidence for the mapped readings stands on the same scale as that of any
+other model, for the map keeps volumes (its determinant is 1 or -1).
+"""
+
+import contextlib
+import dataclasses
+import functools
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..effects import AbstractEffect
+from ..filtering.trajectory import Scene
+from ..fitting import FitError
+from ..recordings.experiment import Experiment
+from ..recordings.tables import ArmTable
+from ..runtime.parallel import side_by_side
+from .missing_torque import scene_of
+from .search import Tried, tried_alone
+
+
+class Channels(NamedTuple):
+    """What the columns of n joints may be instead."""
+
+    words: str
+    matrix: np.ndarray
+    """(n, n) the joints' readings from the columns."""
+
+
+class Reassigned(NamedTuple):
+    """The base model, with the columns read otherwise."""
+
+    channels: Channels
+    tried: Tried
+    """As if the noise of the joints were independent, which lowers the evidence a little where a
+    column is a sum."""
+
+
+def assignments(experiment: Experiment) -> list[Channels]:
+    """One mistake each: two columns exchanged, one or all reversed, a link's angle to the table."""
+    joints, n, first = experiment.joints, len(experiment.joints), experiment.fit_recordings[0]
+    eye, found = np.eye(n), []
+    kinds = list(zip(experiment.reading_units, first.orders, strict=True))
+    for i, j in itertools.combinations(range(n), 2):
+        if kinds[i] == kinds[j]:
+            order = np.arange(n)
+            order[[i, j]] = j, i
+            words = f"the columns of {joints[i]} and {joints[j]} are exchanged"
+            found.append(Channels(words, eye[order]))
+    driven = any(r.drive is not None for r in experiment.fit_recordings)
+    if n > 1 or driven:
+        found += [
+            Channels(f"the sign of {joint}'s column is reversed", eye - 2 * np.diag(eye[j]))
+            for j, joint in enumerate(joints)
+        ]
+    if isinstance(experiment.inertia, ArmTable):
+        found.append(Channels("angles are counted the other way round", -eye))
+        words = f"{joints[1]}'s column is its link's angle to the table, not to the link before"
+        found.append(Channels(words, eye - np.eye(n, k=-1)))
+    return found
+
+
+def reassigned(
+    experiment: Experiment, effects: Sequence[str | AbstractEffect], scene: Scene, base: Tried
+) -> list[Reassigned]:
+    """The base model with some effects under each assignment of the columns that it can move under,
+    or until it falls hopelessly behind the columns as they stand (`scene` and `base`)."""
+
+    def under(channels: Channels) -> Reassigned | None:
+        M = channels.matrix
+        recordings = tuple(
+            dataclasses.replace(
+                r, angle=r.angle @ M.T, noise=np.sqrt(np.asarray(r.noise) ** 2 @ (M**2).T)
+            )
+            for r in experiment.fit_recordings
+        )
+        read = dataclasses.replace(experiment, recordings=recordings)
+        with contextlib.suppress(FitError):
+            # What is linear in the readings is no faster than they are.
+            seen, members, _ = scene_of(read, effects, scene.grid.fast)
+            return Reassigned(channels, tried_alone(seen, members, base.log_evidence))
+        return None
+
+    each = side_by_side([functools.partial(under, c) for c in assignments(experiment)])
+    return [r for r in each if r is not None]
