@@ -291,6 +291,19 @@ def test_a_click_answers_in_every_part_of_the_page(offline):
     assert complaints(offline) == []
 
 
+def test_chips_stand_in_the_order_of_the_numbers_they_show(offline):
+    percents = """return [...document.querySelectorAll(".chip[aria-pressed=false] .p")]
+        .map((x) => x.textContent.startsWith("<") ? 0 : parseInt(x.textContent.replace(">", "")))"""
+    first = "return document.querySelector('.chip').dataset.effect"
+    for label in (SMOOTH, "gravity"):
+        toggle(offline, label)
+        numbers = offline.execute_script(percents)
+        assert numbers == sorted(numbers, reverse=True)
+        assert offline.execute_script(first) == SMOOTH  # what is added, as it came
+    for label in ("gravity", SMOOTH):
+        toggle(offline, label)
+
+
 def test_where_a_joint_may_stick_no_first_order_is_shown(offline):
     toggle(offline, FRICTION)
     assert text(offline, ".status").startswith("no first-order answer")

@@ -23,6 +23,7 @@ from ...diagnosis.missing_torque import missing_of
 from ...filtering.law import numbers_of
 from ...fitting.result import Fit
 from ...recordings.segments import by_recording
+from ..names import unbroken
 from .first_order import ErrorGram, FirstOrder
 from .study import Study, sum_of
 
@@ -160,9 +161,8 @@ def searched(study: Study, since: Sequence[int] = (0, 0)) -> dict[str, Any]:
             "verdict": found.verdict,
             "probability": found.verdict_probability,
             "added": list(found.added),
-            "words": list(found.words),
             "lookalikes": [list(x) for x in found.lookalikes],
-            "next": "" if found.next_experiment is None else found.next_experiment.words,
+            "next": "" if found.next_experiment is None else unbroken(found.next_experiment.words),
         },
     }  # fmt: skip
 

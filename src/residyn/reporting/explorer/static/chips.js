@@ -1,4 +1,4 @@
-// The effects as chips: the most probable ones first, the others folded away below.
+// The effects as chips: what is on and the most probable ones first, the others folded away below.
 
 import { element, fill } from "./elements.js";
 import { percent } from "./words.js";
@@ -10,31 +10,26 @@ export class Chips {
   constructor(candidates, onToggle) {
     Object.assign(this, { candidates, onToggle });
     const group = (label) => element("div", { class: "chips", role: "group", "aria-label": label });
-    this.top = group("most probable effects");
+    this.top = group("effects of the model, and the most probable others");
     this.rest = group("all other effects");
     this.title = element("summary", {});
-    this.order = [];
+    this.first = [];
     this.parts = [this.top, element("details", {}, this.title, this.rest)];
   }
 
-  /** Which are shown first: those that are most probable beside springs and dampers. */
-  rank(probabilities) {
-    this.order = [...probabilities]
+  /** What is on, then the others, the most probable one first; `weighed(exact)`: whether a
+   * probability is worth showing yet. */
+  draw(chosen, probabilities, weighed) {
+    const others = [...probabilities]
+      .filter(([label]) => !chosen.includes(label))
       .sort((a, b) => b[1].probability - a[1].probability)
       .map(([label]) => label);
-  }
-
-  get first() {
-    return this.order.slice(0, MOST);
-  }
-
-  /** `weighed(exact)`: whether a probability is worth showing yet. */
-  draw(chosen, probabilities, weighed) {
-    const shown = [...this.first, ...chosen.filter((x) => !this.first.includes(x))];
-    const rest = this.order.filter((x) => !shown.includes(x)).sort();
+    const most = Math.max(0, MOST - chosen.length);
+    this.first = [...chosen, ...others.slice(0, most)];
+    const rest = others.slice(most);
     const focused = document.activeElement?.dataset?.effect;
     const chip = (label) => this.chip(label, chosen, probabilities.get(label), weighed);
-    fill(this.top, ...shown.map(chip));
+    fill(this.top, ...this.first.map(chip));
     fill(this.rest, ...rest.map(chip));
     this.title.textContent = `${rest.length} more effects and places`;
     if (focused) this.find(focused)?.focus();

@@ -38,8 +38,9 @@ export function lay(root, page, hide) {
       { class: "columns" },
       panel(
         "Add an effect",
-        "A click adds it to the model or takes it away. " +
-          "The number is the probability that it is what is missing next.",
+        "A click adds it to the model or takes it away. The number on an effect that is added (✓) " +
+          "is the probability that the model is better with it than without it; on any other, " +
+          "that it is the one to add next.",
         ...page.chips.parts,
         element("div", { class: "actions" }, ...saving.parts, hide, saving.said),
       ),
@@ -70,7 +71,7 @@ export function lay(root, page, hide) {
         "hysteresis a loop.",
       legend({
         measured: "what the motion asks for",
-        band: "95 % band",
+        band: "95\u00a0% band",
         model: "what the added effects make of it",
         mark: "in the chosen stretch",
       }),

@@ -49,7 +49,6 @@ export class Page {
     }
     this.build();
     this.follow();
-    this.rank();
     this.state.set({ joint: this.missing.loudest() });
     const way = server || !data.verdict ? [] : data.verdict.added;
     for (let k = 0; k <= way.length; k++) this.choose(way.slice(0, k));
@@ -111,7 +110,6 @@ export class Page {
     this.models.keep(news.fits);
     this.fetched = news.known;
     this.evidence.keep(news);
-    this.rank();
     const { chosen, held, model } = this.state.values;
     const better = this.models.of(chosen);
     if (better.how !== "first order" && model.how !== "refitted" && !held.size) {
@@ -211,10 +209,6 @@ export class Page {
    * names nobody. */
   weighed(exact) {
     return exact || Boolean(this.state.get("found")) || !this.server || this.news.ended;
-  }
-
-  rank() {
-    this.chips.rank(this.evidence.probabilities([]));
   }
 
   drawChips() {

@@ -9,8 +9,8 @@ export function times(x) {
 
 /** A probability: never 100 %, as nothing measured is certain. */
 export function percent(p) {
-  if (p > 0.995) return "> 99 %";
-  return p < 0.005 ? "< 1 %" : `${(100 * p).toFixed(0)} %`;
+  if (p > 0.995) return ">\u00a099\u00a0%";
+  return p < 0.005 ? "<\u00a01\u00a0%" : `${(100 * p).toFixed(0)}\u00a0%`;
 }
 
 /** A number with some digits, without an exponent where that can be. */
@@ -50,7 +50,7 @@ export function placed(candidate, joints) {
 export function standing({ how, fitted }, sticks, working) {
   const words = {
     refitted: "refitted: every number of this model by least squares",
-    smoothed: `refitted: least squares by the smoother${sticks ? ", to about 1 % where a joint sticks" : ""}`,
+    smoothed: `refitted: least squares by the smoother${sticks ? ", to about 1\u00a0% where a joint sticks" : ""}`,
     "first order": fitted
       ? "first order: predicted, nothing fitted yet"
       : `no first-order answer: where a joint sticks nothing is linear${working ? "" : "; residyn explore fits it"}`,
