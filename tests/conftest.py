@@ -50,6 +50,15 @@ def compiled_in_less_time():
 
 
 @pytest.fixture(scope="module")
+def pictures_not_written():
+    """Pages with pictures that are drawn and not written as SVG, most of what a page costs. For
+    modules that read a page's words."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("residyn.reporting.figures.inline.svg", lambda figure: "<svg/>")
+        yield
+
+
+@pytest.fixture(scope="module")
 def float64():
     """In double precision, as commands compute; modules ask for it with `pytestmark`."""
     with jax.enable_x64(True):

@@ -14,6 +14,8 @@ from residyn.diagnosis.result import Budget
 from residyn.fitting import FitError
 from tests import by_hand
 
+pytestmark = pytest.mark.usefixtures("pictures_not_written")
+
 
 @pytest.fixture(scope="module")
 def found():

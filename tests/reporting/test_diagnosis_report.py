@@ -37,6 +37,9 @@ CONTRACT = {
 }
 
 
+pytestmark = pytest.mark.usefixtures("pictures_not_written")
+
+
 @pytest.fixture(scope="module")
 def found():
     return {name: make() for name, make in KINDS.items()}

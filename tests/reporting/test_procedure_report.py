@@ -23,7 +23,7 @@ from tests.procedure.test_unload import BOTH, GROWS, PAPER, STEP_2, from_numbers
 NASTY = "<b>& 'arm'"
 
 
-pytestmark = pytest.mark.usefixtures("float64")
+pytestmark = pytest.mark.usefixtures("float64", "pictures_not_written")
 
 
 @pytest.fixture(scope="module")
