@@ -11,6 +11,9 @@ ARM = rig.paper_twin(0.3)
 NOISE = 3e-4
 
 
+pytestmark = pytest.mark.usefixtures("compiled_in_less_time")
+
+
 def base(**change):
     """The arm's true springs and dampers, some of them changed."""
     arm = residyn.PlanarArm(

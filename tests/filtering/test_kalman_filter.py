@@ -13,11 +13,7 @@ from residyn.filtering.kalman import Inputs, Noise, Readings, System, evidences,
 from residyn.filtering.trajectory import Prior, Scene
 from residyn.simulation.simulate import simulate
 
-
-@pytest.fixture(autouse=True)
-def float64():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("float64", "compiled_in_less_time")
 
 
 def a_system(K=12, X=3, n=2, P=3, seed=0):
@@ -153,7 +149,7 @@ def test_one_gram_matrix_holds_the_evidence_of_every_subset():
 ARM = PlanarArm([0.4, 0.4], 1.1, 0.58, 1.4, 0.3, [1.0, 1.0])
 
 
-def a_recording(model, q0=(0.2, -0.1), seconds=6.0, rate=100.0, noise=1e-4, seed=0, **given):
+def a_recording(model, q0=(0.2, -0.1), seconds=5.0, rate=100.0, noise=1e-4, seed=0, **given):
     time = np.arange(round(seconds * rate) + 1) / rate
     path = simulate(model, time, list(q0), steps=4 * len(time))
     rng = np.random.default_rng(seed)
@@ -257,7 +253,7 @@ def test_slopes_of_the_expected_direction_are_its_finite_differences():
 def test_strengths_of_laws_with_jumps_or_memory_are_found(effect):
     truth = ARM + Spring("shoulder", 17.0) + Spring("elbow", 12.0)
     truth = truth + Damper("shoulder", 0.05) + Damper("elbow", 0.05) + effect
-    recording, _ = a_recording(truth, q0=(0.2, -0.3), seconds=10.0)
+    recording, _ = a_recording(truth, q0=(0.2, -0.3))
     scene = Scene([recording], [ARM], [np.zeros(recording.angle.shape, bool)])
     from residyn.diagnosis.columns import Columns, extended, spectral_lines
     from residyn.diagnosis.evidence import prior_of

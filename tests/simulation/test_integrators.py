@@ -23,6 +23,9 @@ from tests.exact import EXACT, IMPLICIT, LaggingDrag, dry_motion, error_of, reco
 TIME = np.arange(400) / 50
 
 
+pytestmark = pytest.mark.usefixtures("compiled_in_less_time")
+
+
 def off(one, other):
     """Between the numbers of two fits, in standard errors."""
     pairs = zip(one.numbers, other.numbers, strict=True)
