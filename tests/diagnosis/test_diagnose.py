@@ -377,6 +377,19 @@ def test_columns_that_are_not_what_the_file_says_are_told_and_no_effect_is_named
     assert words in " ".join(found.words)
 
 
+def test_small_angles_in_degrees_are_told_from_large_ones_in_rad():
+    case = release(q0=(0.03, -0.02))
+    angle, noise = np.rad2deg(case.q), np.rad2deg(NOISE)
+    seen = residyn.Recording.from_arrays(case.t, angle, noise=noise, theta2=ARM.theta2)
+    found = residyn.diagnose(experiment(seen), max_effects=1)
+    assert found.channels is not None
+    assert found.channels.words == "angles are in degrees, not in rad"
+    assert found.added == ()
+    # The fit of what explains nothing is that of `fit`.
+    alone = residyn.fit(experiment(seen))
+    assert found.base.reduced_chi2 == pytest.approx(alone.reduced_chi2, rel=1e-3)
+
+
 # -- what a user brings ---------------------------------------------------------------------------
 
 TORQUE = Dimension("N m", "N", lambda s: s.inertia * s.frequency**2 * s.amplitude)

@@ -1,9 +1,9 @@
 """Whether the columns of the recordings are what the experiment's file says they are.
 
-Exchanged cables, a reversed sign, or angles counted from the table instead of from the link before:
-the model is right and the readings are another joint's. Each of these is a linear map of the
-readings. The base model's evidence for the mapped readings stands on the same scale as that of any
-other model, for the map keeps volumes (its determinant is 1 or -1).
+Exchanged cables, a reversed sign, degrees, or angles counted from the table instead of from the
+link before: the model is right and the readings are another quantity. Each of these is a linear map
+of the readings. The base model's density of the mapped readings, times the map's determinant, is
+one of the readings: an evidence on the same scale as that of any other model.
 """
 
 import contextlib
@@ -43,7 +43,8 @@ class Reassigned(NamedTuple):
 
 
 def assignments(experiment: Experiment) -> list[Channels]:
-    """One mistake each: two columns exchanged, one or all reversed, a link's angle to the table."""
+    """One mistake each: two columns exchanged, one or all reversed, a link's angle to the table,
+    degrees."""
     joints, n, first = experiment.joints, len(experiment.joints), experiment.fit_recordings[0]
     eye, found = np.eye(n), []
     kinds = list(zip(experiment.reading_units, first.orders, strict=True))
@@ -63,6 +64,8 @@ def assignments(experiment: Experiment) -> list[Channels]:
         found.append(Channels("angles are counted the other way round", -eye))
         words = f"{joints[1]}'s column is its link's angle to the table, not to the link before"
         found.append(Channels(words, eye - np.eye(n, k=-1)))
+    if set(experiment.units or ()) == {"rad"}:
+        found.append(Channels("angles are in degrees, not in rad", np.deg2rad(eye)))
     return found
 
 
@@ -84,7 +87,10 @@ def reassigned(
         with contextlib.suppress(FitError):
             # What is linear in the readings is no faster than they are.
             seen, members, _ = scene_of(read, effects, scene.grid.fast)
-            return Reassigned(channels, tried_alone(seen, members, base.log_evidence))
+            volume = seen.length * float(np.linalg.slogdet(M)[1]) / len(M)
+            tried = tried_alone(seen, members, base.log_evidence - volume)
+            tried = dataclasses.replace(tried, evidences=tried.evidences + volume)
+            return Reassigned(channels, tried)
         return None
 
     each = side_by_side([functools.partial(under, c) for c in assignments(experiment)])

@@ -177,9 +177,10 @@ class Fits:
         with self.lock:
             within = [f for f in self.known if set(f.model.labels) < set(t.labels)]
         best = min(within, key=lambda f: f.reduced_chi2, default=None)
-        found = None
+        found, nowhere = None, tried.intensity >= EXPLAINS_NOTHING
         with contextlib.suppress(FitError):
-            found = descended(t.numbers, np.stack([self._state(t, r) for r in here.recordings]))
+            states = np.stack([self._state(t, r) for r in here.recordings])
+            found = None if nowhere else descended(t.numbers, states)
         lost = found is None or (best and found.reduced_chi2 > _WORSE * best.reduced_chi2)
         if best and lost:
             with contextlib.suppress(FitError):
@@ -187,7 +188,7 @@ class Fits:
                 found = min(found or again, again, key=lambda f: f.reduced_chi2)
         if found is None:
             # No start of a wrong model is better than another one.
-            starts = 1 if tried.complete < 0.5 else self.starts
+            starts = self.starts if nowhere or tried.complete > 0.5 else 1
             found = fit(fitted, effects=own, starts=starts, progress=progress)
         with self.lock:
             self.known.append(found)

@@ -452,8 +452,9 @@ class Search:
             if self.base.complete < 0.5:
                 self.say("reading the columns otherwise")
                 self.otherwise = otherwise()
-            if self.reassigned is not None and self.reassigned.tried.complete > 0.5:
-                return  # nothing is left to be explained
+            other = self.reassigned
+            if other and (other.tried.complete > 0.5 or self.base.intensity >= EXPLAINS_NOTHING):
+                return  # nothing is left to be explained, or all
             extended: set[frozenset[str]] = set()
             self.screen(self.base)
             while not extended or self.best.intensity < EXPLAINS_NOTHING:

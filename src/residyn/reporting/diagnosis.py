@@ -80,9 +80,9 @@ def held_out(found: Diagnosis) -> str | None:
 
 def sentences(found: Diagnosis) -> tuple[str, ...]:
     """The verdict in a few sentences, the surest first."""
-    words = [*_stopped(found), *_unphysical(found)]
     if found.channels is not None:
-        return (*words, *_channels(found.channels))
+        return (*_stopped(found), *_channels(found.channels))
+    words = [*_stopped(found), *_unphysical(found)]
     if found.explains_nothing:
         return (*words, *_nothing_explained(found))
     words += _families(found) if found.added else [_none_named(found)]
@@ -132,7 +132,7 @@ def _channels(error: ChannelError) -> list[str]:
         f"It seems that {error.words} ({percent(error.probability)}): read so, springs and dampers "
         f"{so}.",
         "No effect is named before that is settled. Put the columns right in the recordings, or "
-        "with the key columns of the experiment file, and diagnose again.",
+        "with the keys columns and units of the experiment file, and diagnose again.",
     ]
 
 
