@@ -1,10 +1,16 @@
 """The command: what it prints where, and how it ends."""
 
+import fcntl
 import io
 import json
 import os
+import pty
+import signal
+import struct
 import subprocess
 import sys
+import termios
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -152,18 +158,28 @@ BAD = {
         ["fit", "cart.toml", "--method", "genetic", "--starts", "3"],
         "--starts",
     ),
-    "starts in words": (["fit", "cart.toml", "--starts", "six"], "--starts"),
+    "starts in words": (["fit", "cart.toml", "--starts", "six"], "--starts six: must be a whole"),
+    "a time in words": (["race", "cart.toml", "--seconds", "5min"], "--seconds 5min: must be"),
+    "a port that is none": (["explore", "demo", "--port=99999"], "--port 99999: must be a whole"),
     "json nowhere": (["fit", "cart.toml", "--json", "no/such/folder.json"], "no/such/folder.json"),
     "report nowhere": (["fit", "cart.toml", "--report", "no/such.html"], "no/such.html"),
     "report into a folder": (["fit", "cart.toml", "--report", "."], "--report"),
     "report to a pipe": (["fit", "cart.toml", "--report", "-"], "name of a file"),
-    "both into one": (["fit", "cart.toml", "--report", "x", "--json", "./x"], "same file"),
+    "both into one": (
+        ["fit", "cart.toml", "--report", "x.html", "--json", "./x.html"],
+        "same file",
+    ),
     "json over input": (["fit", "cart.toml", "--json", "one.csv"], "input"),
-    "report over input": (["fit", "cart.toml", "--report", "./cart.toml"], "input"),
+    "report of another kind": (["diagnose", "cart.toml", "--report", "x.pdf"], "must end in .html"),
+    "page of another kind": (["race", "cart.toml", "--report", "x"], "must end in .html"),
     "table of another kind": (["fit", "cart.toml", "--table", "x.pdf"], "must end in .tex or .csv"),
     "table nowhere": (["fit", "cart.toml", "--table", "no/x.tex"], "cannot be written"),
     "table over input": (["fit", "cart.toml", "--table", "one.csv"], "input"),
     "table into JSON": (["fit", "cart.toml", "--table", "a.csv", "--json", "./a.csv"], "same file"),
+    "against itself": (
+        ["fit", "cart.toml", "--with", "hysteresis:cart", "--against", "hysteresis"],
+        "--against hysteresis: is the model",
+    ),
     "each nowhere": (["fit", "--each", "nowhere"], "no such folder"),
     "each of nothing": (["fit", "--each", "empty"], "no experiment in it"),
     "each and one": (["fit", "cart.toml", "--each", "."], "leave one of them out"),
@@ -173,8 +189,8 @@ BAD = {
     "lines over input": (["fit", "--each", ".", "--json", "cart.toml"], "is an input"),
     "race of nonsense": (["race", "cart.toml", "--methods", "nonsense"], "no such method"),
     "race of no minimiser": (["race", "cart.toml", "--methods", "optax.x"], "optax has no such"),
-    "race back in time": (["race", "cart.toml", "--seconds", "-3"], "seconds = -3"),
-    "race of nothing": (["race", "cart.toml", "--simulations", "0"], "simulations = 0"),
+    "race back in time": (["race", "cart.toml", "--seconds", "-3"], "--seconds -3: must be"),
+    "race of nothing": (["race", "cart.toml", "--simulations", "0"], "--simulations 0: must be"),
     "race of two lengths": (
         ["race", "cart.toml", "--seconds", "1", "--simulations", "9"],
         "give one of them",
@@ -330,6 +346,24 @@ def test_interrupt_is_one_line(command, monkeypatch):
     assert (end.status, end.err) == (130, "residyn: interrupted\n")
 
 
+def test_ctrl_c_is_not_lost_while_memory_is_freed(command, monkeypatch):
+    import residyn.fitting
+
+    class Freed:
+        def __del__(self):
+            raise KeyboardInterrupt
+
+    def fit(*_, **__):
+        Freed()
+        time.sleep(60)  # which the interrupt ends
+
+    was = signal.signal(signal.SIGINT, signal.default_int_handler)
+    monkeypatch.setattr(residyn.fitting, "fit", fit)
+    end = command("fit", "cart.toml")
+    signal.signal(signal.SIGINT, was)
+    assert (end.status, end.err) == (130, "residyn: interrupted\n")
+
+
 def test_a_bug_is_one_line_too(command, monkeypatch):
     breaking_off(monkeypatch, KeyError("oops"))
     end = command("fit", "cart.toml")
@@ -418,7 +452,8 @@ def names():
 
 def test_effects_to_a_pipe_is_one_line_each(command):
     lines = command("effects").out.splitlines()
-    assert [line.split()[0] for line in lines] == ["name", *names()]
+    assert [line.split("\t")[0] for line in lines] == ["name", *names()]
+    assert {line.count("\t") for line in lines} == {3}
 
 
 @pytest.mark.parametrize("width", [60, 80, 120, 200])
@@ -446,18 +481,34 @@ def test_one_effect_in_full(command, name):
     assert end.status == 0
     for words in (kind.equation, kind.looks_like, kind.source):
         assert words in end.out
+    assert all(line == line.rstrip() for line in end.out.splitlines())
 
 
-def test_a_reader_that_leaves_is_no_error():
+@pytest.mark.parametrize("words", [["effects"], ["effects", "spring"]])  # print's and rich's
+def test_a_reader_that_leaves_is_no_error(words):
     read_end, write_end = os.pipe()
     os.close(read_end)
-    code = "import sys, residyn.cli; sys.exit(residyn.cli.main(['effects']))"
+    code = f"import sys, residyn.cli; sys.exit(residyn.cli.main({words}))"
     end = subprocess.run(
         [sys.executable, "-c", code], stdout=write_end, stderr=subprocess.PIPE, check=False
     )
     os.close(write_end)
     assert end.stderr == b""
     assert end.returncode == 141
+
+
+def test_on_a_terminal_a_line_is_wrapped_between_words():
+    terminal, end = pty.openpty()
+    fcntl.ioctl(end, termios.TIOCSWINSZ, struct.pack("4H", 24, 60, 0, 0))
+    words = ["fit", "x.toml", "--method", "magic"]
+    code = f"import residyn.cli; residyn.cli.main({words})"
+    subprocess.run([sys.executable, "-c", code], stderr=end, check=True)
+    lines = os.read(terminal, 4096).decode().splitlines()
+    os.close(end)
+    os.close(terminal)
+    assert len(lines) > 1
+    assert max(map(len, lines)) <= 60
+    assert " ".join(" ".join(lines).split()).endswith("or a minimiser such as optimistix.BFGS")
 
 
 def test_ctrl_c_is_not_lost_where_a_library_catches_everything():

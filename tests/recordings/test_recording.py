@@ -403,6 +403,8 @@ def test_says_when_readings_are_fitted_twice(folder):
     assert warning.startswith(
         "copy.csv: has the readings of two.csv, so that they are fitted twice"
     )
+    (warning,) = experiment(folder, ARM, one, one).warnings
+    assert warning.startswith("two.csv: is listed twice, so that its readings are fitted twice")
 
 
 def test_an_experiment_made_in_python_is_held_to_the_same():

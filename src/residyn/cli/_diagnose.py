@@ -5,7 +5,6 @@ from typing import Annotated
 import typer
 
 from .. import reporting
-from ..errors import InputError
 from . import _options
 from ._shell import INTERRUPTED, NoNumbers, complain
 from ._work import Work, computing, models, title
@@ -49,7 +48,6 @@ def diagnose(
     no_cache: _options.NoCache = False,
 ) -> None:
     """Name the effect that is missing, add it, and see the error fall."""
-    check_budget(budget)
     out = Work(json, report, table, found_file)
     loaded = out.begin(experiment, own, no_cache)
     how = {"effects": effects or [], "max_effects": most, "starts": starts, "budget": budget}
@@ -68,7 +66,7 @@ def diagnose(
 def plan(
     experiment: _options.Experiment,
     effects: _options.With = None,
-    tests: Annotated[int, _options.option("--tests", "K", "How many tests to plan.", min=1)] = 3,
+    tests: Annotated[int, _options.number("--tests", "K", "How many tests to plan.", least=1)] = 3,
     most: _options.MaxEffects = _options.MAX_EFFECTS,
     own: _options.Effects = None,
     starts: _options.Starts = _options.STARTS,
@@ -77,7 +75,6 @@ def plan(
     no_cache: _options.NoCache = False,
 ) -> None:
     """The next tests to make, within [limits], and what each outcome would mean."""
-    check_budget(budget)
     out = Work(json)
     loaded = out.begin(experiment, own, no_cache)
     how = {"effects": effects or [], "max_effects": most, "starts": starts, "budget": budget}
@@ -90,9 +87,3 @@ def plan(
     out.give(result)
     if found.budget.stopped == "interrupted":
         raise typer.Exit(complain("interrupted: planned from the best so far", INTERRUPTED))
-
-
-def check_budget(seconds: float | None) -> None:
-    """**Raises:** `InputError` for a budget that is none."""
-    if seconds is not None and not 0 < seconds < float("inf"):
-        raise InputError(f"--budget {seconds:g}: must be a number of seconds above 0")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from ..errors import InputError, inside
 from ..files import check_writable, write
 from . import _options
-from ._shell import console, progress
+from ._shell import console, indented, progress
 from ._work import Work, bring, computing
 
 if TYPE_CHECKING:
@@ -115,13 +115,11 @@ def _unit(parameter: "Parameter") -> str:
 
 
 def _plain(kinds: "list[type[AbstractEffect]]") -> None:
-    """One line each in aligned columns, for grep and friends."""
+    """One line each with tabs between cells, for grep, cut and friends."""
     rows = [["name", "equation", "parameters", "looks like"]]
     rows += [[k.name, k.equation, ", ".join(_numbers(k)), k.looks_like] for k in kinds]
-    widths = [max(len(row[i]) for row in rows) for i in range(3)]
     for row in rows:
-        cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=False)]
-        print("   ".join([*cells, row[3]]))
+        print("\t".join(row))
 
 
 def tabulate(out: "Console", kinds: "list[type[AbstractEffect]]") -> None:
@@ -143,8 +141,6 @@ def tabulate(out: "Console", kinds: "list[type[AbstractEffect]]") -> None:
 
 
 def _one(out: "Console", kind: "type[AbstractEffect]") -> None:
-    from rich.padding import Padding
-
     from ..effects import JointEffect
     from ..physics.parameter import parameters_of
 
@@ -165,7 +161,8 @@ def _one(out: "Console", kind: "type[AbstractEffect]") -> None:
     }
     out.print(kind.name, style="bold")
     for part in inspect.cleandoc(kind.__doc__ or "").split("\n\n"):
-        out.print(Padding(" ".join(part.split()), (0, 0, 1, 2)))
+        indented(out, " ".join(part.split()))
+        out.print()
     for head, paragraphs in {
         "equation": [kind.equation],
         "parameters": numbers,
@@ -175,7 +172,7 @@ def _one(out: "Console", kind: "type[AbstractEffect]") -> None:
     }.items():
         out.print(head, style="bold")
         for words in paragraphs:
-            out.print(Padding(words, (0, 0, 0, 2)))
+            indented(out, words)
     if kind.name in ("spring", "damper"):
         out.print("in every model already")
     else:

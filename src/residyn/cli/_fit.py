@@ -79,6 +79,15 @@ def fit(
     both = [effects or []]
     if against is not None:
         both.append([e for e in against if e != NOTHING])
+        with computing():
+            from ..fitting.problem import ready
+
+            one, other = (set(ready(loaded, loaded.fit_recordings, x).model.labels) for x in both)
+        if one == other:
+            raise InputError(
+                f"--against {' '.join(against)}: is the model that it would stand beside; name "
+                "other effects than those of --with"
+            )
     fits = []
     for names in both:
         with computing() as say:

@@ -1,13 +1,50 @@
 """The options that several commands share, so that they read the same everywhere."""
 
+import math
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
+
+from ._shell import UsageError
 
 
 def option(name: str, metavar: str | None, words: str, **more: Any) -> Any:
     """An option as `--help` shows it."""
     return typer.Option(name, metavar=metavar, help=words, **more)
+
+
+def number(
+    name: str,
+    metavar: str,
+    words: str,
+    kind: Callable[[str], float] = int,
+    least: float = 0,
+    most: float = math.inf,
+    right: str = "",
+) -> Any:
+    """An option that is a number from `least` to `most`, whole if `kind` is `int`; `right` says
+    what would be right, where that does not."""
+    if not right:
+        end = " up" if most == math.inf else f" to {most:g}"
+        right = f"a{' whole' * (kind is int)} number from {least:g}{end}"
+
+    def read(given: Any) -> float:
+        try:
+            value = kind(given)
+            if least <= value <= most and value < math.inf:
+                return value
+        except (ValueError, OverflowError):
+            pass
+        raise UsageError(f"{name} {given}: must be {right}")
+
+    return option(name, metavar, words, parser=read)
+
+
+def seconds(name: str, metavar: str, words: str) -> Any:
+    """An option that is a time."""
+    right = "a number of seconds above 0"
+    return number(name, metavar, words, float, math.ulp(0.0), right=right)
 
 
 def argument(metavar: str, words: str, **more: Any) -> Any:
@@ -22,7 +59,7 @@ _EXPERIMENT = argument(
 Experiment = Annotated[str, _EXPERIMENT]
 OneExperiment = Annotated[str | None, _EXPERIMENT]
 Jobs = Annotated[
-    int, option("--jobs", "N", "With --each: how many processes share the experiments.", min=1)
+    int, number("--jobs", "N", "With --each: how many processes share the experiments.", least=1)
 ]
 Each = Annotated[
     str | None,
@@ -59,13 +96,13 @@ Effects = Annotated[
         "A Python file that defines effects of your own, to use by name. May be repeated.",
     ),
 ]
-Starts = Annotated[int, option("--starts", "N", "How many starts to fit from.", min=1)]
+Starts = Annotated[int, number("--starts", "N", "How many starts to fit from.", least=1)]
 MaxEffects = Annotated[
-    int, option("--max-effects", "N", "How many effects to add at most; 0 only names.", min=0)
+    int, number("--max-effects", "N", "How many effects to add at most; 0 only names.")
 ]
 Budget = Annotated[
     float | None,
-    option(
+    seconds(
         "--budget",
         "SECONDS",
         "End the search after so long, with the best so far. Ctrl-C does the same at any "
@@ -90,7 +127,7 @@ Method = Annotated[
         "differential_evolution, particle_swarm, or a minimiser such as optimistix.BFGS.",
     ),
 ]
-Seed = Annotated[int, option("--seed", "N", "Of a --method that draws: which draw.", min=0)]
+Seed = Annotated[int, number("--seed", "N", "Of a --method that draws: which draw.")]
 Integrator = Annotated[
     str | None,
     option(

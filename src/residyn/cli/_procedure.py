@@ -5,7 +5,6 @@ from typing import Annotated
 from .. import reporting
 from ..errors import InputError, inside
 from . import _options
-from ._diagnose import check_budget
 from ._shell import NoNumbers
 from ._work import Work, computing, title
 
@@ -60,7 +59,6 @@ def unload(
     no_cache: _options.NoCache = False,
 ) -> None:
     """Take the air bearings off, drag and friction too: how the arm rings in orbit."""
-    check_budget(budget)
     out = Work(json, report)
     std = _three(inertia_std)
     loaded = out.begin(experiment, own, no_cache)

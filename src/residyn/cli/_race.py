@@ -22,12 +22,13 @@ _METHODS = _options.option(
     "genetic_release_told, cma_es, differential_evolution, particle_swarm, or any minimiser "
     "such as optimistix.BFGS or optax.adam. Without it, the first seven.",
 )
-_REPEATS = _options.option("--repeats", "N", "Seeds that each method runs with.", min=1)
-_SECONDS = _options.option("--seconds", "S", "The most seconds that one run of a method may take.")
-_SIMULATIONS = _options.option(
+_REPEATS = _options.number("--repeats", "N", "Seeds that each method runs with.", least=1)
+_SECONDS = _options.seconds("--seconds", "S", "The most that one run of a method may take.")
+_SIMULATIONS = _options.number(
     "--simulations",
     "N",
     "The most simulations that one run of a method may take, instead of --seconds.",
+    least=1,
 )
 
 

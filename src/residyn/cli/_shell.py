@@ -1,11 +1,14 @@
 """What all commands share: exit statuses, words, progress, JAX's settings."""
 
+import _thread
 import contextlib
 import errno
 import multiprocessing
 import os
 import signal
 import sys
+import textwrap
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -20,9 +23,14 @@ if TYPE_CHECKING:
 
 DONE, NO_NUMBERS, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 TRACEBACK = "RESIDYN_TRACEBACK"
+_WIDTH = 80
+"""Columns of a terminal that does not say how many it has."""
+_AGAIN = 0.1
+"""s after which memory is freed and Ctrl-C, lost in that, comes again: not seen as a delay."""
+_WHOLE: Any = {"break_on_hyphens": False, "break_long_words": False}
 
 # The class of all complaints about the command line, which typer itself does not name.
-_UsageError: Any = typer.BadParameter.__bases__[0]
+UsageError: Any = typer.BadParameter.__bases__[0]
 
 
 class NoNumbers(Exception):
@@ -39,6 +47,7 @@ def run(app: typer.Typer, args: Sequence[str] | None) -> int:
             # A terminal that cannot show a letter gets a question mark, not a crash.
             stream.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
     command = typer.main.get_command(app)
+    usual, sys.unraisablehook = sys.unraisablehook, _interrupt_again
     try:
         words = list(sys.argv[1:] if args is None else args)
         try:
@@ -61,19 +70,36 @@ def run(app: typer.Typer, args: Sequence[str] | None) -> int:
             return _unexpected(error)
         _hang_up()
         return complain(f"standard output: cannot be written ({error.strerror})", BAD_INPUT)
-    except _UsageError as error:
+    except UsageError as error:
         return complain(_usage(error), BAD_INPUT)
     except InputError as error:
         return complain(str(error), BAD_INPUT)
     except Exception as error:
         return _unexpected(error)
+    finally:
+        sys.unraisablehook = usual
 
 
 def complain(line: str, status: int) -> int:
     """Say one line on standard error."""
     with contextlib.suppress(OSError):
-        print(f"residyn: {line}", file=sys.stderr, flush=True)
+        tell(line)
     return status
+
+
+def tell(line: str) -> None:
+    """One line on standard error, wrapped between words where that is a terminal."""
+    line = f"residyn: {line}"
+    if sys.stderr.isatty():
+        width = os.get_terminal_size(sys.stderr.fileno()).columns or _WIDTH
+        line = textwrap.fill(line, width, subsequent_indent="  ", **_WHOLE)
+    print(line, file=sys.stderr, flush=True)
+
+
+def indented(out: "Console", words: str) -> None:
+    """A paragraph two blanks in, wrapped at the width of `out`; no blanks behind its lines."""
+    for line in textwrap.wrap(words, out.width - 2, **_WHOLE):
+        out.print(f"  {line}", soft_wrap=True)
 
 
 def interruptible() -> None:
@@ -82,6 +108,24 @@ def interruptible() -> None:
     now = signal.getsignal(signal.SIGINT)
     if getattr(now, "__module__", None) in ("residyn.__main__", "__main__"):
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _interrupt_again(lost: "sys.UnraisableHookArgs") -> None:
+    """Ctrl-C while Python frees memory is an exception that nobody can catch: it comes again, from
+    a thread, for here it would be lost too."""
+    if issubclass(lost.exc_type, KeyboardInterrupt):
+        again = threading.Timer(_AGAIN, _interrupt)
+        again.daemon = True
+        again.start()
+    else:
+        sys.__unraisablehook__(lost)
+
+
+def _interrupt() -> None:
+    if sys.platform == "win32":
+        _thread.interrupt_main()
+    else:  # which wakes whoever waits, too
+        os.kill(os.getpid(), signal.SIGINT)
 
 
 def _unexpected(error: Exception) -> int:
@@ -114,9 +158,13 @@ def console(*, stderr: bool = False) -> "Console":
     """Where words for people go. Not a terminal: no colours, and lines as long as they are."""
     from rich.console import Console
 
-    out = Console(stderr=stderr, highlight=False, markup=False, emoji=False, soft_wrap=False)
+    class Open(Console):
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError  # rich would end with a status of its own
+
+    out = Open(stderr=stderr, highlight=False, markup=False, emoji=False, soft_wrap=False)
     if not out.is_terminal:
-        out = Console(stderr=stderr, highlight=False, markup=False, emoji=False, width=1000)
+        out = Open(stderr=stderr, highlight=False, markup=False, emoji=False, width=1000)
     return out
 
 
@@ -166,4 +214,4 @@ def set_up_jax(cache: bool) -> None:
         set_up(cache=cache)
     if multiprocessing.parent_process() is None:  # else it has said so
         for each in said:
-            print(f"residyn: {each.message}", file=sys.stderr)
+            tell(str(each.message))

@@ -26,8 +26,8 @@ _SET = _options.option(
     "none: without any, they are fitted first.",
 )
 _OUT = _options.option("--out", "FOLDER", "Where the recordings go.")
-_NOISE = _options.option("--noise", "SIGMA", "Gaussian noise to add, rad (or m).")
-_SEED = _options.option("--seed", "N", "Which noise.", min=0)
+_NOISE = _options.number("--noise", "SIGMA", "Gaussian noise to add, rad (or m).", float)
+_SEED = _options.number("--seed", "N", "Which noise.")
 _Q0 = _options.option(
     "--q0", "ANGLES", "Where to begin, rad (or m): one number per joint, as 0.25,-0.3."
 )
@@ -49,8 +49,6 @@ def simulate(
     no_cache: _options.NoCache = False,
 ) -> None:
     """Write predicted recordings, one CSV file each."""
-    if not 0 <= noise < float("inf"):
-        raise InputError(f"--noise {noise:g}: must be a number from 0 up (rad or m)")
     numbers = _numbers(values or [])
     loaded = Work().begin(experiment, own, no_cache, integrator)
     angles, rates = _per_joint("--q0", q0, loaded), _per_joint("--v0", v0, loaded)

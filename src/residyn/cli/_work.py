@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import InputError, inside
 from ..files import check_writable, write
 from ..runtime.json import finite
-from ._shell import NoNumbers, console, interruptible, progress, set_up_jax
+from ._shell import NoNumbers, console, interruptible, progress, set_up_jax, tell
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ..recordings.experiment import Experiment
 
 _TABLES = (".tex", ".csv")
+_PAGES = (".html", ".htm")
 
 
 class Work:
@@ -38,6 +39,8 @@ class Work:
         self.json_file, self.report, self.table, self.found = json_file, report, table, found
         if report == "-":
             raise InputError("--report -: a report needs the name of a file")
+        if report is not None and Path(report).suffix not in _PAGES:
+            raise InputError(f"--report {report}: must end in {' or '.join(_PAGES)}")
         if table is not None and Path(table).suffix not in _TABLES:
             raise InputError(f"--table {table}: must end in {' or '.join(_TABLES)}")
         if found is not None and Path(found).suffix != ".py":
@@ -174,7 +177,7 @@ def load(path: str) -> "Experiment":
         loaded = read_experiment(path)
     for each in loaded.recordings:
         if each.understood:
-            print(f"residyn: {each.name}: {each.understood}", file=sys.stderr)
+            tell(f"{each.name}: {each.understood}")
     return loaded
 
 

@@ -290,10 +290,10 @@ def _twice(experiment: Experiment) -> list[str]:
     for i, r in enumerate(fitted):
         same = first.setdefault((r.time.tobytes(), r.angle.tobytes()), i)
         if same != i:
-            warnings.append(
-                f"{r.name}: has the readings of {fitted[same].name}, so that they are fitted "
-                "twice: errors come out too small"
-            )
+            other = fitted[same].name
+            what = f"has the readings of {other}, so that they"
+            what = "is listed twice, so that its readings" if other == r.name else what
+            warnings.append(f"{r.name}: {what} are fitted twice: errors come out too small")
     return warnings
 
 

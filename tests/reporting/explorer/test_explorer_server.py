@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import socket
 import time
 
 import pytest
@@ -18,7 +19,7 @@ from starlette.testclient import TestClient
 from residyn.errors import InputError
 from residyn.reporting.explorer import page
 from residyn.reporting.explorer.files import ExperimentFiles
-from residyn.reporting.explorer.server import Explorer
+from residyn.reporting.explorer.server import Explorer, serve
 
 PORT = 8000
 OWN = f"http://127.0.0.1:{PORT}"
@@ -37,12 +38,23 @@ class Idle:
 
 
 @pytest.fixture
-def client(monkeypatch):
+def explorer(monkeypatch):
     monkeypatch.setattr("residyn.reporting.explorer.server.Workbench", lambda *a, **k: Idle())
     with demo.experiment_file() as path:
         experiment = residyn.load(path)
-    explorer = Explorer(experiment, name="<b>bold</b>.toml", token="secret")
+    return Explorer(experiment, name="<b>bold</b>.toml", token="secret")
+
+
+@pytest.fixture
+def client(explorer):
     return TestClient(explorer.app(PORT), base_url=OWN)
+
+
+def test_of_a_port_that_is_taken_the_line_says_which_is_not(explorer):
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(InputError, match=f"--port {port}: .*; --port 0 takes one that is free"):
+            serve(explorer, port, print)
 
 
 def test_its_own_page_is_served_with_a_strict_policy(client):

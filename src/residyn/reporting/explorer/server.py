@@ -246,7 +246,9 @@ def serve(explorer: Explorer, port: int, opened: Callable[[str], None]) -> None:
         listening.bind(("127.0.0.1", port))
     except (OSError, OverflowError) as error:
         why = getattr(error, "strerror", None) or error
-        raise InputError(f"--port {port}: cannot be had ({why})") from None
+        raise InputError(
+            f"--port {port}: cannot be had ({why}); --port 0 takes one that is free"
+        ) from None
     port = listening.getsockname()[1]
     config = uvicorn.Config(
         explorer.app(port), log_level="warning", lifespan="off", server_header=False,
