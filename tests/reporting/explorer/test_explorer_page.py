@@ -192,6 +192,21 @@ def test_evidence_is_pythons(offline, study):
     assert priors == pytest.approx([log_prior_model(n, count) for n in (0, 1, 3)], rel=1e-12)
 
 
+def test_a_law_takes_the_place_of_another_only_if_it_is_the_better_one_of_the_two(offline):
+    """Where neither pair was tried: what the search found for each alone counts for both."""
+    stribeck = "stribeck_friction:elbow"
+    script = """
+        const e = new m.Evidence(data);
+        const model = (added, log_evidence) => ({ added, log_evidence });
+        const [old, other, beside] = given;
+        e.keep({ tried: [model([], 0), model([old], 1000), model([other], 980)], screened: [] });
+        const found = e.probabilities([beside, old]);
+        return [old, other].map((x) => found.get(x).probability);"""
+    needed, rival = ask(offline, script, FRICTION, stribeck, "gravity")
+    assert needed > 0.99
+    assert rival < 0.01
+
+
 def test_first_order_errors_are_pythons(offline, study):
     with jax.enable_x64(True):
         first = study.first_order()
@@ -291,6 +306,28 @@ def test_a_click_answers_in_every_part_of_the_page(offline):
     assert complaints(offline) == []
 
 
+def test_bars_of_joints_and_of_models_share_one_scale(offline):
+    bars = """return [...document.querySelectorAll(arguments[0])].map((x) =>
+        [x.querySelector(".value").textContent, x.querySelector(".fill").style.width,
+         x.querySelector(".track").style.getPropertyValue("--one"), x.innerText])"""
+    toggle(offline, SMOOTH)
+    joints = offline.execute_script(bars, ".bars .bar")[::2]  # those that were fitted
+    models = offline.execute_script(bars, ".step")
+    assert len(models) == 2
+    error, wide, one, _ = max(joints, key=lambda x: float(x[0].split()[0]))
+    assert models[1][:3] == [error, wide, one]
+    assert any(joint in models[1][3] for joint in ("shoulder", "elbow"))
+    ticks = """return [...document.querySelectorAll(".axis .track small")].map((x) =>
+        [+x.textContent, x.style.left])"""
+    places = dict(map(tuple, offline.execute_script(ticks)))
+    at = {x: float(place.rstrip("%")) for x, place in places.items()}
+    size, noise = (float(place.rstrip("%")) for place in (wide, one))
+    assert at[1] == pytest.approx(noise, abs=1e-3)
+    below, above = (math.log(float(error.split()[0]) / x) for x in (1, 2))
+    assert (size - at[1]) / (size - at[2]) == pytest.approx(below / above, rel=0.05)
+    toggle(offline, SMOOTH)
+
+
 def test_chips_stand_in_the_order_of_the_numbers_they_show(offline):
     percents = """return [...document.querySelectorAll(".chip[aria-pressed=false] .p")]
         .map((x) => x.textContent.startsWith("<") ? 0 : parseInt(x.textContent.replace(">", "")))"""
@@ -310,7 +347,7 @@ def test_where_a_joint_may_stick_no_first_order_is_shown(offline):
     assert text(offline, ".bars").count("not known") == 4
     assert "is not known before a fit" in text(offline, ".verdict")
     assert offline.execute_script(
-        "return [...document.querySelectorAll('.fill')].every((bar) => bar.hidden)"
+        "return [...document.querySelectorAll('.bars .fill')].every((bar) => bar.hidden)"
     )
     toggle(offline, FRICTION)
     assert "not known" not in text(offline, ".bars")

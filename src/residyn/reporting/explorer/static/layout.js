@@ -46,9 +46,12 @@ export function lay(root, page, hide) {
       ),
       panel(
         "Watch the error fall",
-        "",
+        "The error is the root mean square of measured minus model. The dashed line is the noise of a " +
+          "reading: a model that lacks nothing comes to it, or by chance a little below. Thin marks: " +
+          "springs and dampers alone.",
         page.bars.place,
-        element("h3", {}, "Models so far"),
+        page.scale.axis,
+        element("h3", {}, "Models so far, and the joint where each is worst"),
         page.stairs.place,
       ),
     ),

@@ -14,6 +14,7 @@ import { News } from "./news.js";
 import { Numbers } from "./numbers.js";
 import { Refits } from "./refits.js";
 import { Saving, command, toml } from "./saving.js";
+import { Scale } from "./scale.js";
 import { Staircase } from "./staircase.js";
 import { State } from "./state.js";
 import { Stretch } from "./stretch.js";
@@ -156,11 +157,12 @@ export class Page {
     this.verdict = element("p", { class: "verdict", "aria-live": "polite" });
     this.status = element("p", { class: "status", role: "status" });
     this.chips = new Chips(this.evidence.candidates, (label) => this.toggle(label));
-    this.bars = new Bars(data.joints, data.held_out);
-    this.stairs = new Staircase(
-      (labels) => this.choose(labels),
-      (label) => this.name(label),
-    );
+    this.scale = new Scale();
+    this.bars = new Bars(data.joints, data.held_out, this.scale);
+    this.stairs = new Staircase(data.joints, this.scale, {
+      onChoose: (labels) => this.choose(labels),
+      nameOf: (label) => this.name(label),
+    });
     const names = data.recordings.map((r) =>
       r.role === "check" ? `${r.name} (held out)` : r.name,
     );
@@ -218,12 +220,11 @@ export class Page {
 
   drawModel() {
     const { model, chosen, held, steps, found } = this.state.values;
+    const seen = steps.map((s) => ({ ...s, model: this.models.of(s.labels) }));
+    this.scale.hold([model, this.models.base, ...seen.map((s) => s.model)]);
     this.bars.draw(model, this.models.base);
+    this.stairs.draw(seen, keyOf(chosen));
     this.numbers.draw(model, held);
-    this.stairs.draw(
-      steps.map((s) => ({ ...s, model: this.models.of(s.labels) })),
-      keyOf(chosen),
-    );
     const told = verdict({
       model: held.size ? { ...model, how: "by hand" } : model,
       base: this.models.base,
