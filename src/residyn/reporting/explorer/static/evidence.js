@@ -92,10 +92,10 @@ export class Evidence {
   }
 
   /**
-   * Label -> { probability, exact }: for each effect outside the chosen set, that it is what is
-   * missing next; for each inside, that it is needed. What was not tried is known to first order,
-   * about this model if the search has extended it, else about the base model, corrected by what the
-   * search found for the effect alone.
+   * Label -> { probability, exact }: for each effect outside the chosen set, that it is the one to
+   * add next, where nothing more is a choice too; for each inside, that the model is better with it
+   * than without it. What was not tried is known to first order, about this model if the search has
+   * extended it, else about the base model, corrected by what the search found for each effect alone.
    */
   probabilities(chosen) {
     const here = keyOf(chosen);
@@ -103,10 +103,13 @@ export class Evidence {
     return this.known.get(here);
   }
 
-  /** By how much the first order is wrong about an effect alone, as far as the search knows. */
-  correction(label) {
-    const alone = this.tried.get(label);
-    return alone === undefined ? 0 : alone - (this.gainOfOneMore([], label) - this.gain([]).gain);
+  /** By how much the first order is wrong about effects, each alone, as far as the search knows. */
+  correction(labels) {
+    const own = labels.filter((label) => this.tried.has(label));
+    return own.reduce(
+      (sum, label) => sum + this.tried.get(label) - this.gainOfOneMore([], label),
+      0,
+    );
   }
 
   weighed(chosen, here) {
@@ -121,7 +124,10 @@ export class Evidence {
       const rest = chosen.filter((c) => !this.conflict(label, c));
       const exact = known === undefined ? undefined : this.tried.get(keyOf([...rest, label]));
       let gain = exact === undefined ? this.gainOfOneMore(rest, label) - base : exact - known;
-      if (exact === undefined) gain = screened?.[label] ?? gain + this.correction(label);
+      if (exact === undefined) {
+        const gone = chosen.filter((c) => !rest.includes(c));
+        gain = screened?.[label] ?? gain + this.correction([label]) - this.correction(gone);
+      }
       further.push([label, gain + this.logPrior(rest.length + 1), exact !== undefined]);
     }
     const total = logSumExp([stay, ...further.map(([, w]) => w)]);
@@ -132,7 +138,7 @@ export class Evidence {
       const rest = chosen.filter((c) => c !== label);
       const without = this.tried.get(keyOf(rest));
       const exact = known !== undefined && without !== undefined;
-      const gain = exact ? known - without : base - this.gain(rest).gain;
+      const gain = exact ? known - without : base - this.gain(rest).gain + this.correction([label]);
       const odds = gain + stay - this.logPrior(rest.length);
       found.set(label, { probability: 1 / (1 + Math.exp(-odds)), exact });
     }
