@@ -61,6 +61,7 @@ def test_a_start_alone_takes_all_its_horizons_in_one_call(case, fit, monkeypatch
 
     monkeypatch.setattr(lanes, "one_start", counted)
     alone = residyn.fit(experiment(case), starts=1)
+    assert "1 of 1" not in str(alone)  # which would say nothing
     grown, *exact = asked
     assert len(grown) == 3
     assert (np.diff(grown) > 0).all()
@@ -238,6 +239,8 @@ def test_two_inertia_errors_can_be_found(case):
     share = fit.numbers[-1]
     assert share.determined
     assert share.value == pytest.approx(1 / 1.04 - 1, abs=4 * share.std + 1e-4)
+    line = next(line for line in str(fit).splitlines() if line.startswith("    inertia "))
+    assert float(line.split()[2]) == pytest.approx(case.arm.elbow, rel=0.01)
 
 
 def test_a_joint_that_does_not_move_is_named():

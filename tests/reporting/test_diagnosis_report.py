@@ -253,6 +253,11 @@ def test_names_with_their_places(label, words):
     assert names.at_place(label, by_hand.JOINTS) == words
 
 
+@pytest.mark.parametrize("person", ["Coulomb", "Dahl", "Stribeck"])
+def test_persons_keep_their_capital_within_a_sentence(person):
+    assert names.named([f"{person.lower()}_friction"], ("cart",)).startswith(f"{person} friction")
+
+
 def test_one_joint_goes_without_saying():
     assert names.at_place("coulomb_friction:cart", ("cart",)) == "Coulomb friction"
 

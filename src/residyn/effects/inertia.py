@@ -46,11 +46,13 @@ class PrintedInertiaTorque(AbstractEffect):
 
 
 class InertiaError(AbstractEffect):
-    """One of the arm's three inertias is off by a share: true = given (1 + share)."""
+    """One of the arm's three inertias is off by a share: the true one is the given one times
+    (1 + share). A share of 0.3: it is 30 % larger than given.
+    """
 
     name = "inertia_error"
     title = "Wrong inertia"
-    equation = "Z(q) with shoulder, elbow or coupling times (1 + e)"
+    equation = "Z(q) with shoulder, elbow or coupling times (1 + share)"
     looks_like = "modes and mode shapes off together; free motion shows only ratios (Eq. 9)"
     source = "paper, Eq. 9 and section 2.2"
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..effects.inertia import InertiaError
 from ..fitting.integration import TENTH
 from ..fitting.result import NEGATIVE, STRONG, STRUCTURE, Fit, RecordingFit
 from ..physics.effect import AbstractEffect
@@ -252,7 +253,7 @@ def text(fit: Fit) -> str:
         *filled(base_name(fit, comma=True), "[[Model]]  "),
         "[[Fit]]",
         *filled(f"{names(fit.fitted)} ({readings(fit)} readings)", "    recordings  "),
-        f"    starts      {fit.agreeing_starts} of {fit.starts} agree",
+        *([f"    starts      {fit.agreeing_starts} of {fit.starts} agree"] * (fit.starts > 1)),
         *filled(fit.reason, "    stopped     "),
         f"    chi-square  {fit.reduced_chi2:.4g} per degree of freedom (1: noise alone)",
     ]
@@ -261,6 +262,7 @@ def text(fit: Fit) -> str:
         held = "" if e.check is None else f"; {HELD_OUT}: {e.check:.4g} {e.unit}"
         lines += filled(line + held, "    rms         ")
     lines += filled(_integrated(fit), "    integrated  ")
+    lines += [line for words in _inertias(fit) for line in filled(words, "    inertia     ")]
     lines.append("[[Parameters]]  value +/- standard error (error in %)")
     width = max([30, *(len(n.name) for n in fit.numbers)])
     for n in fit.numbers:
@@ -306,6 +308,16 @@ def _integrated(fit: Fit) -> str:
     if fit.integration_checked is not None:
         words += " ({:.2g} against {})".format(*fit.integration_checked)
     return words
+
+
+def _inertias(fit: Fit) -> Iterator[str]:
+    """The inertias that the model has instead of those that the experiment gives."""
+    for effect in fit.model.effects:
+        if isinstance(effect, InertiaError):
+            unit = "kg m" if effect.part == "coupling" else "kg m^2"
+            given = float(getattr(fit.model.mechanism, effect.part))
+            true = given * (1 + float(effect.share))
+            yield f"{effect.part} {true:.5g} {unit} by {effect.label}; {given:.5g} is given"
 
 
 # -- on a page -------------------------------------------------------------------------------

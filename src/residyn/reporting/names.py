@@ -14,6 +14,7 @@ HELD_OUT = "held out"
 """Recordings, or parts of them, that the numbers were not fitted to."""
 SURE = 0.9
 """Probability from which a sentence says "is"."""
+_PERSONS = ("Bouc-Wen", "Coulomb", "Dahl", "Stribeck")
 _LINE = 0.001
 """Probability from which a candidate is worth a line."""
 _MOST, _FEWEST = 8, 3
@@ -37,8 +38,7 @@ def upper(words: str) -> str:
 
 def lower(words: str) -> str:
     """The same with a small first letter, unless it begins with a person's name."""
-    named = words.split(" ", 1)[0] in ("Coulomb", "Stribeck", "Bouc-Wen")
-    return words if named else words[:1].lower() + words[1:]
+    return words if words.split(" ", 1)[0] in _PERSONS else words[:1].lower() + words[1:]
 
 
 def unbroken(words: str) -> str:

@@ -5,10 +5,11 @@ import { measured } from "./words.js";
 
 const STEPS = 400;
 
-/** "spring, elbow: stiffness" of "spring:elbow.stiffness". */
+/** "Spring, elbow: stiffness" of "spring:elbow.stiffness". */
 function spoken(n) {
   const [label, ...rest] = n.name.split(".");
-  return `${label.replace(":", ", ")}: ${rest.join(".")}`.replaceAll("_", " ");
+  const words = `${label.replace(":", ", ")}: ${rest.join(".")}`.replaceAll("_", " ");
+  return words[0].toUpperCase() + words.slice(1); // names of laws begin with persons
 }
 
 export class Numbers {
