@@ -76,6 +76,29 @@ def test_new_from_a_german_file(tmp_path, capsys):
     assert main(["new", str(tmp_path / "new.toml"), str(tmp_path / "x.csv")]) == 2
 
 
+HEADER = "Zeit [ms];Schulter (Grad);Ellbogen (Grad)"
+SPOILT = {
+    "no reading": ([HEADER, *(f"{10 * i},0;nan;nan" for i in range(30))], "q1 has no reading"),
+    "no rows": (["Labor", HEADER], "has a header but no data rows"),
+    "commas for all": (
+        [HEADER.replace(";", ","), "0,0,4,0000,-2,9940", "10,0,3,9688,-2,9435"],
+        "x.csv, line 2: has 6 cells; the header names 3 columns; a comma between cells cannot be",
+    ),
+    "a name twice": (
+        [HEADER.replace("Ellbogen", "Schulter"), "0,0;4,0;-2,9", "10,0;3,9;-2,8"],
+        'x.csv, line 1: two columns are called "Schulter (Grad)"',
+    ),
+}
+
+
+@pytest.mark.parametrize(("lines", "says"), SPOILT.values(), ids=SPOILT)
+def test_new_says_what_is_wrong_below_a_header(tmp_path, capsys, lines, says):
+    (tmp_path / "x.csv").write_text("\n".join([*lines, ""]))
+    assert main(["new", str(tmp_path / "new.toml"), str(tmp_path / "x.csv")]) == 2
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "new.toml").exists()
+
+
 def test_new_says_what_it_has_seen(tmp_path):
     time = np.arange(1500) / 100
     ring = np.stack([0.2 * np.cos(3 * time), -0.1 * np.cos(7 * time)], axis=1)

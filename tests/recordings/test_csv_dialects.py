@@ -7,6 +7,7 @@ from scipy.io import savemat
 from residyn.cli._work import load as cli_load
 from residyn.errors import InputError
 from residyn.recordings.experiment import load
+from residyn.recordings.new_experiment import experiment_text
 
 ARM = """[arm]
 link_lengths = [0.4, 0.3]
@@ -48,6 +49,11 @@ DIALECTS = {
     "Latin-1": (table("t [µs];q1 [°];q2 [°]", 1e6 * T, DEG, sep=";").encode("latin-1"), ""),
     "UTF-16 of a spreadsheet": (table("t\tq1\tq2", T, Q, sep="\t").encode("utf-16"), ""),
     "byte order mark": (b"\xef\xbb\xbf" + table("t,q1,q2", T, Q).encode(), ""),
+    "names of the joints in German": (table(GERMAN, MS, DEG, sep=";", point=","), ""),
+    "names of the joints in another order": (
+        table("Zeit [s];Coude [rad];Épaule [rad]", T, Q[:, ::-1], sep=";"),
+        "",
+    ),
     "German": (table(GERMAN, MS, DEG, sep=";", point=","), COLUMNS),
     "German in Latin-1 with Windows' line ends": (
         table("Prüfung;;\r\n" + GERMAN, MS, DEG, sep=";", point=",", end="\r\n").encode("cp1252"),
@@ -124,6 +130,29 @@ def read(folder, content, keys="", name="x.csv"):
     return recording
 
 
+NAMES = {
+    "shoulder and elbow": ("Elbow (deg);Shoulder (deg)", "21"),
+    "words among others": ("Winkel Ellbogen (deg);Winkel Schulter (deg)", "21"),
+    "one of the two": ("other angle (deg);shoulder angle (deg)", "21"),
+    "the other of the two": ("elbow encoder (deg);encoder (deg)", "21"),
+    "numbers": ("Winkel 2 (deg);Winkel 1 (deg)", "21"),
+    "numbers of two digits": ("ch9 (deg);ch10 (deg)", "12"),
+    "our own names": ("Q2;Q1", "21"),
+    "nothing": ("left (deg);right (deg)", ""),
+    "both in both": ("shoulder-elbow A (deg);elbow-shoulder B (deg)", ""),
+}
+
+
+@pytest.mark.parametrize(("header", "order"), NAMES.values(), ids=NAMES)
+def test_new_takes_the_joints_by_their_names_or_says_that_it_does_not(tmp_path, header, order):
+    cells = header.split(";")
+    (tmp_path / "x.csv").write_text(table(f"t;{header}", T, DEG if "deg" in header else Q, sep=";"))
+    text = experiment_text([tmp_path / "x.csv"], tmp_path)
+    first, second = (cells[int(i) - 1] for i in order or "12")
+    assert f'columns = {{ t = "t", q1 = "{first}", q2 = "{second}" }}' in text
+    assert ("# seen: no name says which column is which joint" in text) == (not order)
+
+
 @pytest.mark.parametrize(("content", "keys"), DIALECTS.values(), ids=DIALECTS)
 def test_reads_to_the_same_numbers(tmp_path, content, keys):
     recording = read(tmp_path, content, keys)
@@ -186,6 +215,8 @@ def test_matlab_has_names_and_units_too(tmp_path):
         ("columns = { t = 1 }", "columns: t = 1"),
         ('columns = { t = "clock" }', 'no column "clock" for t; it has "t", "q1", "q2"'),
         ('columns = { t = "tt" }', 'did you mean "t"?'),
+        ('columns = { q1 = "q1", q2 = "q" }', 'it has "t", "q1", "q2"; did you mean "q2"?'),
+        ('columns = { q1 = "q2", q2 = "q" }', 'did you mean "q1"?'),
         ('columns = { q1 = "q2", q2 = "q2" }', '"q2" twice'),
         ('columns = { q1 = "q2" }', "one column stands for two"),
         ('units = { t = "h" }', 'units: t = "h": must be s, ms, us, ns'),
@@ -209,3 +240,13 @@ def test_keys_are_checked(tmp_path, keys, says):
         read(tmp_path, table("t,q1,q2", T, Q), keys)
     assert says in str(caught.value)
     assert "x.toml: [[recordings]] 1" in str(caught.value)
+
+
+def test_a_column_that_is_another_joints_is_no_suggestion(tmp_path):
+    content = table("t,q1 (rad),q3 (rad)", T, Q)
+    with pytest.raises(InputError, match='did you mean "q3 ') as caught:
+        read(tmp_path, content, 'columns = { q1 = "q1", q2 = "q2 (rad)" }')
+    assert str(caught.value).count('"q1 (rad)"') == 1
+    with pytest.raises(InputError, match="for q2") as caught:
+        read(tmp_path, table("t,q1 (rad),x", T, Q), 'columns = { q1 = "q1", q2 = "q2 (rad)" }')
+    assert "did you mean" not in str(caught.value)

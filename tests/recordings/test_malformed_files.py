@@ -72,6 +72,7 @@ CSV = {
     "every reading lost": "\n".join([HEADER, *(f"{t:.2f},," for t in T)]),
     "one joint lost": "\n".join([HEADER, *(f"{t:.2f},0.1," for t in T)]),
     "nearly all lost": "\n".join([HEADER, *ROWS[:15], *(f"{t:.2f},," for t in T[15:])]),
+    "an angle that wraps": scaled(angle=(Q + np.pi) % (2 * np.pi)),
     "decimal commas between commas": GOOD.replace(".", ","),
     "semicolons and a mix of signs": row(7, "0,12,0.1,0.2").replace(",", ";"),
     "zeros of a crash": b"\0" * 5000,
@@ -114,6 +115,7 @@ def refused(tmp_path, monkeypatch, capsys):
         assert "x.toml" in err
         assert "should not have happened" not in err
         assert len(err) < 1000
+        return err
 
     return check
 
@@ -128,6 +130,17 @@ def test_recordings(refused, content):
     write("x.csv", content)
     write("x.toml", ARM + RECORDING)
     refused("fit", "x.toml", "--no-cache")
+
+
+def test_a_sign_for_a_lost_sample_is_named_with_its_lines(refused):
+    angle = np.degrees(Q + 1e-4 * np.random.default_rng(0).standard_normal(Q.shape))
+    angle[50:71, 1] = 999.0
+    angle[120, 0] = -999.0  # alone it is an outlier, which a fit sets aside
+    write("x.csv", scaled(angle=angle, header="t,q1 (deg),q2 (deg)"))
+    write("x.toml", ARM + RECORDING)
+    said = refused("fit", "x.toml", "--no-cache")
+    assert "x.csv: q2 = 17.44 rad (999 deg), lines 52 to 72 (21 readings)" in said
+    assert main(["new", "y.toml", "x.csv"]) == 2
 
 
 @pytest.mark.parametrize("content", TOML.values(), ids=TOML)

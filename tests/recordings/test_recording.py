@@ -624,6 +624,15 @@ def test_finds_spikes(noise):
     assert wrong < 3e-4 * total
 
 
+@pytest.mark.parametrize("size", [1.0, 17.4])
+def test_finds_spikes_however_large(size):
+    t, q = sticking(1.0, 100, 0.01, seconds=20)
+    q = q + 1e-4 * np.random.default_rng(7).standard_normal(len(t))
+    q[[300, 900]] = size
+    q[1500:1504] = -size
+    assert np.flatnonzero(outlier_mask(t, q)).tolist() == [300, 900, 1500, 1501, 1502, 1503]
+
+
 @pytest.mark.parametrize("length", [2, 3, 4])
 def test_finds_short_runs(length):
     rng = np.random.default_rng(6)

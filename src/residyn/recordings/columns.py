@@ -1,9 +1,9 @@
 """Which column of a lab's table is what, and in which unit.
 
 A column is found by what the experiment file says (`columns`), else by its name: `t`, `q1`, `u1`,
-"Time", or the joint's own name, in any case. Its unit is what the file says (`units`), else what
-stands in its name ("Time [ms]", "Shoulder (deg)", "t/ms") or in a row of units below it, else SI.
-Nothing is guessed in silence: what was understood is told in one line.
+"Time", or the joint's own name ("Shoulder", "Schulter"), in any case. Its unit is what the file
+says (`units`), else what stands in its name ("Time [ms]", "Shoulder (deg)", "t/ms") or in a row of
+units below it, else SI. Nothing is guessed in silence: what was understood is told in one line.
 """
 
 import difflib
@@ -18,6 +18,11 @@ from ..errors import InputError, quote
 from .reads import PER_TIME, READS
 
 _TIMES = ("t", "time", "zeit", "temps", "tiempo", "tempo")
+_JOINTS = {
+    "shoulder": ("schulter", "épaule", "hombro", "spalla", "ombro"),
+    "elbow": ("ellbogen", "ellenbogen", "coude", "codo", "gomito", "cotovelo"),
+}
+"""The arm's joints, from the base on, in the languages of `_TIMES`."""
 _DEGREE = 0.017453292519943295
 _UNITS: dict[str, dict[str, tuple[float, str]]] = {
     "s": {
@@ -160,7 +165,8 @@ def matched(header: Sequence[str], joints: Joints, layout: Layout) -> dict[str, 
         else:
             own = _TIMES if name == "t" else (name,)
             if name[0] == "q":
-                own = (name, joints.names[int(name[1:]) - 1].casefold())
+                joint = joints.names[int(name[1:]) - 1].casefold()
+                own = (name, joint, *_JOINTS.get(joint, ()))
             tries = [(names, word) for word in own for names in (folded, bare)]
         for names, word in tries:
             at = [i for i, cell in enumerate(names) if cell == word]
@@ -190,7 +196,9 @@ def columns_of(
             raise InputError(f"there is no joint for {name}: {count} joint{'s' * (count > 1)}")
     for name, wanted in (layout.columns or {}).items():
         if name not in found:
-            close = difflib.get_close_matches(wanted, [c.strip() for c in header], n=1)
+            taken = {at[0] for at in found.values()}
+            free = [cell.strip() for i, cell in enumerate(header) if i not in taken]
+            close = difflib.get_close_matches(wanted, free, n=1)
             hint = f"; did you mean {quote(close[0])}?" if close else ""
             raise InputError(
                 f"columns: there is no column {quote(wanted)} for {name}; it has {has}{hint}"
@@ -259,6 +267,10 @@ class Table(NamedTuple):
     understood: str = ""
     """What was made of the header, in one line; empty if there is nothing to say."""
 
+    def lines_at(self, time: np.ndarray) -> np.ndarray:
+        """(N,) lines of these instants, or of the next ones that have one."""
+        return self.line[np.searchsorted(self.time, time).clip(max=len(self.time) - 1)]
+
     @classmethod
     def of(
         cls,
@@ -294,8 +306,9 @@ def is_unit_row(cells: Sequence[str]) -> bool:
 
 def guessed(
     header: Sequence[str], below: Sequence[str], numeric: Sequence[bool]
-) -> tuple[dict[str, int], dict[str, str]]:
-    """Which columns may be t and the angles, and their units, where the file says them."""
+) -> tuple[dict[str, int], dict[str, str], bool]:
+    """Which columns may be t and the angles, their units, where the file says them, and whether
+    names say which angle is which; else they are as the file has them."""
     words = [_bare_unit(c) for c in below] or [_parts(cell)[1] for cell in header]
     bare = [_parts(cell)[0].casefold() for cell in header]
     plain = [i for i, ok in enumerate(numeric) if ok]
@@ -303,14 +316,37 @@ def guessed(
     rest = [i for i in plain if i != time]
     called = [i for i in rest if re.fullmatch(r"q[1-9][0-9]*", bare[i])]
     sized = [i for i in rest if any(_known(words[i], kind) for kind in ("rad", "m"))]
-    at = {"t": time} | {f"q{j + 1}": i for j, i in enumerate(called or sized or rest)}
+    angles = called or sized or rest
+    order = _named_order([bare[i] for i in angles])
+    at = {"t": time} | {f"q{j + 1}": angles[i] for j, i in enumerate(order or range(len(angles)))}
     kinds = {name: ("s",) if name == "t" else ("rad", "m") for name in at}
-    return at, {
-        name: unit
-        for name, i in at.items()
-        for kind in kinds[name]
-        if (unit := _known(words[i], kind)) is not None
-    }
+    return (
+        at,
+        {
+            name: unit
+            for name, i in at.items()
+            for kind in kinds[name]
+            if (unit := _known(words[i], kind)) is not None
+        },
+        bool(order),
+    )
+
+
+def _named_order(names: Sequence[str]) -> list[int]:
+    """Joints from the base on, as their names say: shoulder and elbow, or the numbers in them;
+    empty if they do not."""
+    each = range(len(names))
+    says = [set(re.findall(r"[^\W\d_]+", name)) for name in names]
+    shoulder, elbow = (
+        {i for i in each if says[i] & {joint, *words}} for joint, words in _JOINTS.items()
+    )
+    shoulder, elbow = shoulder - elbow, elbow - shoulder
+    if len(names) == 2 and len(shoulder) < 2 and len(elbow) < 2 and shoulder | elbow:
+        return sorted(each, key=lambda i: (i not in shoulder, i in elbow))
+    numbers = [tuple(map(int, re.findall(r"\d+", name))) for name in names]
+    if len(names) == 1 or (all(numbers) and len(set(numbers)) == len(names)):
+        return sorted(each, key=lambda i: numbers[i])
+    return []
 
 
 def _unit(

@@ -87,27 +87,45 @@ def read_lab_csv(path: str | os.PathLike[str], joints: Joints, layout: Layout) -
     return Table.of(values.T, number, columns, header, joints, more)
 
 
-def guessed_columns(path: str | os.PathLike[str]) -> tuple[dict[str, str], dict[str, str]]:
+def guessed_columns(path: str | os.PathLike[str]) -> tuple[dict[str, str], dict[str, str], bool]:
     """What a file's columns may be, for a person to check: t is the one called so or the first, the
     angles are those in units of angle or length, or else all others that have numbers.
 
-    **Returns:** header names and units by t, q1, ...
+    **Returns:** header names and units by t, q1, ..., and whether names say which angle is which.
 
     **Raises:** `InputError` if no line is a header above numbers.
     """
-    rows = [row for _, row in _lines(read_table_text(path))[:_HEAD]]
-    for i in range(len(rows)):
+    where, rows = os.fspath(path), _lines(read_table_text(path))[:_HEAD]
+    only_t: tuple[int, list[str], list[str], list[bool]] | None = None
+    for i, (line, _) in enumerate(rows):
         for separator in _SEPARATORS:
-            header, *below = (_cells(_bare(each), separator) for each in rows[i : i + 3])
+            header, *below = (_cells(_bare(each), separator) for _, each in rows[i : i + 3])
             units = below.pop(0) if below and is_unit_row(below[0]) else []
-            ok = [_is_number(cell) for cell in below[0]] if below else []
-            if len(header) < 2 or len(ok) != len(header) or sum(ok) < 2:
+            ok = [_is_sample(cell) for cell in below[0]] if below else []
+            if len(header) < 2 or any(map(_is_number, header)):
                 continue
-            if any(map(_is_number, header)):
-                continue
-            at, units = guessed(header, units, ok)
-            return {name: header[k] for name, k in at.items()}, units
-    raise InputError(f"{os.fspath(path)}: has no line of names above columns of numbers")
+            if len(ok) == len(header) and sum(ok) > 1 and any(map(_is_number, below[0])):
+                return _guessed(where, line, header, units, ok)
+            if only_t is None and "t" in matched(header, Joints(()), Layout()):
+                only_t = line, header, units, [bool(cell) for cell in header]
+    if only_t is not None:  # whoever reads it says what is wrong below
+        return _guessed(where, *only_t)
+    raise InputError(f"{where}: has no line of names above columns of numbers")
+
+
+def _guessed(
+    where: str, line: int, header: list[str], units: list[str], numeric: list[bool]
+) -> tuple[dict[str, str], dict[str, str], bool]:
+    """`guessed_columns` of this header."""
+    at, known, ordered = guessed(header, units, numeric)
+    names = {name: header[k] for name, k in at.items()}
+    twice = [cell for cell in names.values() if list(names.values()).count(cell) > 1]
+    if twice:
+        raise InputError(
+            f"{where}, line {line}: two columns are called {quote(twice[0])}: each must have a "
+            "name of its own"
+        )
+    return names, known, ordered
 
 
 def write_csv(
@@ -202,6 +220,11 @@ def _is_number(cell: str) -> bool:
     return bool(_NUMBER.fullmatch(cell.replace(",", ".")))
 
 
+def _is_sample(cell: str) -> bool:
+    """A number, or a word for a lost one."""
+    return _is_number(cell) or bool(cell and _LOST.fullmatch(cell))
+
+
 def _values(
     rows: Sequence[tuple[int, str]],
     width: int,
@@ -245,7 +268,10 @@ def _check_width(count: int, width: int, separator: str) -> None:
     if count != width:
         hint = ""
         if separator == "," and count > width:
-            hint = "; decimal commas need another separator, or quotes"
+            hint = (
+                "; a comma between cells cannot be the decimal sign too: decimal commas need "
+                "another separator, as semicolons, or quotes"
+            )
         raise InputError(
             f"has {count} cell{'s' * (count != 1)}; the header names {width} columns{hint}"
         )

@@ -220,7 +220,8 @@ def _read(
         recording = Recording.from_arrays(time, angle, drive=drive, name=file, **options)
         said = "; ".join(filter(None, [table.understood, recording.understood]))
         recording = dataclasses.replace(recording, understood=said)
-        odd = not_free(recording, reading_units(inertia.units, orders), table.stated, options)
+        units, lines = reading_units(inertia.units, orders), table.lines_at(recording.time)
+        odd = not_free(recording, units, table.stated, options, lines)
         if odd is not None and recording.role != "inertia":
             raise InputError(f"{file}: {odd.words}")
         still = drive is None and not (np.nanmax(angle, 0) > np.nanmin(angle, 0)).any()

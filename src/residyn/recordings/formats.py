@@ -132,4 +132,4 @@ def _table(content: Mapping[str, Any], joints: Joints, layout: Layout) -> Table:
     # What a workspace has besides is nothing to speak of.
     used = [header[column.at] for column in columns]
     columns = [column._replace(at=i) for i, column in enumerate(columns)]
-    return Table.of(found.values(), np.arange(count), columns, used, joints)
+    return Table.of(found.values(), np.arange(1, count + 1), columns, used, joints)

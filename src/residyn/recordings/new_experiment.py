@@ -24,6 +24,7 @@ shoulder = "?"            # I1 + m2 l1^2, kg m^2
 elbow = "?"               # I2 about the elbow, kg m^2
 coupling = "?"            # m2 rho2, kg m
 """
+_AS_THEY_ARE = "no name says which column is which joint; the order is the file's"
 _INERTIA = """\
 [inertia]                 # a constant mass matrix
 joints = [{names}]
@@ -40,7 +41,7 @@ def experiment_text(files: Sequence[Path], folder: Path) -> str:
     tables: list[str] = []
     width, kinds = 0, ()
     for file in files:
-        columns, units = guessed_columns(file)
+        columns, units, ordered = guessed_columns(file)
         n = len(columns) - 1
         if width not in (0, n):
             raise InputError(f"{file}: has {n} columns of angles, {files[0]} has {width}")
@@ -51,7 +52,9 @@ def experiment_text(files: Sequence[Path], folder: Path) -> str:
         sliding = [units.get(f"q{j + 1}") in ("m", "cm", "mm") for j in range(n)]
         kinds = tuple("m" if s else "rad" for s in sliding)
         joints = Joints(tuple(columns[f"q{j + 1}"] for j in range(n)), kinds)
-        tables.append(_entry(file, folder, joints, keys, n == 2 and kinds == ("rad", "rad")))
+        said = {} if ordered else {"columns": _AS_THEY_ARE}
+        arm = n == 2 and kinds == ("rad", "rad")
+        tables.append(_entry(file, folder, joints, keys, said, arm))
     if width == 2 and kinds == ("rad", "rad"):
         head = _ARM
     else:
@@ -63,9 +66,16 @@ def experiment_text(files: Sequence[Path], folder: Path) -> str:
     return "\n".join([head, *tables])
 
 
-def _entry(file: Path, folder: Path, joints: Joints, keys: dict[str, Any], arm: bool) -> str:
-    """One `[[recordings]]` table, with a key for each thing that is seen in the recording."""
-    said: dict[str, str] = {}
+def _entry(
+    file: Path,
+    folder: Path,
+    joints: Joints,
+    keys: dict[str, Any],
+    said: dict[str, str],
+    arm: bool,
+) -> str:
+    """One `[[recordings]]` table, with a key for each thing that is seen in the recording, also of
+    what is `said` already."""
     understood = ""
     for _ in range(6):
         layout = Layout(**{k: v for k, v in keys.items() if k in ("columns", "units")})
@@ -73,9 +83,12 @@ def _entry(file: Path, folder: Path, joints: Joints, keys: dict[str, Any], arm: 
         understood = table.understood
         options = {key: keys[key] for key in ("start", "rest") if key in keys}
         recording = Recording.from_arrays(table.time, table.angle, name=str(file), **options)
-        found = not_free(recording, joints.units, table.stated, keys)
+        lines = table.lines_at(recording.time)
+        found = not_free(recording, joints.units, table.stated, keys, lines)
         if found is None:
             break
+        if not found.key:  # nothing but the recording itself settles it
+            raise InputError(f"{file}: {found.words}")
         said[found.key] = found.words.split("; ")[0]
         old = keys.get(found.key)
         keys[found.key] = old | found.value if isinstance(old, dict) else found.value

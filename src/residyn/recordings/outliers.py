@@ -110,6 +110,7 @@ def _explain(room: np.ndarray, rest: np.ndarray) -> dict[int, float]:
         across = np.linalg.solve(inner, room[picked])
         size = np.linalg.solve(inner, rest[picked])
         left, free = rest - across.T @ rest[picked], room - room[:, picked] @ across
+        left[picked] = free[picked] = free[:, picked] = 0.0  # what the ridge leaves of a large one
     else:
         return {}
     if rest @ rest - left @ left < 0.8 * too_much:

@@ -3,7 +3,7 @@
 Free motion follows from the angles and rates alone. So an arm that stands still stays where it is:
 one that stands still away from rest and then moves was held. It rings about its rest: angles that
 ring about another value are not counted from there. And units show in sizes: no braked joint turns
-by five radians, and no arm on a table takes minutes for a swing.
+by five radians, least of all between two readings, and no arm on a table takes minutes for a swing.
 
 Each finding is one line that says what is seen and which key of the experiment file settles it.
 The limits are wide apart from what arms do: over the hidden effects of the test rig, from 1.2
@@ -40,7 +40,8 @@ _SLOW = 300.0
 
 
 class Finding(NamedTuple):
-    """What is seen, in one line, and the key of `[[recordings]]` that settles it most likely."""
+    """What is seen, in one line, and the key of `[[recordings]]` that settles it most likely; an
+    empty one if none does."""
 
     words: str
     key: str
@@ -52,11 +53,12 @@ def not_free(
     units: tuple[str, ...] | None,
     said: Collection[str],
     keys: Mapping[str, Any],
+    lines: np.ndarray | None = None,
 ) -> Finding | None:
     """What is not as the free motion of an arm; None if nothing is.
 
     **Arguments:** `units` of the joints; `said`: the columns whose unit the file states; `keys`:
-    those of its `[[recordings]]` table, which settle things.
+    those of its `[[recordings]]` table, which settle things; `lines` (N,) of its file.
     """
     time, angle = recording.time, recording.angle
     if abs(recording.theta2) > 2 * np.pi:
@@ -74,6 +76,8 @@ def not_free(
             return Finding(words, "units", {f"q{j + 1}": "deg"})
     if recording.drive is not None or not (np.nanmax(angle, 0) > np.nanmin(angle, 0)).any():
         return None
+    if units and (wild := _no_angle(recording, units, lines)) is not None:
+        return wild
     clock, motion = evenly_sampled(time, angle, recording.outliers)
     step = clock[1] - clock[0]
     period = slowest_period(motion - motion.mean(axis=0))
@@ -92,6 +96,35 @@ def not_free(
         return Finding(words, "start", "release")
     if "rest" not in keys and len(motion) >= _FEWEST * period:
         return _off_rest(motion, units)
+    return None
+
+
+def _no_angle(
+    recording: Recording, units: tuple[str, ...], lines: np.ndarray | None
+) -> Finding | None:
+    """Readings that are `_TURN` from the others and from the one beside them, if there are any;
+    what a fit sets aside as outliers is not looked at."""
+    for j, unit in enumerate(units):
+        seen = np.flatnonzero(np.isfinite(recording.angle[:, j]) & ~recording.outliers[:, j])
+        angle = recording.angle[seen, j]
+        if unit != "rad" or not (np.abs(np.diff(angle)) > _TURN).any():
+            continue
+        far = seen[np.abs(angle - np.median(angle)) > _TURN]
+        if not len(far):
+            continue
+        value, count = float(recording.angle[far[0], j]), len(far)
+        places = [f"{recording.time[i]:.6g} s" for i in (far[0], far[-1])]
+        what = "at"
+        if lines is not None:
+            places, what = [str(lines[i]) for i in (far[0], far[-1])], f"line{'s' * (count > 1)}"
+        where = f"{what} {places[0]}"
+        where += f" to {places[1]} ({count} readings)" if count > 1 else ""
+        words = (
+            f"q{j + 1} = {value:.4g} rad ({np.degrees(value):.4g} deg), {where}, more than "
+            f"{_TURN:g} rad from the readings beside it, as no braked joint turns: a lost sample "
+            "is an empty cell or nan; past a whole turn an angle goes on"
+        )
+        return Finding(words, "", None)
     return None
 
 
