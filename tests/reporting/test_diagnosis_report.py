@@ -17,6 +17,7 @@ from residyn.reporting import figures as plot
 from residyn.reporting import names, numbers
 from tests import by_hand
 from tests.by_hand import FOUND, NEXT, RIVAL, a_candidate, a_model
+from tests.chromium import driver
 from tests.legible import legible
 
 KINDS = {"missing": by_hand.missing, "adequate": by_hand.adequate}
@@ -407,6 +408,31 @@ def test_a_law_without_a_name_has_a_curve_and_a_class(monkeypatch):
 def test_a_page_of_nothing_missing(pages):
     assert headings(pages["adequate"])[0] == "Nothing is missing"
     assert "What cannot be told apart" not in pages["adequate"]
+
+
+def test_on_a_phone_tables_stay_within_the_page_and_wide_pictures_scroll(tmp_path, monkeypatch):
+    wide = '<svg xmlns="http://www.w3.org/2000/svg" width="800" height="9"/>'
+    monkeypatch.setattr("residyn.reporting.figures.inline.svg", lambda figure: wide)
+    first, second, *_ = by_hand.missing().candidates
+    long = {n: dataclasses.replace(v, std=1e-8) for n, v in first.parameters.items()}
+    each = zip((first, second), (long, {}), strict=True)
+    few = tuple(dataclasses.replace(c, parameters=values) for c, values in each)
+    made = by_hand.missing(candidates=few)
+    path = tmp_path / "page.html"
+    page = report.render([("last", made.fit)], diagnosis=made)
+    path.write_text(re.sub(r"<source .*?>", "", page, flags=re.S), encoding="utf-8")
+    browser = driver(400, 900)
+    try:
+        browser.get(path.as_uri())
+        widths = browser.execute_script("return [...document.images].map((x) => x.width)")
+        assert set(widths) == {800}
+        root = "document.documentElement"
+        assert browser.execute_script(f"return {root}.scrollWidth <= {root}.clientWidth")
+        empty = browser.find_elements("css selector", "td:empty")
+        assert empty
+        assert not any(cell.is_displayed() for cell in empty)
+    finally:
+        browser.quit()
 
 
 def test_names_from_files_are_only_words(pages):

@@ -28,7 +28,9 @@ export function lay(root, page, hide) {
     element(
       "header",
       {},
-      element("p", { class: "kind" }, `residyn explore: ${page.data.name}`),
+      page.server
+        ? element("p", { class: "kind" }, `residyn explore: ${page.data.name}`)
+        : element("h2", { class: "kind" }, `Explore the models of ${page.data.name}`),
       page.verdict,
       page.status,
       page.news ? page.news.place : null,
@@ -43,6 +45,13 @@ export function lay(root, page, hide) {
           "that it is the one to add next.",
         ...page.chips.parts,
         element("div", { class: "actions" }, ...saving.parts, hide, saving.said),
+        hide
+          ? element(
+              "p",
+              { class: "note" },
+              "Hide one: an effect is hidden in a simulated copy of this arm, for you to find.",
+            )
+          : null,
       ),
       panel(
         "Watch the error fall",

@@ -182,11 +182,7 @@ export class Page {
       () => this.line,
       () => toml(data.toml, this.line, state.get("model").numbers),
     );
-    const hide = server
-      ? action("Hide one", () => this.hide(), {
-          title: "hide an effect in a simulated copy of this arm, and find it",
-        })
-      : null;
+    const hide = server ? action("Hide one", () => this.hide()) : null;
     lay(this.root, this, hide);
     this.root.hidden = false;
     this.charts = [...this.curves.charts, ...this.missing.charts];
