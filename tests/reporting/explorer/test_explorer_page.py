@@ -299,7 +299,7 @@ def test_a_click_answers_in_every_part_of_the_page(offline):
     assert text(offline, ".bars") != before[0]
     assert "Cubic stiffness at the elbow" in text(offline, ".verdict")
     assert len(offline.find_elements("css selector", ".step")) == 2
-    assert "cubic stiffness" in text(offline, ".numbers")
+    assert "Cubic stiffness" in text(offline, ".numbers")
     click(offline, offline.find_elements("css selector", ".step")[0])  # back down the staircase
     assert not pressed(offline, SMOOTH)
     assert (text(offline, ".bars"), text(offline, ".verdict")) == before
@@ -568,7 +568,7 @@ def test_live_the_exact_fit_replaces_the_first_order_and_says_so(live):
     chip(live, FRICTION).send_keys(Keys.SPACE)  # by keyboard alone
     until(lambda: refitted(live))
     assert "Coulomb friction at the elbow" in text(live, ".verdict")
-    row = next(r for r in text(live, ".numbers").splitlines() if r.startswith("coulomb"))
+    row = next(r for r in text(live, ".numbers").splitlines() if r.startswith("Coulomb"))
     assert abs(float(row.split(": torque")[1].split()[0]) - 0.2) < 0.01
     assert live.switch_to.active_element.get_attribute("data-effect") == FRICTION  # focus stays
     assert complaints(live) == []
