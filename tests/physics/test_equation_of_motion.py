@@ -42,7 +42,7 @@ def energy(model, nodes):
     def one(q, v):
         return model.mechanism.kinetic_energy(tuple(q), tuple(v)) + 0.5 * jnp.sum(springs * q**2)
 
-    return np.asarray(jax.vmap(one)(nodes.q, nodes.v))
+    return np.asarray(jax.jit(jax.vmap(one))(nodes.q, nodes.v))
 
 
 @pytest.fixture

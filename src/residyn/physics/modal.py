@@ -9,6 +9,7 @@ sqrt(1 - zeta^2), which is 0.5 % at zeta = 0.1.
 from functools import partial
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +18,7 @@ from jaxtyping import Array, Complex, Float
 from ..runtime.export_cache import kept
 from .model import Model
 from .motion import Motion, split, stack
+from .parameter import all_floating
 
 _NEWTON = 12
 _RIDGE = 1e-12
@@ -162,6 +164,11 @@ def _linearised(model: Model, numbers, q):
 
 def modes(model: Model) -> Modes:
     """Natural frequencies and damping ratios, differentiable in the model's numbers."""
+    return _modes(all_floating(model))
+
+
+@eqx.filter_jit  # else each of its operations is compiled by itself
+def _modes(model: Model) -> Modes:
     return modes_of(jnp.linalg.eigvals(state_matrix(model)))
 
 

@@ -14,8 +14,10 @@ exact to the order that matters, costs nearly what a smooth step costs, and diff
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int
@@ -23,6 +25,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from ..physics.modal import fastest, ringing
 from ..physics.model import Model
 from ..physics.motion import Joints, Scalar, split
+from ..physics.parameter import all_floating
 from .dry_friction import sliding
 from .equation import Args, Drive, Piecewise, rates
 from .integrator import (
@@ -214,16 +217,11 @@ def simulate(
         if drive is not None:
             steps = max(steps, math.ceil(float((times[-1] - times[0]) / drive.spacing)))
     z0 = None if z0 is None else jnp.asarray(z0, float)
-    nodes = march(
-        model,
-        times[0],
-        times[-1],
-        q0,
-        v0,
-        steps=steps,
-        z0=z0,
-        drive=drive,
-        adjoint=adjoint,
-        integrator=chosen,
-    )
+    how = {"steps": steps, "z0": z0, "drive": drive, "adjoint": adjoint, "integrator": chosen}
+    return _motion(all_floating(model), times, q0, v0, how, tuple(orders))
+
+
+@eqx.filter_jit  # else each of its operations is compiled by itself
+def _motion(model: Model, times, q0, v0, how: dict[str, Any], orders: Sequence[int]) -> Trajectory:
+    nodes = march(model, times[0], times[-1], q0, v0, **how)
     return read(model, nodes, times, orders)
