@@ -102,7 +102,8 @@ def test_page_says_everything(page, fit):
         assert line in words
 
 
-def test_page_of_one_fit_has_no_comparison(fit):
+def test_page_of_one_fit_has_no_comparison(fit, monkeypatch):
+    monkeypatch.setattr("residyn.reporting.figures.inline.svg", lambda figure: "<svg/>")
     one = report.render([("Only", fit)])
     assert "models of the same recordings" not in one
     assert "<h1>Only</h1>" in one

@@ -8,6 +8,7 @@ damper, so that link 2 rings while link 1 is driven, and its angle is read like 
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -101,6 +102,7 @@ def drive(
     bare = replace(arm, stiffness=_at(braked, brake[0]), damping=_pair(joint, viscous, brake[1]))
     step = 1e-4
 
+    @functools.lru_cache(maxsize=1)  # two of a step's four stages are at one time
     def wanted(now: float) -> Pair:
         before, at, after = trajectory(np.array([now - step, now, now + step])).tolist()
         return at, (after - before) / (2 * step)
