@@ -4,7 +4,6 @@ and of nearly linear models, and the posterior as sums over models."""
 import math
 from types import SimpleNamespace
 
-import jax
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -46,10 +45,7 @@ CART = residyn.ConstantInertia([[MASS]], joints=("cart",), units=("m",))
 RATE = Dimension("N m/s", "N/s", lambda s: s.inertia * s.frequency**3 * s.amplitude)
 
 
-@pytest.fixture(autouse=True)
-def float64():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("float64", "compiled_in_less_time")
 
 
 class Ramp(JointEffect):
@@ -321,7 +317,7 @@ def posterior(each):
     best = max(tried.values(), key=lambda m: m.log_posterior)
     base = tried[frozenset()]
     known = {"tried": tried, "passed": {}, "base": base, "best": best, "candidates": NAMES}
-    return Posterior(SimpleNamespace(**known, screens={}, curves=[]))
+    return Posterior(SimpleNamespace(**known, screens={}, curves=[], reassigned=None))
 
 
 def in_a_complete_model(found, label):

@@ -32,7 +32,7 @@ BEARINGS = (Bearing("elbow", 0.1, 1e-4), Bearing("wrist", 0.1, 1e-4))
 NOISE = 1e-3
 
 
-pytestmark = pytest.mark.usefixtures("float64")
+pytestmark = pytest.mark.usefixtures("float64", "compiled_in_less_time")
 
 
 @pytest.fixture(scope="module")
