@@ -91,7 +91,6 @@ CSV = {
 TOML = {
     "half a string": f'{ARM}\n[[recordings]]\nfile = "x.c',
     "an inertia of 1e99": ARM.replace("1.2", "1e99") + RECORDING,
-    "a decimal comma": ARM.replace("0.6", "0,6") + RECORDING,
     "a path of Windows": f'{ARM}[[recordings]]\nfile = "C:\\data\\x.csv"\n',
 }
 KEYS = {
@@ -158,6 +157,44 @@ def test_keys(refused, key):
     kept = [line for line in RECORDING.splitlines() if line.split(" = ")[0] != own]
     write("x.toml", "\n".join([ARM, *kept, key, ""]))
     refused("diagnose", "x.toml", "--no-cache")
+
+
+MANY = ARM + RECORDING.replace("[[recordings]]", "[recordings]")
+WRITTEN = {
+    "a decimal comma": (ARM.replace("0.6", "0,6"), 'line 4: "elbow = 0,6": a number has a decimal'),
+    "quotes": (
+        ARM.replace("0.6", '"0.6"'),
+        'elbow = "0.6": must be a number above 0 (kg m^2), without',
+    ),
+    "quotes and a comma": (ARM.replace("0.6", '"0,6"'), "without quotes, with a decimal point"),
+    "words": (ARM.replace("0.6", '"much"'), "must be a number above 0 (kg m^2)\n"),
+    "a table of many": (MANY, "each under a line [[recordings]]"),
+    "a table of many, twice": (
+        MANY + RECORDING.replace("[[recordings]]", "[recordings]  # another"),
+        "line 9: [recordings] is there twice; each stands under a line of its own, [[recordings]]",
+    ),
+    "a table twice": (ARM + ARM, "line 6: [arm] is there twice\n"),
+    "a key twice": (ARM + "elbow = 0.7", "line 6: elbow is there twice in its table"),
+    "millimetres": (ARM.replace("0.4", "400"), "are the lengths in m?"),
+    "no real arm, in metres": (ARM.replace("1.4", "2.2"), "would have no inertia\n"),
+    "a mass": (ARM + "m1 = 4", "coupling = m2 c2 (docs/lab-files.md)"),
+    "a length": (ARM + "l_1 = 0.4", "shoulder = J1 + m1 c1^2 + m2 l1^2"),
+    "a wrong letter": (ARM.replace("link", "lenk"), "did you mean link_lengths?"),
+    "the rest of the elbow": (ARM + "theta2 = 0", "[arm] has link_lengths"),
+    "question marks": (
+        ARM.replace("[0.4, 0.4]", '["?", "?"]').replace("0.6", '"?"')
+        + RECORDING
+        + RECORDING.replace("0.1", '"?"'),
+        '"?" is left in [arm] link_lengths, elbow; [[recordings]] 2 theta2: write numbers',
+    ),
+}
+
+
+@pytest.mark.parametrize(("content", "says"), WRITTEN.values(), ids=WRITTEN)
+def test_what_people_write_is_told_in_their_words(refused, content, says):
+    write("x.csv", GOOD)
+    write("x.toml", content if "[recordings]" in content else f"{content}\n{RECORDING}")
+    assert says in refused("fit", "x.toml", "--no-cache")
 
 
 class Endless(io.RawIOBase):

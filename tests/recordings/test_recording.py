@@ -261,7 +261,7 @@ def test_reads_standard_input(folder, monkeypatch):
     [
         # the file
         (["x = "], ["line 1", "TOML"]),
-        ([ARM, "shoulder = 2", entry()], ["line 7", "TOML"]),
+        ([ARM, "shoulder = 2", entry()], ["line 7", "shoulder is there twice"]),
         (["[" * 5000], ["TOML"]),
         (["x = " + "9" * 5000], ["TOML"]),
         # its tables

@@ -34,10 +34,10 @@ class PlanarArm(AbstractMechanism):
     **Arguments:**
 
     - `link_lengths`: l1, l2 in m.
-    - `shoulder`: I1 + m2 l1^2, kg m^2.
+    - `shoulder`: I1 + m2 l1^2, kg m^2; I1 is of link 1 about the shoulder joint.
     - `elbow`: I2 about the elbow joint, kg m^2.
-    - `coupling`: m2 rho2, kg m.
-    - `theta2`: elbow angle at rest, rad.
+    - `coupling`: m2 rho2, kg m; rho2 is from the elbow joint to link 2's centre of mass.
+    - `theta2`: elbow angle at rest, rad; 0 is the arm stretched out.
     - `bearings`: how many air bearings ride on the elbow and how many on the wrist (the end of
       link 2). Their mass is in the inertias already; this says where they slide.
     - `load`: what presses a load-dependent friction, N.

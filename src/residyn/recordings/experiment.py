@@ -231,7 +231,7 @@ def _read(
         columns = ", ".join(f"u{j + 1}" for j in range(recording.joints))
         raise InputError(f'{file}: role = "inertia" needs the drive that moved it, as {columns}')
     if isinstance(inertia, ArmTable) and "theta2" not in options and not marked:
-        doubt = "theta2, the elbow's angle at rest, is not given; 0 rad is taken"
+        doubt = "theta2, the elbow's angle at rest, is not given; 0 rad is taken, stretched out"
         recording = recording.saying([doubt])
     return recording
 

@@ -20,9 +20,9 @@ from .sanity import not_free
 _ARM = """\
 [arm]                     # two links, with the bearings on: `residyn inertia`
 link_lengths = ["?", "?"] # m
-shoulder = "?"            # I1 + m2 l1^2, kg m^2
+shoulder = "?"            # I1 about the shoulder + m2 l1^2, kg m^2
 elbow = "?"               # I2 about the elbow, kg m^2
-coupling = "?"            # m2 rho2, kg m
+coupling = "?"            # m2 rho2, kg m; rho2: from the elbow to link 2's centre of mass
 """
 _AS_THEY_ARE = "no name says which column is which joint; the order is the file's"
 _INERTIA = """\
@@ -100,7 +100,7 @@ def _entry(
             lines += _comment(f"seen: {said[key]}")
         lines.append(f"{key} = {toml_value(value)}")
     if arm:
-        lines.append('theta2 = "?"              # elbow angle at rest, rad')
+        lines.append('theta2 = "?"              # elbow angle at rest, rad; 0: stretched out')
     return "\n".join([*lines, ""])
 
 

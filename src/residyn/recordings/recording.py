@@ -61,7 +61,7 @@ class Recording:
     noise_given: bool
     """False where the noise was estimated from the data."""
     theta2: float = 0.0
-    """Elbow angle at rest, rad (arm only)."""
+    """Elbow angle at rest, rad, 0 being stretched out (arm only)."""
     role: str = "fit"
     """"fit", "check" or "inertia"."""
     air_bearings: bool = True

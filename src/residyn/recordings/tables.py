@@ -19,8 +19,9 @@ from ..errors import InputError, entries, number, quote
 class ArmTable:
     """Two links in a plane, `[arm]`; inertia with the bearings on.
 
-    `link_lengths`: l1, l2 in m. `shoulder`: I1 + m2 l1^2 and `elbow`: I2 about the elbow, kg m^2.
-    `coupling`: m2 rho2, kg m. The last three are None where they are what is looked for.
+    `link_lengths`: l1, l2 in m. `shoulder`: I1 + m2 l1^2, I1 about the shoulder, and `elbow`: I2
+    about the elbow, kg m^2. `coupling`: m2 rho2, kg m, rho2 from the elbow to link 2's centre of
+    mass. The last three are None where they are what is looked for.
     """
 
     link_lengths: tuple[float, float]
@@ -148,10 +149,12 @@ def check_bearings(inertia: Any, bearings: Iterable[Bearing]) -> None:
             f"{elbow:g}, coupling = {coupling:g}, which no real arm has; [arm] must be the inertia "
             "with the bearings on, and their masses in kg"
         )
+    # With all of link 2 at its end, the least of I1 + m2 l1^2.
+    long = shoulder < abs(coupling) / l2 * l1 * l1
     raise InputError(
         f"shoulder = {shoulder:g}, elbow = {elbow:g} and coupling = {coupling:g} with l1 = {l1:g} "
         "cannot belong to a real arm: shoulder*elbow must be above (l1*coupling)^2, or some motion "
-        "would have no inertia"
+        f"would have no inertia{'; are the lengths in m?' * long}"
     )
 
 

@@ -7,6 +7,7 @@ that is not known is a mistake and never ignored.
 
 import dataclasses
 import difflib
+import json
 import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
@@ -21,6 +22,14 @@ from .tables import ArmTable, Bearing, InertiaTable, check_bearings
 ROLES = ("fit", "check", "inertia")
 
 _TABLES = ("arm", "inertia", "air_bearings", "recordings", "integrator", "limits")
+_MANY = ("air_bearings", "recordings")
+_WORDS = ("file", "columns", "units", "separator", "decimal", "markers")
+"""Keys whose values are words."""
+_OF_A_LINK = re.compile(r"(mass|inertia|length|com|link|rho|[mlcrij])[_a-z]*\d?", re.I)
+_INERTIAS = (
+    "from masses m, lengths l, centres of mass c (from their joint) and inertias J about these: "
+    "shoulder = J1 + m1 c1^2 + m2 l1^2, elbow = J2 + m2 c2^2, coupling = m2 c2 (docs/lab-files.md)"
+)
 _RECORDING = (
     "file",
     "columns",
@@ -59,6 +68,7 @@ def parse(text: str, where: str) -> Contents:
     with inside(where):
         tables = _tables(text)
         _check_keys("the file", tables, _TABLES)
+        _check_filled_in(tables)
         recordings = _many(tables, "recordings", _RECORDING)
         if not recordings:
             raise InputError("there is no [[recordings]] table: nothing to work on")
@@ -112,19 +122,59 @@ def _tables(text: str) -> dict[str, Any]:
         place = r"^(.*) \(at (?:line (\d+), column \d+|end of document)\)$"
         found = re.search(place, str(error), re.S)
         what, line = found.groups() if found else (error, None)
-        line = line or text.rstrip().count("\n") + 1
-        raise InputError(f"line {line}: is not TOML: {what}") from None
+        line = int(line or text.rstrip().count("\n") + 1)
+        what = _in_words(text.split("\n")[line - 1], str(what))
+        raise InputError(f"line {line}: {what}") from None
     except RecursionError:
         raise InputError("is not TOML of an experiment: brackets are nested too deep") from None
     except ValueError as error:  # integers of thousands of digits
         raise InputError(f"is not TOML of an experiment: {error}") from None
 
 
+def _in_words(line: str, what: str) -> str:
+    """What is wrong with a line of TOML, where that is what people often write; else `what`."""
+    line = line.partition("#")[0].strip()
+    name, key = line.strip("[] \t"), line.partition("=")[0].strip()
+    comma = re.search(r"=\s*([-+]?\d+),(\d+)$", line)
+    if comma:
+        return f"{quote(line)}: a number has a decimal point, as {comma[1]}.{comma[2]}"
+    if what.startswith("Cannot declare") and line.startswith("["):
+        many = f"; each stands under a line of its own, [[{name}]]" * (name in _MANY)
+        return f"[{name}] is there twice{many}"
+    if what.startswith("Cannot overwrite"):
+        return f"{key} is there twice in its table"
+    return f"is not TOML: {what}"
+
+
+def _check_filled_in(tables: Mapping[str, Any]) -> None:
+    """That no "?" is left where `residyn new` writes one.
+
+    **Raises:** `InputError` that names them all.
+    """
+    left = []
+    for name, content in tables.items():
+        entries = content if isinstance(content, list) else [content]
+        for i, entry in enumerate(entries, 1):
+            table = f"[[{name}]] {i}" if isinstance(content, list) else f"[{name}]"
+            keys = entry.items() if isinstance(entry, dict) else ()
+            keys = [
+                key
+                for key, value in keys
+                if key not in _WORDS and '"?"' in json.dumps(value, default=str)
+            ]
+            left += [f"{table} {', '.join(keys)}"] if keys else []
+    if left:
+        raise InputError(f'"?" is left in {"; ".join(left)}: write numbers there, in SI units')
+
+
 def _check_keys(where: str, keys: Mapping[str, Any], known: Sequence[str]) -> None:
     for key in keys:
         if key not in known:
-            close = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
+            of_link = where == "[arm]" and _OF_A_LINK.fullmatch(key)
+            close = difflib.get_close_matches(key, known, n=1, cutoff=0.75 if of_link else 0.5)
             hint = f"did you mean {close[0]}?" if close else f"{where} has {', '.join(known)}"
+            if of_link and not close:
+                hint = _INERTIAS
             raise InputError(f"unknown key {quote(key)}: {hint}")
 
 
