@@ -100,9 +100,21 @@ def test_what_is_sure_is_not_hedged_though_its_name_is_not():
     assert said in made.words
 
 
+def test_what_is_possible_only_beside_what_is_sure_says_so():
+    other = family(0.03, "wrong inertia", "inertia_error:elbow")
+    sure = by_hand.missing(families=(family(0.9999), other), lookalikes=())
+    said = "Beside dry friction at the elbow, wrong inertia at the elbow (3 %) is possible too."
+    assert said in sure.words
+    instead = by_hand.missing(families=(family(0.96), other), lookalikes=())
+    assert "Also possible: wrong inertia at the elbow (3 %)." in instead.words
+
+
 def test_how_far_the_error_falls_and_how_small_the_rest_is(found):
     words = " ".join(found["missing"].words)
-    assert re.search(r"With it the error at the shoulder falls from 3\.\d to 1\.0 times", words)
+    falls = (
+        r"With Coulomb friction at the elbow the error at the shoulder falls from 3\.\d to 1\.0 "
+    )
+    assert re.search(falls, words)
     assert "(held out: from 46 to 1.0)" in words
     assert "no more than 0.0015 N m rms at the elbow" in words
     assert "0.075 % of the spring's torque (95 % band)." in words
@@ -132,13 +144,22 @@ def test_nothing_found_and_yet_something_missing():
     assert "explains 0 %" not in words
 
 
-def test_a_search_cut_short_does_not_blame_the_catalogue():
-    made = by_hand.unexplained(budget=Budget(1, 40, "budget"))
+@pytest.mark.parametrize(
+    ("count", "says"),
+    [
+        (1, "Something is missing (> 99 %); no effect was tried yet."),
+        (2, "Something is missing that no effect that was tried explains (> 99 %)."),
+    ],
+)
+def test_a_search_cut_short_does_not_blame_the_catalogue(count, says, monkeypatch):
+    made = by_hand.unexplained(budget=Budget(count, 40, "budget"))
     bare = dataclasses.replace(made, ladder=made.ladder[:1])
     words = " ".join(bare.words)
-    assert "after one model" in words
-    assert "that no effect that was tried explains" in words
-    assert "catalogue" not in words
+    assert f"after {('one model', '2 models')[count - 1]}" in words
+    assert says in words
+    shown = " ".join([words, text.title_of(bare), *legible(plot.ladder(bare), monkeypatch)])
+    assert "catalogue" not in shown
+    assert ("effect that was tried" in shown) == (count == 2)
 
 
 def test_nothing_missing(found):
@@ -214,6 +235,21 @@ def test_it_shows_the_models_and_the_candidates(found):
 def test_what_is_known_to_first_order_only_is_marked(found):
     printed = "\n".join(text.candidates(found["adequate"]))
     assert re.search(r"Asymmetric stiffness, shoulder +< 1 % +-690 \(1st order\)", printed)
+
+
+def test_what_a_dash_for_held_out_means_is_said(found):
+    made = by_hand.missing()
+    first, last = made.ladder
+    each = first, dataclasses.replace(first, held_out=None), last
+    each = tuple(
+        dataclasses.replace(m, held_out=m.held_out and m.held_out._replace(what="last third"))
+        for m in each
+    )
+    few = dataclasses.replace(made, ladder=each)
+    assert "-: that fit did not settle" in " ".join(" ".join(text.models(few)).split())
+    assert "did not settle" not in str(found["missing"])
+    rows = text.models_table(few).rows
+    assert [row[2] == "-" for row in rows] == [False, True, False]
 
 
 def test_what_was_dropped_is_said(found):

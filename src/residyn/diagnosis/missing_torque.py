@@ -35,7 +35,8 @@ class Curve(NamedTuple):
     effect: str
     """`name` or `name:place`."""
     share: float
-    """Of the missing torque's mean square, the share that it explains, 0 to 1."""
+    """Of the missing torque's mean square, over all recordings and joints, the share that it
+    explains, 0 to 1."""
     values: dict[str, tuple[float, str]]
     """Its numbers: value and unit."""
     torque: np.ndarray
@@ -89,6 +90,12 @@ class Missing(NamedTuple):
         if not self.significant(joint):
             return ()
         return tuple(c for c in self.curves if np.any(c.torque[:, joint]))
+
+    def explained(self, curve: Curve, joint: int) -> float:
+        """Of the torque's mean square at a joint, the share that a curve explains, 0 to 1."""
+        torque = self.torque.torque[:, joint]
+        left = torque - curve.torque[:, joint] - curve.changed[:, joint]
+        return float(max(0.0, 1.0 - np.mean(left**2) / np.mean(torque**2)))
 
 
 def missing_torque(

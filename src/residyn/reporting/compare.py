@@ -349,4 +349,5 @@ def torque_words(found: Missing, joint: int) -> str:
     if not drawn:
         return words
     name = lower(at_place(drawn[0].effect, found.joints))
-    return f"{words} Blue: {name}, which explains {share(drawn[0].share)} of its mean square."
+    part = share(found.explained(drawn[0], joint))
+    return f"{words} Blue: {name}, which explains {part} of its mean square."

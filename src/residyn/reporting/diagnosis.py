@@ -39,11 +39,14 @@ from .names import (
     lower,
     modal,
     model_name,
+    named,
     own_name,
     placed,
     times_noise,
     title,
     unbroken,
+    unnamed,
+    untried,
     upper,
     when_held_out,
     worth_showing,
@@ -71,8 +74,9 @@ def _values(candidate: Candidate) -> str:
 
 def held_out(found: Diagnosis) -> str | None:
     """Which readings were held out."""
-    what = next((r.held_out.what for r in found.ladder if r.held_out is not None), None)
-    return what and when_held_out(what)
+    each = [r.held_out for r in found.ladder]
+    what = next((held.what for held in each if held is not None), None)
+    return what and when_held_out(what) + ("; -: that fit did not settle" if None in each else "")
 
 
 # -- the verdict ---------------------------------------------------------------------------------
@@ -204,14 +208,9 @@ def _none_named(found: Diagnosis) -> str:
             return f"Nothing is missing that these recordings could show {sure}."
         return f"Probably nothing is missing {sure}."
     verb = modal(found.verdict_probability)
+    if untried(found):
+        return f"Something {verb} missing {sure}; no effect was tried yet."
     return f"Something {verb} missing that {unnamed(found)} explains {sure}."
-
-
-def unnamed(found: Diagnosis) -> str:
-    """What does not explain the rest: the whole catalogue, or what there was time for."""
-    if found.budget.stopped is not None:
-        return "no effect that was tried"
-    return "no effect of the catalogue"
 
 
 def _laws(found: Diagnosis) -> Iterator[str]:
@@ -286,7 +285,14 @@ def _others(found: Diagnosis) -> Iterator[str]:
     if shown:
         more = len(others) - len(shown)
         shown += [f"{more} more kind{'s' * (more > 1)}"] if more else []
-        yield f"Also possible: {listed(shown)}."
+        # More probable than that what was added is not needed: most of it lies beside that.
+        sure = min((f.probability for f in own), default=0.0)
+        if sure >= SURE and all(f.probability > 1.0 - sure for f in others):
+            beside = listed([_family(f, found) for f in own])
+            verb = "is" if len(shown) == 1 else "are"
+            yield f"Beside {beside}, {listed(shown)} {verb} possible too."
+        else:
+            yield f"Also possible: {listed(shown)}."
     for group in found.lookalikes:
         rivals = [x for x in group[1:] if not any(x in dict(f.members) for f in own)]
         if rivals:
@@ -306,10 +312,9 @@ def _fall(found: Diagnosis) -> Iterator[str]:
         return
     digits = next((d for d in (2, 3) if plain(before, d) != plain(after, d)), 4)
     verb = "falls" if after < before else "goes"
-    pronoun = "it" if len(found.added) == 1 else "them"
     words = (
-        f"With {pronoun} the error{joint} {verb} from {plain(before, digits)} to "
-        f"{plain(after, digits)} times the noise"
+        f"With {named(found.added, found.fit.joints)} the error{joint} {verb} from "
+        f"{plain(before, digits)} to {plain(after, digits)} times the noise"
     )
     if held_before is not None and held_after is not None:
         words += f" ({HELD_OUT}: from {times(held_before)} to {times(held_after)})"
@@ -501,6 +506,8 @@ def title_of(found: Diagnosis) -> str:
         return "The model explains nothing of this motion"
     if found.verdict == "adequate":
         return "Nothing is missing"
+    if untried(found):
+        return "Something is missing; no effect was tried yet"
     if not found.added:
         return f"Something is missing that {unnamed(found)} explains"
     words = [_family(f, found) for f in accepted(found)]
@@ -531,7 +538,9 @@ def models_table(found: Diagnosis) -> Table:
     """The error of each model on the way."""
 
     def cell(joint: int, rmse: float, ratio: float | None) -> str:
-        return "" if ratio is None else f"{amount(rmse, found.fit.units[joint])} ({times(ratio)} ×)"
+        return (
+            "-" if ratio is None else f"{amount(rmse, found.fit.units[joint])} ({times(ratio)} ×)"
+        )
 
     rows = [[name, *itertools.chain(*cells), chi2] for name, cells, chi2 in _models(found, cell)]
     head = [f"{joint}, {kind}" for joint in found.fit.joints for kind in _kinds(found)]

@@ -116,6 +116,18 @@ def worth_showing(found: Diagnosis, most: int = _MOST) -> tuple[Candidate, ...]:
     return (*told, *rest[: max(0, len(found.added) + _FEWEST - len(told))])[:most]
 
 
+def unnamed(found: Diagnosis) -> str:
+    """What does not explain the rest: the whole catalogue, or what there was time for."""
+    if found.budget.stopped is not None:
+        return "no effect that was tried"
+    return "no effect of the catalogue"
+
+
+def untried(found: Diagnosis) -> bool:
+    """Whether the search was ended before it came to any effect."""
+    return found.verdict == "unexplained" and found.budget.models == 1
+
+
 def own_name(number: str) -> str:
     """`coulomb_friction:elbow.torque` is "torque"."""
     return number.rpartition(".")[2]

@@ -14,7 +14,7 @@ from matplotlib.ticker import LogLocator
 from ...diagnosis.result import Diagnosis
 from ...fitting.result import Fit
 from ..fit import joint_errors
-from ..names import HELD_OUT, at_place, listed, lower, model_name, times_noise
+from ..names import HELD_OUT, at_place, listed, lower, model_name, times_noise, unnamed, untried
 from ..numbers import amount, plain, times
 from .style import BAND, DASHED, FAINT, INK, JOINTS, SOFT, blank, shortened, styled
 
@@ -61,7 +61,8 @@ def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
     each = [times_noise(step) for step in found.ladder]
     end = ""
     if len(each) == 1 and found.verdict == "unexplained":
-        end = "no effect of the catalogue\nbrings it down to the noise"
+        end = f"{unnamed(found)}\nbrings it down to the noise"
+        end = "no effect was tried yet" if untried(found) else end
     return _falling(found.fit, names, each, narrow, end)
 
 
