@@ -21,6 +21,8 @@ from residyn.recordings.tables import ArmTable, InertiaTable
 
 rig = pytest.importorskip("tests.rig")
 
+pytestmark = pytest.mark.usefixtures("compiled_in_less_time")
+
 ARM = rig.paper_twin(0.3)
 TABLE = ArmTable((ARM.l1, ARM.l2), ARM.shoulder, ARM.elbow, ARM.coupling)
 NOISE = 1e-3

@@ -20,6 +20,8 @@ from residyn.fitting.methods import GENETIC
 from residyn.fitting.problem import ready
 from residyn.fitting.race import ONE, TEN
 
+pytestmark = pytest.mark.usefixtures("compiled_in_less_time")
+
 ALL = [*METHODS, "optimistix.BFGS"]
 
 
