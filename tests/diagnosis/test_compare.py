@@ -21,7 +21,7 @@ from residyn.recordings.tables import ArmTable, InertiaTable
 
 rig = pytest.importorskip("tests.rig")
 
-pytestmark = pytest.mark.usefixtures("compiled_in_less_time")
+pytestmark = pytest.mark.usefixtures("compiled_in_less_time", "pictures_not_written")
 
 ARM = rig.paper_twin(0.3)
 TABLE = ArmTable((ARM.l1, ARM.l2), ARM.shoulder, ARM.elbow, ARM.coupling)
