@@ -17,6 +17,8 @@ from residyn.diagnosis.evidence import subset
 from residyn.effects import CubicStiffness, QuadraticDrag
 from residyn.recordings.tables import InertiaTable
 
+pytestmark = pytest.mark.usefixtures("compiled_in_less_time")
+
 CART = InertiaTable(("cart",), ((2.0,),), ("m",))
 
 

@@ -21,7 +21,7 @@ STARTS = np.array([[0.2, -0.2], [-0.2, 0.2], [0.1, 0.25], [0.25, 0.05]])  # rad
 BODIES = PlanarArm((ARM.l1, ARM.l2), ARM.shoulder, ARM.elbow, ARM.coupling, ARM.theta2)
 
 
-pytestmark = pytest.mark.usefixtures("float64")
+pytestmark = pytest.mark.usefixtures("float64", "compiled_in_less_time")
 
 
 class NetworkTorque(residyn.JointEffect):

@@ -21,7 +21,7 @@ T = np.arange(200) / 50.0  # s
 DRAWS = 600
 
 
-pytestmark = pytest.mark.usefixtures("float64")
+pytestmark = pytest.mark.usefixtures("float64", "compiled_in_less_time")
 
 
 def dragging(t, q, v):
