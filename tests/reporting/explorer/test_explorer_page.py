@@ -192,19 +192,29 @@ def test_evidence_is_pythons(offline, study):
     assert priors == pytest.approx([log_prior_model(n, count) for n in (0, 1, 3)], rel=1e-12)
 
 
-def test_a_law_takes_the_place_of_another_only_if_it_is_the_better_one_of_the_two(offline):
-    """Where neither pair was tried: what the search found for each alone counts for both."""
-    stribeck = "stribeck_friction:elbow"
+def test_where_a_joint_may_stick_a_probability_is_the_searchs_or_is_not_known(offline):
     script = """
         const e = new m.Evidence(data);
         const model = (added, log_evidence) => ({ added, log_evidence });
-        const [old, other, beside] = given;
-        e.keep({ tried: [model([], 0), model([old], 1000), model([other], 980)], screened: [] });
-        const found = e.probabilities([beside, old]);
-        return [old, other].map((x) => found.get(x).probability);"""
-    needed, rival = ask(offline, script, FRICTION, stribeck, "gravity")
-    assert needed > 0.99
-    assert rival < 0.01
+        const [dry, other, smooth] = given;
+        const found = () => [[dry], [other], [dry, smooth]].map((chosen) => {
+            const each = e.probabilities(chosen);
+            return [dry, other, smooth].map((x) => each.get(x).probability);
+        });
+        e.keep({ tried: [model([], 0), model([dry], 900), model([other], 880)], screened: [] });
+        const before = found();
+        e.keep({ tried: [], screened: [{ added: [dry], gains: { [smooth]: -2 } }] });
+        return [before, found()];"""
+    before, after = ask(offline, script, FRICTION, "stribeck_friction:elbow", SMOOTH)
+    alone, other, both = before
+    assert alone[:2] == pytest.approx([1, 0], abs=1e-3)
+    assert other[:2] == pytest.approx([1, 1], abs=1e-3)
+    assert alone[2] is other[2] is None
+    assert both == [None, None, None]
+    alone, other, both = after
+    assert 0 < alone[2] < 0.05
+    assert 0 < both[2] < 0.05  # beside friction: that it is needed
+    assert other[2] is both[0] is None
 
 
 def test_first_order_errors_are_pythons(offline, study):
@@ -346,6 +356,7 @@ def test_where_a_joint_may_stick_no_first_order_is_shown(offline):
     assert text(offline, ".status").startswith("no first-order answer")
     assert text(offline, ".bars").count("not known") == 4
     assert "is not known before a fit" in text(offline, ".verdict")
+    assert chip(offline, SMOOTH).get_property("textContent").endswith("not known")
     assert offline.execute_script(
         "return [...document.querySelectorAll('.bars .fill')].every((bar) => bar.hidden)"
     )

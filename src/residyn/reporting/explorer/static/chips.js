@@ -42,7 +42,10 @@ export class Chips {
   chip(label, chosen, { probability, exact }, weighed) {
     const own = this.candidates.get(label);
     const known = weighed(exact);
-    const words = [own.equation, own.looks_like, exact ? "" : "probability to first order"];
+    let said = probability === null ? "not known" : percent(probability);
+    if (!known) said = "being weighed";
+    const order = probability === null ? "" : "probability to first order";
+    const words = [own.equation, own.looks_like, exact ? "" : order];
     const found = element(
       "button",
       {
@@ -59,7 +62,7 @@ export class Chips {
         own.title,
         own.place ? element("small", {}, ` ${own.place}`) : "",
       ),
-      element("span", { class: "p" }, known ? percent(probability) : "being weighed"),
+      element("span", { class: "p" }, said),
     );
     found.style.setProperty("--p", `${known ? 100 * probability : 0}%`);
     return found;

@@ -95,7 +95,8 @@ export class Evidence {
    * Label -> { probability, exact }: for each effect outside the chosen set, that it is the one to
    * add next, where nothing more is a choice too; for each inside, that the model is better with it
    * than without it. What was not tried is known to first order, about this model if the search has
-   * extended it, else about the base model, corrected by what the search found for each effect alone.
+   * extended it, else about the base model, corrected by what the search found for the effect alone;
+   * with an effect by which a joint may stick that says nothing, and the probability is null.
    */
   probabilities(chosen) {
     const here = keyOf(chosen);
@@ -103,32 +104,29 @@ export class Evidence {
     return this.known.get(here);
   }
 
-  /** By how much the first order is wrong about effects, each alone, as far as the search knows. */
-  correction(labels) {
-    const own = labels.filter((label) => this.tried.has(label));
-    return own.reduce(
-      (sum, label) => sum + this.tried.get(label) - this.gainOfOneMore([], label),
-      0,
-    );
+  /** By how much the first order is wrong about an effect alone, as far as the search knows. */
+  correction(label) {
+    const alone = this.tried.get(label);
+    return alone === undefined ? 0 : alone - this.gainOfOneMore([], label);
   }
 
   weighed(chosen, here) {
     const base = this.gain(chosen).gain;
     const known = this.tried.get(here);
+    const linear = !chosen.some((label) => this.candidates.get(label).sticks);
     const stay = this.logPrior(chosen.length);
     const found = new Map();
     const further = [];
-    const screened = this.screened.get(here);
     for (const label of this.candidates.keys()) {
       if (chosen.includes(label)) continue;
       const rest = chosen.filter((c) => !this.conflict(label, c));
       const exact = known === undefined ? undefined : this.tried.get(keyOf([...rest, label]));
-      let gain = exact === undefined ? this.gainOfOneMore(rest, label) - base : exact - known;
-      if (exact === undefined) {
-        const gone = chosen.filter((c) => !rest.includes(c));
-        gain = screened?.[label] ?? gain + this.correction([label]) - this.correction(gone);
+      let gain = exact === undefined ? this.screened.get(here)?.[label] : exact - known;
+      if (gain === undefined && linear) {
+        gain = this.gainOfOneMore(rest, label) - base + this.correction(label);
       }
-      further.push([label, gain + this.logPrior(rest.length + 1), exact !== undefined]);
+      if (gain === undefined) found.set(label, { probability: null, exact: false });
+      else further.push([label, gain + this.logPrior(rest.length + 1), exact !== undefined]);
     }
     const total = logSumExp([stay, ...further.map(([, w]) => w)]);
     for (const [label, weight, exact] of further) {
@@ -138,9 +136,13 @@ export class Evidence {
       const rest = chosen.filter((c) => c !== label);
       const without = this.tried.get(keyOf(rest));
       const exact = known !== undefined && without !== undefined;
-      const gain = exact ? known - without : base - this.gain(rest).gain + this.correction([label]);
+      let gain = exact ? known - without : this.screened.get(keyOf(rest))?.[label];
+      if (gain === undefined && linear) {
+        gain = base - this.gain(rest).gain + this.correction(label);
+      }
       const odds = gain + stay - this.logPrior(rest.length);
-      found.set(label, { probability: 1 / (1 + Math.exp(-odds)), exact });
+      const probability = gain === undefined ? null : 1 / (1 + Math.exp(-odds));
+      found.set(label, { probability, exact });
     }
     return found;
   }
