@@ -14,12 +14,13 @@ from scipy.integrate import solve_ivp
 import residyn
 from residyn import effects
 from residyn.diagnosis.diagnose import Posterior
-from residyn.diagnosis.evidence import INTENSITIES, over_intensities
+from residyn.diagnosis.evidence import INTENSITIES, half_normals, over_intensities
 from residyn.diagnosis.missing_torque import missing_of, scene_of
 from residyn.diagnosis.search import Search, Tried, settle
+from residyn.diagnosis.simulated import log_evidence
 from residyn.physics.effect import JointEffect
 from residyn.physics.parameter import Dimension, param
-from residyn.recordings.tables import ArmTable, InertiaTable
+from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
 from tests import rig
 
 ARM = rig.paper_twin(0.3)
@@ -277,6 +278,31 @@ def test_what_sticks_is_found_from_afar_as_from_its_own_numbers(made):
     best = over_intensities(evidences, INTENSITIES)
     assert found.log_evidence > best - 1.0
     assert best > search.base.log_evidence + 100.0
+
+
+def test_without_a_random_torque_the_filter_has_the_evidence_of_exact_simulation(friction):
+    scene = friction.search.scene
+    # Of a smooth model; of one that sticks, which the filter does a little late (nats).
+    for labels, within in (((), 0.2), (friction.added, 5.0)):
+        tried = friction.search.tried[frozenset(labels)]
+        with jax.enable_x64(True):
+            t = tried.silenced(scene)
+            found = scene.evidences(t, scene.linearised(t), [0.0] * 4)
+            filtered = found.log_evidence[0] + half_normals(t.effects, t.prior, found)[0]
+            exact = log_evidence(scene, t, friction.fits.of(tried))
+        assert exact == pytest.approx(filtered, abs=within)
+
+
+def test_friction_that_holds_the_arm_leaves_nothing():
+    """In the filter the arm creeps where it is held, as if a torque were missing."""
+    label = "bearing_friction"
+    case = release((label, {"force": 0.3}))
+    on = [Bearing("elbow", 1e-9, 1e-9), Bearing("wrist", 1e-9, 1e-9)]
+    found = residyn.diagnose(residyn.Experiment(TABLE, (of(case),), on), max_effects=1)
+    assert (found.verdict, found.added) == ("missing", (label,))
+    assert found.verdict_probability > 0.99
+    value, std = parameter(found, f"{label}.force")
+    assert abs(value - 0.3) < 4 * std
 
 
 def test_two_effects_are_found_one_after_the_other():

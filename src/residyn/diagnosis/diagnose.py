@@ -49,6 +49,7 @@ from .result import (
     Verdict,
 )
 from .search import Search, Tried
+from .simulated import log_evidence
 
 MOST_EFFECTS = 3
 """How many effects are added unless it is told otherwise."""
@@ -105,6 +106,7 @@ def diagnose(
         fits = Fits(experiment, scene, wild, starts)
         search = Search(scene, base, deadline=deadline, say=say)
         fits.begin(search.base)
+        search.exact = fits.log_evidence
         otherwise = functools.partial(reassigned, experiment, effects, scene, search.base)
         search.run(max_effects, otherwise)
         best = search.best
@@ -127,15 +129,15 @@ class Fits:
         self.scene, self.starts, self.whole = scene, starts, experiment
         self.experiment, self.wild, self.cut = experiment, wild, False
         self.lock, self._pool = threading.Lock(), ThreadPoolExecutor(2)
-        self._begun: dict[Tried, Future[Fit]] = {}
+        self._begun: dict[Trajectory, Future[Fit]] = {}
         self.known: list[Fit] = []
         """Of the fitted recordings: a model that contains the effects of another fits no worse."""
 
     def begin(self, tried: Tried) -> "Future[Fit]":
         """Fit one model, in another thread."""
-        if tried not in self._begun:
-            self._begun[tried] = self._pool.submit(self._of, tried)
-        return self._begun[tried]
+        if tried.best not in self._begun:
+            self._begun[tried.best] = self._pool.submit(self._of, tried)
+        return self._begun[tried.best]
 
     def of(self, tried: Tried) -> Fit:
         """The fit of one model.
@@ -144,9 +146,16 @@ class Fits:
         """
         return self.begin(tried).result()
 
+    def log_evidence(self, tried: Tried) -> float:
+        """Of one model without a random torque, by exact simulation; NaN if it cannot be had."""
+        try:
+            return log_evidence(self.scene, tried.best, self.of(tried))
+        except FitError:
+            return math.nan
+
     def _of(self, tried: Tried) -> Fit:
         before = list(self._begun.items())
-        wait([f for t, f in before if set(t.added) < set(tried.added)])
+        wait([f for t, f in before if set(t.labels) < set(tried.best.labels)])
         with jax.enable_x64(True):  # JAX's settings are each thread's own
             return self.with_held_out(self.fitted(tried))
 
@@ -171,16 +180,28 @@ class Fits:
 
         def descended(numbers: np.ndarray, states: np.ndarray) -> Fit:
             begin, wild = here.model.with_vector(jnp.asarray(numbers)), self._wild(here.recordings)
-            found = descend(here, begin, numbers[None], wild, near=states[None], search=polish)
+            # What sticks does so in order: the first readings first, then all.
+            found = descend(
+                here,
+                begin,
+                numbers[None],
+                wild,
+                near=states[None],
+                growing=begin.rough,
+                search=polish,
+            )
             return finish(fitted, numbers, found, began, polish, evaluated)
 
         with self.lock:
             within = [f for f in self.known if set(f.model.labels) < set(t.labels)]
         best = min(within, key=lambda f: f.reduced_chi2, default=None)
-        found, nowhere = None, tried.intensity >= EXPLAINS_NOTHING
+        found = None
+        with contextlib.suppress(FitError):
+            if tried.intensity >= EXPLAINS_NOTHING:  # then the smoothed motion leads nowhere
+                found = fit(fitted, effects=own, starts=self.starts, progress=progress)
         with contextlib.suppress(FitError):
             states = np.stack([self._state(t, r) for r in here.recordings])
-            found = None if nowhere else descended(t.numbers, states)
+            found = found or descended(t.numbers, states)
         lost = found is None or (best and found.reduced_chi2 > _WORSE * best.reduced_chi2)
         if best and lost:
             with contextlib.suppress(FitError):
@@ -188,7 +209,7 @@ class Fits:
                 found = min(found or again, again, key=lambda f: f.reduced_chi2)
         if found is None:
             # No start of a wrong model is better than another one.
-            starts = self.starts if nowhere or tried.complete > 0.5 else 1
+            starts = 1 if tried.complete < 0.5 else self.starts
             found = fit(fitted, effects=own, starts=starts, progress=progress)
         with self.lock:
             self.known.append(found)

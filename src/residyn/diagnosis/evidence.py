@@ -137,7 +137,7 @@ def signed(number: Parameter) -> bool:
 def half_normals(effects: Sequence[AbstractEffect], prior: Prior, found: Evidences) -> np.ndarray:
     """(I,) what the half-normal priors of a model add to its log evidence: log 2 Phi of each number
     whose sign is known, in standard deviations from where it is silent."""
-    total = np.zeros(len(found.log_evidence))
+    total = np.zeros(len(found.regressors))
     for effect, own in zip(effects, number_slices(effects), strict=True):
         for number, i in zip(numbers_of(effect), range(own.start, own.stop), strict=True):
             if signed(number):

@@ -353,16 +353,18 @@ class OutOfTime(Exception):
 
 
 def tried_alone(scene: Scene, effects: Sequence[AbstractEffect], known: float = -math.inf) -> Tried:
-    """A model by itself; where it falls hopelessly behind a log evidence that is `known`, as far as
-    it has come.
+    """A model by itself, linearised along the readings at first, and at rest: noise makes of
+    readings rates that no model follows. Where it falls hopelessly behind a log evidence that is
+    `known`, it is left as far as it has come.
 
     **Raises:** `FitError` if no motion goes with it.
     """
     start = scene.start(effects, prior_of(scene, effects))
-    (found,) = settle(scene, [start], INTENSITIES[0], known=known)
-    if found is None:
+    starts = start, dataclasses.replace(start, path=np.zeros_like(start.path))
+    each = [found for found in settle(scene, starts, INTENSITIES[0], known=known) if found]
+    if not each:
         raise FitError("no motion of the model goes with the readings")
-    return Tried((), *found, log_prior=0.0)
+    return max((Tried((), *found, log_prior=0.0) for found in each), key=lambda t: t.log_evidence)
 
 
 class Search:
@@ -385,6 +387,9 @@ class Search:
         self.passed: dict[frozenset[str], Tried] = {}
         """Models that were not iterated, for to first order they have next to no part: as their
         parents, with the evidence that the first order gives."""
+        self.exact: Callable[[Tried], float] | None = None
+        """Log evidence of a model without a random torque by exact simulation, if that can be
+        had."""
         self.curves: list[Any] = []
         """`law.CurveModel`s: models with a law that has no name."""
         self.otherwise: Sequence[Any] = ()
@@ -393,6 +398,7 @@ class Search:
         self.stopped: str | None = None
         """Why the search ended early, if it did: "interrupted" or "budget"."""
         self._reduced: set[tuple[Tried, tuple[str, ...]]] = set()
+        self._simulated: set[Trajectory] = set()
         self.screens: dict[frozenset[str], Screen] = {}
         """First-order evidence of all candidates beside the models that were extended."""
         say("smoothing the motion with the model")
@@ -475,12 +481,26 @@ class Search:
                 self.extend(self.tried[best])
                 extended.add(best)
                 self.reduce()
+                self._simulate()
             if self.best.intensity >= EXPLAINS_NOTHING:  # then no name says anything
                 self.tried, self.passed = {frozenset(): self.base}, {}
         except KeyboardInterrupt:
             self.stopped = "interrupted"
         except OutOfTime:
             self.stopped = "budget"
+
+    def _simulate(self) -> None:
+        """The likeliest model's evidence without a random torque by exact simulation, where
+        something sticks: it is fitted anyway."""
+        while _sticks((model := self.best).best):
+            if self.exact is None or model.best in self._simulated:
+                return
+            self._simulated.add(model.best)
+            self.in_time()
+            log = self.exact(model)
+            if not math.isnan(log):
+                evidences = np.append(model.evidences[:-1], log)
+                self.tried[frozenset(model.added)] = dataclasses.replace(model, evidences=evidences)
 
     def screen(self, parent: Tried) -> Screen:
         """The first-order evidence of all candidates beside a model."""

@@ -45,6 +45,8 @@ class Grid(NamedTuple):
     """(K, n) of it."""
     spread: np.ndarray
     """(K,) s^2, w^2 / 24 of the averaged readings (of k spaced by h: (k^2 - 1) h^2 / 24)."""
+    group: np.ndarray
+    """(K,) how many readings are averaged."""
     run: np.ndarray
     """(K,) which recording."""
     last: np.ndarray
@@ -57,6 +59,15 @@ class Grid(NamedTuple):
     def of(self, recording: int) -> np.ndarray:
         """Indices of the instants of one recording."""
         return np.flatnonzero((self.run == recording) & (np.arange(len(self.run)) < self.real))
+
+    def of_readings(self, recording: int, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Values (N, n) at the instants (N,) of a recording, at its own instants here."""
+        own = self.of(recording)
+        size = int(self.group[own[0]])
+        if size > 1:
+            count = len(values) // size
+            return values[: count * size].reshape(count, size, -1).mean(axis=1)
+        return np.stack([np.interp(self.time[own], time - time[0], x) for x in values.T], axis=1)
 
 
 def bucket(count: int) -> int:
@@ -149,7 +160,7 @@ def lay_out(
         more = x[-1:] if rest is None else np.full_like(x[-1:], rest)
         return np.concatenate([x, np.repeat(more, room - real, axis=0)])
 
-    time, step, drive, angle, seen, variance, spread = columns
+    time, step, drive, angle, seen, variance, spread, group = columns
     return Grid(
         time=filled(time),
         step=filled(step, 0.0),
@@ -158,6 +169,7 @@ def lay_out(
         seen=filled(seen, False),
         variance=filled(variance),
         spread=filled(spread, 0.0),
+        group=filled(group, 1),
         run=filled(run),
         last=filled(ends, False),
         real=real,
@@ -205,7 +217,8 @@ def _one(recording: Recording, wild: np.ndarray, fast: float, most: float):
     step = np.append(np.diff(time), 0.0)
     after = np.concatenate([drive[1:], drive[-1:]])
     three = np.stack([drive, 0.5 * (drive + after), after], axis=1)
-    return time, step, three, angle, seen, variance, spread
+    group = np.full(len(time), size)
+    return time, step, three, angle, seen, variance, spread, group
 
 
 def local_amplitude(time: np.ndarray, angle: np.ndarray, period: float) -> np.ndarray:
