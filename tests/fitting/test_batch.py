@@ -20,6 +20,8 @@ from residyn.fitting import lanes
 from residyn.fitting.result_lines import ResultLines
 from residyn.recordings.tables import InertiaTable
 
+pytestmark = pytest.mark.usefixtures("compiled_in_less_time")
+
 TABLE = InertiaTable(("cart",), ((2.0,),), ("m",))
 T = np.arange(300) / 50.0
 
