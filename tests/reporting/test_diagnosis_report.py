@@ -414,9 +414,13 @@ def test_the_page_begins_with_the_verdict_and_the_falling_error(pages, found):
     assert "<dt>evidence</dt>" in page
 
 
-def test_the_added_effect_is_drawn_over_the_torque_of_the_first_model(pages):
+def test_the_added_effect_is_drawn_over_the_torque_of_the_first_model(pages, found):
     words = pages["missing"].partition("The torque that the first model lacks")[2]
-    assert "Blue: Coulomb friction at the elbow" in words
+    lacked, joint = text.torques_first_lacked(found["missing"])[0]
+    drawn, torque = lacked.curves_at(joint)[0], lacked.torque.torque[:, joint]
+    left = torque - (drawn.torque + drawn.changed)[:, joint]
+    part = names.unbroken(numbers.share(1 - np.sum(left**2) / np.sum(torque**2)))
+    assert f"Blue: Coulomb friction at the elbow, which explains {part} of its" in words
     assert "shoulder: " not in words.partition("<h2>")[0]  # it does not act there
 
 
