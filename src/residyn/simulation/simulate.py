@@ -217,8 +217,8 @@ def simulate(
         if drive is not None:
             steps = max(steps, math.ceil(float((times[-1] - times[0]) / drive.spacing)))
     z0 = None if z0 is None else jnp.asarray(z0, float)
-    how = {"steps": steps, "z0": z0, "drive": drive, "adjoint": adjoint, "integrator": chosen}
-    return _motion(all_floating(model), times, q0, v0, how, tuple(orders))
+    how = {"steps": int(steps), "z0": z0, "drive": drive, "adjoint": adjoint, "integrator": chosen}
+    return _motion(all_floating(model), times, q0, v0, how, tuple(map(int, orders)))
 
 
 @eqx.filter_jit  # else each of its operations is compiled by itself
