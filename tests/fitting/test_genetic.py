@@ -23,6 +23,8 @@ from tests.legible import legible
 rig = pytest.importorskip("tests.rig")
 pytest.importorskip("evosax")
 
+pytestmark = pytest.mark.usefixtures("compiled_in_less_time")
+
 SMALL = {"method": "genetic", "strategy": "CMA_ES", "population": 24, "generations": 160}
 NOISE = 1e-3
 
