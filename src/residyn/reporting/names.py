@@ -125,7 +125,8 @@ def unnamed(found: Diagnosis) -> str:
 
 def untried(found: Diagnosis) -> bool:
     """Whether the search was ended before it came to any effect."""
-    return found.verdict == "unexplained" and found.budget.models == 1
+    alone = found.budget.models == 1 and not found.explains_nothing
+    return found.verdict == "unexplained" and alone
 
 
 def own_name(number: str) -> str:
