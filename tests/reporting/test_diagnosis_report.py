@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from residyn import reporting as report
-from residyn.diagnosis.result import Budget, Family
+from residyn.diagnosis.result import Budget, ChannelError, Family
 from residyn.reporting import diagnosis as text
 from residyn.reporting import figures as plot
 from residyn.reporting import names, numbers
@@ -142,6 +142,17 @@ def test_nothing_found_and_yet_something_missing():
     )
     assert "What is missing is a torque of" in words
     assert "explains 0 %" not in words
+
+
+def test_columns_that_are_wrong_are_all_that_is_said():
+    clause = "the columns of shoulder and elbow are exchanged"
+    for complete, so in ((True, "to within the noise"), (False, "alone explain more than any")):
+        made = by_hand.unexplained(channels=ChannelError(clause, 0.999, complete))
+        words = " ".join(made.words)
+        assert words.startswith(f"It seems that {clause} (> 99 %): read so, springs and dampers ")
+        assert so in words
+        assert "missing" not in words
+        assert text.title_of(made) == "The columns of the recordings are not what the file says"
 
 
 @pytest.mark.parametrize(
