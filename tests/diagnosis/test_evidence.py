@@ -36,7 +36,7 @@ from residyn.diagnosis.evidence import (
 from residyn.diagnosis.search import Tried, settle, tried_alone
 from residyn.effects import ConstantTorque, CoulombFriction, CubicStiffness, Damper, Spring
 from residyn.filtering.kalman import Evidences
-from residyn.filtering.trajectory import Prior, Scene
+from residyn.filtering.trajectory import Prior, Scene, Trajectory
 from residyn.physics.effect import JointEffect
 from residyn.physics.parameter import Dimension, param, parameters_of
 
@@ -286,6 +286,7 @@ def test_friction_in_proportion_to_a_load_needs_two_loads(loads, told):
 def test_a_name_is_sure_where_little_is_left_beside_it():
     """What a torque of no catalogue leaves is of the size that effects have; what effects at work
     leave has any size."""
+    assert np.all(at_work(0.1) < at_work())  # and least where signs are wrong
     found = dict(zip(INTENSITIES, at_work(), strict=True))
     assert np.all(np.diff(at_work()) >= 0)  # intensities fall along it
     assert found[0.0] == found[NEGLIGIBLE] > 0.99
@@ -309,9 +310,15 @@ evidences = st.lists(
 )
 
 
+# A motion without numbers, none of which has a wrong sign.
+NOWHERE = Trajectory(
+    (), Prior(np.zeros(0), np.zeros(0), np.zeros(0, bool)), np.zeros(0), *np.zeros((3, 1, 1))
+)
+
+
 def posterior(each):
     tried = {
-        frozenset(s): Tried(s, np.array(e), None, log_prior_model(len(s), len(NAMES)))
+        frozenset(s): Tried(s, np.array(e), NOWHERE, log_prior_model(len(s), len(NAMES)))
         for s, e in zip(SETS, each, strict=True)
     }
     best = max(tried.values(), key=lambda m: m.log_posterior)

@@ -48,7 +48,7 @@ from .result import (
     Value,
     Verdict,
 )
-from .search import Search, Tried
+from .search import Search, Tried, signs_of
 from .simulated import log_evidence
 
 MOST_EFFECTS = 3
@@ -404,10 +404,10 @@ class Posterior:
     def of(self, labels: Iterable[str]) -> float:
         """Probability that one of these effects is at work: that of all models which have one,
         less what may be of a torque of no catalogue that they only take up a part of."""
-        wanted, certain = set(labels), at_work()
+        wanted = set(labels)
         models, each = [*self.named, *self.curves], [*self.each, *self.of_curves]
         return float(sum(
-            p * np.dot(model.weights, certain)
+            p * np.dot(model.weights, at_work(signs_of(model.best)))
             for model, p in zip(models, each, strict=True)
             if wanted & set(model.added)
         ))  # fmt: skip

@@ -146,6 +146,13 @@ def half_normals(effects: Sequence[AbstractEffect], prior: Prior, found: Evidenc
     return total
 
 
+def right_signs(effects: Sequence[AbstractEffect], prior: Prior, found: Evidences) -> np.ndarray:
+    """(I,) how probable it is that the numbers of a model have the signs that physics gives them,
+    if their priors leave that open."""
+    count = sum(signed(number) for effect in effects for number in numbers_of(effect))
+    return np.exp(half_normals(effects, prior, found) - count * math.log(2.0))
+
+
 def half_normal(ratio):
     """By how much a half-normal prior raises a log evidence over a normal one, where the posterior
     mean is `ratio` standard deviations on the right side: log 2 Phi."""
@@ -171,7 +178,7 @@ def log_prior_intensity(intensities: Sequence[float]) -> np.ndarray:
     )  # fmt: skip
 
 
-def at_work() -> np.ndarray:
+def at_work(signs: float = 1.0) -> np.ndarray:
     """(I,) probability that the effects of a model are at work, for each random torque that the
     model still needs.
 
@@ -179,14 +186,16 @@ def at_work() -> np.ndarray:
     take up a part. What they leave is then of the size that effects have (half-normal, `WIDTH`),
     while beside effects that are at work it is another torque, of any size
     (`log_prior_intensity`). So a name is sure where little is left beside it, and doubtful where as
-    much is left as effects are expected to be, whatever the number of readings.
+    much is left as effects are expected to be, whatever the number of readings. What stands in for
+    another torque may have either sign: `signs` is the probability that springs, dampers and all
+    effects have theirs (`right_signs`).
     """
     each = np.array(INTENSITIES)
     above = np.append(np.inf, np.sqrt(each[:-1] * each[1:]))  # upper ends of the grid's cells
     above[-1] = above[-2] * each[-2] / each[-3]
     below = np.append(above[1:], 0.0)
     outside = OUTSIDE * (erf(above / WIDTH / math.sqrt(2)) - erf(below / WIDTH / math.sqrt(2)))
-    work = (1.0 - OUTSIDE) * np.exp(log_prior_intensity(INTENSITIES))
+    work = signs * (1.0 - OUTSIDE) * np.exp(log_prior_intensity(INTENSITIES))
     none = each <= NEGLIGIBLE  # as good as none: no cells of their own
     outside[none], work[none] = outside[none].sum(), work[none].sum()
     # More that is left makes no name surer, though few effects are as large as the whole spring.

@@ -20,7 +20,7 @@ import jax
 import numpy as np
 
 from ..effects import AbstractEffect
-from ..filtering.kalman import System
+from ..filtering.kalman import Evidences, System
 from ..filtering.law import number_slices, numbers_of, state_slices
 from ..filtering.linearised import Linear
 from ..filtering.trajectory import Scene, Trajectory
@@ -43,6 +43,7 @@ from .evidence import (
     log_prior_model,
     over_intensities,
     prior_of,
+    right_signs,
     savage_dickey,
     shares,
     signed,
@@ -297,6 +298,12 @@ def _evidences(scene: Scene, t: Trajectory, linear: Linear, levels: np.ndarray) 
 def _sticks(t: Trajectory) -> bool:
     """Whether a joint or a brake may stick."""
     return any(e.dry or e.follows for e in t.effects)
+
+
+def signs_of(t: Trajectory) -> float:
+    """`right_signs` of a smoothed model."""
+    std = np.sqrt(np.maximum(np.diag(t.covariance), 1e-300))
+    return float(right_signs(t.effects, t.prior, Evidences(None, t.u[None], std[None]))[0])
 
 
 def silenced(scene: Scene, t: Trajectory, intensity: float) -> Trajectory:

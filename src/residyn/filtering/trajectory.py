@@ -293,7 +293,8 @@ class Scene:
             log_evidence=float(evidence),
             covariance=covariance,
             torque=mean[:, X:],
-            torque_variance=np.maximum(variance[:, X:], 0.0),
+            # Readings make nothing less sure; rounding may, of a motion that grows exponentially.
+            torque_variance=np.clip(variance[:, X:], 0.0, (intensity * self.torque) ** 2),
         )
         return self.consistent(moved)
 

@@ -89,8 +89,11 @@ def sentences(found: Diagnosis) -> tuple[str, ...]:
     words = [*_stopped(found), *_unphysical(found)]
     if found.explains_nothing:
         return (*words, *_nothing_explained(found))
-    words += _families(found) if found.added else [_none_named(found)]
-    words += _laws(found)
+    if _stand_in(found):
+        words += _standing_in(found)
+    else:
+        words += _families(found) if found.added else [_none_named(found)]
+        words += _laws(found)
     words += laws.sentences(found)
     words += _others(found)
     words += _fall(found)
@@ -189,6 +192,22 @@ def _families(found: Diagnosis) -> list[str]:
         else:
             told.append(f"{upper(name)} {verb} missing {chance}.")
     return told
+
+
+def _stand_in(found: Diagnosis) -> bool:
+    """Whether what was added is next to never at work: it fits with wrong signs only."""
+    return bool(found.added) and max(f.probability for f in accepted(found)) < _ALSO
+
+
+def _standing_in(found: Diagnosis) -> list[str]:
+    names = listed([_family(f, found) for f in accepted(found)])
+    verb = "takes" if len(found.added) == 1 else "take"
+    return [
+        _none_named(found),
+        f"{upper(names)} {verb} up a part of it, but cannot be its cause "
+        f"({percent(max(f.probability for f in accepted(found)))}): numbers that must be positive "
+        "are negative.",
+    ]
 
 
 def _family(family: Family, found: Diagnosis, comma: bool = False) -> str:
@@ -508,7 +527,7 @@ def title_of(found: Diagnosis) -> str:
         return "Nothing is missing"
     if untried(found):
         return "Something is missing; no effect was tried yet"
-    if not found.added:
+    if not found.added or _stand_in(found):
         return f"Something is missing that {unnamed(found)} explains"
     words = [_family(f, found) for f in accepted(found)]
     if found.verdict == "unexplained":
