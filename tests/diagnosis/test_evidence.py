@@ -30,6 +30,7 @@ from residyn.diagnosis.evidence import (
     log_prior_model,
     over_intensities,
     prior_of,
+    right_signs,
     savage_dickey,
     subset,
 )
@@ -268,6 +269,8 @@ def test_no_spring_has_less_than_nothing(reading, noise):
     expected = math.log(2.0) + math.log(max(positive, 1e-300))
     (added,) = half_normals([Spring("cart", 1.0)], prior, found)
     assert added == pytest.approx(expected, rel=1e-6) or positive < 1e-290
+    (right,) = right_signs([Spring("cart", 1.0)], prior, found)
+    assert right == pytest.approx(positive, rel=1e-6, abs=1e-290)
 
 
 @pytest.mark.parametrize(("loads", "told"), [((4.0, 4.0), False), ((4.0, 9.0), True)])
