@@ -505,7 +505,7 @@ class Search:
             self._simulated.add(model.best)
             self.in_time()
             log = self.exact(model)
-            if not math.isnan(log):
+            if log > model.evidences[-1]:  # a fit may have ended in a lower one of the maxima
                 evidences = np.append(model.evidences[:-1], log)
                 self.tried[frozenset(model.added)] = dataclasses.replace(model, evidences=evidences)
 
