@@ -465,6 +465,7 @@ class Search:
             if self.base.complete < 0.5:
                 self.say("reading the columns otherwise")
                 self.otherwise = otherwise()
+                give_back()
             other = self.reassigned
             if other and (other.tried.complete > 0.5 or self.base.intensity >= EXPLAINS_NOTHING):
                 return  # nothing is left to be explained, or all
