@@ -144,7 +144,7 @@ def test_nothing_found_and_yet_something_missing():
     assert "explains 0 %" not in words
 
 
-def test_columns_that_are_wrong_are_all_that_is_said():
+def test_columns_that_are_wrong_are_all_that_is_said(monkeypatch):
     clause = "the columns of shoulder and elbow are exchanged"
     for complete, so in ((True, "to within the noise"), (False, "alone explain more than any")):
         made = by_hand.unexplained(channels=ChannelError(clause, 0.999, complete))
@@ -153,6 +153,10 @@ def test_columns_that_are_wrong_are_all_that_is_said():
         assert so in words
         assert "missing" not in words
         assert text.title_of(made) == "The columns of the recordings are not what the file says"
+        bare = dataclasses.replace(made, ladder=made.ladder[:1])
+        shown = " ".join(legible(plot.ladder(bare), monkeypatch))
+        assert "the columns are to be put right first" in shown
+        assert "catalogue" not in shown
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,10 @@ def render(
     diagnosis: Diagnosis | None = None,
 ) -> str:
     """The page of fits as text."""
-    explorer = "" if diagnosis is None else markupsafe.Markup(embedded(diagnosis))
+    # Of columns that are not what the file says no model is worth exploring.
+    explorer = ""
+    if diagnosis is not None and diagnosis.channels is None:
+        explorer = markupsafe.Markup(embedded(diagnosis))
     return _filled(
         "report.html.j2",
         "fit" if diagnosis is None else "diagnosis",

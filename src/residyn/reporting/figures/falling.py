@@ -63,6 +63,8 @@ def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
     if len(each) == 1 and found.verdict == "unexplained":
         end = f"{unnamed(found)}\nbrings it down to the noise"
         end = "no effect was tried yet" if untried(found) else end
+    if found.channels is not None:
+        end = "the columns are to be put right first"
     return _falling(found.fit, names, each, narrow, end)
 
 
