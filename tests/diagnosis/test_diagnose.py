@@ -10,13 +10,14 @@ import jax
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.stats import norm
 
 import residyn
 from residyn import effects
 from residyn.diagnosis.diagnose import Posterior
 from residyn.diagnosis.evidence import INTENSITIES, half_normals, over_intensities
 from residyn.diagnosis.missing_torque import missing_of, scene_of
-from residyn.diagnosis.search import Search, Tried, settle
+from residyn.diagnosis.search import Search, Tried, settle, tried_alone
 from residyn.diagnosis.simulated import log_evidence
 from residyn.physics.effect import JointEffect
 from residyn.physics.parameter import Dimension, param
@@ -401,6 +402,20 @@ def test_columns_that_are_not_what_the_file_says_are_told_and_no_effect_is_named
     assert found.channels.complete is not bool(hidden)
     assert max((c.probability for c in found.candidates), default=0.0) < 0.01
     assert words in " ".join(found.words)
+
+
+def test_noise_alone_has_the_evidence_of_noise():
+    """From the rates of such readings alone the base model comes to no motion: hundreds of
+    thousands of nats less."""
+    noise = 0.4
+    time = np.arange(0, SECONDS, 1 / RATE)
+    angle = noise * np.random.default_rng(0).standard_normal((len(time), 2))
+    seen = residyn.Recording.from_arrays(time, angle, noise=noise, theta2=ARM.theta2)
+    with jax.enable_x64(True):
+        scene, base, _ = scene_of(experiment(seen), ())
+        found = tried_alone(scene, base).log_evidence
+    alone = norm.logpdf(angle, scale=noise).sum()
+    assert alone - 50.0 < found < alone + 5.0  # less what numbers and first states cost
 
 
 def test_small_angles_in_degrees_are_told_from_large_ones_in_rad():
