@@ -107,8 +107,8 @@ def diagnose(
         search = Search(scene, base, deadline=deadline, say=say)
         fits.begin(search.base)
         search.exact = fits.log_evidence
-        otherwise = functools.partial(reassigned, experiment, effects, scene, search.base)
-        search.run(max_effects, otherwise)
+        reassign = functools.partial(reassigned, experiment, effects, scene, search.base)
+        search.run(max_effects, reassign)
         best = search.best
         unexplained = best.complete < 0.5 and best.intensity < EXPLAINS_NOTHING
         if unexplained and not (search.stopped or search.reassigned):
@@ -317,7 +317,7 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
         still_missing=still,
         laws=laws,
         random_torque=_random_torque(scene, best),
-        channels=_channels(search, posterior.otherwise),
+        channels=_channels(search, posterior.of_reassigned),
         intensity=float(np.dot(best.weights, INTENSITIES)),
         explains_nothing=best.intensity >= EXPLAINS_NOTHING,
         budget=Budget(len(search.tried), len(search.candidates), search.stopped),
@@ -388,7 +388,7 @@ class Posterior:
         self.each, self.of_curves, of_other = np.split(each / each.sum(), ends)
         """Probability of each model with names only, of each with a free curve, and of the base
         model with the columns read otherwise."""
-        self.otherwise = float(of_other.sum())
+        self.of_reassigned = float(of_other.sum())
         self.of_tried = self.each[: len(self.models)]
         verdict = self.verdict()[0]
         chosen = {"adequate": False, "missing": True}.get(verdict)
@@ -424,7 +424,7 @@ class Posterior:
             complete = 0.0 if model.matters else model.complete
             sums["missing" if model.added else "adequate"] += p * complete
             sums["unexplained"] += p * (1.0 - complete)
-        sums["unexplained"] += self.otherwise  # by anything of the readings as they stand
+        sums["unexplained"] += self.of_reassigned  # by anything of the readings as they stand
         likeliest: Verdict = max(sums, key=lambda v: sums[v])  # pyright: ignore
         return likeliest, float(sums[likeliest])
 
@@ -474,7 +474,7 @@ class Posterior:
         """The likeliest explanation (kinds of law and their places) and the next one, if the two
         cannot be told apart: the likeliest model of each, and their probabilities. None where the
         columns are to be put right first."""
-        if self.otherwise:
+        if self.of_reassigned:
             return [], np.zeros(0)
         kinds = {e.label: (e.kind(), e.place) for e in self.search.candidates}
         groups: dict[frozenset, list[int]] = {}

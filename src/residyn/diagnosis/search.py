@@ -399,7 +399,7 @@ class Search:
         had."""
         self.curves: list[Any] = []
         """`law.CurveModel`s: models with a law that has no name."""
-        self.otherwise: Sequence[Any] = ()
+        self.reassignments: Sequence[Any] = ()
         """`channels.Reassigned`s: the base model with the columns of the readings read otherwise,
         where it does not explain them as they stand."""
         self.stopped: str | None = None
@@ -445,26 +445,26 @@ class Search:
     def reassigned(self) -> Any:
         """The likeliest other reading of the columns, if it explains any of the motion and is
         likelier than all models of the columns as they stand; else None."""
-        each = [r for r in self.otherwise if r.tried.intensity < EXPLAINS_NOTHING]
+        each = [r for r in self.reassignments if r.tried.intensity < EXPLAINS_NOTHING]
         likeliest = max(each, key=self.log_posterior_of, default=None)
         if likeliest is None or self.log_posterior_of(likeliest) < self.best.log_posterior:
             return None
         return likeliest
 
     def log_posterior_of(self, other: Any) -> float:
-        """Of one of `otherwise`, on the scale of `Tried.log_posterior`: as unlikely beforehand as
-        one effect."""
-        known = len(self.candidates) + len(self.otherwise)
+        """Of one of `reassignments`, on the scale of `Tried.log_posterior`: as unlikely beforehand
+        as one effect."""
+        known = len(self.candidates) + len(self.reassignments)
         return other.tried.log_evidence + log_prior_model(1, known)
 
-    def run(self, most: int, otherwise: Callable[[], Sequence[Any]] = tuple) -> None:
+    def run(self, most: int, reassign: Callable[[], Sequence[Any]] = tuple) -> None:
         """Add effects, `most` at most, until no model beats the one that there is, or as long as
         the likeliest explains anything of the motion. Ctrl-C and the deadline end it with what
-        there is. `otherwise` makes `channels.Reassigned`s."""
+        there is. `reassign` makes `channels.Reassigned`s."""
         try:
             if self.base.complete < 0.5:
                 self.say("reading the columns otherwise")
-                self.otherwise = otherwise()
+                self.reassignments = reassign()
                 give_back()
             other = self.reassigned
             if other and (other.tried.complete > 0.5 or self.base.intensity >= EXPLAINS_NOTHING):
