@@ -13,7 +13,6 @@ import functools
 import math
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -321,38 +320,29 @@ def silenced(scene: Scene, t: Trajectory, intensity: float) -> Trajectory:
 _prepared: set[Any] = set()
 
 
-def prepare(
-    scene: Scene, base: Sequence[AbstractEffect], wanted: Sequence[AbstractEffect]
-) -> Future[Any] | None:
-    """Compile what a search runs, side by side, by running it once with zeros; once a process. What
-    the screen needs is ready when the result is."""
+def prepare(scene: Scene, base: Sequence[AbstractEffect], wanted: Sequence[AbstractEffect]) -> None:
+    """Compile what a search runs, side by side, by running it once with zeros; once a process."""
     t = scene.start(base, prior_of(scene, base))
     K, X, n, P = scene.K, t.path.shape[1], scene.n, len(t.u)
     laws, _ = scene.tabulated(t)
     key = laws.names, scene.joints, len(scene.recordings), K, X, P, type(scene.mechanisms[0])
     if key in _prepared:
-        return None
+        return
     _prepared.add(key)
     shapes = (X, X), (X, P), (X, n), (X,), (n, X), (n, P), (n,), (n, n), (n,)
     system = System(*(np.zeros((K, *shape)) for shape in shapes))
     wide = (n, 3 * K), (n, 3 * K), (X, X, 3 * K), (X, n, 3 * K)
     unused = [np.zeros(0)] * 3
     linear = Linear(system, np.zeros((K, n)), *map(np.zeros, wide), *unused)
-    columns = functools.partial(Columns, scene, t, wanted, [1.0], linear=linear)
-    lighter = [
-        functools.partial(scene.evidences, t, linear, np.zeros(_NEAR)),
-        functools.partial(scene.smoothed, t, linear, 0.0),
-    ]
-    # The largest program by itself: together they would take too much memory.
-    side_by_side([functools.partial(scene.linearised, t), lambda: [call() for call in lighter]])
+
+    def filters() -> None:
+        scene.evidences(t, linear, np.zeros(_NEAR))
+        scene.smoothed(t, linear, 0.0)
+        Columns(scene, t, wanted, [1.0], linear=linear).gram([0.0])
+
+    # The largest program beside all others.
+    side_by_side([functools.partial(scene.linearised, t), filters])
     give_back()
-
-    def screened() -> None:
-        with jax.enable_x64(True):
-            columns().gram([0.0])
-        give_back()
-
-    return ThreadPoolExecutor(1).submit(screened)
 
 
 class OutOfTime(Exception):
@@ -409,7 +399,7 @@ class Search:
         self.screens: dict[frozenset[str], Screen] = {}
         """First-order evidence of all candidates beside the models that were extended."""
         say("smoothing the motion with the model")
-        self._ready = prepare(scene, base, self.candidates)
+        prepare(scene, base, self.candidates)
         alone = tried_alone(scene, base)
         self._keep((), alone.evidences, alone.best)
 
@@ -516,8 +506,6 @@ class Search:
         if key not in self.screens:
             trajectory, intensity = self.screening_motion(parent)
             self.say(f"screening {len(self.candidates)} candidates")
-            if self._ready is not None:
-                self._ready.result()
             # A model with little random torque shows no line in it, however wrong it is: the base
             # model's, which is the loudest, stay.
             lines = spectral_lines(self.scene, trajectory, self.lines)

@@ -34,10 +34,11 @@ RAMP = 0.4
 """Half-width of dry friction's ramp in steps: the Runge-Kutta step is stable above 1 / 2.78."""
 ROOM = 4
 """Room for a model's effects comes in multiples of this ..."""
-REGRESSORS = 12
-"""... for its numbers, of this ..."""
-STATES = 3
-"""... and for its internal states, of this."""
+REGRESSORS = 11
+"""... for its numbers, of this: 1 + 11 columns of means are whole vectors of 4 or 8 float64 ..."""
+STATES = 2
+"""... and for its internal states, of this, the most of one effect of the catalogue: a state of two
+joints, random torques included, is then one vector of 8 float64."""
 
 
 def numbers_of(effect: AbstractEffect) -> list[Parameter]:
