@@ -29,12 +29,12 @@ def instances():
     ]
 
 
-def at(effect, factor):
+def at(effect, factor, scales=SCALES):
     """The effect with its numbers `factor` times their typical size away from silence; shapes stay
     at a typical one."""
     values = {}
     for p in parameters_of(effect):
-        size = p.dimension.size(SCALES)
+        size = p.dimension.size(scales)
         if p.silent is not None:
             values[p.field] = jnp.asarray(p.silent + factor * size)
         elif p.grid:
@@ -105,6 +105,22 @@ def test_it_does_something_elsewhere(words):
         for m in motions(memory=effect.memory)
     ]
     assert max(off) > 1e-3
+
+
+NOT_OF_LOAD = [w for w in instances() if not CATALOGUE[w.partition(":")[0]].of_load]
+
+
+@pytest.mark.parametrize("words", NOT_OF_LOAD)
+def test_its_typical_size_goes_with_the_unit_of_length(words):
+    """The same arm in centimetres: of accelerations, rad/s^2, length is no part. A friction's share
+    of a load has no typical size."""
+    small = residyn.PlanarArm([40, 40], 11662, 5790, 143.84, 0.3, bearings=[1, 1])
+    metres = SCALES._replace(length=0.4)
+    centimetres = SCALES._replace(inertia=1e4 * SCALES.inertia, length=40.0)
+    (effect,) = effects_named(words, ARM)
+    for motion in motions(5, effect.memory):
+        found = own_part(small + at(effect, 0.1, centimetres), motion)
+        assert found == pytest.approx(own_part(ARM + at(effect, 0.1, metres), motion), rel=1e-9)
 
 
 @pytest.mark.parametrize("words", instances())

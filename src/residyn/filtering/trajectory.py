@@ -159,8 +159,8 @@ class Scene:
         slowest = 2 * math.pi / recordings[long].duration
         pace = np.maximum(np.sqrt(stiffness / np.diag(inertia)), slowest)
         self.scales = [
-            Scales(float(inertia[j, j]), float(pace[j]), float(math.sqrt(2) * amplitude[j]))
-            for j in range(n)
+            Scales(float(inertia[j, j]), float(pace[j]), float(math.sqrt(2) * amplitude[j]), length)
+            for j, length in enumerate(mechanisms[0].reach())
         ]
         self.torque = np.array([s.inertia * s.frequency**2 * s.amplitude for s in self.scales])
         self.readings = Readings(g.angle, g.seen, g.variance)
@@ -187,7 +187,8 @@ class Scene:
 
     def size(self, effect: AbstractEffect, number: Parameter) -> float:
         """Typical size of one number."""
-        return float(number.dimension.size(self.scales[self.joint_of(effect)]))
+        joint = self.joint_of(effect) if number.joint is None else number.joint
+        return float(number.dimension.size(self.scales[joint]))
 
     def start(self, effects: Sequence[AbstractEffect], prior: Prior) -> Trajectory:
         """A model, led by nothing but the readings yet."""

@@ -366,8 +366,8 @@ def _scales_of(
     model: Model, amplitude: np.ndarray, pace: np.ndarray
 ) -> Callable[[int | None], Scales]:
     """The scales of one joint, or of the last one for what belongs to none; `pace` (n,) rad/s."""
-    inertia = np.asarray(_inertia(model.mechanism))
-    return lambda joint: Scales(*(_at(each, joint) for each in (inertia, pace, amplitude)))
+    inertia, reach = np.asarray(_inertia(model.mechanism)), np.array(model.mechanism.reach())
+    return lambda joint: Scales(*(_at(each, joint) for each in (inertia, pace, amplitude, reach)))
 
 
 @kept(like=0)

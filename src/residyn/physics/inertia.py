@@ -40,6 +40,10 @@ class AbstractInertia(eqx.Module):
         pull = jax.jacfwd(lambda q: self.kinetic_energy(q, v))(q)
         return tuple(r - p for r, p in zip(rate, pull, strict=True))
 
+    def reach(self) -> tuple[float, ...]:
+        """(n,) m, the length of the link that turns with each joint; 1 where it is not known."""
+        return (1.0,) * len(self.joints)
+
     def link_angles(self, q: Joints) -> Joints:
         """Absolute angle of each link, rad: what gravity acts on.
 

@@ -93,6 +93,10 @@ class PlanarArm(AbstractMechanism):
         s = self.link_lengths[0] * self.coupling * jnp.sin(self.theta2 + q[1])
         return -s * (2.0 * v[0] * v[1] + v[1] * v[1]), s * v[0] * v[0]
 
+    def reach(self):
+        """l1, l2."""
+        return tuple(self.link_lengths.tolist())
+
     def link_angles(self, q):
         """q1 and q1 + theta2 + q2."""
         return q[0], q[0] + self.theta2 + q[1]

@@ -24,12 +24,14 @@ Sign = Literal["any", "positive"]
 class Scales(NamedTuple):
     """Typical size of a joint's motion: what a parameter of that joint can be measured against.
 
-    `inertia` in kg m^2 (or kg), `frequency` in rad/s, `amplitude` in rad (or m).
+    `inertia` in kg m^2 (or kg), `frequency` in rad/s, `amplitude` in rad (or m), `length` of the
+    link in m.
     """
 
     inertia: float = 1.0
     frequency: float = 1.0
     amplitude: float = 1.0
+    length: float = 1.0
 
 
 class Dimension(NamedTuple):
@@ -60,10 +62,12 @@ STIFFNESS_RATE = Dimension("N m/(rad s)", "N/(m s)", lambda s: s.inertia * s.fre
 CUBIC = Dimension("N m/rad^3", "N/m^3", lambda s: s.inertia * (s.frequency / s.amplitude) ** 2)
 DAMPING = Dimension("N m s/rad", "N s/m", lambda s: s.inertia * s.frequency)
 QUADRATIC = Dimension("N m s^2/rad^2", "N s^2/m^2", lambda s: s.inertia / s.amplitude)
-# Of a point in the plane, such as a bearing's; the arm is taken to be about a metre long.
-FORCE = Dimension("N", "N", lambda s: s.inertia * s.frequency**2 * s.amplitude)
-POINT_DAMPING = Dimension("N s/m", "N s/m", lambda s: s.inertia * s.frequency)
-POINT_QUADRATIC = Dimension("N s^2/m^2", "N s^2/m^2", lambda s: s.inertia / s.amplitude)
+# Of a point of a link, such as a bearing: forces that turn it as a torque of typical size does.
+FORCE = Dimension("N", "N", lambda s: s.inertia * s.frequency**2 * s.amplitude / s.length)
+POINT_DAMPING = Dimension("N s/m", "N s/m", lambda s: s.inertia * s.frequency / s.length**2)
+POINT_QUADRATIC = Dimension(
+    "N s^2/m^2", "N s^2/m^2", lambda s: s.inertia / (s.amplitude * s.length**3)
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,6 +82,7 @@ class Parameter:
     silent: float | None
     fitted: bool
     grid: tuple[float, ...]
+    joint: int | None
 
 
 class Memory(NamedTuple):
@@ -134,6 +139,7 @@ def param(
     default: float | None = None,
     fitted: bool = True,
     grid: tuple[float, ...] = (),
+    joint: int | None = None,
     name: str | None = None,
 ) -> Any:
     """Declare a number of an effect: a field of its class whose value is a scalar array.
@@ -150,6 +156,8 @@ def param(
     - `default`: the value of an instance made without one; `silent` if not given.
     - `fitted`: whether a fit moves it.
     - `grid`: values that a fit starts a shape number from, in the dimension's typical size.
+    - `joint`: the joint whose motion gives the typical size, from 0; if not given, that of the
+      effect, or the last one.
     - `name`: what users call it, where that differs from the field's name.
     """
     if silent is None and default is None:
@@ -162,6 +170,7 @@ def param(
         "silent": silent,
         "fitted": fitted,
         "grid": grid,
+        "joint": joint,
     }
     return eqx.field(
         default=silent if default is None else default,
