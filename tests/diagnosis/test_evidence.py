@@ -1,6 +1,7 @@
 """What decides, held against closed forms: priors that normalise, marginal likelihoods of linear
 and of nearly linear models, and the posterior as sums over models."""
 
+import dataclasses
 import math
 from types import SimpleNamespace
 
@@ -34,8 +35,17 @@ from residyn.diagnosis.evidence import (
     savage_dickey,
     subset,
 )
+from residyn.diagnosis.free_curves import CurveModel
 from residyn.diagnosis.search import Tried, settle, tried_alone
-from residyn.effects import ConstantTorque, CoulombFriction, CubicStiffness, Damper, Spring
+from residyn.effects import (
+    AirDrag,
+    ConstantTorque,
+    CoulombFriction,
+    CubicStiffness,
+    Damper,
+    Gravity,
+    Spring,
+)
 from residyn.filtering.kalman import Evidences
 from residyn.filtering.trajectory import Prior, Scene, Trajectory
 from residyn.physics.effect import JointEffect
@@ -286,6 +296,29 @@ def test_friction_in_proportion_to_a_load_needs_two_loads(loads, told):
     assert "coulomb_friction" in {e.name for e in found}
 
 
+def test_what_links_feel_is_measured_by_their_own_joint_and_length():
+    """The pull of link 1 is known beforehand as a spring at the shoulder is; forces at points of
+    links go with the unit of length."""
+    time = np.arange(200) / 40
+    swing = np.stack([0.2 * np.cos(3 * time), 0.5 * np.cos(9 * time)], axis=1)
+    run = residyn.Recording.from_arrays(time, swing, noise=NOISE)
+    wild = np.zeros(swing.shape, bool)
+    one, other = (
+        Scene(
+            [run],
+            [residyn.PlanarArm([0.2 * m, 0.3 * m], 0.03 * m**2, 0.01 * m**2, 0.02 * m)],
+            [wild],
+        )
+        for m in (1.0, 100.0)
+    )
+    moment1, moment2, *_ = parameters_of(Gravity())
+    for joint, moment in (("shoulder", moment1), ("elbow", moment2)):
+        (stiffness,) = parameters_of(Spring(joint))
+        assert one.size(Gravity(), moment) == pytest.approx(one.size(Spring(joint), stiffness))
+    (drag,) = parameters_of(AirDrag())  # kg/m^2
+    assert other.size(AirDrag(), drag) == pytest.approx(1e-4 * one.size(AirDrag(), drag))
+
+
 def test_a_name_is_sure_where_little_is_left_beside_it():
     """What a torque of no catalogue leaves is of the size that effects have; what effects at work
     leave has any size."""
@@ -319,15 +352,27 @@ NOWHERE = Trajectory(
 )
 
 
-def posterior(each):
+# A motion with a damper below zero by five standard errors.
+WRONG = dataclasses.replace(
+    NOWHERE,
+    effects=(Damper("cart"),),
+    prior=Prior(np.zeros(1), np.ones(1), np.zeros(1, bool)),
+    u=np.array([-0.5]),
+    covariance=np.array([[0.01]]),
+)
+
+
+def posterior(each, named=NOWHERE, curves=()):
     tried = {
-        frozenset(s): Tried(s, np.array(e), NOWHERE, log_prior_model(len(s), len(NAMES)))
+        frozenset(s): Tried(
+            s, np.array(e), named if s else NOWHERE, log_prior_model(len(s), len(NAMES))
+        )
         for s, e in zip(SETS, each, strict=True)
     }
     best = max(tried.values(), key=lambda m: m.log_posterior)
     base = tried[frozenset()]
     known = {"tried": tried, "passed": {}, "base": base, "best": best, "candidates": NAMES}
-    return Posterior(SimpleNamespace(**known, screens={}, curves=[], reassigned=None))
+    return Posterior(SimpleNamespace(**known, screens={}, curves=list(curves), reassigned=None))
 
 
 def in_a_complete_model(found, label):
@@ -355,12 +400,40 @@ def test_evidence_against_the_catalogue_never_makes_a_name_likelier(each, raised
 def test_the_three_verdicts_share_all_probability(each):
     found = posterior(each)
     assert sum(found.each) == pytest.approx(1.0)
-    missing = sum(p * m.complete for m, p in zip(found.models, found.each, strict=True) if m.added)
+    missing = sum(
+        p * np.dot(m.weights, at_work() * ~LOUD)
+        for m, p in zip(found.models, found.each, strict=True)
+        if m.added
+    )
     adequate = found.each[0] * found.models[0].complete
     shares = {"adequate": adequate, "missing": missing, "unexplained": 1 - adequate - missing}
     verdict, probability = found.verdict()
     assert probability == pytest.approx(shares[verdict], abs=1e-9)
     assert probability == pytest.approx(max(shares.values()), abs=1e-9)
+
+
+@given(evidences, st.sampled_from([NOWHERE, WRONG]))
+def test_effects_are_missing_no_surer_than_any_is_named(each, motion):
+    """Also where no name is at work, for all stand beside a damper below zero."""
+    found = posterior(each, motion)
+    verdict, probability = found.verdict()
+    if verdict == "missing":
+        assert probability <= found.of(LABELS) + 1e-12
+
+
+def test_a_curve_that_holds_the_damper_makes_no_name_less_sure():
+    """A curve of the rate may be a damper of any size, and the damper beside it be negative."""
+    each = np.zeros((len(SETS), len(INTENSITIES)))
+    each[SETS.index((LABELS[0],))] = 30.0
+    none = np.zeros(0)
+    best = Tried((LABELS[0],), each[1] + 40.0, WRONG, log_prior_model(1, len(NAMES)))
+    curve = CurveModel(
+        best.added, best.evidences, best.best, best.log_prior,
+        place=None, mean=none, covariance=none, held=none, share=0.1,
+    )  # fmt: skip
+    alone, beside = posterior(each), posterior(each, curves=[curve])
+    assert sum(beside.of_curves) > 0.99
+    assert beside.of([LABELS[0]]) == pytest.approx(alone.of([LABELS[0]]), abs=0.01)
 
 
 @given(evidences)

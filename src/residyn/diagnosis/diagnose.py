@@ -32,9 +32,16 @@ from ..recordings.experiment import Experiment, must_be_experiment
 from ..runtime.memory import give_back
 from .candidate_tests import best_tests
 from .channels import reassigned
-from .evidence import EXPLAINS_NOTHING, INDISTINGUISHABLE, INTENSITIES, at_work, shares
+from .evidence import (
+    EXPLAINS_NOTHING,
+    INDISTINGUISHABLE,
+    INTENSITIES,
+    NEGLIGIBLE,
+    at_work,
+    shares,
+)
 from .forecast import held_out
-from .law import curve_models, laws_of
+from .law import CurveModel, curve_models, laws_of
 from .linearised_fit import LinearisedFit, evaluated, polish
 from .missing_torque import missing_of, scene_of
 from .result import (
@@ -407,21 +414,33 @@ class Posterior:
         wanted = set(labels)
         models, each = [*self.named, *self.curves], [*self.each, *self.of_curves]
         return float(sum(
-            p * np.dot(model.weights, at_work(signs_of(model.best)))
+            p * np.dot(model.weights, self._at_work(model))
             for model, p in zip(models, each, strict=True)
             if wanted & set(model.added)
         ))  # fmt: skip
+
+    def _at_work(self, model: Tried | CurveModel) -> np.ndarray:
+        """(I,) `at_work` of a model. Beside a free curve, which may hold a spring or a damper of
+        either sign, the signs are those without it."""
+        alone = self.search.tried.get(frozenset(model.added), model)
+        return at_work(signs_of(alone.best))
+
+    def _explains(self, model: Tried | CurveModel) -> float:
+        """Probability, given a model, that it needs no random torque that matters and that its
+        names, if it has any, are at work."""
+        work = self._at_work(model) if model.added else 1.0
+        return float((work * model.weights)[np.array(INTENSITIES) <= NEGLIGIBLE].sum())
 
     def verdict(self) -> tuple[Verdict, float]:
         """The likeliest of the three, and its probability."""
         sums = {"adequate": 0.0, "missing": 0.0, "unexplained": 0.0}
         for model, p in zip(self.named, self.each, strict=True):
-            complete = model.complete
+            complete = self._explains(model)
             sums["missing" if model.added else "adequate"] += p * complete
             sums["unexplained"] += p * (1.0 - complete)
         for model, p in zip(self.curves, self.of_curves, strict=True):
             # A law without a name is no explanation by the catalogue, unless it is negligible.
-            complete = 0.0 if model.matters else model.complete
+            complete = 0.0 if model.matters else self._explains(model)
             sums["missing" if model.added else "adequate"] += p * complete
             sums["unexplained"] += p * (1.0 - complete)
         sums["unexplained"] += self.of_reassigned  # by anything of the readings as they stand
