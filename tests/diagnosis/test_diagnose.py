@@ -16,6 +16,7 @@ import residyn
 from residyn import effects
 from residyn.diagnosis.diagnose import Posterior
 from residyn.diagnosis.evidence import INTENSITIES, half_normals, over_intensities
+from residyn.diagnosis.linearised_fit import minimum
 from residyn.diagnosis.missing_torque import missing_of, scene_of
 from residyn.diagnosis.search import Search, Tried, settle, tried_alone
 from residyn.diagnosis.simulated import log_evidence
@@ -292,6 +293,22 @@ def test_without_a_random_torque_the_filter_has_the_evidence_of_exact_simulation
             filtered = found.log_evidence[0] + half_normals(t.effects, t.prior, found)[0]
             exact = log_evidence(scene, t, friction.fits.of(tried))
         assert exact == pytest.approx(filtered, abs=within)
+
+
+def test_slopes_too_steep_for_arithmetic_leave_no_evidence_of_exact_simulation(
+    friction, monkeypatch
+):
+    """A Stribeck velocity that runs to nothing makes all readings answer to one jump."""
+
+    def steep(problem, at, **rest):
+        found = minimum(problem, at, **rest)
+        return found._replace(square=1e34 * np.ones_like(found.square))
+
+    monkeypatch.setattr("residyn.diagnosis.simulated.minimum", steep)
+    tried = friction.search.tried[frozenset()]
+    with jax.enable_x64(True):
+        exact = log_evidence(friction.search.scene, tried.best, friction.fits.of(tried))
+    assert np.isnan(exact)
 
 
 def test_friction_that_holds_the_arm_leaves_nothing():

@@ -11,6 +11,7 @@ the filter's.
 import math
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from ..filtering.kalman import Evidences
 from ..filtering.trajectory import Scene, Trajectory
@@ -21,7 +22,8 @@ from .linearised_fit import LinearisedFit, minimum
 
 def log_evidence(scene: Scene, t: Trajectory, fit: Fit) -> float:
     """Log evidence of a model that was fitted by least squares, without a random torque; NaN where
-    it was fitted in segments, whose first states are unknowns of their own."""
+    it was fitted in segments, whose first states are unknowns of their own, and where a shape ran
+    to where slopes are too steep for arithmetic (Stribeck's velocity to nothing)."""
     near, n = LinearisedFit.of(fit), scene.n
     if any(r.recording.segment_of is not None for r in near.fitted):
         return math.nan
@@ -48,9 +50,14 @@ def log_evidence(scene: Scene, t: Trajectory, fit: Fit) -> float:
         seen, variance = g.seen[at], g.variance[at]
         off += np.sum(np.where(seen, (g.angle[at] - predicted) ** 2 / variance, 0.0))
         fixed += np.sum(np.where(seen, np.log(2 * np.pi * variance), 0.0))
-    inner = square + np.eye(len(square))
-    step = np.linalg.solve(inner, slope + x)  # from the fit to the posterior mean
-    log = -0.5 * (off + fixed + x @ x - (slope + x) @ step + np.linalg.slogdet(inner)[1])
+    try:
+        factor = cho_factor(square + np.eye(len(square)), lower=True)
+    except np.linalg.LinAlgError:
+        return math.nan
+    step = cho_solve(factor, slope + x)  # from the fit to the posterior mean
+    size = 2 * np.log(np.diag(factor[0])).sum()
+    log = -0.5 * (off + fixed + x @ x - (slope + x) @ step + size)
     mean, std = np.zeros((1, len(t.u))), np.ones((1, len(t.u)))
-    mean[0, :P], std[0, :P] = (x - step)[:P], np.sqrt(np.diag(np.linalg.inv(inner))[:P])
+    variance = np.diag(cho_solve(factor, np.eye(len(square))))
+    mean[0, :P], std[0, :P] = (x - step)[:P], np.sqrt(variance[:P])
     return float(log + half_normals(t.effects, t.prior, Evidences(None, mean, std))[0])
