@@ -36,6 +36,7 @@ from residyn.diagnosis.evidence import (
     subset,
 )
 from residyn.diagnosis.free_curves import CurveModel
+from residyn.diagnosis.linearised_fit import Minimum
 from residyn.diagnosis.search import Tried, settle, tried_alone
 from residyn.effects import (
     AirDrag,
@@ -48,6 +49,7 @@ from residyn.effects import (
 )
 from residyn.filtering.kalman import Evidences
 from residyn.filtering.trajectory import Prior, Scene, Trajectory
+from residyn.fitting.problem import Unknowns
 from residyn.physics.effect import JointEffect
 from residyn.physics.parameter import Dimension, param, parameters_of
 
@@ -331,6 +333,21 @@ def test_a_name_is_sure_where_little_is_left_beside_it():
     outside = OUTSIDE * 2 * (norm.cdf(high / WIDTH) - norm.cdf(low / WIDTH))
     work = (1 - OUTSIDE) * 0.5 / 8
     assert found[0.01] == pytest.approx(work / (work + outside), rel=1e-6)
+
+
+def test_unknowns_that_rounding_cannot_tell_apart_leave_a_fit_compressed():
+    """All readings answer to all of twelve unknowns alike but for rounding, and to another one not
+    at all."""
+    square = np.zeros((1, 13, 13))
+    square[0, :12, :12] = 1e22 * (1.0 - 3e-14 * (np.eye(12) - 1 / 12))
+    some = np.zeros((1, 5, 1))
+    slope = np.append(np.full(12, 1e11), 0.0)[None]
+    end = Unknowns(np.zeros(11), np.zeros((1, 2)))
+    found = Minimum(end, some, np.zeros((1, 5, 1, 13)), some, 0.0, 1, True, square, slope)
+    factor = np.asarray(found.compressed()[1])
+    assert factor.transpose(0, 2, 1) @ factor == pytest.approx(
+        square + np.diag([0.0] * 12 + [1.0]), rel=1e-12
+    )
 
 
 # -- the posterior over models --------------------------------------------------------------------

@@ -24,6 +24,7 @@ from ..fitting.least_squares import (
 from ..fitting.linalg import damped_step
 from ..fitting.problem import Problem, Ready, Unknowns, reweighted, tight
 from ..fitting.result import Fit, FitError, RecordingFit
+from .evidence import gram_factor
 
 # A direction of the tangent this much shorter than the longest is rounding, or undetermined.
 _BLIND = 1e-5
@@ -54,12 +55,8 @@ class Minimum(NamedTuple):
 
     def compressed(self) -> Compressed:
         """Predictions, and what least squares need of residual and Jacobian."""
-        size = np.sqrt(np.einsum("rii->ri", self.square))
-        size = np.where(size > 0, size, 1.0)
-        unit = self.square / size[:, :, None] / size[:, None, :]
-        unit += 1e-14 * np.eye(unit.shape[-1])  # what is rounding keeps the factor real
-        unit[:, *np.diag_indices(unit.shape[-1])] += np.einsum("rii->ri", unit) < 0.5
-        lower = np.linalg.cholesky(unit) * size[:, :, None]
+        silent = np.einsum("rii->ri", self.square) == 0  # what moves no reading
+        lower = gram_factor(self.square + silent[:, :, None] * np.eye(silent.shape[-1]))
         along = np.linalg.solve(lower, self.slope[..., None])[..., 0]
         total = np.sum(self.residual**2, axis=(1, 2))
         beside = np.sqrt(np.maximum(total - np.sum(along**2, axis=1), 0.0))
