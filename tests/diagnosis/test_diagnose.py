@@ -4,6 +4,7 @@ forms in test_evidence.py."""
 
 import dataclasses
 import json
+import math
 from types import SimpleNamespace
 
 import jax
@@ -15,7 +16,7 @@ from scipy.stats import norm
 import residyn
 from residyn import effects
 from residyn.diagnosis.diagnose import Posterior
-from residyn.diagnosis.evidence import INTENSITIES, half_normals, over_intensities
+from residyn.diagnosis.evidence import IN_PLAY, INTENSITIES, half_normals, over_intensities
 from residyn.diagnosis.linearised_fit import minimum
 from residyn.diagnosis.missing_torque import missing_of, scene_of
 from residyn.diagnosis.search import Search, Tried, settle, tried_alone
@@ -309,6 +310,18 @@ def test_slopes_too_steep_for_arithmetic_leave_no_evidence_of_exact_simulation(
     with jax.enable_x64(True):
         exact = log_evidence(friction.search.scene, tried.best, friction.fits.of(tried))
     assert np.isnan(exact)
+
+
+def test_models_in_play_have_the_evidence_of_exact_simulation(clean, friction):
+    with jax.enable_x64(True):
+        for found in (clean, friction):
+            search = found.search
+            lowest = search.best.log_posterior + math.log(IN_PLAY)
+            known = [t for t in search.tried.values() if t.log_posterior > lowest]
+            assert search.best in known
+            for t in (t for t in known if t.complete > 0.5):
+                exact = log_evidence(search.scene, t.best, found.fits.of(t))
+                assert t.evidences[-1] == pytest.approx(exact, abs=1e-6)
 
 
 def test_friction_that_holds_the_arm_leaves_nothing():

@@ -187,17 +187,16 @@ class Fits:
 
         def descended(numbers: np.ndarray, states: np.ndarray) -> Fit:
             begin, wild = here.model.with_vector(jnp.asarray(numbers)), self._wild(here.recordings)
-            # What sticks does so in order: the first readings first, then all.
-            found = descend(
-                here,
-                begin,
-                numbers[None],
-                wild,
-                near=states[None],
-                growing=begin.rough,
-                search=polish,
-            )
-            return finish(fitted, numbers, found, began, polish, evaluated)
+            begun = here, begin, numbers[None], wild
+            found = []
+            # On all readings; and what sticks does so in order: the first readings first, then all.
+            for growing in (False, True) if begin.rough else (False,):
+                with contextlib.suppress(FitError):
+                    found.append(descend(*begun, near=states[None], growing=growing, search=polish))
+            if not found:
+                raise FitError("no motion of the model goes with the readings")
+            lowest = min(found, key=lambda descent: descent.cost)
+            return finish(fitted, numbers, lowest, began, polish, evaluated)
 
         with self.lock:
             within = [f for f in self.known if set(f.model.labels) < set(t.labels)]

@@ -487,17 +487,24 @@ class Search:
             self.stopped = "budget"
 
     def _simulate(self) -> None:
-        """The likeliest model's evidence without a random torque by exact simulation, where
-        something sticks: it is fitted anyway."""
-        while _sticks((model := self.best).best):
-            if self.exact is None or model.best in self._simulated:
+        """The evidence of each model in play that may need no random torque, by exact simulation,
+        until no other is in play."""
+        while self.exact is not None:
+            lowest = self.best.log_posterior + math.log(IN_PLAY)
+            todo = [
+                t
+                for t in sorted(self.tried.values(), key=lambda t: len(t.added))
+                if t.log_posterior > lowest and t.best not in self._simulated
+                if t.complete > 0.5 or _sticks(t.best)
+            ]
+            if not todo:
                 return
-            self._simulated.add(model.best)
             self.in_time()
-            log = self.exact(model)
-            if log > model.evidences[-1]:  # a fit may have ended in a lower one of the maxima
-                evidences = np.append(model.evidences[:-1], log)
-                self.tried[frozenset(model.added)] = dataclasses.replace(model, evidences=evidences)
+            self.say("simulating what is in play")
+            self._simulated.update(t.best for t in todo)
+            work = [functools.partial(self.exact, t) for t in todo]
+            for model, log in zip(todo, side_by_side(work), strict=True):
+                self.tried[frozenset(model.added)] = _exactly(model, log)
 
     def screen(self, parent: Tried) -> Screen:
         """The first-order evidence of all candidates beside a model."""
@@ -659,6 +666,18 @@ class Search:
         for (model, label, less), found in zip(todo, each, strict=True):
             if found is not None:
                 self._keep(_replaced(model.added, label, less), *found)
+
+
+def _exactly(model: Tried, log_evidence: float) -> Tried:
+    """A model whose evidence without a random torque is known from elsewhere, or NaN. Linearised
+    once along one motion it errs alike under all random torques; what sticks has a motion of its
+    own under each."""
+    off = log_evidence - model.evidences[-1]
+    alike = np.isfinite(off) and not _sticks(model.best)
+    evidences = model.evidences + off if alike else model.evidences.copy()
+    if not np.isnan(log_evidence):
+        evidences[-1] = log_evidence
+    return dataclasses.replace(model, evidences=evidences)
 
 
 def _replaced(added: Sequence[str], label: str, less: AbstractEffect | None) -> tuple[str, ...]:
