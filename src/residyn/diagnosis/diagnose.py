@@ -177,7 +177,8 @@ class Fits:
         **Raises:** `FitError`; what `progress` raises.
         """
         began = time.perf_counter()
-        t = tried.silenced(self.scene)
+        motions = tried.starts(self.scene)
+        t = motions[0]
         own = [e for e in t.valued() if e.name not in ("spring", "damper")]
         with self.lock:
             self._cut(t.numbers, own)
@@ -185,18 +186,21 @@ class Fits:
         fitted = dataclasses.replace(self.experiment, recordings=known)
         here = ready(fitted, known, own)
 
-        def descended(numbers: np.ndarray, states: np.ndarray) -> Fit:
-            begin, wild = here.model.with_vector(jnp.asarray(numbers)), self._wild(here.recordings)
-            begun = here, begin, numbers[None], wild
+        def descended(*starts: tuple[np.ndarray, np.ndarray]) -> Fit:
             found = []
-            # On all readings; and what sticks does so in order: the first readings first, then all.
-            for growing in (False, True) if begin.rough else (False,):
-                with contextlib.suppress(FitError):
-                    found.append(descend(*begun, near=states[None], growing=growing, search=polish))
+            for numbers, states in starts:
+                begin = here.model.with_vector(jnp.asarray(numbers))
+                begun = here, begin, numbers[None], self._wild(here.recordings)
+                # On all readings; and what sticks does so in order: the first ones first, then all.
+                for growing in (False, True) if begin.rough else (False,):
+                    with contextlib.suppress(FitError):
+                        found.append(
+                            descend(*begun, near=states[None], growing=growing, search=polish)
+                        )
             if not found:
                 raise FitError("no motion of the model goes with the readings")
             lowest = min(found, key=lambda descent: descent.cost)
-            return finish(fitted, numbers, lowest, began, polish, evaluated)
+            return finish(fitted, t.numbers, lowest, began, polish, evaluated)
 
         with self.lock:
             within = [f for f in self.known if set(f.model.labels) < set(t.labels)]
@@ -206,12 +210,12 @@ class Fits:
             if tried.intensity >= EXPLAINS_NOTHING:  # then the smoothed motion leads nowhere
                 found = fit(fitted, effects=own, starts=self.starts, progress=progress)
         with contextlib.suppress(FitError):
-            states = np.stack([self._state(t, r) for r in here.recordings])
-            found = found or descended(t.numbers, states)
+            starts = [(m.numbers, self._states(m, here.recordings)) for m in motions]
+            found = found or descended(*starts)
         lost = found is None or (best and found.reduced_chi2 > _WORSE * best.reduced_chi2)
         if best and lost:
             with contextlib.suppress(FitError):
-                again = descended(*self._from(best, t))
+                again = descended(self._from(best, t))
                 found = min(found or again, again, key=lambda f: f.reduced_chi2)
         if found is None:
             # No start of a wrong model is better than another one.
@@ -268,6 +272,10 @@ class Fits:
             first = int(np.searchsorted(whole.time, recording.time[0]))
             found.append(self.wild[run][first : first + len(recording.time)])
         return found
+
+    def _states(self, t: Trajectory, recordings) -> np.ndarray:
+        """(R, s) `_state` of each."""
+        return np.stack([self._state(t, r) for r in recordings])
 
     def _state(self, t: Trajectory, recording) -> np.ndarray:
         """Initial state (q0, v0, and internal states beyond what the effects begin with)."""

@@ -277,7 +277,7 @@ class Written(Tried):
 
     found: FoundLaw
 
-    def silenced(self, scene: Scene) -> Trajectory:
+    def starts(self, scene: Scene) -> tuple[Trajectory, ...]:
         """The model without a random torque, with the class."""
         t = silenced(scene, self.best, self.intensity)
         effect: Any = self.found.kind()(self.found.joint)  # pyright: ignore[reportCallIssue]
@@ -288,7 +288,7 @@ class Written(Tried):
         u = np.zeros(scene.regressors(effects))
         u[: first.start] = t.u[: first.start]
         u[first] = prior.regressors(numbers)[first]
-        return dataclasses.replace(t, effects=effects, prior=prior, u=u)
+        return (dataclasses.replace(t, effects=effects, prior=prior, u=u),)
 
 
 def _with_class(search: Search, model: CurveModel, law: Law, fits: Any, source: str) -> Law:

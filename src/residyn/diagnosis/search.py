@@ -99,6 +99,11 @@ class Tried:
         """The model without a random torque: where a fit by least squares begins."""
         return silenced(scene, self.best, self.intensity)
 
+    def starts(self, scene: Scene) -> tuple[Trajectory, ...]:
+        """Where fits by least squares begin: as it is as well, for a random torque taken away may
+        lead astray."""
+        return self.silenced(scene), self.best
+
     def over_torques(self, scene: Scene) -> list[tuple[float, Trajectory]]:
         """The motion under each random torque that counts, with its posterior probability."""
         system = scene.linearised(self.best)
