@@ -285,6 +285,17 @@ def test_no_spring_has_less_than_nothing(reading, noise):
     assert right == pytest.approx(positive, rel=1e-6, abs=1e-290)
 
 
+@given(st.floats(-2, 2), st.floats(0.05, 1), st.floats(0, 1))
+def test_what_is_left_may_be_why_a_number_has_the_wrong_sign(mean, std, left):
+    """A torque left beside the model, along a spring, is a normal error of its stiffness."""
+    size = 3.0
+    prior = Prior(np.array([size]), np.array([size]), np.array([False]))
+    found = Evidences(np.zeros(1), np.array([[mean / size - 1.0]]), np.array([[std / size]]))
+    wide = math.hypot(std, size * left) if mean < 0 else std
+    (right,) = right_signs([Spring("cart", 1.0)], prior, found, np.array([left]))
+    assert right == pytest.approx(norm.cdf(mean / wide), rel=1e-6, abs=1e-290)
+
+
 @pytest.mark.parametrize(("loads", "told"), [((4.0, 4.0), False), ((4.0, 9.0), True)])
 def test_friction_in_proportion_to_a_load_needs_two_loads(loads, told):
     """Under one load it is Coulomb friction."""

@@ -134,23 +134,37 @@ def signed(number: Parameter) -> bool:
     return number.sign == "positive" and number.silent is not None
 
 
-def half_normals(effects: Sequence[AbstractEffect], prior: Prior, found: Evidences) -> np.ndarray:
-    """(I,) what the half-normal priors of a model add to its log evidence: log 2 Phi of each number
-    whose sign is known, in standard deviations from where it is silent."""
-    total = np.zeros(len(found.regressors))
+def _signed(effects: Sequence[AbstractEffect], prior: Prior, found: Evidences):
+    """Each number whose sign is known: its effect, and (I,) by how much it is on the right side of
+    where it is silent, and its standard deviation, in prior widths."""
     for effect, own in zip(effects, number_slices(effects), strict=True):
         for number, i in zip(numbers_of(effect), range(own.start, own.stop), strict=True):
             if signed(number):
                 silent = (number.silent - prior.mean[i]) / prior.width[i]
-                total += half_normal((found.regressors[:, i] - silent) / found.std[:, i])
-    return total
+                yield effect, found.regressors[:, i] - silent, found.std[:, i]
 
 
-def right_signs(effects: Sequence[AbstractEffect], prior: Prior, found: Evidences) -> np.ndarray:
+def half_normals(effects: Sequence[AbstractEffect], prior: Prior, found: Evidences) -> np.ndarray:
+    """(I,) what the half-normal priors of a model add to its log evidence: log 2 Phi of each number
+    whose sign is known, in standard deviations from where it is silent."""
+    each = (half_normal(off / std) for _, off, std in _signed(effects, prior, found))
+    return sum(each, np.zeros(len(found.regressors)))
+
+
+def right_signs(
+    effects: Sequence[AbstractEffect], prior: Prior, found: Evidences, left: Any = 0.0
+) -> np.ndarray:
     """(I,) how probable it is that the numbers of a model have the signs that physics gives them,
-    if their priors leave that open."""
-    count = sum(signed(number) for effect in effects for number in numbers_of(effect))
-    return np.exp(half_normals(effects, prior, found) - count * math.log(2.0))
+    if their priors leave that open.
+
+    `left` (I,) is the torque that is left beside the model, in typical torques. It may be along
+    any number: what came out on the wrong side may be there by as much.
+    """
+    total = np.zeros(len(found.regressors))
+    for effect, off, std in _signed(effects, prior, found):
+        by = left * (1.0 if effect.name == "spring" else 1.0 / WIDTH)  # in prior widths
+        total += log_ndtr(off / np.where(off < 0, np.hypot(std, by), std))
+    return np.exp(total)
 
 
 def half_normal(ratio):
@@ -178,7 +192,7 @@ def log_prior_intensity(intensities: Sequence[float]) -> np.ndarray:
     )  # fmt: skip
 
 
-def at_work(signs: float = 1.0) -> np.ndarray:
+def at_work(signs: Any = 1.0) -> np.ndarray:
     """(I,) probability that the effects of a model are at work, for each random torque that the
     model still needs.
 
@@ -187,19 +201,20 @@ def at_work(signs: float = 1.0) -> np.ndarray:
     while beside effects that are at work it is another torque, of any size
     (`log_prior_intensity`). So a name is sure where little is left beside it, and doubtful where as
     much is left as effects are expected to be, whatever the number of readings. What stands in for
-    another torque may have either sign: `signs` is the probability that springs, dampers and all
-    effects have theirs (`right_signs`).
+    another torque may have either sign: `signs`, of each, is the probability that springs, dampers
+    and all effects have theirs (`right_signs`).
     """
     each = np.array(INTENSITIES)
     above = np.append(np.inf, np.sqrt(each[:-1] * each[1:]))  # upper ends of the grid's cells
     above[-1] = above[-2] * each[-2] / each[-3]
     below = np.append(above[1:], 0.0)
     outside = OUTSIDE * (erf(above / WIDTH / math.sqrt(2)) - erf(below / WIDTH / math.sqrt(2)))
-    work = signs * (1.0 - OUTSIDE) * np.exp(log_prior_intensity(INTENSITIES))
+    work = (1.0 - OUTSIDE) * np.exp(log_prior_intensity(INTENSITIES))
     none = each <= NEGLIGIBLE  # as good as none: no cells of their own
     outside[none], work[none] = outside[none].sum(), work[none].sum()
     # More that is left makes no name surer, though few effects are as large as the whole spring.
-    return np.minimum.accumulate((work / (work + outside))[::-1])[::-1]
+    share = np.minimum.accumulate((work / (work + outside))[::-1])[::-1]
+    return signs * share / (signs * share + 1.0 - share)
 
 
 def log_sum(logs) -> float:

@@ -303,10 +303,12 @@ def _sticks(t: Trajectory) -> bool:
     return any(e.dry or e.follows for e in t.effects)
 
 
-def signs_of(t: Trajectory) -> float:
-    """`right_signs` of a smoothed model."""
+def signs_of(t: Trajectory) -> np.ndarray:
+    """(I,) `right_signs` of a smoothed model, for each random torque that it still needs."""
+    shape = len(INTENSITIES), len(t.u)
     std = np.sqrt(np.maximum(np.diag(t.covariance), 1e-300))
-    return float(right_signs(t.effects, t.prior, Evidences(None, t.u[None], std[None]))[0])
+    found = Evidences(None, np.broadcast_to(t.u, shape), np.broadcast_to(std, shape))
+    return right_signs(t.effects, t.prior, found, np.array(INTENSITIES))
 
 
 def silenced(scene: Scene, t: Trajectory, intensity: float) -> Trajectory:
