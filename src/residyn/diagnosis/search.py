@@ -512,6 +512,7 @@ class Search:
             work = [functools.partial(self.exact, t) for t in todo]
             for model, log in zip(todo, side_by_side(work), strict=True):
                 self.tried[frozenset(model.added)] = _exactly(model, log)
+            give_back()
 
     def screen(self, parent: Tried) -> Screen:
         """The first-order evidence of all candidates beside a model."""
