@@ -85,9 +85,9 @@ HOPELESS = 10 * INDISTINGUISHABLE
 """Nats behind the best from which a model is not iterated any further."""
 IN_PLAY = 0.01
 """Probability from which a model counts: to first order, whether it is iterated where little is
-left to explain; and whether the next test is planned for it. What all the rarer ones may add to an
-entropy is less than what the draws leave of it open. A plan is for `CONTENDERS` models at the most:
-each is integrated through every test."""
+left to explain; whether it is simulated exactly; and whether the next test is planned for it. What
+all the rarer ones may add to an entropy is less than what the draws leave of it open. A plan is for
+`CONTENDERS` models at the most: each is integrated through every test."""
 RELEASE_ERROR = 0.1
 """Standard deviation of the state at release of a test that is planned, as a share of the angles:
 hands and stops are right to a tenth. It is far above the noise, so that only its order matters."""
