@@ -95,14 +95,10 @@ class Tried:
         """The likeliest random torque."""
         return INTENSITIES[int(np.argmax(self.weights))]
 
-    def silenced(self, scene: Scene) -> Trajectory:
-        """The model without a random torque: where a fit by least squares begins."""
-        return silenced(scene, self.best, self.intensity)
-
     def starts(self, scene: Scene) -> tuple[Trajectory, ...]:
-        """Where fits by least squares begin: as it is as well, for a random torque taken away may
-        lead astray."""
-        return self.silenced(scene), self.best
+        """Where fits by least squares begin: without a random torque, and as it is, for a random
+        torque taken away may lead astray."""
+        return silenced(scene, self.best, self.intensity), self.best
 
     def over_torques(self, scene: Scene) -> list[tuple[float, Trajectory]]:
         """The motion under each random torque that counts, with its posterior probability."""

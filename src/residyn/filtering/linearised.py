@@ -134,7 +134,7 @@ def expected_direction(v, needed, level, spread, slow_time):
     """Expected direction of sliding, and its slopes in `v`, `needed` and `level`; see `_ramp`."""
     x = jnp.stack([v, needed, level])
 
-    def rubbing(x):
+    def with_friction(x):
         def slope(e):
             ramp = lambda x: _ramp(x[0], x[1], x[2], spread, slow_time)  # noqa: E731
             return jax.jvp(ramp, (x,), (e.reshape(3, *[1] * (x.ndim - 1)) * jnp.ones_like(x),))
@@ -145,8 +145,8 @@ def expected_direction(v, needed, level, spread, slow_time):
         return jnp.where(level != 0, direction, jnp.sign(v)), slopes
 
     # Normal distributions cost more than all else, and most models have no dry friction.
-    free = lambda x: (jnp.sign(x[0]), jnp.zeros_like(x))  # noqa: E731
-    return jax.lax.cond(jnp.any(level != 0), rubbing, free, x)
+    without = lambda x: (jnp.sign(x[0]), jnp.zeros_like(x))  # noqa: E731
+    return jax.lax.cond(jnp.any(level != 0), with_friction, without, x)
 
 
 def nodes(instants: Instants, path, spread, held) -> Nodes:
