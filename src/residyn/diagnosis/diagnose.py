@@ -60,7 +60,6 @@ from .simulated import log_evidence
 
 MOST_EFFECTS = 3
 """How many effects are added unless it is told otherwise."""
-_WORSE = 1.02  # of chi-square: what a descent may end above a minimum by
 _CURVES = 2  # rivals whose curves are drawn beside the missing torque
 
 
@@ -211,12 +210,9 @@ class Fits:
                 found = fit(fitted, effects=own, starts=self.starts, progress=progress)
         with contextlib.suppress(FitError):
             starts = [(m.numbers, self._states(m, here.recordings)) for m in motions]
+            # From the minimum of a model that it contains no fit ends above that one.
+            starts += [self._from(best, t)] if best else []
             found = found or descended(*starts)
-        lost = found is None or (best and found.reduced_chi2 > _WORSE * best.reduced_chi2)
-        if best and lost:
-            with contextlib.suppress(FitError):
-                again = descended(self._from(best, t))
-                found = min(found or again, again, key=lambda f: f.reduced_chi2)
         if found is None:
             # No start of a wrong model is better than another one.
             starts = 1 if tried.complete < 0.5 else self.starts
