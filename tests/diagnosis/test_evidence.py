@@ -2,6 +2,7 @@
 and of nearly linear models, and the posterior as sums over models."""
 
 import dataclasses
+import itertools
 import math
 from types import SimpleNamespace
 
@@ -18,6 +19,7 @@ import residyn
 from residyn.diagnosis.columns import Columns, candidates
 from residyn.diagnosis.diagnose import Posterior
 from residyn.diagnosis.evidence import (
+    CURVE_AMPLITUDES,
     FURTHER,
     INTENSITIES,
     NEGLIGIBLE,
@@ -31,6 +33,7 @@ from residyn.diagnosis.evidence import (
     log_prior_model,
     over_intensities,
     prior_of,
+    prior_sizes,
     right_signs,
     savage_dickey,
     subset,
@@ -51,7 +54,14 @@ from residyn.filtering.kalman import Evidences
 from residyn.filtering.trajectory import Prior, Scene, Trajectory
 from residyn.fitting.problem import Unknowns
 from residyn.physics.effect import JointEffect
-from residyn.physics.parameter import Dimension, param, parameters_of
+from residyn.physics.parameter import (
+    STIFFNESS,
+    STIFFNESS_RATE,
+    Dimension,
+    Scales,
+    param,
+    parameters_of,
+)
 
 MASS, NOISE = 2.0, 1e-3
 CART = residyn.ConstantInertia([[MASS]], joints=("cart",), units=("m",))
@@ -330,6 +340,24 @@ def test_what_links_feel_is_measured_by_their_own_joint_and_length():
         assert one.size(Gravity(), moment) == pytest.approx(one.size(Spring(joint), stiffness))
     (drag,) = parameters_of(AirDrag())  # kg/m^2
     assert other.size(AirDrag(), drag) == pytest.approx(1e-4 * one.size(AirDrag(), drag))
+
+
+def test_a_drift_is_measured_by_the_recording_and_not_by_a_swing():
+    """A prior of one width changes the spring by the same share within the recording, however often
+    the arm swings meanwhile."""
+    for duration, frequency in ((5.0, 3.0), (50.0, 3.0), (50.0, 30.0)):
+        scales = Scales(frequency=frequency, duration=duration)
+        assert STIFFNESS_RATE.size(scales) * duration == pytest.approx(STIFFNESS.size(scales))
+
+
+@pytest.mark.parametrize("sizes", [CURVE_AMPLITUDES, INTENSITIES[:-1], (0.3,)])
+def test_the_prior_of_an_effects_size_is_that_of_a_strength(sizes):
+    """The half-normal's probability of each cell of the grid, by quadrature."""
+    edges = [10.0, *(math.sqrt(a * b) for a, b in itertools.pairwise(sizes)), 0.0]
+    each = [quad(lambda x: 2 * norm.pdf(x, scale=WIDTH), b, a)[0]
+            for a, b in itertools.pairwise(edges)]  # fmt: skip
+    assert np.allclose(prior_sizes(sizes), each, atol=1e-6)
+    assert prior_sizes(sizes).sum() == pytest.approx(1.0)
 
 
 def test_a_name_is_sure_where_little_is_left_beside_it():

@@ -2,6 +2,8 @@
 MuJoCo arms (tests/rig) with laws of no catalogue, no curve where a name or nothing is hidden, and a
 class that is loaded and fitted from the file that was written."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
@@ -10,11 +12,13 @@ import residyn
 from residyn import effects
 from residyn.cli import main
 from residyn.diagnosis import formula, free_curves
-from residyn.diagnosis.evidence import INTENSITIES, conditional, prior_of, subset
+from residyn.diagnosis.evidence import INTENSITIES, NEGLIGIBLE, conditional, prior_of, subset
 from residyn.diagnosis.free_curves import Along, Kind, Place, splines
 from residyn.effects import Damper, Spring
 from residyn.filtering.free_curve import HEIGHTS, FreeCurve
 from residyn.filtering.trajectory import Scene
+from residyn.physics.motion import JointMotion
+from residyn.physics.parameter import parameters_of
 from residyn.recordings.tables import ArmTable
 from tests import rig
 
@@ -98,6 +102,61 @@ def test_a_formula_is_the_curve_of_its_terms():
             assert np.sqrt(np.mean(error**2)) < 2e-4 * np.abs(exact).max()
 
 
+def test_terms_that_have_a_name_are_laws_of_the_catalogue():
+    """Each at unit strength is one of its laws at unit strength, but for a constant."""
+    laws = {
+        ("angle", ""): "constant_torque cubic_stiffness asymmetric_stiffness cogging",
+        ("rate", ""): "quadratic_drag asymmetric_damping",
+        ("time", ""): "constant_torque",
+        ("time", "angle"): "stiffness_drift",
+        ("angle", "direction"): "coulomb_friction",
+        ("time", "direction"): "coulomb_friction",
+    }
+    x = np.linspace(-0.4, 0.4, 81)
+    for kind, terms in formula.NAMED.items():
+        names = laws[kind].split()
+        assert len(names) == len(terms)
+        for name, term in zip(names, terms, strict=True):
+            effect = effects.catalogue()[name]("cart")
+            own = [n for n in parameters_of(effect) if n.silent is not None]
+            shapes = {k: 0.3 for k, _ in term.shapes}
+            assert formula.grammar(Place(kind, 0, -0.4, 0.4)).count(term) == 1
+            for part, number in zip(term.parts, own, strict=True):
+                effect = dataclasses.replace(effect, **{n.field: 0.0 for n in own}, **shapes)
+                effect = dataclasses.replace(effect, **{number.field: 1.0})
+                torque = []
+                for a in x:
+                    at = {"time": 0.0, "angle": 1.0, "rate": 1.0, kind.variable: a}
+                    at |= {"angle": 1.0} if kind.factor == "angle" else {}
+                    motion = JointMotion(at["time"], at["angle"], at["rate"], 1.0)
+                    torque.append(float(effect.joint_torque(motion)))
+                value = formula.value_of(part, x, 1.0, shapes)
+                assert np.ptp(np.array(torque) - value) < 1e-6
+
+
+def test_the_size_of_a_curve_is_one_in_all_units():
+    """A cart read in centimetres, with its forces in N/100, has the same gain from a curve as in
+    metres: its prior width is of the torque, whatever the unit of the variable."""
+    gains = []
+    for unit in (1.0, 100.0):
+        model = CART + Spring("cart", 80.0) + Damper("cart", 0.4)
+        t = np.arange(400) * 0.02
+        with jax.enable_x64(True):
+            q = np.asarray(residyn.simulate(model, t, [0.4], steps=2000).q)
+            q = unit * (q + NOISE * np.random.default_rng(3).standard_normal(q.shape))
+            recording = residyn.Recording.from_arrays(t, q, noise=unit * NOISE)
+            scene = Scene([recording], [CART], [np.zeros(q.shape, bool)])
+            own = [Spring("cart"), Damper("cart")]
+            base = scene.start(own, prior_of(scene, own))
+            for x in (0.3, 0.1, 0.1):
+                base = scene.smoothed(base, scene.linearised(base), x)
+            alone = scene.evidences(base, scene.linearised(base), [0.01]).log_evidence[0]
+            found = free_curves.screen(Along(scene, base), [0.01])
+            order = sorted(found, key=lambda s: s.place.kind)
+            gains.append([s.posterior.evidences[0] - alone for s in order])
+    assert np.allclose(*gains, atol=1e-3)
+
+
 def test_the_band_holds_a_known_curve_and_the_curve_is_found():
     with jax.enable_x64(True):
         scene, base = a_cart(bump)
@@ -105,7 +164,7 @@ def test_the_band_holds_a_known_curve_and_the_curve_is_found():
         found = free_curves.screen(along, [0.1, 0.01, 0.0])
         assert found[0].place.kind == Kind("angle")
         settled = free_curves.settled_curve(scene, (), base, found[0], 0.1, 0.0)
-        assert INTENSITIES[int(np.argmax(settled.evidences))] == 0.0
+        assert INTENSITIES[int(np.argmax(settled.evidences))] < NEGLIGIBLE
         x = np.linspace(settled.place.low, settled.place.high, 81)
         # Beside the line, which the spring takes up.
         off = np.eye(81) - np.outer(x, x) / (x @ x)
@@ -160,6 +219,17 @@ def test_a_law_of_no_catalogue_is_found_at_its_joint_with_its_formula(quintic):
     inside = np.abs(law.mean - truth) < 1.96 * law.std
     assert np.sum(law.visits * inside) > 0.8
     assert law.held_out.held_out.ratio.max() < 1.2
+
+
+def test_a_law_that_a_name_comes_near_is_found_beside_it():
+    """A dead zone and a cog nearly make an exponential stop: names alone leave no torque."""
+    values = {"torque": 0.08, "angle": 0.2, "width": 0.06, "side": 1.0}
+    found = diagnosed(("exponential_stop:elbow", values))
+    law = found.laws[0]
+    assert (law.joint, law.variable, law.factor) == ("elbow", "angle", "")
+    assert law.probability > 0.9
+    assert law.formula.families == ("exponential",)
+    assert (found.verdict, found.added) == ("unexplained", ())
 
 
 def test_the_written_file_loads_and_fits(quintic, tmp_path):

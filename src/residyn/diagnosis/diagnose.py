@@ -115,9 +115,8 @@ def diagnose(
         search.exact = fits.log_evidence
         reassign = functools.partial(reassigned, experiment, effects, scene, search.base)
         search.run(max_effects, reassign)
-        best = search.best
-        unexplained = best.complete < 0.5 and best.intensity < EXPLAINS_NOTHING
-        if unexplained and not (search.stopped or search.reassigned):
+        lost = search.best.intensity >= EXPLAINS_NOTHING or search.reassigned
+        if not (lost or search.stopped):
             say("looking for a law without a name")
             search.curves = curve_models(search)
         say("fitting the models on the way")

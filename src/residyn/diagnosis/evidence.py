@@ -69,9 +69,9 @@ CONTENDERS = 6
 """Candidates of each screen whose nonlinear evidence is worked out, as many pairs whose members
 are, and as many frequencies of each joint that a disturbance may have: of 780 pairs at first order
 the true one was among the first two on seven arms of eight, single effects of 1 % first on all."""
-CURVE_AMPLITUDES = INTENSITIES[5::-1]
-"""Prior standard deviations of a free curve, in the spring's torque at full swing, all alike, as a
-law without a name may be of any size that an effect has."""
+CURVE_AMPLITUDES = INTENSITIES[:6]
+"""Sizes of a free curve's torque, in the spring's at full swing, of which the prior is that of a
+strength: half a decade apart, down to where an effect is hardly worth naming."""
 CURVE_LENGTHS = (0.08, 0.2, 0.5, 1.5)
 """Correlation lengths of a free curve, in the visited range of its variable: from what its splines
 can just follow to a bend over the whole range."""
@@ -192,6 +192,14 @@ def log_prior_intensity(intensities: Sequence[float]) -> np.ndarray:
     )  # fmt: skip
 
 
+def prior_sizes(sizes: Sequence[float]) -> np.ndarray:
+    """(S,) prior probability that an effect's size, half-normal of `WIDTH`, is in each cell of a
+    grid, the largest first."""
+    each = np.array(sizes)
+    edges = np.concatenate([[np.inf], np.sqrt(each[:-1] * each[1:]), [0.0]])
+    return -np.diff(erf(edges / WIDTH / math.sqrt(2)))
+
+
 def at_work(signs: Any = 1.0) -> np.ndarray:
     """(I,) probability that the effects of a model are at work, for each random torque that the
     model still needs.
@@ -204,13 +212,9 @@ def at_work(signs: Any = 1.0) -> np.ndarray:
     another torque may have either sign: `signs`, of each, is the probability that springs, dampers
     and all effects have theirs (`right_signs`).
     """
-    each = np.array(INTENSITIES)
-    above = np.append(np.inf, np.sqrt(each[:-1] * each[1:]))  # upper ends of the grid's cells
-    above[-1] = above[-2] * each[-2] / each[-3]
-    below = np.append(above[1:], 0.0)
-    outside = OUTSIDE * (erf(above / WIDTH / math.sqrt(2)) - erf(below / WIDTH / math.sqrt(2)))
+    outside = OUTSIDE * np.append(prior_sizes(INTENSITIES[:-1]), 0.0)
     work = (1.0 - OUTSIDE) * np.exp(log_prior_intensity(INTENSITIES))
-    none = each <= NEGLIGIBLE  # as good as none: no cells of their own
+    none = np.array(INTENSITIES) <= NEGLIGIBLE  # as good as none: no cells of their own
     outside[none], work[none] = outside[none].sum(), work[none].sum()
     # More that is left makes no name surer, though few effects are as large as the whole spring.
     share = np.minimum.accumulate((work / (work + outside))[::-1])[::-1]

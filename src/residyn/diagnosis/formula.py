@@ -19,7 +19,6 @@ from ..effects.found import FoundLaw, FoundNumber
 from ..filtering.free_curve import HEIGHTS
 from ..filtering.trajectory import Scene
 from .evidence import (
-    CURVE_AMPLITUDES,
     FURTHER,
     HOPELESS,
     INDISTINGUISHABLE,
@@ -32,7 +31,7 @@ from .evidence import (
     log_sum,
     subset,
 )
-from .free_curves import Along, CurveModel, Place, heights_of, points, signs
+from .free_curves import Along, CurveModel, Kind, Place, heights_of, points, signs
 
 MOST_TERMS = 3
 _KEPT = 12  # sums that a further term is tried with
@@ -113,6 +112,17 @@ _TIME = (
          (("centre", tuple(0.05 * n for n in range(1, 20))), ("width", (0.01, 0.03, 0.1, 0.3)))),
 )  # fmt: skip
 
+NAMED = {
+    Kind("angle"): (_CONSTANT, _power(3, True), _power(1, False), _SINE),
+    Kind("rate"): (_power(2, True), _power(1, False)),
+    Kind("time"): (_CONSTANT,),
+    Kind("time", "angle"): (_LINEAR,),
+    Kind("angle", "direction"): (_CONSTANT,),
+    Kind("time", "direction"): (_CONSTANT,),
+}
+"""Terms that are laws of the catalogue: a constant torque, cubic and asymmetric stiffness, cogging;
+quadratic drag, asymmetric damping; stiffness drift; Coulomb friction."""
+
 
 def grammar(place: Place) -> tuple[Term, ...]:
     """The terms that a curve of this kind may be a sum of. What springs and dampers are already is
@@ -146,7 +156,7 @@ class Sum(NamedTuple):
     log_evidence: float
     """With the prior of its terms and shapes."""
     log_prior: float
-    """Of the choice of its terms, and what other widths of its strengths' prior add."""
+    """Of the choice of its terms."""
     strengths: np.ndarray
     """One for each part of each term, in the height's unit."""
     evidences: np.ndarray = np.zeros(0)
@@ -157,6 +167,12 @@ class Sum(NamedTuple):
     def families(self) -> tuple[str, ...]:
         """Kinds of its terms."""
         return tuple(c.term.family for c in self.columns)
+
+    @property
+    def has_names(self) -> bool:
+        """Whether it is a model of the catalogue's laws, which is weighed under their names."""
+        terms, named = [c.term for c in self.columns], NAMED.get(self.place.kind, ())
+        return all(terms.count(t) == 1 and t in named for t in terms)
 
     @property
     def heights(self) -> np.ndarray:
@@ -170,8 +186,9 @@ class Sum(NamedTuple):
         """The terms beside a model that holds them as they are here already, each shape known to an
         e-fold."""
         strong = [parts_of(place, c) for c in self.columns]
-        width, count = WIDTH * place.unit(along.scene), len(self.strengths)
-        columns = np.concatenate([*(width * x for x in strong), _bends(self)], axis=1)
+        strong, count = np.concatenate(strong, axis=1), len(self.strengths)
+        width = _widths(along, place, strong)
+        columns = np.concatenate([width * strong, _bends(self)], axis=1)
         totals, grams = along.gram([place], [columns], intensities, self.heights)
         P, every, evidences, means = len(along.trajectory.u), np.arange(columns.shape[1]), [], []
         for total, square in zip(totals, grams, strict=True):
@@ -222,6 +239,13 @@ def parts_of(place: Place, column: Column) -> np.ndarray:
     return heights_of(np.stack([value_of(part, x, x0, shapes) for part in column.term.parts], 1))
 
 
+def _widths(along: Along, place: Place, functions: np.ndarray) -> np.ndarray:
+    """(C,) prior standard deviations of the strengths of functions (HEIGHTS, C): of the torque that
+    an effect has beforehand."""
+    square = np.sum(functions * (along.squares(place, HEIGHTS) @ functions), axis=0)
+    return WIDTH * along.typical(place) / np.sqrt(np.maximum(square, np.finfo(float).tiny))
+
+
 class Every:
     """Every function of a curve's variable beside its model, to first order."""
 
@@ -268,11 +292,13 @@ class Sums:
     ):  # fmt: skip
         self.columns, self.place = list(columns), every.model.place
         self.terms = len(grammar(self.place))
-        self.width = WIDTH * self.place.unit(every.along.scene)
-        parts = [self.width * parts_of(self.place, c) for c in columns]
+        parts = [parts_of(self.place, c) for c in columns]
         ends = itertools.accumulate((x.shape[1] for x in parts), initial=0)
         self.which = [tuple(range(a, b)) for a, b in itertools.pairwise(ends)]
-        self.functions = np.concatenate([*parts, *([] if more is None else [more])], axis=1)
+        strong = np.concatenate(parts, axis=1)
+        self.width = _widths(every.along, self.place, strong)
+        strong = self.width * strong
+        self.functions = strong if more is None else np.concatenate([strong, more], axis=1)
         self.bases, self.rests = every.bases[:most], every.of(self.functions)[:most]
 
     def of(self, sets: list[tuple[int, ...]]) -> list[Sum]:
@@ -289,7 +315,7 @@ class Sums:
                 # There is one term at least.
                 prior = log_prior_model(len(columns), self.terms) - math.log(FURTHER)
                 evidence = log_sum(each[:, k]) - sum(c.price for c in columns)
-                strengths = self.width * mean[top[k], k]
+                strengths = self.width[list(which[i])] * mean[top[k], k]
                 found[i] = Sum(self.place, columns, evidence + prior, prior, strengths)
         return [s for s in found if s is not None]
 
@@ -315,8 +341,9 @@ class Sums:
 
 
 def likeliest(along: Along, model: CurveModel) -> list[Sum]:
-    """For a curve the likeliest sum of one, of two and of three terms, shapes moved off their
-    grids: those that cannot be told from the likeliest, which comes first."""
+    """For a curve the likeliest sum of one, of two and of three terms that the catalogue has no
+    names for, shapes moved off their grids: those that cannot be told from the likeliest, which
+    comes first."""
     columns, every = columns_of(model.place), Every(along, model)
     alone = Sums(every, columns)
     singles = alone.of([(k,) for k in range(len(columns))])
@@ -324,7 +351,7 @@ def likeliest(along: Along, model: CurveModel) -> list[Sum]:
         own = [s for s in singles if s.columns[0].term is term]
         best = max(own, key=lambda s: s.log_evidence)
         columns += _refined(every, best).columns
-    sums = Sums(every, columns).best()
+    sums = [(k, s) for k, s in Sums(every, columns).best() if not s.has_names]
     tops = [next((s for k, s in sums if len(k) == size), None) for size in range(1, MOST_TERMS + 1)]
     refined = [_weighed(every, _refined(every, s)) for s in tops if s is not None]
     refined.sort(key=lambda s: -s.log_evidence)
@@ -363,23 +390,11 @@ def _refined(every: Every, found: Sum) -> Sum:
 
 
 def _weighed(every: Every, found: Sum) -> Sum:
-    """The sum with the evidence that an effect has, each shape known to an e-fold; and as the curve
-    has it, the prior's width of its strengths summed over."""
-    bends, count = _bends(found), len(found.strengths)
-    sums = Sums(every, found.columns, bends, None)
-    own = np.arange(sums.functions.shape[1])
-
-    def evidence(amplitude: float) -> float:
-        size = np.ones(1 + len(own))
-        size[1 : 1 + count] = amplitude / WIDTH
-        gain, _, _ = subset(size[:, None] * sums.rests * size, own)
-        return log_sum(gain + sums.bases)
-
-    total = log_sum([evidence(a) for a in CURVE_AMPLITUDES])
-    total -= math.log(len(CURVE_AMPLITUDES))
-    prior = found.log_prior + total - evidence(WIDTH)
-    total += found.log_prior + every.signs(sums.functions)
-    return found._replace(log_evidence=total, log_prior=prior)
+    """The sum with the evidence that an effect has, each shape known to an e-fold."""
+    sums = Sums(every, found.columns, _bends(found), None)
+    gain, _, _ = subset(sums.rests, np.arange(sums.functions.shape[1]))
+    total = log_sum(gain + sums.bases) + found.log_prior + every.signs(sums.functions)
+    return found._replace(log_evidence=total)
 
 
 _LETTERS = "abcdefg"

@@ -34,6 +34,7 @@ from .evidence import (
     half_normals,
     log_prior_intensity,
     log_sum,
+    prior_sizes,
     shares,
 )
 from .search import Tried
@@ -87,6 +88,12 @@ def splines(x: Any, low: float, high: float, count: int = SPLINES) -> np.ndarray
     return spline(at - np.arange(count).reshape(-1, *[1] * x.ndim))
 
 
+def knots(low: float, high: float) -> np.ndarray:
+    """(SPLINES,) where each is highest: a line's values there are its heights."""
+    step = (high - low) / (SPLINES - 3)
+    return low + step * np.arange(-1, SPLINES - 1)
+
+
 @functools.cache
 def _fine() -> np.ndarray:
     """(HEIGHTS, 2 HEIGHTS) makes heights of values at `points`."""
@@ -138,6 +145,7 @@ class Along:
         self._pushed = np.asarray(self.linear.by_torque)[n : 2 * n, :, :K]
         self._pushed = self._pushed * (orders == 2)[:, None, None]
         self.real = np.tile(np.arange(scene.K) < scene.grid.real, 3)
+        self._squares: dict[tuple[Place, int], np.ndarray] = {}
 
     def variable(self, name: str, joint: int) -> np.ndarray:
         """(3 K,) a variable at the beginnings, middles and ends of the steps."""
@@ -147,6 +155,22 @@ class Along:
         """(3 K,) what a curve is multiplied by."""
         each = {"angle": self.q, "rate": self.v, "direction": self.direction}
         return each[name][joint] if name else np.ones(self.q.shape[1])
+
+    def squares(self, place: "Place", count: int) -> np.ndarray:
+        """(count, count) mean over the motion of the products of torques, of splines over a place's
+        range: h' squares h is the mean square of the torque of a curve with heights h."""
+        if (place, count) not in self._squares:
+            x, factor = (
+                f(name, place.joint)[self.real]
+                for f, name in zip((self.variable, self.factor), place.kind, strict=True)
+            )
+            each = factor * splines(x, place.low, place.high, count)
+            self._squares[place, count] = each @ each.T / len(x)
+        return self._squares[place, count]
+
+    def typical(self, place: "Place") -> float:
+        """Rms of a torque that is as large as the spring's at full swing, N m."""
+        return float(self.scene.torque[place.joint]) / math.sqrt(2.0)
 
     def span(self, variable: str, joint: int) -> tuple[float, float]:
         """The visited range of a variable."""
@@ -205,12 +229,6 @@ class Place(NamedTuple):
         """Over the range that a motion visits."""
         return cls(kind, joint, *along.span(kind.variable, joint))
 
-    def unit(self, scene: Scene) -> float:
-        """Typical height: the spring's torque at full swing over the factor's typical size."""
-        s = scene.scales[self.joint]
-        size = {"angle": s.amplitude, "rate": s.amplitude * s.frequency}
-        return float(scene.torque[self.joint]) / size.get(self.kind.factor, 1.0)
-
     def taken(self, x: np.ndarray) -> np.ndarray | None:
         """What of a curve springs and dampers are already: a line of the angle or the rate, a
         constant stiffness or damping; nothing of others."""
@@ -230,20 +248,30 @@ class Place(NamedTuple):
 
 @functools.cache
 def _roots(low: float, high: float) -> np.ndarray:
-    """(H, SPLINES, SPLINES) square roots of the covariance of heights under each prior, at a
-    typical height of 1; `low`, `high` in units of the range."""
-    at = np.linspace(low, high, SPLINES - 2)
-    step = at[1] - at[0]
-    at = np.concatenate([[at[0] - step], at, [at[-1] + step]])
-    found = []
+    """(H, SPLINES, SPLINES) square roots of the covariance of heights for each length and parity;
+    `low`, `high` in units of the range."""
+    at, found = knots(low, high), []
     for length in CURVE_LENGTHS:
         near, far = (np.exp(-0.5 * ((at[:, None] - s * at) / length) ** 2) for s in (1, -1))
         # Any curve; its odd part; its even part (Duvenaud, PhD thesis, Cambridge 2014, ch. 2).
         for covariance in (near, 0.5 * (near - far), 0.5 * (near + far)):
             e, vectors = np.linalg.eigh(covariance)
-            root = vectors * np.sqrt(np.maximum(e, 0.0))
-            found += [a * root for a in CURVE_AMPLITUDES]
+            found.append(vectors * np.sqrt(np.maximum(e, 0.0)))
     return np.stack(found)
+
+
+def _priors(along: "Along", place: "Place") -> np.ndarray:
+    """(H, SPLINES, SPLINES) `_roots` of torques of each size, less what springs and dampers have of
+    a curve already."""
+    size = place.high - place.low
+    roots, squares = _roots(place.low / size, place.high / size), along.squares(place, SPLINES)
+    line = place.taken(knots(place.low, place.high))
+    if line is not None:
+        share = line @ squares @ roots / (line @ squares @ line)
+        roots = roots - line[:, None] * share[:, None]
+    rms = np.sqrt(np.einsum("hij,ik,hkj->h", roots, squares, roots))
+    roots = along.typical(place) / rms[:, None, None] * roots
+    return np.concatenate([a * roots for a in CURVE_AMPLITUDES])
 
 
 class Posterior(NamedTuple):
@@ -277,8 +305,9 @@ def _mixed(weights, means, covariances) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _posterior(along: Along, place: Place, intensities, totals, grams) -> Posterior:
-    P, size = len(along.trajectory.u), place.high - place.low
-    roots = place.unit(along.scene) * _roots(place.low / size, place.high / size)
+    P, roots = len(along.trajectory.u), _priors(along, place)
+    each_of = len(roots) // len(CURVE_AMPLITUDES)
+    prior = np.repeat(np.log(prior_sizes(CURVE_AMPLITUDES) / each_of), each_of)
     evidences, each, means, covariances = [], [], [], []
     for total, square in zip(totals, grams, strict=True):
         base, rest = conditional(square, P)
@@ -286,16 +315,15 @@ def _posterior(along: Along, place: Place, intensities, totals, grams) -> Poster
         inverse = np.linalg.inv(inner)
         slope = np.swapaxes(roots, 1, 2) @ rest[1:, 0]
         z = -(inverse @ slope[..., None])[..., 0]
-        gains = -0.5 * np.sum(slope * z, -1) - 0.5 * np.linalg.slogdet(inner)[1]
+        gains = prior - 0.5 * np.sum(slope * z, -1) - 0.5 * np.linalg.slogdet(inner)[1]
         weights = shares(gains)
         keep = weights > _LIGHT
         heights = (roots[keep] @ z[keep][..., None])[..., 0]
         spread = roots[keep] @ inverse[keep] @ np.swapaxes(roots[keep], 1, 2)
         mean, covariance = _mixed(weights[keep] / weights[keep].sum(), heights, spread)
-        gain = log_sum(gains) - math.log(len(gains))
         scale = np.eye(len(square))
         scale[1 + P :, 1 + P :] = roots[np.argmax(gains)]
-        evidences.append(total + base + gain + signs(along, scale.T @ square @ scale))
+        evidences.append(total + base + log_sum(gains) + signs(along, scale.T @ square @ scale))
         each.append((mean, covariance))
     evidences = np.array(evidences)
     evidences = np.where(np.isfinite(evidences), evidences, -np.inf)

@@ -8,6 +8,7 @@ were held out better than the model without it. Otherwise the curve itself, as a
 """
 
 import dataclasses
+import math
 import textwrap
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -24,17 +25,18 @@ from ..physics.motion import JointMotion
 from ..runtime.json import number
 from .evidence import (
     CONTENDERS,
+    FURTHER,
     HOPELESS,
     IN_PLAY,
-    INDISTINGUISHABLE,
     INTENSITIES,
-    log_prior_model,
+    OUTSIDE,
     over_intensities,
     prior_of,
 )
 from .forecast import HeldOut, held_out
 from .formula import likeliest, written
 from .free_curves import (
+    KINDS,
     Along,
     CurveModel,
     Kind,
@@ -66,20 +68,19 @@ def curve_models(search: Search) -> list[CurveModel]:
     for parent in (search.tried[s] for s in wanted if s in search.tried):
         trajectory, intensity = search.screening_motion(parent)
         used = sorted({intensity, 0.1 * intensity, 0.0}, reverse=True)
-        prior = log_prior_model(len(parent.added) + 1, len(search.candidates))
-        each = screen(Along(scene, trajectory), used)[:CONTENDERS]
-        found += [
-            (s.log_evidence + prior, parent.added, trajectory, s, intensity, prior) for s in each
-        ]
+        # One more effect, which is in no catalogue, and any of the curves.
+        prior = parent.log_prior + math.log(FURTHER * OUTSIDE / (len(KINDS) * scene.n))
+        # Where little is left, the first order is right, and by it most curves have no part.
+        behind = -math.log(IN_PLAY) if parent.complete > 0.5 else HOPELESS
+        for s in screen(Along(scene, trajectory), used):
+            log_posterior = s.log_evidence + prior
+            if log_posterior > best.log_posterior - behind:
+                found.append((log_posterior, parent.added, trajectory, s, intensity, prior))
     found.sort(key=lambda f: -f[0])
-    least = max(best.log_posterior, found[0][0]) - HOPELESS
-    kept = [settled_curve(scene, *f[1:]) for f in found[:CONTENDERS] if f[0] > least]
-    models = [m for m in kept if m is not None]
-    top = max([best, *models], key=lambda m: m.log_posterior).log_posterior
-    close = [m for m in [best, *models] if m.log_posterior > top - INDISTINGUISHABLE]
-    if len(close) > 1:  # the law that has a simple formula is the likelier one
-        models = [_with_formulas(scene, m) if m in close else m for m in models]
-    return models
+    few = [f for f in found[:CONTENDERS] if f[0] > found[0][0] - HOPELESS]
+    models = [settled_curve(scene, *f[1:]) for f in few]
+    # The law that has a simple formula is the likelier one.
+    return [_with_formulas(scene, m) for m in models if m is not None]
 
 
 def _with_formulas(scene: Scene, model: CurveModel) -> CurveModel:

@@ -156,12 +156,11 @@ class Scene:
         long = int(np.argmax([r.duration for r in recordings]))
         driven = recordings[long].drive is not None
         stiffness = Spectrum.of(recordings[long], wild[long]).stiffness(inertia, driven)
-        slowest = 2 * math.pi / recordings[long].duration
+        duration = recordings[long].duration
+        slowest = 2 * math.pi / duration
         pace = np.maximum(np.sqrt(stiffness / np.diag(inertia)), slowest)
-        self.scales = [
-            Scales(float(inertia[j, j]), float(pace[j]), float(math.sqrt(2) * amplitude[j]), length)
-            for j, length in enumerate(mechanisms[0].reach())
-        ]
+        sizes = np.diag(inertia), pace, math.sqrt(2) * amplitude, mechanisms[0].reach()
+        self.scales = [Scales(*map(float, own), duration) for own in zip(*sizes, strict=True)]
         self.torque = np.array([s.inertia * s.frequency**2 * s.amplitude for s in self.scales])
         self.readings = Readings(g.angle, g.seen, g.variance)
         self.instants = Instants(

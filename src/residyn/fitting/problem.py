@@ -230,7 +230,7 @@ class Ready(NamedTuple):
             ]
         )
         size = self.amplitude
-        scales = _scales_of(begin, size, np.full(len(size), frequency))
+        scales = _scales_of(begin, size, np.full(len(size), frequency), self.duration)
         memory = [m.meaning.dimension.size(scales(m.joint)) for m in begin.memory]
         scale = Unknowns(
             _sizes(begin, scales),
@@ -289,7 +289,12 @@ class Ready(NamedTuple):
 
     def scales(self) -> Callable[[int | None], Scales]:
         """The scales of a joint's motion, from the amplitudes and rates of the readings alone."""
-        return _scales_of(self.model, self.amplitude, self.pace)
+        return _scales_of(self.model, self.amplitude, self.pace, self.duration)
+
+    @property
+    def duration(self) -> float:
+        """s, of the longest recording."""
+        return max(r.duration for r in self.recordings)
 
     @property
     def pace(self) -> np.ndarray:
@@ -363,11 +368,12 @@ def _sizes(model: Model, scales: Callable[[int | None], Scales]) -> np.ndarray:
 
 
 def _scales_of(
-    model: Model, amplitude: np.ndarray, pace: np.ndarray
+    model: Model, amplitude: np.ndarray, pace: np.ndarray, duration: float
 ) -> Callable[[int | None], Scales]:
     """The scales of one joint, or of the last one for what belongs to none; `pace` (n,) rad/s."""
     inertia, reach = np.asarray(_inertia(model.mechanism)), np.array(model.mechanism.reach())
-    return lambda joint: Scales(*(_at(each, joint) for each in (inertia, pace, amplitude, reach)))
+    each = inertia, pace, amplitude, reach
+    return lambda joint: Scales(*(_at(x, joint) for x in each), duration)
 
 
 @kept(like=0)

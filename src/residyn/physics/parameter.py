@@ -25,13 +25,14 @@ class Scales(NamedTuple):
     """Typical size of a joint's motion: what a parameter of that joint can be measured against.
 
     `inertia` in kg m^2 (or kg), `frequency` in rad/s, `amplitude` in rad (or m), `length` of the
-    link in m.
+    link in m, `duration` of the recording in s.
     """
 
     inertia: float = 1.0
     frequency: float = 1.0
     amplitude: float = 1.0
     length: float = 1.0
+    duration: float = 1.0
 
 
 class Dimension(NamedTuple):
@@ -58,7 +59,10 @@ TORQUE = Dimension("N m", "N", lambda s: s.inertia * s.frequency**2 * s.amplitud
 # Times the sine of an angle: as large as a stiffness, not as the torque at one swing.
 MOMENT = Dimension("N m", "N", lambda s: s.inertia * s.frequency**2)
 STIFFNESS = Dimension("N m/rad", "N/m", lambda s: s.inertia * s.frequency**2)
-STIFFNESS_RATE = Dimension("N m/(rad s)", "N/(m s)", lambda s: s.inertia * s.frequency**3)
+# Of what changes slowly: in a whole recording, not in a swing.
+STIFFNESS_RATE = Dimension(
+    "N m/(rad s)", "N/(m s)", lambda s: s.inertia * s.frequency**2 / s.duration
+)
 CUBIC = Dimension("N m/rad^3", "N/m^3", lambda s: s.inertia * (s.frequency / s.amplitude) ** 2)
 DAMPING = Dimension("N m s/rad", "N s/m", lambda s: s.inertia * s.frequency)
 QUADRATIC = Dimension("N m s^2/rad^2", "N s^2/m^2", lambda s: s.inertia / s.amplitude)
