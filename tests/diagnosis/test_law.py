@@ -225,11 +225,12 @@ def test_a_law_that_a_name_comes_near_is_found_beside_it():
     """A dead zone and a cog nearly make an exponential stop: names alone leave no torque."""
     values = {"torque": 0.08, "angle": 0.2, "width": 0.06, "side": 1.0}
     found = diagnosed(("exponential_stop:elbow", values))
+    assert (found.verdict, found.added) == ("unexplained", ())
     law = found.laws[0]
     assert (law.joint, law.variable, law.factor) == ("elbow", "angle", "")
     assert law.probability > 0.9
+    assert law.formula is not None
     assert law.formula.families == ("exponential",)
-    assert (found.verdict, found.added) == ("unexplained", ())
 
 
 def test_the_written_file_loads_and_fits(quintic, tmp_path):

@@ -19,7 +19,7 @@ from ..effects import AbstractEffect
 from ..filtering.kalman import Evidences
 from ..filtering.law import number_slices, numbers_of
 from ..filtering.trajectory import Prior, Scene
-from ..physics.parameter import Parameter
+from ..physics.parameter import MOMENT, Parameter
 
 # -- the numbers that decide ------------------------------------------------------------------
 
@@ -120,7 +120,10 @@ def prior_of(scene: Scene, effects: Sequence[AbstractEffect]) -> Prior:
 
 
 def width_of(scene: Scene, effect: AbstractEffect, number: Parameter) -> float:
-    """Prior standard deviation of a strength, in its own unit."""
+    """Prior standard deviation of a strength, in its own unit. Gravity's pull towards 0 is known as
+    a spring is: it may be all that pulls back."""
+    if number.dimension is MOMENT:
+        return scene.size(effect, number)
     if effect.senses and number.dimension.rotary in ("1", "1/rad"):  # of the scale at full swing
         return SCALE_ERROR * scene.size(effect, number)
     if effect.senses and number.dimension.rotary == "s":

@@ -373,7 +373,7 @@ def _scales_of(
     """The scales of one joint, or of the last one for what belongs to none; `pace` (n,) rad/s."""
     inertia, reach = np.asarray(_inertia(model.mechanism)), np.array(model.mechanism.reach())
     each = inertia, pace, amplitude, reach
-    return lambda joint: Scales(*(_at(x, joint) for x in each), duration)
+    return lambda joint: Scales(*(_at(x, joint) for x in each), duration=duration)
 
 
 @kept(like=0)
