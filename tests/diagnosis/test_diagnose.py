@@ -509,14 +509,15 @@ def test_a_budget_ends_the_search_with_the_best_so_far():
     assert found.budget.models == 1
 
 
-def test_ctrl_c_keeps_what_was_found():
-    """Pressed as the second round begins."""
+@pytest.mark.parametrize(("phase", "turn"), [("screening", 2), ("looking for a law", 1)])
+def test_ctrl_c_keeps_what_was_found(phase, turn):
+    """Pressed as the second round begins, and while laws without a name are sought."""
     rounds = []
 
     def progress(words):
-        if words.startswith("screening"):
+        if words.startswith(phase):
             rounds.append(words)
-            if len(rounds) == 2:
+            if len(rounds) == turn:
                 raise KeyboardInterrupt
 
     found = diagnosed(CUBIC, progress=progress)

@@ -117,8 +117,9 @@ def diagnose(
         search.run(max_effects, reassign)
         lost = search.best.intensity >= EXPLAINS_NOTHING or search.reassigned
         if not (lost or search.stopped):
-            say("looking for a law without a name")
-            search.curves = curve_models(search)
+            with search.ending():
+                say("looking for a law without a name")
+                search.curves = curve_models(search)
         say("fitting the models on the way")
         return concluded(search, fits, began, say)
 

@@ -60,12 +60,16 @@ _NAMED = 3  # named laws drawn through a curve
 
 def curve_models(search: Search) -> list[CurveModel]:
     """Free curves beside the models that a search has found, those that may have a part in the
-    posterior."""
+    posterior.
+
+    **Raises:** `search.OutOfTime` after the search's deadline.
+    """
     scene, best = search.scene, search.best
     wanted = {frozenset(), frozenset(best.added)}
     wanted |= {frozenset(best.added) - {x} for x in best.added}
     found = []
     for parent in (search.tried[s] for s in wanted if s in search.tried):
+        search.in_time()
         trajectory, intensity = search.screening_motion(parent)
         used = sorted({intensity, 0.1 * intensity, 0.0}, reverse=True)
         # One more effect, which is in no catalogue, and any of the curves.
@@ -78,9 +82,13 @@ def curve_models(search: Search) -> list[CurveModel]:
                 found.append((log_posterior, parent.added, trajectory, s, intensity, prior))
     found.sort(key=lambda f: -f[0])
     few = [f for f in found[:CONTENDERS] if f[0] > found[0][0] - HOPELESS]
-    models = [settled_curve(scene, *f[1:]) for f in few]
-    # The law that has a simple formula is the likelier one.
-    return [_with_formulas(scene, m) for m in models if m is not None]
+    models = []
+    for _, *first in few:
+        search.in_time()
+        model = settled_curve(scene, *first)
+        if model is not None:  # the law that has a simple formula is the likelier one
+            models.append(_with_formulas(scene, model))
+    return models
 
 
 def _with_formulas(scene: Scene, model: CurveModel) -> CurveModel:

@@ -8,11 +8,12 @@ evidences, are all that the rest of the diagnosis needs: it can stop at any time
 far.
 """
 
+import contextlib
 import dataclasses
 import functools
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -453,41 +454,50 @@ class Search:
         """Add effects, `most` at most, until no model beats the one that there is, or as long as
         the likeliest explains anything of the motion. Ctrl-C and the deadline end it with what
         there is. `reassign` makes `channels.Reassigned`s."""
+        with self.ending():
+            self._run(most, reassign)
+
+    @contextlib.contextmanager
+    def ending(self) -> Iterator[None]:
+        """What Ctrl-C and the deadline end: `stopped` then says which of them."""
         try:
-            if self.base.complete < 0.5:
-                self.say("reading the columns otherwise")
-                self.reassignments = reassign()
-                give_back()
-            other = self.reassigned
-            if other and (other.tried.complete > 0.5 or self.base.intensity >= EXPLAINS_NOTHING):
-                return  # nothing is left to be explained, or all
-            extended: set[frozenset[str]] = set()
-            self.screen(self.base)
-            while not extended or self.best.intensity < EXPLAINS_NOTHING:
-                best = frozenset(self.best.added)
-                if best in extended or len(best) >= most:
-                    # Each effect in turn might have another in its place.
-                    model = self.best
-                    todo = [x for x in model.added[:-1] if best - {x} not in extended]
-                    if not todo:
-                        break
-                    self._simplify([(model, x, None) for x in todo if best - {x} not in self.tried])
-                    rest = [best - {x} for x in todo]
-                    extended.update(x for x in rest if x not in self.tried)  # no motion has it
-                    found = [x for x in rest if x in self.tried]
-                    if not found:
-                        continue
-                    best = found[0]
-                self.extend(self.tried[best])
-                extended.add(best)
-                self.reduce()
-                self._simulate()
-            if self.best.intensity >= EXPLAINS_NOTHING:  # then no name says anything
-                self.tried, self.passed = {frozenset(): self.base}, {}
+            yield
         except KeyboardInterrupt:
             self.stopped = "interrupted"
         except OutOfTime:
             self.stopped = "budget"
+
+    def _run(self, most: int, reassign: Callable[[], Sequence[Any]]) -> None:
+        if self.base.complete < 0.5:
+            self.say("reading the columns otherwise")
+            self.reassignments = reassign()
+            give_back()
+        other = self.reassigned
+        if other and (other.tried.complete > 0.5 or self.base.intensity >= EXPLAINS_NOTHING):
+            return  # nothing is left to be explained, or all
+        extended: set[frozenset[str]] = set()
+        self.screen(self.base)
+        while not extended or self.best.intensity < EXPLAINS_NOTHING:
+            best = frozenset(self.best.added)
+            if best in extended or len(best) >= most:
+                # Each effect in turn might have another in its place.
+                model = self.best
+                todo = [x for x in model.added[:-1] if best - {x} not in extended]
+                if not todo:
+                    break
+                self._simplify([(model, x, None) for x in todo if best - {x} not in self.tried])
+                rest = [best - {x} for x in todo]
+                extended.update(x for x in rest if x not in self.tried)  # no motion has it
+                found = [x for x in rest if x in self.tried]
+                if not found:
+                    continue
+                best = found[0]
+            self.extend(self.tried[best])
+            extended.add(best)
+            self.reduce()
+            self._simulate()
+        if self.best.intensity >= EXPLAINS_NOTHING:  # then no name says anything
+            self.tried, self.passed = {frozenset(): self.base}, {}
 
     def _simulate(self) -> None:
         """The evidence of each model in play that may need no random torque, by exact simulation,

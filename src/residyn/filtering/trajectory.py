@@ -160,7 +160,9 @@ class Scene:
         slowest = 2 * math.pi / duration
         pace = np.maximum(np.sqrt(stiffness / np.diag(inertia)), slowest)
         sizes = np.diag(inertia), pace, math.sqrt(2) * amplitude, mechanisms[0].reach()
-        self.scales = [Scales(*map(float, own), duration=duration) for own in zip(*sizes, strict=True)]
+        self.scales = [
+            Scales(*map(float, own), duration=duration) for own in zip(*sizes, strict=True)
+        ]
         self.torque = np.array([s.inertia * s.frequency**2 * s.amplitude for s in self.scales])
         self.readings = Readings(g.angle, g.seen, g.variance)
         self.instants = Instants(
