@@ -186,7 +186,25 @@ def test_nothing_missing(found):
 
 def test_what_may_still_be_missing_is_no_secret():
     words = by_hand.missing(verdict_probability=0.7).words
-    assert "That nothing else is missing is not sure (70 %)." in words
+    assert "That it is this and nothing else is not sure (70 %)." in words
+
+
+def test_what_has_no_name_may_be_in_the_place_of_what_was_added():
+    """Names leave only noise, and a law without a name would, too."""
+    left = by_hand.torques(1e-3, 1.0)
+    made = by_hand.unexplained(verdict_probability=0.54, random_torque=left)
+    words = " ".join(made.words)
+    assert (
+        "Beside asymmetric stiffness at the shoulder only noise is left; but a law that no effect "
+        "of the catalogue has may be there instead (54 %)."
+    ) in words
+    assert "Something more" not in words
+    assert text.title_of(made).endswith(
+        "spring shape at the shoulder, or something that no effect of the catalogue explains"
+    )
+    beside = by_hand.unexplained(verdict_probability=0.54)
+    assert "Something more" in " ".join(beside.words)
+    assert " and something that" in text.title_of(beside)
 
 
 def test_a_model_of_nothing_says_what_to_check():

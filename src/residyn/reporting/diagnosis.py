@@ -343,6 +343,13 @@ def _fall(found: Diagnosis) -> Iterator[str]:
     yield f"{words}."
 
 
+def _instead(found: Diagnosis) -> bool:
+    """Whether what has no name may be in the place of what was added, which leaves only noise, and
+    not beside it."""
+    nothing_left = all(r.low == 0 for r in found.random_torque if math.isfinite(r.rms))
+    return found.verdict == "unexplained" and bool(found.added) and nothing_left
+
+
 def explained_share(found: Diagnosis) -> float:
     """Of the base model's squared error above the noise, the share that the effects took away; NaN
     where there was none."""
@@ -354,15 +361,21 @@ def _left(found: Diagnosis) -> Iterator[str]:
     """How large what is still missing is, and whether it matters."""
     known = [r for r in found.random_torque if math.isfinite(r.rms)]
     sure = found.verdict_probability
-    if found.verdict == "unexplained":
+    if found.verdict == "unexplained" and not _instead(found):
         sizes = listed([_size(r, found) for r in known]) if known else "unknown size"
         more = f"Something more {modal(sure)} missing that {unnamed(found)} explains"
         words = f"{more} ({percent(sure)})" if found.added else "What is missing is"
         yield f"{words}{': ' if found.added else ' '}a torque of {sizes}."
         yield from _matters(found)
         return
-    if sure < SURE and found.added:
-        yield f"That nothing else is missing is not sure ({percent(sure)})."
+    if _instead(found):
+        effects = named(found.added, found.fit.joints)
+        yield (
+            f"Beside {effects} only noise is left; but a law that {unnamed(found)} has may be "
+            f"there instead ({percent(sure)})."
+        )
+    elif sure < SURE and found.added:
+        yield f"That it is this and nothing else is not sure ({percent(sure)})."
     if known:
         most = max(known, key=lambda r: r.high / _spring(r) if _known(r) else r.high)
         if most.high > 0:
@@ -530,9 +543,12 @@ def title_of(found: Diagnosis) -> str:
     if not found.added or _stand_in(found):
         return f"Something is missing that {unnamed(found)} explains"
     words = [_family(f, found) for f in accepted(found)]
-    if found.verdict == "unexplained":
-        words.append(f"something that {unnamed(found)} explains")
-    return f"What is missing: {listed(words)}"
+    other = f"something that {unnamed(found)} explains"
+    if _instead(found):
+        return f"What is missing: {listed(words)}, or {other}"
+    return (
+        f"What is missing: {listed([*words, other] if found.verdict == 'unexplained' else words)}"
+    )
 
 
 def torques_first_lacked(found: Diagnosis) -> list[tuple[Missing, int]]:
