@@ -264,7 +264,8 @@ def _numbers(found: Diagnosis, label: str) -> str:
     beside the random torque, since a fit's errors then are too small."""
     own = [n for n in found.fit.numbers if n.name.rpartition(".")[0] == label]
     beside = found.candidate(label).parameters
-    if found.verdict == "unexplained" and len(found.added) == 1 and beside:
+    left = found.verdict == "unexplained" and not _instead(found)
+    if left and len(found.added) == 1 and beside:
         fitted = ", ".join(plain(n.value) for n in own)
         return f"{_values(found.candidate(label))} ({fitted} if nothing else were missing)"
     told = []
