@@ -246,7 +246,7 @@ class Place(NamedTuple):
         return made(scene.joints[self.joint], *(np.asarray(x, float) for x in data))
 
 
-@functools.cache
+@functools.lru_cache(maxsize=64)
 def _roots(low: float, high: float) -> np.ndarray:
     """(H, SPLINES, SPLINES) square roots of the covariance of heights for each length and parity;
     `low`, `high` in units of the range."""
