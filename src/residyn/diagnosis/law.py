@@ -67,23 +67,26 @@ def curve_models(search: Search) -> list[CurveModel]:
     scene, best = search.scene, search.best
     wanted = {frozenset(), frozenset(best.added)}
     wanted |= {frozenset(best.added) - {x} for x in best.added}
-    found = []
+    few = []
     for parent in (search.tried[s] for s in wanted if s in search.tried):
         search.in_time()
         trajectory, intensity = search.screening_motion(parent)
         used = sorted({intensity, 0.1 * intensity, 0.0}, reverse=True)
         # One more effect, which is in no catalogue, and any of the curves.
         prior = parent.log_prior + math.log(FURTHER * OUTSIDE / (len(KINDS) * scene.n))
-        # Where little is left, the first order is right, and by it most curves have no part.
-        behind = -math.log(IN_PLAY) if parent.complete > 0.5 else HOPELESS
-        for s in screen(Along(scene, trajectory), used):
-            log_posterior = s.log_evidence + prior
-            if log_posterior > best.log_posterior - behind:
-                found.append((log_posterior, parent.added, trajectory, s, intensity, prior))
-    found.sort(key=lambda f: -f[0])
-    few = [f for f in found[:CONTENDERS] if f[0] > found[0][0] - HOPELESS]
+        # Where little is left, the first order is right, and by it most curves have no part; where
+        # no model explains the readings, a curve that does may be far from it at first order.
+        behind = HOPELESS if best.complete > 0.5 else math.inf
+        if parent.complete > 0.5:
+            behind = -math.log(IN_PLAY)
+        # One beside names, which may be there in its place.
+        each = screen(Along(scene, trajectory), used)[: 1 if parent.added else CONTENDERS]
+        least = max(best.log_posterior - behind - prior, each[0].log_evidence - HOPELESS)
+        few += [
+            (parent.added, trajectory, s, intensity, prior) for s in each if s.log_evidence > least
+        ]
     models = []
-    for _, *first in few:
+    for first in few:
         search.in_time()
         model = settled_curve(scene, *first)
         if model is not None:  # the law that has a simple formula is the likelier one
