@@ -304,6 +304,7 @@ def _mixed(weights, means, covariances) -> tuple[np.ndarray, np.ndarray]:
     return mean, np.tensordot(weights, covariances + off[:, :, None] * off[:, None, :], 1)
 
 
+@np.errstate(invalid="ignore")  # where a motion has run away nothing is finite
 def _posterior(along: Along, place: Place, intensities, totals, grams) -> Posterior:
     P, roots = len(along.trajectory.u), _priors(along, place)
     each_of = len(roots) // len(CURVE_AMPLITUDES)
