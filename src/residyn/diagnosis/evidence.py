@@ -58,7 +58,7 @@ no stiffness by more than 0.1 %."""
 OUTSIDE = 1 / 5
 """Prior probability that what a joint lacks is of no effect in the catalogue: Laplace's rule of
 succession after three measured rigs (carts, EMPS, a double pendulum), whose authors' explanations
-are all in it."""
+are all in it. All free curves share it."""
 INDISTINGUISHABLE = math.log(20.0)
 """Nats up to which two models cannot be told apart: posterior odds of 20 to 1 are strong evidence
 (Kass and Raftery, J. American Statistical Association 90, 1995)."""

@@ -4,8 +4,8 @@ A term is a function of one variable, with up to two shape numbers on a grid. Ev
 variable is a sum of the same fine splines, whose Gram matrix along the curve's motion takes one
 pass of the filter. So the evidence of any sum of terms is a Cholesky factorisation of a few rows:
 strengths are integrated out in closed form, shapes are summed over their grids. Sums are sought by
-adding the best term to the best sums. The likeliest is iterated as a curve is, and fitted as a
-class.
+adding the best term to the best sums; those of laws that have names are left to these names. The
+likeliest is iterated as a curve is, and fitted as a class.
 """
 
 import itertools

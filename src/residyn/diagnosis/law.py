@@ -1,10 +1,11 @@
 """A law for what has no name: free curves beside the names, and a formula for the likeliest one.
 
 When the search over names has ended, every free curve is screened beside the best model, beside
-those with one name less, and beside none. Those that may have a part in the posterior are iterated
-like any other model, and weigh as one more effect. Where one leads, a sum of a few terms is sought
-for it; it is accepted if its own nonlinear evidence beats the curve's and it predicts readings that
-were held out better than the model without it. Otherwise the curve itself, as a table, is the law.
+those with one name less, and beside none, whether or not names explain the readings. Those that may
+have a part in the posterior are iterated like any other model and weigh as one more effect, each
+with the sums of a few terms that say the same. The leading curve's formula is accepted if its own
+nonlinear evidence beats the curve's and it predicts readings that were held out better than the
+model without it. Otherwise the curve itself, as a table, is the law.
 """
 
 import dataclasses
