@@ -47,6 +47,7 @@ from residyn.effects import (
     CoulombFriction,
     CubicStiffness,
     Damper,
+    DeadZone,
     Gravity,
     Spring,
 )
@@ -350,15 +351,18 @@ def test_a_drift_is_measured_by_the_recording_and_not_by_a_swing():
         assert STIFFNESS_RATE.size(scales) * duration == pytest.approx(STIFFNESS.size(scales))
 
 
-def test_gravity_is_known_beforehand_as_a_spring_is():
-    """A pendulum has no other spring: its pull is no effect of 0.5 to 30 % of one."""
+def test_what_takes_a_spring_s_place_is_known_beforehand_as_a_spring_is():
+    """A pendulum has no other spring, and a loose joint none inside its gap: these are no effects
+    of 0.5 to 30 % of one."""
     time = np.arange(200) / 40
     run = residyn.Recording.from_arrays(time, 0.2 * np.cos(3 * time), noise=NOISE)
     link = residyn.ConstantInertia([[MASS]], joints=("axis",), units=("rad",))
     scene = Scene([run], [link], [np.zeros((len(time), 1), bool)])
     pull, across = (prior_of(scene, [Gravity()]).width[i] for i in (0, 2))
-    spring, twist = (prior_of(scene, [e("axis")]).width[0] for e in (Spring, ConstantTorque))
-    assert (pull, across) == pytest.approx((spring, twist))
+    spring, twist, lost = (
+        prior_of(scene, [e("axis")]).width[0] for e in (Spring, ConstantTorque, DeadZone)
+    )
+    assert (pull, across, lost) == pytest.approx((spring, twist, spring))
 
 
 @pytest.mark.parametrize("sizes", [CURVE_AMPLITUDES, INTENSITIES[:-1], (0.3,)])

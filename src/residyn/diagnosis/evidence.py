@@ -19,7 +19,7 @@ from ..effects import AbstractEffect
 from ..filtering.kalman import Evidences
 from ..filtering.law import number_slices, numbers_of
 from ..filtering.trajectory import Prior, Scene
-from ..physics.parameter import MOMENT, Parameter
+from ..physics.parameter import MOMENT, STIFFNESS, Parameter
 
 # -- the numbers that decide ------------------------------------------------------------------
 
@@ -69,9 +69,10 @@ CONTENDERS = 6
 """Candidates of each screen whose nonlinear evidence is worked out, as many pairs whose members
 are, and as many frequencies of each joint that a disturbance may have: of 780 pairs at first order
 the true one was among the first two on seven arms of eight, single effects of 1 % first on all."""
-CURVE_AMPLITUDES = INTENSITIES[:6]
+CURVE_AMPLITUDES = INTENSITIES[1:6]
 """Sizes of a free curve's torque, in the spring's at full swing, of which the prior is that of a
-strength: half a decade apart, down to where an effect is hardly worth naming."""
+strength: half a decade apart, from its `WIDTH`, above which a strength has the tail of a normal
+distribution, down to where an effect is hardly worth naming."""
 CURVE_LENGTHS = (0.08, 0.2, 0.5, 1.5)
 """Correlation lengths of a free curve, in the visited range of its variable: from what its splines
 can just follow to a bend over the whole range."""
@@ -120,9 +121,10 @@ def prior_of(scene: Scene, effects: Sequence[AbstractEffect]) -> Prior:
 
 
 def width_of(scene: Scene, effect: AbstractEffect, number: Parameter) -> float:
-    """Prior standard deviation of a strength, in its own unit. Gravity's pull towards 0 is known as
-    a spring is: it may be all that pulls back."""
-    if number.dimension is MOMENT:
+    """Prior standard deviation of a strength, in its own unit. Some are known as a spring is: in
+    the place of a spring gravity may be all that pulls back, and a loose joint has none inside its
+    gap."""
+    if number.dimension is {"gravity": MOMENT, "dead_zone": STIFFNESS}.get(effect.name):
         return scene.size(effect, number)
     if effect.senses and number.dimension.rotary in ("1", "1/rad"):  # of the scale at full swing
         return SCALE_ERROR * scene.size(effect, number)
