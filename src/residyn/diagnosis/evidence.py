@@ -69,10 +69,9 @@ CONTENDERS = 6
 """Candidates of each screen whose nonlinear evidence is worked out, as many pairs whose members
 are, and as many frequencies of each joint that a disturbance may have: of 780 pairs at first order
 the true one was among the first two on seven arms of eight, single effects of 1 % first on all."""
-CURVE_AMPLITUDES = INTENSITIES[1:6]
+CURVE_AMPLITUDES = INTENSITIES[:6]
 """Sizes of a free curve's torque, in the spring's at full swing, of which the prior is that of a
-strength: half a decade apart, from its `WIDTH`, above which a strength has the tail of a normal
-distribution, down to where an effect is hardly worth naming."""
+strength: half a decade apart, down to where an effect is hardly worth naming."""
 CURVE_LENGTHS = (0.08, 0.2, 0.5, 1.5)
 """Correlation lengths of a free curve, in the visited range of its variable: from what its splines
 can just follow to a bend over the whole range."""
