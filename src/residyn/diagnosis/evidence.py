@@ -19,7 +19,7 @@ from ..effects import AbstractEffect
 from ..filtering.kalman import Evidences
 from ..filtering.law import number_slices, numbers_of
 from ..filtering.trajectory import Prior, Scene
-from ..physics.parameter import MOMENT, STIFFNESS, Parameter
+from ..physics.parameter import Parameter
 
 # -- the numbers that decide ------------------------------------------------------------------
 
@@ -120,10 +120,10 @@ def prior_of(scene: Scene, effects: Sequence[AbstractEffect]) -> Prior:
 
 
 def width_of(scene: Scene, effect: AbstractEffect, number: Parameter) -> float:
-    """Prior standard deviation of a strength, in its own unit. Some are known as a spring is: in
-    the place of a spring gravity may be all that pulls back, and a loose joint has none inside its
+    """Prior standard deviation of a strength, in its own unit. What acts in the place of a spring is
+    known as a spring is: gravity may be all that pulls back, and a loose joint has none inside its
     gap."""
-    if number.dimension is {"gravity": MOMENT, "dead_zone": STIFFNESS}.get(effect.name):
+    if number.as_spring:
         return scene.size(effect, number)
     if effect.senses and number.dimension.rotary in ("1", "1/rad"):  # of the scale at full swing
         return SCALE_ERROR * scene.size(effect, number)

@@ -75,7 +75,9 @@ class DeadZone(JointEffect):
     source = "Nordin and Gutman, Automatica 38, 2002 (backlash as a dead zone)"
     rough = True
 
-    stiffness: Scalar = param("stiffness lost inside the gap", STIFFNESS, sign="positive")
+    stiffness: Scalar = param(
+        "stiffness lost inside the gap", STIFFNESS, sign="positive", as_spring=True
+    )
     gap: Scalar = param(
         "half-width of the gap",
         ANGLE,

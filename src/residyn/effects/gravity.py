@@ -24,8 +24,10 @@ class Gravity(AbstractEffect):
     looks_like = "frequency falls with amplitude; rest shifts on a tilted table"
     source = "Lagrange, with V = sum of -M_i cos(phi_i) + L_i sin(phi_i)"
 
-    moment1: Scalar = param("pull of link 1 (and what it carries) towards 0", MOMENT, joint=0)
-    moment2: Scalar = param("pull of link 2 towards 0", MOMENT)
+    moment1: Scalar = param(
+        "pull of link 1 (and what it carries) towards 0", MOMENT, joint=0, as_spring=True
+    )
+    moment2: Scalar = param("pull of link 2 towards 0", MOMENT, as_spring=True)
     lateral1: Scalar = param("pull of link 1 across", TORQUE, joint=0)
     lateral2: Scalar = param("pull of link 2 across", TORQUE)
 

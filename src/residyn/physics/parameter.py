@@ -87,6 +87,7 @@ class Parameter:
     fitted: bool
     grid: tuple[float, ...]
     joint: int | None
+    as_spring: bool
 
 
 class Memory(NamedTuple):
@@ -144,6 +145,7 @@ def param(
     fitted: bool = True,
     grid: tuple[float, ...] = (),
     joint: int | None = None,
+    as_spring: bool = False,
     name: str | None = None,
 ) -> Any:
     """Declare a number of an effect: a field of its class whose value is a scalar array.
@@ -162,6 +164,8 @@ def param(
     - `grid`: values that a fit starts a shape number from, in the dimension's typical size.
     - `joint`: the joint whose motion gives the typical size, from 0; if not given, that of the
       effect, or the last one.
+    - `as_spring`: whether it may be as large as the joint's spring, in whose place it acts, and not
+      only a part of it.
     - `name`: what users call it, where that differs from the field's name.
     """
     if silent is None and default is None:
@@ -175,6 +179,7 @@ def param(
         "fitted": fitted,
         "grid": grid,
         "joint": joint,
+        "as_spring": as_spring,
     }
     return eqx.field(
         default=silent if default is None else default,
