@@ -120,9 +120,9 @@ def prior_of(scene: Scene, effects: Sequence[AbstractEffect]) -> Prior:
 
 
 def width_of(scene: Scene, effect: AbstractEffect, number: Parameter) -> float:
-    """Prior standard deviation of a strength, in its own unit. What acts in the place of a spring is
-    known as a spring is: gravity may be all that pulls back, and a loose joint has none inside its
-    gap."""
+    """Prior standard deviation of a strength, in its own unit. What acts in the place of a spring
+    is known as a spring is: gravity may be all that pulls back, and a loose joint has none inside
+    its gap."""
     if number.as_spring:
         return scene.size(effect, number)
     if effect.senses and number.dimension.rotary in ("1", "1/rad"):  # of the scale at full swing
