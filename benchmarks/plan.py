@@ -47,7 +47,7 @@ from benchmarks._fresh import markdown
 from benchmarks._unloading import ON, table_of
 from residyn.diagnosis.candidate_tests import Rival, best_tests, in_play
 from residyn.diagnosis.detectable import Detectable
-from residyn.diagnosis.diagnose import MOST_EFFECTS, Posterior
+from residyn.diagnosis.diagnose import MOST_EFFECTS, Fits, Posterior
 from residyn.diagnosis.missing_torque import scene_of
 from residyn.diagnosis.search import Search
 from residyn.physics.modal import modes
@@ -95,8 +95,9 @@ def measured(case, name: str, **where) -> residyn.Recording:
 def weighed(experiment: residyn.Experiment, most: int = 1, effects=()) -> Posterior:
     """The models that a search tries, and their probabilities; all have springs, dampers and
     `effects`."""
-    scene, base, _ = scene_of(experiment, effects)
+    scene, base, wild = scene_of(experiment, effects)
     search = Search(scene, base)
+    search.exact = Fits(experiment, scene, wild, starts=1).simulated
     search.run(most)
     return Posterior(search)
 

@@ -159,9 +159,13 @@ class Rival(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene, tried: Tried) -> "Rival":
-        """A tried model, smoothed once more if its covariance was not kept."""
-        t: Trajectory = tried.best
-        if not t.covariance.size:
+        """A tried model: without a random torque as simulated exactly, where it was; else as
+        smoothed, once more if its covariance was not kept."""
+        t, known = tried.best, tried.simulated
+        if known is not None and tried.intensity == 0:
+            u = np.append(known.u, t.u[len(known.u) :])
+            t = dataclasses.replace(t, u=u, covariance=known.covariance)
+        elif not t.covariance.size:
             t = scene.smoothed(t, scene.linearised(t), tried.intensity) or t
         slopes = t.prior.slopes(t.u)
         own = t.covariance[: len(slopes), : len(slopes)] * np.outer(slopes, slopes)

@@ -56,7 +56,7 @@ from .result import (
     Verdict,
 )
 from .search import Search, Tried, signs_of
-from .simulated import log_evidence
+from .simulated import Simulated, simulated
 
 MOST_EFFECTS = 3
 """How many effects are added unless it is told otherwise."""
@@ -112,7 +112,7 @@ def diagnose(
         fits = Fits(experiment, scene, wild, starts)
         search = Search(scene, base, deadline=deadline, say=say)
         fits.begin(search.base)
-        search.exact = fits.log_evidence
+        search.exact = fits.simulated
         reassign = functools.partial(reassigned, experiment, effects, scene, search.base)
         search.run(max_effects, reassign)
         lost = search.best.intensity >= EXPLAINS_NOTHING or search.reassigned
@@ -152,12 +152,12 @@ class Fits:
         """
         return self.begin(tried).result()
 
-    def log_evidence(self, tried: Tried) -> float:
-        """Of one model without a random torque, by exact simulation; NaN if it cannot be had."""
+    def simulated(self, tried: Tried) -> Simulated | None:
+        """One model without a random torque, by exact simulation; None if it cannot be had."""
         try:
-            return log_evidence(self.scene, tried.best, self.of(tried))
+            return simulated(self.scene, tried.best, self.of(tried))
         except FitError:
-            return math.nan
+            return None
 
     def _of(self, tried: Tried) -> Fit:
         before = list(self._begun.items())

@@ -47,6 +47,7 @@ from .evidence import (
     shares,
     signed,
 )
+from .simulated import Simulated
 
 _ITERATIONS = 20  # of one model, at the most
 _NEAR = 4  # random torques at which a model is judged while it moves
@@ -69,6 +70,8 @@ class Tried:
     best: Trajectory
     """At the likeliest of them."""
     log_prior: float
+    simulated: Simulated | None = dataclasses.field(default=None, kw_only=True)
+    """Without a random torque, by exact simulation, where that was done."""
 
     @property
     def log_evidence(self) -> float:
@@ -387,9 +390,8 @@ class Search:
         self.passed: dict[frozenset[str], Tried] = {}
         """Models that were not iterated, for to first order they have next to no part: as their
         parents, with the evidence that the first order gives."""
-        self.exact: Callable[[Tried], float] | None = None
-        """Log evidence of a model without a random torque by exact simulation, if that can be
-        had."""
+        self.exact: Callable[[Tried], Simulated | None] | None = None
+        """A model without a random torque, by exact simulation, if that can be had."""
         self.curves: list[Any] = []
         """`law.CurveModel`s: models with a law that has no name."""
         self.reassignments: Sequence[Any] = ()
@@ -516,8 +518,9 @@ class Search:
             self.say("simulating what is in play")
             self._simulated.update(t.best for t in todo)
             work = [functools.partial(self.exact, t) for t in todo]
-            for model, log in zip(todo, side_by_side(work), strict=True):
-                self.tried[frozenset(model.added)] = _exactly(model, log)
+            for model, found in zip(todo, side_by_side(work), strict=True):
+                if found is not None:
+                    self.tried[frozenset(model.added)] = _exactly(model, found)
             give_back()
 
     def screen(self, parent: Tried) -> Screen:
@@ -682,16 +685,14 @@ class Search:
                 self._keep(_replaced(model.added, label, less), *found)
 
 
-def _exactly(model: Tried, log_evidence: float) -> Tried:
-    """A model whose evidence without a random torque is known from elsewhere, or NaN. Linearised
-    once along one motion it errs alike under all random torques; what sticks has a motion of its
-    own under each."""
-    off = log_evidence - model.evidences[-1]
+def _exactly(model: Tried, found: Simulated) -> Tried:
+    """A model that was simulated exactly without a random torque. Linearised once along one motion
+    it errs alike under all random torques; what sticks has a motion of its own under each."""
+    off = found.log_evidence - model.evidences[-1]
     alike = np.isfinite(off) and not _sticks(model.best)
     evidences = model.evidences + off if alike else model.evidences.copy()
-    if not np.isnan(log_evidence):
-        evidences[-1] = log_evidence
-    return dataclasses.replace(model, evidences=evidences)
+    evidences[-1] = found.log_evidence
+    return dataclasses.replace(model, evidences=evidences, simulated=found)
 
 
 def _replaced(added: Sequence[str], label: str, less: AbstractEffect | None) -> tuple[str, ...]:

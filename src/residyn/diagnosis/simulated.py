@@ -1,4 +1,4 @@
-"""The evidence of a model without a random torque, by exact simulation.
+"""Evidence and numbers of a model without a random torque, by exact simulation.
 
 A filter linearises. Where something sticks, its motion creeps a little where the true one holds,
 and what should need no random torque seems to need some; along a ridge of numbers that do nearly
@@ -24,6 +24,16 @@ from .linearised_fit import LinearisedFit, Minimum, minimum
 _STEPS = 30  # of Levenberg and Marquardt, at the most
 _SETTLED = 0.1  # of the posterior's chi-square: a step that gains less is the last one
 _DAMPING = 1e-3, 1e6  # relative to the squares of each unknown: of the first that fails, at most
+
+
+class Simulated(NamedTuple):
+    """A model without a random torque."""
+
+    log_evidence: float
+    u: np.ndarray
+    """(P,) the posterior mode of its numbers, in prior widths,"""
+    covariance: np.ndarray
+    """(P, P) and their covariance."""
 
 
 class _Posterior(NamedTuple):
@@ -85,16 +95,16 @@ def _mode(problem: Problem, t: Trajectory, mean, width, begin: np.ndarray) -> _P
     return here
 
 
-def log_evidence(scene: Scene, t: Trajectory, fit: Fit) -> float:
-    """Log evidence of a model that was fitted by least squares, without a random torque; NaN where
-    it was fitted in segments, whose first states are unknowns of their own, and where slopes are
-    too steep for arithmetic.
+def simulated(scene: Scene, t: Trajectory, fit: Fit) -> Simulated | None:
+    """A model that was fitted by least squares, without a random torque; None where it was fitted
+    in segments, whose first states are unknowns of their own, and where slopes are too steep for
+    arithmetic.
 
     **Raises:** `FitError` where no motion goes with the fit's numbers.
     """
     near, n = LinearisedFit.of(fit), scene.n
     if any(r.recording.segment_of is not None for r in near.fitted):
-        return math.nan
+        return None
     states = np.asarray(near.problem.states(near.at))
     width = np.sqrt(scene.noise(t).variance[: states.shape[1]])
     mean = np.zeros_like(states)
@@ -105,7 +115,7 @@ def log_evidence(scene: Scene, t: Trajectory, fit: Fit) -> float:
         mode = _mode(near.problem, t, mean, width, begin)
         factor = cho_factor(mode.square, lower=True)
     except np.linalg.LinAlgError:
-        return math.nan
+        return None
     fixed, off, g = 0.0, 0.0, scene.grid
     for r, recording in enumerate(scene.recordings):
         at, size = g.of(r), len(recording.time)
@@ -115,6 +125,7 @@ def log_evidence(scene: Scene, t: Trajectory, fit: Fit) -> float:
         fixed += np.sum(np.where(seen, np.log(2 * np.pi * variance), 0.0))
     x, P = mode.x, len(u)
     log = -0.5 * (off + fixed + x @ x) - np.log(np.diag(factor[0])).sum()
-    means, std = np.zeros((1, len(t.u))), np.ones((1, len(t.u)))
-    means[0, :P], std[0, :P] = x[:P], np.sqrt(np.diag(cho_solve(factor, np.eye(len(x))))[:P])
-    return float(log + half_normals(t.effects, t.prior, Evidences(None, means, std))[0])
+    covariance = cho_solve(factor, np.eye(len(x)))[:P, :P]
+    means, std = x[None, :P], np.sqrt(np.diag(covariance))[None]
+    log += half_normals(t.effects, t.prior, Evidences(None, means, std))[0]
+    return Simulated(float(log), x[:P], covariance)
