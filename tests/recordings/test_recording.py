@@ -606,6 +606,16 @@ def test_hardly_any_clean_reading_is_wild():
     assert found < 1e-4 * total
 
 
+def test_a_motion_that_is_livelier_just_after_the_release_is_not_wild():
+    t, found = np.arange(1000) / 50, 0
+    slow = 0.05 * np.exp(-0.1 * t) * np.cos(3.5 * t)
+    fast = 0.05 * np.exp(-2 * t) * np.cos(20 * t)  # over after a tenth of the recording
+    for seed in range(20):
+        noise = 7e-4 * np.random.default_rng(seed).standard_normal(len(t))
+        found += int(outlier_mask(t, slow + fast + noise, 7e-4).sum())
+    assert found <= 1
+
+
 @pytest.mark.parametrize("noise", [1e-3, 1e-2])
 def test_finds_spikes(noise):
     rng = np.random.default_rng(5)

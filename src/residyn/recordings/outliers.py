@@ -3,7 +3,8 @@
 Polynomials that follow the motion through a short block leave its noise. A spike, or a marker that
 was mistaken for another for a few samples, is left there too, and once those few readings are let
 free nothing strange remains. A stick or a knock is no polynomial either, but misfits all around:
-freeing a few readings does not mend it.
+freeing a few readings does not mend it. Nor is a motion that is livelier here than elsewhere, as
+just after a release: it is in the next few degrees, where a spike is in all of them alike.
 """
 
 import math
@@ -77,7 +78,7 @@ def _stand_out(cut: Blocks, values: np.ndarray, least: float) -> np.ndarray:
     tail = max(1.0, float(np.quantile(score, 0.95)) / 1.96)
     for b in np.flatnonzero(score.max(axis=1) > 3.5 * tail):
         own = noise[b % len(noise)]
-        pick = _explain(own @ own.T, rest[b] / tail)
+        pick = _explain(own @ own.T, rest[b] / tail, cut.share[b, cut.degree :] / sigma / tail)
         index = cut.first[b] + np.arange(m)
         # A knock may be as sharp as a spike, but is no larger than a part of the acceleration.
         bend = 0.3 * float(np.quantile(np.abs(np.diff(values[index], 2)), 0.75)) / sigma
@@ -90,13 +91,14 @@ def _stand_out(cut: Blocks, values: np.ndarray, least: float) -> np.ndarray:
     return found
 
 
-def _explain(room: np.ndarray, rest: np.ndarray) -> dict[int, float]:
+def _explain(room: np.ndarray, rest: np.ndarray, degrees: np.ndarray) -> dict[int, float]:
     """The readings which, let free, explain what is left of a block, and how far off each is.
 
-    Empty when there are none, or when so many would be needed that they are no exception.
+    Empty when there are none, when so many would be needed that they are no exception, or when as
+    many further degrees explain as much.
 
     **Arguments:** `room` (m, m) projects on what polynomials leave; `rest` (m,) is that part of the
-    readings, in sigmas.
+    readings, in sigmas; `degrees`, what each further degree holds of it.
     """
     too_much = float(rest @ rest - np.trace(room))
     picked: list[int] = []
@@ -113,7 +115,8 @@ def _explain(room: np.ndarray, rest: np.ndarray) -> dict[int, float]:
         left[picked] = free[picked] = free[:, picked] = 0.0  # what the ridge leaves of a large one
     else:
         return {}
-    if rest @ rest - left @ left < 0.8 * too_much:
+    explained, livelier = rest @ rest - left @ left, degrees[: len(picked)]
+    if explained < max(0.8 * too_much, float(livelier @ livelier)):
         return {}
     return dict(zip(picked, size.tolist(), strict=True))
 
