@@ -315,6 +315,28 @@ def test_the_fastest_frequency_is_that_of_the_motion_not_of_the_noise():
     assert 1.0 < fast / (2 * np.pi * 4) < 1.25
 
 
+def test_lost_readings_make_no_motion_faster():
+    time, rng = np.arange(1200) / 30, np.random.default_rng(5)
+    angle = 0.2 * np.sin(2 * np.pi * 0.8 * time) + 0.1 * np.sin(2 * np.pi * 2.4 * time)
+    angle = (angle + 2e-4 * rng.standard_normal(len(time)))[:, None]
+    kept = np.sort(rng.choice(len(time), 960, replace=False))
+    whole, part = (
+        Recording.from_arrays(t, x, noise=2e-4)
+        for t, x in ((time, angle), (time[kept], angle[kept]))
+    )
+    fast, slow = (Spectrum.of(r, np.zeros(r.angle.shape, bool)).fastest for r in (part, whole))
+    assert fast < 2.5 * slow  # a line through a lost reading has corners of the Nyquist frequency
+
+
+def test_typical_stiffness_is_that_of_a_motion_that_is_soon_over():
+    time, rng = np.arange(1200) / 30, np.random.default_rng(6)
+    decayed = 0.3 * np.exp(-0.15 * 5 * time) * np.cos(5 * time)
+    angle = (0.02 + decayed + 1e-4 * rng.standard_normal(len(time)))[:, None]
+    recording = Recording.from_arrays(time, angle, noise=1e-4)
+    found = Spectrum.of(recording, np.zeros(angle.shape, bool)).stiffness(np.array([[2.0]]))
+    np.testing.assert_allclose(found, [50.0], rtol=0.3)
+
+
 def test_typical_stiffness_is_that_of_the_springs():
     truth = ARM + Spring("shoulder", 30.0) + Spring("elbow", 8.0)
     recording, _ = a_recording(truth, seconds=20.0)

@@ -31,6 +31,8 @@ _BLIND = 1e-5
 _STEPS = 60  # of Levenberg and Marquardt, at the most
 _SETTLED = 3e-3  # sigma: a step that moves all residuals together by less is the last one
 _DAMPING = 1e-6, 1e6  # of a step, relative to the squares of each unknown: at first, at the most
+_STEEP = 1 / np.finfo(float).eps  # sigma that an unknown moves readings by: its rounding does by one
+_NOTHING = np.finfo(float).tiny / np.finfo(float).eps  # squares from which on all digits are there
 
 
 class Minimum(NamedTuple):
@@ -55,7 +57,7 @@ class Minimum(NamedTuple):
 
     def compressed(self) -> Compressed:
         """Predictions, and what least squares need of residual and Jacobian."""
-        silent = np.einsum("rii->ri", self.square) == 0  # what moves no reading
+        silent = np.einsum("rii->ri", self.square) < _NOTHING  # what moves no reading
         lower = gram_factor(self.square + silent[:, :, None] * np.eye(silent.shape[-1]))
         along = np.linalg.solve(lower, self.slope[..., None])[..., 0]
         total = np.sum(self.residual**2, axis=(1, 2))
@@ -90,8 +92,7 @@ def minimum(problem: Problem, at: Unknowns, size: float = 1.0, most: int = _STEP
             slope = np.einsum("rml,rm->rl", J, residual.reshape(R, -1))
         slope[:, P:] += known[P:] * own
         cost = float(np.sum(residual**2) + np.sum((known[P:] * own) ** 2))
-        # Unknowns of order one that move readings by 10^50 sigma are those of a chaotic motion.
-        sane = np.isfinite(cost) and np.abs(residual).max() < RUNAWAY and np.abs(J).max() < 1e50
+        sane = np.isfinite(cost) and np.abs(residual).max() < RUNAWAY and np.abs(J).max() < _STEEP
         cost = cost if sane else np.inf
         return Minimum(at, predicted, slopes, residual, cost, steps, False, square, slope)
 

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from ..recordings.recording import Recording
 
@@ -79,7 +80,7 @@ def bucket(count: int) -> int:
 
 
 class Spectrum(NamedTuple):
-    """The readings of one recording, one spectrum a joint."""
+    """The readings of one recording, or of a part of it, one spectrum a joint."""
 
     pace: np.ndarray
     """(F,) angular frequencies, rad/s."""
@@ -91,24 +92,12 @@ class Spectrum(NamedTuple):
 
     @classmethod
     def of(cls, recording: Recording, wild: np.ndarray) -> "Spectrum":
-        """The spectrum of a recording; lost and wild readings are bridged."""
-        time = recording.time - recording.time[0]
-        dt = float(np.median(np.diff(time)))
-        even = np.arange(0.0, time[-1], dt)
-        window = np.hanning(len(even))
-        lines, signal = [], []
-        for angle, bad, noise in zip(recording.angle.T, wild.T, recording.noise, strict=True):
-            use = np.isfinite(angle) & ~bad
-            x = np.interp(even, time[use], angle[use]) if use.any() else 0 * even
-            found = np.fft.rfft((x - x.mean()) * window)
-            unit = noise**2 * np.sum(window**2)  # what noise leaves of a line
-            wide = _averaged(np.abs(found) ** 2)
-            lines.append(found)
-            signal.append(np.where(wide > _SURE * unit, np.maximum(wide - unit, 0.0), 0.0))
-        pace = 2 * math.pi * np.fft.rfftfreq(len(even), dt)
-        once = np.append(0.0, -1j / pace[1:])  # of a constant there is no integral
-        down = once ** np.array(recording.orders)[:, None]
-        return cls(pace, np.stack(lines) * down, np.stack(signal) * np.abs(down) ** 2)
+        """The spectrum of a recording, but for the end of it in which next to nothing moves."""
+        bridged = _Bridged.of(recording, wild)
+        x = bridged.ways[0]
+        moved = np.cumsum(np.sum((x - np.median(x, axis=1, keepdims=True)) ** 2, axis=0))
+        end = int(np.searchsorted(moved, (1 - _MINOR) * moved[-1])) + 1
+        return bridged.part(0, max(end, min(x.shape[1], 2 * _WIDE)))
 
     @property
     def fastest(self) -> float:
@@ -130,6 +119,52 @@ class Spectrum(NamedTuple):
         if driven:
             return np.sqrt(np.sum(np.abs(torque) ** 2, axis=1) / power)
         return np.abs(np.real(torque * self.lines.conj()).sum(axis=1)) / power
+
+
+class _Bridged(NamedTuple):
+    """A recording at equal steps."""
+
+    dt: float
+    ways: np.ndarray
+    """(2, n, M) with lost and wild readings bridged by lines, which have corners, and by cubics,
+    which enlarge noise: of both powers the lesser counts."""
+    noise: np.ndarray
+    """(n,)"""
+    orders: np.ndarray
+    """(n,)"""
+
+    @classmethod
+    def of(cls, recording: Recording, wild: np.ndarray) -> "_Bridged":
+        time = recording.time - recording.time[0]
+        dt = float(np.median(np.diff(time)))
+        even = np.arange(0.0, time[-1], dt)
+        use = np.isfinite(recording.angle) & ~wild
+        each = [
+            _bridged(time[u], angle[u], even)
+            for u, angle in zip(use.T, recording.angle.T, strict=True)
+        ]
+        return cls(dt, np.stack(each, axis=1), recording.noise, np.array(recording.orders))
+
+    def part(self, begin: int, end: int) -> Spectrum:
+        """The spectrum of some of the instants."""
+        x = self.ways[..., begin:end]
+        window = np.hanning(x.shape[-1])
+        found = np.fft.rfft((x - x.mean(axis=-1, keepdims=True)) * window)
+        unit = (self.noise**2 * np.sum(window**2))[:, None]  # what noise leaves of a line
+        wide = np.min([[_averaged(p) for p in way] for way in np.abs(found) ** 2], axis=0)
+        signal = np.where(wide > _SURE * unit, np.maximum(wide - unit, 0.0), 0.0)
+        pace = 2 * math.pi * np.fft.rfftfreq(x.shape[-1], self.dt)
+        once = np.append(0.0, -1j / pace[1:])  # of a constant there is no integral
+        down = once ** self.orders[:, None]
+        return Spectrum(pace, found[0] * down, signal * np.abs(down) ** 2)
+
+
+def _bridged(time: np.ndarray, angle: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """(2, M) readings (N,) at other instants (M,), by lines and by cubics."""
+    lines = np.interp(at, time, angle) if len(time) else 0 * at
+    if len(time) < 4:
+        return np.stack([lines, lines])
+    return np.stack([lines, CubicSpline(time, angle)(np.clip(at, time[0], time[-1]))])
 
 
 def _averaged(power: np.ndarray) -> np.ndarray:
