@@ -231,6 +231,8 @@ def test_a_law_that_a_name_comes_near_is_found_beside_it():
     assert law.probability > 0.9
     assert law.formula is not None
     assert law.formula.families == ("exponential",)
+    rise, error, _ = law.formula.parameters["rise"]
+    assert 0 < error < rise
 
 
 def test_the_written_file_loads_and_fits(quintic, tmp_path):

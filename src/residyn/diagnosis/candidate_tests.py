@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..filtering.trajectory import Scene, Trajectory
+from ..filtering.trajectory import Scene
 from ..fitting.layout import bucket
 from ..fitting.problem import mechanism_of, posed
 from ..physics.modal import concrete_state_matrix, fastest, modes_of

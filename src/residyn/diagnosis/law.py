@@ -320,12 +320,8 @@ def _with_class(search: Search, model: CurveModel, law: Law, fits: Any, source: 
         found = written(scene, place, settled.found, source)
         if more > 0:
             fit, held = _fitted(fits, of(found, settled.evidences, settled.best))
-            if fit is not None and _predicts(held, _fitted(fits, parent)[1]):
-                parameters = {
-                    n.name.rpartition(".")[2]: (float(n.value), float(n.std), n.unit)
-                    for n in fit.numbers
-                    if n.name.rpartition(".")[0] == found.label
-                }
+            parameters = _as_fitted(found, fit)
+            if parameters and _predicts(held, _fitted(fits, parent)[1]):
                 numbers = (n._replace(value=parameters[n.field][0]) for n in found.numbers)
                 found = found._replace(numbers=tuple(numbers))
                 own = Formula(found.equation, terms.families, parameters, more)
@@ -335,6 +331,16 @@ def _with_class(search: Search, model: CurveModel, law: Law, fits: Any, source: 
     t = with_curve(scene, model.best, place, heights_of(values))
     fit, held = _fitted(fits, of(found, model.evidences, t))
     return dataclasses.replace(law, found=found, fit=fit, held_out=held)
+
+
+def _as_fitted(found: FoundLaw, fit: Fit | None) -> dict[str, tuple[float, float, str]]:
+    """Value, standard error and unit of a law's numbers; none where the readings leave a shape
+    open: least squares, which know no prior, may have left the formula then."""
+    each = {n.name: n for n in (fit.numbers if fit else ())}
+    own = {n.field: each.get(f"{found.label}.{n.field}") for n in found.numbers}
+    told = {k: (float(n.value), float(n.std), n.unit) for k, n in own.items() if n}
+    shapes = [told.get(n.field, (0.0, 0.0)) for n in found.numbers if not n.strength]
+    return told if all(value > std for value, std, *_ in shapes) else {}
 
 
 def _fitted(fits: Any, tried: Tried) -> tuple[Fit | None, HeldOut | None]:

@@ -31,7 +31,7 @@ _BLIND = 1e-5
 _STEPS = 60  # of Levenberg and Marquardt, at the most
 _SETTLED = 3e-3  # sigma: a step that moves all residuals together by less is the last one
 _DAMPING = 1e-6, 1e6  # of a step, relative to the squares of each unknown: at first, at the most
-_STEEP = 1 / np.finfo(float).eps  # sigma that an unknown moves readings by: its rounding does by one
+_STEEP = 1 / np.finfo(float).eps  # sigma for an unknown of one: its own rounding is a sigma then
 _NOTHING = np.finfo(float).tiny / np.finfo(float).eps  # squares from which on all digits are there
 
 

@@ -49,7 +49,7 @@ def with_error(value: float, std: float) -> tuple[str, str]:
     last = math.floor(math.log10(std)) - 1
     size = max(abs(value), std)
     if last < -9 or size >= 1e6 or size < 1e-4:
-        digits = max(1, math.floor(math.log10(size)) - last)
+        digits = min(max(1, math.floor(math.log10(size)) - last), 15)  # a float has no more
         return f"{value:.{digits}e}", f"{std:.1e}"
     return f"{value:.{max(0, -last)}f}", f"{std:.{max(0, -last)}f}"
 
