@@ -38,7 +38,7 @@ from residyn.diagnosis.evidence import (
     savage_dickey,
     subset,
 )
-from residyn.diagnosis.free_curves import CurveModel
+from residyn.diagnosis.free_curves import CurveModel, Kind, Place
 from residyn.diagnosis.linearised_fit import Minimum
 from residyn.diagnosis.search import Tried, settle, tried_alone
 from residyn.effects import (
@@ -443,7 +443,9 @@ def posterior(each, named=NOWHERE, curves=()):
     best = max(tried.values(), key=lambda m: m.log_posterior)
     base = tried[frozenset()]
     known = {"tried": tried, "passed": {}, "base": base, "best": best, "candidates": NAMES}
-    return Posterior(SimpleNamespace(**known, screens={}, curves=list(curves), reassigned=None))
+    scene = SimpleNamespace(joints=("cart",))
+    told = {"screens": {}, "curves": list(curves), "reassigned": None, "scene": scene}
+    return Posterior(SimpleNamespace(**known, **told))
 
 
 def in_a_complete_model(found, label):
@@ -496,15 +498,35 @@ def test_a_curve_that_holds_the_damper_makes_no_name_less_sure():
     """A curve of the rate may be a damper of any size, and the damper beside it be negative."""
     each = np.zeros((len(SETS), len(INTENSITIES)))
     each[SETS.index((LABELS[0],))] = 30.0
-    none = np.zeros(0)
     best = Tried((LABELS[0],), each[1] + 40.0, WRONG, log_prior_model(1, len(NAMES)))
-    curve = CurveModel(
-        best.added, best.evidences, best.best, best.log_prior,
-        place=None, mean=none, covariance=none, held=none, share=0.1,
-    )  # fmt: skip
+    curve = a_curve(best, Kind("rate"))
     alone, beside = posterior(each), posterior(each, curves=[curve])
     assert sum(beside.of_curves) > 0.99
     assert beside.of([LABELS[0]]) == pytest.approx(alone.of([LABELS[0]]), abs=0.01)
+
+
+def a_curve(beside: Tried, kind: Kind) -> CurveModel:
+    none = np.zeros(0)
+    return CurveModel(
+        beside.added, beside.evidences, beside.best, beside.log_prior,
+        place=Place(kind, 0, -1.0, 1.0), mean=none, covariance=none, held=none, share=0.1,
+    )  # fmt: skip
+
+
+def test_a_friction_without_a_name_is_dry_friction():
+    """Three in four for a friction that changes with time, and next to nothing for Coulomb's."""
+    each = np.zeros((len(SETS), len(INTENSITIES)))
+    each[1:] = -30.0
+    base = Tried((), each[0] + math.log(3.0), NOWHERE, log_prior_model(0, len(NAMES)))
+    for variable in ("time", "angle"):
+        found = posterior(each, curves=[a_curve(base, Kind(variable, "direction"))])
+        kind = next(f for f in found.families() if f.name == "dry friction")
+        loud = float(base.weights @ at_work())
+        assert kind.probability == pytest.approx(0.75 * loud, abs=1e-6)
+        assert kind.unnamed == pytest.approx(kind.probability, abs=1e-6)
+        assert all(f.probability < 1e-6 for f in found.families() if f != kind)
+    other = posterior(each, curves=[a_curve(base, Kind("rate"))])
+    assert all(f.probability < 1e-6 for f in other.families())
 
 
 @given(evidences)

@@ -229,6 +229,10 @@ def test_a_law_that_a_name_comes_near_is_found_beside_it():
     law = found.laws[0]
     assert (law.joint, law.variable, law.factor) == ("elbow", "angle", "")
     assert law.probability > 0.9
+    kind = found.families[0]
+    assert (kind.name, kind.place) == ("spring shape", "elbow")
+    assert kind.unnamed > 0.8
+    assert found.words[0].startswith("Spring shape at the elbow is ")
     assert law.formula is not None
     assert law.formula.families == ("exponential",)
     rise, error, _ = law.formula.parameters["rise"]

@@ -100,6 +100,19 @@ def test_what_is_sure_is_not_hedged_though_its_name_is_not():
     assert said in made.words
 
 
+def test_a_kind_whose_law_has_no_name_is_said_first():
+    kind = Family("dry friction", "elbow", 0.72, ((FOUND, 0.09),), 0.63)
+    ladder = by_hand.adequate().ladder
+    made = by_hand.a_diagnosis("unexplained", ladder, families=(kind,))
+    assert made.added == ()
+    assert made.words[:2] == (
+        "Dry friction at the elbow is probably missing (72 %).",
+        "Something is missing that no effect of the catalogue explains (> 99 %).",
+    )
+    assert "Also possible" not in " ".join(made.words)
+    assert text.title_of(made).startswith("What is missing: dry friction at the elbow")
+
+
 def test_what_is_possible_only_beside_what_is_sure_says_so():
     other = family(0.03, "wrong inertia", "inertia_error:elbow")
     sure = by_hand.missing(families=(family(0.9999), other), lookalikes=())
@@ -357,7 +370,7 @@ def test_the_dictionary_keeps_the_contract(found):
     first = found["missing"].to_dict()["candidates"][0]
     assert set(first) == {"effect", "probability", "log_evidence", "parameters"}
     kind = found["missing"].to_dict()["families"][0]
-    assert set(kind) == {"name", "place", "probability", "members"}
+    assert set(kind) == {"name", "place", "probability", "members", "without_a_name"}
 
 
 # -- the pictures ----------------------------------------------------------------------------

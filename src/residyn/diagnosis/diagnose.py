@@ -411,22 +411,30 @@ class Posterior:
             top = max([*self.models, *self.curves], key=lambda m: m.log_posterior)
             self.best = search.tried[frozenset(top.added)]
 
-    def of(self, labels: Iterable[str]) -> float:
-        """Probability that one of these effects is at work: that of all models which have one,
-        less what may be of a torque of no catalogue that they only take up a part of."""
+    def of(self, labels: Iterable[str], kind: tuple[str, str | None] | None = None) -> float:
+        """Probability that one of these effects, or a law of this kind and place that has no name,
+        is at work: that of all models which have one, less what may be of a torque of no catalogue
+        that they only take up a part of."""
         wanted = set(labels)
         models, each = [*self.named, *self.curves], [*self.each, *self.of_curves]
         return float(sum(
             p * np.dot(model.weights, self._at_work(model))
             for model, p in zip(models, each, strict=True)
-            if wanted & set(model.added)
+            if wanted & set(model.added) or (kind is not None and self._kind_of(model) == kind)
         ))  # fmt: skip
 
+    def _kind_of(self, model: Tried | CurveModel) -> tuple[str, str] | None:
+        """Kind of law and place of a model's free curve."""
+        if not isinstance(model, CurveModel) or not model.matters or not model.place.kind.family:
+            return None
+        return model.place.kind.family, self.search.scene.joints[model.place.joint]
+
     def _at_work(self, model: Tried | CurveModel) -> np.ndarray:
-        """(I,) `at_work` of a model. Beside a free curve, which may hold a spring or a damper of
-        either sign, the signs are those without it."""
-        alone = self.search.tried.get(frozenset(model.added), model)
-        return at_work(signs_of(alone.best))
+        """(I,) `at_work` of a model. Beside a free curve which may hold a spring or a damper of
+        either sign, the signs are those without it; a friction holds neither."""
+        if isinstance(model, CurveModel) and model.place.kind.factor != "direction":
+            model = self.search.tried.get(frozenset(model.added), model)
+        return at_work(signs_of(model.best))
 
     def _explains(self, model: Tried | CurveModel) -> float:
         """Probability, given a model, that it needs no random torque that matters and that its
@@ -487,9 +495,10 @@ class Posterior:
             groups.setdefault((effect.kind(), effect.place), []).append(effect)
         found = []
         for (name, place), effects in groups.items():
-            labels = {e.label for e in effects}
+            labels, kind = {e.label for e in effects}, (name, place)
             members = sorted(((x, self.of([x])) for x in labels), key=lambda m: -m[1])
-            found.append(Family(name, place, self.of(labels), tuple(members)))
+            known = self.of(labels, kind), tuple(members), self.of((), kind)
+            found.append(Family(name, place, *known))
         return tuple(sorted(found, key=lambda f: -f.probability))
 
     def rivals(self) -> tuple[list[Tried], np.ndarray]:

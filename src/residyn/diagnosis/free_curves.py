@@ -59,6 +59,14 @@ class Kind(NamedTuple):
     factor: str = ""
     """"angle", "rate", "direction" (of sliding), or none."""
 
+    @property
+    def family(self) -> str | None:
+        """What the catalogue calls laws of this kind; None where it has several."""
+        if self.factor:
+            names = {"direction": "dry friction", "rate": "damping law", "angle": "stiffness drift"}
+            return names[self.factor]
+        return "spring shape" if self.variable == "angle" else None
+
 
 KINDS = (
     Kind("angle"),

@@ -71,9 +71,11 @@ class Family:
     place: str | None
     """A joint, or None for the whole mechanism."""
     probability: float
-    """That one of its members is part of the model."""
+    """That a law of this kind is part of the model, with a name or without one."""
     members: tuple[tuple[str, float], ...]
     """Labels of effects and how probable each is, the likeliest first."""
+    unnamed: float = 0.0
+    """That a law of this kind which has no name is."""
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of one family."""
@@ -82,6 +84,7 @@ class Family:
             "place": self.place,
             "probability": float(self.probability),
             "members": [{"effect": e, "probability": float(p)} for e, p in self.members],
+            "without_a_name": float(self.unnamed),
         }
 
 

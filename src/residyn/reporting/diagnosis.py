@@ -92,7 +92,8 @@ def sentences(found: Diagnosis) -> tuple[str, ...]:
     if _stand_in(found):
         words += _standing_in(found)
     else:
-        words += _families(found) if found.added else [_none_named(found)]
+        words += _families(found)
+        words += [] if found.added else [_none_named(found)]
         words += _laws(found)
     words += laws.sentences(found)
     words += _others(found)
@@ -176,7 +177,7 @@ def _rest(found: Diagnosis) -> list[tuple[int, float]]:
 
 def _families(found: Diagnosis) -> list[str]:
     """ "Dry friction at the elbow is missing (> 99 %)." """
-    own, sure = accepted(found), found.verdict_probability
+    own, sure = told_first(found), found.verdict_probability
     if found.verdict == "missing" and sure >= SURE > own[0].probability and len(own) == 1:
         return [
             f"Something is missing that the catalogue has ({percent(sure)}), most likely "
@@ -196,7 +197,7 @@ def _families(found: Diagnosis) -> list[str]:
 
 def _stand_in(found: Diagnosis) -> bool:
     """Whether what was added is next to never at work: it fits with wrong signs only."""
-    return bool(found.added) and max(f.probability for f in accepted(found)) < _ALSO
+    return bool(found.added) and max(f.probability for f in told_first(found)) < _ALSO
 
 
 def _standing_in(found: Diagnosis) -> list[str]:
@@ -218,6 +219,14 @@ def accepted(found: Diagnosis) -> list[Family]:
     """The families of what was added, in that order."""
     each = (next(f for f in found.families if x in dict(f.members)) for x in found.added)
     return list(dict.fromkeys(each))
+
+
+def told_first(found: Diagnosis) -> list[Family]:
+    """They, and the kinds whose law has no name, if they are as probable."""
+    own = accepted(found)
+    least = max((f.probability for f in own), default=0.5)
+    more = (f for f in found.families if f not in own and f.unnamed > 0 and f.probability >= least)
+    return [*more, *own]
 
 
 def _none_named(found: Diagnosis) -> str:
@@ -298,7 +307,7 @@ def _would_add(candidate: Candidate, simpler: str) -> str:
 
 def _others(found: Diagnosis) -> Iterator[str]:
     """Where the rest of the probability went."""
-    own = accepted(found) if found.added else []
+    own = told_first(found)
     others = [f for f in found.families if f not in own and f.probability >= _ALSO]
     joints = found.fit.joints
     shown = [f"{_family(f, found)} ({percent(f.probability)})" for f in others[:_NAMED]]
@@ -541,9 +550,9 @@ def title_of(found: Diagnosis) -> str:
         return "Nothing is missing"
     if untried(found):
         return "Something is missing; no effect was tried yet"
-    if not found.added or _stand_in(found):
+    if not told_first(found) or _stand_in(found):
         return f"Something is missing that {unnamed(found)} explains"
-    words = [_family(f, found) for f in accepted(found)]
+    words = [_family(f, found) for f in told_first(found)]
     other = f"something that {unnamed(found)} explains"
     if _instead(found):
         return f"What is missing: {listed(words)}, or {other}"
@@ -588,8 +597,10 @@ def families_table(found: Diagnosis) -> Table:
     rows = []
     for f in found.families[:_FAMILIES]:
         if f.probability >= _SHOWN:
-            laws = ", ".join(f"{lower(title(x))} {percent(p)}" for x, p in f.members)
-            rows.append([upper(_family(f, found, comma=True)), percent(f.probability), laws])
+            laws = [f"{lower(title(x))} {percent(p)}" for x, p in f.members]
+            laws += [f"without a name {percent(f.unnamed)}"] if f.unnamed >= _SHOWN else []
+            name = upper(_family(f, found, comma=True))
+            rows.append([name, percent(f.probability), ", ".join(laws)])
     return Table(["kind of law and place", "probability", "laws"], rows, left=(0, 2))
 
 
