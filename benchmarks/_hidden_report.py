@@ -100,7 +100,8 @@ def family_first(row: Row, s: Seen) -> bool | None:
     """Whether the likeliest family and place is the hidden effect's, or one of its class's."""
     if "families" not in row:
         return None
-    return bool({e for e, _ in row["families"][0][3]} & s.classes[0])
+    first = {e for f in row["families"][:1] for e, _ in f[3]}
+    return bool(first & s.classes[0])
 
 
 def each_class(row: Row, s: Seen) -> bool:

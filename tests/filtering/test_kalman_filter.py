@@ -11,6 +11,7 @@ from residyn.effects import CoulombFriction, CubicStiffness, Damper, Gravity, Hy
 from residyn.filtering.grid import Spectrum, bucket, lay_out
 from residyn.filtering.kalman import Inputs, Noise, Readings, System, evidences, gram, smooth
 from residyn.filtering.trajectory import Prior, Scene
+from residyn.physics.modal import modes
 from residyn.simulation.simulate import simulate
 
 pytestmark = pytest.mark.usefixtures("float64", "compiled_in_less_time")
@@ -335,6 +336,17 @@ def test_typical_stiffness_is_that_of_a_motion_that_is_soon_over():
     recording = Recording.from_arrays(time, angle, noise=1e-4)
     found = Spectrum.of(recording, np.zeros(angle.shape, bool)).stiffness(np.array([[2.0]]))
     np.testing.assert_allclose(found, [50.0], rtol=0.3)
+
+
+def test_a_fast_mode_that_is_over_at_once_has_its_size_and_its_steps():
+    truth = ARM + Spring("shoulder", 30.0) + Spring("elbow", 8.0) + Damper("elbow", 0.4)
+    recording, _ = a_recording(truth, seconds=40.0)
+    wild = np.zeros(recording.angle.shape, bool)
+    scene = Scene([recording], [ARM], [wild])
+    sizes = [s.inertia * s.frequency**2 for s in scene.scales]
+    np.testing.assert_allclose(sizes, [30.0, 8.0], rtol=0.3)
+    fastest = 2 * np.pi * np.max(modes(truth).frequency_hz)
+    assert 0.9 * fastest < scene.grid.fast < 6 * fastest
 
 
 def test_typical_stiffness_is_that_of_the_springs():

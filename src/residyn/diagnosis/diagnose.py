@@ -34,6 +34,7 @@ from .candidate_tests import best_tests
 from .channels import reassigned
 from .evidence import (
     EXPLAINS_NOTHING,
+    HOPELESS,
     INDISTINGUISHABLE,
     INTENSITIES,
     NEGLIGIBLE,
@@ -42,7 +43,7 @@ from .evidence import (
 )
 from .forecast import held_out
 from .law import CurveModel, curve_models, laws_of
-from .linearised_fit import LinearisedFit, evaluated, polish
+from .linearised_fit import Hopeless, LinearisedFit, evaluated, polish
 from .missing_torque import missing_of, scene_of
 from .result import (
     Budget,
@@ -153,27 +154,51 @@ class Fits:
         return self.begin(tried).result()
 
     def simulated(self, tried: Tried) -> Simulated | None:
-        """One model without a random torque, by exact simulation; None if it cannot be had."""
+        """One model without a random torque, by exact simulation; None if it cannot be had, or if
+        its evidence then would be hopelessly less than with one."""
+        if tried.best not in self._begun:
+            enough = self._enough(tried)
+            self._begun[tried.best] = self._pool.submit(self._of, tried, enough)
         try:
             return simulated(self.scene, tried.best, self.of(tried))
+        except Hopeless:
+            del self._begun[tried.best]  # a fit that is shown is a whole one
         except FitError:
-            return None
+            pass
+        return None
 
-    def _of(self, tried: Tried) -> Fit:
+    def _enough(self, tried: Tried) -> float:
+        """The squared whitened residuals from which a model's evidence without a random torque is
+        hopelessly less than with one, for all that its priors may add."""
+        g, pairs = self.scene.grid, zip(self.scene.recordings, self.wild, strict=True)
+        fixed = float(np.sum(np.where(g.seen, np.log(2 * np.pi * g.variance), 0.0)))
+        readings = sum(int((np.isfinite(r.angle) & ~wild).sum()) for r, wild in pairs)
+        raised = len(tried.best.prior.mean) * math.log(2.0)
+        # Readings scatter about their averages, by twice the noise's square at the most.
+        scatter = 2 * (readings - self.scene.length)
+        return scatter - fixed + 2 * (raised + HOPELESS - tried.log_evidence)
+
+    def _of(self, tried: Tried, enough: float = math.inf) -> Fit:
         before = list(self._begun.items())
         wait([f for t, f in before if set(t.labels) < set(tried.best.labels)])
         with jax.enable_x64(True):  # JAX's settings are each thread's own
-            return self.with_held_out(self.fitted(tried))
+            return self.with_held_out(self.fitted(tried, enough=enough))
 
     def with_held_out(self, found: Fit) -> Fit:
         """One of these fits, with the recordings beside it that were held out."""
         return with_held_out(found, self.experiment, polish)
 
-    def fitted(self, tried: Tried, progress: Callable[[str], None] | None = None) -> Fit:
+    def fitted(
+        self,
+        tried: Tried,
+        progress: Callable[[str], None] | None = None,
+        enough: float = math.inf,
+    ) -> Fit:
         """The fit of one model to the fitted recordings alone, in this thread; where many starts
         are tried, `progress` is as in `fit`. Call it in float64.
 
-        **Raises:** `FitError`; what `progress` raises.
+        **Raises:** `FitError`; `Hopeless` where all starts end above `enough`; what `progress`
+        raises.
         """
         began = time.perf_counter()
         motions = tried.starts(self.scene)
@@ -186,18 +211,23 @@ class Fits:
         here = ready(fitted, known, own)
 
         def descended(*starts: tuple[np.ndarray, np.ndarray]) -> Fit:
-            found = []
+            search = functools.partial(polish, enough=enough)
+            found, why = [], FitError("no motion of the model goes with the readings")
             for numbers, states in starts:
                 begin = here.model.with_vector(jnp.asarray(numbers))
                 begun = here, begin, numbers[None], self._wild(here.recordings)
                 # On all readings; and what sticks does so in order: the first ones first, then all.
                 for growing in (False, True) if begin.rough else (False,):
-                    with contextlib.suppress(FitError):
+                    try:
                         found.append(
-                            descend(*begun, near=states[None], growing=growing, search=polish)
+                            descend(*begun, near=states[None], growing=growing, search=search)
                         )
+                    except Hopeless as hopeless:
+                        why = hopeless
+                    except FitError:
+                        pass
             if not found:
-                raise FitError("no motion of the model goes with the readings")
+                raise why
             lowest = min(found, key=lambda descent: descent.cost)
             return finish(fitted, t.numbers, lowest, began, polish, evaluated)
 
@@ -208,11 +238,15 @@ class Fits:
         with contextlib.suppress(FitError):
             if tried.intensity >= EXPLAINS_NOTHING:  # then the smoothed motion leads nowhere
                 found = fit(fitted, effects=own, starts=self.starts, progress=progress)
-        with contextlib.suppress(FitError):
+        try:
             starts = [(m.numbers, self._states(m, here.recordings)) for m in motions]
             # From the minimum of a model that it contains no fit ends above that one.
             starts += [self._from(best, t)] if best else []
             found = found or descended(*starts)
+        except Hopeless:
+            raise
+        except FitError:
+            pass
         if found is None:
             # No start of a wrong model is better than another one.
             starts = 1 if tried.complete < 0.5 else self.starts

@@ -7,6 +7,7 @@ test of the residual must know that. And a prediction beyond the fitted readings
 in them, carried over by the same columns: a prediction is bad only if it is off by more than that.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -33,6 +34,10 @@ _SETTLED = 3e-3  # sigma: a step that moves all residuals together by less is th
 _DAMPING = 1e-6, 1e6  # of a step, relative to the squares of each unknown: at first, at the most
 _STEEP = 1 / np.finfo(float).eps  # sigma for an unknown of one: its own rounding is a sigma then
 _NOTHING = np.finfo(float).tiny / np.finfo(float).eps  # squares from which on all digits are there
+
+
+class Hopeless(FitError):
+    """A descent that would end too high."""
 
 
 class Minimum(NamedTuple):
@@ -66,7 +71,13 @@ class Minimum(NamedTuple):
         return Compressed(*map(jnp.asarray, found))
 
 
-def minimum(problem: Problem, at: Unknowns, size: float = 1.0, most: int = _STEPS) -> Minimum:
+def minimum(
+    problem: Problem,
+    at: Unknowns,
+    size: float = 1.0,
+    most: int = _STEPS,
+    enough: float = math.inf,
+) -> Minimum:
     """Levenberg and Marquardt's descent from unknowns that are near already, in `most` steps;
     `size` is the least rms residual to expect, in sigma.
 
@@ -74,7 +85,8 @@ def minimum(problem: Problem, at: Unknowns, size: float = 1.0, most: int = _STEP
     motion has kinks no step is small enough to end by itself: there the descent ends when even a
     short step gains nothing.
 
-    **Raises:** `FitError` where the motion runs away from the beginning.
+    **Raises:** `FitError` where the motion runs away from the beginning; `Hopeless` where the cost
+    stays above `enough`, and would if all steps to come took as much from it as the last one.
     """
     problem = tight(problem)
     moves = np.asarray(problem.active) > 0
@@ -108,23 +120,29 @@ def minimum(problem: Problem, at: Unknowns, size: float = 1.0, most: int = _STEP
         if gain < 0 or np.isnan(gain):
             damping = max(10 * damping, 1e3 * _DAMPING[0])
             continue
+        if there.cost - gain > enough:
+            raise Hopeless("the model explains far less than another one")
         step = np.concatenate([np.tile(numbers, (len(states), 1)), states], axis=1)
         size_of = np.einsum("ra,rab,rb->", step, here.square, step)
         converged = min(gain, size_of) < (_SETTLED * size) ** 2
         damping, here = max(0.1 * damping, _DAMPING[0]), there
+    if most and here.cost > enough:
+        raise Hopeless("the model explains far less than another one")
     return here._replace(steps=steps, converged=bool(converged or damping > _DAMPING[1]))
 
 
-def polish(problem: Problem, starts: Unknowns, shares: Sequence[float]) -> Polished:
+def polish(
+    problem: Problem, starts: Unknowns, shares: Sequence[float], enough: float = math.inf
+) -> Polished:
     """`fitting.multistart.polishing` of one start by `minimum`: first of the first so many readings
-    only, then of all."""
+    only, which cost no more than all, then of all."""
     at, steps = jax.tree.map(lambda x: np.asarray(x)[0], starts), 0
     recorded, found = problem.recorded, None
     for share in shares:
         early = np.asarray(recorded.row) < np.ceil(share * problem.steps)
         weights = np.where(early[..., None], recorded.weights, 0.0)
         part = eqx.tree_at(lambda p: p.recorded.weights, problem, weights)
-        found = minimum(part, at)
+        found = minimum(part, at, enough=enough)
         at, steps = found.at, steps + found.steps
     assert found is not None
     return Polished(at, found.compressed(), found.cost, steps, found.converged, 1)

@@ -91,13 +91,18 @@ class Spectrum(NamedTuple):
     """(n, F) power beyond the noise, 0 where nothing stands out of it."""
 
     @classmethod
-    def of(cls, recording: Recording, wild: np.ndarray) -> "Spectrum":
-        """The spectrum of a recording, but for the end of it in which next to nothing moves."""
+    def of(cls, recording: Recording, wild: np.ndarray, mirrored: bool = False) -> "Spectrum":
+        """The spectrum of a recording, but for the end of it in which next to nothing moves.
+
+        A window hides the beginning, where a fast mode is that is soon over. `mirrored`, a
+        recording goes on before its first instant as it came: a release from rest is smooth there,
+        and the window hides nothing; any other beginning has a corner, of high frequencies.
+        """
         bridged = _Bridged.of(recording, wild)
         x = bridged.ways[0]
         moved = np.cumsum(np.sum((x - np.median(x, axis=1, keepdims=True)) ** 2, axis=0))
         end = int(np.searchsorted(moved, (1 - _MINOR) * moved[-1])) + 1
-        return bridged.part(0, max(end, min(x.shape[1], 2 * _WIDE)))
+        return bridged.until(max(end, min(x.shape[1], 2 * _WIDE)), mirrored)
 
     @property
     def fastest(self) -> float:
@@ -145,14 +150,17 @@ class _Bridged(NamedTuple):
         ]
         return cls(dt, np.stack(each, axis=1), recording.noise, np.array(recording.orders))
 
-    def part(self, begin: int, end: int) -> Spectrum:
-        """The spectrum of some of the instants."""
-        x = self.ways[..., begin:end]
+    def until(self, end: int, mirrored: bool) -> Spectrum:
+        """The spectrum of the first instants."""
+        x = self.ways[..., :end]
+        x = np.concatenate([x[..., :0:-1], x], axis=-1) if mirrored else x
         window = np.hanning(x.shape[-1])
         found = np.fft.rfft((x - x.mean(axis=-1, keepdims=True)) * window)
         unit = (self.noise**2 * np.sum(window**2))[:, None]  # what noise leaves of a line
-        wide = np.min([[_averaged(p) for p in way] for way in np.abs(found) ** 2], axis=0)
-        signal = np.where(wide > _SURE * unit, np.maximum(wide - unit, 0.0), 0.0)
+        # The lines of what is even are twice as close, and know half as much each.
+        wide = _WIDE * (2 if mirrored else 1)
+        power = np.min([[_averaged(p, wide) for p in way] for way in np.abs(found) ** 2], axis=0)
+        signal = np.where(power > _SURE * unit, np.maximum(power - unit, 0.0), 0.0)
         pace = 2 * math.pi * np.fft.rfftfreq(x.shape[-1], self.dt)
         once = np.append(0.0, -1j / pace[1:])  # of a constant there is no integral
         down = once ** self.orders[:, None]
@@ -167,22 +175,26 @@ def _bridged(time: np.ndarray, angle: np.ndarray, at: np.ndarray) -> np.ndarray:
     return np.stack([lines, CubicSpline(time, angle)(np.clip(at, time[0], time[-1]))])
 
 
-def _averaged(power: np.ndarray) -> np.ndarray:
-    """(F,) mean of the lines around each line."""
+def _averaged(power: np.ndarray, wide: int) -> np.ndarray:
+    """(F,) mean of the lines around each line, of so many at least."""
     total = np.append(0.0, np.cumsum(power))
     line = np.arange(len(power))
-    half = np.maximum(_WIDE // 2, (_SHARE * line).astype(int))
+    half = np.maximum(wide // 2, (_SHARE * line).astype(int))
     first, last = np.maximum(line - half, 0), np.minimum(line + half + 1, len(power))
     return (total[last] - total[first]) / (last - first)
 
 
 def lay_out(
-    recordings: Sequence[Recording], wild: Sequence[np.ndarray], fast: float | None = None
+    recordings: Sequence[Recording],
+    wild: Sequence[np.ndarray],
+    fast: float | None = None,
+    least: float = 0.0,
 ) -> Grid:
     """The grid of some recordings; `wild` (N, n) of each marks readings that do not count. `fast`
-    (rad/s) is the fastest motion, if that is known."""
+    (rad/s) is the fastest motion, if that is known; else it is no slower than `least`."""
     if fast is None:
-        fast = max(Spectrum.of(r, w).fastest for r, w in zip(recordings, wild, strict=True))
+        each = (Spectrum.of(r, w).fastest for r, w in zip(recordings, wild, strict=True))
+        fast = max(least, *each)
     most = sum(len(r.time) for r in recordings) / _ENOUGH  # readings in an average
     parts = [_one(r, w, fast, most) for r, w in zip(recordings, wild, strict=True)]
     run = np.concatenate([np.full(len(p[0]), i) for i, p in enumerate(parts)])

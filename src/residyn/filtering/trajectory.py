@@ -125,13 +125,23 @@ class Scene:
         """`correlation`: time of the random torque, in radians of a joint's ringing; `fast`: rad/s
         of the fastest motion, if that is known."""
         self.recordings, self.mechanisms = tuple(recordings), tuple(mechanisms)
-        self.grid: Grid = lay_out(recordings, wild, fast)
-        g = self.grid
         self.joints = mechanisms[0].joints
+        n = len(self.joints)
+        rows = mechanisms[0].mass_matrix((0.0,) * n)
+        inertia = np.array([[float(x) for x in row] for row in rows])
+        long = int(np.argmax([r.duration for r in recordings]))
+        driven = recordings[long].drive is not None
+        mirrored = not (driven or any(recordings[long].orders))
+        spectrum = Spectrum.of(recordings[long], wild[long], mirrored)
+        stiffness = spectrum.stiffness(inertia, driven)
+        roots = np.linalg.eigvals(np.linalg.solve(inertia, np.diag(stiffness)))
+        rings = 0.0 if driven else math.sqrt(np.abs(roots).max())  # rad/s, the fastest mode
+        self.grid: Grid = lay_out(recordings, wild, fast, rings)
+        g = self.grid
         self.catalogued = catalogue_on(richest(mechanisms))
         self.orders = recordings[0].orders if any(recordings[0].orders) else ()
         self._laws: dict[tuple[str, ...], Laws] = {}
-        self.n = n = len(self.joints)
+        self.n = n
         self.K = len(g.time)
         self.correlation = correlation
         self.begins = [int(np.argmax(g.run == i)) for i in range(len(recordings))]
@@ -149,13 +159,8 @@ class Scene:
         q[g.real :], v[g.real :] = q[g.real - 1], 0.0
         self.q, self.v = q, v
         seen = np.arange(self.K) < g.real
-        rows = mechanisms[0].mass_matrix((0.0,) * n)
-        inertia = np.array([[float(x) for x in row] for row in rows])
         noise = np.sqrt(g.variance[0]) * recordings[0].as_angles.noise / recordings[0].noise
         amplitude = np.maximum(np.std(q[seen], axis=0), 3 * noise)
-        long = int(np.argmax([r.duration for r in recordings]))
-        driven = recordings[long].drive is not None
-        stiffness = Spectrum.of(recordings[long], wild[long]).stiffness(inertia, driven)
         duration = recordings[long].duration
         slowest = 2 * math.pi / duration
         pace = np.maximum(np.sqrt(stiffness / np.diag(inertia)), slowest)
