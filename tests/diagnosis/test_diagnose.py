@@ -17,10 +17,11 @@ import residyn
 from residyn import effects
 from residyn.diagnosis.diagnose import Posterior
 from residyn.diagnosis.evidence import IN_PLAY, INTENSITIES, half_normals, over_intensities
-from residyn.diagnosis.linearised_fit import minimum
+from residyn.diagnosis.linearised_fit import Hopeless, LinearisedFit, minimum
 from residyn.diagnosis.missing_torque import missing_of, scene_of
 from residyn.diagnosis.search import Search, Tried, settle, tried_alone
 from residyn.diagnosis.simulated import simulated
+from residyn.fitting.problem import Unknowns
 from residyn.physics.effect import JointEffect
 from residyn.physics.parameter import Dimension, param
 from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
@@ -310,6 +311,18 @@ def test_slopes_too_steep_for_arithmetic_leave_no_evidence_of_exact_simulation(
     with jax.enable_x64(True):
         exact = simulated(friction.search.scene, tried.best, friction.fits.of(tried))
     assert exact is None
+
+
+def test_a_descent_that_would_end_too_high_ends_early(friction):
+    near = LinearisedFit.of(friction.fits.of(friction.search.base))
+    off = Unknowns(1.01 * np.asarray(near.at.numbers), np.asarray(near.at.states))
+    with jax.enable_x64(True):
+        whole = minimum(near.problem, off)
+        allowed = minimum(near.problem, off, enough=1.5 * whole.cost)
+        with pytest.raises(Hopeless):
+            minimum(near.problem, off, enough=0.5 * whole.cost)
+    assert allowed.cost == whole.cost
+    assert allowed.steps == whole.steps > 1
 
 
 def test_models_in_play_have_the_evidence_of_exact_simulation(clean, friction):

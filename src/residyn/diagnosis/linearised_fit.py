@@ -97,9 +97,9 @@ def minimum(
     def evaluated(at: Unknowns, steps: int) -> Minimum:
         predicted, slopes, residual = map(np.asarray, look(problem, at))
         R, own = len(slopes), np.asarray(at.states)
-        J = slopes * np.asarray(problem.recorded.weights)[..., None]
-        J = np.concatenate([J[..., :P] * moves, J[..., P:]], -1).reshape(R, -1, P + S)
         with np.errstate(over="ignore", invalid="ignore"):  # of a motion that runs away
+            J = slopes * np.asarray(problem.recorded.weights)[..., None]
+            J = np.concatenate([J[..., :P] * moves, J[..., P:]], -1).reshape(R, -1, P + S)
             square = J.transpose(0, 2, 1) @ J + np.diag(known)
             slope = np.einsum("rml,rm->rl", J, residual.reshape(R, -1))
         slope[:, P:] += known[P:] * own
