@@ -527,6 +527,10 @@ def test_a_friction_without_a_name_is_dry_friction():
         assert all(f.probability < 1e-6 for f in found.families() if f != kind)
     other = posterior(each, curves=[a_curve(base, Kind("rate"))])
     assert all(f.probability < 1e-6 for f in other.families())
+    best = Tried((LABELS[1],), each[0] + 60.0, NOWHERE, log_prior_model(1, len(NAMES)))
+    beside = posterior(each, curves=[a_curve(best, Kind("angle"))]).families()
+    assert [f.name for f in beside[:2]] == ["dry friction", "spring shape"]
+    assert beside[0].probability == pytest.approx(beside[1].probability, abs=1e-6)
 
 
 @given(evidences)

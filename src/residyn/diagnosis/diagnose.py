@@ -533,7 +533,9 @@ class Posterior:
             members = sorted(((x, self.of([x])) for x in labels), key=lambda m: -m[1])
             known = self.of(labels, kind), tuple(members), self.of((), kind)
             found.append(Family(name, place, *known))
-        return tuple(sorted(found, key=lambda f: -f.probability))
+        # As probable to a per cent is what is in the same models: names joined them first.
+        named = lambda f: max(p for _, p in f.members)  # noqa: E731
+        return tuple(sorted(found, key=lambda f: (-round(f.probability, 2), -named(f))))
 
     def rivals(self) -> tuple[list[Tried], np.ndarray]:
         """The likeliest explanation (kinds of law and their places) and the next one, if the two
