@@ -9,9 +9,9 @@ package. Every case is a line of JSON. What the file holds already is not done a
 sample. Everything random about a case follows from its seed and number; the seed `report` is
 frozen, and whatever was tuned was tuned on `tuning`.
 
-A case is weighed by the search of a diagnosis alone: the models that were tried and their
-evidences, which is all that `plan`, `unload --diagnose` and the atlas speak of. Laws without a name
-and least-squares fits of the models on the way, most of the time of a diagnosis, are left out.
+A case is weighed by the search of a diagnosis alone: the models that were tried, simulated exactly
+where they are in play, and their evidences, which is all that `plan`, `unload --diagnose` and the
+atlas speak of. Laws without a name are left out.
 
 `campaigns`: one release of an effect that has look-alikes, at the strength at which the atlas says
 that half of such releases would name it: so one release seldom is enough, on whatever arm (8 s,
