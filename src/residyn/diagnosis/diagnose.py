@@ -140,10 +140,10 @@ class Fits:
         self.known: list[Fit] = []
         """Of the fitted recordings: a model that contains the effects of another fits no worse."""
 
-    def begin(self, tried: Tried) -> "Future[Fit]":
-        """Fit one model, in another thread."""
+    def begin(self, tried: Tried, enough: float = math.inf) -> "Future[Fit]":
+        """Fit one model, in another thread; `enough` as in `fitted`."""
         if tried.best not in self._begun:
-            self._begun[tried.best] = self._pool.submit(self._of, tried)
+            self._begun[tried.best] = self._pool.submit(self._of, tried, enough)
         return self._begun[tried.best]
 
     def of(self, tried: Tried) -> Fit:
@@ -156,11 +156,9 @@ class Fits:
     def simulated(self, tried: Tried) -> Simulated | None:
         """One model without a random torque, by exact simulation; None if it cannot be had, or if
         its evidence then would be hopelessly less than with one."""
-        if tried.best not in self._begun:
-            enough = self._enough(tried)
-            self._begun[tried.best] = self._pool.submit(self._of, tried, enough)
         try:
-            return simulated(self.scene, tried.best, self.of(tried))
+            fit = self.begin(tried, self._enough(tried)).result()
+            return simulated(self.scene, tried.best, fit)
         except Hopeless:
             del self._begun[tried.best]  # a fit that is shown is a whole one
         except FitError:
@@ -178,7 +176,7 @@ class Fits:
         scatter = 2 * (readings - self.scene.length)
         return scatter - fixed + 2 * (raised + HOPELESS - tried.log_evidence)
 
-    def _of(self, tried: Tried, enough: float = math.inf) -> Fit:
+    def _of(self, tried: Tried, enough: float) -> Fit:
         before = list(self._begun.items())
         wait([f for t, f in before if set(t.labels) < set(tried.best.labels)])
         with jax.enable_x64(True):  # JAX's settings are each thread's own
@@ -238,15 +236,11 @@ class Fits:
         with contextlib.suppress(FitError):
             if tried.intensity >= EXPLAINS_NOTHING:  # then the smoothed motion leads nowhere
                 found = fit(fitted, effects=own, starts=self.starts, progress=progress)
-        try:
+        with contextlib.suppress(FitError):
             starts = [(m.numbers, self._states(m, here.recordings)) for m in motions]
             # From the minimum of a model that it contains no fit ends above that one.
             starts += [self._from(best, t)] if best else []
             found = found or descended(*starts)
-        except Hopeless:
-            raise
-        except FitError:
-            pass
         if found is None:
             # No start of a wrong model is better than another one.
             starts = 1 if tried.complete < 0.5 else self.starts

@@ -36,7 +36,7 @@ _STEEP = 1 / np.finfo(float).eps  # sigma for an unknown of one: its own roundin
 _NOTHING = np.finfo(float).tiny / np.finfo(float).eps  # squares from which on all digits are there
 
 
-class Hopeless(FitError):
+class Hopeless(Exception):
     """A descent that would end too high."""
 
 
@@ -121,13 +121,14 @@ def minimum(
             damping = max(10 * damping, 1e3 * _DAMPING[0])
             continue
         if there.cost - gain > enough:
-            raise Hopeless("the model explains far less than another one")
+            here = there
+            break
         step = np.concatenate([np.tile(numbers, (len(states), 1)), states], axis=1)
         size_of = np.einsum("ra,rab,rb->", step, here.square, step)
         converged = min(gain, size_of) < (_SETTLED * size) ** 2
         damping, here = max(0.1 * damping, _DAMPING[0]), there
-    if most and here.cost > enough:
-        raise Hopeless("the model explains far less than another one")
+    if here.cost > enough:
+        raise Hopeless
     return here._replace(steps=steps, converged=bool(converged or damping > _DAMPING[1]))
 
 

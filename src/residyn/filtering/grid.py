@@ -21,7 +21,7 @@ STEP = 0.3
 """Readings are averaged up to this step times the fastest angular frequency, and ..."""
 LONGEST = 0.45
 """... steps are divided from this one on: the phase of a fourth-order step is good to 3e-4."""
-_MINOR = 1e-2  # of the acceleration's power: harmonics with less need no step of their own
+_MINOR = 1e-2  # of the power of the acceleration, and of the angles: less needs no step of its own
 _LEAST = 512
 _WIDE = 31  # lines of a periodogram that are averaged, at least, ...
 _SHARE = 0.05  # ... and to either side this share of a line's own frequency ...
@@ -80,7 +80,7 @@ def bucket(count: int) -> int:
 
 
 class Spectrum(NamedTuple):
-    """The readings of one recording, or of a part of it, one spectrum a joint."""
+    """The readings of one recording, one spectrum a joint."""
 
     pace: np.ndarray
     """(F,) angular frequencies, rad/s."""
@@ -98,11 +98,27 @@ class Spectrum(NamedTuple):
         recording goes on before its first instant as it came: a release from rest is smooth there,
         and the window hides nothing; any other beginning has a corner, of high frequencies.
         """
-        bridged = _Bridged.of(recording, wild)
-        x = bridged.ways[0]
-        moved = np.cumsum(np.sum((x - np.median(x, axis=1, keepdims=True)) ** 2, axis=0))
+        time = recording.time - recording.time[0]
+        dt = float(np.median(np.diff(time)))
+        even, use = np.arange(0.0, time[-1], dt), np.isfinite(recording.angle) & ~wild
+        pairs = zip(use.T, recording.angle.T, strict=True)
+        ways = np.stack([_bridged(time[u], angle[u], even) for u, angle in pairs], axis=1)
+        off = ways[0] - np.median(ways[0], axis=1, keepdims=True)
+        moved = np.cumsum(np.sum(off**2, axis=0))
         end = int(np.searchsorted(moved, (1 - _MINOR) * moved[-1])) + 1
-        return bridged.until(max(end, min(x.shape[1], 2 * _WIDE)), mirrored)
+        x = ways[..., : max(end, 2 * _WIDE)]
+        x = np.concatenate([x[..., :0:-1], x], axis=-1) if mirrored else x
+        window = np.hanning(x.shape[-1])
+        found = np.fft.rfft((x - x.mean(axis=-1, keepdims=True)) * window)
+        unit = (recording.noise**2 * np.sum(window**2))[:, None]  # what noise leaves of a line
+        # The lines of what is even are twice as close, and know half as much each.
+        lines = _WIDE * (2 if mirrored else 1)
+        power = np.min([[_averaged(p, lines) for p in way] for way in np.abs(found) ** 2], axis=0)
+        signal = np.where(power > _SURE * unit, np.maximum(power - unit, 0.0), 0.0)
+        pace = 2 * math.pi * np.fft.rfftfreq(x.shape[-1], dt)
+        once = np.append(0.0, -1j / pace[1:])  # of a constant there is no integral
+        down = once ** np.array(recording.orders)[:, None]
+        return cls(pace, found[0] * down, signal * np.abs(down) ** 2)
 
     @property
     def fastest(self) -> float:
@@ -126,49 +142,9 @@ class Spectrum(NamedTuple):
         return np.abs(np.real(torque * self.lines.conj()).sum(axis=1)) / power
 
 
-class _Bridged(NamedTuple):
-    """A recording at equal steps."""
-
-    dt: float
-    ways: np.ndarray
-    """(2, n, M) with lost and wild readings bridged by lines, which have corners, and by cubics,
-    which enlarge noise: of both powers the lesser counts."""
-    noise: np.ndarray
-    """(n,)"""
-    orders: np.ndarray
-    """(n,)"""
-
-    @classmethod
-    def of(cls, recording: Recording, wild: np.ndarray) -> "_Bridged":
-        time = recording.time - recording.time[0]
-        dt = float(np.median(np.diff(time)))
-        even = np.arange(0.0, time[-1], dt)
-        use = np.isfinite(recording.angle) & ~wild
-        each = [
-            _bridged(time[u], angle[u], even)
-            for u, angle in zip(use.T, recording.angle.T, strict=True)
-        ]
-        return cls(dt, np.stack(each, axis=1), recording.noise, np.array(recording.orders))
-
-    def until(self, end: int, mirrored: bool) -> Spectrum:
-        """The spectrum of the first instants."""
-        x = self.ways[..., :end]
-        x = np.concatenate([x[..., :0:-1], x], axis=-1) if mirrored else x
-        window = np.hanning(x.shape[-1])
-        found = np.fft.rfft((x - x.mean(axis=-1, keepdims=True)) * window)
-        unit = (self.noise**2 * np.sum(window**2))[:, None]  # what noise leaves of a line
-        # The lines of what is even are twice as close, and know half as much each.
-        wide = _WIDE * (2 if mirrored else 1)
-        power = np.min([[_averaged(p, wide) for p in way] for way in np.abs(found) ** 2], axis=0)
-        signal = np.where(power > _SURE * unit, np.maximum(power - unit, 0.0), 0.0)
-        pace = 2 * math.pi * np.fft.rfftfreq(x.shape[-1], self.dt)
-        once = np.append(0.0, -1j / pace[1:])  # of a constant there is no integral
-        down = once ** self.orders[:, None]
-        return Spectrum(pace, found[0] * down, signal * np.abs(down) ** 2)
-
-
 def _bridged(time: np.ndarray, angle: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """(2, M) readings (N,) at other instants (M,), by lines and by cubics."""
+    """(2, M) readings (N,) at other instants (M,), where some are lost: by lines, which have
+    corners, and by cubics, which enlarge noise. Of both powers the lesser counts."""
     lines = np.interp(at, time, angle) if len(time) else 0 * at
     if len(time) < 4:
         return np.stack([lines, lines])

@@ -222,7 +222,8 @@ def accepted(found: Diagnosis) -> list[Family]:
 
 
 def told_first(found: Diagnosis) -> list[Family]:
-    """They, and the kinds whose law has no name, if they are as probable."""
+    """The families of what was added, after the kinds whose law has no name and which are as
+    probable; without anything added, more probable than not."""
     own = accepted(found)
     least = max((f.probability for f in own), default=0.5)
     more = (f for f in found.families if f not in own and f.unnamed > 0 and f.probability >= least)
