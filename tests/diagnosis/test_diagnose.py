@@ -15,6 +15,7 @@ from scipy.stats import norm
 
 import residyn
 from residyn import effects
+from residyn.diagnosis.candidate_tests import Rival
 from residyn.diagnosis.diagnose import Posterior
 from residyn.diagnosis.evidence import IN_PLAY, INTENSITIES, half_normals, over_intensities
 from residyn.diagnosis.linearised_fit import Hopeless, LinearisedFit, minimum
@@ -323,6 +324,31 @@ def test_a_descent_that_would_end_too_high_ends_early(friction):
             minimum(near.problem, off, enough=0.5 * whole.cost)
     assert allowed.cost == whole.cost
     assert allowed.steps == whole.steps > 1
+
+
+def test_an_unknown_that_all_but_moves_no_reading_leaves_a_gram_matrix_positive(friction):
+    near = LinearisedFit.of(friction.fits.of(friction.search.base))
+    with jax.enable_x64(True):
+        found = minimum(near.problem, near.at, most=0)
+    # All move the readings alike, one of them less than arithmetic holds all digits of.
+    size = np.ones(found.square.shape[-1])
+    size[1] = 2e-157
+    square = np.broadcast_to(size[:, None] * size, found.square.shape)
+    little = found._replace(square=square, slope=found.slope * size)
+    factor = np.asarray(little.compressed()[1])
+    assert np.isfinite(factor).all()
+
+
+def test_numbers_of_a_model_in_play_are_those_of_its_exact_simulation():
+    """Not of the filter, whose steps are long for a fast mode that is read twenty times a cycle."""
+    arm = dataclasses.replace(ARM, stiffness=(30.0, 120.0), damping=(0.02, 0.02))
+    rng = np.random.default_rng(5)
+    case = rig.record(rng, arm, (0.2, -0.15), [], seconds=20.0, rate=50.0, noise=NOISE)
+    found = residyn.diagnose(experiment(recording(case.t, case.q)), max_effects=0)
+    with jax.enable_x64(True):
+        rival = Rival.of(found.search.scene, found.search.base)
+    each = zip(found.fit.numbers, np.asarray(rival.model.vector()), strict=True)
+    assert max(abs(n.value - x) / n.std for n, x in each) < 0.5
 
 
 def test_models_in_play_have_the_evidence_of_exact_simulation(clean, friction):

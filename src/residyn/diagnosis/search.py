@@ -479,6 +479,7 @@ class Search:
             return  # nothing is left to be explained, or all
         extended: set[frozenset[str]] = set()
         self.screen(self.base)
+        self._simulate()
         while not extended or self.best.intensity < EXPLAINS_NOTHING:
             best = frozenset(self.best.added)
             if best in extended or len(best) >= most:
