@@ -41,6 +41,7 @@ from .effects import Gravity as Gravity
 from .effects import Hysteresis as Hysteresis
 from .effects import InertiaError as InertiaError
 from .effects import LoadFriction as LoadFriction
+from .effects import Pendulum as Pendulum
 from .effects import PeriodicDisturbance as PeriodicDisturbance
 from .effects import PrintedInertiaTorque as PrintedInertiaTorque
 from .effects import QuadraticDrag as QuadraticDrag

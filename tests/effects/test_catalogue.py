@@ -17,7 +17,13 @@ from residyn.physics.parameter import Scales, parameters_of
 
 with jax.enable_x64(True):
     ARM = residyn.PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.3, bearings=[1, 1], load=1.5)
+    HANGING = residyn.PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.0, bearings=[1, 1])
 SCALES = Scales(inertia=0.6, frequency=5.0, amplitude=0.2)
+
+
+def arm_for(words):
+    """An arm on which an effect makes sense."""
+    return HANGING if words == "pendulum" else ARM
 
 
 def instances():
@@ -25,8 +31,14 @@ def instances():
     return [
         words
         for name, kind in CATALOGUE.items()
-        for words in [f"{name}:{place}" for place in kind.places(ARM)] or [name]
+        for words in [f"{name}:{place}" for place in kind.places(arm_for(name))] or [name]
     ]
+
+
+def named(words):
+    """The effect and its arm."""
+    (effect,) = effects_named(words, arm_for(words))
+    return effect, arm_for(words)
 
 
 def at(effect, factor, scales=SCALES):
@@ -77,7 +89,7 @@ def test_where_effects_can_act_is_asked_in_any_precision():
 
 @pytest.mark.parametrize("words", instances())
 def test_it_says_what_it_is(words):
-    (effect,) = effects_named(words, ARM)
+    effect, arm = named(words)
     assert effect.label == words
     assert effect.equation
     assert effect.looks_like
@@ -90,16 +102,16 @@ def test_it_says_what_it_is(words):
 
 @pytest.mark.parametrize("words", instances())
 def test_it_is_exactly_absent_at_its_silent_value(words):
-    (effect,) = effects_named(words, ARM)
-    with_it, without = ARM + at(effect, 0.0), residyn.Model(ARM)
+    effect, arm = named(words)
+    with_it, without = arm + at(effect, 0.0), residyn.Model(arm)
     for motion in motions(memory=effect.memory):
         np.testing.assert_array_equal(own_part(with_it, motion), response(without, motion))
 
 
 @pytest.mark.parametrize("words", instances())
 def test_it_does_something_elsewhere(words):
-    (effect,) = effects_named(words, ARM)
-    with_it, without = ARM + at(effect, 0.3), residyn.Model(ARM)
+    effect, arm = named(words)
+    with_it, without = arm + at(effect, 0.3), residyn.Model(arm)
     off = [
         np.abs(own_part(with_it, m) - np.array(response(without, m))).max()
         for m in motions(memory=effect.memory)
@@ -114,19 +126,19 @@ NOT_OF_LOAD = [w for w in instances() if not CATALOGUE[w.partition(":")[0]].of_l
 def test_its_typical_size_goes_with_the_unit_of_length(words):
     """The same arm in centimetres: of accelerations, rad/s^2, length is no part. A friction's share
     of a load has no typical size."""
-    small = residyn.PlanarArm([40, 40], 11662, 5790, 143.84, 0.3, bearings=[1, 1])
     metres = SCALES._replace(length=0.4)
     centimetres = SCALES._replace(inertia=1e4 * SCALES.inertia, length=40.0)
-    (effect,) = effects_named(words, ARM)
+    effect, arm = named(words)
+    small = residyn.PlanarArm([40, 40], 11662, 5790, 143.84, arm.theta2, bearings=[1, 1])
     for motion in motions(5, effect.memory):
         found = own_part(small + at(effect, 0.1, centimetres), motion)
-        assert found == pytest.approx(own_part(ARM + at(effect, 0.1, metres), motion), rel=1e-9)
+        assert found == pytest.approx(own_part(arm + at(effect, 0.1, metres), motion), rel=1e-9)
 
 
 @pytest.mark.parametrize("words", instances())
 def test_its_derivative_is_the_finite_difference(words):
-    (effect,) = effects_named(words, ARM)
-    model = ARM + at(effect, 0.3)
+    effect, arm = named(words)
+    model = arm + at(effect, 0.3)
     for motion in motions(4, effect.memory):
 
         def moved(numbers, q, v, z, motion=motion):
@@ -147,8 +159,8 @@ def test_its_derivative_is_the_finite_difference(words):
 
 @pytest.mark.parametrize("words", instances())
 def test_it_vmaps_over_its_numbers(words):
-    (effect,) = effects_named(words, ARM)
-    model = ARM + at(effect, 0.3)
+    effect, arm = named(words)
+    model = arm + at(effect, 0.3)
     factors = jnp.linspace(0.5, 1.5, 4)
     motion = next(motions(1, effect.memory))
 
@@ -161,22 +173,22 @@ def test_it_vmaps_over_its_numbers(words):
     np.testing.assert_allclose(together, jnp.stack([one(f) for f in factors]), rtol=1e-12)
 
 
-@pytest.mark.parametrize("words", [w for w in instances() if effects_named(w, ARM)[0].dissipates])
+@pytest.mark.parametrize("words", [w for w in instances() if named(w)[0].dissipates])
 def test_it_loses_energy_if_it_says_so(words):
-    (effect,) = effects_named(words, ARM)
+    effect, arm = named(words)
     effect = at(effect, 0.3)
     for motion in motions(memory=effect.memory):
-        torque = np.array(effect.torque(motion, ARM))
+        torque = np.array(effect.torque(motion, arm))
         assert torque @ np.array(motion.v) >= 0
 
 
 @pytest.mark.parametrize("words", instances())
 def test_its_torque_jumps_only_where_it_says_so(words):
-    (effect,) = effects_named(words, ARM)
+    effect, arm = named(words)
     effect = at(effect, 0.3)
     for motion in motions(3, effect.memory):
         torques = [
-            np.array(effect.torque(motion._replace(direction=(d, d)), ARM)) for d in (1.0, -1.0)
+            np.array(effect.torque(motion._replace(direction=(d, d)), arm)) for d in (1.0, -1.0)
         ]
         assert (np.abs(torques[0] - torques[1]).max() > 0) == effect.dry
 
@@ -225,19 +237,19 @@ EACH = [
 @pytest.mark.parametrize("words", EACH)
 def test_its_numbers_are_recovered_from_its_own_simulation(words):
     """Within their errors, from a recording made with it and noise."""
-    truth = residyn.Model(ARM)
+    effect, arm = named(words)
+    truth = residyn.Model(arm)
     for label, value in BASE.items():
-        (effect,) = effects_named(label, ARM)
-        truth = truth + dataclasses.replace(effect, **{parameters_of(effect)[0].field: value})
+        (base,) = effects_named(label, arm)
+        truth = truth + dataclasses.replace(base, **{parameters_of(base)[0].field: value})
     if words not in BASE:
-        (effect,) = effects_named(words, ARM)
         truth = truth + at(effect, PLAIN.get(effect.name, 0.02))
     rng = np.random.default_rng(0)
     t = np.arange(1500) * 0.01
     q = readings(truth, t) + 2e-4 * rng.standard_normal((1500, 2))
     table = residyn.recording.ArmTable((0.4, 0.4), 1.1662, 0.579, 1.4384)
     bearings = [residyn.recording.Bearing(joint, 1.0, 0.01) for joint in ("elbow", "wrist")]
-    recording = residyn.Recording.from_arrays(t, q, theta2=0.3, noise=2e-4, load=1.5)
+    recording = residyn.Recording.from_arrays(t, q, theta2=float(arm.theta2), noise=2e-4, load=1.5)
     experiment = residyn.Experiment(table, (recording,), bearings)
     fit = residyn.fit(experiment, effects=[] if words in BASE else [words])
     assert 0.9 < fit.reduced_chi2 < 1.1
@@ -268,5 +280,13 @@ def test_what_slides_feels_no_sine_of_an_angle():
     with pytest.raises(ValueError, match=r"gravity .* cart slides .*constant_torque:cart"):
         effects_named("gravity", slide)
     assert "gravity" not in names(slide)
+    assert "pendulum" not in names(slide)
     hanging = residyn.ConstantInertia([[1.0]], ["link"], ["rad"])
     assert "gravity" in names(hanging)
+    assert "pendulum" in names(hanging)
+
+
+def test_only_what_hangs_straight_is_a_pendulum():
+    with pytest.raises(ValueError, match=r"hangs straight .* elbow is at 0\.3 rad .* gravity"):
+        effects_named("pendulum", ARM)
+    assert effects_named("pendulum", HANGING)

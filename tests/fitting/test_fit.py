@@ -513,3 +513,17 @@ def test_a_base_that_no_arm_has_is_said_first():
     assert falls.unphysical == ()
     undamped = fitted(0.1 * np.cos(5 * t))  # its sign is chance
     assert undamped.unphysical == ()
+
+
+def test_a_number_without_any_effect_is_not_determined():
+    # One link carries no second one, whose weight would pull.
+    t = np.arange(400) * 0.02
+    q = 0.3 * np.exp(-0.05 * t) * np.cos(5 * t) + 1e-3 * np.random.default_rng(0).standard_normal(400)
+    table = InertiaTable(("link",), ((2.0,),), ("rad",))
+    seen = residyn.Recording.from_arrays(t, q[:, None], noise=1e-3)
+    fit = residyn.fit(residyn.Experiment(table, (seen,)), effects=["pendulum"])
+    none = [i for i, n in enumerate(fit.numbers) if n.name == "pendulum.moment2"]
+    assert fit.open_groups == (tuple(none),)
+    assert [n.determined for n in fit.numbers] == [i not in none for i in range(4)]
+    assert np.isnan(fit.covariance[none]).all()
+    assert "pendulum.moment2 has no effect on these recordings" in str(fit)

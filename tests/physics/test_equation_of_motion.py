@@ -146,6 +146,17 @@ def test_gravity_agrees_with_mujoco():
         assert np.abs(np.asarray(ours.q) - theirs).max() < 1e-5
 
 
+def test_a_double_pendulum_agrees_with_mujoco():
+    arm = dataclasses.replace(rig.paper_twin(0.0), link1_moment=1.3)
+    q0, t = np.array([0.9, -0.4]), np.arange(1001) * 0.01
+    theirs, _ = rig.simulate(arm, t, q0, gravity=rig.HANGING)
+    along = rig.HANGING[0]
+    ours = residyn.simulate(
+        arm_of(arm) + residyn.Pendulum(1.3 * along, arm.coupling * along), t, q0
+    )
+    assert np.abs(np.asarray(ours.q) - theirs).max() < 1e-5
+
+
 @pytest.mark.slow
 def test_every_adjoint_gives_the_same_motion_and_gradient(undamped):
     model = undamped + Damper("elbow", 0.1)

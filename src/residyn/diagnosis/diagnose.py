@@ -44,7 +44,7 @@ from .evidence import (
 from .forecast import held_out
 from .law import CurveModel, curve_models, laws_of
 from .linearised_fit import Hopeless, LinearisedFit, evaluated, polish
-from .missing_torque import missing_of, scene_of
+from .missing_torque import missing_of, restoring_torque, scene_of
 from .result import (
     Budget,
     Candidate,
@@ -574,7 +574,7 @@ def _random_torque(scene: Scene, model: Tried) -> tuple[RandomTorque, ...]:
     sizes = np.array([np.sqrt(np.mean((t.torque**2 + t.torque_variance)[real], axis=0))
                       for _, t in pairs])  # fmt: skip
     weights = np.array([w for w, _ in pairs])
-    spring = _spring_rms(scene, model.best, real)
+    spring = np.sqrt(np.mean(restoring_torque(scene, model.best)[real] ** 2, axis=0))
     found = []
     for j, joint in enumerate(scene.joints):
         order = np.argsort(sizes[:, j])
@@ -588,12 +588,3 @@ def _random_torque(scene: Scene, model: Tried) -> tuple[RandomTorque, ...]:
         unit = "N" if units[j] == "m" else "N m"
         found.append(RandomTorque(joint, unit, mean, low, high, share))
     return tuple(found)
-
-
-def _spring_rms(scene: Scene, t: Trajectory, real: np.ndarray) -> np.ndarray:
-    rms = np.zeros(scene.n)
-    for effect, own in zip(t.effects, number_slices(t.effects), strict=True):
-        if effect.name == "spring":
-            j = scene.joint_of(effect)
-            rms[j] = abs(t.numbers[own][0]) * np.sqrt(np.mean(t.path[real, j] ** 2))
-    return rms

@@ -23,6 +23,7 @@ from ..filtering.trajectory import Scene, Trajectory
 from ..fitting.multistart import outliers_among
 from ..fitting.problem import ready
 from ..physics.model import Model
+from ..physics.parameter import parameters_of
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
 from .evidence import CORRELATION
@@ -64,7 +65,8 @@ class MissingTorque:
     rms: np.ndarray
     """(n,) rms of the torque, N m or N."""
     share_of_spring: np.ndarray
-    """(n,) `rms` over the rms of the joint's spring torque, or of Z q'' if it has no spring."""
+    """(n,) `rms` over that of the restoring torque: of springs and of what acts in their place, or
+    of Z q'' if the joint has neither."""
 
 
 class Missing(NamedTuple):
@@ -134,13 +136,13 @@ def _torques(scene: Scene, best: Trajectory, pairs) -> list[MissingTorque]:
     mean = -np.tensordot(weights, torques, 1)
     square = np.tensordot(weights, variances + torques**2, 1)
     std = np.sqrt(np.maximum(square - mean**2, 0.0))
-    spring = _spring(scene, best)
+    pulled_back = restoring_torque(scene, best)
     g, n, found = scene.grid, scene.n, []
     slowest = 2 * np.pi / min(s.frequency for s in scene.scales)
     for i, recording in enumerate(scene.recordings):
         own = g.of(i)
         time, angle = g.time[own], best.path[own, :n]
-        rms, whole = (np.sqrt(np.mean(x[own] ** 2, axis=0)) for x in (mean, spring))
+        rms, whole = (np.sqrt(np.mean(x[own] ** 2, axis=0)) for x in (mean, pulled_back))
         found.append(
             MissingTorque(
                 time=time + recording.time[0],
@@ -156,15 +158,20 @@ def _torques(scene: Scene, best: Trajectory, pairs) -> list[MissingTorque]:
     return found
 
 
-def _spring(scene: Scene, t: Trajectory) -> np.ndarray:
-    """(K, n) torque of each joint's spring, or Z q'' where it has none, N m."""
-    acceleration = np.asarray(scene.linearised(t).acceleration)[:, : scene.K].T
-    own = np.array([s.inertia for s in scene.scales]) * acceleration
-    for effect, values in zip(t.effects, number_slices(t.effects), strict=True):
-        if effect.name == "spring":
-            j = scene.joint_of(effect)
-            own[:, j] = t.numbers[values][0] * t.path[:, j]
-    return own
+def restoring_torque(scene: Scene, t: Trajectory) -> np.ndarray:
+    """(K, n) torque of what pulls each joint back, N m: springs, and what acts in their place, as
+    gravity does; Z q'' where a joint has neither."""
+    linear = scene.linearised(t)
+    acceleration = np.asarray(linear.acceleration)[:, : scene.K].T
+    each = scene.torques(t, linear)
+    own = [each[e.label] for e in t.effects if e.name == "spring" or _as_spring(e)]
+    found = np.sum(own, axis=0) if own else np.zeros_like(acceleration)
+    sizes = np.array([s.inertia for s in scene.scales])
+    return np.where(np.any(found != 0, axis=0), found, sizes * acceleration)
+
+
+def _as_spring(effect: AbstractEffect) -> bool:
+    return any(p.as_spring for p in parameters_of(effect))
 
 
 def curve(scene: Scene, before: np.ndarray, missing: np.ndarray, model: Tried, label: str) -> Curve:

@@ -136,7 +136,8 @@ class RandomTorque:
     """Of its 95 % interval."""
     high: float
     share_of_spring: float
-    """`rms` over the rms of the spring's torque; NaN where there is no spring."""
+    """`rms` over that of the restoring torque: of springs and of what acts in their place, or of
+    Z q'' where a joint has neither."""
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of one joint."""

@@ -31,6 +31,7 @@ from .friction import DahlFriction as DahlFriction
 from .friction import LoadFriction as LoadFriction
 from .friction import StribeckFriction as StribeckFriction
 from .gravity import Gravity as Gravity
+from .gravity import Pendulum as Pendulum
 from .inertia import InertiaError as InertiaError
 from .inertia import PrintedInertiaTorque as PrintedInertiaTorque
 from .memory import BrakeSlip as BrakeSlip

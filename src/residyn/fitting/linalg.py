@@ -53,8 +53,12 @@ def damped_least_squares(
 def information(factors: np.ndarray, numbers: int) -> np.ndarray:
     """(P, P) information J'J on the first P of L unknowns, the rest (states) taken out.
 
-    `factors` (R, L, L): each recording's triangular factor of J'J.
+    `factors` (R, L, L): each recording's triangular factor of J'J. A number without any effect on
+    a recording is a unit vector there, so that the factor can be solved with; it tells nothing.
     """
+    unit = np.eye(factors.shape[-1])
+    silent = np.all(np.abs(factors - unit) < BLIND, axis=1) & (np.arange(len(unit)) < numbers)
+    factors = np.where(silent[:, None], 0.0, factors)
     # QR with the states first leaves, below them, the numbers' information alone.
     states_first = np.roll(factors, -numbers, axis=2)
     below = np.asarray(np.linalg.qr(states_first, mode="r"))[:, -numbers:, -numbers:]

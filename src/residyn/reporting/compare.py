@@ -342,7 +342,7 @@ def torque_words(found: Missing, joint: int) -> str:
     part = float(found.torque.share_of_spring[joint])
     words = f"{found.recording}, {found.joints[joint]}: "
     words += f"{plain(float(found.torque.rms[joint]))} {found.units[joint]} rms is missing"
-    words += f", {share(part)} of the spring's torque." if part == part else "."
+    words += f", {share(part)} of the restoring torque." if part == part else "."
     if not found.significant(joint):
         return f"{words} It is smaller than its own 95 % band: nothing is seen to be missing here."
     drawn = found.curves_at(joint)

@@ -148,7 +148,7 @@ def _nothing_explained(found: Diagnosis) -> list[str]:
     joints = found.fit.joints
     sizes = [
         f"{plain(r.rms, 2)} {r.unit} at the {r.joint}"
-        + (f" ({share(r.share_of_spring)} of the spring's)" if _known(r) else "")
+        + (f" ({share(r.share_of_spring)} of the restoring torque)" if _known(r) else "")
         for r in found.random_torque
     ]
     words = [
@@ -272,7 +272,12 @@ def _laws(found: Diagnosis) -> Iterator[str]:
 def _numbers(found: Diagnosis, label: str) -> str:
     """The numbers of an effect that was added: as fitted if nothing is left, else as they are
     beside the random torque, since a fit's errors then are too small."""
-    own = [n for n in found.fit.numbers if n.name.rpartition(".")[0] == label]
+    without_effect = {i for group in found.fit.open_groups if len(group) == 1 for i in group}
+    own = [
+        n
+        for i, n in enumerate(found.fit.numbers)
+        if n.name.rpartition(".")[0] == label and i not in without_effect
+    ]
     beside = found.candidate(label).parameters
     left = found.verdict == "unexplained" and not _instead(found)
     if left and len(found.added) == 1 and beside:
@@ -301,6 +306,7 @@ def _would_add(candidate: Candidate, simpler: str) -> str:
         f"{p.name} {measured(values[p.name].value, values[p.name].std, values[p.name].unit)}"
         for p in parameters_of(kind)
         if p.name not in there and p.silent is not None and p.name in values
+        and values[p.name].value != p.silent  # exactly: of a joint that the mechanism lacks
     ]
     law = f"{lower(title(candidate.effect))} ({percent(candidate.probability)})"
     return f"{law} would add {listed(more)}" if more else f"{law} adds nothing"
@@ -388,10 +394,10 @@ def _left(found: Diagnosis) -> Iterator[str]:
     elif sure < SURE and found.added:
         yield f"That it is this and nothing else is not sure ({percent(sure)})."
     if known:
-        most = max(known, key=lambda r: r.high / _spring(r) if _known(r) else r.high)
+        most = max(known, key=lambda r: r.high / _restoring(r) if _known(r) else r.high)
         if most.high > 0:
             size = f"{plain(most.high, 2)} {most.unit} rms{at(most.joint, found.fit.joints)}"
-            part = f", {share(most.high / _spring(most))} of the spring's torque"
+            part = f", {share(most.high / _restoring(most))} of the restoring torque"
             yield (
                 f"What may still be missing is no more than {size}"
                 f"{part if _known(most) else ''} (95 % band)."
@@ -402,15 +408,15 @@ def _known(r: RandomTorque) -> bool:
     return math.isfinite(r.share_of_spring) and r.share_of_spring > 0 and r.rms > 0
 
 
-def _spring(r: RandomTorque) -> float:
-    """The rms of the spring's torque."""
+def _restoring(r: RandomTorque) -> float:
+    """The rms of the restoring torque."""
     return r.rms / r.share_of_spring
 
 
 def _size(r: RandomTorque, found: Diagnosis) -> str:
     low, high = plain(r.low, 2), plain(r.high, 2)
     more = [f"95 % band {low} to {high}"] if low != high else []
-    more += [f"{share(r.share_of_spring)} of the spring's"] if _known(r) else []
+    more += [f"{share(r.share_of_spring)} of the restoring torque"] if _known(r) else []
     size = f"{plain(r.rms, 2)} {r.unit} rms{at(r.joint, found.fit.joints)}"
     return f"{size} ({'; '.join(more)})" if more else size
 
@@ -626,7 +632,7 @@ def remainder_table(found: Diagnosis) -> Table:
         part = share(r.share_of_spring) if math.isfinite(r.share_of_spring) else ""
         band = f"{plain(r.low, 2)} to {plain(r.high, 2)} {r.unit}"
         rows.append([r.joint, f"{plain(r.rms, 2)} {r.unit}", band, part])
-    return Table(["joint", "rms", "95 % band", "share of the spring's torque"], rows)
+    return Table(["joint", "rms", "95 % band", "share of the restoring torque"], rows)
 
 
 # -- for a paper -----------------------------------------------------------------------------
