@@ -89,7 +89,7 @@ def test_where_effects_can_act_is_asked_in_any_precision():
 
 @pytest.mark.parametrize("words", instances())
 def test_it_says_what_it_is(words):
-    effect, arm = named(words)
+    effect, _ = named(words)
     assert effect.label == words
     assert effect.equation
     assert effect.looks_like

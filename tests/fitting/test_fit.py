@@ -518,7 +518,8 @@ def test_a_base_that_no_arm_has_is_said_first():
 def test_a_number_without_any_effect_is_not_determined():
     # One link carries no second one, whose weight would pull.
     t = np.arange(400) * 0.02
-    q = 0.3 * np.exp(-0.05 * t) * np.cos(5 * t) + 1e-3 * np.random.default_rng(0).standard_normal(400)
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(400)
+    q = 0.3 * np.exp(-0.05 * t) * np.cos(5 * t) + noise
     table = InertiaTable(("link",), ((2.0,),), ("rad",))
     seen = residyn.Recording.from_arrays(t, q[:, None], noise=1e-3)
     fit = residyn.fit(residyn.Experiment(table, (seen,)), effects=["pendulum"])

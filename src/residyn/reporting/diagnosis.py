@@ -305,7 +305,9 @@ def _would_add(candidate: Candidate, simpler: str) -> str:
     more = [
         f"{p.name} {measured(values[p.name].value, values[p.name].std, values[p.name].unit)}"
         for p in parameters_of(kind)
-        if p.name not in there and p.silent is not None and p.name in values
+        if p.name not in there
+        and p.silent is not None
+        and p.name in values
         and values[p.name].value != p.silent  # exactly: of a joint that the mechanism lacks
     ]
     law = f"{lower(title(candidate.effect))} ({percent(candidate.probability)})"
