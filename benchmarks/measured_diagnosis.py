@@ -149,7 +149,9 @@ def here(folder: Path, name: str) -> dict[str, Any]:
         "fitted": [rms(r.fit.rmse) for r in ends],
         "held": [None if r.held_out is None else rms(r.held_out.held_out.rmse) for r in ends],
         "left": [r.share_of_spring for r in found.random_torque],
-        "numbers": [f"{n.name} = {n.value:.4g} ± {n.std:.2g} {n.unit}" for n in found.fit.numbers],
+        "numbers": [
+            f"{n} = {v.value:.4g} ± {v.std:.2g} {v.unit}" for n, v in found.parameters.items()
+        ],
         "forces": [
             [100 * force_left(r.fit.model, x) for x in experiment.recordings]
             for r in (found.ladder if name == "emps" else ())

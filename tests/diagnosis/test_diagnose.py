@@ -602,8 +602,9 @@ def test_json_is_the_contract(friction):
     assert set(found) == {
         "verdict", "verdict_probability", "words", "added", "ladder", "candidates", "families",
         "lookalikes", "next_experiment", "missing_torque", "random_torque", "budget", "fit", "laws",
-        "channels",
+        "channels", "parameters",
     }  # fmt: skip
+    assert set(found["parameters"]) == set(found["fit"]["parameters"])
     assert found["ladder"][0]["model"] == list(friction.base.model.labels)
     for row in found["ladder"]:
         assert set(row) == {"model", "rmse", "check_rmse", "reduced_chi2", "log_evidence"}

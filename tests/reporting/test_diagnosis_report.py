@@ -140,6 +140,10 @@ def test_what_nothing_explains_is_measured_beside_spring_and_damper(found):
     assert "that explains 73 % of the squared error above the noise" in words
     assert "Something more is missing that no effect of the catalogue explains (> 99 %)" in words
     assert "0.10 N m rms at the elbow (95 % band 0.050 to 0.15; 5.0 % of the rest" in words
+    for n in found["unexplained"].fit.numbers[-len(found["unexplained"].added) :]:
+        beside = found["unexplained"].parameters[n.name]
+        assert beside.std > n.std
+        assert numbers.measured(beside.value, beside.std, beside.unit) in words
     rate = found["unexplained"].still_missing[0].torque.rate[:, 1]
     damper = next(n for n in found["unexplained"].fit.numbers if n.name.startswith("damper:elbow"))
     ratio = 0.1 / (damper.value * np.sqrt(np.mean(rate**2)))

@@ -355,6 +355,7 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
         still_missing=still,
         laws=laws,
         random_torque=_random_torque(scene, best),
+        parameters=values_of(scene, best.best),
         channels=_channels(search, posterior.of_reassigned),
         intensity=float(np.dot(best.weights, INTENSITIES)),
         explains_nothing=best.intensity >= EXPLAINS_NOTHING,

@@ -193,6 +193,9 @@ class Diagnosis(TableResult):
     written (`found`) where it has most of the probability."""
     random_torque: tuple[RandomTorque, ...]
     """How large that is, per joint."""
+    parameters: dict[str, Value]
+    """Numbers of the likeliest model beside that torque, by name. A fit, which knows of none, has
+    others where much is left, and errors that are too small."""
     intensity: float
     """Posterior mean of the likeliest model's random torque, as a share of the spring's torque at
     full swing."""
@@ -261,6 +264,7 @@ class Diagnosis(TableResult):
             "laws": [law.to_dict() for law in self.laws],
             "missing_torque": summary(self.missing),
             "random_torque": {r.joint: r.to_dict() for r in self.random_torque},
+            "parameters": {name: v.to_dict() for name, v in self.parameters.items()},
             "budget": dict(vars(self.budget)),
             "fit": self.fit.to_dict(),
             "seconds": number(self.seconds),

@@ -9,7 +9,7 @@ probability is at least 90 %.
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from ..diagnosis.result import (
     Family,
     ModelState,
     RandomTorque,
+    Value,
 )
 from ..effects import catalogue
 from ..physics.parameter import parameters_of
@@ -66,9 +67,9 @@ _FAMILIES, _SHOWN = 5, 0.005
 # -- names and numbers of its parts ----------------------------------------------------------
 
 
-def _values(candidate: Candidate) -> str:
-    """ "torque 0.2003 +/- 0.0012 N m", and its other numbers."""
-    each = candidate.parameters.items()
+def _values(parameters: Mapping[str, Value]) -> str:
+    """ "torque 0.2003 +/- 0.0012 N m", and other numbers."""
+    each = parameters.items()
     return ", ".join(f"{own_name(n)} {measured(v.value, v.std, v.unit)}" for n, v in each)
 
 
@@ -270,19 +271,13 @@ def _laws(found: Diagnosis) -> Iterator[str]:
 
 
 def _numbers(found: Diagnosis, label: str) -> str:
-    """The numbers of an effect that was added: as fitted if nothing is left, else as they are
-    beside the random torque, since a fit's errors then are too small."""
-    without_effect = {i for group in found.fit.open_groups if len(group) == 1 for i in group}
-    own = [
-        n
-        for i, n in enumerate(found.fit.numbers)
-        if n.name.rpartition(".")[0] == label and i not in without_effect
-    ]
-    beside = found.candidate(label).parameters
-    left = found.verdict == "unexplained" and not _instead(found)
-    if left and len(found.added) == 1 and beside:
-        fitted = ", ".join(plain(n.value) for n in own)
-        return f"{_values(found.candidate(label))} ({fitted} if nothing else were missing)"
+    """The numbers of an effect that was added, if they do anything: as fitted if nothing is left,
+    else as they are beside the torque that is."""
+    fit = found.fit
+    silent = {fit.numbers[group[0]].name for group in fit.open_groups if len(group) == 1}
+    own = [n for n in fit.numbers if n.name.rpartition(".")[0] == label and n.name not in silent]
+    if found.verdict == "unexplained" and not _instead(found):
+        return _values({n.name: found.parameters[n.name] for n in own})
     told = []
     for n in own:
         value = measured(n.value, n.std, n.unit) if n.determined else "not determined"
@@ -510,7 +505,7 @@ def candidates(found: Diagnosis) -> list[str]:
     shown, rows = worth_showing(found), []
     for c in shown:
         name = at_place(c.effect, found.fit.joints, comma=True)
-        lines = [name, *filled(_values(c), "  ", width=_VALUES)]
+        lines = [name, *filled(_values(c.parameters), "  ", width=_VALUES)]
         order = "" if c.iterated else " (1st order)"
         rows.append(["\n".join(lines), percent(c.probability), nats(c.log_evidence) + order])
     out = [*section("Candidates", note), *printed(Table(["", "probability", "log evidence"], rows))]
@@ -620,7 +615,11 @@ def candidates_table(found: Diagnosis) -> Table:
         name = at_place(c.effect, found.fit.joints, comma=True)
         name += " (added)" if c.effect in found.added else ""
         order = "" if c.iterated else " (first order)"
-        cells = [percent(c.probability), nats(c.log_evidence) + order, unbroken(_values(c))]
+        cells = [
+            percent(c.probability),
+            nats(c.log_evidence) + order,
+            unbroken(_values(c.parameters)),
+        ]
         rows.append([name, *cells, c.effect])
     marked = [i for i, c in enumerate(shown) if c.effect in found.added]
     head = ["effect", "probability", "log evidence (nats)", "its numbers, alone in the model"]
