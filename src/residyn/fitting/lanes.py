@@ -31,7 +31,7 @@ _STEPS = 10  # of starts side by side, where all wait for the last one
 _PART = 8  # the first cycles, where they are no more than this part of the readings
 
 
-_SHARES = 3  # of a descent
+SHARES = 8  # of a descent, at most
 
 
 class Wanted(NamedTuple):
@@ -46,7 +46,7 @@ class Wanted(NamedTuple):
     @classmethod
     def of(cls, problem: Problem, y: Unknowns, shares: Sequence[float], size: float) -> "Wanted":
         """The same, always in arrays of one size."""
-        filled = np.zeros(_SHARES)
+        filled = np.zeros(SHARES)
         filled[: len(shares)] = shares
         return cls(problem, y, filled, np.asarray(float(size)))
 

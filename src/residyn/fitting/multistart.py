@@ -33,7 +33,7 @@ from ..recordings.recording import Recording
 from ..recordings.segments import segments_of
 from .history import watching
 from .initial_guess import first_guess, frequency_of, lines, memory_along_readings, resolving
-from .lanes import Fitting, Wanted, alone
+from .lanes import SHARES, Fitting, Wanted, alone
 from .layout import bucket
 from .least_squares import Compressed, Polished
 from .problem import Problem, Ready, Unknowns, reweighted
@@ -230,11 +230,18 @@ def descending(
 
 
 def horizons(here: Ready, frequency: float) -> list[float]:
-    """The growing shares (0 to 1) of the recordings that a start is fitted to; `frequency` is the
-    fastest one, rad/s."""
+    """The growing shares (0 to 1) of the recordings that a start is fitted to, each the root of the
+    one before; `frequency` is the fastest one, rad/s.
+
+    Two of them and then everything, where phases are all that can slip. How often a joint swings
+    before it sticks is a whole number, which is off by one where friction is known from a few
+    swings only: there, roots are taken up to most of a recording.
+    """
     longest = max(r.duration for r in here.recordings)
-    first = min(1.0, _CYCLES * 2 * math.pi / frequency / longest)
-    return sorted({first, math.sqrt(first), 1.0})
+    shares = [min(1.0, _CYCLES * 2 * math.pi / frequency / longest)]
+    while len(shares) < 2 or (here.model.rough and shares[-1] < 0.7):
+        shares.append(math.sqrt(shares[-1]))
+    return sorted({*shares[: SHARES - 1], 1.0})
 
 
 def polishing(problem: Problem, starts: Unknowns, shares: Sequence[float]) -> Fitting[Polished]:
