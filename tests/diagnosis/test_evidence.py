@@ -49,6 +49,7 @@ from residyn.effects import (
     Damper,
     DeadZone,
     Gravity,
+    SensorOffset,
     Spring,
 )
 from residyn.filtering.kalman import Evidences
@@ -406,9 +407,10 @@ def test_unknowns_that_rounding_cannot_tell_apart_leave_a_fit_compressed():
 
 # -- the posterior over models --------------------------------------------------------------------
 
-NAMES = [ConstantTorque("cart"), CoulombFriction("cart"), CubicStiffness("cart")]
+OFFSETS = ConstantTorque("cart"), SensorOffset("cart")
+NAMES = [*OFFSETS, CoulombFriction("cart"), CubicStiffness("cart")]
 LABELS = [e.label for e in NAMES]
-SETS = [(), *((x,) for x in LABELS), (LABELS[0], LABELS[1]), (LABELS[2], LABELS[1])]
+SETS = [(), *((x,) for x in LABELS), (LABELS[0], LABELS[2]), (LABELS[3], LABELS[2])]
 LOUD = np.array(INTENSITIES) > NEGLIGIBLE
 evidences = st.lists(
     st.lists(st.floats(-40, 40), min_size=len(INTENSITIES), max_size=len(INTENSITIES)),
@@ -485,6 +487,19 @@ def test_the_three_verdicts_share_all_probability(each):
     assert probability == pytest.approx(max(shares.values()), abs=1e-9)
 
 
+def test_the_kind_of_law_is_told_before_the_law():
+    """Two laws of one kind share what the readings give it."""
+    each = np.full((len(SETS), len(INTENSITIES)), -40.0)
+    constant, offset, friction = (SETS.index((x,)) for x in LABELS[:3])
+    each[[constant, offset, friction], -1] = 0.0, 0.2, 0.5
+    found = posterior(each)
+    assert found.each[friction] == max(found.each)
+    assert found.best.added == (OFFSETS[1].label,)
+    models, p = found.rivals()
+    assert [m.added for m in models] == [(OFFSETS[1].label,), (LABELS[2],)]
+    assert p[0] > 0.5 > p[1]
+
+
 @given(evidences, st.sampled_from([NOWHERE, WRONG]))
 def test_effects_are_missing_no_surer_than_any_is_named(each, motion):
     """Also where no name is at work, for all stand beside a damper below zero."""
@@ -527,7 +542,7 @@ def test_a_friction_without_a_name_is_dry_friction():
         assert all(f.probability < 1e-6 for f in found.families() if f != kind)
     other = posterior(each, curves=[a_curve(base, Kind("rate"))])
     assert all(f.probability < 1e-6 for f in other.families())
-    best = Tried((LABELS[1],), each[0] + 60.0, NOWHERE, log_prior_model(1, len(NAMES)))
+    best = Tried((LABELS[2],), each[0] + 60.0, NOWHERE, log_prior_model(1, len(NAMES)))
     beside = posterior(each, curves=[a_curve(best, Kind("angle"))]).families()
     assert [f.name for f in beside[:2]] == ["dry friction", "spring shape"]
     assert beside[0].probability == pytest.approx(beside[1].probability, abs=1e-6)

@@ -431,11 +431,13 @@ class Posterior:
         self.of_tried = self.each[: len(self.models)]
         verdict = self.verdict()[0]
         chosen = {"adequate": False, "missing": True}.get(verdict)
-        self.best: Tried = max(
-            (m for m in self.models if chosen is None or bool(m.added) is chosen),
-            key=lambda m: m.log_posterior,
-        )
-        """The likeliest model of those that the verdict speaks of, without its free curve."""
+        first = next(
+            own for own in self._explanations()
+            if chosen is None or bool(self.models[own[0]].added) is chosen
+        )  # fmt: skip
+        self.best: Tried = self.models[first[0]]
+        """The likeliest model of the likeliest explanation that the verdict speaks of, without its
+        free curve."""
         if chosen is None and self.curves:
             top = max([*self.models, *self.curves], key=lambda m: m.log_posterior)
             self.best = search.tried[frozenset(top.added)]
@@ -532,20 +534,26 @@ class Posterior:
         named = lambda f: max(p for _, p in f.members)  # noqa: E731
         return tuple(sorted(found, key=lambda f: (-round(f.probability, 2), -named(f))))
 
+    def _explanations(self) -> list[list[int]]:
+        """The models that were tried, those of the same kinds of law and places together, the
+        likeliest first: several laws of one kind share its probability."""
+        kinds = {e.label: (e.kind(), e.place) for e in self.search.candidates}
+        groups: dict[frozenset, list[int]] = {}
+        for i in np.argsort(-self.of_tried, kind="stable").tolist():
+            added = self.models[i].added
+            groups.setdefault(frozenset(kinds[x] for x in added), []).append(i)
+        return sorted(groups.values(), key=lambda own: -self.of_tried[own].sum())
+
     def rivals(self) -> tuple[list[Tried], np.ndarray]:
         """The likeliest explanation (kinds of law and their places) and the next one, if the two
         cannot be told apart: the likeliest model of each, and their probabilities. None where the
         columns are to be put right first."""
         if self.of_reassigned:
             return [], np.zeros(0)
-        kinds = {e.label: (e.kind(), e.place) for e in self.search.candidates}
-        groups: dict[frozenset, list[int]] = {}
-        for i, model in enumerate(self.models):
-            groups.setdefault(frozenset(kinds[x] for x in model.added), []).append(i)
-        sums = sorted(groups.values(), key=lambda own: -self.each[own].sum())[:2]
+        sums = self._explanations()[:2]
         p = np.array([self.each[own].sum() for own in sums])
         close = p >= p[0] * math.exp(-INDISTINGUISHABLE)
-        models = [self.models[max(own, key=lambda i: self.each[i])] for own in sums]
+        models = [self.models[own[0]] for own in sums]
         return [m for m, x in zip(models, close, strict=True) if x], p[close] / p[close].sum()
 
     def lookalikes(self) -> tuple[tuple[str, ...], ...]:
