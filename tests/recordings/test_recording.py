@@ -521,6 +521,10 @@ def test_refuses_degrees_and_warns_of_them_in_python(folder):
     assert 'units = { q1 = "deg" }' in line
     units = 'units = { q1 = "deg", q2 = "deg" }'
     assert experiment(folder, ARM, entry("theta2 = 0.3", units, file="degrees.csv")).warnings == ()
+    for beyond in (5, -3.2):
+        entries = entry(f"theta2 = {beyond}", units, file="degrees.csv")
+        (line,) = experiment(folder, ARM, entries).warnings
+        assert f"theta2 = {beyond}: in degrees?" in line
     made = Recording.from_arrays(t, np.stack(table, axis=1), theta2=17, name="degrees.csv")
     lines = Experiment(ArmTable((0.4, 0.4), 1.1662, 0.579, 1.4384), (made,)).warnings
     assert len(lines) == 3

@@ -253,7 +253,8 @@ def _from_markers(
 
 
 def _in_degrees(experiment: Experiment) -> list[str]:
-    """Doubts about the unit of angles: no braked joint turns by five radians."""
+    """Doubts about the unit of angles: no braked joint turns by five radians, and who counts an
+    elbow's rest in radians seldom takes more than half a turn."""
     warnings = []
     for recording, _ in by_recording(experiment.recordings):
         sizes = np.nanquantile(np.abs(recording.angle), 0.99, axis=0)
@@ -263,7 +264,7 @@ def _in_degrees(experiment: Experiment) -> list[str]:
             for j, (size, unit) in enumerate(zip(sizes, units, strict=True))
             if unit == "rad" and size > 5
         ]
-        if abs(recording.theta2) > 2 * np.pi:
+        if abs(recording.theta2) > np.pi:
             large.append(f"theta2 = {recording.theta2:g}")
         warnings += [f"{recording.name}: {x}: in degrees? it must be in rad" for x in large]
     return warnings
