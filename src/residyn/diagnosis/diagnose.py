@@ -112,17 +112,28 @@ def diagnose(
         experiment = experiment.owning([e.label for e in base])
         fits = Fits(experiment, scene, wild, starts)
         search = Search(scene, base, deadline=deadline, say=say)
-        fits.begin(search.base)
-        search.exact = fits.simulated
-        reassign = functools.partial(reassigned, experiment, effects, scene, search.base)
-        search.run(max_effects, reassign)
-        lost = search.best.intensity >= EXPLAINS_NOTHING or search.reassigned
-        if not (lost or search.stopped):
-            with search.ending():
-                say("looking for a law without a name")
-                search.curves = curve_models(search)
-        say("fitting the models on the way")
-        return concluded(search, fits, began, say)
+        return searched(search, fits, effects, max_effects, began)
+
+
+def searched(
+    search: Search,
+    fits: "Fits",
+    effects: Sequence[str | AbstractEffect],
+    max_effects: int,
+    began: float,
+) -> Diagnosis:
+    """What `diagnose` finds from a base model with some effects; `began` on `time.perf_counter`."""
+    fits.begin(search.base)
+    search.exact = fits.simulated
+    reassign = functools.partial(reassigned, fits.whole, effects, search.scene, search.base)
+    search.run(max_effects, reassign)
+    lost = search.best.intensity >= EXPLAINS_NOTHING or search.reassigned
+    if not (lost or search.stopped):
+        with search.ending():
+            search.say("looking for a law without a name")
+            search.curves = curve_models(search)
+    search.say("fitting the models on the way")
+    return _concluded(search, fits, began)
 
 
 class Fits:
@@ -315,8 +326,8 @@ class Fits:
         return np.concatenate([state[: 2 * n], state[own] - np.array(begin, float)])
 
 
-def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], None]) -> Diagnosis:
-    """What a search has found, in numbers; `began` on `time.perf_counter`."""
+def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
+    """What a search has found, in numbers."""
     posterior = Posterior(search)
     scene, best = search.scene, posterior.best
     models = _ladder_of(search, fits, best)
@@ -324,10 +335,10 @@ def concluded(search: Search, fits: Fits, began: float, say: Callable[[str], Non
     advice = None
     rivals, p = posterior.rivals()
     if len(rivals) > 1:
-        say("looking for the experiment that would tell the models apart")
+        search.say("looking for the experiment that would tell the models apart")
         advice = next(iter(best_tests(fits.whole, scene, rivals, p).tests), None)
     if search.curves:
-        say("looking for its formula")
+        search.say("looking for its formula")
     source = _source(fits.whole)
     laws = laws_of(
         search, search.curves, posterior.of_curves.tolist(), best.log_evidence, fits, source

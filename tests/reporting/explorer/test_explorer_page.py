@@ -285,6 +285,25 @@ def test_what_is_hidden_shows_and_is_not_told(study):
         assert np.isfinite(hidden.angle).all()
 
 
+def test_a_live_search_says_what_a_diagnosis_does_and_the_page_what_to_check(study, offline):
+    swapped = [dataclasses.replace(r, angle=r.angle[:, ::-1]) for r in study.experiment.recordings]
+    made = dataclasses.replace(study.experiment, recordings=tuple(swapped))
+    live = Study(made)
+    found = live.diagnose(lambda words: None)
+    assert found.channels == residyn.diagnose(made).channels is not None
+    told = payload(live)["verdict"]
+    assert "exchanged" in told["check"]
+    script = """
+        const model = { how: "", fitted: [9, 9] };
+        const more = { base: model, chosen: [], candidates: new Map(), joints: ["a", "b"] };
+        const likeliest = { label: "none of the candidates" };
+        return m.verdict({ model, ...more, likeliest, found: given[0] }).words;
+    """
+    words = ask(offline, script, told)
+    assert words[0] == told["check"]
+    assert len(words) == 2  # and nothing of what may be missing
+
+
 def test_words(offline):
     script = "return [m.command(given[0], ['x:y z']), m.times(10.4), m.times(0.98)];"
     found = ask(offline, script, "a'b <i>.toml")

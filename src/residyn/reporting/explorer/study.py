@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...diagnosis.columns import Columns, Screened, extended
-from ...diagnosis.diagnose import MOST_EFFECTS, Fits, concluded
+from ...diagnosis.diagnose import MOST_EFFECTS, Fits, searched
 from ...diagnosis.evidence import INTENSITIES, prior_of
 from ...diagnosis.forecast import HeldOut, held_out
 from ...diagnosis.linearised_fit import LinearisedFit, evaluated, polish
@@ -94,7 +94,8 @@ class Study:
         self.experiment, self.effects, self.say = experiment, tuple(effects), say
         with jax.enable_x64(True):
             scene, base, wild = scene_of(experiment, effects)
-            self._keep(Search(scene, base, say=say), Fits(experiment, scene, wild, DEFAULT_STARTS))
+            whole = experiment.owning([e.label for e in base])
+            self._keep(Search(scene, base, say=say), Fits(whole, scene, wild, DEFAULT_STARTS))
             say("fitting springs and dampers")
             self.predict(())
 
@@ -363,8 +364,7 @@ class Study:
         began = time.perf_counter()
         with jax.enable_x64(True):
             self.search.say = say
-            self.search.run(most)
-            found = concluded(self.search, self.least_squares, began, say)
+            found = searched(self.search, self.least_squares, self.effects, most, began)
         self._learn(found)
         return found
 

@@ -72,7 +72,7 @@ export function verdict({ model, base, chosen, candidates, joints, heldOut, like
   const noise = joints.every(
     (_, j) => model.fitted[j] <= NOISE && (!model.held_out || model.held_out[j] <= NOISE),
   );
-  const words = [];
+  const words = found?.check ? [found.check] : [];
   if (!chosen.length) {
     const each = joints.map(
       (joint, j) => `${times(model.fitted[j])} times the noise at the ${joint}`,
@@ -99,7 +99,7 @@ export function verdict({ model, base, chosen, candidates, joints, heldOut, like
     words.push(`${falls}.`);
     words.push(noise ? "Nothing is left but noise." : "Something is still missing.");
   }
-  if (!noise && likeliest) {
+  if (!noise && likeliest && !found?.check) {
     const name = placed(candidates.get(likeliest.label), joints);
     const sure = likeliest.exact ? "" : ", to first order";
     words.push(`Most probable next: ${name} (${percent(likeliest.probability)}${sure}).`);
