@@ -410,13 +410,16 @@ def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...
 
 
 def values_of(scene: Scene, t: Trajectory) -> dict[str, Value]:
-    """The numbers of a smoothed model, by name, with their posterior standard deviations."""
+    """The numbers of a smoothed model, by name, with their posterior standard deviations; less
+    those that do nothing at all, as the second link's where there is one."""
     slopes, units = t.prior.slopes(t.u), scene.mechanisms[0].units
     spread = np.sqrt(np.maximum(np.diag(t.covariance)[: len(slopes)], 0.0)) * np.abs(slopes)
     found = {}
     for effect, own in zip(t.effects, number_slices(t.effects), strict=True):
         unit = units[scene.joint_of(effect)] if units else None
         for n, x, s in zip(numbers_of(effect), t.numbers[own], spread[own], strict=True):
+            if x == n.silent:  # exactly where its prior has it
+                continue
             found[f"{effect.label}.{n.name}"] = Value(float(x), float(s), n.dimension.unit(unit))
     return found
 

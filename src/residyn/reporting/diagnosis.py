@@ -277,7 +277,8 @@ def _numbers(found: Diagnosis, label: str) -> str:
     silent = {fit.numbers[group[0]].name for group in fit.open_groups if len(group) == 1}
     own = [n for n in fit.numbers if n.name.rpartition(".")[0] == label and n.name not in silent]
     if found.verdict == "unexplained" and not _instead(found):
-        return _values({n.name: found.parameters[n.name] for n in own})
+        beside = found.parameters
+        return _values({n.name: beside[n.name] for n in own if n.name in beside})
     told = []
     for n in own:
         value = measured(n.value, n.std, n.unit) if n.determined else "not determined"
@@ -300,10 +301,7 @@ def _would_add(candidate: Candidate, simpler: str) -> str:
     more = [
         f"{p.name} {measured(values[p.name].value, values[p.name].std, values[p.name].unit)}"
         for p in parameters_of(kind)
-        if p.name not in there
-        and p.silent is not None
-        and p.name in values
-        and values[p.name].value != p.silent  # exactly: of a joint that the mechanism lacks
+        if p.name not in there and p.silent is not None and p.name in values
     ]
     law = f"{lower(title(candidate.effect))} ({percent(candidate.probability)})"
     return f"{law} would add {listed(more)}" if more else f"{law} adds nothing"
