@@ -51,7 +51,12 @@ from residyn.diagnosis.diagnose import MOST_EFFECTS, Fits, Posterior
 from residyn.diagnosis.missing_torque import scene_of
 from residyn.diagnosis.search import Search
 from residyn.physics.modal import modes
-from residyn.procedure.over_models import Bare, errors_of, modes_over
+from residyn.procedure.over_models import (
+    Bare,
+    errors_of,
+    modes_over,
+    with_and_without_drag,
+)
 from residyn.procedure.unload import bare as without_bearings
 from residyn.recordings.limits import Limits
 from tests.rig.arm import Arm, paper_twin
@@ -209,7 +214,7 @@ def orbit(seed: int, i: int) -> dict[str, Any]:
 def bands(on: residyn.Experiment, way: str, alone: str | None, effects=()) -> dict[str, Any]:
     """95 % bands of each mode's frequency and damping ratio without bearings."""
     found = weighed(on, MOST_EFFECTS, effects)
-    models, p, _ = in_play(found.models, found.of_tried)
+    models, p, _ = with_and_without_drag(found.search)
     bare = []
     for rival in (Rival.of(found.search.scene, m) for m in models):
         off = without_bearings(on, rival.model, on.recordings[0])

@@ -515,14 +515,34 @@ class Search:
             ]
             if not todo:
                 return
-            self.in_time()
             self.say("simulating what is in play")
-            self._simulated.update(t.best for t in todo)
-            work = [functools.partial(self.exact, t) for t in todo]
-            for model, found in zip(todo, side_by_side(work), strict=True):
-                if found is not None:
-                    self.tried[frozenset(model.added)] = _exactly(model, found)
-            give_back()
+            self._without_torque(todo)
+
+    def _without_torque(self, models: Sequence[Tried]) -> None:
+        """Simulate models exactly, each once."""
+        self.in_time()
+        self._simulated.update(t.best for t in models)
+        work = [functools.partial(self.exact, t) for t in models]  # pyright: ignore
+        for model, found in zip(models, side_by_side(work), strict=True):
+            if found is not None:
+                self.tried[frozenset(model.added)] = _exactly(model, found)
+        give_back()
+
+    def beside(self, parent: Tried, label: str) -> Tried | None:
+        """A model with one more effect, whatever the prior of that; None where it ran away."""
+        key = frozenset([*parent.added, label])
+        if key not in self.tried:
+            trajectory, intensity = self.screening_motion(parent)
+            ranked = {s.effect.label: s for s in self.screen(parent).ranked}
+            start = self._start(parent, trajectory, ranked[label])
+            (found,) = settle(self.scene, [start], intensity, self.in_time)
+            if found is None:
+                return None
+            self._keep((*parent.added, label), *found)
+        model = self.tried[key]
+        if self.exact is not None and model.best not in self._simulated and model.complete > 0.5:
+            self._without_torque([model])
+        return self.tried[key]
 
     def screen(self, parent: Tried) -> Screen:
         """The first-order evidence of all candidates beside a model."""

@@ -26,11 +26,11 @@ from scipy.stats import norm
 from ..diagnosis.candidate_tests import Rival, Test, best_tests, in_play
 from ..diagnosis.columns import Columns
 from ..diagnosis.diagnose import Posterior
-from ..diagnosis.evidence import means_of_base, width_of
+from ..diagnosis.evidence import log_prior_model, means_of_base, shares, width_of
 from ..diagnosis.experiment_design import Quantity
 from ..diagnosis.plan import InPlay
-from ..diagnosis.search import Search
-from ..effects import InertiaError
+from ..diagnosis.search import Search, Tried
+from ..effects import BearingDrag, InertiaError
 from ..filtering.law import numbers_of
 from ..filtering.trajectory import Scene
 from ..physics.model import Model
@@ -132,8 +132,9 @@ def over_models(
 ) -> OverModels:
     """Step 3 over the models that a search leaves in play; `inertia` is the covariance (3, 3) of
     step 1."""
-    posterior, scene = Posterior(search), search.scene
-    models, p, left_out = in_play(posterior.models, posterior.of_tried)
+    scene = search.scene
+    say("weighing the drag of the bearings beside each model")
+    models, p, left_out = with_and_without_drag(search)
     say(f"taking the bearings off {len(models)} models")
     rivals = [Rival.of(scene, m) for m in models]
     errors = [errors_of(scene, r, inertia) for r in rivals]
@@ -162,6 +163,31 @@ def over_models(
         bare=bare[0],
         joints=scene.joints,
     )
+
+
+def with_and_without_drag(search: Search) -> tuple[list[Tried], np.ndarray, float]:
+    """The models in play with and without viscous drag of the bearings, their probabilities among
+    each other, and that of all that are left out.
+
+    To a search, drag is one of many effects that may be missing, and unlikely beforehand. A film of
+    air does drag; whether by enough to count beside the joints' dampers is as likely as not. The
+    recordings hardly say, for dampers of the joints do much the same; without bearings they stay.
+    """
+    posterior = Posterior(search)
+    models, p, left_out = in_play(posterior.models, posterior.of_tried)
+    drag = BearingDrag.name
+    if drag not in (e.label for e in search.candidates):
+        return models, p, left_out
+    found, logs = [], []
+    for rest in dict.fromkeys(frozenset(m.added) - {drag} for m in models):
+        without = search.tried.get(rest)
+        both = search.tried.get(rest | {drag}) or (without and search.beside(without, drag))
+        for model in (without, both):
+            if model is not None:
+                found.append(model)
+                logs.append(model.log_evidence + log_prior_model(len(rest), len(search.candidates)))
+    kept, p, _ = in_play(found, shares(np.array(logs)))
+    return kept, p, left_out
 
 
 def errors_of(scene: Scene, rival: Rival, inertia: np.ndarray | None) -> Carried:
