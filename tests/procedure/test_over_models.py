@@ -11,7 +11,7 @@ from residyn.diagnosis.candidate_tests import Rival
 from residyn.diagnosis.evidence import prior_of
 from residyn.diagnosis.missing_torque import scene_of
 from residyn.diagnosis.plan import InPlay
-from residyn.diagnosis.search import Tried, settle, tried_alone
+from residyn.diagnosis.search import Search, Tried, settle, tried_alone
 from residyn.effects import BearingDrag
 from residyn.procedure.carried import NAMES, inertias, slopes_of_modes
 from residyn.procedure.over_models import (
@@ -22,6 +22,7 @@ from residyn.procedure.over_models import (
     errors_of,
     modes_over,
     quantile,
+    with_and_without_drag,
 )
 from residyn.procedure.unload import bare
 from residyn.recordings.tables import ArmTable, Bearing
@@ -99,6 +100,31 @@ def test_damping_in_orbit_with_and_without_the_name(two):
     assert spread.from_name + spread.from_numbers + spread.from_inertias == pytest.approx(1.0)
 
 
+def test_drag_of_the_bearings_is_as_likely_as_not_before_the_recordings(two):
+    experiment, *_, truth = two
+    time = experiment.recordings[0].time
+    little = truth.with_values({"bearing_drag.coefficient": 0.01})
+    q = np.asarray(residyn.simulate(little, time, [0.2, -0.15]).q)
+    q = q + NOISE * np.random.default_rng(0).standard_normal(q.shape)
+    made = residyn.Recording.from_arrays(time, q, noise=NOISE)
+    scene, base, _ = scene_of(dataclasses.replace(experiment, recordings=(made,)), ())
+    search = Search(scene, base)
+    assert [m.added for m in search.tried.values()] == [()]
+    models, p, left_out = with_and_without_drag(search)
+    assert {m.added for m in models} == {(), ("bearing_drag",)}
+    apart = np.subtract(*(m.log_evidence for m in models))
+    assert p == pytest.approx(np.exp([apart, 0.0]) / (1 + np.exp(apart)), rel=1e-6)
+    assert left_out < 1e-9
+
+
+def test_an_arm_without_bearings_has_no_drag_of_theirs(two):
+    experiment, *_ = two
+    scene, base, _ = scene_of(dataclasses.replace(experiment, bearings=()), ())
+    models, p, _ = with_and_without_drag(Search(scene, base))
+    assert [m.added for m in models] == [()]
+    assert p == pytest.approx([1.0])
+
+
 def test_where_the_variance_comes_from(two):
     """Law of total variance, over two models that are alike likely."""
     experiment, scene, models, _ = two
@@ -139,6 +165,7 @@ def test_it_reads_in_80_columns():
     assert max(map(len, text.splitlines())) <= 80
     assert "drag of the air bearings" in text
     assert "70 %" in text
+    assert "was as likely as not beside each model" in " ".join(text.split())
     assert "0.4900 to 0.5100 Hz" in text
     assert "expected to narrow it to +/- 0.0040." in " ".join(text.split())
     assert list(found.to_dict()) == [

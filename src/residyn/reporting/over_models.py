@@ -1,5 +1,6 @@
 """What is said of step 3 over all models in play: their probabilities, bands, and what to do."""
 
+from ..effects import BearingDrag
 from ..procedure.over_models import OverModels, Spread
 from .layout import Table, filled, printed
 from .names import named, upper
@@ -12,6 +13,7 @@ _NAMES = {"frequency_hz": ("frequency", "Hz"), "damping_ratio": ("damping ratio"
 def text(found: OverModels) -> str:
     """In 80 columns."""
     out = ["[[In orbit, over all models]]", *printed(models_table(found))]
+    out += filled(drag_words(found), "    ")
     for theta2, table in modes_tables(found):
         out += [f"[[Modes over all models]]  elbow at {theta2} rad", *printed(table)]
     return "\n".join([*out, *filled(narrowing_words(found), "    ")])
@@ -21,6 +23,16 @@ def models_table(found: OverModels) -> Table:
     """The models in play."""
     rows = [[named(m.added, found.joints), percent(m.probability)] for m in found.models]
     return Table(["model", "probability"], rows)
+
+
+def drag_words(found: OverModels) -> str:
+    """What was taken to be known of the bearings' drag; empty if it is in no model."""
+    if not any(BearingDrag.name in m.added for m in found.models):
+        return ""
+    return (
+        "Before the recordings, drag of the bearings was as likely as not beside each model: "
+        "dampers of the joints do much the same, and stay without bearings."
+    )
 
 
 def modes_tables(found: OverModels) -> list[tuple[str, Table]]:
