@@ -500,6 +500,16 @@ def test_the_kind_of_law_is_told_before_the_law():
     assert p[0] > 0.5 > p[1]
 
 
+@pytest.mark.parametrize("most", [LABELS[0], LABELS[2]])
+def test_of_kinds_in_the_same_models_the_first_is_what_explains_most_alone(most):
+    each = np.full((len(SETS), len(INTENSITIES)), -40.0)
+    each[SETS.index((LABELS[0], LABELS[2])), -1] = 0.0
+    each[SETS.index((most,)), -1] = -20.0
+    first, second = posterior(each).families()[:2]
+    assert first.probability == pytest.approx(second.probability, abs=1e-6)
+    assert most in dict(first.members)
+
+
 @given(evidences, st.sampled_from([NOWHERE, WRONG]))
 def test_effects_are_missing_no_surer_than_any_is_named(each, motion):
     """Also where no name is at work, for all stand beside a damper below zero."""

@@ -503,11 +503,18 @@ class Posterior:
         likeliest: Verdict = max(sums, key=lambda v: sums[v])  # pyright: ignore
         return likeliest, float(sums[likeliest])
 
+    def _alone(self, label: str) -> float:
+        """Log evidence of the base model with one effect, to first order if it was not tried."""
+        tried = self.search.tried.get(frozenset([label]))
+        if tried is not None:
+            return tried.log_evidence
+        screen = self.search.screens.get(frozenset())
+        gains = (s.gain for s in (screen.ranked if screen else ()) if s.effect.label == label)
+        return self.search.base.log_evidence + next(gains, -math.inf)
+
     def candidates(self) -> tuple[Candidate, ...]:
         """Every effect and place."""
         found = []
-        first = self.search.screens.get(frozenset())
-        screens = {s.effect.label: s for s in (first.ranked if first else ())}
         for effect in self.search.candidates:
             label = effect.label
             alone = self.search.tried.get(frozenset([label]))
@@ -516,10 +523,8 @@ class Posterior:
             if alone is not None:
                 values = values_of(self.search.scene, alone.best)
                 parameters = {k: v for k, v in values.items() if k.startswith(f"{label}.")}
-                evidence = alone.log_evidence
-            elif label in screens:
-                evidence = self.search.base.log_evidence + screens[label].gain
-            else:
+            evidence = self._alone(label)
+            if evidence == -math.inf:
                 continue
             found.append(
                 Candidate(
@@ -544,9 +549,15 @@ class Posterior:
             members = sorted(((x, self.of([x])) for x in labels), key=lambda m: -m[1])
             known = self.of(labels, kind), tuple(members), self.of((), kind)
             found.append(Family(name, place, *known))
-        # As probable to a per cent is what is in the same models: names joined them first.
-        named = lambda f: max(p for _, p in f.members)  # noqa: E731
-        return tuple(sorted(found, key=lambda f: (-round(f.probability, 2), -named(f))))
+
+        def order(f: Family):
+            # As probable to a per cent is what is in the same models: what has a name is first, and
+            # of those what explains most by itself.
+            unnamed = max(p for _, p in f.members) < 0.5 * f.probability
+            most = max(self._alone(x) for x, _ in f.members)
+            return -round(f.probability, 2), unnamed, -most
+
+        return tuple(sorted(found, key=order))
 
     def _explanations(self) -> list[list[int]]:
         """The models that were tried, those of the same kinds of law and places together, the
