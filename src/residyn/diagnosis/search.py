@@ -529,13 +529,15 @@ class Search:
         give_back()
 
     def beside(self, parent: Tried, label: str) -> Tried | None:
-        """A model with one more effect, whatever the prior of that; None where it ran away."""
+        """A model with one more effect, whatever the prior of that; None where it ran away, or has
+        that law already. For after a search: its deadline is no more."""
+        self.deadline = math.inf
         key = frozenset([*parent.added, label])
         if key not in self.tried:
             trajectory, intensity = self.screening_motion(parent)
-            ranked = {s.effect.label: s for s in self.screen(parent).ranked}
-            start = self._start(parent, trajectory, ranked[label])
-            (found,) = settle(self.scene, [start], intensity, self.in_time)
+            row = next((s for s in self.screen(parent).ranked if s.effect.label == label), None)
+            start = row and self._start(parent, trajectory, row)
+            (found,) = settle(self.scene, [start], intensity) if start else (None,)
             if found is None:
                 return None
             self._keep((*parent.added, label), *found)

@@ -1,5 +1,7 @@
 """Gravity in the plane of motion: a tilted table or, at 90 degrees, a pendulum."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
@@ -36,7 +38,7 @@ class Pendulum(AbstractEffect):
     @classmethod
     def places(cls, mechanism):
         for joint, angle in zip(mechanism.joints, _at_rest(mechanism, cls.name), strict=False):
-            if not isinstance(angle, Tracer) and abs(jnp.sin(angle)) > HANGING:
+            if not isinstance(angle, Tracer) and abs(math.sin(angle)) > HANGING:
                 raise ValueError(
                     f"a pendulum hangs straight down at rest, and the link at {joint} is at "
                     f"{float(angle):.4g} rad then; name gravity"
