@@ -15,7 +15,18 @@ from ..physics.parameter import MOMENT, TORQUE, param
 HANGING = 1e-4
 
 
-class Pendulum(AbstractEffect):
+class _Weight(AbstractEffect):
+    """Gravity on the links of an arm."""
+
+    family = "gravity"
+
+    moment1: Scalar = param(
+        "pull of link 1 (and what it carries) towards 0", MOMENT, joint=0, as_spring=True
+    )
+    moment2: Scalar = param("pull of link 2 towards 0", MOMENT, as_spring=True)
+
+
+class Pendulum(_Weight):
     """Gravity on links that hang straight down at rest, in the sine of their absolute angles.
 
     With phi_1 = q1 and phi_2 = q1 + theta_2 + q2, link i pulls with `M_i sin(phi_i)` on every joint
@@ -25,15 +36,9 @@ class Pendulum(AbstractEffect):
 
     name = "pendulum"
     title = "Gravity of a pendulum"
-    family = "gravity"
     equation = "sum of M_i sin(phi_i), phi_i the links' absolute angles"
     looks_like = "frequency falls with amplitude, alike to both sides"
     source = "Lagrange, with V = sum of -M_i cos(phi_i)"
-
-    moment1: Scalar = param(
-        "pull of link 1 (and what it carries) towards 0", MOMENT, joint=0, as_spring=True
-    )
-    moment2: Scalar = param("pull of link 2 towards 0", MOMENT, as_spring=True)
 
     @classmethod
     def places(cls, mechanism):
@@ -51,7 +56,7 @@ class Pendulum(AbstractEffect):
         return _carried(tuple(m * jnp.sin(x) for m, x in zip(parts, angles, strict=False)))
 
 
-class Gravity(AbstractEffect):
+class Gravity(_Weight):
     """Gravity on each link, in the sine of the link's absolute angle, not linearised.
 
     With phi_1 = q1 and phi_2 = q1 + theta_2 + q2, link i pulls with
@@ -63,16 +68,11 @@ class Gravity(AbstractEffect):
 
     name = "gravity"
     title = "Gravity"
-    family = "gravity"
     equation = "sum of M_i sin(phi_i) + L_i cos(phi_i), phi_i the links' absolute angles"
     looks_like = "frequency falls with amplitude; rest shifts on a tilted table"
     source = "Lagrange, with V = sum of -M_i cos(phi_i) + L_i sin(phi_i)"
     extends = "pendulum"
 
-    moment1: Scalar = param(
-        "pull of link 1 (and what it carries) towards 0", MOMENT, joint=0, as_spring=True
-    )
-    moment2: Scalar = param("pull of link 2 towards 0", MOMENT, as_spring=True)
     lateral1: Scalar = param("pull of link 1 across", TORQUE, joint=0)
     lateral2: Scalar = param("pull of link 2 across", TORQUE)
 
