@@ -112,10 +112,10 @@ def diagnose(
         experiment = experiment.owning([e.label for e in base])
         fits = Fits(experiment, scene, wild, starts)
         search = Search(scene, base, deadline=deadline, say=say)
-        return searched(search, fits, effects, max_effects, began)
+        return diagnosed(search, fits, effects, max_effects, began)
 
 
-def searched(
+def diagnosed(
     search: Search,
     fits: "Fits",
     effects: Sequence[str | AbstractEffect],

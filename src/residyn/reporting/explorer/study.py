@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...diagnosis.columns import Columns, Screened, extended
-from ...diagnosis.diagnose import MOST_EFFECTS, Fits, searched
+from ...diagnosis.diagnose import MOST_EFFECTS, Fits, diagnosed
 from ...diagnosis.evidence import INTENSITIES, prior_of
 from ...diagnosis.forecast import HeldOut, held_out
 from ...diagnosis.linearised_fit import LinearisedFit, evaluated, polish
@@ -364,7 +364,7 @@ class Study:
         began = time.perf_counter()
         with jax.enable_x64(True):
             self.search.say = say
-            found = searched(self.search, self.least_squares, self.effects, most, began)
+            found = diagnosed(self.search, self.least_squares, self.effects, most, began)
         self._learn(found)
         return found
 
