@@ -46,6 +46,7 @@ _CALLS = 4  # of at most `least_squares.STEPS` steps
 _BEHIND = 25.0  # times the least cost: a start that is worse after a horizon does not go on
 _SAME = 0.5  # starts that end within this many standard errors of another one have ended there
 _CYCLES = 3  # of the fastest mode, in the first horizon and in a segment
+_MOST = 0.7  # of a recording: what is predicted from it is less than half as much again
 _MOST_OUTLIERS = 0.05  # a larger share of readings is not a few outliers, it is another motion
 _ROUNDS = 3
 _EXCESS = 2.0  # times the noise, where a law that sticks or rattles leaves more
@@ -239,7 +240,7 @@ def horizons(here: Ready, frequency: float) -> list[float]:
     """
     longest = max(r.duration for r in here.recordings)
     shares = [min(1.0, _CYCLES * 2 * math.pi / frequency / longest)]
-    while len(shares) < 2 or (here.model.rough and shares[-1] < 0.7):
+    while len(shares) < 2 or (here.model.rough and shares[-1] < _MOST):
         shares.append(math.sqrt(shares[-1]))
     return sorted({*shares[: SHARES - 1], 1.0})
 
