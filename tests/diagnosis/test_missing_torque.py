@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import residyn
 from residyn.diagnosis import missing_torque
@@ -75,6 +76,26 @@ def test_it_finds_a_step_of_friction_at_its_joint(friction, found):
     assert held > 0.95
     # The shoulder lacks nothing, and its band says so.
     assert np.mean(np.abs(found.torque[:, 0]) <= 1.96 * found.std[:, 0]) > 0.95
+
+
+def test_its_share_is_of_all_that_pulls_the_joint_back():
+    """Of gravity beside a spring; of the spring alone it would be four times as large."""
+    stiffness, moment, t = 0.5, 1.5, np.arange(0.0, 10.0, 0.02)
+
+    def rates(_, x):
+        missing = 0.02 * x[1] * abs(x[1])
+        return x[1], -(stiffness * x[0] + moment * np.sin(x[0]) + 0.01 * x[1] + missing) / 0.1
+
+    q = solve_ivp(rates, (0, 10), (0.8, 0.0), t_eval=t, rtol=1e-10, atol=1e-12).y[0]
+    q = q + NOISE * np.random.default_rng(0).standard_normal(len(t))
+    model = residyn.Model(residyn.ConstantInertia([[0.1]], ["axis"], ["rad"]))
+    for effect in (residyn.Spring("axis", stiffness), residyn.Damper("axis", 0.01)):
+        model = model + effect
+    model = model + residyn.Pendulum(moment, 0.0)
+    found = missing_torque(model, residyn.Recording.from_arrays(t, q[:, None], noise=NOISE))
+    own = stiffness * found.angle[:, 0] + moment * np.sin(found.angle[:, 0])
+    whole = found.rms[0] / found.share_of_spring[0]
+    assert whole == pytest.approx(np.sqrt(np.mean(own**2)), rel=0.02)
 
 
 def test_a_clean_arm_lacks_next_to_nothing():
