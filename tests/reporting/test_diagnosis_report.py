@@ -227,7 +227,7 @@ def test_what_has_no_name_may_be_in_the_place_of_what_was_added():
 def test_a_model_of_nothing_says_what_to_check():
     made = by_hand.unexplained(explains_nothing=True)
     words = " ".join(made.words)
-    assert words.startswith("The model explains nothing of this motion, so no effect can be named")
+    assert words.startswith("The model does not explain this motion, so no effect can be named")
     for check in ("units", "rest", "column", "inertias"):
         assert check in words
     assert "is missing" not in words

@@ -165,16 +165,17 @@ class Fits:
         return self.begin(tried).result()
 
     def simulated(self, tried: Tried) -> Simulated | None:
-        """One model without a random torque, by exact simulation; None if it cannot be had, or if
-        its evidence then would be hopelessly less than with one."""
+        """One model without a random torque, by exact simulation; None if it cannot be had. One
+        whose evidence is then hopelessly less than the filter's has just that."""
         try:
             fit = self.begin(tried, self._enough(tried)).result()
             return simulated(self.scene, tried.best, fit)
         except Hopeless:
             del self._begun[tried.best]  # a fit that is shown is a whole one
+            P, t = len(tried.best.prior.mean), tried.best
+            return Simulated(tried.log_evidence - HOPELESS, t.u[:P], t.covariance[:P, :P])
         except FitError:
-            pass
-        return None
+            return None
 
     def _enough(self, tried: Tried) -> float:
         """The squared whitened residuals from which a model's evidence without a random torque is

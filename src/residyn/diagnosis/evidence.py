@@ -75,9 +75,9 @@ strength: half a decade apart, down to where an effect is hardly worth naming.""
 CURVE_LENGTHS = (0.08, 0.2, 0.5, 1.5)
 """Correlation lengths of a free curve, in the visited range of its variable: from what its splines
 can just follow to a bend over the whole range."""
-EXPLAINS_NOTHING = WIDTH
+EXPLAINS_NOTHING = INTENSITIES[0]
 """Random torque from which a model is none of the motion at all: what it lacks is then as large as
-effects are expected to be."""
+the spring's own torque."""
 READINGS_LEAD = INTENSITIES[4]
 """Random torque, at least, along whose motion candidates are screened, the middle of the grid: the
 motion is the readings', not that of a model that may be wrong."""

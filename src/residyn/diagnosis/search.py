@@ -37,6 +37,7 @@ from .evidence import (
     NEGLIGIBLE,
     READINGS_LEAD,
     STRENGTHS,
+    WIDTH,
     half_normals,
     log_prior_intensity,
     log_prior_model,
@@ -438,9 +439,9 @@ class Search:
 
     @property
     def reassigned(self) -> Any:
-        """The likeliest other reading of the columns, if it explains any of the motion and is
-        likelier than all models of the columns as they stand; else None."""
-        each = [r for r in self.reassignments if r.tried.intensity < EXPLAINS_NOTHING]
+        """The likeliest other reading of the columns, if it leaves less than an effect might
+        explain and is likelier than all models of the columns as they stand; else None."""
+        each = [r for r in self.reassignments if r.tried.intensity < WIDTH]
         likeliest = max(each, key=self.log_posterior_of, default=None)
         if likeliest is None or self.log_posterior_of(likeliest) < self.best.log_posterior:
             return None
@@ -709,10 +710,12 @@ class Search:
 
 
 def _exactly(model: Tried, found: Simulated) -> Tried:
-    """A model that was simulated exactly without a random torque. Linearised once along one motion
-    it errs alike under all random torques; what sticks has a motion of its own under each."""
+    """A model that was simulated exactly without a random torque. Linearised once along the motion
+    without one it errs alike under all random torques; not so along another, from which the motion
+    without any is far, and what sticks has a motion of its own under each."""
     off = found.log_evidence - model.evidences[-1]
-    alike = np.isfinite(off) and not _sticks(model.best)
+    near = model.evidences[-1] > model.evidences.max() - INDISTINGUISHABLE
+    alike = near and not _sticks(model.best)
     evidences = model.evidences + off if alike else model.evidences.copy()
     evidences[-1] = found.log_evidence
     return dataclasses.replace(model, evidences=evidences, simulated=found)

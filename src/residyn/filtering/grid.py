@@ -103,10 +103,7 @@ class Spectrum(NamedTuple):
         even, use = np.arange(0.0, time[-1], dt), np.isfinite(recording.angle) & ~wild
         pairs = zip(use.T, recording.angle.T, strict=True)
         ways = np.stack([_bridged(time[u], angle[u], even) for u, angle in pairs], axis=1)
-        off = ways[0] - np.median(ways[0], axis=1, keepdims=True)
-        moved = np.cumsum(np.sum(off**2, axis=0))
-        end = int(np.searchsorted(moved, (1 - _MINOR) * moved[-1])) + 1
-        x = ways[..., : max(end, 2 * _WIDE)]
+        x = ways[..., : max(moving(ways[0].T), 2 * _WIDE)]
         x = np.concatenate([x[..., :0:-1], x], axis=-1) if mirrored else x
         window = np.hanning(x.shape[-1])
         found = np.fft.rfft((x - x.mean(axis=-1, keepdims=True)) * window)
@@ -258,3 +255,11 @@ def local_amplitude(time: np.ndarray, angle: np.ndarray, period: float) -> np.nd
 
     centred = (angle - angle.mean(axis=0)).T
     return np.stack([np.sqrt(2 * np.maximum(mean(q**2) - mean(q) ** 2, 0.0)) for q in centred], 1)
+
+
+def moving(angle: np.ndarray) -> int:
+    """How many instants of (N, n) angles come before next to nothing moves: all but a minor part of
+    the squares about rest lies in them, however long it was recorded after."""
+    off = angle - np.median(angle, axis=0)
+    moved = np.cumsum(np.sum(off**2, axis=1))
+    return int(np.searchsorted(moved, (1 - _MINOR) * moved[-1])) + 1

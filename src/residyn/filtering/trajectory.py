@@ -22,7 +22,7 @@ from ..physics.inertia import AbstractInertia
 from ..physics.model import Model
 from ..physics.parameter import Parameter, Scales
 from ..recordings.recording import Recording
-from .grid import Grid, Spectrum, lay_out
+from .grid import Grid, Spectrum, lay_out, moving
 from .kalman import Evidences, Noise, Readings, evidences, smooth
 from .law import (
     REGRESSORS,
@@ -158,9 +158,10 @@ class Scene:
             v[own] = np.gradient(q[own], g.time[own], axis=0)
         q[g.real :], v[g.real :] = q[g.real - 1], 0.0
         self.q, self.v = q, v
-        seen = np.arange(self.K) < g.real
+        each = map(g.of, range(len(recordings)))
+        moves = np.concatenate([own[: moving(q[own])] for own in each])
         noise = np.sqrt(g.variance[0]) * recordings[0].as_angles.noise / recordings[0].noise
-        amplitude = np.maximum(np.std(q[seen], axis=0), 3 * noise)
+        amplitude = np.maximum(np.std(q[moves], axis=0), 3 * noise)
         duration = recordings[long].duration
         slowest = 2 * math.pi / duration
         pace = np.maximum(np.sqrt(stiffness / np.diag(inertia)), slowest)

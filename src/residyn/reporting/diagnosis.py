@@ -153,8 +153,8 @@ def _nothing_explained(found: Diagnosis) -> list[str]:
         for r in found.random_torque
     ]
     words = [
-        "The model explains nothing of this motion, so no effect can be named: it lacks a torque "
-        f"of {listed(sizes)}.",
+        "The model does not explain this motion, so no effect can be named: beside its springs it "
+        f"needs a torque as large as theirs or larger: {listed(sizes)}.",
         "Check the recordings first: the units (rad or m, s), whether angles are counted from "
         "where the joints rest, whether each column is the joint that it is named after, and "
         "whether the inertias are of this arm.",
@@ -547,7 +547,7 @@ def title_of(found: Diagnosis) -> str:
     if found.channels is not None:
         return "The columns of the recordings are not what the file says"
     if found.explains_nothing:
-        return "The model explains nothing of this motion"
+        return "The model does not explain this motion"
     if found.verdict == "adequate":
         return "Nothing is missing"
     if untried(found):
