@@ -381,3 +381,24 @@ def test_typical_torque_of_a_driven_slide_without_a_spring_is_the_motors():
     slide = ConstantInertia([[1.0]], joints=("slide",), units=("m",))
     scene = Scene([seen], [slide], [np.zeros((2000, 1), bool)])
     assert scene.torque[0] / np.sqrt(2) == pytest.approx(np.std(force), rel=0.1)
+
+
+def test_sizes_are_those_of_the_motion_however_long_it_rests_after():
+    time, rng = np.arange(1200) / 30, np.random.default_rng(6)
+    decayed = 0.3 * np.exp(-0.15 * 5 * time) * np.cos(5 * time)
+    angle = (decayed + 1e-4 * rng.standard_normal(len(time)))[:, None]
+    table, amplitude = ConstantInertia([[2.0]], ["joint"]), []
+    for count in (200, 1200):  # it has decayed to 0.2 mrad after 200
+        seen = Recording.from_arrays(time[:count], angle[:count], noise=1e-4)
+        scene = Scene([seen], [table], [np.zeros((count, 1), bool)])
+        amplitude.append(scene.scales[0].amplitude)
+    np.testing.assert_allclose(*amplitude, rtol=0.05)
+
+
+def test_no_evidence_is_above_the_density_of_readings_without_a_residual():
+    recording, _ = a_recording(ARM + Spring("shoulder", 30.0) + Spring("elbow", 8.0))
+    scene = Scene([recording], [ARM], [np.zeros(recording.angle.shape, bool)])
+    highest = scene.length * -np.log(1e-4 * np.sqrt(2 * np.pi))
+    found = scene.possible(highest + np.array([-1.0, 1.0, np.inf, np.nan, -np.inf]))
+    assert found[0] == highest - 1.0
+    assert np.all(found[1:] == -np.inf)

@@ -166,14 +166,15 @@ class Fits:
 
     def simulated(self, tried: Tried) -> Simulated | None:
         """One model without a random torque, by exact simulation; None if it cannot be had. One
-        whose evidence is then hopelessly less than the filter's has just that."""
+        whose evidence is then hopelessly less than the filter's has just that much less."""
         try:
             fit = self.begin(tried, self._enough(tried)).result()
             return simulated(self.scene, tried.best, fit)
         except Hopeless:
             del self._begun[tried.best]  # a fit that is shown is a whole one
             P, t = len(tried.best.prior.mean), tried.best
-            return Simulated(tried.log_evidence - HOPELESS, t.u[:P], t.covariance[:P, :P])
+            least = min(tried.evidences[-1], tried.log_evidence - HOPELESS)
+            return Simulated(float(least), t.u[:P], t.covariance[:P, :P])
         except FitError:
             return None
 

@@ -334,8 +334,7 @@ def _posterior(along: Along, place: Place, intensities, totals, grams) -> Poster
         scale[1 + P :, 1 + P :] = roots[np.argmax(gains)]
         evidences.append(total + base + log_sum(gains) + signs(along, scale.T @ square @ scale))
         each.append((mean, covariance))
-    evidences = np.array(evidences)
-    evidences = np.where(np.isfinite(evidences), evidences, -np.inf)
+    evidences = along.scene.possible(np.array(evidences))
     logs = evidences + log_prior_intensity(intensities)
     weights = shares(logs)
     means, covariances = (np.stack(x) for x in zip(*each, strict=True))

@@ -295,7 +295,7 @@ def _evidences(scene: Scene, t: Trajectory, linear: Linear, levels: np.ndarray) 
         some = levels[np.minimum(np.arange(i, i + _NEAR), len(levels) - 1)]
         each = scene.evidences(t, linear, np.array(INTENSITIES)[some])
         known = each.log_evidence + half_normals(t.effects, t.prior, each)
-        found[some] = np.where(np.isfinite(known), known, -np.inf)
+        found[some] = scene.possible(known)
     return found
 
 

@@ -270,6 +270,14 @@ class Scene:
         growth[g.last, : 2 * n + M] += variance
         return Noise(mean, np.concatenate([variance, loud]), decay, growth)
 
+    def possible(self, evidences: np.ndarray) -> np.ndarray:
+        """Log evidences, but -inf where they are not finite, or above the density of the readings
+        without any residual: noise is in every innovation, so that only rounding comes so high, of
+        a model whose motion grows exponentially."""
+        g = self.grid
+        highest = -0.5 * np.sum(np.where(g.seen, np.log(2 * np.pi * g.variance), 0.0))
+        return np.where(evidences <= highest, evidences, -np.inf)
+
     def evidences(
         self, t: Trajectory, linear: Linear, intensities: Sequence[float] | np.ndarray
     ) -> Evidences:
