@@ -713,10 +713,10 @@ def _exactly(model: Tried, found: Simulated) -> Tried:
     """A model that was simulated exactly without a random torque. Linearised once along the motion
     without one it errs alike under all random torques; not so along another, from which the motion
     without any is far, and what sticks has a motion of its own under each."""
-    off = found.log_evidence - model.evidences[-1]
-    near = model.evidences[-1] > model.evidences.max() - INDISTINGUISHABLE
-    alike = near and not _sticks(model.best)
-    evidences = model.evidences + off if alike else model.evidences.copy()
+    evidences = model.evidences.copy()
+    near = evidences[-1] > evidences.max() - INDISTINGUISHABLE
+    if near and not _sticks(model.best):
+        evidences += found.log_evidence - evidences[-1]
     evidences[-1] = found.log_evidence
     return dataclasses.replace(model, evidences=evidences, simulated=found)
 
