@@ -476,8 +476,8 @@ class Search:
             self.reassignments = reassign()
             give_back()
         other = self.reassigned
-        if other and (other.tried.complete > 0.5 or self.base.intensity >= EXPLAINS_NOTHING):
-            return  # nothing is left to be explained, or all
+        if other and (other.tried.complete > 0.5 or self.base.intensity >= WIDTH):
+            return  # nothing is left to be explained, or as much as effects are
         extended: set[frozenset[str]] = set()
         self.screen(self.base)
         self._simulate()
