@@ -41,6 +41,7 @@ from residyn.diagnosis.evidence import (
 from residyn.diagnosis.free_curves import CurveModel, Kind, Place
 from residyn.diagnosis.linearised_fit import Minimum
 from residyn.diagnosis.search import Tried, settle, tried_alone
+from residyn.diagnosis.simulated import Simulated
 from residyn.effects import (
     AirDrag,
     ConstantTorque,
@@ -388,6 +389,18 @@ def test_a_name_is_sure_where_little_is_left_beside_it():
     outside = OUTSIDE * 2 * (norm.cdf(high / WIDTH) - norm.cdf(low / WIDTH))
     work = (1 - OUTSIDE) * 0.5 / 8
     assert found[0.01] == pytest.approx(work / (work + outside), rel=1e-6)
+
+
+@pytest.mark.parametrize(("least", "shift"), [(-1.0, -30.0), (-300.0, 0.0), (-np.inf, 0.0)])
+def test_what_an_exact_simulation_changes_is_true_of_motions_that_are_near(least, shift):
+    """Of a motion under a random torque that is needed, one without any says nothing."""
+    each = np.append(-np.arange(len(INTENSITIES) - 1.0), 0.0)
+    each[-1] = least
+    model = Tried((), each, NOWHERE, 0.0)
+    end = (least if np.isfinite(least) else -300.0) - 30.0
+    found = model.simulated_as(Simulated(end, np.zeros(0), np.zeros((0, 0))))
+    assert found.evidences[-1] == end
+    assert np.allclose(found.evidences[:-1], each[:-1] + shift)
 
 
 def test_unknowns_that_rounding_cannot_tell_apart_leave_a_fit_compressed():

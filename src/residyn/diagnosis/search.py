@@ -105,6 +105,17 @@ class Tried:
         torque taken away may lead astray."""
         return silenced(scene, self.best, self.intensity), self.best
 
+    def simulated_as(self, found: Simulated) -> "Tried":
+        """This model, with its exact simulation without a random torque. Linearised once along the
+        motion without one it errs alike under all random torques; not so along another, from which
+        the motion without any is far, and what sticks has a motion of its own under each."""
+        evidences = self.evidences.copy()
+        near = evidences[-1] > evidences.max() - INDISTINGUISHABLE
+        if near and not _sticks(self.best):
+            evidences += found.log_evidence - evidences[-1]
+        evidences[-1] = found.log_evidence
+        return dataclasses.replace(self, evidences=evidences, simulated=found)
+
     def over_torques(self, scene: Scene) -> list[tuple[float, Trajectory]]:
         """The motion under each random torque that counts, with its posterior probability."""
         system = scene.linearised(self.best)
@@ -526,7 +537,7 @@ class Search:
         work = [functools.partial(self.exact, t) for t in models]  # pyright: ignore
         for model, found in zip(models, side_by_side(work), strict=True):
             if found is not None:
-                self.tried[frozenset(model.added)] = _exactly(model, found)
+                self.tried[frozenset(model.added)] = model.simulated_as(found)
         give_back()
 
     def beside(self, parent: Tried, label: str) -> Tried | None:
@@ -707,18 +718,6 @@ class Search:
         for (model, label, less), found in zip(todo, each, strict=True):
             if found is not None:
                 self._keep(_replaced(model.added, label, less), *found)
-
-
-def _exactly(model: Tried, found: Simulated) -> Tried:
-    """A model that was simulated exactly without a random torque. Linearised once along the motion
-    without one it errs alike under all random torques; not so along another, from which the motion
-    without any is far, and what sticks has a motion of its own under each."""
-    evidences = model.evidences.copy()
-    near = evidences[-1] > evidences.max() - INDISTINGUISHABLE
-    if near and not _sticks(model.best):
-        evidences += found.log_evidence - evidences[-1]
-    evidences[-1] = found.log_evidence
-    return dataclasses.replace(model, evidences=evidences, simulated=found)
 
 
 def _replaced(added: Sequence[str], label: str, less: AbstractEffect | None) -> tuple[str, ...]:
