@@ -3,7 +3,8 @@
     python -m benchmarks.speed
     python -m benchmarks.speed evaluations      one evaluation of the model and its derivatives
     python -m benchmarks.speed parts            what a warm fit spends its time on
-    python -m benchmarks.speed many             fits a second of a bootstrap
+    python -m benchmarks.speed many [BATCH...]  fits a second of a bootstrap, so many side by side
+    python -m benchmarks.speed starts           one warm fit from 1 to 1024 starts
     python -m benchmarks.speed programs         what a first fit and a first diagnosis compile
     python -m benchmarks.speed scaling          how a fit grows with its data; a picture
 
@@ -15,6 +16,7 @@ nothing where it ends in a wrong valley.
 
 import dataclasses
 import functools
+import os
 import sys
 import time
 from pathlib import Path
@@ -152,17 +154,46 @@ def programs(experiment) -> None:
             print(f"| {what} | {name} | {len(took)} | {sum(took):.2f} | {reason} |", flush=True)
 
 
-def many(case, noise: float) -> None:
-    """Fits a second of a bootstrap."""
-    fit = residyn.fit(experiment_of(case, noise), starts=1)
-    residyn.bootstrap(fit, 8)
+def many(experiment, batches: list[int | None]) -> None:
+    """Fits a second of a bootstrap, `batches` side by side on each device; None is the default."""
+    fit = residyn.fit(experiment, starts=1)
     draws = 10_000
-    began = time.perf_counter()
-    found = residyn.bootstrap(fit, draws)
-    seconds = time.perf_counter() - began
-    settled = int(found.converged.sum())
-    pace = draws / seconds
-    print(f"bootstrap: {draws} fits in {seconds:.0f} s, {pace:.0f} a second, {settled} settled")
+    print("| device | fits | side by side | first, s | warm, s | fits a second | settled |")
+    print("|---|---|---|---|---|---|---|")
+    for batch in batches:
+        took = []
+        for _ in range(2):
+            began = time.perf_counter()
+            found = residyn.bootstrap(fit, draws, batch=batch)
+            took.append(time.perf_counter() - began)
+        width = "default" if batch is None else batch
+        row = f"{width} | {took[0]:.1f} | {took[1]:.1f} | {draws / took[1]:.0f}"
+        print(f"| {_device()} | {draws} | {row} | {found.converged.sum()} |", flush=True)
+
+
+def more_starts(experiment) -> None:
+    """Warm fits from more and more starts."""
+    print("| device | starts | first, s | warm, median (min to max), s | over one start |")
+    print("|---|---|---|---|---|")
+    one = np.nan
+    for count in GROWN["starts"]:
+        took = []
+        for _ in range(6):
+            again = unseen(experiment)
+            began = time.perf_counter()
+            residyn.fit(again, starts=count)
+            took.append(time.perf_counter() - began)
+        warm = float(np.median(took[1:]))
+        one = warm if count == 1 else one
+        spread = f"{warm:.3f} ({min(took[1:]):.3f} to {max(took[1:]):.3f})"
+        row = f"{count} | {took[0]:.1f} | {spread} | {warm / one:.1f}"
+        print(f"| {_device()} | {row} |", flush=True)
+
+
+def _device() -> str:
+    """What the fits run on."""
+    device = jax.devices()[0]
+    return f"{len(os.sched_getaffinity(0))} cores" if device.platform == "cpu" else str(device)
 
 
 GROWN: dict[str, tuple[int, ...]] = {
@@ -250,7 +281,8 @@ def main() -> None:
             "evaluations": evaluations,
             "parts": parts,
             "programs": programs,
-            "many": lambda _: many(case, noise),
+            "many": lambda e: many(e, [int(w) for w in words[1:]] or [None]),
+            "starts": more_starts,
             "scaling": lambda _: scaling(),
         }
         some[words[0]](experiment)

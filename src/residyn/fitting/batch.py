@@ -28,7 +28,7 @@ from .multistart import DEFAULT_STARTS
 from .result import Fit, FitError
 from .result_lines import ResultLines, digest
 
-_TOGETHER = 16  # fits on each device that is no CPU
+_TOGETHER = 256  # fits on each device that is no CPU; of one with 2000 samples it takes 3 MB
 AHEAD = 64  # fits that an executor holds: enough for many workers, little memory
 
 

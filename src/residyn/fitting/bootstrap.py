@@ -23,7 +23,8 @@ from .lanes import lanes
 from .least_squares import first_step, look
 from .result import Fit
 
-_TOGETHER = 64  # fits on each device; on a CPU, which has a cache and no lanes, one on every core
+_ARRAYS = 200  # of all readings of a fit; the program needs 72, so a third of the memory is taken
+_MEMORY = 4e9  # bytes of a device that does not say how many it has
 _ROUNDS = 16  # of those one after the other in one call, which costs as much as half a fit
 
 
@@ -73,10 +74,12 @@ def bootstrap(
     if draws < 2:
         raise ValueError(f"draws = {draws}: a spread needs at least two")
     devices = jax.devices()
-    width = min(lanes(batch, _TOGETHER), -(-draws // len(devices)) * len(devices))
-    each = width * min(_ROUNDS, -(-draws // width))
     with jax.enable_x64(True):
         fits = embedded(fit, fixed=False)
+        most = lanes(batch, _room(devices[0], fits))
+        rounds = -(-draws // most)
+        width = -(-draws // (rounds * len(devices))) * len(devices)  # alike, and no more
+        each = width * min(_ROUNDS, rounds)
         fitted = [r for r in fit.recordings if r.recording.role != "check"]
         size = float(np.sqrt(max(1.0, fit.reduced_chi2)))
         noise = [jnp.asarray(size * r.recording.noise) for r in fitted]
@@ -103,6 +106,12 @@ def bootstrap(
                 progress(f"{min(len(found) * each, draws)} of {draws} fits")
     numbers, converged = (np.concatenate(x) for x in zip(*found, strict=True))
     return Bootstrap(fits.names, numbers, converged)
+
+
+def _room(device, fits: Embedded) -> int:
+    """How many fits a device that is no CPU has memory for."""
+    has = (device.memory_stats() or {}).get("bytes_limit", _MEMORY)
+    return max(1, int(has / (_ARRAYS * fits.problem.recorded.angles.nbytes)))
 
 
 @eqx.filter_jit

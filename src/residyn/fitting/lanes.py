@@ -26,7 +26,7 @@ from .problem import Problem, Unknowns
 
 Result = TypeVar("Result")
 _FEW = 8  # starts that a CPU runs one after the other
-_STARTS = 16  # starts side by side: more gain nothing, and wait for more
+_STARTS = 16  # starts that a CPU runs side by side: more gain nothing, and wait for more
 _STEPS = 10  # of starts side by side, where all wait for the last one
 _PART = 8  # the first cycles, where they are no more than this part of the readings
 
@@ -85,7 +85,8 @@ def _starts(wanted: list[Wanted]) -> list[Any]:
     def run(some: list[Wanted]):
         return _descents_of_starts(head, stacked([each.unknowns for each in some]), share, size)
 
-    return _side_by_side(run, wanted, min(len(wanted), _STARTS))
+    most = _STARTS if jax.default_backend() == "cpu" else len(wanted)
+    return _side_by_side(run, wanted, min(len(wanted), most))
 
 
 def _side_by_side(run: Callable[[list[Wanted]], Any], wanted: list[Wanted], width: int):
