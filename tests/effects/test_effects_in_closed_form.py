@@ -53,3 +53,17 @@ def test_cogging_repeats_and_derives_from_a_potential():
     at = [float(cogging.torque(Motion.at(0.0, [q], [0.0]), cart)[0]) for q in (0.03, 0.13, 0.0)]
     np.testing.assert_allclose(at[0], at[1], rtol=1e-9)
     assert at[2] == 0.0
+
+
+@pytest.mark.parametrize("sharpness", [10.0, 60.0])
+def test_a_loop_that_yields_sharply_is_that_of_a_slipping_brake(sharpness):
+    """Q z with z' = q'/y up to 1: a spring Q/y in series with a brake that holds Q. Steps that are
+    too long for so sharp a corner round it; they do not throw the motion away."""
+    cart, t = residyn.ConstantInertia([[1.0]], ["cart"], ["m"]), np.linspace(0.0, 6.0, 601)
+    loop = cart + residyn.Spring("cart", 50.0) + residyn.Hysteresis("cart", 0.5, 0.05, sharpness)
+    brake = cart + residyn.Spring("cart", 60.0) + residyn.BrakeSlip("cart", 10.0, 0.05)
+    expected = np.asarray(residyn.simulate(brake, t, [0.2]).q)
+    assert 0.1 < np.ptp(expected[-100:]) < 0.2  # of 0.4 at first
+    for steps, near in ((None, 0.02), (20_000, 1e-3)):
+        found = np.asarray(residyn.simulate(loop, t, [0.2], steps=steps).q)
+        np.testing.assert_allclose(found, expected, atol=near)

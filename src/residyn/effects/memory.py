@@ -58,7 +58,9 @@ class Hysteresis(JointEffect):
         (z,) = motion.memory
         # How far it is loaded in the direction of the motion; never 0, for the power's slope.
         loaded = jnp.maximum(jnp.where(motion.v >= 0, z, -z), 1e-9)
-        return (motion.v / jnp.abs(self.angle) * (1.0 - loaded ** jnp.abs(self.sharpness)),)
+        # Beyond 1 a step too coarse has led, and comes back: a large n must not throw it further.
+        power = jnp.exp(jnp.minimum(jnp.abs(self.sharpness) * jnp.log(loaded), 1.0))
+        return (motion.v / jnp.abs(self.angle) * (1.0 - power),)
 
 
 class BrakeSlip(JointEffect):
