@@ -232,6 +232,19 @@ def test_a_brake_without_stiffness_does_not_stand_for_a_constant_torque():
     assert search.best.added == ("constant_torque:elbow",)
 
 
+def test_a_hand_that_rings_at_its_own_frequency_is_found_at_it():
+    # Its frequency lies between those of the grid, and rings in what the model leaves.
+    hand = {"inertia": 0.02 * ARM.elbow, "frequency": 1.35, "damping_ratio": 0.01}
+    case = release(("wrist_flexibility", hand))
+    with jax.enable_x64(True):
+        scene, base, _ = scene_of(experiment(of(case)), ())
+        search = Search(scene, base)
+        search.extend(search.base)
+    assert search.best.added == ("wrist_flexibility",)
+    found = search.best.best.numbers[-3:]
+    np.testing.assert_allclose(found, list(hand.values()), rtol=0.05)
+
+
 def of_rig(rng, label, strength=None):
     """A hidden case in noise of 1 % of the swings."""
     (case,) = rig.hidden_cases(rng, label, 1, strength=strength)

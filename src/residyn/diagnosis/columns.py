@@ -45,6 +45,7 @@ from ..filtering.linearised import (
 )
 from ..filtering.trajectory import Scene, Trajectory
 from ..physics.motion import Motion, split, stack
+from ..physics.parameter import FREQUENCY
 from ..runtime.export_cache import kept
 from .evidence import (
     CONTENDERS,
@@ -119,16 +120,15 @@ def shapes(
     scene: Scene, effect: AbstractEffect, frequencies: Sequence[float]
 ) -> list[dict[str, float]]:
     """Every combination of an effect's shape numbers on their grids; a frequency takes those of the
-    random torque's spectrum, Hz."""
+    random torque's spectrum, Hz, too: what rings at it is seen at it alone."""
     own = [n for n in numbers_of(effect) if n.silent is None]
     grids = []
     for number in own:
-        if number.field == effect.oscillates:
-            grids.append(list(frequencies))
-        else:
-            size = scene.size(effect, number)
-            known = [g * size for g in number.grid]
-            grids.append(known or [float(getattr(effect, number.field))])
+        size = scene.size(effect, number)
+        known = [] if number.field == effect.oscillates else [g * size for g in number.grid]
+        if number.dimension is FREQUENCY:
+            known += frequencies
+        grids.append(known or [float(getattr(effect, number.field))])
     return [
         dict(zip((n.field for n in own), values, strict=True))
         for values in itertools.product(*grids)
@@ -408,7 +408,7 @@ class Columns:
             tables = []
             for effect in effects:
                 own = shapes(scene, effect, frequencies or [1.0])
-                room = most if effect.oscillates else len(own)
+                room = len(shapes(scene, effect, [1.0] * most))
                 if shape_of and effect.label in shape_of:
                     own = [shape_of[effect.label]]
                 numbers = [shaped_numbers(effect, s) for s in own]
