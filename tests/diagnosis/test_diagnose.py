@@ -245,6 +245,17 @@ def test_a_hand_that_rings_at_its_own_frequency_is_found_at_it():
     np.testing.assert_allclose(found, list(hand.values()), rtol=0.05)
 
 
+def test_a_model_whose_motion_runs_away_when_smoothed_again_has_the_one_it_was_iterated_to():
+    case = release(COULOMB)
+    with jax.enable_x64(True):
+        scene, base, _ = scene_of(experiment(of(case)), ())
+        tried = Search(scene, base).base
+        lost = SimpleNamespace(linearised=scene.linearised, smoothed=lambda *given: None)
+        assert tried.over_torques(lost) == [(1.0, tried.best)]
+        total = sum(weight for weight, _ in tried.over_torques(scene))
+    assert total == pytest.approx(1.0)
+
+
 def of_rig(rng, label, strength=None):
     """A hidden case in noise of 1 % of the swings."""
     (case,) = rig.hidden_cases(rng, label, 1, strength=strength)

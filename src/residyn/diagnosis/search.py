@@ -117,14 +117,15 @@ class Tried:
         return dataclasses.replace(self, evidences=evidences, simulated=found)
 
     def over_torques(self, scene: Scene) -> list[tuple[float, Trajectory]]:
-        """The motion under each random torque that counts, with its posterior probability."""
+        """The motion under each random torque that counts, with its posterior probability; where
+        none can be smoothed (it runs away), the model's own."""
         system = scene.linearised(self.best)
         found = [
             (w, scene.smoothed(self.best, system, x))
             for w, x in zip(self.weights, INTENSITIES, strict=True)
             if w > 0.01
         ]
-        kept = [(w, t) for w, t in found if t is not None]
+        kept = [(w, t) for w, t in found if t is not None] or [(1.0, self.best)]
         return [(w / sum(w for w, _ in kept), t) for w, t in kept]
 
 
