@@ -58,7 +58,7 @@ def test_cogging_repeats_and_derives_from_a_potential():
 @pytest.mark.parametrize("sharpness", [10.0, 60.0])
 def test_a_loop_that_yields_sharply_is_that_of_a_slipping_brake(sharpness):
     """Q z with z' = q'/y up to 1: a spring Q/y in series with a brake that holds Q. Steps that are
-    too long for so sharp a corner round it; they do not throw the motion away."""
+    too long for so sharp a corner round it; they do not make the motion diverge."""
     cart, t = residyn.ConstantInertia([[1.0]], ["cart"], ["m"]), np.linspace(0.0, 6.0, 601)
     loop = cart + residyn.Spring("cart", 50.0) + residyn.Hysteresis("cart", 0.5, 0.05, sharpness)
     brake = cart + residyn.Spring("cart", 60.0) + residyn.BrakeSlip("cart", 10.0, 0.05)

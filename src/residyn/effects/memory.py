@@ -58,7 +58,7 @@ class Hysteresis(JointEffect):
         (z,) = motion.memory
         # How far it is loaded in the direction of the motion; never 0, for the power's slope.
         loaded = jnp.maximum(jnp.where(motion.v >= 0, z, -z), 1e-9)
-        # Beyond 1 a step too coarse has led, and comes back: a large n must not throw it further.
+        # Beyond 1 only too long a step leads; the power is bounded there, or a large n diverges.
         power = jnp.exp(jnp.minimum(jnp.abs(self.sharpness) * jnp.log(loaded), 1.0))
         return (motion.v / jnp.abs(self.angle) * (1.0 - power),)
 
