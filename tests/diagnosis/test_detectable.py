@@ -13,7 +13,7 @@ from residyn.cli import main
 from residyn.diagnosis import detectable
 from residyn.diagnosis.columns import Column
 from residyn.diagnosis.detectable import Rivals
-from residyn.diagnosis.evidence import subset
+from residyn.diagnosis.evidence import INTENSITIES, log_prior_intensity, subset
 from residyn.effects import CubicStiffness, QuadraticDrag
 from residyn.recordings.tables import InertiaTable
 
@@ -36,27 +36,27 @@ def atlases():
 
 
 def test_evidences_are_those_of_the_readings_that_are_drawn():
+    """A Gram matrix of two candidates' responses and of noise, under each random torque; readings
+    are noise and half a width of both candidates."""
+    rng, count = np.random.default_rng(2), len(INTENSITIES)
+    responses = rng.standard_normal((count, 6, 2)) * [3.0, 1.0]
+    noise, logs = rng.standard_normal((count, 6, 5)), rng.standard_normal(count)
+    white = np.concatenate([responses, noise], -1)
     with jax.enable_x64(True):
         effects = CubicStiffness("cart"), QuadraticDrag("cart")
-        root = np.random.default_rng(2).standard_normal((6, 2)) * [3.0, 1.0]
-        gram = root.T @ root
         rows = [Column(e, {}, (i,), np.zeros((0, 0))) for i, e in enumerate(effects)]
-        rivals, shift = Rivals(rows, gram, draws=5), np.array([2.0, 1.0])
-        gains = rivals.gains(shift)
-    for x, found in zip(rivals.noise + shift, gains.T, strict=True):
-        whole = np.block([[np.zeros((1, 1)), -x[None]], [-x[:, None], gram]])
-        for i, gain in enumerate(found):
-            expected, mean, covariance = subset(whole, [i])
-            sided = norm.logcdf(mean[0] / math.sqrt(covariance[0, 0])) + math.log(2.0)
-            assert gain == pytest.approx(expected + (sided if i == 1 else 0.0))
-
-
-def test_draws_have_the_covariance_of_the_columns():
-    gram = np.array([[4.0, 1.0], [1.0, 2.0]])
-    rows = [Column(CubicStiffness("cart"), {}, (i,), np.zeros((0, 0))) for i in (0, 1)]
-    with jax.enable_x64(True):
-        noise = Rivals(rows, gram, draws=20_000).noise
-    np.testing.assert_allclose(noise.T @ noise / len(noise), gram, atol=0.1)
+        rivals = Rivals(rows, logs, np.swapaxes(white, 1, 2) @ white)
+        base, each = rivals.evidences(np.array([0.5, 0.5]))
+    for k, prior in enumerate(log_prior_intensity(INTENSITIES)):
+        for d, e in enumerate(noise[k].T):
+            y = e + responses[k].sum(1) / 2
+            whole = np.column_stack([-y, responses[k]])
+            known = logs[k] + prior - y @ y / 2
+            assert base[d, k] == pytest.approx(known)
+            for i in (0, 1):
+                expected, mean, covariance = subset(whole.T @ whole, [i])
+                sided = norm.logcdf(mean[0] / math.sqrt(covariance[0, 0])) + math.log(2.0)
+                assert each[i, d, k] == pytest.approx(known + expected + (sided if i else 0.0))
 
 
 def test_twice_the_noise_hides_twice_the_strength(atlases):

@@ -32,6 +32,7 @@ from residyn.diagnosis.evidence import (
     log_prior_intensity,
     log_prior_model,
     over_intensities,
+    over_widths,
     prior_of,
     prior_sizes,
     right_signs,
@@ -138,6 +139,38 @@ def test_a_half_normal_prior_raises_the_evidence_as_its_integral_does(reading, n
         half = 2 * quad(joint, max(0.0, ends[0]), max(1e-9, ends[1]), epsabs=0)[0]
         assert half_normal(mean / std) == pytest.approx(math.log(half / whole), abs=1e-6)
     assert half_normal(mean / std) <= math.log(2.0)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.003, 2.0))
+@settings(max_examples=30)
+def test_a_prior_of_another_width_gives_the_posterior_of_a_fit_with_that_prior(seed, width):
+    rng = np.random.default_rng(seed)
+    W, y = 3.0 * rng.standard_normal((8, 3)), 3.0 * rng.standard_normal(8)
+
+    def fitted(widths):
+        covariance = np.linalg.inv(W.T @ W + np.diag(1.0 / np.array(widths) ** 2))
+        mean = covariance @ W.T @ y
+        prior = np.eye(8) + W @ np.diag(np.square(widths)) @ W.T
+        sided = half_normal(mean[1] / math.sqrt(covariance[1, 1]))
+        return gaussian(y, np.zeros(8), prior) + sided, mean, covariance
+
+    before, mean, covariance = fitted([1.0, 1.0, 1.0])
+    after, expected, spread = fitted([1.0, width, 1.0])
+    found = over_widths(mean, covariance, 1, np.array([width]))
+    assert found[0] == pytest.approx(after - before, abs=1e-6)
+    np.testing.assert_allclose(found[1], expected, atol=1e-6)
+    np.testing.assert_allclose(found[2], spread, atol=1e-6)
+
+
+def test_a_prior_of_any_width_is_the_mixture_over_widths():
+    mean, covariance, widths = np.array([0.3]), np.array([[0.04]]), np.array([1.0, 0.1])
+    each = [over_widths(mean, covariance, 0, widths[[k]]) for k in (0, 1)]
+    p = np.exp([e[0] for e in each]) / 2
+    means, variances = (np.array([e[k].item() for e in each]) for k in (1, 2))
+    gain, m, v = over_widths(mean, covariance, 0, widths)
+    assert gain == pytest.approx(math.log(p.sum()))
+    assert m.item() == pytest.approx(p @ means / p.sum())
+    assert v.item() == pytest.approx(p @ (variances + means**2) / p.sum() - m.item() ** 2)
 
 
 # -- marginal likelihoods -------------------------------------------------------------------------

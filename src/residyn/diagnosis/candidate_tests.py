@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..filtering.trajectory import Scene
+from ..filtering.trajectory import Scene, Trajectory
 from ..fitting.layout import bucket
 from ..fitting.problem import mechanism_of, posed
 from ..physics.modal import concrete_state_matrix, fastest, modes_of
@@ -159,20 +159,26 @@ class Rival(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene, tried: Tried) -> "Rival":
-        """A tried model: without a random torque as simulated exactly, where it was; else as
-        smoothed, once more if its covariance was not kept."""
-        t, known = tried.best, tried.simulated
-        if known is not None and tried.intensity == 0:
-            u = np.append(known.u, t.u[len(known.u) :])
-            t = dataclasses.replace(t, u=u, covariance=known.covariance)
-        elif not t.covariance.size:
-            t = scene.smoothed(t, scene.linearised(t), tried.intensity) or t
+        """A tried model."""
+        t = posterior_of(scene, tried)
         slopes = t.prior.slopes(t.u)
         own = t.covariance[: len(slopes), : len(slopes)] * np.outer(slopes, slopes)
         size = np.sqrt(np.maximum(np.diag(own), 1e-300))
         values, vectors = np.linalg.eigh(own / np.outer(size, size))
         root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
         return cls(tried, scene.model(t), root)
+
+
+def posterior_of(scene: Scene, tried: Tried) -> Trajectory:
+    """A tried model with the posterior of its numbers: without a random torque as simulated
+    exactly, where it was; else as smoothed, once more if its covariance was not kept."""
+    t, known = tried.best, tried.simulated
+    if known is not None and tried.intensity == 0:
+        u = np.append(known.u, t.u[len(known.u) :])
+        return dataclasses.replace(t, u=u, covariance=known.covariance)
+    if not t.covariance.size:
+        return scene.smoothed(t, scene.linearised(t), tried.intensity) or t
+    return t
 
 
 def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Setting]:

@@ -515,7 +515,7 @@ class Screen:
         found: list[Any] = [None] * len(groups)
         for size in {len(w) for w in which}:
             own = [i for i, w in enumerate(which) if len(w) == size]
-            known = [[s for row in groups[i] for s in _signs(row)] for i in own]
+            known = [[s for row in groups[i] for s in signs_known(row)] for i in own]
             gain, mean, covariance = subset(self.grams, [which[i] for i in own])
             std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
             gain = gain + np.where(known, half_normal(mean / std), 0.0).sum(-1)
@@ -541,7 +541,7 @@ def _averaged(each: Sequence[Screened]) -> Screened:
     return top._replace(gain=log_sum(gains) - math.log(len(gains)))
 
 
-def _signs(row: Column | Screened) -> list[bool]:
+def signs_known(row: Column | Screened) -> list[bool]:
     """Of each column, whether the sign of its strength is known."""
     if row.effect.oscillates:
         return [False] * len(row.which)

@@ -1,22 +1,21 @@
 """Before any test: from which strength an effect would show, and be told from its rivals.
 
-Along the motion of springs and dampers, let A (C, C) be the Gram matrix of the candidates' columns,
-each scaled by its prior, with the model's own numbers and first state integrated out (`columns`).
-If effect i is there with strength s, the columns' projections on the readings are normal,
+Along the motion of springs and dampers the model with every candidate is linear (`columns`). So
+recordings of effect i with strength s are y = e + Phi_i s, e noise that is drawn, and of each of
+them the log evidences of the base model and of every candidate c follow from Gram matrices of the
+whitened responses alone: with G of e and Phi, the base model's numbers and first state integrated
+out, under a random torque of some intensity,
 
-    x ~ N(A_i s, A),        log evidence of c over nothing = 1/2 x_c' (1 + A_cc)^-1 x_c
-                                                             - 1/2 log det (1 + A_cc),
+    base:         const - 1/2 (G_ee + 2 G_ei s + s' G_ii s)
+    c over base:  1/2 x_c' (1 + G_cc)^-1 x_c - 1/2 log det (1 + G_cc),   x = G_.e + G_.i s.
 
-and so every candidate's evidence is known before anything is recorded. Something is missing where
-the models with one effect more have more probability together than the one without, as in
-`Posterior.verdict`; an effect is named if odds of less than 20 to 1 tell it from the likeliest of
-them. For one column, a = A_ii, and no other candidate, the odds against nothing are even where
-x^2 / (1 + a) = log(1 + a) + 2 log of the prior odds, and in half of all recordings |x| is larger
-than a s. With many candidates, shapes and signs the same is a mean over draws of x, which are the
-same for all strengths.
+Intensities are summed over as in a diagnosis: the rival of a weak effect is not only the base
+model, but the base model with a small random torque, which takes up a part of any effect. What
+`Posterior.verdict` says of these evidences is then counted over the draws, which are the same for
+all strengths.
 """
 
-import itertools
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,29 +23,36 @@ from typing import Any
 
 import jax
 import numpy as np
+from scipy.optimize import bisect
 
 from ..effects import AbstractEffect
+from ..filtering.kalman import Inputs, gram
 from ..filtering.law import numbers_of
 from ..filtering.trajectory import Scene
 from ..physics.modal import modes
 from ..recordings.experiment import Experiment
 from ..runtime.json import finite
 from ..runtime.presentation import Result
-from .columns import Column, Columns, candidates, strengths
+from .columns import Column, Columns, candidates, signs_known, strengths
 from .evidence import (
     INDISTINGUISHABLE,
+    INTENSITIES,
+    NEGLIGIBLE,
+    at_work,
     conditional,
     half_normal,
+    log_prior_intensity,
     log_prior_model,
-    signed,
     width_of,
 )
 from .missing_torque import scene_of
 from .search import tried_alone
 
-DRAWS = 400
-"""Of recordings: the half of them is then known to 3 %."""
-_SHARES = np.geomspace(1e-5, 1.0, 61)  # strengths, in the typical size of their dimension
+DRAWS = 200
+"""Of recordings: the half of them is then known to 4 %."""
+_SHARES = np.geomspace(1e-5, 1.0, 11)
+"""Strengths between which half of the recordings are looked for, in the typical size of their
+dimension."""
 
 
 @dataclass(frozen=True)
@@ -121,11 +127,8 @@ def detectable(experiment: Experiment, *, effects: Sequence[str | AbstractEffect
         known = candidates(scene, tuple(e.label for e in base))
         # A disturbance may have any frequency: one well above all modes stands for them.
         columns = Columns(scene, model.best, known, [1.5 * float(np.nanmax(ringing))])
-        _, (gram,) = columns.gram([0.0])
-    _, rest = conditional(gram, len(model.best.u))
-    rivals = Rivals(columns.rows, rest[1:, 1:])
-    price = log_prior_model(0, len(known)) - log_prior_model(1, len(known))
-    found = [_one(scene, rivals, e, price) for e in known]
+        rivals = Rivals(columns.rows, *_grams(columns))
+    found = [_one(scene, rivals, e) for e in known]
     order = sorted(found, key=lambda d: math.inf if d.share is None else d.share)
     recordings = experiment.fit_recordings
     return Atlas(
@@ -137,64 +140,131 @@ def detectable(experiment: Experiment, *, effects: Sequence[str | AbstractEffect
     )
 
 
-class Rivals:
-    """All candidates' evidences, if one of them is there."""
+def _grams(columns: Columns) -> tuple[np.ndarray, np.ndarray]:
+    """(I,) log normalisers under each random torque, and the (I, C + D, C + D) Gram matrices of the
+    C columns and of `DRAWS` recordings of noise."""
+    scene, trajectory = columns.scene, columns.trajectory
+    push, read = columns.inputs
+    readings, P = scene.readings, len(trajectory.u)
+    noise = np.random.default_rng(0).standard_normal((*readings.y.shape, DRAWS))
+    noise *= np.sqrt(readings.variance)[..., None]
+    none = np.zeros((*push.shape[:2], DRAWS))
+    more = Inputs(np.concatenate([push, none], -1), np.concatenate([read, noise], -1))
+    fixed = None, readings, scene.noise(trajectory)
+    logs, grams = [], []
+    for intensity in INTENSITIES:
+        found = gram(columns.linear.system, more, *fixed, np.asarray(intensity, float))
+        total, square = map(np.asarray, found)
+        base, rest = conditional(square, P)
+        logs.append(float(total) + base + 0.5 * rest[0, 0])
+        grams.append(rest[1:, 1:])
+    return np.array(logs), np.stack(grams)
 
-    def __init__(self, rows: Sequence[Column], gram: np.ndarray, draws: int = DRAWS):
-        """`gram` (C, C) of the columns of all rows."""
-        self.rows, self.gram = rows, gram
+
+class Rivals:
+    """The evidences of the base model and of all candidates, if one of them is there."""
+
+    def __init__(self, rows: Sequence[Column], logs: np.ndarray, grams: np.ndarray):
+        """`logs` (I,) log normalisers under each random torque, `grams` (I, C + D, C + D) of the
+        columns of all rows and of D recordings of noise."""
+        C = sum(len(row.which) for row in rows)
+        self.rows, self.gram = rows, grams[:, :C, :C]
         self.effects = {r.effect.label: r.effect for r in rows}
         self.labels = list(self.effects)
-        values, vectors = np.linalg.eigh(gram)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        self.noise = np.random.default_rng(0).standard_normal((draws, len(gram))) @ root.T
-        self._inner = []
-        for row in rows:
-            c = list(row.which)
-            covariance = np.linalg.inv(np.eye(len(c)) + gram[np.ix_(c, c)])
-            own = [] if row.effect.oscillates else enumerate(strengths(row.effect))
-            sides = [i for i, x in own if signed(x)]
-            half = 0.5 * np.linalg.slogdet(covariance)[1]
-            self._inner.append((c, covariance, half, sides))
+        self._across = np.swapaxes(grams[:, C:, :C], 0, 1)  # (D, I, C)
+        square = np.diagonal(grams[:, C:, C:], axis1=1, axis2=2).T  # (D, I)
+        self._base = logs + log_prior_intensity(INTENSITIES) - 0.5 * square
+        # Rows of as many columns at once.
+        sizes = sorted({len(row.which) for row in rows})
+        own = [[i for i, row in enumerate(rows) if len(row.which) == k] for k in sizes]
+        self._alike = [(i, _Posteriors.of([rows[x] for x in i], self.gram)) for i in own]
+        labels = [row.effect.label for row in rows]
+        self._begins = [labels.index(x) for x in self.labels]
+        counts = np.diff([*self._begins, len(rows)])
+        self._log_shapes = np.log(counts)[:, None, None]
+        self._prior = [log_prior_model(m, len(self.labels)) for m in (0, 1)]
 
     def truth(self, effect: AbstractEffect) -> tuple[np.ndarray, dict[str, float]]:
-        """(C,) what one prior width of every strength of an effect adds to the projections, its
+        """(C,) the columns that one prior width of every strength of an effect is made of, its
         shape being the middle one of its grid; and that shape, by field."""
         own = [r for r in self.rows if r.effect.label == effect.label]
         middle = own[len(own) // 2]
         which = middle.which[:1] if effect.oscillates else middle.which
-        return self.gram[:, list(which)].sum(axis=1), middle.shape
+        made = np.zeros(self.gram.shape[-1])
+        made[list(which)] = 1.0
+        return made, middle.shape
 
-    def gains(self, shift: np.ndarray) -> np.ndarray:
-        """(L, draws) log evidence of each label over nothing, shapes averaged, where the
-        projections are `shift` (C,) and noise."""
-        x = self.noise + shift
-        each: dict[str, list[np.ndarray]] = {}
-        for row, (c, covariance, half, sides) in zip(self.rows, self._inner, strict=True):
-            mean = x[:, c] @ covariance
-            gain = 0.5 * np.einsum("di,di->d", x[:, c], mean) + half
-            for i in sides:
-                gain = gain + half_normal(mean[:, i] / math.sqrt(covariance[i, i]))
-            each.setdefault(row.effect.label, []).append(gain)
-        shaped = (np.array(each[label]) for label in self.labels)
-        return np.array([np.logaddexp.reduce(x, axis=0) - math.log(len(x)) for x in shaped])
+    def evidences(self, made: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(D, I) log evidence of the base model under each random torque times its prior, and (L,
+        D, I) of each label, shapes averaged, where the readings are noise and `made` (C,)."""
+        shift = self.gram @ made  # (I, C)
+        x = self._across + shift
+        base = self._base - self._across @ made - 0.5 * (shift @ made)
+        gains = np.empty((len(self.rows), *base.shape))
+        for rows, posteriors in self._alike:
+            gains[rows] = posteriors.gains(x)
+        return base, base + np.logaddexp.reduceat(gains, self._begins) - self._log_shapes
+
+    def counted(self, made: np.ndarray, own: int, others: Sequence[int]):
+        """In which share of recordings a label is named, and leads all `others`; and which of them
+        is the next to it on average."""
+        base, each = self.evidences(made)
+        known = np.concatenate([base[None] + self._prior[0], each + self._prior[1]])
+        p = np.exp(known - known.max(axis=(0, 2), keepdims=True))
+        p /= p.sum(axis=(0, 2), keepdims=True)
+        none = np.array(INTENSITIES) <= NEGLIGIBLE
+        adequate = p[0][:, none].sum(-1)
+        missing = (p[1:] * at_work())[..., none].sum((0, 2))
+        named = (missing > adequate) & (missing > 1.0 - missing - adequate)
+        logs = np.logaddexp.reduce(each, axis=-1)
+        mine, rest = logs[own], logs[list(others)]
+        named &= mine > logs.max(axis=0) - INDISTINGUISHABLE
+        leads = named & (mine > rest.max(axis=0, initial=-np.inf) + INDISTINGUISHABLE)
+        best = others[int(np.argmax(rest.mean(axis=1)))] if others else None
+        return float(named.mean()), float(leads.mean()), best
 
 
-def _one(scene: Scene, rivals: Rivals, effect: AbstractEffect, price: float) -> Detectable:
+@dataclass(frozen=True)
+class _Posteriors:
+    """Posteriors of R rows of k columns each, under each random torque, whatever the readings."""
+
+    which: np.ndarray
+    """(R, k) their columns."""
+    covariance: np.ndarray
+    """(I, R, k, k)"""
+    half: np.ndarray
+    """(I, R) half its log determinant."""
+    sided: np.ndarray
+    """(R, k) whether the sign of a strength is known."""
+
+    @classmethod
+    def of(cls, rows: Sequence[Column], gram: np.ndarray) -> "_Posteriors":
+        which = np.array([row.which for row in rows])
+        inner = gram[:, which[:, :, None], which[:, None, :]]
+        covariance = np.linalg.inv(np.eye(which.shape[1]) + inner)
+        sided = np.array([signs_known(row) for row in rows])
+        return cls(which, covariance, 0.5 * np.linalg.slogdet(covariance)[1], sided)
+
+    def gains(self, x: np.ndarray) -> np.ndarray:
+        """(R, D, I) log evidence over the base model, of projections (D, I, C)."""
+        own = x[..., self.which]
+        mean = np.einsum("dirk,irkl->dirl", own, self.covariance)
+        gain = 0.5 * np.sum(own * mean, -1) + self.half
+        for k, sided in enumerate(self.sided.T):
+            ratio = mean[:, :, sided, k] / np.sqrt(self.covariance[:, sided, k, k])
+            gain[:, :, sided] += half_normal(ratio)
+        return np.moveaxis(gain, 2, 0)
+
+
+def _one(scene: Scene, rivals: Rivals, effect: AbstractEffect) -> Detectable:
     first = strengths(effect)[0]
     width, size = width_of(scene, effect, first), scene.size(effect, first)
     own, others = rivals.labels.index(effect.label), _others(rivals, effect)
     truth, shape = rivals.truth(effect)
 
+    @functools.cache
     def told_at(share: float) -> tuple[float, float, int | None]:
-        """In which share of recordings it is named, and leads; and its best rival then."""
-        gains = rivals.gains(truth * (share * size / width))
-        mine, rest = gains[own], gains[others]
-        missing = np.logaddexp.reduce(gains, axis=0) > price
-        named = missing & (mine > gains.max(axis=0) - INDISTINGUISHABLE)
-        leads = named & (mine > rest.max(axis=0, initial=-np.inf) + INDISTINGUISHABLE)
-        best = others[int(np.argmax(rest.mean(axis=1)))] if others else None
-        return float(named.mean()), float(leads.mean()), best
+        return rivals.counted(truth * (share * size / width), own, others)
 
     shows = _half(lambda s: told_at(s)[0])
     told = None if shows is None else _half(lambda s: told_at(s)[1])
@@ -228,12 +298,9 @@ def _others(rivals: Rivals, effect: AbstractEffect) -> list[int]:
 
 def _half(share_of) -> float | None:
     """The least strength at which a share of recordings reaches a half; None: at none."""
-    each = None
-    for low, high in itertools.pairwise(_SHARES):
-        after = share_of(high)
-        if after >= 0.5:
-            before = share_of(low) if each is None else each
-            part = (0.5 - before) / max(after - before, 1e-12)
-            return float(low * (high / low) ** min(max(part, 0.0), 1.0))
-        each = after
-    return None
+    above = next((i for i, s in enumerate(_SHARES) if share_of(s) >= 0.5), None)
+    if not above:
+        return None if above is None else float(_SHARES[0])
+    low, high = np.log(_SHARES[above - 1 : above + 1])
+    root: Any = bisect(lambda s: share_of(math.exp(s)) - 0.5, low, high, xtol=0.04)
+    return math.exp(root)

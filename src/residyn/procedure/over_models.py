@@ -14,7 +14,7 @@ and not without bound.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -23,15 +23,24 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import norm
 
-from ..diagnosis.candidate_tests import Rival, Test, best_tests, in_play
+from ..diagnosis.candidate_tests import Rival, Test, best_tests, in_play, posterior_of
 from ..diagnosis.columns import Columns
 from ..diagnosis.diagnose import Posterior
-from ..diagnosis.evidence import log_prior_model, means_of_base, shares, width_of
+from ..diagnosis.evidence import (
+    INTENSITIES,
+    NEGLIGIBLE,
+    WIDTH,
+    log_prior_model,
+    means_of_base,
+    over_widths,
+    shares,
+    width_of,
+)
 from ..diagnosis.experiment_design import Quantity
 from ..diagnosis.plan import InPlay
 from ..diagnosis.search import Search, Tried
 from ..effects import BearingDrag, InertiaError
-from ..filtering.law import numbers_of
+from ..filtering.law import number_slices, numbers_of
 from ..filtering.trajectory import Scene
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
@@ -169,25 +178,46 @@ def with_and_without_drag(search: Search) -> tuple[list[Tried], np.ndarray, floa
     """The models in play with and without viscous drag of the bearings, their probabilities among
     each other, and that of all that are left out.
 
-    To a search, drag is one of many effects that may be missing, and unlikely beforehand. A film of
-    air does drag; whether by enough to count beside the joints' dampers is as likely as not. The
-    recordings hardly say, for dampers of the joints do much the same; without bearings they stay.
+    To a search, drag is one of many effects that may be missing, unlikely beforehand, and as large
+    as effects that are worth a name. A film of air does drag; whether by enough to count beside the
+    joints' dampers is as likely as not, and how much it is nobody knows within decades
+    (`at_any_width`). The recordings hardly say, for dampers of the joints do much the same; without
+    bearings they stay.
     """
     posterior = Posterior(search)
     models, p, left_out = in_play(posterior.models, posterior.of_tried)
     drag = BearingDrag.name
     if drag not in (e.label for e in search.candidates):
-        return models, p, left_out
+        models = [at_any_width(search.scene, m, drag) for m in models]
+        return models, shares(np.array([m.log_posterior for m in models])), left_out
     found, logs = [], []
     for rest in dict.fromkeys(frozenset(m.added) - {drag} for m in models):
         without = search.tried.get(rest)
         both = search.tried.get(rest | {drag}) or (without and search.beside(without, drag))
-        for model in (without, both):
+        for model in (without, both and at_any_width(search.scene, both, drag)):
             if model is not None:
                 found.append(model)
                 logs.append(model.log_evidence + log_prior_model(len(rest), len(search.candidates)))
     kept, p, _ = in_play(found, shares(np.array(logs)))
     return kept, p, left_out
+
+
+WIDTHS = np.array([x for x in INTENSITIES if NEGLIGIBLE < x <= WIDTH]) / WIDTH
+"""Prior widths of the drag, in those of a strength: half a decade apart, from that of effects worth
+a name down to what changes nothing."""
+
+
+def at_any_width(scene: Scene, model: Tried, label: str) -> Tried:
+    """A model, the strength of its effect `label` known to be of any of `WIDTHS`."""
+    slices = zip(model.best.effects, number_slices(model.best.effects), strict=True)
+    i = next((own.start for e, own in slices if e.label == label), None)
+    if i is None:
+        return model
+    t = posterior_of(scene, model)
+    count = len(t.covariance)
+    gain, mean, covariance = over_widths(t.u[:count], t.covariance, i, WIDTHS)
+    best = replace(t, u=np.append(mean, t.u[count:]), covariance=covariance)
+    return replace(model, best=best, evidences=model.evidences + gain, simulated=None)
 
 
 def errors_of(scene: Scene, rival: Rival, inertia: np.ndarray | None) -> Carried:
