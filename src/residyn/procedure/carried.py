@@ -26,12 +26,9 @@ from ..physics.modal import modes, state_matrix
 from ..physics.model import Model
 
 NAMES = ("shoulder", "elbow", "coupling")
-_MATTERS = 1e-3
-"""Share of a quantity by which a combination that is not seen may move it."""
-_REAL = 1e-9
-"""Share of imaginary part up to which an eigenvalue is real."""
-_AWAY = 1e-6
-"""Share of the fastest eigenvalue from which a real one above zero is not rounding."""
+_MATTERS = 1e-3  # share of a quantity by which a combination that is not seen may move it
+_REAL = 1e-9  # share of imaginary part up to which an eigenvalue is real
+_AWAY = 1e-6  # share of the fastest eigenvalue from which a real one above zero is not rounding
 
 
 class Carried(NamedTuple):

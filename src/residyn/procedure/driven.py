@@ -19,18 +19,12 @@ from ..fitting.smoothing import Uniform, uniform
 from ..recordings.noise import estimate_noise
 from ..recordings.recording import Recording
 
-_BRAKED = 0.2
-"""The most that a braked joint may move, as a share of the driven one's range."""
-_NOISY = 8.0
-"""Sigmas of a reading which its noise alone may span."""
-_FINEST = 1e-4
-"""No torque sensor is better than this share of the torque that it reads."""
-_SLOW = 0.05
-"""Share of the highest rate below which the direction of sliding counts as not known."""
-_SURE = 4.0
-"""Standard errors of the rate which that must be."""
-_SHORTEST = 60
-"""Samples of a test, at least."""
+_BRAKED = 0.2  # the most that a braked joint may move, as a share of the driven one's range
+_NOISY = 8.0  # sigmas of a reading which its noise alone may span
+_FINEST = 1e-4  # no torque sensor is better than this share of the torque that it reads
+_SLOW = 0.05  # share of the highest rate below which the direction of sliding counts as not known
+_SURE = 4.0  # standard errors of the rate which that must be
+_SHORTEST = 60  # samples of a test, at least
 _OFFSET = 0.1
 """rad from its pose beyond which a braked joint makes one doubt what its angle is measured from."""
 

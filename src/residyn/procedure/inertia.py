@@ -25,8 +25,7 @@ from .result import InertiaResult, Number, Separation, TestResult
 from .weak import CALIBRATED, Rows, Solved, ordinary, rows_of, solve
 
 _ROUNDS = 20
-_LEAST_APART = 1e-3
-"""Cosines closer than this are the same, and so are two tests at them."""
+_LEAST_APART = 1e-3  # cosines closer than this are the same, and so are two tests at them
 
 
 def inertia(experiment: Experiment) -> InertiaResult:

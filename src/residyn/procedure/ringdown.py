@@ -20,8 +20,7 @@ from ..simulation.simulate import simulate, steps_for
 from .carried import Carried, with_inertias
 
 DRAWS = 200
-_EDGES = (2.5, 97.5)
-"""Percentiles between which 95 % lie."""
+_EDGES = (2.5, 97.5)  # percentiles between which 95 % lie
 
 
 class RingDown(NamedTuple):

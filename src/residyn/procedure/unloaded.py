@@ -18,14 +18,10 @@ from .over_models import OverModels
 from .result import InertiaResult
 from .ringdown import DRAWS, RingDown, band_of, draws_of
 
-_DECAYS = 3.0
-"""Decay times of the slowest mode that a picture shows,"""
-_CYCLES = 25
-"""but no more cycles than this, or its lines run together."""
-_POINTS = 14
-"""Of a cycle,"""
-_MOST = 500
-"""but no more of a mode than this."""
+_DECAYS = 3.0  # decay times of the slowest mode that a picture shows
+_CYCLES = 25  # but no more cycles than this, or its lines run together
+_POINTS = 14  # of a cycle
+_MOST = 500  # but no more of a mode than this
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,15 +30,12 @@ from ..fitting.covariance import spread_of
 from .driven import DrivenTest, kernel, smoothed
 
 _MOST_ROWS = 500
-_PER_REVERSAL = 16
-"""Rows between two reversals, at least, so that few of them see one."""
+_PER_REVERSAL = 16  # rows between two reversals, at least, so that few of them see one
 _LEAST_ROWS = 12
 _ONE_WAY = 0.03
 """A smaller share of rows with the other sign cannot tell dry friction from an offset."""
-_BAND = 5
-"""Rows ahead with which one shares readings."""
-_STANDS_OUT = 3.0
-"""Standard errors from zero which an inertia must be."""
+_BAND = 5  # rows ahead with which one shares readings
+_STANDS_OUT = 3.0  # standard errors from zero which an inertia must be
 CALIBRATED = 1e-3
 """Probability below which the residual is more than noise, and errors are enlarged."""
 

@@ -25,25 +25,16 @@ from .numbers import amount, p_value, plain, prefixed, share, times
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_LARGER = 1.2
-"""Reduced chi-square beyond which more is left than the noise that was stated,"""
-_SMALLER = 0.8
-"""and below which less is."""
-_TELLS = 4.0
-"""Standard deviations of chance by which a part must exceed the noise to be named."""
-_CONTRAST = 1.5
-"""Times as large: one part against another."""
-_NEAR = 0.8
-"""Of the largest: as good as the largest."""
-_READINGS = 20
-"""A part of fewer is not spoken of."""
+_LARGER = 1.2  # reduced chi-square beyond which more is left than the noise that was stated
+_SMALLER = 0.8  # reduced chi-square below which less is
+_TELLS = 4.0  # standard deviations of chance by which a part must exceed the noise to be named
+_CONTRAST = 1.5  # times as large: one part against another
+_NEAR = 0.8  # of the largest: as good as the largest
+_READINGS = 20  # a part of fewer is not spoken of
 _MOSTLY = 2 / 3
-_NAMED = 0.1
-"""Share of the excess from which a band is named."""
-_CLEAR = 2.0
-"""Times its neighbours: a multiple of a mode that stands by itself."""
-_WORSE = 1.15
-"""Of what three standard errors of the prediction allow."""
+_NAMED = 0.1  # share of the excess from which a band is named
+_CLEAR = 2.0  # times its neighbours: a multiple of a mode that stands by itself
+_WORSE = 1.15  # of what three standard errors of the prediction allow
 
 
 # -- the sentences ---------------------------------------------------------------------------

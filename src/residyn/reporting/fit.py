@@ -21,12 +21,9 @@ from .layout import Table, filled, section, separated, tabular, warned
 from .names import HELD_OUT, at_place, base_name, listed, lower
 from .numbers import amount, plain, prefixed, share, times, with_error
 
-_OVERSTATED = 0.85
-"""Reduced chi-square below which the noise must have been overstated."""
-_STILL = 2.0
-"""Times the noise: a joint that moves less than this hardly moves."""
-_NAMED = 3
-"""Outliers whose times are given."""
+_OVERSTATED = 0.85  # reduced chi-square below which the noise must have been overstated
+_STILL = 2.0  # times the noise: a joint that moves less than this hardly moves
+_NAMED = 3  # outliers whose times are given
 
 
 # -- the sentences ---------------------------------------------------------------------------

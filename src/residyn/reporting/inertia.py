@@ -14,17 +14,12 @@ from .layout import Table, filled, printed, section, warned
 from .names import listed, unbroken
 from .numbers import measured, plain, times, with_error
 
-_CLOSE = 20.0
-"""Times the least error of coupling (Eq. 16) from which elbow angles are too close."""
-_COARSE = 0.1
-"""Relative error beyond which a number is said to be poor."""
-_STRUCTURE = 1.2
-"""Reduced chi-square of a test beyond which the equation lacks something."""
-_OVERSTATED = 0.5
-"""And below which its noise must have been."""
+_CLOSE = 20.0  # times the least error of coupling (Eq. 16) from which elbow angles are too close
+_COARSE = 0.1  # relative error beyond which a number is said to be poor
+_STRUCTURE = 1.2  # reduced chi-square of a test beyond which the equation lacks something
+_OVERSTATED = 0.5  # and below which its noise must have been
 _FRICTION = ("Coulomb friction", "viscous friction", "offset")
-_SURE = 3.0
-"""Standard errors that make a difference more than chance."""
+_SURE = 3.0  # standard errors that make a difference more than chance
 
 
 # -- the warnings ----------------------------------------------------------------------------

@@ -15,10 +15,8 @@ HELD_OUT = "held out"
 SURE = 0.9
 """Probability from which a sentence says "is"."""
 _PERSONS = ("Bouc-Wen", "Coulomb", "Dahl", "Stribeck")
-_LINE = 0.001
-"""Probability from which a candidate is worth a line."""
-_MOST, _FEWEST = 8, 3
-"""Lines of candidates."""
+_LINE = 0.001  # probability from which a candidate is worth a line
+_MOST, _FEWEST = 8, 3  # lines of candidates
 _STICKS = re.compile(
     r"(?<=[\d±<>=]) (?=[\d±%])|(?<=\bp) (?=[<=])"
     r"|(?<=\d) (?=(?:N|kg|m|mm|rad|mrad|s|Hz)\b)|(?<=N) (?=m\b)"

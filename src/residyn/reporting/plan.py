@@ -8,8 +8,7 @@ from .layout import Table, filled, printed
 from .names import listed, named, upper
 from .numbers import amount, measured, percent, plain
 
-_TELLS = 2.0
-"""Standard errors by which one reading tells two models apart 19 times in 20."""
+_TELLS = 2.0  # standard errors by which one reading tells two models apart 19 times in 20
 
 
 def motion_words(test: Test) -> str:

@@ -23,10 +23,8 @@ from .layout import Table, filled, printed, section, warned
 from .names import named, upper
 from .numbers import amount, measured, plain, times, with_error
 
-_POOR = 0.05
-"""Relative error of a predicted damping ratio beyond which it is said to be poor."""
-_SAME = 0.02
-"""Elbow angles whose cosines are closer than this are one."""
+_POOR = 0.05  # relative error of a predicted damping ratio beyond which it is said to be poor
+_SAME = 0.02  # elbow angles whose cosines are closer than this are one
 _NOT_PHYSICAL = (
     "Not physical: nothing drives the arm, so that no mode can grow or leave its rest. These "
     "recordings do not determine these numbers; see the warnings of step 3."

@@ -12,7 +12,6 @@ it was fitted and where it was not. The motion about which all is linear is led 
 by the base model. Where a joint sticks, nothing is linear: there the answer is too small a fall.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -36,19 +35,6 @@ class ErrorGram(NamedTuple):
     """What noise alone puts into it beyond the grid's readings, where those are averages."""
     readings: Float[np.ndarray, " n"]
     """How many readings of each joint there are."""
-
-    def times_noise(self, strengths: np.ndarray, which: Sequence[int]) -> np.ndarray:
-        """(n,) rms error over the noise with some columns at some strengths."""
-        i = [0, *(c + 1 for c in which)]
-        v = np.concatenate([[1.0], strengths])
-        energy = np.einsum("jab,a,b->j", self.joints[:, i][:, :, i], v, v) + self.noise
-        return np.sqrt(np.maximum(energy, 0.0) / np.maximum(self.readings, 1.0))
-
-    def strengths(self, which: Sequence[int]) -> np.ndarray:
-        """Strengths of some columns together, in widths of their priors."""
-        i = [c + 1 for c in which]
-        inner = self.solve[np.ix_(i, i)] + np.eye(len(i))
-        return np.linalg.solve(inner, -self.solve[i, 0])
 
 
 class FirstOrder(NamedTuple):
@@ -77,12 +63,9 @@ def first_order(fitted: Columns, held_out: Columns | None, noise: np.ndarray) ->
     if not all(np.isfinite(e).all() and np.abs(e).max() < _RUNAWAY for e, *_ in parts):
         return None
     P, n = len(fitted.trajectory.u), fitted.scene.n
-    weight, time = [], []
-    for columns in groups:
-        g = columns.scene.grid
-        for rows in _rows(columns.scene):
-            weight.append(np.where(g.seen[rows], 1 / np.sqrt(g.variance[rows]), 0.0))
-            time.append(g.time[rows])
+    instants = [(c.scene.grid, rows) for c in groups for rows in _rows(c.scene)]
+    weight = [np.where(g.seen[rows], 1 / np.sqrt(g.variance[rows]), 0.0) for g, rows in instants]
+    time = [g.time[rows] for g, rows in instants]
     mine = [i < len(fitted.scene.recordings) for i in range(len(parts))]
 
     def solved(used):
@@ -123,17 +106,11 @@ def first_order(fitted: Columns, held_out: Columns | None, noise: np.ndarray) ->
         ahead, solve = solved(first)
         beside = energies(ahead, last, solve, mine)
     predicted = []
-    for e, g, rows in zip(left, *_grids(groups), strict=True):
+    for e, (g, rows) in zip(left, instants, strict=True):
         own = -e
         own[..., 0] += g.angle[rows]
         predicted.append(own)
     return FirstOrder(inside, beside, predicted, time)
-
-
-def _grids(groups: Sequence[Columns]):
-    """The grid and the instants of each recording."""
-    each = [(c.scene.grid, rows) for c in groups for rows in _rows(c.scene)]
-    return zip(*each, strict=True)
 
 
 def _rows(scene: Scene) -> list[np.ndarray]:
@@ -158,16 +135,15 @@ def _rolled_out(columns: Columns) -> list[tuple[np.ndarray, np.ndarray]]:
     g = scene.grid
     s = type(s)(*map(np.asarray, s))
     more, read = columns.inputs
-    X, P = s.A.shape[-1], len(t.u)
+    X = s.A.shape[-1]
     states = 2 * scene.n + sum(x.stop - x.start for x in state_slices(t.effects))
     drive = np.concatenate([s.c[..., None], s.B, more], -1)
     seen = np.concatenate([s.hc[..., None], s.Hu, read], -1)
-    found = []
+    F, found = drive.shape[-1], []
     for rows in _rows(scene):
-        M = np.concatenate([np.zeros((X, drive.shape[-1])), np.eye(X, states)], 1)
+        M = np.concatenate([np.zeros((X, F)), np.eye(X, states)], 1)
         M[2 * scene.n :, 0] = t.first  # internal states begin where they are known to
         out = np.empty((len(rows), scene.n, M.shape[1]))
-        F = drive.shape[-1]
         for k, row in enumerate(rows):
             out[k] = s.Hx[row] @ M
             out[k, :, :F] += seen[row]
@@ -176,5 +152,4 @@ def _rolled_out(columns: Columns) -> list[tuple[np.ndarray, np.ndarray]]:
         e = -out[..., :F]
         e[..., 0] += g.angle[rows]
         found.append((e, -out[..., F:]))
-    assert found[0][0].shape[-1] == 1 + P + more.shape[-1]
     return found

@@ -33,9 +33,7 @@ def hide_one(study: Study, random: np.random.Generator) -> tuple[Experiment, Abs
         e for e in study.search.candidates
         if not e.senses and not e.oscillates and not e.memory and e.place in study.experiment.joints
     ]  # fmt: skip
-    for _ in range(_TRIES):
-        if not candidates:
-            break
+    for _ in range(_TRIES if candidates else 0):
         effect = _drawn(study, candidates[random.integers(len(candidates))], random)
         model = _quieter(fit)
         with_it, without = _simulated(fit, model + effect), _simulated(fit, model)

@@ -11,6 +11,7 @@ import re
 from pathlib import PurePath
 from typing import Any
 
+import jax
 import jinja2
 import markupsafe
 
@@ -37,9 +38,10 @@ def static(name: str) -> str:
     return (_STATIC / name).read_text(encoding="utf-8")
 
 
-def _templates() -> jinja2.Environment:
+def environment(folder: str) -> jinja2.Environment:
+    """The templates in a folder of the package; all words that they are given are escaped."""
     return jinja2.Environment(
-        loader=jinja2.PackageLoader("residyn", "reporting/explorer/templates"),
+        loader=jinja2.PackageLoader("residyn", folder),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
@@ -47,9 +49,13 @@ def _templates() -> jinja2.Environment:
     )
 
 
+def _filled(template: str, **given: Any) -> str:
+    return environment("reporting/explorer/templates").get_template(template).render(given)
+
+
 def live(name: str) -> str:
     """The page of the server; `name` of the experiment."""
-    return _templates().get_template("live.html.j2").render(name=name)
+    return _filled("live.html.j2", name=name)
 
 
 def embedded(found: Diagnosis, name: str = "experiment.toml") -> str:
@@ -63,22 +69,20 @@ def embedded(found: Diagnosis, name: str = "experiment.toml") -> str:
     if found.search is None:
         return ""
     path = found.fits.whole.path or name
-    return piece(payload(Study.of(found), name=PurePath(path).name))
+    with jax.enable_x64(True):
+        return piece(payload(Study.of(found), name=PurePath(path).name))
 
 
 def piece(data: dict[str, Any]) -> str:
     """The explorer of a payload, as a piece of HTML for the body of a page."""
     addresses = {f"explorer/{name}": _address(static(name)) for name in MODULES}
-    return (
-        _templates()
-        .get_template("embedded.html.j2")
-        .render(
-            styles=[markupsafe.Markup(static(n)) for n in ("uPlot.min.css", "explorer.css")],
-            licence=static("uPlot.LICENSE.txt").splitlines()[2],
-            uplot=markupsafe.Markup(static("uPlot.iife.min.js")),
-            modules=_json({"imports": addresses}),
-            payload=_json(packed(data)),
-        )
+    return _filled(
+        "embedded.html.j2",
+        styles=[markupsafe.Markup(static(n)) for n in ("uPlot.min.css", "explorer.css")],
+        licence=static("uPlot.LICENSE.txt").splitlines()[2],
+        uplot=markupsafe.Markup(static("uPlot.iife.min.js")),
+        modules=_json({"imports": addresses}),
+        payload=_json(packed(data)),
     )
 
 

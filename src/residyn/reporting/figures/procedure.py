@@ -58,8 +58,7 @@ def composite_inertia(found: InertiaResult, *, narrow: bool = False) -> Figure:
     return figure
 
 
-_THIN = 0.01
-"""Share of the scale below which a band is no broader than its line, and is not drawn."""
+_THIN = 0.01  # share of the scale below which a band is no broader than its line, and is not drawn
 _SIDES = (("on its bearings", MODEL), ("without bearings", RESIDUAL))
 
 
