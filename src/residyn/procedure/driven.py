@@ -79,11 +79,12 @@ def driven_test(recording: Recording) -> DrivenTest:
     if the joint moves too little to be seen beside the noise.
     """
     with inside(recording.name):
-        joint = _driven_joint(recording)
-        drive = _drive(recording)[:, joint]
+        if recording.drive is None:
+            raise InputError("has no drive: step 1 needs the torque that moved it, as u1, u2 (N m)")
+        joint = _driven_joint(recording, recording.drive)
+        drive = recording.drive[:, joint]
         # Torque and angles share their wild instants: a row needs all of them.
-        wild = recording.outliers
-        grid = uniform(recording, wild)
+        grid = uniform(recording, recording.outliers)
         if len(grid.q) < _SHORTEST:
             raise FitError(
                 f"{recording.name}: has {len(grid.q)} samples, at least {_SHORTEST} are needed"
@@ -104,7 +105,7 @@ def driven_test(recording: Recording) -> DrivenTest:
         max(torque_noise, _FINEST * size),
         rate,
         clear & grid.good,
-        tuple(_warnings(recording, joint)),
+        _warnings(recording, joint),
     )
 
 
@@ -129,18 +130,11 @@ def smoothed(column: np.ndarray, knot: int, dt: float) -> tuple[np.ndarray, ...]
     return value, rate, acceleration
 
 
-def _drive(recording: Recording) -> np.ndarray:
-    if recording.drive is None:
-        raise InputError("has no drive: step 1 needs the torque that moved it, as u1, u2 (N m)")
-    return recording.drive
-
-
-def _driven_joint(recording: Recording) -> int:
+def _driven_joint(recording: Recording, drive: np.ndarray) -> int:
     """The joint that a torque acts on and that moves.
 
     A brake may show a holding torque; the joint's own equation has no place for it.
     """
-    drive = _drive(recording)
     acted = np.ptp(drive, axis=0) > 0
     low, high = np.nanquantile(recording.angle, [0.001, 0.999], axis=0)
     moved = np.maximum(high - low - _NOISY * recording.noise, 0.0)
@@ -181,13 +175,11 @@ def _pace(grid: Uniform, joint: int, recording: Recording) -> tuple[int, float]:
     return knot, max(_SLOW * rate, unsure)
 
 
-def _warnings(recording: Recording, joint: int) -> list[str]:
+def _warnings(recording: Recording, joint: int) -> tuple[str, ...]:
     rest = float(np.nanmedian(recording.angle[:, 1 - joint]))
-    if abs(rest) < _OFFSET:
-        return []
-    if joint == 0:
-        return [
-            f"{recording.name}: the braked elbow stands at q2 = {rest:.3g} rad; as q2 counts from "
-            f"theta2 = {recording.theta2:.4g}, its angle is taken as {recording.theta2 + rest:.4g}"
-        ]
-    return []
+    if joint == 1 or abs(rest) < _OFFSET:
+        return ()
+    return (
+        f"{recording.name}: the braked elbow stands at q2 = {rest:.3g} rad; as q2 counts from "
+        f"theta2 = {recording.theta2:.4g}, its angle is taken as {recording.theta2 + rest:.4g}",
+    )

@@ -44,7 +44,7 @@ def _recording(test: TestResult) -> Iterable[str]:
 
 
 def _of_test(test: TestResult) -> Iterable[str]:
-    left = times(float(np.sqrt(test.solved.chi2)))
+    left = times(test.solved.chi2**0.5)
     if test.solved.chi2 > _STRUCTURE and test.solved.enlarged:
         yield (
             f"{test.name}: {left} times the noise is left: friction is more than Coulomb "
@@ -162,24 +162,24 @@ def toml(result: InertiaResult) -> str:
 
 def _test(test: TestResult, joints: tuple[str, ...]) -> list[str]:
     pose = "" if test.test.joint else f", elbow at {_theta2(test)} rad"
-    lines = filled(f"{test.name}: {joints[test.test.joint]} driven{pose}", "  ")
     rows = []
-    names = ("composite inertia", *_FRICTION)
-    numbers = (test.inertia, *test.friction.values())
-    ordinary = (*test.least_squares, None)
-    for each in zip(names, ("kg m^2", *FRICTION_UNITS), numbers, ordinary, strict=True):
-        name, unit, number, paper = each
+    for name, unit, number, paper in zip(
+        ("composite inertia", *_FRICTION),
+        ("kg m^2", *FRICTION_UNITS),
+        (test.inertia, *test.friction.values()),
+        (*test.least_squares, None),
+        strict=True,
+    ):
         if number is None:
             rows.append([name, "not told apart: it slid one way only", ""])
         else:
             beside = f"[{plain(paper.value, 4)}]" if paper else ""
             rows.append([name, measured(*number, unit), beside])
-    noise = plain(test.test.torque_noise, 2)
-    left = times(float(np.sqrt(test.solved.chi2)))
-    lines += printed(Table(["", "", ""], rows, left=(0, 1)))
     return [
-        *lines,
-        f"    torque             noise {noise} N m; what is left is {left} times the noise",
+        *filled(f"{test.name}: {joints[test.test.joint]} driven{pose}", "  "),
+        *printed(Table(["", "", ""], rows, left=(0, 1))),
+        f"    torque             noise {plain(test.test.torque_noise, 2)} N m; what is left is "
+        f"{times(test.solved.chi2**0.5)} times the noise",
     ]
 
 

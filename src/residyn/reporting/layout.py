@@ -29,12 +29,11 @@ class Table:
 
 def filled(words: str, head: str = "", indent: int | None = None, width: int = WIDTH) -> list[str]:
     """Words in lines of 80 columns after a head; numbers stay with their units and errors."""
-    kept = words
-    for bare in (" %", " +/- ", "N m", " x noise"):
-        kept = kept.replace(bare, bare.replace(" ", "\u00a0"))
+    for kept in (" %", " +/- ", "N m", " x noise"):
+        words = words.replace(kept, kept.replace(" ", "\u00a0"))
     further = " " * (len(head) if indent is None else indent)
     lines = textwrap.wrap(
-        kept, width, initial_indent=head, subsequent_indent=further, break_on_hyphens=False
+        words, width, initial_indent=head, subsequent_indent=further, break_on_hyphens=False
     )
     return [line.replace("\u00a0", " ") for line in lines]
 

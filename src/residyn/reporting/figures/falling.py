@@ -14,7 +14,7 @@ from matplotlib.ticker import LogLocator
 from ...diagnosis.result import Diagnosis
 from ...fitting.result import Fit
 from ..fit import joint_errors
-from ..names import HELD_OUT, at_place, listed, lower, model_name, times_noise, unnamed, untried
+from ..names import HELD_OUT, listed, model_name, times_noise, unnamed, untried
 from ..numbers import amount, plain, times
 from .style import BAND, DASHED, FAINT, INK, JOINTS, SOFT, blank, shortened, styled
 
@@ -52,12 +52,7 @@ def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
 
     At the line of the noise nothing is left that the recordings could still show.
     """
-    joints = found.fit.joints
-    names = [model_name(found.ladder[0])]
-    for step in found.ladder[1:]:
-        gone = listed([lower(at_place(x, joints)) for x in step.dropped]) if step.dropped else ""
-        name = f"+ {lower(at_place(step.added or '', joints))}"
-        names.append(f"{name}, without {gone}" if gone else name)
+    names = [model_name(step) for step in found.ladder]
     each = [times_noise(step) for step in found.ladder]
     end = ""
     if len(each) == 1 and found.verdict == "unexplained":
