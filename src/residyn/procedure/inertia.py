@@ -21,7 +21,7 @@ from ..physics.mechanism import PlanarArm
 from ..recordings.experiment import Experiment
 from ..recordings.tables import ArmTable
 from .driven import DrivenTest, driven_test
-from .result import InertiaResult, Number, Separation, TestResult
+from .result import FRICTION, InertiaResult, Number, Separation, TestResult
 from .weak import CALIBRATED, Rows, Solved, ordinary, rows_of, solve
 
 _ROUNDS = 20
@@ -75,7 +75,7 @@ def inertia(experiment: Experiment) -> InertiaResult:
         covariance=covariance,
         least_squares=first,
         tests=tuple(
-            TestResult(t, s, tuple(Number(*pair) for pair in zip(*ls, strict=True)))
+            TestResult(t, s, tuple(map(Number, *ls, ("kg m^2", *FRICTION.values()))))
             for t, s, ls in zip(tests, solved, begin, strict=True)
         ),
         separation=_separation(design, solved, values, l1),

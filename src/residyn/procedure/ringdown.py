@@ -6,7 +6,7 @@ the covariance of the fit. Each draw is simulated; the band at each instant hold
 It knows nothing of effects that the model lacks, nor of the release, which is the same in all.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -52,8 +52,9 @@ def draws_of(
     if open_to or draws == 0 or not np.isfinite(errors.numbers).all():
         return path, np.zeros((0, *np.shape(path.q)))
     rng = np.random.default_rng(seed)
-    inertia = rng.standard_normal((draws, 3)) @ _root(errors.inertia).T
-    own = rng.standard_normal((draws, len(names))) @ _root(errors.numbers).T
+    how: Any = {"size": draws, "method": "eigh", "check_valid": "ignore"}  # they may be singular
+    inertia = rng.multivariate_normal(np.zeros(3), errors.inertia, **how)
+    own = rng.multivariate_normal(np.zeros(len(names)), errors.numbers, **how)
     numbers = (own + inertia @ errors.moved.T)[:, kept]
     found = np.asarray(_simulated(model, numbers, inertia, jnp.asarray(times), q0, steps))
     # What a draw cannot follow (a stiffness below zero, an arm that is none) lies outside.
@@ -66,12 +67,6 @@ def band_of(path: Trajectory, found: np.ndarray) -> RingDown:
         return RingDown(path, None, None)
     low, high = np.percentile(found, _EDGES, axis=0, method="nearest")
     return RingDown(path, low, high)
-
-
-def _root(square: np.ndarray) -> np.ndarray:
-    """R with R R' = a covariance, which may be singular."""
-    values, vectors = np.linalg.eigh(square)
-    return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 @eqx.filter_jit

@@ -42,28 +42,25 @@ _WORSE = 1.15  # of what three standard errors of the prediction allow
 
 def sentences(found: Comparison) -> tuple[str, ...]:
     """The verdict in a few sentences."""
-    white, chi2 = found.p >= NOISE, found.fit.reduced_chi2
-    held, left, p_values = _held_out(found), _left(found), _p_values(found)
-    if white and chi2 > _LARGER:
-        first = (
+    chi2, at, left, p_values = found.fit.reduced_chi2, found.where, _left(found), _p_values(found)
+    if found.p >= NOISE and chi2 > _LARGER:
+        words = [
             f"What is left is white ({p_values}), and yet {left}: more noise than was stated, not "
             "a motion that the model lacks."
-        )
-        return (first, *held)
-    if white:
-        first = (
+        ]
+    elif found.p >= NOISE:
+        words = [
             f"Nothing is left that the noise does not explain: what is left is white ({p_values}), "
             f"{left}."
-        )
-        less = "The noise that was stated is more than these readings show."
-        return (first, *([less] if chi2 < _SMALLER else []), *held)
-    if chi2 > _LARGER:
-        first = f"The model misses something: it leaves {left}, and that is not white"
+        ]
+        if chi2 < _SMALLER:
+            words.append("The noise that was stated is more than these readings show.")
     else:
         first = f"Something small is left that is not noise: {left}, but not white"
-    at = found.where
-    told = (_when(at), _swing(at), _frequency(found))
-    return (f"{first} ({p_values}).", *(t for t in told if t), *held)
+        if chi2 > _LARGER:
+            first = f"The model misses something: it leaves {left}, and that is not white"
+        words = [f"{first} ({p_values}).", _when(at), _swing(at), _frequency(found)]
+    return tuple(filter(None, [*words, *_held_out(found)]))
 
 
 def _excess(cell: Cell) -> float:
@@ -101,7 +98,6 @@ def _worst(at: Where) -> int:
 
 
 def _when(at: Where) -> str:
-    """At which joint, and when."""
     worst, total = _worst(at), sum(map(_excess, at.joint))
     alone = len(at.joint) > 1 and _excess(at.joint[worst]) > _MOSTLY * total
     told = [(p, p.cells[worst] if alone else p.whole) for p in at.time]
@@ -146,7 +142,6 @@ def _swing(at: Where) -> str:
 
 
 def _frequency(found: Comparison) -> str:
-    """Around which frequencies."""
     bands = found.where.frequency
     total = sum(_excess(p.whole) for p in bands)
     parts = sorted((p for p in bands if _tells(p.whole)), key=lambda p: -_excess(p.whole))
@@ -203,12 +198,9 @@ def _held_out(found: Comparison) -> list[str]:
 
 def worse(held: HeldOut) -> bool:
     """Whether the model errs more where it was not fitted than noise explains."""
-    expected = held.held_out.expected
-    for j, (now, then) in enumerate(zip(held.held_out.ratio, held.fitted.ratio, strict=True)):
-        bound = 1.0 if expected is None else math.sqrt(1 + 9 * (float(expected[j]) ** 2 - 1))
-        if now > _WORSE * bound and now > _WORSE * then:
-            return True
-    return False
+    expected, now, then = held.held_out.expected, held.held_out.ratio, held.fitted.ratio
+    bound = 1.0 if expected is None else np.sqrt(1 + 9 * (expected**2 - 1))
+    return bool(np.any((now > _WORSE * bound) & (now > _WORSE * then)))
 
 
 # -- in a terminal ---------------------------------------------------------------------------

@@ -7,7 +7,7 @@ from scipy.special import chdtrc
 
 from ..errors import InputError
 from ..procedure.carried import NAMES
-from ..procedure.result import FRICTION_UNITS, UNITS, InertiaResult, Number, TestResult
+from ..procedure.result import InertiaResult, Number, TestResult
 from ..procedure.weak import CALIBRATED
 from ..recordings.tables import ArmTable, check_bearings
 from .layout import Table, filled, printed, section, warned
@@ -28,19 +28,19 @@ _SURE = 3.0  # standard errors that make a difference more than chance
 def warnings(result: InertiaResult) -> tuple[str, ...]:
     """All warnings of step 1: the recordings' own, then the result's."""
     return (
-        *(w for t in result.tests for w in (*_recording(t), *t.test.warnings)),
+        *(
+            w
+            for t in result.tests
+            for w in (*t.test.recording.warnings, *t.test.warnings)
+            # A braked joint may well stand still: that is no doubt here.
+            if f"q{2 - t.test.joint} never moves" not in w
+        ),
         *(line for t in result.tests for line in _of_test(t)),
         *_close(result),
         *_contradiction(result),
         *_bearings(result),
         *at_odds(result),
     )
-
-
-def _recording(test: TestResult) -> Iterable[str]:
-    """A braked joint may well stand still: that is no doubt here."""
-    still = f"q{2 - test.test.joint} never moves"
-    return (w for w in test.test.recording.warnings if still not in w)
 
 
 def _of_test(test: TestResult) -> Iterable[str]:
@@ -123,8 +123,8 @@ def text(result: InertiaResult) -> str:
     lines += filled(apart_words(result), "    ")
     lines.append("[[Inertia]]  value +/- standard error (error in %) [the paper's, Eq. 12 to 15]")
     rows = [
-        [name, f"{measured(*number, unit)} ({_percent(number)} %)", f"[{plain(x, 5)}]"]
-        for name, number, unit, x in _inertias(result)
+        [name, f"{measured(*number)} ({_percent(number)} %)", f"[{plain(x, 5)}]"]
+        for name, number, x in _inertias(result)
     ]
     lines += printed(Table(["", "", ""], rows, left=(0, 1)))
     if result.reduced_chi2 is not None:
@@ -132,9 +132,9 @@ def text(result: InertiaResult) -> str:
     return "\n".join([*lines, *warned(result.warnings)])
 
 
-def _inertias(result: InertiaResult) -> Iterable[tuple[str, Number, str, float]]:
+def _inertias(result: InertiaResult) -> Iterable[tuple[str, Number, float]]:
     numbers = result.shoulder, result.elbow, result.coupling
-    return zip(NAMES, numbers, UNITS, result.least_squares.tolist(), strict=True)
+    return zip(NAMES, numbers, result.least_squares.tolist(), strict=True)
 
 
 def _percent(number: Number) -> str:
@@ -154,8 +154,8 @@ def toml(result: InertiaResult) -> str:
     """The `[arm]` table, as the other commands read it; errors as comments."""
     l1, l2 = result.link_lengths
     lines = ["[arm]", f"link_lengths = [{l1!r}, {l2!r}]  # m"]
-    for name, number, unit, _ in _inertias(result):
-        found, error = with_error(*number)
+    for name, (value, std, unit), _ in _inertias(result):
+        found, error = with_error(value, std)
         lines.append(f"{name} = {found}  # +/- {error} {unit}")
     return "\n".join(lines) + "\n"
 
@@ -163,18 +163,14 @@ def toml(result: InertiaResult) -> str:
 def _test(test: TestResult, joints: tuple[str, ...]) -> list[str]:
     pose = "" if test.test.joint else f", elbow at {_theta2(test)} rad"
     rows = []
-    for name, unit, number, paper in zip(
-        ("composite inertia", *_FRICTION),
-        ("kg m^2", *FRICTION_UNITS),
-        (test.inertia, *test.friction.values()),
-        (*test.least_squares, None),
-        strict=True,
-    ):
+    numbers = test.inertia, *test.friction.values()
+    each = zip(("composite inertia", *_FRICTION), numbers, (*test.least_squares, None), strict=True)
+    for name, number, paper in each:
         if number is None:
             rows.append([name, "not told apart: it slid one way only", ""])
         else:
             beside = f"[{plain(paper.value, 4)}]" if paper else ""
-            rows.append([name, measured(*number, unit), beside])
+            rows.append([name, measured(*number), beside])
     return [
         *filled(f"{test.name}: {joints[test.test.joint]} driven{pose}", "  "),
         *printed(Table(["", "", ""], rows, left=(0, 1))),
@@ -205,8 +201,8 @@ def apart_words(result: InertiaResult) -> str:
 def inertias_table(found: InertiaResult) -> Table:
     """The inertias with their errors, beside the paper's least squares."""
     rows = [
-        [name, _pm(number), _percent(number), plain(x, 5), unit]
-        for name, number, unit, x in _inertias(found)
+        [name, _pm(number), _percent(number), plain(x, 5), number.unit]
+        for name, number, x in _inertias(found)
     ]
     head = ["inertia", "value ± standard error", "error in %", "by least squares (Eq. 12 to 15)"]
     return Table([*head, "unit"], rows, left=(0, 4))
@@ -216,12 +212,12 @@ def verdict(found: InertiaResult) -> str:
     """What was found, in a sentence."""
     if found.problem is not None:
         return f"Not physical: {found.problem}."
-    each = [f"{name} {_pm(number)} {unit}" for name, number, unit, _ in _inertias(found)]
+    each = [f"{name} {_pm(number)} {number.unit}" for name, number, _ in _inertias(found)]
     return f"The arm on its bearings: {listed(each)}."
 
 
 def _pm(number: Number) -> str:
-    return unbroken(" +/- ".join(with_error(*number)))
+    return unbroken(" +/- ".join(with_error(number.value, number.std)))
 
 
 def tests_table(found: InertiaResult) -> Table:
@@ -229,11 +225,8 @@ def tests_table(found: InertiaResult) -> Table:
     rows = []
     for t in found.tests:
         friction = ["not told apart" if n is None else _pm(n) for n in t.friction.values()][:2]
-        at = "" if t.test.joint else _theta2(t)
-        left = times(t.solved.chi2**0.5)
-        rows.append(
-            [t.name, found.experiment.joints[t.test.joint], at, _pm(t.inertia), *friction, left]
-        )
+        driven = found.experiment.joints[t.test.joint], "" if t.test.joint else _theta2(t)
+        rows.append([t.name, *driven, _pm(t.inertia), *friction, times(t.solved.chi2**0.5)])
     head = ["recording", "driven", "elbow at (rad)", "composite inertia (kg m²)"]
     head += ["Coulomb friction (N m)", "viscous friction (N m s/rad)", "left / noise"]
     return Table(head, rows, left=(0, 1))

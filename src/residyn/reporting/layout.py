@@ -38,9 +38,9 @@ def filled(words: str, head: str = "", indent: int | None = None, width: int = W
     return [line.replace("\u00a0", " ") for line in lines]
 
 
-def section(title: str, note: str = "") -> list[str]:
+def section(title: str, note: str) -> list[str]:
     """ "[[Title]]  note"."""
-    return filled(note, f"[[{title}]]  ", 4) if note else [f"[[{title}]]"]
+    return filled(note, f"[[{title}]]  ", 4)
 
 
 def warned(warnings: Sequence[str], title: str = "Warnings") -> list[str]:

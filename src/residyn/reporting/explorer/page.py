@@ -6,7 +6,6 @@ Live, scripts are files of the server. In a report everything stands in the page
 
 import base64
 import importlib.resources
-import json
 import re
 from pathlib import PurePath
 from typing import Any
@@ -40,13 +39,15 @@ def static(name: str) -> str:
 
 def environment(folder: str) -> jinja2.Environment:
     """The templates in a folder of the package; all words that they are given are escaped."""
-    return jinja2.Environment(
+    found = jinja2.Environment(
         loader=jinja2.PackageLoader("residyn", folder),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    found.policies["json.dumps_kwargs"] = {"ensure_ascii": False, "allow_nan": False}
+    return found
 
 
 def _filled(template: str, **given: Any) -> str:
@@ -58,19 +59,17 @@ def live(name: str) -> str:
     return _filled("live.html.j2", name=name)
 
 
-def embedded(found: Diagnosis, name: str = "experiment.toml") -> str:
+def embedded(found: Diagnosis) -> str:
     """The explorer of a diagnosis, as a piece of HTML for the body of a page: styles, scripts and
     data inside, nothing fetched. It shows nothing where scripts do not run, and is not printed.
-
-    **Arguments:** `name`: what the experiment is called on a command line.
 
     **Returns:** HTML, or nothing if the diagnosis has not kept its search.
     """
     if found.search is None:
         return ""
-    path = found.fits.whole.path or name
+    name = PurePath(found.fits.whole.path or "experiment.toml").name
     with jax.enable_x64(True):
-        return piece(payload(Study.of(found), name=PurePath(path).name))
+        return piece(payload(Study.of(found), name=name))
 
 
 def piece(data: dict[str, Any]) -> str:
@@ -81,8 +80,8 @@ def piece(data: dict[str, Any]) -> str:
         styles=[markupsafe.Markup(static(n)) for n in ("uPlot.min.css", "explorer.css")],
         licence=static("uPlot.LICENSE.txt").splitlines()[2],
         uplot=markupsafe.Markup(static("uPlot.iife.min.js")),
-        modules=_json({"imports": addresses}),
-        payload=_json(packed(data)),
+        modules={"imports": addresses},
+        payload=packed(data),
     )
 
 
@@ -91,11 +90,3 @@ def _address(script: str) -> str:
     the import map."""
     text = _IMPORT.sub(r'\1"explorer/\2"', _SPARE.sub("", script))
     return "data:text/javascript;base64," + base64.b64encode(text.encode()).decode()
-
-
-def _json(data: Any) -> markupsafe.Markup:
-    """JSON inside a script element, which no `</script>` in a name can end."""
-    text = json.dumps(data, ensure_ascii=False, allow_nan=False)
-    for letter in "<>&\u2028\u2029":
-        text = text.replace(letter, f"\\u{ord(letter):04x}")
-    return markupsafe.Markup(text)

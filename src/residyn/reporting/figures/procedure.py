@@ -25,7 +25,7 @@ def composite_inertia(found: InertiaResult, *, narrow: bool = False) -> Figure:
     ax = figure.subplots()
     cosines = np.linspace(-1.0, 1.0, 60)
     line = [found.composite(float(np.arccos(c))) for c in cosines]
-    value, std = (np.array(x) for x in zip(*line, strict=True))
+    value, std = np.array([(x.value, x.std) for x in line]).T
     ax.fill_between(cosines, value - 2 * std, value + 2 * std, color=MODEL, alpha=0.3, lw=0)
     ax.plot(cosines, value, color=MODEL, lw=1.2, label="Eq. 14")
     shoulder = [t for t in found.tests if t.test.joint == 0 and t.test.recording.air_bearings]

@@ -83,8 +83,7 @@ def blank(narrow: bool, high: float) -> Figure:
 
 def largest(values: np.ndarray) -> float:
     """Largest size among the finite values; 0 if there are none."""
-    values = np.abs(values[np.isfinite(values)])
-    return float(values.max()) if len(values) else 0.0
+    return float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0))
 
 
 def shortened(name: str, most: int) -> str:
