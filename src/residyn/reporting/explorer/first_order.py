@@ -49,12 +49,11 @@ class FirstOrder(NamedTuple):
     """(N,) s from the first sample of each."""
 
 
-def first_order(fitted: Columns, held_out: Columns | None, noise: np.ndarray) -> FirstOrder | None:
+def first_order(fitted: Columns, held_out: Columns | None) -> FirstOrder | None:
     """The first order about the motion of the fitted recordings, and of those held out; without
     these, the last third of each recording is predicted from the rest.
 
-    `noise` (R, n) of one reading, of all recordings one after the other; all columns are of the
-    same candidates, in the same widths.
+    All columns are of the same candidates, in the same widths.
 
     **Returns:** None where the linear motion runs away.
     """
@@ -63,6 +62,7 @@ def first_order(fitted: Columns, held_out: Columns | None, noise: np.ndarray) ->
     if not all(np.isfinite(e).all() and np.abs(e).max() < _RUNAWAY for e, *_ in parts):
         return None
     P, n = len(fitted.trajectory.u), fitted.scene.n
+    noise = [r.noise for c in groups for r in c.scene.recordings]
     instants = [(c.scene.grid, rows) for c in groups for rows in _rows(c.scene)]
     weight = [np.where(g.seen[rows], 1 / np.sqrt(g.variance[rows]), 0.0) for g, rows in instants]
     time = [g.time[rows] for g, rows in instants]

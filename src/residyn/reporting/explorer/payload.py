@@ -38,7 +38,7 @@ class Drawn(NamedTuple):
     """Steps between 0 and its largest size."""
 
 
-_COARSE = 1023  # of what an effect adds: on a chart of 200 pixels a tenth of one
+_COARSE = 1023  # levels of what an effect adds: on a chart of 200 pixels a tenth of one
 
 
 def packed(tree: Any) -> dict[str, Any]:
@@ -118,14 +118,11 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
 def searched(study: Study, since: Sequence[int] = (0, 0)) -> dict[str, Any]:
     """What a search and fits have added: `tried`, `screened`, `verdict`, and `fits` by least
     squares and by the smoother but for the first `since` of each; how many there are is `known`."""
-    found, tried = study.found, list(study.search.tried.values())
+    found, base, tried = study.found, study.search.base, list(study.search.tried.values())
     fits, refits = list(study.fits.items()), list(study.refits)
     return {
         "tried": [
-            {
-                "added": list(t.added),
-                "log_evidence": t.log_evidence - study.search.base.log_evidence,
-            }
+            {"added": list(t.added), "log_evidence": t.log_evidence - base.log_evidence}
             for t in tried
         ],
         "screened": [
@@ -169,8 +166,7 @@ def refitted(study: Study, added: Collection[str]) -> dict[str, Any] | None:
     scene, path, shown = study.search.scene, found.path, _shown(study)
     curves: list[Any] = [None] * len(shown)
     for i, r in enumerate(scene.recordings[: len(shown)]):
-        own = scene.grid.of(i)
-        at = r.time[thinned(len(r.time))] - r.time[0]
+        own, at = scene.grid.of(i), r.time[thinned(len(r.time))] - r.time[0]
         curves[i] = Drawn([np.interp(at, scene.grid.time[own], x) for x in found.predicted[own].T])
     grown = float(np.maximum(1.0, np.max(found.fitted)))  # where the residual is no noise
     signs = {f"{e.label}.{n.name}": n.sign for e in path.effects for n in numbers_of(e)}
@@ -239,38 +235,33 @@ def _candidate(study: Study, s: Screened):
     unit = units[scene.joint_of(effect)] if units else None
     rows = [r.which for r in study.screen.rows if r.effect.label == effect.label]
     own = [r.which for r in study.columns.rows if r.effect.label == effect.label]
+
+    def told(n):
+        return {"name": n.name, "words": n.words, "unit": n.dimension.unit(unit)}
+
+    written = ("label", "name", "place", "equation", "looks_like", "extends")
     return {
-        "label": effect.label,
+        **{name: getattr(effect, name) for name in written},
         "title": effect.titled(),
-        "name": effect.name,
-        "place": effect.place,
         "kind": effect.kind(),
-        "equation": effect.equation,
-        "looks_like": effect.looks_like,
-        "extends": effect.extends,
         "sticks": effect.dry or effect.follows,
+        "oscillates": effect.oscillates is not None,
         "columns": list(own[0]),
         "rows": list(map(list, rows)),
         "best": rows.index(s.which),
-        "oscillates": effect.oscillates is not None,
         "shape": [
-            {"name": n.name, "words": n.words, "value": s.shape[n.field],
-             "unit": n.dimension.unit(unit)}
-            for n in numbers_of(effect)
-            if n.silent is None
+            {**told(n), "value": s.shape[n.field]} for n in numbers_of(effect) if n.silent is None
         ],
         "strengths": [
             {
-                "name": n.name,
-                "words": n.words,
-                "unit": n.dimension.unit(unit),
+                **told(n),
                 "silent": n.silent,
                 "width": width_of(scene, effect, n),
                 "signed": signed(n),
             }
             for n in strengths(effect)
         ],
-    }  # fmt: skip
+    }
 
 
 def _screen(study: Study):

@@ -140,11 +140,8 @@ class Study:
 
     def first_order(self) -> FirstOrder | None:
         """What each candidate does to the readings, fitted and held out."""
-        e, beside = self.experiment, self.beside
-        noise = np.stack([r.noise for r in (*e.fit_recordings, *e.check_recordings)])
-        path = beside.path
-        other = None if path is None else self.columns_along(beside.scene, path)
-        return first_order(self.columns, other, noise)
+        there, path, _ = self.beside
+        return first_order(self.columns, path and self.columns_along(there, path))
 
     @functools.cached_property
     def beside(self) -> Beside:
