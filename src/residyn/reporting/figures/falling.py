@@ -1,5 +1,6 @@
 """The error falling, model by model, in times the noise of a reading."""
 
+import itertools
 import math
 import textwrap
 from collections.abc import Sequence
@@ -37,6 +38,10 @@ class _Line(NamedTuple):
     @property
     def colour(self) -> str:
         return JOINTS[self.joint % len(JOINTS)]
+
+    @property
+    def kind(self) -> str:
+        return HELD_OUT if self.held else "fitted"
 
     @property
     def style(self) -> dict[str, Any]:
@@ -78,20 +83,15 @@ def _falling(
     end_words: str = "",
 ) -> Figure:
     joints, count, lines = fit.joints, len(names), []
-    for joint in range(len(joints)):
-        for held in (False, True):
-            values = [math.nan if (x := model[joint][held]) is None else x for model in each]
-            if np.isfinite(values).any():
-                lines.append(_Line(joint, held, values))
+    for joint, held in itertools.product(range(len(joints)), (False, True)):
+        values = [math.nan if (x := model[joint][held]) is None else x for model in each]
+        if np.isfinite(values).any():
+            lines.append(_Line(joint, held, values))
     beneath = narrow or count > _MOST_NAMES  # there is no room for names under their dots
     below = ["\n".join(textwrap.wrap(n.replace(" + ", " +\u00a0"), 26)) for n in names]
-    rows = [
-        row
-        for i, name in enumerate(names)
-        for row in textwrap.wrap(
-            name, 44 if narrow else 108, initial_indent=f"{i}  ", subsequent_indent=" " * 5
-        )
-    ]
+    rows = []
+    for i, name in enumerate(names):
+        rows += textwrap.wrap(f"{i}  {name}", 44 if narrow else 108, subsequent_indent=" " * 5)
     under = len(rows) + 1 if beneath else max(name.count("\n") + 1 for name in below)
     head = 0.7 + (_LINE + 0.04) * max(2, len(joints)) if narrow else 0.45
     figure = blank(narrow, _PANEL + head + _LINE * under)
@@ -166,12 +166,12 @@ def _first(
         value, words, colour = dots[0]
         return [(value, words if narrow else f"all: {words}", colour)]
     labels = []
-    for joint, held, values in lines:
-        words = f"{times(values[0])} ×"
+    for line in lines:
+        words = f"{times(line.values[0])} ×"
         if not narrow:
-            name = f"{shortened(joints[joint], 14)}, " if len(joints) > 1 else ""
-            words = f"{name}{HELD_OUT if held else 'fitted'}: {words}"
-        labels.append((values[0], words, JOINTS[joint % len(JOINTS)]))
+            name = f"{shortened(joints[line.joint], 14)}, " if len(joints) > 1 else ""
+            words = f"{name}{line.kind}: {words}"
+        labels.append((line.values[0], words, line.colour))
     return labels
 
 
@@ -185,11 +185,11 @@ def _gathered(values: Sequence[tuple[float, int]]) -> list[tuple[float, str, str
             groups.append([(value, joint)])
     labels = []
     for group in groups:
-        low, high = times(group[0][0]), times(group[-1][0])
-        same = len({joint for _, joint in group}) == 1
-        colour = JOINTS[group[0][1] % len(JOINTS)] if same else INK
-        middle = math.sqrt(group[0][0] * group[-1][0])
-        labels.append((middle, f"{low} ×" if low == high else f"{low}-{high} ×", colour))
+        (least, joint), (most, _) = group[0], group[-1]
+        low, high = times(least), times(most)
+        colour = JOINTS[joint % len(JOINTS)] if {j for _, j in group} == {joint} else INK
+        words = f"{low} ×" if low == high else f"{low}-{high} ×"
+        labels.append((math.sqrt(least * most), words, colour))
     return labels
 
 
@@ -205,9 +205,9 @@ def _beside(ax: Axes, x: float, side: int, labels: Sequence[tuple[float, str, st
     places, floor = [_height(ax, v) for v, *_ in shown], _height(ax, 1.0)
     below, above = -math.inf, _PANEL + _LINE
     for i, place in enumerate(places):
-        # Above the line of the noise, which would strike them out.
-        free = floor + 0.6 * _LINE if abs(place - floor) < 0.6 * _LINE else place
-        places[i] = below = max(free, below + _LINE)
+        if abs(place - floor) < 0.6 * _LINE:  # the line of the noise would strike them out
+            place = floor + 0.6 * _LINE
+        places[i] = below = max(place, below + _LINE)
     for i, place in reversed([*enumerate(places)]):
         places[i] = above = min(place, above - _LINE)
     for place, (value, words, colour) in zip(places, shown, strict=True):
@@ -226,12 +226,11 @@ def _beside(ax: Axes, x: float, side: int, labels: Sequence[tuple[float, str, st
 def _key(figure: Figure, lines: Sequence[_Line], joints: Sequence[str]) -> None:
     """What colours and dots mean, where there is no room for words beside them."""
     colours = {shortened(joints[x.joint], 14): x.colour for x in lines}
-    kinds = {HELD_OUT if x.held else "fitted": x.style for x in lines}
+    kinds = {x.kind: x.style for x in lines}
     left = [Line2D([], [], color=colour, lw=2.5, label=name) for name, colour in colours.items()]
     right = [
         Line2D([], [], color=FAINT, mfc="white" if name == HELD_OUT else FAINT, label=name, **style)
         for name, style in kinds.items()
     ]
-    most = max(len(left), len(right))
-    left += [Line2D([], [], ls="", label="")] * (most - len(left))
+    left += [Line2D([], [], ls="", label="")] * (len(right) - len(left))
     figure.legend(handles=[*left, *right], loc="outside upper left", ncols=2, labelspacing=0.35)
