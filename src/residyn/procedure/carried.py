@@ -34,14 +34,10 @@ _AWAY = 1e-6  # share of the fastest eigenvalue from which a real one above zero
 class Carried(NamedTuple):
     """What the numbers (P,) and the inertias (3,) do not know."""
 
-    numbers: np.ndarray
-    """(P, P) covariance of the numbers where the recordings see them."""
-    unseen: np.ndarray
-    """(B, P) combinations that the recordings do not see, each as large as its largest number."""
-    inertia: np.ndarray
-    """(3, 3) covariance of shoulder, elbow (kg m^2) and coupling (kg m) from step 1."""
-    moved: np.ndarray
-    """(P, 3) d(numbers)/d(inertias)."""
+    numbers: np.ndarray  # (P, P) covariance of the numbers where the recordings see them
+    unseen: np.ndarray  # (B, P) combinations that are not seen, as large as their largest number
+    inertia: np.ndarray  # (3, 3) covariance of the inertias from step 1, in kg m^2 and kg m
+    moved: np.ndarray  # (P, 3) d(numbers)/d(inertias)
 
     def std(self, value: float, by_number: np.ndarray, by_inertia: np.ndarray) -> float:
         """Standard error of a quantity with these slopes; inf where the recordings leave it open.
@@ -125,21 +121,16 @@ def with_inertias(mechanism: AbstractInertia, change: Callable) -> AbstractInert
 class Rings(NamedTuple):
     """How a model moves about its rest."""
 
-    modes: tuple[Mode, ...]
-    """Those that ring, lowest first."""
-    leaves: bool
-    """Whether it moves away from rest without ringing, as with a negative stiffness."""
+    modes: tuple[Mode, ...]  # those that ring, lowest first
+    leaves: bool  # whether it moves away from rest without ringing, as with a negative stiffness
 
 
 class ModeSlopes(NamedTuple):
     """A mode that rings: frequency (Hz) and damping ratio, and their slopes."""
 
-    values: np.ndarray
-    """(2,)"""
-    by_number: np.ndarray
-    """(2, P), inertias held."""
-    by_inertia: np.ndarray
-    """(2, 3), numbers held."""
+    values: np.ndarray  # (2,)
+    by_number: np.ndarray  # (2, P), inertias held
+    by_inertia: np.ndarray  # (2, 3), numbers held
 
 
 def slopes_of_modes(model: Model, fitted: Model) -> list[ModeSlopes]:

@@ -34,15 +34,11 @@ class DrivenTest:
     """A recording made ready for step 1, on a uniform grid of G instants."""
 
     recording: Recording
-    joint: int
-    """0: the shoulder is driven; 1: the elbow."""
+    joint: int  # 0: the shoulder is driven; 1: the elbow
     grid: Uniform
-    torque_noise: float
-    """Sigma of one reading of the drive, N m."""
-    rate: np.ndarray
-    """(G,) of the driven joint, smoothed, rad/s."""
-    clear: np.ndarray
-    """(G,) whether it is known which way the joint slides."""
+    torque_noise: float  # sigma of one reading of the drive, N m
+    rate: np.ndarray  # (G,) of the driven joint, smoothed, rad/s
+    clear: np.ndarray  # (G,) whether it is known which way the joint slides
     warnings: tuple[str, ...] = ()
 
     @property

@@ -27,8 +27,7 @@ class RingDown(NamedTuple):
     """A released arm, and where it is in 95 % of the draws; arrays (N, n), rad."""
 
     path: Trajectory
-    low: Float[np.ndarray, "N n"] | None
-    """None where the recordings leave a number open: then there is no band."""
+    low: Float[np.ndarray, "N n"] | None  # None where the recordings leave a number open
     high: Float[np.ndarray, "N n"] | None
 
 

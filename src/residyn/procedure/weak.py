@@ -90,10 +90,8 @@ class Solved(NamedTuple):
 
     values: np.ndarray
     std: np.ndarray
-    chi2: float
-    """Per degree of freedom: 1 is noise alone."""
-    enlarged: bool
-    """Whether the errors were, since the residual is more than noise."""
+    chi2: float  # per degree of freedom: 1 is noise alone
+    enlarged: bool  # whether the errors were, since the residual is more than noise
 
 
 def rows_of(test: DrivenTest, l1: float) -> Rows:

@@ -13,7 +13,6 @@ import numpy as np
 
 from ..diagnosis.compare import Comparison
 from ..diagnosis.evidence import NOISE
-from ..diagnosis.forecast import HeldOut
 from ..diagnosis.missing_torque import Missing
 from ..diagnosis.residuals import Cell, Part, Where
 from ..recordings.experiment import Experiment
@@ -150,21 +149,17 @@ def _frequency(found: Comparison) -> str:
     named = [p for p in parts if _excess(p.whole) > _NAMED * total][:3] or parts[:1]
     shares = [f"{plain(100 * _excess(p.whole) / total, 2)} % {_band(p, found)}" for p in named]
     words = f"Of what exceeds the noise, {listed(shares).replace(' % ', ' % lies ', 1)}"
-    clear = [p for p in _multiples(bands) if p not in named][:2]
+    # Multiples of modes that exceed the bands beside them.
+    clear = [
+        p
+        for before, p, after in zip(bands, bands[1:], bands[2:], strict=False)
+        if " x " in p.name and _tells(p.whole) and p not in named
+        if p.whole.ratio > _CLEAR * max(before.whole.ratio, after.whole.ratio)
+    ][:2]
     if clear:
         each = [f"{times(p.whole.ratio)} times the noise {_band(p, found)}" for p in clear]
         words += f"; {listed(each)} is a sign of a torque that is not linear"
     return f"{words}."
-
-
-def _multiples(parts: Sequence[Part]) -> list[Part]:
-    """Multiples of modes that exceed the bands beside them."""
-    found = []
-    for before, part, after in zip(parts, parts[1:], parts[2:], strict=False):
-        beside = max(before.whole.ratio, after.whole.ratio)
-        if " x " in part.name and _tells(part.whole) and part.whole.ratio > _CLEAR * beside:
-            found.append(part)
-    return found
 
 
 def _band(part: Part, found: Comparison) -> str:
@@ -190,17 +185,13 @@ def _held_out(found: Comparison) -> list[str]:
         words = f"The held-out recordings are off by {off}"
     else:
         words = f"The last third, held out and predicted from the first two, is off by {off}"
-    if worse(held):
+    # Worse than where it was fitted, and than three standard errors of the prediction allow.
+    expected, now, then = held.held_out.expected, held.held_out.ratio, held.fitted.ratio
+    bound = 1.0 if expected is None else np.sqrt(1 + 9 * (expected**2 - 1))
+    if np.any((now > _WORSE * bound) & (now > _WORSE * then)):
         fitted = listed([times(x) for x in held.fitted.ratio if math.isfinite(x)])
         return [f"{words}: worse than where it was fitted ({fitted} times)."]
     return [f"{words}{', as it should be' if found.p >= NOISE else ''}."]
-
-
-def worse(held: HeldOut) -> bool:
-    """Whether the model errs more where it was not fitted than noise explains."""
-    expected, now, then = held.held_out.expected, held.held_out.ratio, held.fitted.ratio
-    bound = 1.0 if expected is None else np.sqrt(1 + 9 * (expected**2 - 1))
-    return bool(np.any((now > _WORSE * bound) & (now > _WORSE * then)))
 
 
 # -- in a terminal ---------------------------------------------------------------------------

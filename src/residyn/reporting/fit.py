@@ -36,10 +36,8 @@ class JointError(NamedTuple):
     unit: str
     rmse: float
     noise: float
-    ratio: float
-    """Error in times the noise."""
-    share: float
-    """Error as a share of the motion's standard deviation."""
+    ratio: float  # error in times the noise
+    share: float  # error as a share of the motion's standard deviation
     check: float | None
     check_ratio: float | None
 

@@ -23,8 +23,7 @@ class Table:
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
     left: Sequence[int] = (0,)
-    marked: Sequence[int] = ()
-    """Rows that a page shades."""
+    marked: Sequence[int] = ()  # rows that a page shades
 
 
 def filled(words: str, head: str = "", indent: int | None = None, width: int = WIDTH) -> list[str]:

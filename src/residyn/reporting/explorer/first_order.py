@@ -45,8 +45,7 @@ class FirstOrder(NamedTuple):
     predicted: list[np.ndarray]
     """Per recording (N, n, 1 + C): readings of the base model, rad or m, and what a unit of each
     column adds to them, springs and dampers being fitted anew."""
-    time: list[np.ndarray]
-    """(N,) s from the first sample of each."""
+    time: list[np.ndarray]  # (N,) s from the first sample of each
 
 
 def first_order(fitted: Columns, held_out: Columns | None) -> FirstOrder | None:

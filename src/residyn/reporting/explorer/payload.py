@@ -34,8 +34,7 @@ class Drawn(NamedTuple):
     """An array that is only drawn."""
 
     values: Any
-    levels: int = 32767
-    """Steps between 0 and its largest size."""
+    levels: int = 32767  # steps between 0 and its largest size
 
 
 _COARSE = 1023  # levels of what an effect adds: on a chart of 200 pixels a tenth of one

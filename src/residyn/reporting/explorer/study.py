@@ -45,23 +45,17 @@ class Refit(NamedTuple):
     """Least squares by the smoother."""
 
     path: Trajectory
-    predicted: np.ndarray
-    """(K, n) readings, rad or m."""
-    torque: np.ndarray
-    """(K, n) what all effects resist with, N m."""
-    fitted: np.ndarray
-    """(n,) rms error over the noise."""
+    predicted: np.ndarray  # (K, n) readings, rad or m
+    torque: np.ndarray  # (K, n) what all effects resist with, N m
+    fitted: np.ndarray  # (n,) rms error over the noise
 
 
 class Beside(NamedTuple):
     """Where predictions are tested."""
 
-    scene: Scene
-    """The check recordings, or the fitted ones without their last thirds."""
-    path: Trajectory | None
-    """The base model's smoothed motion there; None for the last thirds."""
-    counts: np.ndarray
-    """(K,) bool: which instants are held out."""
+    scene: Scene  # the check recordings, or the fitted ones without their last thirds
+    path: Trajectory | None  # the base model's smoothed motion there; None for the last thirds
+    counts: np.ndarray  # (K,) bool: which instants are held out
 
 
 class Study:

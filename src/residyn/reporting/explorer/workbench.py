@@ -54,17 +54,13 @@ class Workbench:
         self.files, self.hidden = files, hidden
         self.words, self.error = "starting", ""
         self.study: Study | None = None
-        self.text: str | None = None
-        """The payload as JSON, once it is there."""
-        self.version = 0
-        """Counts what the search has added."""
+        self.text: str | None = None  # the payload as JSON, once it is there
+        self.version = 0  # counts what the search has added
         self.stopped, self._tried = False, 1
+        # When somebody last asked for a fit, and how many wait for one.
         self.asked, self.asking = time.monotonic(), 0
-        """When somebody last asked for a fit, and how many wait for one."""
-        self.looked_at: tuple[str, ...] = ()
-        """The model that somebody looks at."""
-        self.shown: tuple[str, ...] = ()
-        """Effects whose chips are shown first, the most probable one first."""
+        self.looked_at: tuple[str, ...] = ()  # the model that somebody looks at
+        self.shown: tuple[str, ...] = ()  # effects whose chips are shown first, likeliest first
         threading.Thread(target=_in_double, args=(self._work,), daemon=True).start()
 
     def _work(self) -> None:
