@@ -23,7 +23,7 @@ from ..recordings.recording import Recording
 from ..recordings.tables import ArmTable
 from .carried import NAMES, Carried, carried, modes_with_errors
 from .inertia import inertia
-from .over_models import over_models
+from .over_models import bare, over_models
 from .result import InertiaResult
 from .unloaded import BareCheck, Pose, Unloading
 
@@ -82,7 +82,7 @@ def unload(
         at = _poses(experiment)
         poses = tuple(_pose(fitted, r, errors) for r in at)
         search = diagnosis and diagnosis.search
-        over = search and over_models(search, experiment, covariance, at, bare, say)
+        over = search and over_models(search, experiment, covariance, at, say)
         checks = []
         for beside in fitted.recordings:
             if beside.recording.role == "check" and not beside.recording.air_bearings:
@@ -99,13 +99,6 @@ def unload(
         step_1=step_1,
         seconds=time.perf_counter() - began,
     )
-
-
-def without_effects_of_bearings(model: Model) -> Model:
-    """The model less every effect that leaves with the air bearings."""
-    for label in [e.label for e in model.effects if e.of_bearings]:
-        model = model.without(label)
-    return model
 
 
 def _check(experiment: Experiment) -> None:
@@ -176,12 +169,6 @@ def _poses(experiment: Experiment) -> list[Recording]:
         if not any(abs(each.theta2 - other.theta2) < 1e-9 for other in found):
             found.append(each)
     return found
-
-
-def bare(experiment: Experiment, model: Model, recording: Recording) -> Model:
-    """A model in a recording's pose, without bearings and what they do (Eq. 18)."""
-    mechanism = mechanism_of(experiment, dataclasses.replace(recording, air_bearings=False))
-    return without_effects_of_bearings(dataclasses.replace(model, mechanism=mechanism))
 
 
 def _pose(fitted: Fit, recording: Recording, errors: Carried) -> Pose:

@@ -431,9 +431,8 @@ def _damper(found: Diagnosis, joint: int) -> float:
 
 def text(found: Diagnosis) -> str:
     """The whole printout."""
-    parts = models(found), candidates(found), laws.text(found), lookalikes(found)
-    parts = *parts, next_experiment(found)
-    lines = [line for part in parts for line in part]
+    parts = models, candidates, laws.text, lookalikes, next_experiment
+    lines = [line for part in parts for line in part(found)]
     return "\n".join([*filled(" ".join(found.words)), "", *lines, "", str(found.fit)])
 
 
