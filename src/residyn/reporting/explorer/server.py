@@ -100,11 +100,9 @@ class Explorer:
 
     async def _static(self, request: Request) -> Response:
         name = request.path_params["name"]
-        try:
-            text = page.static(name)
-        except KeyError:
+        if name not in page.FILES:
             return PlainTextResponse("no such file", 404)
-        return Response(text, media_type=_KINDS[Path(name).suffix])
+        return Response(page.static(name), media_type=_KINDS[Path(name).suffix])
 
     def _bench(self, request: Request) -> Workbench:
         return _there(self.studies.get(request.path_params["study"]))

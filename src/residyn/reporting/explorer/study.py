@@ -16,7 +16,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from ...diagnosis.columns import Columns, Screened, extended
+from ...diagnosis.columns import Columns, extended
 from ...diagnosis.diagnose import MOST_EFFECTS, Fits, diagnosed
 from ...diagnosis.evidence import INTENSITIES, prior_of
 from ...diagnosis.forecast import HeldOut, held_out
@@ -48,14 +48,6 @@ class Refit(NamedTuple):
     predicted: np.ndarray  # (K, n) readings, rad or m
     torque: np.ndarray  # (K, n) what all effects resist with, N m
     fitted: np.ndarray  # (n,) rms error over the noise
-
-
-class Beside(NamedTuple):
-    """Where predictions are tested."""
-
-    scene: Scene  # the check recordings, or the fitted ones without their last thirds
-    path: Trajectory | None  # the base model's smoothed motion there; None for the last thirds
-    counts: np.ndarray  # (K,) bool: which instants are held out
 
 
 class Study:
@@ -138,8 +130,10 @@ class Study:
         return first_order(self.columns, path and self.columns_along(there, path))
 
     @functools.cached_property
-    def beside(self) -> Beside:
-        """The readings that are held out."""
+    def beside(self) -> tuple[Scene, Trajectory | None, np.ndarray]:
+        """Where predictions are tested: the check recordings, or the fitted ones without their last
+        thirds; the base model's smoothed motion there, of the check recordings; and (K,) which
+        instants are held out."""
         held, scene = self.experiment.check_recordings, self.search.scene
         if not held:
             g, other = scene.grid, copy.copy(scene)
@@ -147,7 +141,7 @@ class Study:
             late = g.time > 2 / 3 * ends
             other.grid = g._replace(seen=g.seen & ~late[:, None])
             other.readings = scene.readings._replace(seen=jnp.asarray(other.grid.seen))
-            return Beside(other, None, late)
+            return other, None, late
         self.say("smoothing the recordings that are held out")
         here = ready(self.experiment, held, self.effects)
         wild = outliers_among(here)
@@ -155,7 +149,7 @@ class Study:
         other.scales, other.torque = scene.scales, scene.torque
         best = tried_alone(other, tuple(self.loud.effects)).best
         led = other.smoothed(best, other.linearised(best), self.intensity)
-        return Beside(other, led or best, np.ones(other.K, bool))
+        return other, led or best, np.ones(other.K, bool)
 
     # -- by the smoother, without compiling anything ------------------------------------------
 
@@ -167,7 +161,8 @@ class Study:
         **Raises:** `ValueError` for what is no candidate; what `go_on` raises.
         """
         key = frozenset(added)
-        self._check(key)
+        for label in key - set(self.labels):
+            raise ValueError(f"{label} is no candidate")
         if key not in self.refits:
             self.refits[key] = refitted(self.search.scene, self._near(added).best, go_on)
         return self.refits[key]
@@ -217,10 +212,6 @@ class Study:
         measured = other if begin is not None else self.search.scene
         return times_noise(measured, found.predicted, counts)
 
-    def _check(self, key: frozenset[str]) -> None:
-        for label in key - set(self.labels):
-            raise ValueError(f"{label} is no candidate")
-
     # -- least squares ------------------------------------------------------------------------
 
     def fit(
@@ -236,7 +227,6 @@ class Study:
         what `progress` raises.
         """
         key = frozenset(added)
-        self._check(key)
         if key not in self.fits:
             known = self.search.tried.get(key)
             if known is None:
@@ -282,13 +272,12 @@ class Study:
         known = [t for t in known if key.issuperset(t.added)]
         near = max(known, key=lambda t: (len(t.added) == len(key), t.evidences[-1]))
         rows = {s.effect.label: s for s in self.screen.ranked}
-        chosen: list[Screened] = [rows[x] for x in added]
+        chosen = [rows[x] for x in added]
         _, means = self.screen.gain(chosen)
-        trajectory, first = near.best, 0
-        for s in chosen:
-            s = s._replace(regressors=means[first : first + len(s.which)])
-            first += len(s.which)
+        ends, trajectory = np.cumsum([len(s.which) for s in chosen]), near.best
+        for s, own in zip(chosen, np.split(means, ends)[:-1], strict=True):
             if s.effect.label not in near.added:
+                s = s._replace(regressors=own)
                 trajectory = extended(self.search.scene, trajectory, prior_of, s)
         return dataclasses.replace(near, added=tuple(added), best=trajectory)
 

@@ -178,9 +178,9 @@ class Superseded(Exception):
 class Worker:
     """One thread for what windows wait for."""
 
-    def __init__(self, newest: dict[str, int] | None = None):
-        """`newest`: what each window asked for last, if several workers are asked by the same."""
-        self._newest = {} if newest is None else newest
+    def __init__(self, newest: dict[str, int]):
+        """`newest`: what each window asked for last, of this worker or of one beside it."""
+        self._newest = newest
         self._thread = ThreadPoolExecutor(1)
 
     async def newest(self, window: str, number: int, work: Callable[[], Any]) -> Any:
