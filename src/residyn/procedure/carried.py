@@ -66,12 +66,8 @@ def carried(fit: Fit, inertia: np.ndarray | None) -> Carried:
     unseen, members = vectors * size, np.abs(vectors) > PART
     ratios = np.divide(np.abs(values), np.abs(unseen), where=members, out=np.zeros(unseen.shape))
     blind = unseen * np.max(ratios, axis=1, initial=0.0)[:, None]
-    return Carried(
-        numbers=max(1.0, fit.reduced_chi2) * inverse,
-        unseen=blind,
-        inertia=np.zeros((3, 3)) if inertia is None else inertia,
-        moved=-inverse @ cross,
-    )
+    known = np.zeros((3, 3)) if inertia is None else inertia
+    return Carried(max(1.0, fit.reduced_chi2) * inverse, blind, known, -inverse @ cross)
 
 
 def _information(fit: Fit) -> np.ndarray:
@@ -185,8 +181,5 @@ def _modes_and_slopes(model: Model):
         return jnp.stack(modes(moved))
 
     numbers, added = model.vector(), jnp.zeros(3)
-    return (
-        state_matrix(model),
-        rings(numbers, added),
-        *jax.jacfwd(rings, argnums=(0, 1))(numbers, added),
-    )
+    slopes = jax.jacfwd(rings, argnums=(0, 1))(numbers, added)
+    return state_matrix(model), rings(numbers, added), *slopes

@@ -85,8 +85,8 @@ def driven_test(recording: Recording) -> DrivenTest:
             raise FitError(
                 f"{recording.name}: has {len(grid.q)} samples, at least {_SHORTEST} are needed"
             )
-        size = math.sqrt(float(np.mean(drive**2)))
-        torque_noise = float(estimate_noise(recording.time, drive[:, None])[0])
+        finest = _FINEST * math.sqrt(float(np.mean(drive**2)))
+        torque_noise = max(float(estimate_noise(recording.time, drive[:, None])[0]), finest)
         knot, threshold = _pace(grid, joint, recording)
     rate = smoothed(grid.q[:, joint], knot, grid.dt)[1]
     # A fast reversal falls between two samples; smoothing blurs how long it lasts.
@@ -94,15 +94,8 @@ def driven_test(recording: Recording) -> DrivenTest:
     unclear[1:] |= rate[1:] * rate[:-1] < 0
     clear = ~np.asarray(binary_dilation(unclear, iterations=knot), bool)
     clear[: 3 * knot] = clear[len(clear) - 3 * knot :] = False
-    return DrivenTest(
-        recording,
-        joint,
-        grid,
-        max(torque_noise, _FINEST * size),
-        rate,
-        clear & grid.good,
-        _warnings(recording, joint),
-    )
+    warnings = _warnings(recording, joint)
+    return DrivenTest(recording, joint, grid, torque_noise, rate, clear & grid.good, warnings)
 
 
 def kernel(knot: int, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

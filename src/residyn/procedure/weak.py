@@ -127,13 +127,9 @@ def rows_of(test: DrivenTest, l1: float) -> Rows:
     ahead = [np.pad(centre[d:], (0, d), constant_values=10**9) for d in range(_BAND + 1)]
     lags = np.minimum(np.stack(ahead) - centre, 2 * half + 1)
     shared = [np.append(np.correlate(k, k, "full"), 0.0)[2 * half :] for k in kernels]
-    return Rows(
-        through(0, test.grid.drive[:, test.joint]),
-        np.stack(columns, axis=1),
-        given,
-        between,
-        np.stack([each[lags] for each in shared]),
-    )
+    covariance = np.stack([each[lags] for each in shared])
+    torque = through(0, test.grid.drive[:, test.joint])
+    return Rows(torque, np.stack(columns, axis=1), given, between, covariance)
 
 
 def _given(test: DrivenTest, l1: float, knot: int, through) -> tuple[np.ndarray, np.ndarray]:

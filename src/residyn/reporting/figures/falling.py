@@ -143,15 +143,9 @@ def _floor(ax: Axes, x: float, fit: Fit, narrow: bool) -> None:
     size = listed(list(dict.fromkeys(each)))
     ax.axhspan(0.0 if ax.get_yscale() == "linear" else 1e-9, 1.0, color=BAND, alpha=0.55, lw=0)
     ax.axhline(1.0, color=INK, lw=1.0, zorder=1)
-    ax.annotate(
-        f"the noise, {size}" + ("" if narrow else ": nothing is left to explain"),
-        (x, 1.0),
-        xytext=(0, -5),
-        textcoords="offset points",
-        ha="center",
-        va="top",
-        color=SOFT,
-    )
+    words = f"the noise, {size}" + ("" if narrow else ": nothing is left to explain")
+    below: dict[str, Any] = {"ha": "center", "va": "top", "color": SOFT}
+    ax.annotate(words, (x, 1.0), (0, -5), textcoords="offset points", **below)
 
 
 # -- numbers beside the dots: none on another, none on the noise's line ------------------------
@@ -211,16 +205,10 @@ def _beside(ax: Axes, x: float, side: int, labels: Sequence[tuple[float, str, st
     for i, place in reversed([*enumerate(places)]):
         places[i] = above = min(place, above - _LINE)
     for place, (value, words, colour) in zip(places, shown, strict=True):
-        ax.annotate(
-            words,
-            (x, value),
-            xytext=(side * _BESIDE * 72, (place - _height(ax, value)) * 72),
-            textcoords="offset points",
-            ha="left" if side > 0 else "right",
-            va="center",
-            color=colour,
-            fontweight="bold",
-        )
+        offset = side * _BESIDE * 72, (place - _height(ax, value)) * 72
+        style: dict[str, Any] = {"va": "center", "color": colour, "fontweight": "bold"}
+        style["ha"] = "left" if side > 0 else "right"
+        ax.annotate(words, (x, value), offset, textcoords="offset points", **style)
 
 
 def _key(figure: Figure, lines: Sequence[_Line], joints: Sequence[str]) -> None:

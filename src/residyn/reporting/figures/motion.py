@@ -1,6 +1,7 @@
 """The motion beside the model, and at which frequencies something is left."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -51,13 +52,9 @@ def overlay(
     columns = (2.6,) if narrow else (4.7, 2.3)  # their widths, about, in inches
     figure = blank(narrow, _KEY * (1 + narrow) + len(shown) * (_HEAD + _PANEL * joints))
     figure.set_layout_engine("constrained", hspace=0.0)
-    axes = figure.subplots(
-        2 * joints * len(shown),
-        len(columns),
-        squeeze=False,
-        height_ratios=(2, 1) * joints * len(shown),
-        width_ratios=columns,
-    )
+    heights = (2, 1) * joints * len(shown)
+    sizes: dict[str, Any] = {"height_ratios": heights, "width_ratios": columns}
+    axes = figure.subplots(len(heights), len(columns), squeeze=False, **sizes)
     for k, each in enumerate(shown):
         rows, time = axes[2 * joints * k :][: 2 * joints], each.recording.time
         begin = _zoom_start(time, fit.modes)

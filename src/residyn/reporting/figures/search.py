@@ -1,6 +1,7 @@
 """How searches bring the objective down, simulation by simulation."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -51,16 +52,9 @@ def convergence(
     ax.set(xscale="log", yscale="log")
     if floor is not None:
         ax.axhline(floor, color=INK, lw=1.0, zorder=0)
-        ax.annotate(
-            "what the noise leaves",
-            (1.0, floor),
-            xycoords=("axes fraction", "data"),
-            xytext=(0, -4),
-            textcoords="offset points",
-            ha="right",
-            va="top",
-            color=SOFT,
-        )
+        below: dict[str, Any] = {"ha": "right", "va": "top", "color": SOFT}
+        at = ("axes fraction", "data")
+        ax.annotate("what the noise leaves", (1.0, floor), (0, -4), at, "offset points", **below)
         values.append(floor / 1.3)
     if values:
         ax.set_ylim(min(values) / 1.25, max(values) * 1.25)
