@@ -68,16 +68,17 @@ def inertia(experiment: Experiment) -> InertiaResult:
     first = np.linalg.lstsq(design, plain + added, rcond=None)[0]
     solved = _solved(tests, rows, [values for values, _ in begin], first, design, bearings)
     values, covariance, chi2 = _combined(design, added, solved)
-
+    units = "kg m^2", *FRICTION.values()
+    found = [
+        TestResult(t, s, tuple(map(Number, *ls, units)))
+        for t, s, ls in zip(tests, solved, begin, strict=True)
+    ]
     return InertiaResult(
         experiment=experiment,
         values=values,
         covariance=covariance,
         least_squares=first,
-        tests=tuple(
-            TestResult(t, s, tuple(map(Number, *ls, ("kg m^2", *FRICTION.values()))))
-            for t, s, ls in zip(tests, solved, begin, strict=True)
-        ),
+        tests=tuple(found),
         separation=_separation(design, solved, values, l1),
         reduced_chi2=chi2,
         seconds=time.perf_counter() - began,

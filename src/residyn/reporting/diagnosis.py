@@ -551,9 +551,8 @@ def title_of(found: Diagnosis) -> str:
     other = f"something that {unnamed(found)} explains"
     if _instead(found):
         return f"What is missing: {listed(words)}, or {other}"
-    return (
-        f"What is missing: {listed([*words, other] if found.verdict == 'unexplained' else words)}"
-    )
+    words += [other] if found.verdict == "unexplained" else []
+    return f"What is missing: {listed(words)}"
 
 
 def torques_first_lacked(found: Diagnosis) -> list[tuple[Missing, int]]:
@@ -578,9 +577,8 @@ def models_table(found: Diagnosis) -> Table:
     """The error of each model on the way."""
 
     def cell(joint: int, rmse: float, ratio: float | None) -> str:
-        return (
-            "-" if ratio is None else f"{amount(rmse, found.fit.units[joint])} ({times(ratio)} ×)"
-        )
+        size = amount(rmse, found.fit.units[joint])
+        return "-" if ratio is None else f"{size} ({times(ratio)} ×)"
 
     rows = [[name, *itertools.chain(*cells), chi2] for name, cells, chi2 in _models(found, cell)]
     head = [f"{joint}, {kind}" for joint in found.fit.joints for kind in _kinds(found)]
@@ -605,13 +603,9 @@ def candidates_table(found: Diagnosis) -> Table:
     for c in shown:
         name = at_place(c.effect, found.fit.joints, comma=True)
         name += " (added)" if c.effect in found.added else ""
-        order = "" if c.iterated else " (first order)"
-        cells = [
-            percent(c.probability),
-            nats(c.log_evidence) + order,
-            unbroken(_values(c.parameters)),
-        ]
-        rows.append([name, *cells, c.effect])
+        evidence = nats(c.log_evidence) + ("" if c.iterated else " (first order)")
+        numbers = unbroken(_values(c.parameters))
+        rows.append([name, percent(c.probability), evidence, numbers, c.effect])
     marked = [i for i, c in enumerate(shown) if c.effect in found.added]
     head = ["effect", "probability", "log evidence (nats)", "its numbers, alone in the model"]
     return Table([*head, "name for --with"], rows, left=(0, 3, 4), marked=marked)

@@ -44,11 +44,8 @@ class JointError(NamedTuple):
 
 def joint_errors(fit: Fit) -> list[JointError]:
     """The errors of a fit, joint by joint."""
-    angles = [
-        np.where(r.used, r.recording.angle, np.nan)
-        for r in fit.whole
-        if r.recording.role != "check"
-    ]
+    fitted = [r for r in fit.whole if r.recording.role != "check"]
+    angles = [np.where(r.used, r.recording.angle, np.nan) for r in fitted]
     centred = [angle - np.nanmean(angle, axis=0) for angle in angles]
     motion = np.sqrt(np.nanmean(np.concatenate(centred) ** 2, axis=0))
     share = fit.rmse / np.where(motion > 0, motion, np.nan)
@@ -98,17 +95,9 @@ def chi2_words(chi2: float) -> str:
 
 def warnings(fit: Fit) -> tuple[str, ...]:
     """What a careful person would want to be told: the recordings' own warnings, then the fit's."""
-    return (
-        *_unphysical(fit),
-        *fit.experiment.warnings,
-        *_open(fit),
-        *_still(fit),
-        *_outliers(fit.recordings),
-        *_signs(fit),
-        *_misfit(fit),
-        *_integration(fit),
-        *_search(fit),
-    )
+    checks = _open, _still, _outliers, _signs, _misfit, _integration, _search
+    said = (words for check in checks for words in check(fit))
+    return (*_unphysical(fit), *fit.experiment.warnings, *said)
 
 
 def _unphysical(fit: Fit) -> Iterable[str]:
@@ -150,8 +139,8 @@ def _still(fit: Fit) -> Iterator[str]:
             )
 
 
-def _outliers(recordings: Sequence[RecordingFit]) -> Iterator[str]:
-    for beside in recordings:
+def _outliers(fit: Fit) -> Iterator[str]:
+    for beside in fit.recordings:
         rows = np.flatnonzero(beside.wild.any(axis=1))
         if len(rows):
             at = ", ".join(f"{beside.recording.time[i]:.6g}" for i in rows[:_NAMED])

@@ -27,20 +27,16 @@ _SURE = 3.0  # standard errors that make a difference more than chance
 
 def warnings(result: InertiaResult) -> tuple[str, ...]:
     """All warnings of step 1: the recordings' own, then the result's."""
-    return (
-        *(
-            w
-            for t in result.tests
-            for w in (*t.test.recording.warnings, *t.test.warnings)
-            # A braked joint may well stand still: that is no doubt here.
-            if f"q{2 - t.test.joint} never moves" not in w
-        ),
-        *(line for t in result.tests for line in _of_test(t)),
-        *_close(result),
-        *_contradiction(result),
-        *_bearings(result),
-        *at_odds(result),
-    )
+    tests, checks = result.tests, (_close, _contradiction, _bearings, at_odds)
+    said = [w for t in tests for w in _recording(t)]
+    said += [w for t in tests for w in _of_test(t)]
+    return tuple(said + [w for check in checks for w in check(result)])
+
+
+def _recording(test: TestResult) -> Iterable[str]:
+    """A braked joint may well stand still: that is no doubt here."""
+    still = f"q{2 - test.test.joint} never moves"
+    return (w for w in (*test.test.recording.warnings, *test.test.warnings) if still not in w)
 
 
 def _of_test(test: TestResult) -> Iterable[str]:

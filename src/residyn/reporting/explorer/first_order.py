@@ -65,16 +65,14 @@ def first_order(fitted: Columns, held_out: Columns | None) -> FirstOrder | None:
     instants = [(c.scene.grid, rows) for c in groups for rows in _rows(c.scene)]
     weight = [np.where(g.seen[rows], 1 / np.sqrt(g.variance[rows]), 0.0) for g, rows in instants]
     time = [g.time[rows] for g, rows in instants]
-    mine = [i < len(fitted.scene.recordings) for i in range(len(parts))]
+    count = len(fitted.scene.recordings)
+    mine, others = slice(count), slice(count, None)
 
     def solved(used):
         """Residuals (N, n, 1 + C) with first states and numbers from the weights `used`."""
         beyond = [_without_states(e, x, w) for (e, x), w in zip(parts, used, strict=True)]
-        white = [
-            (e * w[..., None]).reshape(-1, e.shape[-1])
-            for e, w, own in zip(beyond, used, mine, strict=True)
-            if own
-        ]
+        each = zip(beyond[mine], used[mine], strict=True)
+        white = [(e * w[..., None]).reshape(-1, e.shape[-1]) for e, w in each]
         gram = np.sum([w.T @ w for w in white], axis=0)
         inner = gram[1 : 1 + P, 1 : 1 + P] + np.eye(P)
         keep = np.r_[0, 1 + P : gram.shape[0]]
@@ -83,21 +81,20 @@ def first_order(fitted: Columns, held_out: Columns | None) -> FirstOrder | None:
         left = [e[..., keep] + e[..., 1 : 1 + P] @ numbers for e in beyond]
         return left, gram[np.ix_(keep, keep)] + across.T @ numbers
 
-    def energies(left, used, solve, chosen):
+    def energies(left, used, solve, which):
         total, beyond, count = 0.0, np.zeros(n), np.zeros(n)
-        for i, (e, w, counts) in enumerate(zip(left, used, chosen, strict=True)):
-            if counts:
-                white = e * w[..., None]
-                total = total + np.einsum("tja,tjb->jab", white, white)
-                # An average of m readings stands for m - 1 more of pure noise.
-                each = (w > 0) * noise[i] ** 2 * w**2
-                count, beyond = count + each.sum(0), beyond + (each - (w > 0)).sum(0)
+        for e, w, sigma in zip(left[which], used[which], noise[which], strict=True):
+            white = e * w[..., None]
+            total = total + np.einsum("tja,tjb->jab", white, white)
+            # An average of m readings stands for m - 1 more of pure noise.
+            each = (w > 0) * sigma**2 * w**2
+            count, beyond = count + each.sum(0), beyond + (each - (w > 0)).sum(0)
         return ErrorGram(solve, np.asarray(total), beyond, count)
 
     left, solve = solved(weight)
     inside = energies(left, weight, solve, mine)
     if held_out is not None:
-        beside = energies(left, weight, solve, [not own for own in mine])
+        beside = energies(left, weight, solve, others)
     else:
         early = [(t <= 2 / 3 * t[-1])[:, None] for t in time]
         first = [w * e for w, e in zip(weight, early, strict=True)]
