@@ -302,7 +302,7 @@ def test_a_live_search_says_what_a_diagnosis_does_and_the_page_what_to_check(stu
     swapped = [dataclasses.replace(r, angle=r.angle[:, ::-1]) for r in study.experiment.recordings]
     made = dataclasses.replace(study.experiment, recordings=tuple(swapped))
     live = Study(made)
-    found = live.diagnose(lambda words: None)
+    found = live.diagnose()
     assert found.channels == residyn.diagnose(made).channels is not None
     told = payload(live)["verdict"]
     assert "exchanged" in told["check"]

@@ -303,10 +303,9 @@ class Study:
 
     # -- the search ---------------------------------------------------------------------------
 
-    def diagnose(self, say: Callable[[str], None]) -> Diagnosis:
+    def diagnose(self) -> Diagnosis:
         """Search for what is missing, from what is there; call it once, in a thread of its own."""
         began = time.perf_counter()
-        self.search.say = say
         found = diagnosed(self.search, self.least_squares, self.effects, MOST_EFFECTS, began)
         self._learn(found)
         return found

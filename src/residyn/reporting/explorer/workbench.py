@@ -69,7 +69,7 @@ class Workbench:
             toml = None if self.files is None else self.files.text
             self.text = json.dumps(packed(payload(study, live=True, name=self.name, toml=toml)))
             self.study = study
-            study.diagnose(self._say)
+            study.diagnose()
             self.version += 1
             self.words = ""
             self._ahead(study)
