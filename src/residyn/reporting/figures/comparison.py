@@ -207,8 +207,8 @@ def _against(ax: Axes, x, tau, own) -> None:
     ax.plot(along, up, color=RESIDUAL, lw=1.9, alpha=0.45, solid_capstyle="round")
     if own is not None:
         ax.plot(x, own, color=MODEL, lw=0.6, alpha=0.7)
-    middle = _middle(x, tau)
-    if len(middle) and _scatter(x, tau) < _SCATTER:
+    if _scatter(x, tau) < _SCATTER:
+        middle = np.array([(x[b].mean(), np.median(tau[b])) for b in _bins(x)])
         ax.plot(*middle.T, color=INK, lw=1.1, label="median along the axis")
 
 
@@ -218,11 +218,6 @@ def _bins(x) -> list[np.ndarray]:
     edges = np.linspace(low, high, 2 * _BINS + 1)
     which = np.digitize(x, edges)
     return [which == b for b in range(1, len(edges)) if np.sum(which == b) > 5]
-
-
-def _middle(x, tau) -> np.ndarray:
-    """(B, 2) the middle of what lies above each segment of the axis."""
-    return np.array([(x[b].mean(), np.median(tau[b])) for b in _bins(x)])
 
 
 def _scatter(x, tau) -> float:

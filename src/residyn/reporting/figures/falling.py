@@ -1,6 +1,5 @@
 """The error falling, model by model, in times the noise of a reading."""
 
-import itertools
 import math
 import textwrap
 from collections.abc import Sequence
@@ -82,11 +81,10 @@ def _falling(
     narrow: bool,
     end_words: str = "",
 ) -> Figure:
-    joints, count, lines = fit.joints, len(names), []
-    for joint, held in itertools.product(range(len(joints)), (False, True)):
-        values = [math.nan if (x := model[joint][held]) is None else x for model in each]
-        if np.isfinite(values).any():
-            lines.append(_Line(joint, held, values))
+    joints, count = fit.joints, len(names)
+    sizes = np.array(each, float)  # of models, joints, and where: fitted or held out (None: NaN)
+    seen = [(j, k) for j, k in np.ndindex(*sizes.shape[1:]) if np.isfinite(sizes[:, j, k]).any()]
+    lines = [_Line(j, k == 1, sizes[:, j, k].tolist()) for j, k in seen]
     beneath = narrow or count > _MOST_NAMES  # there is no room for names under their dots
     below = ["\n".join(textwrap.wrap(n.replace(" + ", " +\u00a0"), 26)) for n in names]
     rows = []
