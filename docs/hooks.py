@@ -198,12 +198,11 @@ def _pictures() -> dict[str, bytes]:
         import functools
 
         from residyn.reporting import figures as plot
-
-        _signature = importlib.import_module("residyn.reporting.figures.signature")
+        from residyn.reporting.figures import effect
 
         # At the strength that it would have, the arm gains energy and flies apart.
-        motions = functools.cache(_signature._motions)
-        _signature._motions = motions  # an overview and a picture share one simulation
+        motions = functools.cache(effect._motions)
+        effect._motions = motions  # an overview and a picture share one simulation
         for i, (_, _, kinds) in enumerate(_grouped()):
             _overview(kinds, motions).savefig(folder / f"group{i}.svg")
             for kind in kinds:

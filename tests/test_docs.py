@@ -1,5 +1,6 @@
 """Every block of code in the documentation runs, and the site builds without a warning."""
 
+import ast
 import dataclasses
 import importlib.util
 import os
@@ -118,6 +119,15 @@ not code
 def test_a_block_that_fails_is_named(page, says, tmp_path, one_cache):
     with pytest.raises(AssertionError, match=re.escape(says)):
         blocks.run(page, "page.md", tmp_path)
+
+
+def test_what_the_site_takes_from_the_package_is_there():
+    """Also for its pictures, which `test_the_site_builds_strict` leaves out."""
+    for node in ast.walk(ast.parse((ROOT / "docs" / "hooks.py").read_text())):
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("residyn"):
+            exec(ast.unparse(node), {})
+        elif isinstance(node, ast.Constant) and re.fullmatch(r"residyn(\.\w+)+", str(node.value)):
+            assert importlib.util.find_spec(node.value) is not None, node.value
 
 
 def test_the_site_builds_strict(tmp_path):

@@ -9,7 +9,7 @@ from residyn import effects
 from residyn.effects.found import FoundLaw, FoundNumber
 from residyn.errors import InputError
 from residyn.physics.motion import JointMotion
-from residyn.procedure.unload import without_effects_of_bearings
+from residyn.procedure.over_models import without_effects_of_bearings
 from residyn.recordings.experiment import Experiment
 from residyn.recordings.recording import Recording
 from residyn.recordings.tables import ArmTable, Bearing

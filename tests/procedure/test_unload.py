@@ -17,7 +17,7 @@ from residyn.cli import main
 from residyn.fitting import Mode, mechanism_of, model_for
 from residyn.procedure.carried import Carried, modes_with_errors
 from residyn.procedure.decay import decay_of
-from residyn.procedure.unload import without_effects_of_bearings
+from residyn.procedure.over_models import without_effects_of_bearings
 from residyn.recordings.csv import write_csv
 from residyn.recordings.experiment import Experiment
 from residyn.recordings.recording import Recording

@@ -26,25 +26,18 @@ from ..physics.modal import modes, state_matrix
 from ..physics.model import Model
 
 NAMES = ("shoulder", "elbow", "coupling")
-_MATTERS = 1e-3
-"""Share of a quantity by which a combination that is not seen may move it."""
-_REAL = 1e-9
-"""Share of imaginary part up to which an eigenvalue is real."""
-_AWAY = 1e-6
-"""Share of the fastest eigenvalue from which a real one above zero is not rounding."""
+_MATTERS = 1e-3  # share of a quantity by which a combination that is not seen may move it
+_REAL = 1e-9  # share of imaginary part up to which an eigenvalue is real
+_AWAY = 1e-6  # share of the fastest eigenvalue from which a real one above zero is not rounding
 
 
 class Carried(NamedTuple):
     """What the numbers (P,) and the inertias (3,) do not know."""
 
-    numbers: np.ndarray
-    """(P, P) covariance of the numbers where the recordings see them."""
-    unseen: np.ndarray
-    """(B, P) combinations that the recordings do not see, each as large as its largest number."""
-    inertia: np.ndarray
-    """(3, 3) covariance of shoulder, elbow (kg m^2) and coupling (kg m) from step 1."""
-    moved: np.ndarray
-    """(P, 3) d(numbers)/d(inertias)."""
+    numbers: np.ndarray  # (P, P) covariance of the numbers where the recordings see them
+    unseen: np.ndarray  # (B, P) combinations that are not seen, as large as their largest number
+    inertia: np.ndarray  # (3, 3) covariance of the inertias from step 1, in kg m^2 and kg m
+    moved: np.ndarray  # (P, 3) d(numbers)/d(inertias)
 
     def std(self, value: float, by_number: np.ndarray, by_inertia: np.ndarray) -> float:
         """Standard error of a quantity with these slopes; inf where the recordings leave it open.
@@ -73,12 +66,8 @@ def carried(fit: Fit, inertia: np.ndarray | None) -> Carried:
     unseen, members = vectors * size, np.abs(vectors) > PART
     ratios = np.divide(np.abs(values), np.abs(unseen), where=members, out=np.zeros(unseen.shape))
     blind = unseen * np.max(ratios, axis=1, initial=0.0)[:, None]
-    return Carried(
-        numbers=max(1.0, fit.reduced_chi2) * inverse,
-        unseen=blind,
-        inertia=np.zeros((3, 3)) if inertia is None else inertia,
-        moved=-inverse @ cross,
-    )
+    known = np.zeros((3, 3)) if inertia is None else inertia
+    return Carried(max(1.0, fit.reduced_chi2) * inverse, blind, known, -inverse @ cross)
 
 
 def _information(fit: Fit) -> np.ndarray:
@@ -128,21 +117,16 @@ def with_inertias(mechanism: AbstractInertia, change: Callable) -> AbstractInert
 class Rings(NamedTuple):
     """How a model moves about its rest."""
 
-    modes: tuple[Mode, ...]
-    """Those that ring, lowest first."""
-    leaves: bool
-    """Whether it moves away from rest without ringing, as with a negative stiffness."""
+    modes: tuple[Mode, ...]  # those that ring, lowest first
+    leaves: bool  # whether it moves away from rest without ringing, as with a negative stiffness
 
 
 class ModeSlopes(NamedTuple):
     """A mode that rings: frequency (Hz) and damping ratio, and their slopes."""
 
-    values: np.ndarray
-    """(2,)"""
-    by_number: np.ndarray
-    """(2, P), inertias held."""
-    by_inertia: np.ndarray
-    """(2, 3), numbers held."""
+    values: np.ndarray  # (2,)
+    by_number: np.ndarray  # (2, P), inertias held
+    by_inertia: np.ndarray  # (2, 3), numbers held
 
 
 def slopes_of_modes(model: Model, fitted: Model) -> list[ModeSlopes]:
@@ -197,8 +181,5 @@ def _modes_and_slopes(model: Model):
         return jnp.stack(modes(moved))
 
     numbers, added = model.vector(), jnp.zeros(3)
-    return (
-        state_matrix(model),
-        rings(numbers, added),
-        *jax.jacfwd(rings, argnums=(0, 1))(numbers, added),
-    )
+    slopes = jax.jacfwd(rings, argnums=(0, 1))(numbers, added)
+    return state_matrix(model), rings(numbers, added), *slopes

@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 from ..fitting import Mode
 
-_NORMAL = 1.96
-"""Standard errors on each side of a 95 % interval."""
+_NORMAL = 1.96  # standard errors on each side of a 95 % interval
 
 
 class Decay(NamedTuple):

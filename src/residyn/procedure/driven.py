@@ -19,18 +19,12 @@ from ..fitting.smoothing import Uniform, uniform
 from ..recordings.noise import estimate_noise
 from ..recordings.recording import Recording
 
-_BRAKED = 0.2
-"""The most that a braked joint may move, as a share of the driven one's range."""
-_NOISY = 8.0
-"""Sigmas of a reading which its noise alone may span."""
-_FINEST = 1e-4
-"""No torque sensor is better than this share of the torque that it reads."""
-_SLOW = 0.05
-"""Share of the highest rate below which the direction of sliding counts as not known."""
-_SURE = 4.0
-"""Standard errors of the rate which that must be."""
-_SHORTEST = 60
-"""Samples of a test, at least."""
+_BRAKED = 0.2  # the most that a braked joint may move, as a share of the driven one's range
+_NOISY = 8.0  # sigmas of a reading which its noise alone may span
+_FINEST = 1e-4  # no torque sensor is better than this share of the torque that it reads
+_SLOW = 0.05  # share of the highest rate below which the direction of sliding counts as not known
+_SURE = 4.0  # standard errors of the rate which that must be
+_SHORTEST = 60  # samples of a test, at least
 _OFFSET = 0.1
 """rad from its pose beyond which a braked joint makes one doubt what its angle is measured from."""
 
@@ -40,15 +34,11 @@ class DrivenTest:
     """A recording made ready for step 1, on a uniform grid of G instants."""
 
     recording: Recording
-    joint: int
-    """0: the shoulder is driven; 1: the elbow."""
+    joint: int  # 0: the shoulder is driven; 1: the elbow
     grid: Uniform
-    torque_noise: float
-    """Sigma of one reading of the drive, N m."""
-    rate: np.ndarray
-    """(G,) of the driven joint, smoothed, rad/s."""
-    clear: np.ndarray
-    """(G,) whether it is known which way the joint slides."""
+    torque_noise: float  # sigma of one reading of the drive, N m
+    rate: np.ndarray  # (G,) of the driven joint, smoothed, rad/s
+    clear: np.ndarray  # (G,) whether it is known which way the joint slides
     warnings: tuple[str, ...] = ()
 
     @property
@@ -85,17 +75,18 @@ def driven_test(recording: Recording) -> DrivenTest:
     if the joint moves too little to be seen beside the noise.
     """
     with inside(recording.name):
-        joint = _driven_joint(recording)
-        drive = _drive(recording)[:, joint]
+        if recording.drive is None:
+            raise InputError("has no drive: step 1 needs the torque that moved it, as u1, u2 (N m)")
+        joint = _driven_joint(recording, recording.drive)
+        drive = recording.drive[:, joint]
         # Torque and angles share their wild instants: a row needs all of them.
-        wild = recording.outliers
-        grid = uniform(recording, wild)
+        grid = uniform(recording, recording.outliers)
         if len(grid.q) < _SHORTEST:
             raise FitError(
                 f"{recording.name}: has {len(grid.q)} samples, at least {_SHORTEST} are needed"
             )
-        size = math.sqrt(float(np.mean(drive**2)))
-        torque_noise = float(estimate_noise(recording.time, drive[:, None])[0])
+        finest = _FINEST * math.sqrt(float(np.mean(drive**2)))
+        torque_noise = max(float(estimate_noise(recording.time, drive[:, None])[0]), finest)
         knot, threshold = _pace(grid, joint, recording)
     rate = smoothed(grid.q[:, joint], knot, grid.dt)[1]
     # A fast reversal falls between two samples; smoothing blurs how long it lasts.
@@ -103,15 +94,8 @@ def driven_test(recording: Recording) -> DrivenTest:
     unclear[1:] |= rate[1:] * rate[:-1] < 0
     clear = ~np.asarray(binary_dilation(unclear, iterations=knot), bool)
     clear[: 3 * knot] = clear[len(clear) - 3 * knot :] = False
-    return DrivenTest(
-        recording,
-        joint,
-        grid,
-        max(torque_noise, _FINEST * size),
-        rate,
-        clear & grid.good,
-        tuple(_warnings(recording, joint)),
-    )
+    warnings = _warnings(recording, joint)
+    return DrivenTest(recording, joint, grid, torque_noise, rate, clear & grid.good, warnings)
 
 
 def kernel(knot: int, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -135,18 +119,11 @@ def smoothed(column: np.ndarray, knot: int, dt: float) -> tuple[np.ndarray, ...]
     return value, rate, acceleration
 
 
-def _drive(recording: Recording) -> np.ndarray:
-    if recording.drive is None:
-        raise InputError("has no drive: step 1 needs the torque that moved it, as u1, u2 (N m)")
-    return recording.drive
-
-
-def _driven_joint(recording: Recording) -> int:
+def _driven_joint(recording: Recording, drive: np.ndarray) -> int:
     """The joint that a torque acts on and that moves.
 
     A brake may show a holding torque; the joint's own equation has no place for it.
     """
-    drive = _drive(recording)
     acted = np.ptp(drive, axis=0) > 0
     low, high = np.nanquantile(recording.angle, [0.001, 0.999], axis=0)
     moved = np.maximum(high - low - _NOISY * recording.noise, 0.0)
@@ -187,13 +164,11 @@ def _pace(grid: Uniform, joint: int, recording: Recording) -> tuple[int, float]:
     return knot, max(_SLOW * rate, unsure)
 
 
-def _warnings(recording: Recording, joint: int) -> list[str]:
+def _warnings(recording: Recording, joint: int) -> tuple[str, ...]:
     rest = float(np.nanmedian(recording.angle[:, 1 - joint]))
-    if abs(rest) < _OFFSET:
-        return []
-    if joint == 0:
-        return [
-            f"{recording.name}: the braked elbow stands at q2 = {rest:.3g} rad; as q2 counts from "
-            f"theta2 = {recording.theta2:.4g}, its angle is taken as {recording.theta2 + rest:.4g}"
-        ]
-    return []
+    if joint == 1 or abs(rest) < _OFFSET:
+        return ()
+    return (
+        f"{recording.name}: the braked elbow stands at q2 = {rest:.3g} rad; as q2 counts from "
+        f"theta2 = {recording.theta2:.4g}, its angle is taken as {recording.theta2 + rest:.4g}",
+    )

@@ -21,12 +21,11 @@ from ..physics.mechanism import PlanarArm
 from ..recordings.experiment import Experiment
 from ..recordings.tables import ArmTable
 from .driven import DrivenTest, driven_test
-from .result import InertiaResult, Number, Separation, TestResult
+from .result import FRICTION, InertiaResult, Number, Separation, TestResult
 from .weak import CALIBRATED, Rows, Solved, ordinary, rows_of, solve
 
 _ROUNDS = 20
-_LEAST_APART = 1e-3
-"""Cosines closer than this are the same, and so are two tests at them."""
+_LEAST_APART = 1e-3  # cosines closer than this are the same, and so are two tests at them
 
 
 def inertia(experiment: Experiment) -> InertiaResult:
@@ -69,16 +68,17 @@ def inertia(experiment: Experiment) -> InertiaResult:
     first = np.linalg.lstsq(design, plain + added, rcond=None)[0]
     solved = _solved(tests, rows, [values for values, _ in begin], first, design, bearings)
     values, covariance, chi2 = _combined(design, added, solved)
-
+    units = "kg m^2", *FRICTION.values()
+    found = [
+        TestResult(t, s, tuple(map(Number, *ls, units)))
+        for t, s, ls in zip(tests, solved, begin, strict=True)
+    ]
     return InertiaResult(
         experiment=experiment,
         values=values,
         covariance=covariance,
         least_squares=first,
-        tests=tuple(
-            TestResult(t, s, tuple(Number(*pair) for pair in zip(*ls, strict=True)))
-            for t, s, ls in zip(tests, solved, begin, strict=True)
-        ),
+        tests=tuple(found),
         separation=_separation(design, solved, values, l1),
         reduced_chi2=chi2,
         seconds=time.perf_counter() - began,

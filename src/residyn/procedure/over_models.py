@@ -42,6 +42,7 @@ from ..diagnosis.search import Search, Tried
 from ..effects import BearingDrag, InertiaError
 from ..filtering.law import number_slices, numbers_of
 from ..filtering.trajectory import Scene
+from ..fitting.problem import mechanism_of
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
@@ -136,7 +137,6 @@ def over_models(
     experiment: Experiment,
     inertia: np.ndarray | None,
     poses: list[Recording],
-    without_bearings: Callable[[Experiment, Model, Recording], Model],
     say: Callable[[str], None],
 ) -> OverModels:
     """Step 3 over the models that a search leaves in play; `inertia` is the covariance (3, 3) of
@@ -147,20 +147,17 @@ def over_models(
     say(f"taking the bearings off {len(models)} models")
     rivals = [Rival.of(scene, m) for m in models]
     errors = [errors_of(scene, r, inertia) for r in rivals]
-    bare = [
-        tuple(
-            Bare(without_bearings(experiment, r.model, pose), r.model, e)
-            for r, e in zip(rivals, errors, strict=True)
-        )
-        for pose in poses
+    each = list(zip(rivals, errors, strict=True))
+    free = [
+        tuple(Bare(bare(experiment, r.model, pose), r.model, e) for r, e in each) for pose in poses
     ]
-    modes = [modes_over(each, p) for each in bare]
+    modes = [modes_over(own, p) for own in free]
     narrows = test = None
     if modes[0] and modes[0][0].rings > 1 - 1e-9:
         spreads = {k: getattr(modes[0][0], k) for k in QUANTITIES}
         narrows = max(QUANTITIES, key=lambda k: spreads[k].std / abs(spreads[k].mean))
         say("looking for the test that narrows it most")
-        lowest = [slopes_of_modes(b.model, b.fitted)[0] for b in bare[0]]
+        lowest = [slopes_of_modes(b.model, b.fitted)[0] for b in free[0]]
         wanted = _quantity(lowest, errors, QUANTITIES.index(narrows))
         test = next(iter(best_tests(experiment, scene, models, p, quantity=wanted).tests), None)
     return OverModels(
@@ -169,9 +166,21 @@ def over_models(
         poses=tuple((pose.theta2, each) for pose, each in zip(poses, modes, strict=True)),
         next_test=test,
         narrows=narrows,
-        bare=bare[0],
+        bare=free[0],
         joints=scene.joints,
     )
+
+
+def bare(experiment: Experiment, model: Model, recording: Recording) -> Model:
+    """A model in a recording's pose, without bearings and what they do (Eq. 18)."""
+    mechanism = mechanism_of(experiment, replace(recording, air_bearings=False))
+    return without_effects_of_bearings(replace(model, mechanism=mechanism))
+
+
+def without_effects_of_bearings(model: Model) -> Model:
+    """The model less every effect that leaves with the air bearings."""
+    kept = tuple(e for e in model.effects if not e.of_bearings)
+    return replace(model, effects=kept)
 
 
 def with_and_without_drag(search: Search) -> tuple[list[Tried], np.ndarray, float]:

@@ -8,15 +8,15 @@ import numpy as np
 from ..fitting import FitError
 from ..recordings.experiment import Experiment
 from ..recordings.tables import ArmTable
-from ..runtime.json import number
+from ..runtime.json import finite, number
 from ..runtime.presentation import Result
 from .carried import NAMES
 from .driven import DrivenTest
 from .weak import Solved
 
 UNITS = ("kg m^2", "kg m^2", "kg m")
-FRICTION = ("coulomb_friction", "viscous_friction", "offset")
-FRICTION_UNITS = ("N m", "N m s/rad", "N m")
+FRICTION = {"coulomb_friction": "N m", "viscous_friction": "N m s/rad", "offset": "N m"}
+"""What a test finds beside an inertia, and the units."""
 
 
 class Number(NamedTuple):
@@ -24,10 +24,11 @@ class Number(NamedTuple):
 
     value: float
     std: float
+    unit: str
 
-    def to_dict(self, unit: str) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """As in the JSON."""
-        return {"value": number(self.value), "std": number(self.std), "unit": unit}
+        return finite(self._asdict())
 
 
 class Separation(NamedTuple):
@@ -69,31 +70,28 @@ class TestResult:
     @property
     def inertia(self) -> Number:
         """Composite inertia of what turns, kg m^2, as it was recorded."""
-        return Number(float(self.solved.values[0]), float(self.solved.std[0]))
+        return Number(float(self.solved.values[0]), float(self.solved.std[0]), "kg m^2")
 
     @property
     def friction(self) -> dict[str, Number | None]:
         """Coulomb (N m), viscous (N m s/rad) and offset (N m); None if it could not be told apart
         from Coulomb friction, as the joint slid one way only."""
-        found = zip(self.solved.values[1:].tolist(), self.solved.std[1:].tolist(), strict=True)
-        numbers = [Number(*pair) for pair in found]
+        own = self.solved.values[1:].tolist(), self.solved.std[1:].tolist()
+        numbers = map(Number, *own, FRICTION.values())
         return dict(zip(FRICTION, [*numbers, None][:3], strict=True))
 
     def to_dict(self, joints: tuple[str, ...]) -> dict[str, Any]:
         """As in the JSON."""
-        friction = zip(self.friction.items(), FRICTION_UNITS, strict=True)
-        units = ("kg m^2", *FRICTION_UNITS)
-        names = ("composite_inertia", *FRICTION)
-        ordinary = zip(names, self.least_squares, units, strict=False)
+        ordinary = zip(("composite_inertia", *FRICTION), self.least_squares, strict=False)
         return {
             "recording": self.name,
             "joint": joints[self.test.joint],
             "theta2": self.test.theta2,
-            "composite_inertia": self.inertia.to_dict("kg m^2"),
-            **{name: n.to_dict(unit) if n else None for (name, n), unit in friction},
+            "composite_inertia": self.inertia.to_dict(),
+            **{name: n and n.to_dict() for name, n in self.friction.items()},
             "torque_noise": self.test.torque_noise,
             "reduced_chi2": number(self.solved.chi2),
-            "least_squares": {name: n.to_dict(unit) for name, n, unit in ordinary},
+            "least_squares": {name: n.to_dict() for name, n in ordinary},
         }
 
 
@@ -137,7 +135,7 @@ class InertiaResult(Result):
         return self._number(2)
 
     def _number(self, i: int) -> Number:
-        return Number(float(self.values[i]), float(self.std[i]))
+        return Number(float(self.values[i]), float(self.std[i]), UNITS[i])
 
     @property
     def link_lengths(self) -> tuple[float, float]:
@@ -148,7 +146,8 @@ class InertiaResult(Result):
     def composite(self, theta2: float = 0.0) -> Number:
         """I1 + I2 + m2 l1^2 + 2 m2 l1 rho2 cos(theta2): what the shoulder turns, kg m^2."""
         row = np.array([1.0, 1.0, 2 * self.link_lengths[0] * np.cos(theta2)])
-        return Number(float(row @ self.values), float(np.sqrt(row @ self.covariance @ row)))
+        std = float(np.sqrt(row @ self.covariance @ row))
+        return Number(float(row @ self.values), std, "kg m^2")
 
     @property
     def arm(self) -> ArmTable:
@@ -166,11 +165,10 @@ class InertiaResult(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of `residyn inertia`."""
-        rows = zip(NAMES, UNITS, (self.shoulder, self.elbow, self.coupling), strict=True)
         ordinary = zip(NAMES, UNITS, self.least_squares.tolist(), strict=True)
         apart = self.separation
         return {
-            **{name: number.to_dict(unit) for name, unit, number in rows},
+            **{name: self._number(i).to_dict() for i, name in enumerate(NAMES)},
             "tests": [t.to_dict(self.experiment.joints) for t in self.tests],
             "covariance": self.covariance.tolist(),
             "least_squares": {n: {"value": number(x), "unit": unit} for n, unit, x in ordinary},

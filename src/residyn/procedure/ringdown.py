@@ -6,7 +6,7 @@ the covariance of the fit. Each draw is simulated; the band at each instant hold
 It knows nothing of effects that the model lacks, nor of the release, which is the same in all.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,16 +20,14 @@ from ..simulation.simulate import simulate, steps_for
 from .carried import Carried, with_inertias
 
 DRAWS = 200
-_EDGES = (2.5, 97.5)
-"""Percentiles between which 95 % lie."""
+_EDGES = (2.5, 97.5)  # percentiles between which 95 % lie
 
 
 class RingDown(NamedTuple):
     """A released arm, and where it is in 95 % of the draws; arrays (N, n), rad."""
 
     path: Trajectory
-    low: Float[np.ndarray, "N n"] | None
-    """None where the recordings leave a number open: then there is no band."""
+    low: Float[np.ndarray, "N n"] | None  # None where the recordings leave a number open
     high: Float[np.ndarray, "N n"] | None
 
 
@@ -53,8 +51,9 @@ def draws_of(
     if open_to or draws == 0 or not np.isfinite(errors.numbers).all():
         return path, np.zeros((0, *np.shape(path.q)))
     rng = np.random.default_rng(seed)
-    inertia = rng.standard_normal((draws, 3)) @ _root(errors.inertia).T
-    own = rng.standard_normal((draws, len(names))) @ _root(errors.numbers).T
+    how: Any = {"size": draws, "method": "eigh", "check_valid": "ignore"}  # they may be singular
+    inertia = rng.multivariate_normal(np.zeros(3), errors.inertia, **how)
+    own = rng.multivariate_normal(np.zeros(len(names)), errors.numbers, **how)
     numbers = (own + inertia @ errors.moved.T)[:, kept]
     found = np.asarray(_simulated(model, numbers, inertia, jnp.asarray(times), q0, steps))
     # What a draw cannot follow (a stiffness below zero, an arm that is none) lies outside.
@@ -67,12 +66,6 @@ def band_of(path: Trajectory, found: np.ndarray) -> RingDown:
         return RingDown(path, None, None)
     low, high = np.percentile(found, _EDGES, axis=0, method="nearest")
     return RingDown(path, low, high)
-
-
-def _root(square: np.ndarray) -> np.ndarray:
-    """R with R R' = a covariance, which may be singular."""
-    values, vectors = np.linalg.eigh(square)
-    return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 @eqx.filter_jit

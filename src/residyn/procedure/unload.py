@@ -23,7 +23,7 @@ from ..recordings.recording import Recording
 from ..recordings.tables import ArmTable
 from .carried import NAMES, Carried, carried, modes_with_errors
 from .inertia import inertia
-from .over_models import over_models
+from .over_models import bare, over_models
 from .result import InertiaResult
 from .unloaded import BareCheck, Pose, Unloading
 
@@ -68,21 +68,21 @@ def unload(
     given = None if inertia_std is None else _covariance(inertia_std)
     with jax.enable_x64(True):
         if diagnosis is None:
-            effects = _named(experiment, effects)
-            _ask(effects)
-            fitted = fit(experiment, effects=effects, starts=starts, progress=say)
+            # Held-out recordings may all be without bearings.
+            on = next(r for r in experiment.fit_recordings if r.air_bearings)
+            own = _own(model_for(mechanism_of(experiment, on), effects))
+            fitted = fit(experiment, effects=own, starts=starts, progress=say)
         else:
             fitted = diagnosis.fit
-            effects = [e for e in fitted.model.effects if e.name not in _BASE]
-            _ask(effects)
+            _own(fitted.model)
         step_1 = None if given is not None else _step_1(experiment, say)
         covariance = step_1.covariance if isinstance(step_1, InertiaResult) else given
         say("carrying the errors over")
         errors = carried(fitted, covariance)
-        off = tuple(e.label for e in fitted.model.effects if e.of_bearings)
-        poses = tuple(_pose(fitted, r, errors) for r in _poses(experiment))
+        at = _poses(experiment)
+        poses = tuple(_pose(fitted, r, errors) for r in at)
         search = diagnosis and diagnosis.search
-        over = search and over_models(search, experiment, covariance, _poses(experiment), bare, say)
+        over = search and over_models(search, experiment, covariance, at, say)
         checks = []
         for beside in fitted.recordings:
             if beside.recording.role == "check" and not beside.recording.air_bearings:
@@ -91,7 +91,7 @@ def unload(
     return Unloading(
         fit=fitted,
         poses=poses,
-        left_out=off,
+        left_out=tuple(e.label for e in fitted.model.effects if e.of_bearings),
         check=tuple(checks),
         inertia_covariance=covariance,
         errors=errors,
@@ -99,13 +99,6 @@ def unload(
         step_1=step_1,
         seconds=time.perf_counter() - began,
     )
-
-
-def without_effects_of_bearings(model: Model) -> Model:
-    """The model less every effect that leaves with the air bearings."""
-    for label in [e.label for e in model.effects if e.of_bearings]:
-        model = model.without(label)
-    return model
 
 
 def _check(experiment: Experiment) -> None:
@@ -126,19 +119,13 @@ def _check(experiment: Experiment) -> None:
         )
 
 
-def _named(experiment: Experiment, effects: Sequence[str | AbstractEffect]) -> list[AbstractEffect]:
-    """Effects by name, of the arm on its bearings: held-out recordings may all be without them.
+def _own(model: Model) -> list[AbstractEffect]:
+    """The effects beside springs and dampers.
 
-    **Raises:** `ValueError` for one that does not exist.
+    **Raises:** `InputError` if one does not say whether it leaves with the bearings.
     """
-    on = next(r for r in experiment.fit_recordings if r.air_bearings)
-    model = model_for(mechanism_of(experiment, on), effects)
-    return [e for e in model.effects if e.name not in _BASE]
-
-
-def _ask(effects: Sequence[AbstractEffect]) -> None:
-    """**Raises:** `InputError` if an effect does not say whether it leaves with the bearings."""
-    for each in effects:
+    own = [e for e in model.effects if e.name not in _BASE]
+    for each in own:
         kind = type(each)
         if kind.of_bearings is None:
             raise InputError(
@@ -146,6 +133,7 @@ def _ask(effects: Sequence[AbstractEffect]) -> None:
                 "True (it leaves with the bearings) or False (it stays) in class "
                 f"{kind.__name__}, {inspect.getsourcefile(kind)}"
             )
+    return own
 
 
 def _covariance(std: Sequence[float] | np.ndarray) -> np.ndarray:
@@ -183,26 +171,15 @@ def _poses(experiment: Experiment) -> list[Recording]:
     return found
 
 
-def bare(experiment: Experiment, model: Model, recording: Recording) -> Model:
-    """A model in a recording's pose, without bearings and what they do (Eq. 18)."""
-    mechanism = mechanism_of(experiment, dataclasses.replace(recording, air_bearings=False))
-    return without_effects_of_bearings(dataclasses.replace(model, mechanism=mechanism))
-
-
-def _models(fitted: Fit, recording: Recording) -> tuple[Model, Model]:
-    """With bearings, and without them and what they do (Eq. 18)."""
-    on = mechanism_of(fitted.experiment, dataclasses.replace(recording, air_bearings=True))
-    with_them = dataclasses.replace(fitted.model, mechanism=on)
-    return with_them, bare(fitted.experiment, fitted.model, recording)
-
-
 def _pose(fitted: Fit, recording: Recording, errors: Carried) -> Pose:
-    on, bare = _models(fitted, recording)
-    loaded, free = (modes_with_errors(model, fitted.model, errors) for model in (on, bare))
+    mechanism = mechanism_of(fitted.experiment, dataclasses.replace(recording, air_bearings=True))
+    on = dataclasses.replace(fitted.model, mechanism=mechanism)
+    off = bare(fitted.experiment, fitted.model, recording)
+    loaded, free = (modes_with_errors(model, fitted.model, errors) for model in (on, off))
     return Pose(
         theta2=recording.theta2,
         model=on,
-        unloaded=bare,
+        unloaded=off,
         with_bearings=loaded.modes,
         without_bearings=free.modes,
         leaves_with=loaded.leaves,
@@ -213,13 +190,11 @@ def _pose(fitted: Fit, recording: Recording, errors: Carried) -> Pose:
 def _check_against(fitted: Fit, beside: RecordingFit, errors: Carried, starts: int) -> BareCheck:
     """One recording without bearings: predicted, and what a fit of it alone finds."""
     recording = beside.recording
-    bare = _models(fitted, recording)[1]
+    off = bare(fitted.experiment, fitted.model, recording)
     alone = dataclasses.replace(recording, role="fit")
-    kept = [e for e in bare.effects if e.name not in _BASE]
+    experiment = dataclasses.replace(fitted.experiment, recordings=(alone,))
     try:
-        free = fit(
-            dataclasses.replace(fitted.experiment, recordings=(alone,)), effects=kept, starts=starts
-        )
+        free = fit(experiment, effects=_own(off), starts=starts)
     except FitError:
         free = None
-    return BareCheck(beside, modes_with_errors(bare, fitted.model, errors).modes, free)
+    return BareCheck(beside, modes_with_errors(off, fitted.model, errors).modes, free)

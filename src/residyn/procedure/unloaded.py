@@ -18,14 +18,10 @@ from .over_models import OverModels
 from .result import InertiaResult
 from .ringdown import DRAWS, RingDown, band_of, draws_of
 
-_DECAYS = 3.0
-"""Decay times of the slowest mode that a picture shows,"""
-_CYCLES = 25
-"""but no more cycles than this, or its lines run together."""
-_POINTS = 14
-"""Of a cycle,"""
-_MOST = 500
-"""but no more of a mode than this."""
+_DECAYS = 3.0  # decay times of the slowest mode that a picture shows
+_CYCLES = 25  # but no more cycles than this, or its lines run together
+_POINTS = 14  # of a cycle
+_MOST = 500  # but no more of a mode than this
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,15 +175,12 @@ class Unloading(Result):
         time = self.fit.recordings[0].recording.time
         if not modes:
             return np.linspace(0.0, time[-1] - time[0], 1000)
-        end = _CYCLES / min(m.frequency_hz for m in modes)
         decays = [decay_of(mode) for mode in modes]
         spans = [_DECAYS * d.value if d else np.inf for d in decays]
-        end = min(end, max(spans))
+        end = min(_CYCLES / min(m.frequency_hz for m in modes), max(spans))
         each = [np.linspace(0.0, end, 100)]
-        for mode, span in zip(
-            modes, spans, strict=True
-        ):  # as dense as each is fast, while it lasts
-            span = min(span, end)
+        # As dense as each mode is fast, while it lasts.
+        for mode, span in zip(modes, np.minimum(spans, end), strict=True):
             points = min(_MOST, int(_POINTS * span * mode.frequency_hz) + 2)
             each.append(np.linspace(0.0, span, points))
         return np.unique(np.concatenate(each))
@@ -234,21 +227,14 @@ class Unloading(Result):
 
 
 def _side(pose: Pose, model: Model, modes: tuple[Mode, ...]) -> dict[str, Any]:
-    values = np.asarray(inertias(model.mechanism)).tolist()
-    return {
-        "theta2": pose.theta2,
-        **_told(modes),
-        "arm": dict(zip(NAMES, values, strict=True)),
-    }
+    arm = zip(NAMES, np.asarray(inertias(model.mechanism)).tolist(), strict=True)
+    return {"theta2": pose.theta2, **_told(modes), "arm": dict(arm)}
 
 
 def _told(modes: tuple[Mode, ...]) -> dict[str, Any]:
     """Modes, and when each has fallen to 1/e (s; None: it does not, or the number is not known)."""
-    times = []
-    for mode in modes:
-        found = decay_of(mode)
-        told = None if found is None else found._asdict().items()
-        times.append(told and finite(dict(told)))
+    decays = [decay_of(mode) for mode in modes]
+    times = [found and finite(found._asdict()) for found in decays]
     return {"modes": _modes(modes), "decay_time_s": times}
 
 

@@ -30,15 +30,12 @@ from ..fitting.covariance import spread_of
 from .driven import DrivenTest, kernel, smoothed
 
 _MOST_ROWS = 500
-_PER_REVERSAL = 16
-"""Rows between two reversals, at least, so that few of them see one."""
+_PER_REVERSAL = 16  # rows between two reversals, at least, so that few of them see one
 _LEAST_ROWS = 12
 _ONE_WAY = 0.03
 """A smaller share of rows with the other sign cannot tell dry friction from an offset."""
-_BAND = 5
-"""Rows ahead with which one shares readings."""
-_STANDS_OUT = 3.0
-"""Standard errors from zero which an inertia must be."""
+_BAND = 5  # rows ahead with which one shares readings
+_STANDS_OUT = 3.0  # standard errors from zero which an inertia must be
 CALIBRATED = 1e-3
 """Probability below which the residual is more than noise, and errors are enlarged."""
 
@@ -93,10 +90,8 @@ class Solved(NamedTuple):
 
     values: np.ndarray
     std: np.ndarray
-    chi2: float
-    """Per degree of freedom: 1 is noise alone."""
-    enlarged: bool
-    """Whether the errors were, since the residual is more than noise."""
+    chi2: float  # per degree of freedom: 1 is noise alone
+    enlarged: bool  # whether the errors were, since the residual is more than noise
 
 
 def rows_of(test: DrivenTest, l1: float) -> Rows:
@@ -132,13 +127,9 @@ def rows_of(test: DrivenTest, l1: float) -> Rows:
     ahead = [np.pad(centre[d:], (0, d), constant_values=10**9) for d in range(_BAND + 1)]
     lags = np.minimum(np.stack(ahead) - centre, 2 * half + 1)
     shared = [np.append(np.correlate(k, k, "full"), 0.0)[2 * half :] for k in kernels]
-    return Rows(
-        through(0, test.grid.drive[:, test.joint]),
-        np.stack(columns, axis=1),
-        given,
-        between,
-        np.stack([each[lags] for each in shared]),
-    )
+    covariance = np.stack([each[lags] for each in shared])
+    torque = through(0, test.grid.drive[:, test.joint])
+    return Rows(torque, np.stack(columns, axis=1), given, between, covariance)
 
 
 def _given(test: DrivenTest, l1: float, knot: int, through) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,6 @@ import numpy as np
 
 from ..diagnosis.compare import Comparison
 from ..diagnosis.evidence import NOISE
-from ..diagnosis.forecast import HeldOut
 from ..diagnosis.missing_torque import Missing
 from ..diagnosis.residuals import Cell, Part, Where
 from ..recordings.experiment import Experiment
@@ -25,25 +24,16 @@ from .numbers import amount, p_value, plain, prefixed, share, times
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_LARGER = 1.2
-"""Reduced chi-square beyond which more is left than the noise that was stated,"""
-_SMALLER = 0.8
-"""and below which less is."""
-_TELLS = 4.0
-"""Standard deviations of chance by which a part must exceed the noise to be named."""
-_CONTRAST = 1.5
-"""Times as large: one part against another."""
-_NEAR = 0.8
-"""Of the largest: as good as the largest."""
-_READINGS = 20
-"""A part of fewer is not spoken of."""
+_LARGER = 1.2  # reduced chi-square beyond which more is left than the noise that was stated
+_SMALLER = 0.8  # reduced chi-square below which less is
+_TELLS = 4.0  # standard deviations of chance by which a part must exceed the noise to be named
+_CONTRAST = 1.5  # times as large: one part against another
+_NEAR = 0.8  # of the largest: as good as the largest
+_READINGS = 20  # a part of fewer is not spoken of
 _MOSTLY = 2 / 3
-_NAMED = 0.1
-"""Share of the excess from which a band is named."""
-_CLEAR = 2.0
-"""Times its neighbours: a multiple of a mode that stands by itself."""
-_WORSE = 1.15
-"""Of what three standard errors of the prediction allow."""
+_NAMED = 0.1  # share of the excess from which a band is named
+_CLEAR = 2.0  # times its neighbours: a multiple of a mode that stands by itself
+_WORSE = 1.15  # of what three standard errors of the prediction allow
 
 
 # -- the sentences ---------------------------------------------------------------------------
@@ -51,28 +41,25 @@ _WORSE = 1.15
 
 def sentences(found: Comparison) -> tuple[str, ...]:
     """The verdict in a few sentences."""
-    white, chi2 = found.p >= NOISE, found.fit.reduced_chi2
-    held, left, p_values = _held_out(found), _left(found), _p_values(found)
-    if white and chi2 > _LARGER:
-        first = (
+    chi2, at, left, p_values = found.fit.reduced_chi2, found.where, _left(found), _p_values(found)
+    if found.p >= NOISE and chi2 > _LARGER:
+        words = [
             f"What is left is white ({p_values}), and yet {left}: more noise than was stated, not "
             "a motion that the model lacks."
-        )
-        return (first, *held)
-    if white:
-        first = (
+        ]
+    elif found.p >= NOISE:
+        words = [
             f"Nothing is left that the noise does not explain: what is left is white ({p_values}), "
             f"{left}."
-        )
-        less = "The noise that was stated is more than these readings show."
-        return (first, *([less] if chi2 < _SMALLER else []), *held)
-    if chi2 > _LARGER:
-        first = f"The model misses something: it leaves {left}, and that is not white"
+        ]
+        if chi2 < _SMALLER:
+            words.append("The noise that was stated is more than these readings show.")
     else:
         first = f"Something small is left that is not noise: {left}, but not white"
-    at = found.where
-    told = (_when(at), _swing(at), _frequency(found))
-    return (f"{first} ({p_values}).", *(t for t in told if t), *held)
+        if chi2 > _LARGER:
+            first = f"The model misses something: it leaves {left}, and that is not white"
+        words = [f"{first} ({p_values}).", _when(at), _swing(at), _frequency(found)]
+    return tuple(filter(None, [*words, *_held_out(found)]))
 
 
 def _excess(cell: Cell) -> float:
@@ -110,7 +97,6 @@ def _worst(at: Where) -> int:
 
 
 def _when(at: Where) -> str:
-    """At which joint, and when."""
     worst, total = _worst(at), sum(map(_excess, at.joint))
     alone = len(at.joint) > 1 and _excess(at.joint[worst]) > _MOSTLY * total
     told = [(p, p.cells[worst] if alone else p.whole) for p in at.time]
@@ -155,7 +141,6 @@ def _swing(at: Where) -> str:
 
 
 def _frequency(found: Comparison) -> str:
-    """Around which frequencies."""
     bands = found.where.frequency
     total = sum(_excess(p.whole) for p in bands)
     parts = sorted((p for p in bands if _tells(p.whole)), key=lambda p: -_excess(p.whole))
@@ -164,21 +149,17 @@ def _frequency(found: Comparison) -> str:
     named = [p for p in parts if _excess(p.whole) > _NAMED * total][:3] or parts[:1]
     shares = [f"{plain(100 * _excess(p.whole) / total, 2)} % {_band(p, found)}" for p in named]
     words = f"Of what exceeds the noise, {listed(shares).replace(' % ', ' % lies ', 1)}"
-    clear = [p for p in _multiples(bands) if p not in named][:2]
+    # Multiples of modes that exceed the bands beside them.
+    clear = [
+        p
+        for before, p, after in zip(bands, bands[1:], bands[2:], strict=False)
+        if " x " in p.name and _tells(p.whole) and p not in named
+        if p.whole.ratio > _CLEAR * max(before.whole.ratio, after.whole.ratio)
+    ][:2]
     if clear:
         each = [f"{times(p.whole.ratio)} times the noise {_band(p, found)}" for p in clear]
         words += f"; {listed(each)} is a sign of a torque that is not linear"
     return f"{words}."
-
-
-def _multiples(parts: Sequence[Part]) -> list[Part]:
-    """Multiples of modes that exceed the bands beside them."""
-    found = []
-    for before, part, after in zip(parts, parts[1:], parts[2:], strict=False):
-        beside = max(before.whole.ratio, after.whole.ratio)
-        if " x " in part.name and _tells(part.whole) and part.whole.ratio > _CLEAR * beside:
-            found.append(part)
-    return found
 
 
 def _band(part: Part, found: Comparison) -> str:
@@ -204,20 +185,13 @@ def _held_out(found: Comparison) -> list[str]:
         words = f"The held-out recordings are off by {off}"
     else:
         words = f"The last third, held out and predicted from the first two, is off by {off}"
-    if worse(held):
+    # Worse than where it was fitted, and than three standard errors of the prediction allow.
+    expected, now, then = held.held_out.expected, held.held_out.ratio, held.fitted.ratio
+    bound = 1.0 if expected is None else np.sqrt(1 + 9 * (expected**2 - 1))
+    if np.any((now > _WORSE * bound) & (now > _WORSE * then)):
         fitted = listed([times(x) for x in held.fitted.ratio if math.isfinite(x)])
         return [f"{words}: worse than where it was fitted ({fitted} times)."]
     return [f"{words}{', as it should be' if found.p >= NOISE else ''}."]
-
-
-def worse(held: HeldOut) -> bool:
-    """Whether the model errs more where it was not fitted than noise explains."""
-    expected = held.held_out.expected
-    for j, (now, then) in enumerate(zip(held.held_out.ratio, held.fitted.ratio, strict=True)):
-        bound = 1.0 if expected is None else math.sqrt(1 + 9 * (float(expected[j]) ** 2 - 1))
-        if now > _WORSE * bound and now > _WORSE * then:
-            return True
-    return False
 
 
 # -- in a terminal ---------------------------------------------------------------------------

@@ -5,8 +5,7 @@ from .layout import Table, filled, printed
 from .names import at_place, lower, title
 from .numbers import amount, plain, share
 
-_VALUES = 52
-"""Columns of an effect's numbers."""
+_VALUES = 52  # columns of an effect's numbers
 
 
 def text(atlas: Atlas) -> str:

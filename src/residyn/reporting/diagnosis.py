@@ -54,30 +54,10 @@ from .names import (
 )
 from .numbers import amount, measured, nats, percent, plain, prefixed, share, times
 
-_ALSO = 0.01
-"""Probability from which another family is named."""
-_NAMED = 3
-"""Other families that are named."""
-_VALUES = 44
-"""Columns of a candidate's numbers in a terminal."""
-_FAMILIES, _SHOWN = 5, 0.005
-"""Families on a page, and the probability from which one has a line."""
-
-
-# -- names and numbers of its parts ----------------------------------------------------------
-
-
-def _values(parameters: Mapping[str, Value]) -> str:
-    """ "torque 0.2003 +/- 0.0012 N m", and other numbers."""
-    each = parameters.items()
-    return ", ".join(f"{own_name(n)} {measured(v.value, v.std, v.unit)}" for n, v in each)
-
-
-def held_out(found: Diagnosis) -> str | None:
-    """Which readings were held out."""
-    each = [r.held_out for r in found.ladder]
-    what = next((held.what for held in each if held is not None), None)
-    return what and when_held_out(what) + ("; -: that fit did not settle" if None in each else "")
+_ALSO = 0.01  # probability from which another family is named
+_NAMED = 3  # other families that are named
+_VALUES = 44  # columns of a candidate's numbers in a terminal
+_FAMILIES, _SHOWN = 5, 0.005  # families on a page, and the probability from which one has a line
 
 
 # -- the verdict ---------------------------------------------------------------------------------
@@ -85,115 +65,117 @@ def held_out(found: Diagnosis) -> str | None:
 
 def sentences(found: Diagnosis) -> tuple[str, ...]:
     """The verdict in a few sentences, the surest first."""
+    return tuple(_sentences(found))
+
+
+def _sentences(found: Diagnosis) -> Iterator[str]:
+    yield from _stopped(found)
     if found.channels is not None:
-        return (*_stopped(found), *_channels(found.channels))
-    words = [*_stopped(found), *_unphysical(found)]
+        yield from _channels(found.channels)
+        return
+    yield from _unphysical(found)
     if found.explains_nothing:
-        return (*words, *_nothing_explained(found))
+        yield from _nothing_explained(found)
+        return
     if _stand_in(found):
-        words += _standing_in(found)
+        yield from _standing_in(found)
     else:
-        words += _families(found)
-        words += [] if found.added else [_none_named(found)]
-        words += _laws(found)
-    words += laws.sentences(found)
-    words += _others(found)
-    words += _fall(found)
-    words += _left(found)
-    return tuple(words)
+        yield from _families(found)
+        if not found.added:
+            yield _none_named(found)
+        yield from _laws(found)
+    for told in (laws.sentences, _others, _fall, _left):
+        yield from told(found)
 
 
-def _stopped(found: Diagnosis) -> list[str]:
+def _stopped(found: Diagnosis) -> Iterator[str]:
     why = {"interrupted": "was stopped by Ctrl-C", "budget": "ended when its budget was spent"}
-    if found.budget.stopped is None:
-        return []
-    count = found.budget.models
-    models = "one model" if count == 1 else f"{count} models"
-    return [
-        f"The search {why[found.budget.stopped]}, after {models}: what follows is the best so far, "
-        "and its probabilities count only what was tried."
-    ]
+    if found.budget.stopped is not None:
+        count = found.budget.models
+        yield (
+            f"The search {why[found.budget.stopped]}, after "
+            f"{'one model' if count == 1 else f'{count} models'}: what follows is the best so far, "
+            "and its probabilities count only what was tried."
+        )
 
 
-def _unphysical(found: Diagnosis) -> list[str]:
+def _unphysical(found: Diagnosis) -> Iterator[str]:
     """A spring or damper whose number is below zero by more than its error."""
     last, first = (
         [f"{n.name} is {measured(n.value, n.std, n.unit)}" for n in fit.unphysical]
         for fit in (found.fit, found.base)
     )
     if last:
-        return [
+        yield (
             f"This model cannot be right: {listed(last)}, and no arm has a negative stiffness "
             "or damping. Check the inertias, the signs and the units before anything else."
-        ]
-    if first:
-        return [f"Springs and dampers alone cannot be right: {listed(first)}."]
-    return []
+        )
+    elif first:
+        yield f"Springs and dampers alone cannot be right: {listed(first)}."
 
 
-def _channels(error: ChannelError) -> list[str]:
+def _channels(error: ChannelError) -> Iterator[str]:
     so = (
         "explain all readings to within the noise, and as they stand they do not"
         if error.complete
         else "alone explain more than any model of the readings as they stand"
     )
-    return [
+    yield (
         f"It seems that {error.words} ({percent(error.probability)}): read so, springs and dampers "
-        f"{so}.",
+        f"{so}."
+    )
+    yield (
         "No effect is named before that is settled. Put the columns right in the recordings, or "
-        "with the keys columns and units of the experiment file, and diagnose again.",
-    ]
+        "with the keys columns and units of the experiment file, and diagnose again."
+    )
 
 
-def _nothing_explained(found: Diagnosis) -> list[str]:
-    joints = found.fit.joints
+def _nothing_explained(found: Diagnosis) -> Iterator[str]:
     sizes = [
         f"{plain(r.rms, 2)} {r.unit} at the {r.joint}"
         + (f" ({share(r.share_of_spring)} of the restoring torque)" if _known(r) else "")
         for r in found.random_torque
     ]
-    words = [
+    yield (
         "The model does not explain this motion, so no effect can be named: beside its springs it "
-        f"needs a torque as large as theirs or larger: {listed(sizes)}.",
+        f"needs a torque as large as theirs or larger: {listed(sizes)}."
+    )
+    yield (
         "Check the recordings first: the units (rad or m, s), whether angles are counted from "
         "where the joints rest, whether each column is the joint that it is named after, and "
-        "whether the inertias are of this arm.",
-    ]
-    resting = _rest(found)
-    if resting:
-        where = listed([f"{joints[j]} {plain(x, 3)}" for j, x in resting])
-        words.append(
-            f"The readings keep to one side of zero (means: {where}): angles that are not counted "
-            "from rest look so."
-        )
-    return words
-
-
-def _rest(found: Diagnosis) -> list[tuple[int, float]]:
-    """Joints whose fitted readings never cross zero, and their means, rad or m."""
+        "whether the inertias are of this arm."
+    )
     angles = [np.where(r.used, r.recording.angle, np.nan) for r in found.fit.fitted]
-    each = enumerate(np.concatenate(angles).T)
-    return [(j, float(np.nanmean(x))) for j, x in each if np.nanmin(x) > 0 or np.nanmax(x) < 0]
+    each = zip(found.fit.joints, np.concatenate(angles).T, strict=True)
+    aside = [
+        f"{joint} {plain(float(np.nanmean(x)), 3)}"
+        for joint, x in each
+        if np.nanmin(x) > 0 or np.nanmax(x) < 0
+    ]
+    if aside:
+        yield (
+            f"The readings keep to one side of zero (means: {listed(aside)}): angles that are not "
+            "counted from rest look so."
+        )
 
 
-def _families(found: Diagnosis) -> list[str]:
+def _families(found: Diagnosis) -> Iterator[str]:
     """ "Dry friction at the elbow is missing (> 99 %)." """
     own, sure = told_first(found), found.verdict_probability
     if found.verdict == "missing" and sure >= SURE > own[0].probability and len(own) == 1:
-        return [
+        yield (
             f"Something is missing that the catalogue has ({percent(sure)}), most likely "
-            f"{_family(own[0], found)} ({percent(own[0].probability)})."
-        ]
-    told = []
+            f"{_likely(own[0], found)}."
+        )
+        return
     surest_first = sorted(own, key=lambda f: -f.probability)
     for verb, each in itertools.groupby(surest_first, lambda f: modal(f.probability)):
-        (name, chance), *more = ((_family(f, found), f"({percent(f.probability)})") for f in each)
+        first, *more = each
         if more:
-            names = listed([f"{name} {chance}", *map(" ".join, more)])
-            told.append(f"{upper(names)} {verb.replace('is', 'are')} missing.")
+            names = listed([_likely(f, found) for f in (first, *more)])
+            yield f"{upper(names)} {verb.replace('is', 'are')} missing."
         else:
-            told.append(f"{upper(name)} {verb} missing {chance}.")
-    return told
+            yield f"{upper(_family(first, found))} {verb} missing ({percent(first.probability)})."
 
 
 def _stand_in(found: Diagnosis) -> bool:
@@ -201,19 +183,22 @@ def _stand_in(found: Diagnosis) -> bool:
     return bool(found.added) and max(f.probability for f in told_first(found)) < _ALSO
 
 
-def _standing_in(found: Diagnosis) -> list[str]:
-    names = listed([_family(f, found) for f in accepted(found)])
-    verb = "takes" if len(found.added) == 1 else "take"
-    return [
-        _none_named(found),
-        f"{upper(names)} {verb} up a part of it, but cannot be its cause "
-        f"({percent(max(f.probability for f in accepted(found)))}): numbers that must be positive "
-        "are negative.",
-    ]
+def _standing_in(found: Diagnosis) -> Iterator[str]:
+    own = accepted(found)
+    yield _none_named(found)
+    yield (
+        f"{upper(listed([_family(f, found) for f in own]))} "
+        f"{'takes' if len(found.added) == 1 else 'take'} up a part of it, but cannot be its cause "
+        f"({percent(max(f.probability for f in own))}): numbers that must be positive are negative."
+    )
 
 
 def _family(family: Family, found: Diagnosis, comma: bool = False) -> str:
     return placed(family.name, family.place, found.fit.joints, comma)
+
+
+def _likely(family: Family, found: Diagnosis) -> str:
+    return f"{_family(family, found)} ({percent(family.probability)})"
 
 
 def accepted(found: Diagnosis) -> list[Family]:
@@ -249,7 +234,6 @@ def _laws(found: Diagnosis) -> Iterator[str]:
         members = dict(family.members)
         for label in (x for x in found.added if x in members):
             name, numbers = title(label), _numbers(found, label)
-            told = f" ({numbers})" if numbers else ""
             further = [
                 c for c in found.candidates if c.effect in members and _extends(c.effect, label)
             ]
@@ -265,6 +249,7 @@ def _laws(found: Diagnosis) -> Iterator[str]:
                     f"{listed(rivals)} {'is' if len(rivals) == 1 else 'are'} possible too."
                 )
             elif further and found.verdict != "unexplained":
+                told = f" ({numbers})" if numbers else ""
                 yield f"{name}{told} is enough; {listed([_would_add(c, label) for c in further])}."
             elif numbers:
                 yield f"{name}: {numbers}."
@@ -279,11 +264,17 @@ def _numbers(found: Diagnosis, label: str) -> str:
     if found.verdict == "unexplained" and not _instead(found):
         beside = found.parameters
         return _values({n.name: beside[n.name] for n in own if n.name in beside})
-    told = []
-    for n in own:
-        value = measured(n.value, n.std, n.unit) if n.determined else "not determined"
-        told.append(f"{own_name(n.name)} {value}")
-    return ", ".join(told)
+    return ", ".join(
+        f"{own_name(n.name)} "
+        + (measured(n.value, n.std, n.unit) if n.determined else "not determined")
+        for n in own
+    )
+
+
+def _values(parameters: Mapping[str, Value]) -> str:
+    """ "torque 0.2003 +/- 0.0012 N m", and other numbers."""
+    each = parameters.items()
+    return ", ".join(f"{own_name(n)} {measured(v.value, v.std, v.unit)}" for n, v in each)
 
 
 def _extends(label: str, simpler: str) -> bool:
@@ -295,14 +286,11 @@ def _extends(label: str, simpler: str) -> bool:
 
 def _would_add(candidate: Candidate, simpler: str) -> str:
     """ "Stribeck friction (< 1 %) would add excess 0.0008 +/- 0.0005 N m"."""
-    kind = catalogue()[candidate.effect.partition(":")[0]]
-    there = {p.name for p in parameters_of(catalogue()[simpler.partition(":")[0]])}
-    values = {own_name(n): v for n, v in candidate.parameters.items()}
-    more = [
-        f"{p.name} {measured(values[p.name].value, values[p.name].std, values[p.name].unit)}"
-        for p in parameters_of(kind)
-        if p.name not in there and p.silent is not None and p.name in values
-    ]
+    kind, there = (catalogue()[x.partition(":")[0]] for x in (candidate.effect, simpler))
+    new = {p.name for p in parameters_of(kind) if p.silent is not None}
+    new -= {p.name for p in parameters_of(there)}
+    values = candidate.parameters.items()
+    more = [_values({name: v}) for name, v in values if own_name(name) in new]
     law = f"{lower(title(candidate.effect))} ({percent(candidate.probability)})"
     return f"{law} would add {listed(more)}" if more else f"{law} adds nothing"
 
@@ -311,8 +299,7 @@ def _others(found: Diagnosis) -> Iterator[str]:
     """Where the rest of the probability went."""
     own = told_first(found)
     others = [f for f in found.families if f not in own and f.probability >= _ALSO]
-    joints = found.fit.joints
-    shown = [f"{_family(f, found)} ({percent(f.probability)})" for f in others[:_NAMED]]
+    shown = [_likely(f, found) for f in others[:_NAMED]]
     if shown:
         more = len(others) - len(shown)
         shown += [f"{more} more kind{'s' * (more > 1)}"] if more else []
@@ -327,7 +314,7 @@ def _others(found: Diagnosis) -> Iterator[str]:
     for group in found.lookalikes:
         rivals = [x for x in group[1:] if not any(x in dict(f.members) for f in own)]
         if rivals:
-            first, *names = (lower(at_place(x, joints)) for x in (group[0], *rivals))
+            first, *names = (lower(at_place(x, found.fit.joints)) for x in (group[0], *rivals))
             yield f"These recordings cannot tell {first} from {listed(names)}."
 
 
@@ -444,9 +431,8 @@ def _damper(found: Diagnosis, joint: int) -> float:
 
 def text(found: Diagnosis) -> str:
     """The whole printout."""
-    parts = models(found), candidates(found), laws.text(found), lookalikes(found)
-    parts = *parts, next_experiment(found)
-    lines = [line for part in parts for line in part]
+    parts = models, candidates, laws.text, lookalikes, next_experiment
+    lines = [line for part in parts for line in part(found)]
     return "\n".join([*filled(" ".join(found.words)), "", *lines, "", str(found.fit)])
 
 
@@ -466,6 +452,13 @@ def models(found: Diagnosis) -> list[str]:
             rows += [["" if j else name, joint, *c, chi2] for j, (joint, c) in enumerate(each)]
     table = Table([*columns, "chi-square\nper reading"], rows, (0,) if beside else (0, 1))
     return [*section("Models", head), *printed(table)]
+
+
+def held_out(found: Diagnosis) -> str | None:
+    """Which readings were held out."""
+    each = [r.held_out for r in found.ladder]
+    what = next((held.what for held in each if held is not None), None)
+    return what and when_held_out(what) + ("; -: that fit did not settle" if None in each else "")
 
 
 def _kinds(found: Diagnosis) -> list[str]:
@@ -558,9 +551,8 @@ def title_of(found: Diagnosis) -> str:
     other = f"something that {unnamed(found)} explains"
     if _instead(found):
         return f"What is missing: {listed(words)}, or {other}"
-    return (
-        f"What is missing: {listed([*words, other] if found.verdict == 'unexplained' else words)}"
-    )
+    words += [other] if found.verdict == "unexplained" else []
+    return f"What is missing: {listed(words)}"
 
 
 def torques_first_lacked(found: Diagnosis) -> list[tuple[Missing, int]]:
@@ -585,9 +577,8 @@ def models_table(found: Diagnosis) -> Table:
     """The error of each model on the way."""
 
     def cell(joint: int, rmse: float, ratio: float | None) -> str:
-        return (
-            "-" if ratio is None else f"{amount(rmse, found.fit.units[joint])} ({times(ratio)} ×)"
-        )
+        size = amount(rmse, found.fit.units[joint])
+        return "-" if ratio is None else f"{size} ({times(ratio)} ×)"
 
     rows = [[name, *itertools.chain(*cells), chi2] for name, cells, chi2 in _models(found, cell)]
     head = [f"{joint}, {kind}" for joint in found.fit.joints for kind in _kinds(found)]
@@ -612,13 +603,9 @@ def candidates_table(found: Diagnosis) -> Table:
     for c in shown:
         name = at_place(c.effect, found.fit.joints, comma=True)
         name += " (added)" if c.effect in found.added else ""
-        order = "" if c.iterated else " (first order)"
-        cells = [
-            percent(c.probability),
-            nats(c.log_evidence) + order,
-            unbroken(_values(c.parameters)),
-        ]
-        rows.append([name, *cells, c.effect])
+        evidence = nats(c.log_evidence) + ("" if c.iterated else " (first order)")
+        numbers = unbroken(_values(c.parameters))
+        rows.append([name, percent(c.probability), evidence, numbers, c.effect])
     marked = [i for i, c in enumerate(shown) if c.effect in found.added]
     head = ["effect", "probability", "log evidence (nats)", "its numbers, alone in the model"]
     return Table([*head, "name for --with"], rows, left=(0, 3, 4), marked=marked)

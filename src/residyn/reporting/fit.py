@@ -21,12 +21,9 @@ from .layout import Table, filled, section, separated, tabular, warned
 from .names import HELD_OUT, at_place, base_name, listed, lower
 from .numbers import amount, plain, prefixed, share, times, with_error
 
-_OVERSTATED = 0.85
-"""Reduced chi-square below which the noise must have been overstated."""
-_STILL = 2.0
-"""Times the noise: a joint that moves less than this hardly moves."""
-_NAMED = 3
-"""Outliers whose times are given."""
+_OVERSTATED = 0.85  # reduced chi-square below which the noise must have been overstated
+_STILL = 2.0  # times the noise: a joint that moves less than this hardly moves
+_NAMED = 3  # outliers whose times are given
 
 
 # -- the sentences ---------------------------------------------------------------------------
@@ -39,21 +36,17 @@ class JointError(NamedTuple):
     unit: str
     rmse: float
     noise: float
-    ratio: float
-    """Error in times the noise."""
-    share: float
-    """Error as a share of the motion's standard deviation."""
+    ratio: float  # error in times the noise
+    share: float  # error as a share of the motion's standard deviation
     check: float | None
     check_ratio: float | None
 
 
 def joint_errors(fit: Fit) -> list[JointError]:
     """The errors of a fit, joint by joint."""
-    centred = []
-    for r in fit.whole:
-        if r.recording.role != "check":
-            angle = np.where(r.used, r.recording.angle, np.nan)
-            centred.append(angle - np.nanmean(angle, axis=0))
+    fitted = [r for r in fit.whole if r.recording.role != "check"]
+    angles = [np.where(r.used, r.recording.angle, np.nan) for r in fitted]
+    centred = [angle - np.nanmean(angle, axis=0) for angle in angles]
     motion = np.sqrt(np.nanmean(np.concatenate(centred) ** 2, axis=0))
     share = fit.rmse / np.where(motion > 0, motion, np.nan)
     check = check_ratio = np.full(len(motion), None)
@@ -78,10 +71,8 @@ def verdict(fit: Fit) -> tuple[str, ...]:
         noise, motion = ("", "") if left else (" the noise", " of the motion")
         words = f"{times(error.ratio)} times{noise} at the {error.joint}"
         left.append(words if good else f"{words} ({share(error.share)}{motion})")
-    if good:
-        words = f"The model explains the motion down to the noise: it leaves {listed(left)}."
-    else:
-        words = f"The model misses something: it leaves {listed(left)}."
+    what = "explains the motion down to the noise" if good else "misses something"
+    words = f"The model {what}: it leaves {listed(left)}."
     ratios = [times(e.check_ratio) for e in errors if e.check_ratio is not None]
     return (words, f"On the held-out recordings: {listed(ratios)} times.") if ratios else (words,)
 
@@ -104,17 +95,9 @@ def chi2_words(chi2: float) -> str:
 
 def warnings(fit: Fit) -> tuple[str, ...]:
     """What a careful person would want to be told: the recordings' own warnings, then the fit's."""
-    return (
-        *_unphysical(fit),
-        *fit.experiment.warnings,
-        *_open(fit),
-        *_still(fit),
-        *_outliers(fit.recordings),
-        *_signs(fit),
-        *_misfit(fit),
-        *_integration(fit),
-        *_search(fit),
-    )
+    checks = _open, _still, _outliers, _signs, _misfit, _integration, _search
+    said = (words for check in checks for words in check(fit))
+    return (*_unphysical(fit), *fit.experiment.warnings, *said)
 
 
 def _unphysical(fit: Fit) -> Iterable[str]:
@@ -128,7 +111,6 @@ def _unphysical(fit: Fit) -> Iterable[str]:
 
 
 def _open(fit: Fit) -> Iterator[str]:
-    """What the data leave open."""
     for group in fit.open_groups:
         members = [fit.numbers[i].name for i in group]
         if any(m.startswith("inertia_error") for m in members):
@@ -157,8 +139,8 @@ def _still(fit: Fit) -> Iterator[str]:
             )
 
 
-def _outliers(recordings: Sequence[RecordingFit]) -> Iterator[str]:
-    for beside in recordings:
+def _outliers(fit: Fit) -> Iterator[str]:
+    for beside in fit.recordings:
         rows = np.flatnonzero(beside.wild.any(axis=1))
         if len(rows):
             at = ", ".join(f"{beside.recording.time[i]:.6g}" for i in rows[:_NAMED])
@@ -174,12 +156,10 @@ def _signs(fit: Fit) -> Iterator[str]:
     sure = {n.name for n in fit.unphysical}
     for n in fit.numbers:
         if n.sign == "positive" and n.value < 0 and n.determined and n.name not in sure:
-            beyond = -n.value > NEGATIVE * n.std
-            yield f"{n.name} is negative, which physics does not allow" + (
-                ": the model lacks something, or an input is wrong"
-                if beyond
-                else ", but no more than its error: these data cannot tell it from zero"
-            )
+            so = ", but no more than its error: these data cannot tell it from zero"
+            if -n.value > NEGATIVE * n.std:
+                so = ": the model lacks something, or an input is wrong"
+            yield f"{n.name} is negative, which physics does not allow{so}"
 
 
 def _misfit(fit: Fit) -> Iterator[str]:
@@ -299,11 +279,9 @@ def _known(x: float, std: float, digits: int) -> str:
 
 
 def _integrated(fit: Fit) -> str:
-    chosen = fit.experiment.integrator
-    if chosen is None or not chosen.adapts:
-        how = f"{fit.integration_steps} steps" + ("" if chosen is None else f" of {chosen.name}")
-    else:
-        how = f"by {chosen.name}"
+    chosen, how = fit.experiment.integrator, f"{fit.integration_steps} steps"
+    if chosen is not None:
+        how = f"by {chosen.name}" if chosen.adapts else f"{how} of {chosen.name}"
     words = f"{how}; error {fit.integration_error:.2g} of the noise"
     if fit.integration_checked is not None:
         words += " ({:.2g} against {})".format(*fit.integration_checked)
@@ -336,11 +314,10 @@ def errors_table(fit: Fit) -> Table:
         head += ["held-out error", "held-out / noise"]
     rows = []
     for e in errors:
-        row = [e.joint, amount(e.rmse, e.unit), amount(e.noise, e.unit)]
-        row += [plain(e.ratio), share(e.share)]
+        sizes = amount(e.rmse, e.unit), amount(e.noise, e.unit), plain(e.ratio), share(e.share)
+        rows.append([e.joint, *sizes])
         if e.check is not None and e.check_ratio is not None:
-            row += [amount(e.check, e.unit), plain(e.check_ratio)]
-        rows.append(row)
+            rows[-1] += [amount(e.check, e.unit), plain(e.check_ratio)]
     return Table(head, rows)
 
 

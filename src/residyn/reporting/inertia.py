@@ -7,24 +7,19 @@ from scipy.special import chdtrc
 
 from ..errors import InputError
 from ..procedure.carried import NAMES
-from ..procedure.result import FRICTION_UNITS, UNITS, InertiaResult, Number, TestResult
+from ..procedure.result import InertiaResult, Number, TestResult
 from ..procedure.weak import CALIBRATED
 from ..recordings.tables import ArmTable, check_bearings
 from .layout import Table, filled, printed, section, warned
 from .names import listed, unbroken
 from .numbers import measured, plain, times, with_error
 
-_CLOSE = 20.0
-"""Times the least error of coupling (Eq. 16) from which elbow angles are too close."""
-_COARSE = 0.1
-"""Relative error beyond which a number is said to be poor."""
-_STRUCTURE = 1.2
-"""Reduced chi-square of a test beyond which the equation lacks something."""
-_OVERSTATED = 0.5
-"""And below which its noise must have been."""
+_CLOSE = 20.0  # times the least error of coupling (Eq. 16) from which elbow angles are too close
+_COARSE = 0.1  # relative error beyond which a number is said to be poor
+_STRUCTURE = 1.2  # reduced chi-square of a test beyond which the equation lacks something
+_OVERSTATED = 0.5  # and below which its noise must have been
 _FRICTION = ("Coulomb friction", "viscous friction", "offset")
-_SURE = 3.0
-"""Standard errors that make a difference more than chance."""
+_SURE = 3.0  # standard errors that make a difference more than chance
 
 
 # -- the warnings ----------------------------------------------------------------------------
@@ -32,24 +27,20 @@ _SURE = 3.0
 
 def warnings(result: InertiaResult) -> tuple[str, ...]:
     """All warnings of step 1: the recordings' own, then the result's."""
-    return (
-        *(w for t in result.tests for w in (*_recording(t), *t.test.warnings)),
-        *(line for t in result.tests for line in _of_test(t)),
-        *_close(result),
-        *_contradiction(result),
-        *_bearings(result),
-        *at_odds(result),
-    )
+    tests, checks = result.tests, (_close, _contradiction, _bearings, at_odds)
+    said = [w for t in tests for w in _recording(t)]
+    said += [w for t in tests for w in _of_test(t)]
+    return tuple(said + [w for check in checks for w in check(result)])
 
 
 def _recording(test: TestResult) -> Iterable[str]:
     """A braked joint may well stand still: that is no doubt here."""
     still = f"q{2 - test.test.joint} never moves"
-    return (w for w in test.test.recording.warnings if still not in w)
+    return (w for w in (*test.test.recording.warnings, *test.test.warnings) if still not in w)
 
 
 def _of_test(test: TestResult) -> Iterable[str]:
-    left = times(float(np.sqrt(test.solved.chi2)))
+    left = times(test.solved.chi2**0.5)
     if test.solved.chi2 > _STRUCTURE and test.solved.enlarged:
         yield (
             f"{test.name}: {left} times the noise is left: friction is more than Coulomb "
@@ -128,8 +119,8 @@ def text(result: InertiaResult) -> str:
     lines += filled(apart_words(result), "    ")
     lines.append("[[Inertia]]  value +/- standard error (error in %) [the paper's, Eq. 12 to 15]")
     rows = [
-        [name, f"{measured(*number, unit)} ({_percent(number)} %)", f"[{plain(x, 5)}]"]
-        for name, number, unit, x in _inertias(result)
+        [name, f"{measured(*number)} ({_percent(number)} %)", f"[{plain(x, 5)}]"]
+        for name, number, x in _inertias(result)
     ]
     lines += printed(Table(["", "", ""], rows, left=(0, 1)))
     if result.reduced_chi2 is not None:
@@ -137,9 +128,9 @@ def text(result: InertiaResult) -> str:
     return "\n".join([*lines, *warned(result.warnings)])
 
 
-def _inertias(result: InertiaResult) -> Iterable[tuple[str, Number, str, float]]:
+def _inertias(result: InertiaResult) -> Iterable[tuple[str, Number, float]]:
     numbers = result.shoulder, result.elbow, result.coupling
-    return zip(NAMES, numbers, UNITS, result.least_squares.tolist(), strict=True)
+    return zip(NAMES, numbers, result.least_squares.tolist(), strict=True)
 
 
 def _percent(number: Number) -> str:
@@ -159,32 +150,28 @@ def toml(result: InertiaResult) -> str:
     """The `[arm]` table, as the other commands read it; errors as comments."""
     l1, l2 = result.link_lengths
     lines = ["[arm]", f"link_lengths = [{l1!r}, {l2!r}]  # m"]
-    for name, number, unit, _ in _inertias(result):
-        found, error = with_error(*number)
+    for name, (value, std, unit), _ in _inertias(result):
+        found, error = with_error(value, std)
         lines.append(f"{name} = {found}  # +/- {error} {unit}")
     return "\n".join(lines) + "\n"
 
 
 def _test(test: TestResult, joints: tuple[str, ...]) -> list[str]:
     pose = "" if test.test.joint else f", elbow at {_theta2(test)} rad"
-    lines = filled(f"{test.name}: {joints[test.test.joint]} driven{pose}", "  ")
     rows = []
-    names = ("composite inertia", *_FRICTION)
-    numbers = (test.inertia, *test.friction.values())
-    ordinary = (*test.least_squares, None)
-    for each in zip(names, ("kg m^2", *FRICTION_UNITS), numbers, ordinary, strict=True):
-        name, unit, number, paper = each
+    numbers = test.inertia, *test.friction.values()
+    each = zip(("composite inertia", *_FRICTION), numbers, (*test.least_squares, None), strict=True)
+    for name, number, paper in each:
         if number is None:
             rows.append([name, "not told apart: it slid one way only", ""])
         else:
             beside = f"[{plain(paper.value, 4)}]" if paper else ""
-            rows.append([name, measured(*number, unit), beside])
-    noise = plain(test.test.torque_noise, 2)
-    left = times(float(np.sqrt(test.solved.chi2)))
-    lines += printed(Table(["", "", ""], rows, left=(0, 1)))
+            rows.append([name, measured(*number), beside])
     return [
-        *lines,
-        f"    torque             noise {noise} N m; what is left is {left} times the noise",
+        *filled(f"{test.name}: {joints[test.test.joint]} driven{pose}", "  "),
+        *printed(Table(["", "", ""], rows, left=(0, 1))),
+        f"    torque             noise {plain(test.test.torque_noise, 2)} N m; what is left is "
+        f"{times(test.solved.chi2**0.5)} times the noise",
     ]
 
 
@@ -210,8 +197,8 @@ def apart_words(result: InertiaResult) -> str:
 def inertias_table(found: InertiaResult) -> Table:
     """The inertias with their errors, beside the paper's least squares."""
     rows = [
-        [name, _pm(number), _percent(number), plain(x, 5), unit]
-        for name, number, unit, x in _inertias(found)
+        [name, _pm(number), _percent(number), plain(x, 5), number.unit]
+        for name, number, x in _inertias(found)
     ]
     head = ["inertia", "value ± standard error", "error in %", "by least squares (Eq. 12 to 15)"]
     return Table([*head, "unit"], rows, left=(0, 4))
@@ -221,12 +208,12 @@ def verdict(found: InertiaResult) -> str:
     """What was found, in a sentence."""
     if found.problem is not None:
         return f"Not physical: {found.problem}."
-    each = [f"{name} {_pm(number)} {unit}" for name, number, unit, _ in _inertias(found)]
+    each = [f"{name} {_pm(number)} {number.unit}" for name, number, _ in _inertias(found)]
     return f"The arm on its bearings: {listed(each)}."
 
 
 def _pm(number: Number) -> str:
-    return unbroken(" +/- ".join(with_error(*number)))
+    return unbroken(" +/- ".join(with_error(number.value, number.std)))
 
 
 def tests_table(found: InertiaResult) -> Table:
@@ -234,11 +221,8 @@ def tests_table(found: InertiaResult) -> Table:
     rows = []
     for t in found.tests:
         friction = ["not told apart" if n is None else _pm(n) for n in t.friction.values()][:2]
-        at = "" if t.test.joint else _theta2(t)
-        left = times(t.solved.chi2**0.5)
-        rows.append(
-            [t.name, found.experiment.joints[t.test.joint], at, _pm(t.inertia), *friction, left]
-        )
+        driven = found.experiment.joints[t.test.joint], "" if t.test.joint else _theta2(t)
+        rows.append([t.name, *driven, _pm(t.inertia), *friction, times(t.solved.chi2**0.5)])
     head = ["recording", "driven", "elbow at (rad)", "composite inertia (kg m²)"]
     head += ["Coulomb friction (N m)", "viscous friction (N m s/rad)", "left / noise"]
     return Table(head, rows, left=(0, 1))

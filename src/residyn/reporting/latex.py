@@ -4,6 +4,7 @@ A value ends where its standard error begins: the error has one digit, or two if
 """
 
 import math
+import re
 
 from .numbers import plain
 
@@ -57,9 +58,7 @@ def unit(name: str) -> str:
     if name in _FACTORS:
         return _FACTORS[name]
     text = "".join(_SPECIAL.get(c, c) if c != "^" else c for c in name)
-    parts = text.split("^")
-    raised = [f"$^{{{part[:1]}}}${part[1:]}" for part in parts[1:]]
-    return "".join([parts[0], *raised]).replace(" ", r"\,") or "1"
+    return re.sub(r"\^(.)", r"$^{\1}$", text).replace(" ", r"\,") or "1"
 
 
 def escaped(words: str) -> str:

@@ -15,9 +15,8 @@ _WHAT = {"": "torque", "direction": "friction", "angle": "stiffness", "rate": "d
 
 def what(law: Law, joints: tuple[str, ...] | list[str]) -> str:
     """ "a torque at the elbow that depends on the rate"."""
-    where = at(law.joint, joints)
     how = "changes with" if law.variable == "time" else "depends on the"
-    return f"a {_WHAT[law.factor]}{where} that {how} {law.variable}"
+    return f"a {_WHAT[law.factor]}{at(law.joint, joints)} that {how} {law.variable}"
 
 
 def formula(law: Law) -> str:
@@ -34,17 +33,15 @@ def sentences(found: Diagnosis) -> Iterator[str]:
     if not found.laws:
         return
     law, *others = found.laws
-    rest = [f"{what(x, found.fit.joints)} ({percent(x.probability)})" for x in others]
-    beside = ""
-    if law.beside:
-        beside = f" beside {named(law.beside, found.fit.joints)}"
-    first = f"What has no name {modal(law.probability)} {what(law, found.fit.joints)}{beside}"
-    told = formula(law)
+    joints, told = found.fit.joints, formula(law)
+    beside = f" beside {named(law.beside, joints)}" if law.beside else ""
+    first = f"What has no name {modal(law.probability)} {what(law, joints)}{beside}"
     yield f"{first} ({percent(law.probability)})" + (f": {told}." if told else ".")
     held = _held_out(found, law)
     if held:
         yield held
-    if rest:
+    if others:
+        rest = [f"{what(x, joints)} ({percent(x.probability)})" for x in others]
         yield f"It may also be {' or '.join(rest)}."
 
 

@@ -23,25 +23,23 @@ class Table:
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
     left: Sequence[int] = (0,)
-    marked: Sequence[int] = ()
-    """Rows that a page shades."""
+    marked: Sequence[int] = ()  # rows that a page shades
 
 
 def filled(words: str, head: str = "", indent: int | None = None, width: int = WIDTH) -> list[str]:
     """Words in lines of 80 columns after a head; numbers stay with their units and errors."""
-    kept = words
-    for bare in (" %", " +/- ", "N m", " x noise"):
-        kept = kept.replace(bare, bare.replace(" ", "\u00a0"))
+    for kept in (" %", " +/- ", "N m", " x noise"):
+        words = words.replace(kept, kept.replace(" ", "\u00a0"))
     further = " " * (len(head) if indent is None else indent)
     lines = textwrap.wrap(
-        kept, width, initial_indent=head, subsequent_indent=further, break_on_hyphens=False
+        words, width, initial_indent=head, subsequent_indent=further, break_on_hyphens=False
     )
     return [line.replace("\u00a0", " ") for line in lines]
 
 
-def section(title: str, note: str = "") -> list[str]:
+def section(title: str, note: str) -> list[str]:
     """ "[[Title]]  note"."""
-    return filled(note, f"[[{title}]]  ", 4) if note else [f"[[{title}]]"]
+    return filled(note, f"[[{title}]]  ", 4)
 
 
 def warned(warnings: Sequence[str], title: str = "Warnings") -> list[str]:

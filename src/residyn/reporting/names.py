@@ -15,10 +15,8 @@ HELD_OUT = "held out"
 SURE = 0.9
 """Probability from which a sentence says "is"."""
 _PERSONS = ("Bouc-Wen", "Coulomb", "Dahl", "Stribeck")
-_LINE = 0.001
-"""Probability from which a candidate is worth a line."""
-_MOST, _FEWEST = 8, 3
-"""Lines of candidates."""
+_LINE = 0.001  # probability from which a candidate is worth a line
+_MOST, _FEWEST = 8, 3  # lines of candidates
 _STICKS = re.compile(
     r"(?<=[\d±<>=]) (?=[\d±%])|(?<=\bp) (?=[<=])"
     r"|(?<=\d) (?=(?:N|kg|m|mm|rad|mrad|s|Hz)\b)|(?<=N) (?=m\b)"
@@ -95,18 +93,15 @@ def model_name(step: ModelState, comma: bool = False) -> str:
     """What joined the model on the way: "+ gravity"; of the base model, all that it has."""
     if step.added is None:
         return base_name(step.fit, comma)
-    joints = step.fit.joints
-    gone = [lower(at_place(x, joints, comma)) for x in step.dropped]
-    name = f"+ {lower(at_place(step.added, joints, comma))}"
-    return f"{name} without {listed(gone)}" if gone else name
+    added, *gone = (lower(at_place(x, step.fit.joints, comma)) for x in (step.added, *step.dropped))
+    return f"+ {added}" + (f"{'' if comma else ','} without {listed(gone)}" if gone else "")
 
 
 def times_noise(step: ModelState) -> list[tuple[float, float | None]]:
     """Per joint the error in times the noise, where it was fitted and where it was not."""
-    fitted, held = map(float, step.times_noise), step.held_out
-    if held is None:
-        return [(x, None) for x in fitted]
-    return list(zip(fitted, map(float, held.held_out.ratio), strict=True))
+    held = step.held_out and step.held_out.held_out.ratio
+    each = [None] * len(step.times_noise) if held is None else map(float, held)
+    return list(zip(map(float, step.times_noise), each, strict=True))
 
 
 def worth_showing(found: Diagnosis, most: int = _MOST) -> tuple[Candidate, ...]:
@@ -118,9 +113,7 @@ def worth_showing(found: Diagnosis, most: int = _MOST) -> tuple[Candidate, ...]:
 
 def unnamed(found: Diagnosis) -> str:
     """What does not explain the rest: the whole catalogue, or what there was time for."""
-    if found.budget.stopped is not None:
-        return "no effect that was tried"
-    return "no effect of the catalogue"
+    return f"no effect {'of the catalogue' if found.budget.stopped is None else 'that was tried'}"
 
 
 def untried(found: Diagnosis) -> bool:

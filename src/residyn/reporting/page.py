@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from datetime import date
 from typing import Any
 
-import jinja2
 import markupsafe
 
 from .. import __version__
@@ -24,12 +23,11 @@ from ..procedure import InertiaResult, Unloading
 from . import compare, fit, laws, names, over_models
 from . import figures as plot
 from .about import of
-from .explorer.page import embedded
+from .explorer.page import embedded, environment
 from .numbers import plain
 from .plan import outcomes
 
-_NARROW = 640
-"""Pixels up to which the layouts for a phone are shown."""
+_NARROW = 640  # pixels up to which the layouts for a phone are shown
 
 
 def write_report(
@@ -93,18 +91,12 @@ def render_page(found: InertiaResult | Unloading | Race, title: str) -> str:
 
 def _filled(template: str, kind: str, **named: Any) -> str:
     """A template of the package as text. It asks the modules that write about a result, as they are
-    named here, for its words, tables and pictures; all words are escaped."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("residyn", "reporting/templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(unbroken=names.unbroken, plain=plain)
+    named here, for its words, tables and pictures."""
+    pages = environment("reporting/templates")
+    pages.filters.update(unbroken=names.unbroken, plain=plain)
     modules = {"compare": compare, "fits": fit, "laws": laws, "names": names, "plot": plot}
     given = {"models": (), "compared": None, "phone": _NARROW, "narrow": _NARROW, "kind": kind}
-    environment.globals.update(
+    pages.globals.update(
         modules | given | named,
         over_models=over_models,
         outcomes=outcomes,
@@ -112,4 +104,4 @@ def _filled(template: str, kind: str, **named: Any) -> str:
         version=__version__,
         date=date.today().isoformat(),
     )
-    return environment.get_template(template).render()
+    return pages.get_template(template).render()

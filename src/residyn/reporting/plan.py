@@ -8,8 +8,7 @@ from .layout import Table, filled, printed
 from .names import listed, named, upper
 from .numbers import amount, measured, percent, plain
 
-_TELLS = 2.0
-"""Standard errors by which one reading tells two models apart 19 times in 20."""
+_TELLS = 2.0  # standard errors by which one reading tells two models apart 19 times in 20
 
 
 def motion_words(test: Test) -> str:
@@ -44,9 +43,8 @@ def setting_words(test: Test) -> str:
 
 def recipe(test: Test) -> str:
     """All that is to be done, as part of a sentence."""
-    setting = setting_words(test)
-    set_to = f" ({setting})" if setting else ""
-    return f"{motion_words(test)}{set_to}, and record {plain(test.duration, 2)} s"
+    setting = f" ({words})" if (words := setting_words(test)) else ""
+    return f"{motion_words(test)}{setting}, and record {plain(test.duration, 2)} s"
 
 
 def _angle(value: float, unit: str) -> str:
@@ -133,18 +131,15 @@ def _plan(plan: Plan) -> list[str]:
 
 def _test(index: int, test: Test, before: float) -> list[str]:
     out = filled(upper(motion_words(test)), f"{index:>3}  ")
-    rows = [
-        ("set", upper(setting_words(test))),
-        ("record", f"{plain(test.duration, 2)} s"),
-        (
-            "tells",
-            f"entropy {plain(before, 2)} -> {plain(test.entropy, 2)} nats; the likeliest model is "
-            f"then expected to have {percent(test.probability_right)}",
-        ),
-    ]
+    rows = {
+        "set": upper(setting_words(test)),
+        "record": f"{plain(test.duration, 2)} s",
+        "tells": f"entropy {plain(before, 2)} -> {plain(test.entropy, 2)} nats; the likeliest "
+        f"model is then expected to have {percent(test.probability_right)}",
+    }
     if test.band is not None:
-        rows.append(("narrows", f"the 95 % band to +/- {plain(test.band, 2)}"))
-    for head, words in rows:
+        rows["narrows"] = f"the 95 % band to +/- {plain(test.band, 2)}"
+    for head, words in rows.items():
         out += filled(words, f"     {head:<8}") if words else []
     out += printed(outcomes(test), indent=5)
     if len(test.outcomes) > 1:

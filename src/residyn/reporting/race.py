@@ -60,7 +60,6 @@ def errors(each: Raced) -> list[str]:
 
 
 def _cells(race: Race, each: Raced) -> list[str]:
-    """What the table says of a method, behind its name."""
     run = each.median
     ratio = _short(run.objective / race.least) if math.isfinite(run.objective) else "--"
     if race.repeats > 1 and math.isfinite(each.worst.objective):
@@ -71,8 +70,8 @@ def _cells(race: Race, each: Raced) -> list[str]:
         known = math.isfinite(spent.simulations)
         found.append(f"{spent.simulations:.0f}, {spent.seconds:.2g} s" if known else "--")
     numbers = () if run.fit is None else run.fit.numbers
+    far = list(zip(race.off(run), numbers, strict=True))
     for kind in ("spring", "damper"):
-        far = zip(race.off(run), numbers, strict=True)
         own = [x for x, n in far if n.name.startswith(kind) and np.isfinite(x)]
         found.append(_short(max(own), 2) if own else "--")
     return found
@@ -97,26 +96,21 @@ def curves(methods: Sequence[Raced], against: str) -> str:
 
 def latex(race: Race) -> str:
     """The table with booktabs."""
-    rows = []
-    for each in race.methods:
-        objective, *spent = _cells(race, each)
-        rows.append([tex.escaped(each.title), objective, *map(tex.escaped, spent)])
+    rows = [[*map(tex.escaped, row)] for row in table(race).rows]
     head = ["Method", "Objective / best", r"to 10\,\%", r"to 1\,\%"]
     return tabular("lrrrrr", [*head, r"$k$, std.\ errors off", r"$c$, std.\ errors off"], [rows])
 
 
 def csv(race: Race) -> str:
     """A line for each run of each method."""
+    head = ["method", "seed", "objective", "simulations", "seconds"]
+    head += ["simulations_10_percent", "seconds_10_percent"]
+    head += ["simulations_1_percent", "seconds_1_percent"]
     rows = []
-    for each in race.methods:
-        for run in each.runs:
-            spent = []
-            for times in (TEN, ONE):
-                least = times * race.least
-                spent += [run.history.until(least), run.history.seconds_until(least)]
-            rows.append(
-                [run.name, str(run.seed), run.objective, run.simulations, run.seconds, *spent]
-            )
-    head = ("method", "seed", "objective", "simulations", "seconds")
-    more = ("simulations_10_percent", "seconds_10_percent")
-    return separated((*head, *more, "simulations_1_percent", "seconds_1_percent"), rows)
+    for run in (run for each in race.methods for run in each.runs):
+        spent = []
+        for least in (TEN * race.least, ONE * race.least):
+            spent += [run.history.until(least), run.history.seconds_until(least)]
+        own = run.name, str(run.seed), run.objective, run.simulations, run.seconds
+        rows.append([*own, *spent])
+    return separated(head, rows)

@@ -38,16 +38,13 @@ class SideBySide:
         sides = [[r for r in fit.whole if r.recording.role != "check"] for fit in fits]
         both = [a.used & b.used for a, b in zip(*sides, strict=True)]
         count = sum(int(used.sum()) for used in both)
-        chi2 = [
-            sum(
-                float(np.sum((r.residual / r.recording.noise)[used] ** 2))
-                for r, used in zip(side, both, strict=True)
-            )
-            for side in sides
-        ]
-        unit = max(1.0, min(chi2) / max(1, count))
+        one, other = (
+            sum(np.sum((r.residual / r.recording.noise)[used] ** 2) for r, used in each)
+            for each in (zip(side, both, strict=True) for side in sides)
+        )
+        unit = max(1.0, min(one, other) / max(1, count))
         numbers = len(self.one.numbers) - len(self.other.numbers)
-        return (chi2[0] - chi2[1]) / unit + numbers * math.log(count)
+        return float((one - other) / unit + numbers * math.log(count))
 
     @property
     def verdict(self) -> str:

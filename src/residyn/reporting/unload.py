@@ -23,10 +23,8 @@ from .layout import Table, filled, printed, section, warned
 from .names import named, upper
 from .numbers import amount, measured, plain, times, with_error
 
-_POOR = 0.05
-"""Relative error of a predicted damping ratio beyond which it is said to be poor."""
-_SAME = 0.02
-"""Elbow angles whose cosines are closer than this are one."""
+_POOR = 0.05  # relative error of a predicted damping ratio beyond which it is said to be poor
+_SAME = 0.02  # elbow angles whose cosines are closer than this are one
 _NOT_PHYSICAL = (
     "Not physical: nothing drives the arm, so that no mode can grow or leave its rest. These "
     "recordings do not determine these numbers; see the warnings of step 3."
@@ -70,19 +68,14 @@ def unphysical(found: Unloading) -> tuple[str, ...]:
                 )
             for order, mode in enumerate(modes, 1):
                 if decay_of(mode) is None:
-                    said.append(f"mode {order} {at} {_grows(mode)}; {remedy}")
+                    value, std = with_error(mode.damping_ratio, mode.damping_ratio_std)
+                    less = "though by less than two standard errors"
+                    said.append(
+                        f"mode {order} {at} grows, with a damping ratio of {value} +/- {std}: not "
+                        f"physical, {'as nothing drives the arm' if mode.grows else less}; these "
+                        f"recordings do not determine how it decays; {remedy}"
+                    )
     return tuple(said)
-
-
-def _grows(mode: Mode) -> str:
-    value, std = with_error(mode.damping_ratio, mode.damping_ratio_std)
-    how = "as nothing drives the arm"
-    if not mode.grows:
-        how = "though by less than two standard errors"
-    return (
-        f"grows, with a damping ratio of {value} +/- {std}: not physical, {how}; these recordings "
-        "do not determine how it decays"
-    )
 
 
 def _against_growth(found: Unloading) -> str:
@@ -126,7 +119,6 @@ def _step_1(found: Unloading) -> Iterable[str]:
 
 
 def _unnamed(found: Unloading) -> Iterator[str]:
-    """No effect of the bearings in the model."""
     if found.left_out:
         return
     if all(r.air_bearings for r in found.fit.experiment.fit_recordings):
@@ -164,15 +156,15 @@ def _not_told_apart(found: Unloading) -> Iterator[str]:
                 f"{number.name} is known to {plain(number.percent, 2)} % only, as it is hardly told"
                 f" from {', '.join(strong)}; {remedy}"
             )
-    modes = [(p, *x) for p in found.poses for x in enumerate(p.without_bearings, 1)]
-    for pose, order, mode in modes if found.left_out else ():
-        error = mode.damping_ratio_std / mode.damping_ratio if mode.damping_ratio > 0 else 0.0
-        if _POOR < error < math.inf:
-            yield (
-                f"damping of mode {order} without bearings (theta2 = {pose.theta2:.4g} rad) is "
-                f"known to {plain(100 * error, 2)} % only; {remedy}"
-            )
-            return
+    for pose in found.poses if found.left_out else ():
+        for order, mode in enumerate(pose.without_bearings, 1):
+            error = mode.damping_ratio_std / mode.damping_ratio if mode.damping_ratio > 0 else 0.0
+            if _POOR < error < math.inf:
+                yield (
+                    f"damping of mode {order} without bearings (theta2 = {pose.theta2:.4g} rad) is "
+                    f"known to {plain(100 * error, 2)} % only; {remedy}"
+                )
+                return
 
 
 # -- modes in words --------------------------------------------------------------------------

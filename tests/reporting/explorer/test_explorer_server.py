@@ -179,7 +179,7 @@ def test_of_one_window_only_the_newest_is_begun_and_two_do_not_disturb_each_othe
         return name
 
     async def ask():
-        worker = Worker()
+        worker = Worker({})
         first = asyncio.create_task(worker.newest("a", 1, lambda: work("a1")))
         while not begun:
             await asyncio.sleep(0.01)

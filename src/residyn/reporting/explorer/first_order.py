@@ -12,7 +12,6 @@ it was fitted and where it was not. The motion about which all is linear is led 
 by the base model. Where a joint sticks, nothing is linear: there the answer is too small a fall.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -37,19 +36,6 @@ class ErrorGram(NamedTuple):
     readings: Float[np.ndarray, " n"]
     """How many readings of each joint there are."""
 
-    def times_noise(self, strengths: np.ndarray, which: Sequence[int]) -> np.ndarray:
-        """(n,) rms error over the noise with some columns at some strengths."""
-        i = [0, *(c + 1 for c in which)]
-        v = np.concatenate([[1.0], strengths])
-        energy = np.einsum("jab,a,b->j", self.joints[:, i][:, :, i], v, v) + self.noise
-        return np.sqrt(np.maximum(energy, 0.0) / np.maximum(self.readings, 1.0))
-
-    def strengths(self, which: Sequence[int]) -> np.ndarray:
-        """Strengths of some columns together, in widths of their priors."""
-        i = [c + 1 for c in which]
-        inner = self.solve[np.ix_(i, i)] + np.eye(len(i))
-        return np.linalg.solve(inner, -self.solve[i, 0])
-
 
 class FirstOrder(NamedTuple):
     """The first order of all candidates about one motion."""
@@ -59,16 +45,14 @@ class FirstOrder(NamedTuple):
     predicted: list[np.ndarray]
     """Per recording (N, n, 1 + C): readings of the base model, rad or m, and what a unit of each
     column adds to them, springs and dampers being fitted anew."""
-    time: list[np.ndarray]
-    """(N,) s from the first sample of each."""
+    time: list[np.ndarray]  # (N,) s from the first sample of each
 
 
-def first_order(fitted: Columns, held_out: Columns | None, noise: np.ndarray) -> FirstOrder | None:
+def first_order(fitted: Columns, held_out: Columns | None) -> FirstOrder | None:
     """The first order about the motion of the fitted recordings, and of those held out; without
     these, the last third of each recording is predicted from the rest.
 
-    `noise` (R, n) of one reading, of all recordings one after the other; all columns are of the
-    same candidates, in the same widths.
+    All columns are of the same candidates, in the same widths.
 
     **Returns:** None where the linear motion runs away.
     """
@@ -77,22 +61,18 @@ def first_order(fitted: Columns, held_out: Columns | None, noise: np.ndarray) ->
     if not all(np.isfinite(e).all() and np.abs(e).max() < _RUNAWAY for e, *_ in parts):
         return None
     P, n = len(fitted.trajectory.u), fitted.scene.n
-    weight, time = [], []
-    for columns in groups:
-        g = columns.scene.grid
-        for rows in _rows(columns.scene):
-            weight.append(np.where(g.seen[rows], 1 / np.sqrt(g.variance[rows]), 0.0))
-            time.append(g.time[rows])
-    mine = [i < len(fitted.scene.recordings) for i in range(len(parts))]
+    noise = [r.noise for c in groups for r in c.scene.recordings]
+    instants = [(c.scene.grid, rows) for c in groups for rows in _rows(c.scene)]
+    weight = [np.where(g.seen[rows], 1 / np.sqrt(g.variance[rows]), 0.0) for g, rows in instants]
+    time = [g.time[rows] for g, rows in instants]
+    count = len(fitted.scene.recordings)
+    mine, others = slice(count), slice(count, None)
 
     def solved(used):
         """Residuals (N, n, 1 + C) with first states and numbers from the weights `used`."""
         beyond = [_without_states(e, x, w) for (e, x), w in zip(parts, used, strict=True)]
-        white = [
-            (e * w[..., None]).reshape(-1, e.shape[-1])
-            for e, w, own in zip(beyond, used, mine, strict=True)
-            if own
-        ]
+        each = zip(beyond[mine], used[mine], strict=True)
+        white = [(e * w[..., None]).reshape(-1, e.shape[-1]) for e, w in each]
         gram = np.sum([w.T @ w for w in white], axis=0)
         inner = gram[1 : 1 + P, 1 : 1 + P] + np.eye(P)
         keep = np.r_[0, 1 + P : gram.shape[0]]
@@ -101,21 +81,20 @@ def first_order(fitted: Columns, held_out: Columns | None, noise: np.ndarray) ->
         left = [e[..., keep] + e[..., 1 : 1 + P] @ numbers for e in beyond]
         return left, gram[np.ix_(keep, keep)] + across.T @ numbers
 
-    def energies(left, used, solve, chosen):
+    def energies(left, used, solve, which):
         total, beyond, count = 0.0, np.zeros(n), np.zeros(n)
-        for i, (e, w, counts) in enumerate(zip(left, used, chosen, strict=True)):
-            if counts:
-                white = e * w[..., None]
-                total = total + np.einsum("tja,tjb->jab", white, white)
-                # An average of m readings stands for m - 1 more of pure noise.
-                each = (w > 0) * noise[i] ** 2 * w**2
-                count, beyond = count + each.sum(0), beyond + (each - (w > 0)).sum(0)
+        for e, w, sigma in zip(left[which], used[which], noise[which], strict=True):
+            white = e * w[..., None]
+            total = total + np.einsum("tja,tjb->jab", white, white)
+            # An average of m readings stands for m - 1 more of pure noise.
+            each = (w > 0) * sigma**2 * w**2
+            count, beyond = count + each.sum(0), beyond + (each - (w > 0)).sum(0)
         return ErrorGram(solve, np.asarray(total), beyond, count)
 
     left, solve = solved(weight)
     inside = energies(left, weight, solve, mine)
     if held_out is not None:
-        beside = energies(left, weight, solve, [not own for own in mine])
+        beside = energies(left, weight, solve, others)
     else:
         early = [(t <= 2 / 3 * t[-1])[:, None] for t in time]
         first = [w * e for w, e in zip(weight, early, strict=True)]
@@ -123,17 +102,11 @@ def first_order(fitted: Columns, held_out: Columns | None, noise: np.ndarray) ->
         ahead, solve = solved(first)
         beside = energies(ahead, last, solve, mine)
     predicted = []
-    for e, g, rows in zip(left, *_grids(groups), strict=True):
+    for e, (g, rows) in zip(left, instants, strict=True):
         own = -e
         own[..., 0] += g.angle[rows]
         predicted.append(own)
     return FirstOrder(inside, beside, predicted, time)
-
-
-def _grids(groups: Sequence[Columns]):
-    """The grid and the instants of each recording."""
-    each = [(c.scene.grid, rows) for c in groups for rows in _rows(c.scene)]
-    return zip(*each, strict=True)
 
 
 def _rows(scene: Scene) -> list[np.ndarray]:
@@ -158,16 +131,15 @@ def _rolled_out(columns: Columns) -> list[tuple[np.ndarray, np.ndarray]]:
     g = scene.grid
     s = type(s)(*map(np.asarray, s))
     more, read = columns.inputs
-    X, P = s.A.shape[-1], len(t.u)
+    X = s.A.shape[-1]
     states = 2 * scene.n + sum(x.stop - x.start for x in state_slices(t.effects))
     drive = np.concatenate([s.c[..., None], s.B, more], -1)
     seen = np.concatenate([s.hc[..., None], s.Hu, read], -1)
-    found = []
+    F, found = drive.shape[-1], []
     for rows in _rows(scene):
-        M = np.concatenate([np.zeros((X, drive.shape[-1])), np.eye(X, states)], 1)
+        M = np.concatenate([np.zeros((X, F)), np.eye(X, states)], 1)
         M[2 * scene.n :, 0] = t.first  # internal states begin where they are known to
         out = np.empty((len(rows), scene.n, M.shape[1]))
-        F = drive.shape[-1]
         for k, row in enumerate(rows):
             out[k] = s.Hx[row] @ M
             out[k, :, :F] += seen[row]
@@ -176,5 +148,4 @@ def _rolled_out(columns: Columns) -> list[tuple[np.ndarray, np.ndarray]]:
         e = -out[..., :F]
         e[..., 0] += g.angle[rows]
         found.append((e, -out[..., F:]))
-    assert found[0][0].shape[-1] == 1 + P + more.shape[-1]
     return found

@@ -33,12 +33,12 @@ def hide_one(study: Study, random: np.random.Generator) -> tuple[Experiment, Abs
         e for e in study.search.candidates
         if not e.senses and not e.oscillates and not e.memory and e.place in study.experiment.joints
     ]  # fmt: skip
-    for _ in range(_TRIES):
-        if not candidates:
-            break
+    dampers = {n.name: _DAMPED * n.value for n in fit.numbers if n.name.startswith("damper:")}
+    model = fit.model.with_values(dampers)
+    without = _simulated(fit, model)
+    for _ in range(_TRIES if candidates else 0):
         effect = _drawn(study, candidates[random.integers(len(candidates))], random)
-        model = _quieter(fit)
-        with_it, without = _simulated(fit, model + effect), _simulated(fit, model)
+        with_it = _simulated(fit, model + effect)
         moved = np.concatenate([
             ((a - b) / r.recording.noise).ravel()
             for a, b, r in zip(with_it, without, fit.recordings, strict=True)
@@ -68,18 +68,12 @@ def _drawn(study: Study, effect: AbstractEffect, random: np.random.Generator) ->
     return with_numbers(effect, np.array(values))
 
 
-def _quieter(fit: Fit) -> Model:
-    dampers = {n.name: _DAMPED * n.value for n in fit.numbers if n.name.startswith("damper:")}
-    return fit.model.with_values(dampers)
-
-
 def _simulated(fit: Fit, model: Model) -> list[np.ndarray]:
     """(N, n) readings of every recording, without noise."""
     found, n = [], len(fit.joints)
     for beside in fit.recordings:
-        r = beside.recording
+        r, state = beside.recording, beside.state
         here = posed(model, mechanism_of(fit.experiment, r))
-        state = beside.state
         motion = simulate(here, r.time - r.time[0], state[:n], state[n : 2 * n])
         found.append(np.asarray(motion.q))
     return found

@@ -6,11 +6,11 @@ Live, scripts are files of the server. In a report everything stands in the page
 
 import base64
 import importlib.resources
-import json
 import re
 from pathlib import PurePath
 from typing import Any
 
+import jax
 import jinja2
 import markupsafe
 
@@ -28,57 +28,55 @@ _IMPORT = re.compile(r'(from\s+|import\s+)"\./([a-z_]+\.js)"')
 
 
 def static(name: str) -> str:
-    """The text of one file of the page.
-
-    **Raises:** `KeyError` for what is no file of it.
-    """
-    if name not in FILES:
-        raise KeyError(name)
+    """The text of one of the `FILES`."""
     return (_STATIC / name).read_text(encoding="utf-8")
 
 
-def _templates() -> jinja2.Environment:
-    return jinja2.Environment(
-        loader=jinja2.PackageLoader("residyn", "reporting/explorer/templates"),
+def environment(folder: str) -> jinja2.Environment:
+    """The templates in a folder of the package; all words that they are given are escaped."""
+    found = jinja2.Environment(
+        loader=jinja2.PackageLoader("residyn", folder),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    found.policies["json.dumps_kwargs"] = {"ensure_ascii": False, "allow_nan": False}
+    return found
+
+
+def _filled(template: str, **given: Any) -> str:
+    return environment("reporting/explorer/templates").get_template(template).render(given)
 
 
 def live(name: str) -> str:
     """The page of the server; `name` of the experiment."""
-    return _templates().get_template("live.html.j2").render(name=name)
+    return _filled("live.html.j2", name=name)
 
 
-def embedded(found: Diagnosis, name: str = "experiment.toml") -> str:
+def embedded(found: Diagnosis) -> str:
     """The explorer of a diagnosis, as a piece of HTML for the body of a page: styles, scripts and
     data inside, nothing fetched. It shows nothing where scripts do not run, and is not printed.
-
-    **Arguments:** `name`: what the experiment is called on a command line.
 
     **Returns:** HTML, or nothing if the diagnosis has not kept its search.
     """
     if found.search is None:
         return ""
-    path = found.fits.whole.path or name
-    return piece(payload(Study.of(found), name=PurePath(path).name))
+    name = PurePath(found.fits.whole.path or "experiment.toml").name
+    with jax.enable_x64(True):
+        return piece(payload(Study.of(found), name=name))
 
 
 def piece(data: dict[str, Any]) -> str:
     """The explorer of a payload, as a piece of HTML for the body of a page."""
     addresses = {f"explorer/{name}": _address(static(name)) for name in MODULES}
-    return (
-        _templates()
-        .get_template("embedded.html.j2")
-        .render(
-            styles=[markupsafe.Markup(static(n)) for n in ("uPlot.min.css", "explorer.css")],
-            licence=static("uPlot.LICENSE.txt").splitlines()[2],
-            uplot=markupsafe.Markup(static("uPlot.iife.min.js")),
-            modules=_json({"imports": addresses}),
-            payload=_json(packed(data)),
-        )
+    return _filled(
+        "embedded.html.j2",
+        styles=[markupsafe.Markup(static(n)) for n in ("uPlot.min.css", "explorer.css")],
+        licence=static("uPlot.LICENSE.txt").splitlines()[2],
+        uplot=markupsafe.Markup(static("uPlot.iife.min.js")),
+        modules={"imports": addresses},
+        payload=packed(data),
     )
 
 
@@ -87,11 +85,3 @@ def _address(script: str) -> str:
     the import map."""
     text = _IMPORT.sub(r'\1"explorer/\2"', _SPARE.sub("", script))
     return "data:text/javascript;base64," + base64.b64encode(text.encode()).decode()
-
-
-def _json(data: Any) -> markupsafe.Markup:
-    """JSON inside a script element, which no `</script>` in a name can end."""
-    text = json.dumps(data, ensure_ascii=False, allow_nan=False)
-    for letter in "<>&\u2028\u2029":
-        text = text.replace(letter, f"\\u{ord(letter):04x}")
-    return markupsafe.Markup(text)

@@ -6,17 +6,15 @@ Everything that decides is to twelve digits (Gram matrices); what is only drawn 
 
 import base64
 import dataclasses
-import functools
 import math
 import zlib
-from collections.abc import Callable, Collection, Sequence
-from typing import Any, NamedTuple, ParamSpec, TypeVar
+from collections.abc import Collection, Sequence
+from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from ... import __version__
-from ...diagnosis.columns import strengths
+from ...diagnosis.columns import Screened, strengths
 from ...diagnosis.diagnose import values_of
 from ...diagnosis.evidence import FURTHER, signed, width_of
 from ...diagnosis.missing_torque import missing_of
@@ -32,31 +30,14 @@ POINTS = 800
 _RECORDINGS = 8  # that are drawn, at most
 
 
-_P = ParamSpec("_P")
-_R = TypeVar("_R")
-
-
-def _in_double(work: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Runs in float64 whatever JAX's setting."""
-
-    @functools.wraps(work)
-    def wrapped(*args: _P.args, **named: _P.kwargs) -> _R:
-        with jax.enable_x64(True):
-            return work(*args, **named)
-
-    return wrapped
-
-
 class Drawn(NamedTuple):
     """An array that is only drawn."""
 
     values: Any
-    levels: int = 32767
-    """Steps between 0 and its largest size."""
+    levels: int = 32767  # steps between 0 and its largest size
 
 
-_COARSE = 1023
-"""Of what an effect adds: on a chart of 200 pixels a tenth of one."""
+_COARSE = 1023  # levels of what an effect adds: on a chart of 200 pixels a tenth of one
 
 
 def packed(tree: Any) -> dict[str, Any]:
@@ -100,7 +81,6 @@ def thinned(count: int) -> np.ndarray:
     return np.unique(np.linspace(0, count - 1, min(count, POINTS)).round().astype(int))
 
 
-@_in_double
 def payload(study: Study, *, live: bool = False, name: str = "", toml: str | None = None):
     """All that a page shows of a study before anybody touches it.
 
@@ -109,7 +89,6 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
     """
     experiment, search = study.experiment, study.search
     units = experiment.units or ("rad",) * len(experiment.joints)
-    order = [s.effect.label for s in study.screen.ranked]
     if not live:
         for tried in study.search.tried:
             study.predicted(sorted(tried))
@@ -126,7 +105,7 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
         "with": [e if isinstance(e, str) else e.label for e in study.effects],
         "held_out": held,
         "recordings": [_recording(r) for r in _shown(study)],
-        "candidates": [_candidate(study, label) for label in order],
+        "candidates": [_candidate(study, s) for s in study.screen.ranked],
         "prior": {"further": FURTHER, "candidates": len(search.candidates)},
         "screen": _screen(study),
         "first": None if first is None else _first(study, first),
@@ -135,18 +114,14 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
     }  # fmt: skip
 
 
-@_in_double
 def searched(study: Study, since: Sequence[int] = (0, 0)) -> dict[str, Any]:
     """What a search and fits have added: `tried`, `screened`, `verdict`, and `fits` by least
     squares and by the smoother but for the first `since` of each; how many there are is `known`."""
-    found, tried = study.found, list(study.search.tried.values())
+    found, base, tried = study.found, study.search.base, list(study.search.tried.values())
     fits, refits = list(study.fits.items()), list(study.refits)
     return {
         "tried": [
-            {
-                "added": list(t.added),
-                "log_evidence": t.log_evidence - study.search.base.log_evidence,
-            }
+            {"added": list(t.added), "log_evidence": t.log_evidence - base.log_evidence}
             for t in tried
         ],
         "screened": [
@@ -168,29 +143,19 @@ def searched(study: Study, since: Sequence[int] = (0, 0)) -> dict[str, Any]:
     }  # fmt: skip
 
 
-@_in_double
 def fitted(study: Study, added: Sequence[str], found: Fit, held: Sequence[str] = ()):
     """One least-squares fit; numbers by the names in `held` were not fitted."""
-    shown = {id(r): i for i, r in enumerate(_shown(study))}
-    curves: list[Any] = [None] * len(shown)
-    for one in found.whole:
-        i = shown.get(id(one.recording))
-        if i is not None:
-            curves[i] = Drawn(one.predicted[thinned(len(one.recording.time))].T)
-    return {
-        "added": list(added),
-        "how": "refitted",
-        "fitted": (found.rmse / found.noise).tolist(),
-        "held_out": _listed(study.held_out(added, found)),
-        "numbers": [
-            _number(n.name, n.value, n.std, n.unit, n.sign, held) for n in found.numbers
-        ],
-        "curves": curves,
-        "torque": _beyond_base(study, _torque_of(study, added, found)),
-    }  # fmt: skip
+    own = {id(one.recording): one for one in found.whole}
+    curves = [
+        Drawn(own[id(r)].predicted[thinned(len(r.time))].T) if id(r) in own else None
+        for r in _shown(study)
+    ]
+    numbers = [_number(n.name, n.value, n.std, n.unit, n.sign, held) for n in found.numbers]
+    errors = found.rmse / found.noise, study.held_out(added, found)
+    torque = _torque_of(study, added, found)
+    return _model(study, added, "refitted", errors, numbers, curves, torque)
 
 
-@_in_double
 def refitted(study: Study, added: Collection[str]) -> dict[str, Any] | None:
     """Least squares by the smoother, with the error on what was held out if that was predicted;
     None if it does not settle."""
@@ -200,8 +165,7 @@ def refitted(study: Study, added: Collection[str]) -> dict[str, Any] | None:
     scene, path, shown = study.search.scene, found.path, _shown(study)
     curves: list[Any] = [None] * len(shown)
     for i, r in enumerate(scene.recordings[: len(shown)]):
-        own = scene.grid.of(i)
-        at = r.time[thinned(len(r.time))] - r.time[0]
+        own, at = scene.grid.of(i), r.time[thinned(len(r.time))] - r.time[0]
         curves[i] = Drawn([np.interp(at, scene.grid.time[own], x) for x in found.predicted[own].T])
     grown = float(np.maximum(1.0, np.max(found.fitted)))  # where the residual is no noise
     signs = {f"{e.label}.{n.name}": n.sign for e in path.effects for n in numbers_of(e)}
@@ -209,15 +173,8 @@ def refitted(study: Study, added: Collection[str]) -> dict[str, Any] | None:
         _number(name, v.value, grown * v.std, v.unit, signs[name])
         for name, v in values_of(scene, path).items()
     ]
-    return {
-        "added": sorted(added),
-        "how": "smoothed",
-        "fitted": found.fitted.tolist(),
-        "held_out": _listed(study.predictions.get(frozenset(added))),
-        "numbers": numbers,
-        "curves": curves,
-        "torque": _beyond_base(study, found.torque),
-    }
+    errors = found.fitted, study.predictions.get(frozenset(added))
+    return _model(study, sorted(added), "smoothed", errors, numbers, curves, found.torque)
 
 
 def _number(name: str, value: float, std: float, unit: str, sign: str, held: Sequence[str] = ()):
@@ -225,8 +182,29 @@ def _number(name: str, value: float, std: float, unit: str, sign: str, held: Seq
             "positive": sign == "positive"}  # fmt: skip
 
 
-def _listed(x: np.ndarray | None) -> list[float] | None:
-    return None if x is None else x.tolist()
+def _model(
+    study: Study,
+    added: Sequence[str],
+    how: str,
+    errors: tuple[np.ndarray, np.ndarray | None],
+    numbers: list[Any],
+    curves: list[Any],
+    torque: np.ndarray,
+) -> dict[str, Any]:
+    """A model with its errors over the noise, fitted and held out, and the torque (K, n) of its
+    effects along its own motion."""
+    beyond, scene = torque - study.base_torque, study.search.scene
+    each = [scene.grid.of(i) for i in range(len(scene.recordings))][:_RECORDINGS]
+    fitted, held_out = errors
+    return {
+        "added": list(added),
+        "how": how,
+        "fitted": fitted.tolist(),
+        "held_out": None if held_out is None else held_out.tolist(),
+        "numbers": numbers,
+        "curves": curves,
+        "torque": [Drawn(beyond[own[thinned(len(own))]].T) for own in each],
+    }
 
 
 # -- parts -----------------------------------------------------------------------------------
@@ -250,44 +228,39 @@ def _recording(r):
     }
 
 
-def _candidate(study: Study, label: str):
-    s = {s.effect.label: s for s in study.screen.ranked}[label]
+def _candidate(study: Study, s: Screened):
     effect, scene = s.effect, study.search.scene
     units = scene.mechanisms[0].units
     unit = units[scene.joint_of(effect)] if units else None
-    rows = [r for r in study.screen.rows if r.effect.label == label]
+    rows = [r.which for r in study.screen.rows if r.effect.label == effect.label]
+    own = [r.which for r in study.columns.rows if r.effect.label == effect.label]
+
+    def told(n):
+        return {"name": n.name, "words": n.words, "unit": n.dimension.unit(unit)}
+
+    written = ("label", "name", "place", "equation", "looks_like", "extends")
     return {
-        "label": label,
+        **{name: getattr(effect, name) for name in written},
         "title": effect.titled(),
-        "name": effect.name,
-        "place": effect.place,
         "kind": effect.kind(),
-        "equation": effect.equation,
-        "looks_like": effect.looks_like,
-        "extends": effect.extends,
         "sticks": effect.dry or effect.follows,
-        "columns": list(next(r.which for r in study.columns.rows if r.effect.label == label)),
-        "rows": [list(r.which) for r in rows],
-        "best": [r.which for r in rows].index(s.which),
         "oscillates": effect.oscillates is not None,
+        "columns": list(own[0]),
+        "rows": list(map(list, rows)),
+        "best": rows.index(s.which),
         "shape": [
-            {"name": n.name, "words": n.words, "value": s.shape[n.field],
-             "unit": n.dimension.unit(unit)}
-            for n in numbers_of(effect)
-            if n.silent is None
+            {**told(n), "value": s.shape[n.field]} for n in numbers_of(effect) if n.silent is None
         ],
         "strengths": [
             {
-                "name": n.name,
-                "words": n.words,
-                "unit": n.dimension.unit(unit),
+                **told(n),
                 "silent": n.silent,
                 "width": width_of(scene, effect, n),
                 "signed": signed(n),
             }
             for n in strengths(effect)
         ],
-    }  # fmt: skip
+    }
 
 
 def _screen(study: Study):
@@ -371,11 +344,3 @@ def _torque_of(study: Study, added: Sequence[str], found: Fit) -> np.ndarray:
     u = np.zeros_like(path.u)
     u[: len(names)] = path.prior.regressors(np.array([values[n] for n in names]))
     return sum_of(study.search.scene.torques(dataclasses.replace(path, u=u)))
-
-
-def _beyond_base(study: Study, torque: np.ndarray):
-    """Per drawn fitted recording (n, N): a torque beyond the base model's, each along its own
-    motion."""
-    beyond, scene = torque - study.base_torque, study.search.scene
-    each = [scene.grid.of(i) for i in range(len(scene.recordings))][:_RECORDINGS]
-    return [Drawn(beyond[own[thinned(len(own))]].T) for own in each]

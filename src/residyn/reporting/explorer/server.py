@@ -9,7 +9,7 @@ else.
 
 import secrets
 import socket
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,9 +17,12 @@ import numpy as np
 import uvicorn
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.middleware.base import BaseHTTPMiddleware, RequestResponseEndpoint
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
+from starlette.types import ASGIApp
 
 from ...errors import InputError
 from ...recordings.experiment import Experiment
@@ -66,7 +69,7 @@ class Explorer:
         self.studies = {0: Workbench(experiment, effects, name, files)}
         self.random = np.random.default_rng()
 
-    def app(self, port: int) -> "Guard":
+    def app(self, port: int) -> Starlette:
         """The ASGI application at a port."""
         base = f"/{self.token}"
         routes = [
@@ -80,7 +83,10 @@ class Explorer:
             Route(f"{base}/api/{{study:int}}/hide", self._hide, methods=["POST"]),
             Route(f"{base}/api/{{study:int}}/reveal", self._reveal, methods=["POST"]),
         ]
-        return Guard(Starlette(routes=routes, exception_handlers={HTTPException: _gone}), port)
+        guard = Middleware(Guard, port=port)
+        return Starlette(
+            routes=routes, middleware=[guard], exception_handlers={HTTPException: _gone}
+        )
 
     def stop(self) -> None:
         """End all that is under way."""
@@ -94,11 +100,9 @@ class Explorer:
 
     async def _static(self, request: Request) -> Response:
         name = request.path_params["name"]
-        try:
-            text = page.static(name)
-        except KeyError:
+        if name not in page.FILES:
             return PlainTextResponse("no such file", 404)
-        return Response(text, media_type=_KINDS[Path(name).suffix])
+        return Response(page.static(name), media_type=_KINDS[Path(name).suffix])
 
     def _bench(self, request: Request) -> Workbench:
         return _there(self.studies.get(request.path_params["study"]))
@@ -190,31 +194,21 @@ async def _asked(request: Request) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-class Guard:
+class Guard(BaseHTTPMiddleware):
     """Refuses requests that are not from this server's own page, and says what pages may do."""
 
-    def __init__(self, app: Callable[..., Awaitable[None]], port: int):
-        self.app = app
+    def __init__(self, app: ASGIApp, port: int):
+        super().__init__(app)
         self.hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
 
-    async def __call__(self, scope, receive, send) -> None:
-        if scope["type"] != "http":
-            return await self.app(scope, receive, send)
-        headers = {k.decode("latin-1").lower(): v.decode("latin-1") for k, v in scope["headers"]}
-        refused = self._refused(scope["method"], headers)
-        if refused is not None:
-            response = PlainTextResponse(refused, 403, headers=_HEADERS)
-            return await response(scope, receive, send)
+    async def dispatch(self, request: Request, call_next: RequestResponseEndpoint) -> Response:
+        """An answer with the headers of this server's page, or why there is none."""
+        refused = self._refused(request.method, request.headers)
+        found = await call_next(request) if refused is None else PlainTextResponse(refused, 403)
+        found.headers.update(_HEADERS)
+        return found
 
-        async def with_headers(message) -> None:
-            if message["type"] == "http.response.start":
-                more = [(k.lower().encode(), v.encode()) for k, v in _HEADERS.items()]
-                message = {**message, "headers": [*message.get("headers", []), *more]}
-            await send(message)
-
-        await self.app(scope, receive, with_headers)
-
-    def _refused(self, method: str, headers: dict[str, str]) -> str | None:
+    def _refused(self, method: str, headers: Mapping[str, str]) -> str | None:
         host, origin = headers.get("host", ""), headers.get("origin")
         if host not in self.hosts:
             return "wrong host"

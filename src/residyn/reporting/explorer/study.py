@@ -3,6 +3,7 @@
 A page, live or not, shows a `Study`. It begins with the base model's smoothed motion and the first
 order of all candidates; the search adds tried models; and any set of effects that somebody chooses
 is fitted by least squares, from the tried model where there is one, else from the first order.
+Whoever works with a study does so in float64.
 """
 
 import copy
@@ -12,11 +13,10 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...diagnosis.columns import Columns, Screened, extended
+from ...diagnosis.columns import Columns, extended
 from ...diagnosis.diagnose import MOST_EFFECTS, Fits, diagnosed
 from ...diagnosis.evidence import INTENSITIES, prior_of
 from ...diagnosis.forecast import HeldOut, held_out
@@ -25,7 +25,6 @@ from ...diagnosis.missing_torque import scene_of
 from ...diagnosis.result import Diagnosis
 from ...diagnosis.search import Search, Tried, nested, settle, tried_alone
 from ...effects import AbstractEffect
-from ...filtering.linearised import Linear
 from ...filtering.trajectory import Prior, Scene, Trajectory
 from ...fitting import DEFAULT_STARTS
 from ...fitting.conclusion import finish
@@ -42,37 +41,13 @@ _NEAR = 0.01  # of the error: the same of a whole step where a joint may stick, 
 _SWING = 10.0  # standard errors: by which it moves the numbers that say least, at the most
 
 
-class Silent(NamedTuple):
-    """A model's motion without a random torque."""
-
-    path: Trajectory
-    predicted: np.ndarray
-    """(K, n) readings, rad or m."""
-    linear: Linear
-    """The model along the motion before the last step."""
-
-
 class Refit(NamedTuple):
     """Least squares by the smoother."""
 
     path: Trajectory
-    predicted: np.ndarray
-    """(K, n) readings, rad or m."""
-    torque: np.ndarray
-    """(K, n) what all effects resist with, N m."""
-    fitted: np.ndarray
-    """(n,) rms error over the noise."""
-
-
-class Beside(NamedTuple):
-    """Where predictions are tested."""
-
-    scene: Scene
-    """The check recordings, or the fitted ones without their last thirds."""
-    path: Trajectory | None
-    """The base model's smoothed motion there; None for the last thirds."""
-    counts: np.ndarray
-    """(K,) bool: which instants are held out."""
+    predicted: np.ndarray  # (K, n) readings, rad or m
+    torque: np.ndarray  # (K, n) what all effects resist with, N m
+    fitted: np.ndarray  # (n,) rms error over the noise
 
 
 class Study:
@@ -92,28 +67,22 @@ class Study:
         if not experiment.fit_recordings:
             raise ValueError('no recording has role = "fit": there is nothing to fit to')
         self.experiment, self.effects, self.say = experiment, tuple(effects), say
-        with jax.enable_x64(True):
-            scene, base, wild = scene_of(experiment, effects)
-            whole = experiment.owning([e.label for e in base])
-            self._keep(Search(scene, base, say=say), Fits(whole, scene, wild, DEFAULT_STARTS))
-            say("fitting springs and dampers")
-            self.predict(())
+        scene, base, wild = scene_of(experiment, effects)
+        whole = experiment.owning([e.label for e in base])
+        self._keep(Search(scene, base, say=say), Fits(whole, scene, wild, DEFAULT_STARTS))
+        say("fitting springs and dampers")
+        self.predict(())
 
     @classmethod
     def of(cls, found: Diagnosis) -> "Study":
-        """The study that a diagnosis was.
-
-        **Raises:** `ValueError` if it did not keep its search.
-        """
-        if found.search is None:
-            raise ValueError("this diagnosis did not keep its search")
+        """The study that a diagnosis was, which must have kept its search."""
+        assert found.search is not None
         self = cls.__new__(cls)
         self.experiment, self.say = found.fits.whole, lambda words: None
         self.effects = tuple(
             e for e in found.base.model.effects if e.name not in ("spring", "damper")
         )
-        with jax.enable_x64(True):
-            self._keep(found.search, found.fits)
+        self._keep(found.search, found.fits)
         self._learn(found)
         return self
 
@@ -153,38 +122,34 @@ class Study:
     @functools.cached_property
     def columns(self) -> Columns:
         """The same along the base model's motion."""
-        with jax.enable_x64(True):
-            return self.columns_along(self.search.scene, self.loud)
+        return self.columns_along(self.search.scene, self.loud)
 
     def first_order(self) -> FirstOrder | None:
         """What each candidate does to the readings, fitted and held out."""
-        e, beside = self.experiment, self.beside
-        noise = np.stack([r.noise for r in (*e.fit_recordings, *e.check_recordings)])
-        with jax.enable_x64(True):
-            path = beside.path
-            other = None if path is None else self.columns_along(beside.scene, path)
-            return first_order(self.columns, other, noise)
+        there, path, _ = self.beside
+        return first_order(self.columns, path and self.columns_along(there, path))
 
     @functools.cached_property
-    def beside(self) -> Beside:
-        """The readings that are held out."""
+    def beside(self) -> tuple[Scene, Trajectory | None, np.ndarray]:
+        """Where predictions are tested: the check recordings, or the fitted ones without their last
+        thirds; the base model's smoothed motion there, of the check recordings; and (K,) which
+        instants are held out."""
         held, scene = self.experiment.check_recordings, self.search.scene
-        with jax.enable_x64(True):
-            if not held:
-                g, other = scene.grid, copy.copy(scene)
-                ends = np.array([r.duration for r in scene.recordings])[g.run]
-                late = g.time > 2 / 3 * ends
-                other.grid = g._replace(seen=g.seen & ~late[:, None])
-                other.readings = scene.readings._replace(seen=jnp.asarray(other.grid.seen))
-                return Beside(other, None, late)
-            self.say("smoothing the recordings that are held out")
-            here = ready(self.experiment, held, self.effects)
-            wild = outliers_among(here)
-            other = Scene(here.recordings, here.mechanisms, wild)
-            other.scales, other.torque = scene.scales, scene.torque
-            best = tried_alone(other, tuple(self.loud.effects)).best
-            led = other.smoothed(best, other.linearised(best), self.intensity)
-            return Beside(other, led or best, np.ones(other.K, bool))
+        if not held:
+            g, other = scene.grid, copy.copy(scene)
+            ends = np.array([r.duration for r in scene.recordings])[g.run]
+            late = g.time > 2 / 3 * ends
+            other.grid = g._replace(seen=g.seen & ~late[:, None])
+            other.readings = scene.readings._replace(seen=jnp.asarray(other.grid.seen))
+            return other, None, late
+        self.say("smoothing the recordings that are held out")
+        here = ready(self.experiment, held, self.effects)
+        wild = outliers_among(here)
+        other = Scene(here.recordings, here.mechanisms, wild)
+        other.scales, other.torque = scene.scales, scene.torque
+        best = tried_alone(other, tuple(self.loud.effects)).best
+        led = other.smoothed(best, other.linearised(best), self.intensity)
+        return other, led or best, np.ones(other.K, bool)
 
     # -- by the smoother, without compiling anything ------------------------------------------
 
@@ -196,10 +161,10 @@ class Study:
         **Raises:** `ValueError` for what is no candidate; what `go_on` raises.
         """
         key = frozenset(added)
-        self._check(key)
+        for label in key - set(self.labels):
+            raise ValueError(f"{label} is no candidate")
         if key not in self.refits:
-            with jax.enable_x64(True):
-                self.refits[key] = self._refitted(tuple(added), go_on)
+            self.refits[key] = refitted(self.search.scene, self._near(added).best, go_on)
         return self.refits[key]
 
     def predicted(
@@ -215,23 +180,13 @@ class Study:
         if found is None:
             return None
         if key not in self.predictions:
-            with jax.enable_x64(True):
-                self.predictions[key] = self._predicted(found.path, go_on)
+            self.predictions[key] = self._predicted(found.path, go_on)
         return self.predictions[key]
-
-    def _refitted(self, added: tuple[str, ...], go_on: Callable[[], None]) -> Refit | None:
-        scene = self.search.scene
-        found = silent(scene, self._near(added).best, go_on)
-        if found is None:
-            return None
-        path, predicted, linear = found
-        torque = sum_of(scene.torques(path, linear))
-        return Refit(path, predicted, torque, times_noise(scene, predicted))
 
     def motion(self, added: Sequence[str]) -> Trajectory:
         """The motion of a model, as well as it is known."""
         known = self.search.tried.get(frozenset(added))  # where it sticks as it should
-        return (known or self._near(tuple(added))).best
+        return (known or self._near(added)).best
 
     @functools.cached_property
     def base_torque(self) -> np.ndarray:
@@ -251,15 +206,11 @@ class Study:
             if any(e.memory for e in path.effects):  # of which nothing is known there
                 (led,) = settle(other, [path], INTENSITIES[0], go_on)
                 path = path if led is None else led[1]
-        found = silent(other, path, go_on)
+        found = refitted(other, path, go_on)
         if found is None:
             return None
         measured = other if begin is not None else self.search.scene
         return times_noise(measured, found.predicted, counts)
-
-    def _check(self, key: frozenset[str]) -> None:
-        for label in key - set(self.labels):
-            raise ValueError(f"{label} is no candidate")
 
     # -- least squares ------------------------------------------------------------------------
 
@@ -276,12 +227,14 @@ class Study:
         what `progress` raises.
         """
         key = frozenset(added)
-        self._check(key)
-        with jax.enable_x64(True):
-            if key not in self.fits:
-                self.fits.setdefault(key, self._fitted(tuple(added), progress))
-            found = self.fits[key]
-            return self._holding(found, held) if held else found
+        if key not in self.fits:
+            known = self.search.tried.get(key)
+            if known is None:
+                self.refit(added)
+                known = self._near(added)
+            self.fits.setdefault(key, self.least_squares.fitted(known, progress))
+        found = self.fits[key]
+        return self._holding(found, held) if held else found
 
     def held_out(self, added: Sequence[str], found: Fit) -> np.ndarray | None:
         """(n,) errors over the noise on readings that were not fitted; None if not known."""
@@ -297,24 +250,16 @@ class Study:
         **Raises:** as `fit`.
         """
         found, key = self.fit(added, held), frozenset(added)
-        with jax.enable_x64(True):
-            if self.experiment.check_recordings:
-                if found.check_rmse is None:
-                    found = self.least_squares.with_held_out(found)
-                    if not held:
-                        self.fits[key] = found
-            elif not held and key not in self._held:
-                self._held[key] = held_out(LinearisedFit.of(found))
+        if self.experiment.check_recordings:
+            if found.check_rmse is None:
+                found = self.least_squares.with_held_out(found)
+                if not held:
+                    self.fits[key] = found
+        elif not held and key not in self._held:
+            self._held[key] = held_out(LinearisedFit.of(found))
         return found
 
-    def _fitted(self, added: tuple[str, ...], progress: Callable[[str], None] | None) -> Fit:
-        known = self.search.tried.get(frozenset(added))
-        if known is None:
-            self.refit(added)
-            known = self._near(added)
-        return self.least_squares.fitted(known, progress)
-
-    def _near(self, added: tuple[str, ...]) -> Tried:
+    def _near(self, added: Sequence[str]) -> Tried:
         """A model from what is known of it: the search's, or by least squares, or the likeliest
         without a random torque of those that are part of it, with the other effects as the first
         order has them together."""
@@ -327,15 +272,14 @@ class Study:
         known = [t for t in known if key.issuperset(t.added)]
         near = max(known, key=lambda t: (len(t.added) == len(key), t.evidences[-1]))
         rows = {s.effect.label: s for s in self.screen.ranked}
-        chosen: list[Screened] = [rows[x] for x in added]
+        chosen = [rows[x] for x in added]
         _, means = self.screen.gain(chosen)
-        trajectory, first = near.best, 0
-        for s in chosen:
-            s = s._replace(regressors=means[first : first + len(s.which)])
-            first += len(s.which)
+        ends, trajectory = np.cumsum([len(s.which) for s in chosen]), near.best
+        for s, own in zip(chosen, np.split(means, ends)[:-1], strict=True):
             if s.effect.label not in near.added:
+                s = s._replace(regressors=own)
                 trajectory = extended(self.search.scene, trajectory, prior_of, s)
-        return dataclasses.replace(near, added=added, best=trajectory)
+        return dataclasses.replace(near, added=tuple(added), best=trajectory)
 
     def _holding(self, found: Fit, held: Mapping[str, float]) -> Fit:
         """A fit again, from where it is, with some numbers kept at given values."""
@@ -359,12 +303,10 @@ class Study:
 
     # -- the search ---------------------------------------------------------------------------
 
-    def diagnose(self, say: Callable[[str], None], most: int = MOST_EFFECTS) -> Diagnosis:
+    def diagnose(self) -> Diagnosis:
         """Search for what is missing, from what is there; call it once, in a thread of its own."""
         began = time.perf_counter()
-        with jax.enable_x64(True):
-            self.search.say = say
-            found = diagnosed(self.search, self.least_squares, self.effects, most, began)
+        found = diagnosed(self.search, self.least_squares, self.effects, MOST_EFFECTS, began)
         self._learn(found)
         return found
 
@@ -380,9 +322,7 @@ class Study:
         self.search.deadline = 0.0
 
 
-def silent(
-    scene: Scene, path: Trajectory, go_on: Callable[[], None] = lambda: None
-) -> Silent | None:
+def refitted(scene: Scene, path: Trajectory, go_on: Callable[[], None]) -> Refit | None:
     """A model without a random torque, from a motion near the readings: Gauss and Newton until the
     numbers stand still. None where that does not settle. `go_on` is called before each step.
 
@@ -407,7 +347,9 @@ def silent(
         step = np.max(np.abs(moved.u - path.u)[:count] / std) / share
         swings = share < 1 and np.allclose(there, here, rtol=_NEAR)
         if step < (_SWING if swings else _SETTLED):
-            return Silent(moved, seen + beyond, linear)
+            predicted = seen + beyond
+            torque = sum_of(scene.torques(moved, linear))
+            return Refit(moved, predicted, torque, times_noise(scene, predicted))
         path = moved
     return None
 

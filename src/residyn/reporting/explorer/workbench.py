@@ -14,7 +14,9 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, TypeVar
+
+import jax
 
 from ...errors import InputError
 from ...fitting.result import FitError
@@ -23,6 +25,7 @@ from .files import ExperimentFiles
 from .payload import fitted, packed, payload, refitted
 from .study import Study
 
+T = TypeVar("T")
 _IDLE = 2.0  # s without a question, after which fits ahead that compile are begun
 
 
@@ -51,19 +54,14 @@ class Workbench:
         self.files, self.hidden = files, hidden
         self.words, self.error = "starting", ""
         self.study: Study | None = None
-        self.text: str | None = None
-        """The payload as JSON, once it is there."""
-        self.version = 0
-        """Counts what the search has added."""
+        self.text: str | None = None  # the payload as JSON, once it is there
+        self.version = 0  # counts what the search has added
         self.stopped, self._tried = False, 1
+        # When somebody last asked for a fit, and how many wait for one.
         self.asked, self.asking = time.monotonic(), 0
-        """When somebody last asked for a fit, and how many wait for one."""
-        self.looked_at: tuple[str, ...] = ()
-        """The model that somebody looks at."""
-        self.shown: tuple[str, ...] = ()
-        """Effects whose chips are shown first, the most probable one first."""
-        self.thread = threading.Thread(target=self._work, daemon=True)
-        self.thread.start()
+        self.looked_at: tuple[str, ...] = ()  # the model that somebody looks at
+        self.shown: tuple[str, ...] = ()  # effects whose chips are shown first, likeliest first
+        threading.Thread(target=_in_double, args=(self._work,), daemon=True).start()
 
     def _work(self) -> None:
         try:
@@ -71,7 +69,7 @@ class Workbench:
             toml = None if self.files is None else self.files.text
             self.text = json.dumps(packed(payload(study, live=True, name=self.name, toml=toml)))
             self.study = study
-            study.diagnose(self._say)
+            study.diagnose()
             self.version += 1
             self.words = ""
             self._ahead(study)
@@ -92,26 +90,21 @@ class Workbench:
             if self.asking:
                 continue
             with contextlib.suppress(Superseded):
-                quick = [(study.refit, k) for k in next_ if k not in study.refits]
-                quick += [
-                    (study.predicted, k)
-                    for k in next_
-                    if study.refits.get(k) and k not in study.predictions
-                ]
-                if quick:
-                    work, key = quick[0]
-                    work(sorted(key), self._go_on)
+                refits = study.refits
+                if new := [k for k in next_ if k not in refits]:
+                    study.refit(sorted(new[0]), self._go_on)
+                elif new := [k for k in next_ if refits[k] and k not in study.predictions]:
+                    study.predicted(sorted(new[0]), self._go_on)
                 else:
                     # Only what does not settle: a compilation, once begun, slows a click down.
-                    todo = [k for k in next_ if k not in study.fits and k not in failed]
-                    todo = [k for k in todo if study.refits[k] is None]
-                    if not todo or time.monotonic() - self.asked < _IDLE:
+                    new = [k for k in next_ if not (refits[k] or k in study.fits or k in failed)]
+                    if not new or time.monotonic() - self.asked < _IDLE:
                         continue
                     try:
-                        study.fit(sorted(todo[0]), progress=self._go_on)
-                        study.predict(sorted(todo[0]))
+                        study.fit(sorted(new[0]), progress=self._go_on)
+                        study.predict(sorted(new[0]))
                     except FitError:
-                        failed.add(todo[0])
+                        failed.add(new[0])
                 self.version += 1
 
     def _go_on(self, words: str = "") -> None:
@@ -185,9 +178,9 @@ class Superseded(Exception):
 class Worker:
     """One thread for what windows wait for."""
 
-    def __init__(self, newest: dict[str, int] | None = None):
-        """`newest`: what each window asked for last, if several workers are asked by the same."""
-        self._newest = {} if newest is None else newest
+    def __init__(self, newest: dict[str, int]):
+        """`newest`: what each window asked for last, of this worker or of one beside it."""
+        self._newest = newest
         self._thread = ThreadPoolExecutor(1)
 
     async def newest(self, window: str, number: int, work: Callable[[], Any]) -> Any:
@@ -212,6 +205,11 @@ class Worker:
         if self._newest[window] != number:
             raise Superseded
 
-    async def do(self, work: Callable[[], Any]) -> Any:
-        """Do some work."""
-        return await asyncio.get_running_loop().run_in_executor(self._thread, work)
+    async def do(self, work: Callable[[], T]) -> T:
+        """Do some work, in float64."""
+        return await asyncio.get_running_loop().run_in_executor(self._thread, _in_double, work)
+
+
+def _in_double(work: Callable[[], T]) -> T:
+    with jax.enable_x64(True):  # JAX's settings are each thread's own
+        return work()

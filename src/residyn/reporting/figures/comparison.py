@@ -23,9 +23,8 @@ def where(compared: Comparison, *, narrow: bool = False) -> Figure:
     A bar that ends at the dashed line is what noise alone would leave.
     """
     at = compared.where
-    shape = (3, 1) if narrow else (1, 3)
     figure = blank(narrow, 8.6 if narrow else 3.3)
-    time, swing, band = figure.subplots(*shape).ravel()
+    time, swing, band = figure.subplots(*((3, 1) if narrow else (1, 3))).ravel()
     _bars(time, [f"{plain(p.start, 2)}-{plain(p.stop, 2)}" for p in at.time], at.time, at.joints)
     cut = any(r.recording.segment_of is not None for r in compared.fit.recordings)
     since = "segment's start" if cut else "start"
@@ -98,10 +97,8 @@ def horizon(compared: Comparison, *, narrow: bool = False) -> Figure:
             right = [a.error.expected[j] for a in found.ahead if a.error.expected is not None]
             ax.plot(ahead, right, color=colour, lw=0.9, ls=DASHED)
     ax.axhline(1.0, color=INK, lw=0.8, zorder=0)
-    ax.set(
-        xlabel=f"time after the fitted third of {plain(found.seconds, 2)} s (s)",
-        ylabel="prediction error / noise",
-    )
+    ax.set_xlabel(f"time after the fitted third of {plain(found.seconds, 2)} s (s)")
+    ax.set_ylabel("prediction error / noise")
     each = [a.error.ratio for a in found.ahead]
     if np.nanmax(each) > _LOG * np.nanmin(each):
         ax.set_yscale("log")
@@ -150,11 +147,8 @@ def missing_torque(
     t, tau = missing.time - missing.time[0], missing.torque[:, joint]
     own = None if shown is None else shown.torque[:, joint]
     _against_time(axes["t"], t, tau, missing.std[:, joint], shown, joint)
-    axes["t"].set(
-        xlabel="time since the first sample (s)",
-        title=f"missing torque at the {name}" if name else "missing torque",
-        ylim=_limits(tau),
-    )
+    axes["t"].set_title(f"missing torque at the {name}" if name else "missing torque")
+    axes["t"].set(xlabel="time since the first sample (s)", ylim=_limits(tau))
     bare = tau if shown is None else tau - shown.changed[:, joint]
     angle, of_what = missing.angle[:, joint], "angle"
     if link_angle is not None and _scatter(link_angle, bare) < 0.5 * _scatter(angle, bare):
@@ -213,8 +207,8 @@ def _against(ax: Axes, x, tau, own) -> None:
     ax.plot(along, up, color=RESIDUAL, lw=1.9, alpha=0.45, solid_capstyle="round")
     if own is not None:
         ax.plot(x, own, color=MODEL, lw=0.6, alpha=0.7)
-    middle = _middle(x, tau)
-    if len(middle) and _scatter(x, tau) < _SCATTER:
+    if _scatter(x, tau) < _SCATTER:
+        middle = np.array([(x[b].mean(), np.median(tau[b])) for b in _bins(x)])
         ax.plot(*middle.T, color=INK, lw=1.1, label="median along the axis")
 
 
@@ -224,11 +218,6 @@ def _bins(x) -> list[np.ndarray]:
     edges = np.linspace(low, high, 2 * _BINS + 1)
     which = np.digitize(x, edges)
     return [which == b for b in range(1, len(edges)) if np.sum(which == b) > 5]
-
-
-def _middle(x, tau) -> np.ndarray:
-    """(B, 2) the middle of what lies above each segment of the axis."""
-    return np.array([(x[b].mean(), np.median(tau[b])) for b in _bins(x)])
 
 
 def _scatter(x, tau) -> float:

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
-from ...effects import AbstractEffect, catalogue, effects_named
+from ...effects import AbstractEffect, effects_named
+from ...fitting.problem import model_for
 from ...physics.mechanism import PlanarArm
-from ...physics.model import Model
 from ...physics.motion import Motion, stack
 from ...physics.parameter import Scales, parameters_of
 from ...simulation.simulate import simulate
@@ -71,14 +71,9 @@ def signature(name: str, *, narrow: bool = False) -> Figure:
 def _motions(name: str):
     """(t, readings with, readings without, and of the former angle, rate and missing torque)."""
     arm = PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.3, bearings=[1, 1], load=1.5)
-    base = Model(arm)
-    for joint, k in zip(arm.joints, (16.67, 16.67), strict=True):
-        for label, value in ((f"spring:{joint}", k), (f"damper:{joint}", 0.05)):
-            (effect,) = effects_named(label, arm)
-            field = parameters_of(effect)[0].field
-            base = base + dataclasses.replace(effect, **{field: jnp.asarray(value)})
-    places = catalogue()[name].places(arm) if name in catalogue() else ()
-    (effect,) = effects_named(f"{name}:{places[-1]}" if places else name, arm)
+    base = model_for(arm)
+    springs = {n.name: 16.67 if n.name.startswith("spring") else 0.05 for n in base.fitted}
+    base, effect = base.with_values(springs), effects_named(name, arm)[-1]
     if effect.label in base.labels:  # what is in every model: what is missing without it
         base = base.without(effect.label)
     full = base + _sized(effect)

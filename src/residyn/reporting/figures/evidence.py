@@ -2,6 +2,7 @@
 
 import math
 
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -35,27 +36,25 @@ def candidates(found: Diagnosis, *, narrow: bool = False) -> Figure:
     panel = _ROW * rows + _MARGIN
     shape = (2, 1) if narrow else (1, 2)
     figure = blank(narrow, 2 * panel + 0.45 if narrow else panel + 0.3)
-    likely, behind = figure.subplots(
-        *shape, sharey=not narrow, width_ratios=None if narrow else (2, 3)
-    )
-    colours = [RESIDUAL if c.effect in found.added else MODEL for c in shown]
+    widths = None if narrow else (2, 3)
+    likely, behind = figure.subplots(*shape, sharey=not narrow, width_ratios=widths)
+    fills = [RESIDUAL if c.effect in found.added else MODEL for c in shown]
     place = range(len(shown))
 
     percents = [100 * c.probability for c in shown]
     likely.barh(place, [100.0] * len(shown), 0.5, color=BAND, alpha=0.5, zorder=1)
-    likely.barh(place, percents, 0.5, color=colours, zorder=2)
+    likely.barh(place, percents, 0.5, color=fills, zorder=2)
     for y, share, c in zip(place, percents, shown, strict=True):
-        _at_end(likely, share if math.isfinite(share) else 0.0, y, percent(c.probability))
+        _at_end(likely, share, y, percent(c.probability))
     likely.set(xlim=(0, 130), xlabel="probability (%)", title="how probable")
     likely.set_xticks([0, 50, 100])
 
-    lag = [max(0.0, -c.log_evidence) for c in shown]
-    lag.append(max(0.0, -base.log_evidence))
-    own = [c if s.iterated else HELD_OUT for c, s in zip(colours, shown, strict=True)]
+    lag = [max(0.0, -x.log_evidence) for x in (*shown, base)]
+    own = [c if s.iterated else HELD_OUT for c, s in zip(fills, shown, strict=True)]
     behind.set_xscale("symlog", linthresh=_LINEAR, linscale=0.7)
     behind.barh(range(rows), lag, 0.5, color=[*own, BAND], zorder=2)
     for y, x in enumerate(lag):
-        _at_end(behind, x if math.isfinite(x) else 0.0, y, nats(x))
+        _at_end(behind, x, y, nats(x))
     most = max([x for x in lag if math.isfinite(x)] + [_LINEAR])
     behind.set_xlim(0, most * (1 + _ROOM))
     ticks = [x for x in (0, 3, 10, 100, 1e3, 1e4, 1e5, 1e6) if x <= most * (1 + _ROOM)]
@@ -73,20 +72,18 @@ def candidates(found: Diagnosis, *, narrow: bool = False) -> Figure:
         ax.set_ylim(rows - 0.4, -0.6)
     if not narrow:
         behind.tick_params(axis="y", labelleft=False)
-    keys = [
-        Patch(color=RESIDUAL, label="added"),
-        Patch(color=MODEL, label="tried"),
-        Patch(color=HELD_OUT, label="to first order only"),
-        Line2D([], [], color=INK, lw=1.0, ls=DASHED, label="odds of 20 to 1"),
-    ]
+    colours = {RESIDUAL: "added", MODEL: "tried", HELD_OUT: "to first order only"}
     if not found.added:
-        keys = keys[1:]
+        del colours[RESIDUAL]
     if all(c.iterated for c in shown):
-        keys = [k for k in keys if k.get_label() != "to first order only"]
+        del colours[HELD_OUT]
+    keys: list[Artist] = [Patch(color=colour, label=words) for colour, words in colours.items()]
+    keys.append(Line2D([], [], color=INK, lw=1.0, ls=DASHED, label="odds of 20 to 1"))
     figure.legend(handles=keys, loc="outside lower right", ncols=2 if narrow else 4)
     return figure
 
 
 def _at_end(ax: Axes, x: float, y: int, words: str) -> None:
+    x = x if math.isfinite(x) else 0.0
     over = {"fc": "white", "ec": "none", "pad": 1.0} if x > 0 else None  # the dashed line
     ax.annotate(words, (x, y), xytext=(4, 0), textcoords="offset points", va="center", bbox=over)

@@ -14,7 +14,7 @@ from matplotlib.ticker import LogLocator
 from ...diagnosis.result import Diagnosis
 from ...fitting.result import Fit
 from ..fit import joint_errors
-from ..names import HELD_OUT, at_place, listed, lower, model_name, times_noise, unnamed, untried
+from ..names import HELD_OUT, listed, model_name, times_noise, unnamed, untried
 from ..numbers import amount, plain, times
 from .style import BAND, DASHED, FAINT, INK, JOINTS, SOFT, blank, shortened, styled
 
@@ -39,6 +39,10 @@ class _Line(NamedTuple):
         return JOINTS[self.joint % len(JOINTS)]
 
     @property
+    def kind(self) -> str:
+        return HELD_OUT if self.held else "fitted"
+
+    @property
     def style(self) -> dict[str, Any]:
         """Of line and dots, beside their colour."""
         wide = {"ls": DASHED, "lw": 1.3} if self.held else {"ls": "-", "lw": 2.0}
@@ -52,12 +56,7 @@ def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
 
     At the line of the noise nothing is left that the recordings could still show.
     """
-    joints = found.fit.joints
-    names = [model_name(found.ladder[0])]
-    for step in found.ladder[1:]:
-        gone = listed([lower(at_place(x, joints)) for x in step.dropped]) if step.dropped else ""
-        name = f"+ {lower(at_place(step.added or '', joints))}"
-        names.append(f"{name}, without {gone}" if gone else name)
+    names = [model_name(step) for step in found.ladder]
     each = [times_noise(step) for step in found.ladder]
     end = ""
     if len(each) == 1 and found.verdict == "unexplained":
@@ -82,21 +81,15 @@ def _falling(
     narrow: bool,
     end_words: str = "",
 ) -> Figure:
-    joints, count, lines = fit.joints, len(names), []
-    for joint in range(len(joints)):
-        for held in (False, True):
-            values = [math.nan if (x := model[joint][held]) is None else x for model in each]
-            if np.isfinite(values).any():
-                lines.append(_Line(joint, held, values))
+    joints, count = fit.joints, len(names)
+    sizes = np.array(each, float)  # of models, joints, and where: fitted or held out (None: NaN)
+    seen = [(j, k) for j, k in np.ndindex(*sizes.shape[1:]) if np.isfinite(sizes[:, j, k]).any()]
+    lines = [_Line(j, k == 1, sizes[:, j, k].tolist()) for j, k in seen]
     beneath = narrow or count > _MOST_NAMES  # there is no room for names under their dots
     below = ["\n".join(textwrap.wrap(n.replace(" + ", " +\u00a0"), 26)) for n in names]
-    rows = [
-        row
-        for i, name in enumerate(names)
-        for row in textwrap.wrap(
-            name, 44 if narrow else 108, initial_indent=f"{i}  ", subsequent_indent=" " * 5
-        )
-    ]
+    rows = []
+    for i, name in enumerate(names):
+        rows += textwrap.wrap(f"{i}  {name}", 44 if narrow else 108, subsequent_indent=" " * 5)
     under = len(rows) + 1 if beneath else max(name.count("\n") + 1 for name in below)
     head = 0.7 + (_LINE + 0.04) * max(2, len(joints)) if narrow else 0.45
     figure = blank(narrow, _PANEL + head + _LINE * under)
@@ -148,15 +141,9 @@ def _floor(ax: Axes, x: float, fit: Fit, narrow: bool) -> None:
     size = listed(list(dict.fromkeys(each)))
     ax.axhspan(0.0 if ax.get_yscale() == "linear" else 1e-9, 1.0, color=BAND, alpha=0.55, lw=0)
     ax.axhline(1.0, color=INK, lw=1.0, zorder=1)
-    ax.annotate(
-        f"the noise, {size}" + ("" if narrow else ": nothing is left to explain"),
-        (x, 1.0),
-        xytext=(0, -5),
-        textcoords="offset points",
-        ha="center",
-        va="top",
-        color=SOFT,
-    )
+    words = f"the noise, {size}" + ("" if narrow else ": nothing is left to explain")
+    below: dict[str, Any] = {"ha": "center", "va": "top", "color": SOFT}
+    ax.annotate(words, (x, 1.0), (0, -5), textcoords="offset points", **below)
 
 
 # -- numbers beside the dots: none on another, none on the noise's line ------------------------
@@ -171,12 +158,12 @@ def _first(
         value, words, colour = dots[0]
         return [(value, words if narrow else f"all: {words}", colour)]
     labels = []
-    for joint, held, values in lines:
-        words = f"{times(values[0])} ×"
+    for line in lines:
+        words = f"{times(line.values[0])} ×"
         if not narrow:
-            name = f"{shortened(joints[joint], 14)}, " if len(joints) > 1 else ""
-            words = f"{name}{HELD_OUT if held else 'fitted'}: {words}"
-        labels.append((values[0], words, JOINTS[joint % len(JOINTS)]))
+            name = f"{shortened(joints[line.joint], 14)}, " if len(joints) > 1 else ""
+            words = f"{name}{line.kind}: {words}"
+        labels.append((line.values[0], words, line.colour))
     return labels
 
 
@@ -190,11 +177,11 @@ def _gathered(values: Sequence[tuple[float, int]]) -> list[tuple[float, str, str
             groups.append([(value, joint)])
     labels = []
     for group in groups:
-        low, high = times(group[0][0]), times(group[-1][0])
-        same = len({joint for _, joint in group}) == 1
-        colour = JOINTS[group[0][1] % len(JOINTS)] if same else INK
-        middle = math.sqrt(group[0][0] * group[-1][0])
-        labels.append((middle, f"{low} ×" if low == high else f"{low}-{high} ×", colour))
+        (least, joint), (most, _) = group[0], group[-1]
+        low, high = times(least), times(most)
+        colour = JOINTS[joint % len(JOINTS)] if {j for _, j in group} == {joint} else INK
+        words = f"{low} ×" if low == high else f"{low}-{high} ×"
+        labels.append((math.sqrt(least * most), words, colour))
     return labels
 
 
@@ -210,33 +197,26 @@ def _beside(ax: Axes, x: float, side: int, labels: Sequence[tuple[float, str, st
     places, floor = [_height(ax, v) for v, *_ in shown], _height(ax, 1.0)
     below, above = -math.inf, _PANEL + _LINE
     for i, place in enumerate(places):
-        # Above the line of the noise, which would strike them out.
-        free = floor + 0.6 * _LINE if abs(place - floor) < 0.6 * _LINE else place
-        places[i] = below = max(free, below + _LINE)
+        if abs(place - floor) < 0.6 * _LINE:  # the line of the noise would strike them out
+            place = floor + 0.6 * _LINE
+        places[i] = below = max(place, below + _LINE)
     for i, place in reversed([*enumerate(places)]):
         places[i] = above = min(place, above - _LINE)
     for place, (value, words, colour) in zip(places, shown, strict=True):
-        ax.annotate(
-            words,
-            (x, value),
-            xytext=(side * _BESIDE * 72, (place - _height(ax, value)) * 72),
-            textcoords="offset points",
-            ha="left" if side > 0 else "right",
-            va="center",
-            color=colour,
-            fontweight="bold",
-        )
+        offset = side * _BESIDE * 72, (place - _height(ax, value)) * 72
+        style: dict[str, Any] = {"va": "center", "color": colour, "fontweight": "bold"}
+        style["ha"] = "left" if side > 0 else "right"
+        ax.annotate(words, (x, value), offset, textcoords="offset points", **style)
 
 
 def _key(figure: Figure, lines: Sequence[_Line], joints: Sequence[str]) -> None:
     """What colours and dots mean, where there is no room for words beside them."""
     colours = {shortened(joints[x.joint], 14): x.colour for x in lines}
-    kinds = {HELD_OUT if x.held else "fitted": x.style for x in lines}
+    kinds = {x.kind: x.style for x in lines}
     left = [Line2D([], [], color=colour, lw=2.5, label=name) for name, colour in colours.items()]
     right = [
         Line2D([], [], color=FAINT, mfc="white" if name == HELD_OUT else FAINT, label=name, **style)
         for name, style in kinds.items()
     ]
-    most = max(len(left), len(right))
-    left += [Line2D([], [], ls="", label="")] * (most - len(left))
+    left += [Line2D([], [], ls="", label="")] * (len(right) - len(left))
     figure.legend(handles=[*left, *right], loc="outside upper left", ncols=2, labelspacing=0.35)

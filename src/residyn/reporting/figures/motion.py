@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -51,13 +52,9 @@ def overlay(
     columns = (2.6,) if narrow else (4.7, 2.3)  # their widths, about, in inches
     figure = blank(narrow, _KEY * (1 + narrow) + len(shown) * (_HEAD + _PANEL * joints))
     figure.set_layout_engine("constrained", hspace=0.0)
-    axes = figure.subplots(
-        2 * joints * len(shown),
-        len(columns),
-        squeeze=False,
-        height_ratios=(2, 1) * joints * len(shown),
-        width_ratios=columns,
-    )
+    heights = (2, 1) * joints * len(shown)
+    sizes: dict[str, Any] = {"height_ratios": heights, "width_ratios": columns}
+    axes = figure.subplots(len(heights), len(columns), squeeze=False, **sizes)
     for k, each in enumerate(shown):
         rows, time = axes[2 * joints * k :][: 2 * joints], each.recording.time
         begin = _zoom_start(time, fit.modes)
@@ -75,32 +72,18 @@ def overlay(
                         ax.axvspan(time[begin], time[-1], color=SHADE, lw=0, zorder=-5)
         for ax in rows[-1]:
             ax.set_xlabel("time (s)")
-        rows[0, 0].set_title(_heading(each, narrow))
+        role = HELD_OUT if each.recording.role == "check" else "fitted"
+        rows[0, 0].set_title(f"{shortened(each.recording.name, 24 if narrow else 50)}: {role}")
         if not narrow:
             rows[0, 1].set_title(f"the last {time[-1] - time[begin]:.2g} s, enlarged")
     figure.align_ylabels(axes[:, 0])
-    wild = any(each.wild.any() for each in shown)
-    figure.legend(handles=_key(wild), loc="outside upper left", ncols=2 if narrow else 5)
+    lines = (("measured", MEASURED, 2.6), ("model", MODEL, 1.2), ("residual", RESIDUAL, 1.2))
+    keys: list[Artist] = [Line2D([], [], color=c, lw=lw, label=words) for words, c, lw in lines]
+    keys.append(Patch(color=BAND, label="±2σ of noise"))
+    if any(each.wild.any() for each in shown):
+        keys.append(Line2D([], [], color=WILD, marker="x", ls="", mew=1.4, label="wild reading"))
+    figure.legend(handles=keys, loc="outside upper left", ncols=2 if narrow else 5)
     return figure
-
-
-def _key(wild: bool) -> list[Any]:
-    handles: list[Any] = [
-        Line2D([], [], color=MEASURED, lw=2.6, label="measured"),
-        Line2D([], [], color=MODEL, lw=1.2, label="model"),
-        Line2D([], [], color=RESIDUAL, lw=1.2, label="residual"),
-        Patch(color=BAND, label="±2σ of noise"),
-    ]
-    if wild:
-        handles.append(Line2D([], [], color=WILD, marker="x", ls="", mew=1.4, label="wild reading"))
-    return handles
-
-
-def _heading(each: RecordingFit, narrow: bool) -> str:
-    """Which recording this is; of a long name, the end."""
-    most = 24 if narrow else 50
-    role = HELD_OUT if each.recording.role == "check" else "fitted"
-    return f"{shortened(each.recording.name, most)}: {role}"
 
 
 def _zoom_start(time: np.ndarray, modes: Sequence[Mode]) -> int:
@@ -113,13 +96,7 @@ def _zoom_start(time: np.ndarray, modes: Sequence[Mode]) -> int:
 
 
 def _draw(
-    main: Axes,
-    strip: Axes,
-    fit: Fit,
-    each: RecordingFit,
-    joint: int,
-    window: slice,
-    inches: float,
+    main: Axes, strip: Axes, fit: Fit, each: RecordingFit, joint: int, window: slice, inches: float
 ) -> None:
     """One joint of one recording over one window of samples, in panels so many inches wide."""
     unit, name = fit.units[joint], shortened(fit.joints[joint], 14)
@@ -132,8 +109,6 @@ def _draw(
     broad = _breadth(time, inches, fit.modes)
     main.plot(*thinned(time, kept, inches), color=MEASURED, lw=2.6 * broad, zorder=2)
     main.plot(*thinned(time, model, inches), color=MODEL, lw=1.0 * broad, zorder=3)
-    for ax in (main, strip):
-        ax.set_xlim(time[0], time[-1])
     sigma = float(np.asarray(each.recording.noise)[joint])
     low, high = _range(np.concatenate([kept, model]), 8 * sigma / factor)
     main.set_ylim(low, high)
@@ -155,17 +130,13 @@ def _draw(
     strip.set_ylabel(f"residual\n({label})" if label else "residual")
     strip.yaxis.set_major_locator(MaxNLocator(3, symmetric=True, min_n_ticks=3))
 
-    for ax in (main, strip):
-        ax.ticklabel_format(axis="y", style="plain", useOffset=False)
-
-    wild = each.wild[window, joint]
-    off = (each.recording.angle - each.predicted)[window, joint] / factor
-    if not wild.any():
-        return
+    wild, off = each.wild[window, joint], each.residual[window, joint] / factor
     for ax, values, limits in ((main, measured, (low, high)), (strip, off, (-reach, reach))):
-        inside = np.clip(values[wild], *limits)
-        size = 5 if wild.sum() <= 20 else 3
-        ax.plot(time[wild], inside, "x", color=WILD, ms=size, mew=1.2, zorder=4, clip_on=False)
+        ax.set_xlim(time[0], time[-1])
+        ax.ticklabel_format(axis="y", style="plain", useOffset=False)
+        if wild.any():
+            inside, size = np.clip(values[wild], *limits), 5 if wild.sum() <= 20 else 3
+            ax.plot(time[wild], inside, "x", color=WILD, ms=size, mew=1.2, zorder=4, clip_on=False)
 
 
 def _range(values: np.ndarray, least: float) -> tuple[float, float]:
@@ -223,8 +194,7 @@ def spectrum(fit: Fit, *, narrow: bool = False) -> Figure:
     """
     joints = fit.joints
     fitted = [r for r in fit.whole if r.recording.role != "check"]
-    height = (2.1 if narrow else 2.2) * len(joints) + (1.6 if narrow else 1.0)
-    figure = blank(narrow, height)
+    figure = blank(narrow, 2.1 * len(joints) + 1.6 if narrow else 2.2 * len(joints) + 1.0)
     axes = list(figure.subplots(len(joints), 1, sharex=True, squeeze=False)[:, 0])
     for joint, ax in enumerate(axes):
         frequency, measured, left, floor = _spectra(fitted, joint)

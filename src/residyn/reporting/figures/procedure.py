@@ -25,41 +25,22 @@ def composite_inertia(found: InertiaResult, *, narrow: bool = False) -> Figure:
     ax = figure.subplots()
     cosines = np.linspace(-1.0, 1.0, 60)
     line = [found.composite(float(np.arccos(c))) for c in cosines]
-    value, std = (np.array(x) for x in zip(*line, strict=True))
-    ax.fill_between(
-        cosines,
-        (value - 2 * std),
-        (value + 2 * std),
-        color=MODEL,
-        alpha=0.3,
-        lw=0,
-    )
+    value, std = np.array([(x.value, x.std) for x in line]).T
+    ax.fill_between(cosines, value - 2 * std, value + 2 * std, color=MODEL, alpha=0.3, lw=0)
     ax.plot(cosines, value, color=MODEL, lw=1.2, label="Eq. 14")
     shoulder = [t for t in found.tests if t.test.joint == 0 and t.test.recording.air_bearings]
-    at = [float(np.cos(t.test.theta2)) for t in shoulder]
-    seen = [t.inertia.value for t in shoulder]
-    ax.errorbar(
-        at,
-        seen,
-        yerr=[2 * t.inertia.std for t in shoulder],
-        fmt="o",
-        ms=5,
-        color=INK,
-        ecolor=MEASURED,
-        elinewidth=2.6,
-        label="tests, ±2 standard errors",
-        zorder=3,
-    )
+    at = [np.cos(t.test.theta2) for t in shoulder]
+    seen, bars = [t.inertia.value for t in shoulder], [2 * t.inertia.std for t in shoulder]
+    style = {"fmt": "o", "ms": 5, "color": INK, "ecolor": MEASURED, "elinewidth": 2.6, "zorder": 3}
+    ax.errorbar(at, seen, yerr=bars, label="tests, ±2 standard errors", **style)
     ax.axvline(0, color=FAINT, lw=0.6, zorder=0)
-    ax.set_xlim(-1.08, 1.08)
-    ax.set_xlabel("cosine of the elbow angle")
+    ax.set(xlim=(-1.08, 1.08), xlabel="cosine of the elbow angle")
     ax.set_ylabel("inertia about\nthe shoulder (kg m²)")
     figure.legend(loc="outside upper left", ncols=1 if narrow else 2)
     return figure
 
 
-_THIN = 0.01
-"""Share of the scale below which a band is no broader than its line, and is not drawn."""
+_THIN = 0.01  # share of the scale below which a band is no broader than its line, and is not drawn
 _SIDES = (("on its bearings", MODEL), ("without bearings", RESIDUAL))
 
 
@@ -77,14 +58,12 @@ def ring_down(
     sides = sides or found.ring_downs()
     times = np.asarray(sides[0].path.t)
     joints, units = found.fit.joints, found.fit.experiment.units
-    high = 0.62 + 1.75 * len(joints)
-    figure = blank(narrow, high)
+    figure = blank(narrow, 0.62 + 1.75 * len(joints))
     axes = figure.subplots(len(joints), 1, sharex=True, squeeze=False).ravel()
     for joint, ax in enumerate(axes):
-        unit = units[joint] if units else None
-        angles = np.concatenate([np.asarray(side.path.q)[:, joint] for side in sides])
-        factor, label = prefixed(unit, largest(angles))
-        reach = 1.15 * largest(angles) / factor or 1.0
+        most = largest(np.concatenate([np.asarray(side.path.q)[:, joint] for side in sides]))
+        factor, label = prefixed(units[joint] if units else None, most)
+        reach = 1.15 * most / factor or 1.0
         ax.set_ylim(-reach, reach)
         ax.axhline(0, color=FAINT, lw=0.6, zorder=0)
         for side, (_, colour) in zip(sides, _SIDES, strict=True):

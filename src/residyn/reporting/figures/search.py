@@ -1,6 +1,7 @@
 """How searches bring the objective down, simulation by simulation."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -32,38 +33,28 @@ def convergence(
     from `residyn.fitting.levenberg_history`. `floor` is an objective to draw a line at, such as
     that which the noise of the readings alone leaves.
     """
-    rows = -(-len(names) // (1 if narrow else 2))
-    high = 2.6 + 0.2 * rows
-    figure = blank(narrow, high)
+    columns = 1 if narrow else 2
+    figure = blank(narrow, 2.6 + 0.2 * -(-len(names) // columns))
     ax = figure.subplots()
     values = []
     for i, (history, name) in enumerate(zip(histories, names, strict=True)):
-        style = {"color": _COLOURS[i % len(_COLOURS)], "ls": _DASHES[i % len(_DASHES)]}
+        colour, dash = _COLOURS[i % len(_COLOURS)], _DASHES[i % len(_DASHES)]
         spent = history.simulations if against == "simulations" else history.seconds
         y = np.asarray(history.objective, float)
         x = np.full(y.shape, np.nan) if spent is None else np.asarray(spent, float)
         use = np.isfinite(y) & (y > 0) & (x > 0)
         values += [y[use].min(), y[use].max()] if use.any() else []
         # Named in the SVG, so that a page can hide it.
-        mark = f"{against}-curve-{i}"
-        ax.step(x[use], y[use], where="post", lw=1.8, label=name, gid=mark, **style)
-        if use.any():
-            end = {"color": style["color"], "clip_on": False, "gid": f"{against}-end-curve-{i}"}
-            ax.plot(x[use][-1], y[use][-1], "o", ms=5, **end)
-    ax.set_xscale("log")
-    ax.set_yscale("log")
+        line = {"color": colour, "ls": dash, "lw": 1.8, "gid": f"{against}-curve-{i}"}
+        ax.step(x[use], y[use], where="post", label=name, **line)
+        end = {"color": colour, "ms": 5, "clip_on": False, "gid": f"{against}-end-curve-{i}"}
+        ax.plot(x[use][-1:], y[use][-1:], "o", **end)
+    ax.set(xscale="log", yscale="log")
     if floor is not None:
         ax.axhline(floor, color=INK, lw=1.0, zorder=0)
-        ax.annotate(
-            "what the noise leaves",
-            (1.0, floor),
-            xycoords=("axes fraction", "data"),
-            xytext=(0, -4),
-            textcoords="offset points",
-            ha="right",
-            va="top",
-            color=SOFT,
-        )
+        below: dict[str, Any] = {"ha": "right", "va": "top", "color": SOFT}
+        at = ("axes fraction", "data")
+        ax.annotate("what the noise leaves", (1.0, floor), (0, -4), at, "offset points", **below)
         values.append(floor / 1.3)
     if values:
         ax.set_ylim(min(values) / 1.25, max(values) * 1.25)
@@ -78,5 +69,5 @@ def convergence(
         ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
         ax.set_xlabel("seconds")
     ax.set_ylabel(label)
-    figure.legend(loc="outside upper left", ncols=1 if narrow else 2)
+    figure.legend(loc="outside upper left", ncols=columns)
     return figure

@@ -25,24 +25,13 @@ _STYLE: dict[str, Any] = {
     "axes.titlesize": 10,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
-    "axes.labelsize": 9,
-    "xtick.labelsize": 9,
-    "ytick.labelsize": 9,
-    "legend.fontsize": 9,
-    "legend.frameon": False,
+    "axes.linewidth": 0.7,
     "legend.borderpad": 0.0,
     "legend.columnspacing": 1.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": FAINT,
-    "axes.linewidth": 0.7,
-    "xtick.color": FAINT,
-    "ytick.color": FAINT,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "text.color": INK,
-    "axes.labelcolor": INK,
     "text.parse_math": False,  # names come from users: a dollar sign is a dollar sign
+    **dict.fromkeys(("legend.frameon", "axes.spines.top", "axes.spines.right"), False),
+    **dict.fromkeys(("axes.edgecolor", "xtick.color", "ytick.color"), FAINT),
+    **dict.fromkeys(("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor"), INK),
 }
 
 # What a journal's printer takes: whole TrueType fonts in PDF and PostScript (Type 3 is refused by
@@ -83,8 +72,7 @@ def blank(narrow: bool, high: float) -> Figure:
 
 def largest(values: np.ndarray) -> float:
     """Largest size among the finite values; 0 if there are none."""
-    values = np.abs(values[np.isfinite(values)])
-    return float(values.max()) if len(values) else 0.0
+    return float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0))
 
 
 def shortened(name: str, most: int) -> str:

@@ -1,6 +1,6 @@
 // A stretch of time, chosen by two sliders; a drag across a chart chooses one as well.
 
-import { element } from "./elements.js";
+import { action, element } from "./elements.js";
 
 const STEPS = 1000;
 const SHORTEST = 1 / 200; // of the recording
@@ -21,11 +21,7 @@ export class Stretch {
       });
     this.sliders = [slider("from"), slider("to")];
     this.values = [element("output", {}), element("output", {})];
-    this.whole = element(
-      "button",
-      { type: "button", class: "action", click: () => onChoose(null) },
-      "Whole recording",
-    );
+    this.whole = action("Whole recording", () => onChoose(null));
     const labelled = (words, i) => element("label", {}, words, this.sliders[i], this.values[i]);
     this.place = element(
       "div",
