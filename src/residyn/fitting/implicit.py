@@ -22,7 +22,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from ..physics.mechanism import AbstractMechanism
 from ..physics.model import Model
 from ..physics.parameter import all_floating, stacked
-from .least_squares import Compressed, Horizon, compressed, cost_of, descended, predict, whiten
+from .least_squares import Compressed, Horizon, compressed, descended, predictions, whiten
 from .problem import Problem, Unknowns, posed, ready, tight
 from .result import Fit
 
@@ -122,7 +122,7 @@ class Embedded(eqx.Module):
         return Solution(
             numbers=numbers,
             states=jnp.asarray(self.problem.states(y)),
-            chi2=cost_of(squeezed),
+            chi2=squeezed.cost,
             covariance=_covariance(self.problem, squeezed),
             converged=done,
             steps=steps,
@@ -137,13 +137,10 @@ class Embedded(eqx.Module):
         but for a constant. `states` None are those of the start."""
         problem, joints = self.problem, self.problem.recorded.angles.shape[-1]
         own = problem.states(self.start) if states is None else jnp.asarray(states, float)
-
-        def one(recorded, state):
-            return jnp.sum(whiten(recorded, predict(problem, recorded, numbers, state)) ** 2)
-
+        misfit = jax.vmap(whiten)(problem.recorded, predictions(problem, numbers, own))
         # What is known of memories counts as a reading.
-        known = jnp.sum((own / problem.scale.states)[:, 2 * joints :] ** 2)
-        return jnp.sum(jax.vmap(one)(problem.recorded, own)) + known
+        known = (own / problem.scale.states)[:, 2 * joints :]
+        return jnp.sum(misfit**2) + jnp.sum(known**2)
 
     def covariance(
         self, numbers: Float[Array, " P"], states: Float[Array, "R s"] | None = None

@@ -32,7 +32,7 @@ from ..simulation.integrator import Integrator
 from .history import watching
 from .lanes import Fitting, evaluating
 from .layout import drives
-from .least_squares import RESIDUAL_TOLERANCE, Compressed, over_recordings, predict
+from .least_squares import RESIDUAL_TOLERANCE, Compressed, predictions
 from .linalg import BLIND, damped_step
 from .multistart import Descent
 from .problem import Problem, Ready, Unknowns
@@ -80,7 +80,7 @@ def corrected(
     found = jax.device_get((yield from evaluate(problem, there)))
     if watch is not None:
         watch.descended(problem, there, 1)
-    cost = float(np.sum(found.along**2) + np.sum(found.beside**2))
+    cost = float(found.cost)
     if not math.sqrt(cost) <= math.sqrt(descent.cost) + moved:  # it bends more than slopes say
         return descent, error
     return descent._replace(unknowns=there, compressed=found, cost=cost), error
@@ -173,15 +173,8 @@ def checked(fit: Fit) -> tuple[float, str]:
     )
     problem, _ = here.problem(fit.model, [r.wild for r in fitted])
     numbers, states = fit.problem.numbers(fit.unknowns), fit.problem.states(fit.unknowns)
-    found = np.asarray(_predicted(problem, jnp.asarray(numbers), jnp.asarray(states)))
+    predicted = eqx.filter_jit(predictions)
+    found = np.asarray(predicted(problem, jnp.asarray(numbers), jnp.asarray(states)))
     error = rms_over_noise(found, fitted)
     words = f"{_FINEST} times the steps" if sticks else "Dopri8 at rtol 1e-10"
     return error, words
-
-
-@eqx.filter_jit
-def _predicted(problem: Problem, numbers, states):
-    def one(recorded, state):
-        return predict(problem, recorded, numbers, state)
-
-    return over_recordings(one, problem.model)(problem.recorded, states)
