@@ -14,6 +14,7 @@ import importlib.metadata
 import importlib.util
 import inspect
 import sys
+import traceback
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -111,12 +112,9 @@ def _defined_in(module: ModuleType) -> list[type[AbstractEffect]]:
 
 def _line_in(error: Exception, file: str | None) -> int | None:
     """The last line of a file that an error came through."""
-    line, trace = None, error.__traceback__
-    while trace is not None:
-        if file and Path(trace.tb_frame.f_code.co_filename).name == Path(file).name:
-            line = trace.tb_lineno
-        trace = trace.tb_next
-    return line
+    name, trace = Path(file or "").name, traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in trace if name and Path(frame.filename).name == name]
+    return lines[-1] if lines else None
 
 
 def _snake(name: str) -> str:

@@ -121,18 +121,18 @@ def fitting(
         experiment = without_drift(whole, here.model.with_vector(numbers[0]))
         if experiment is not whole:
             here = ready(experiment, experiment.fit_recordings, effects)
-            outliers, memory = outliers_among(here), None
+            outliers, memory = outliers_among(here), here.memory(starts)
         progress(f"fitting from {starts} start{'s' * (starts > 1)}")
         again = base if effects else None
-        guess = numbers, memory
+        begun = again, outliers, starts, progress, numbers, memory
         try:
-            descent = yield from multistart(here, again, outliers, starts, progress, guess)
+            descent = yield from multistart(here, *begun)
         except FitError:
             finer = stable(here, resolving(here, numbers))
             if finer is None:
                 raise
             progress("fitting with steps that are short enough")
-            descent = yield from multistart(finer, again, outliers, starts, progress, guess)
+            descent = yield from multistart(finer, *begun)
     else:
         progress("drawing starts")
         numbers = drawn(here, outliers, starts, seed)

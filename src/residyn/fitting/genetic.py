@@ -179,9 +179,9 @@ class Search(NamedTuple):
 
 def fit_genetic(
     experiment: Experiment,
-    effects: Sequence[str | AbstractEffect] = (),
-    how: Genetic | None = None,
-    progress: Callable[[str], None] = lambda words: None,
+    effects: Sequence[str | AbstractEffect],
+    how: Genetic,
+    progress: Callable[[str], None],
 ) -> Fit:
     """`residyn.fit(..., method="genetic")`: the same `Fit`, with its `history`.
 
@@ -190,7 +190,7 @@ def fit_genetic(
     **Raises:** `MissingExtra` without evosax; `FitError` if no individual moves like an arm;
     `ValueError` as `fit`, and for bounds or settings that do not go.
     """
-    began, how = time.perf_counter(), how or Genetic()
+    began = time.perf_counter()
     here = ready(experiment, experiment.fit_recordings, effects)
     outliers = outliers_among(here)
     found = run(search_of(here, outliers, how), how, progress)

@@ -103,9 +103,12 @@ class Embedded(eqx.Module):
         self, numbers: Float[Array, " P"], states: Float[Array, "R s"] | None = None
     ) -> "Embedded":
         """The same fit from another start; it must be near enough that no cycle is missed."""
+        return eqx.tree_at(lambda e: e.start, self, self._at(numbers, states))
+
+    def _at(self, numbers, states) -> Unknowns:
+        """A point, scaled; `states` None are those of the start."""
         own = self.problem.states(self.start) if states is None else jnp.asarray(states, float)
-        y = self.problem.scaled(jnp.asarray(numbers, float), own)
-        return eqx.tree_at(lambda e: e.start, self, y)
+        return self.problem.scaled(jnp.asarray(numbers, float), own)
 
     # -- use ---------------------------------------------------------------------------------
 
@@ -135,11 +138,11 @@ class Embedded(eqx.Module):
     ) -> Float[Array, ""]:
         """Sum of squared residuals in units of the noise; minus half of it is the log likelihood,
         but for a constant. `states` None are those of the start."""
-        problem, joints = self.problem, self.problem.recorded.angles.shape[-1]
-        own = problem.states(self.start) if states is None else jnp.asarray(states, float)
-        misfit = jax.vmap(whiten)(problem.recorded, predictions(problem, numbers, own))
+        problem, y = self.problem, self._at(numbers, states)
+        predicted = predictions(problem, problem.numbers(y), problem.states(y))
+        misfit = jax.vmap(whiten)(problem.recorded, predicted)
         # What is known of memories counts as a reading.
-        known = (own / problem.scale.states)[:, 2 * joints :]
+        known = y.states[:, 2 * predicted.shape[-1] :]
         return jnp.sum(misfit**2) + jnp.sum(known**2)
 
     def covariance(
@@ -151,11 +154,9 @@ class Embedded(eqx.Module):
         It is (J'J)^-1 at this point; its first P rows and columns at the minimum are
         `Solution.covariance`. `states` None are those of the start.
         """
-        problem = self.problem
-        own = problem.states(self.start) if states is None else jnp.asarray(states, float)
-        y = problem.scaled(jnp.asarray(numbers, float), own)
+        problem, y = self.problem, self._at(numbers, states)
         squeezed = compressed(problem, y)
-        (count, each), p = own.shape, y.numbers.shape[0]
+        (count, each), p = y.states.shape, y.numbers.shape[0]
         total = jnp.zeros((p + count * each, p + count * each))
         for i, factor in enumerate(squeezed.factor):
             # Each recording knows of the numbers and of its own state.
@@ -195,7 +196,7 @@ def embed(fit: Fit, *, integrator: Any = None) -> Embedded:
 
 def embedded(fit: Fit, integrator: Any = None, fixed: bool = True) -> Embedded:
     """`embed`, in float64. Without `fixed` steps, which reverse mode asks for, it is quicker."""
-    fitted = [r for r in fit.recordings if r.recording.role != "check"]
+    fitted = fit.fitted
     effects = [e for e in fit.model.effects if e.name not in ("spring", "damper")]
     experiment = fit.experiment
     if integrator is not None:

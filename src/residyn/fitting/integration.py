@@ -144,7 +144,7 @@ def stable(here: Ready, begin: Model) -> Ready | None:
     if here.integrator is not None:
         return None
     rate = max(fastest(m) for m in here.posed(begin))
-    step = max(r.duration for r in here.recordings) / here.steps(begin)
+    step = here.duration / here.steps(begin)
     if not rate * step > _STABLE:
         return None
     times = math.ceil(2 * rate * step / _STABLE)
@@ -164,17 +164,16 @@ def checked(fit: Fit) -> tuple[float, str]:
 
     The motion begins in the fitted initial states, so that nothing but the integration differs.
     """
-    fitted = fit.recordings[: len(fit.ready.recordings)]
     sticks = fit.model.dry or fit.model.follows
     # Twice the nodes for the reference's curve, so that none of the difference is the curve's.
     here = fit.ready._replace(
         integrator=None if sticks else _REFERENCE,
         finer=fit.ready.finer * (_FINEST if sticks else 2),
     )
-    problem, _ = here.problem(fit.model, [r.wild for r in fitted])
+    problem, _ = here.problem(fit.model, [r.wild for r in fit.fitted])
     numbers, states = fit.problem.numbers(fit.unknowns), fit.problem.states(fit.unknowns)
     predicted = eqx.filter_jit(predictions)
     found = np.asarray(predicted(problem, jnp.asarray(numbers), jnp.asarray(states)))
-    error = rms_over_noise(found, fitted)
+    error = rms_over_noise(found, fit.fitted)
     words = f"{_FINEST} times the steps" if sticks else "Dopri8 at rtol 1e-10"
     return error, words

@@ -57,14 +57,13 @@ def lay_out(
     outliers: Sequence[np.ndarray],
     steps: int,
     room: int,
-    instants: int = 0,
+    instants: int,
 ) -> Recorded:
     """Readings as they lie in `steps` equal steps a recording; `outliers` (N, n) get no weight.
 
-    `instants` is the least N to lay out for.
+    `instants` is the N to lay out for.
     """
-    longest = max(instants, *(len(r.time) for r in recordings))
-    shape = len(recordings), longest, recordings[0].angle.shape[1]
+    shape = len(recordings), instants, recordings[0].angle.shape[1]
     row, place = np.zeros(shape[:2], int), np.zeros(shape[:2])
     angles, weights = np.zeros(shape), np.zeros(shape)
     for i, (r, bad) in enumerate(zip(recordings, outliers, strict=True)):

@@ -71,7 +71,7 @@ def fit_minimised(
     experiment: Experiment,
     effects: Sequence[str | AbstractEffect],
     method: Any,
-    progress: Callable[[str], None] = lambda words: None,
+    progress: Callable[[str], None],
     steps: int = STEPS,
 ) -> Fit:
     """`residyn.fit(..., method="optimistix.BFGS")`: the same `Fit`, with its `history`.
@@ -86,8 +86,7 @@ def fit_minimised(
     outliers = outliers_among(here)
     numbers, memory = first_guess(here, outliers, 1)
     problem, states = here.problem(resolving(here, numbers), outliers)
-    if memory is not None and memory.size:
-        states[..., -memory.shape[-1] :] = memory[0]
+    states[:, states.shape[-1] - memory.shape[-1] :] = memory[0]
     y = problem.scaled(jnp.asarray(numbers[0]), jnp.asarray(states))
     problem = jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_array_like(x) else x, problem)
     ran: list[int] = []

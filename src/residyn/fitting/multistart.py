@@ -105,7 +105,8 @@ def multistart(
     outliers: list[np.ndarray],
     starts: int,
     progress: Callable[[str], None],
-    guess: tuple[np.ndarray, np.ndarray | None],
+    numbers: np.ndarray,
+    memory: np.ndarray,
 ) -> Fitting[Descent]:
     """The best minimum from starts: numbers (S, P) and internal states (S, R, m).
 
@@ -114,7 +115,6 @@ def multistart(
 
     **Raises:** `FitError` if nothing led anywhere.
     """
-    numbers, memory = guess
     begin = resolving(here, numbers)
     found: list[Descent] = []
     failed: FitError | None = None
@@ -182,8 +182,8 @@ def descending(
         problem = eqx.tree_at(lambda p: p.active, problem, np.zeros_like(problem.active))
     starts = len(numbers)
     first = np.broadcast_to(states, (starts, *states.shape)).copy() if near is None else near
-    if memory is not None and memory.size:
-        first[..., -memory.shape[-1] :] = memory
+    if memory is not None:
+        first[..., first.shape[-1] - memory.shape[-1] :] = memory
     y = Unknowns(numbers / problem.scale.numbers, first / problem.scale.states)
     shares = horizons(here, frequency) if near is None or growing else [1.0]
 
@@ -227,8 +227,7 @@ def horizons(here: Ready, frequency: float) -> list[float]:
     before it sticks is a whole number, which is off by one where friction is known from a few
     swings only: there, roots are taken up to most of a recording.
     """
-    longest = max(r.duration for r in here.recordings)
-    shares = [min(1.0, _CYCLES * 2 * math.pi / frequency / longest)]
+    shares = [min(1.0, _CYCLES * 2 * math.pi / frequency / here.duration)]
     while len(shares) < 2 or (here.model.rough and shares[-1] < _MOST):
         shares.append(math.sqrt(shares[-1]))
     return sorted({*shares[: SHARES - 1], 1.0})
@@ -364,7 +363,7 @@ def _shooting(
     here: Ready,
     begin: Model,
     numbers: np.ndarray,
-    memory: np.ndarray | None,
+    memory: np.ndarray,
     outliers: list[np.ndarray],
     progress: Callable[[str], None],
 ) -> Fitting[Descent | None]:
@@ -439,7 +438,7 @@ def _from_the_base(
     here: Ready,
     base: Ready,
     guess: np.ndarray,
-    memory: np.ndarray | None,
+    memory: np.ndarray,
     outliers: list[np.ndarray],
     progress: Callable[[str], None],
 ) -> Fitting[list[Descent]]:
@@ -457,8 +456,7 @@ def _from_the_base(
         return []
     rows = [(_typically(here, share), None, None) for share in _STRENGTHS]
     rows += [(row, None, near) for row, near in _ringing(here, end)]
-    remembered = [None] * len(guess) if memory is None else memory[:, None]
-    rows += [(row, own, None) for row, own in zip(guess, remembered, strict=True)]
+    rows += [(row, own[None], None) for row, own in zip(guess, memory, strict=True)]
 
     def from_here(row, memory, near) -> Fitting[Descent]:
         numbers = np.concatenate([end.numbers, row[len(end.numbers) :]])

@@ -34,7 +34,6 @@ from .integrator import (
     UnrolledTsit5,
     at_nodes,
     integrator_of,
-    stopped,
     tuples_of,
 )
 from .interpolation import Nodes, Trajectory, read
@@ -116,7 +115,8 @@ def march(
     assert isinstance(size, int), "the number of nodes is compiled in"
     index = jnp.arange(size + 1)
     last = steps if only is None else jnp.minimum(only, steps)
-    nodes = stopped(start + h * index, last)
+    nodes = start + h * index  # those behind the last one are copies of it
+    nodes = jnp.minimum(nodes, jax.lax.stop_gradient(nodes)[last])
     if integrator is None:
         integrator = Integrator(StickSlip() if model.dry else UnrolledTsit5())
     integrator.check(model)
