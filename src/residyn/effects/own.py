@@ -150,27 +150,26 @@ def check_law(kind: type[AbstractEffect]) -> None:
     remembered = (number,) * len(kind.memory)
     motion = Motion(number, pair, pair, pair, remembered)
 
+    method, right = "torque", "the torques, a tuple of one number for each joint"
+    if issubclass(kind, JointEffect):
+        method, right = "joint_torque", "the torque, a number"
+
     def law(own, motion, arm):
         effect = kind(*places[:1], **own)
-        if isinstance(effect, JointEffect):
-            torque = {"joint_torque": effect.joint_torque(motion.of(0))}
-        else:
-            torque = {"torque": effect.torque(motion, arm)}
-        rates = effect.rate(motion, arm)
+        given = (motion, arm) if method == "torque" else (motion.of(0),)
+        torque, rates = getattr(effect, method)(*given), effect.rate(motion, arm)
         return torque, rates, effect.reading((motion.q[0][None], motion.q[1][None]), arm)
 
     try:
-        torque, rates, _ = _evaluated(law, own, motion, arm)
+        value, rates, _ = _evaluated(law, own, motion, arm)
     except InputError:
         raise
     except Exception as error:  # whatever the user's law does
         raise InputError(f"{_where(kind, error)}{_why(error)}") from None
-    ((method, value),) = torque.items()
-    shapes = value if method == "torque" and isinstance(value, tuple) else (value,)
-    right = "the torque, a number"
+    good = _is_number(value)
     if method == "torque":
-        right = "the torques, a tuple of one number for each joint"
-    if not all(_is_number(x) for x in shapes) or (method == "torque" and len(shapes) != 2):
+        good = isinstance(value, tuple) and len(value) == 2 and all(map(_is_number, value))
+    if not good:
         raise InputError(
             f"{_line_of(kind, method)}{method} returns {_words(value)}: must be {right}"
         )
@@ -217,7 +216,10 @@ def _why(error: Exception) -> str:
 
 
 def _where(kind: type, error: Exception) -> str:
-    line = _line_in(error, _file(kind))
+    try:
+        line = _line_in(error, inspect.getsourcefile(kind))
+    except (OSError, TypeError):
+        line = None
     return f"{kind.__name__}: " if line is None else f"line {line}: "
 
 
@@ -226,10 +228,3 @@ def _line_of(kind: type, method: str) -> str:
         return f"line {inspect.getsourcelines(getattr(kind, method))[1]}: "
     except (OSError, TypeError):
         return f"{kind.__name__}: "
-
-
-def _file(kind: type) -> str | None:
-    try:
-        return inspect.getsourcefile(kind)
-    except (OSError, TypeError):
-        return None

@@ -123,7 +123,7 @@ def finer(problem: Problem, recordings: Sequence[Recording]) -> Problem:
     recorded = dataclasses.replace(
         recorded, row=2 * np.asarray(recorded.row) + late, place=place - late, drive=drive
     )
-    tighter = None if problem.tighter is None else _TIGHTER * np.asarray(problem.tighter)
+    tighter = _TIGHTER * np.asarray(problem.tighter)
     return dataclasses.replace(problem, recorded=recorded, steps=np.asarray(steps), tighter=tighter)
 
 

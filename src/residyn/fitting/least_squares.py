@@ -64,7 +64,7 @@ def _simulated(problem: Problem, one: Recorded, numbers, state, only=None) -> tu
         room=None if problem.fixed else problem.room,
         only=only,
         integrator=problem.integrator,
-        tighter=1.0 if problem.tighter is None else jnp.asarray(problem.tighter),
+        tighter=jnp.asarray(problem.tighter),
     )
 
 

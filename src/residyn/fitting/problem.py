@@ -67,13 +67,12 @@ class Problem(eqx.Module):
     scale: Unknowns
     active: Float[AnyArray, " P"]  # 1 for a number that the fit moves, 0 for one it must keep
     steps: Int[AnyArray, ""]  # M, of every recording
+    tighter: Float[AnyArray, ""]  # what the tolerances of an integrator are divided by
     room: int = eqx.field(static=True)  # at least M
     fixed: bool = eqx.field(static=True, default=False)
     """Whether M is `room`, compiled in: what reverse mode asks for."""
     integrator: Integrator | None = eqx.field(static=True, default=None)
     """What integrates instead of fixed steps; M are then the nodes that it leaves behind."""
-    tighter: Float[AnyArray, ""] | None = None
-    """What its tolerances are divided by."""
 
     def numbers(self, y: Unknowns) -> Float[AnyArray, " P"]:
         """The model's numbers, in their own units, at scaled unknowns."""
@@ -237,11 +236,8 @@ class Ready(NamedTuple):
             np.maximum(values, 1e-2 * self.typical(scales)),
             np.tile(np.concatenate([size, size * frequency, memory]), (len(states), 1)),
         )
-        active = np.ones(len(begin.fitted))
-        tighter = None if self.integrator is None else np.asarray(1.0)
-        solver = self.integrator, tighter
-        problem = Problem(begin, recorded, scale, active, np.asarray(steps), room, fixed, *solver)
-        return problem, states
+        counts = np.ones(len(begin.fitted)), np.asarray(steps), np.asarray(1.0)
+        return Problem(begin, recorded, scale, *counts, room, fixed, self.integrator), states
 
     @property
     def amplitude(self) -> np.ndarray:

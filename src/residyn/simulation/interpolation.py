@@ -62,7 +62,7 @@ def read(
     if model.late:
         seen = _late(nodes, place, model.delays, orders)
     else:
-        seen = _derivatives(curve, s, nodes.h, orders) if any(orders) else q
+        seen = _derivatives(curve, s, nodes.h, orders)
     return Trajectory(times, q, rate, model.reading(seen))
 
 
