@@ -72,11 +72,11 @@ def corrected(
     # What is known beforehand of internal states has no such error.
     slope[:, count + 2 * n :] -= y.states[:, 2 * n :]
     step = damped_step(square, slope, count, BLIND)
-    local = np.concatenate([np.tile(step.numbers, (len(step.states), 1)), step.states], axis=1)
+    local = step.local()
     moved = np.sqrt(np.einsum("ra,rab,rb->", local, square, local))
     if not moved > RESIDUAL_TOLERANCE:  # the descent did not look any closer
         return descent, error
-    there = Unknowns(y.numbers + step.numbers, y.states + step.states)
+    there = jax.tree.map(np.add, y, step)
     found = jax.device_get((yield from evaluate(problem, there)))
     if watch is not None:
         watch.descended(problem, there, 1)

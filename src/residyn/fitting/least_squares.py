@@ -151,7 +151,7 @@ def compressed(problem: Problem, y: Unknowns, only: Scalar | None = None) -> Com
         square, slope, total, predicted = sums
         return Compressed(predicted, *_compress(square, slope, total))
 
-    return over_recordings(one, problem.model)(problem.recorded, problem.scale.states, y.states)
+    return side_by_side(one, problem.model)(problem.recorded, problem.scale.states, y.states)
 
 
 def _chunks(problem: Problem, only, chunk: int):
@@ -163,10 +163,10 @@ def _chunks(problem: Problem, only, chunk: int):
     return -(-jnp.max(jnp.sum(counts, axis=-1)) // chunk)
 
 
-def over_recordings(one: Callable, model: Model) -> Callable:
-    """`one`, of one recording, for all of them: side by side, a few at a time where a CPU's cache
-    cannot hold them all, or one after the other where dry friction asks what seldom happens: side
-    by side it would be computed every time."""
+def side_by_side(one: Callable, model: Model) -> Callable:
+    """`one`, of one recording or start, for all of them: side by side, a few at a time where a
+    CPU's cache cannot hold them all, or one after the other where dry friction asks what seldom
+    happens: side by side it would be computed every time."""
 
     def each(*trees):
         count = jax.tree.leaves(trees)[0].shape[0]
@@ -201,7 +201,7 @@ def predictions(problem: Problem, numbers, states) -> Float[Array, "R N n"]:
     def one(recorded, state):
         return predict(problem, recorded, numbers, state)
 
-    return over_recordings(one, problem.model)(problem.recorded, states)
+    return side_by_side(one, problem.model)(problem.recorded, states)
 
 
 @kept(like=(0, 0, 0))
@@ -222,7 +222,7 @@ def look(problem: Problem, y: Unknowns):
         slopes = jnp.where(jnp.isfinite(slopes), slopes, 0.0)
         return predicted, slopes, whiten(recorded, predicted)
 
-    each = over_recordings(one, problem.model)
+    each = side_by_side(one, problem.model)
     return each(problem.recorded, problem.scale.states, y.states)
 
 
@@ -398,6 +398,4 @@ def descended(horizon: Horizon, y: Unknowns, most: int):
 
 def _moved(squeezed: Compressed, step: Unknowns) -> Float[Array, "R L"]:
     """The residual's projection after a step, to first order."""
-    everywhere = jnp.broadcast_to(step.numbers, (len(step.states), len(step.numbers)))
-    local = jnp.concatenate([everywhere, step.states], axis=1)
-    return squeezed.along + jnp.einsum("rij,rj->ri", squeezed.factor, local)
+    return squeezed.along + jnp.einsum("rij,rj->ri", squeezed.factor, step.local())

@@ -303,10 +303,8 @@ def distinct(ends: Sequence[Polished]) -> list[Polished]:
 
 def _distance(one: Polished, other: Polished) -> float:
     """Between two ends, in standard errors of the first."""
-    numbers = np.asarray(other.unknowns.numbers) - one.unknowns.numbers
-    states = np.asarray(other.unknowns.states) - one.unknowns.states
-    local = np.concatenate([np.tile(numbers, (len(states), 1)), states], axis=1)
-    return float(np.linalg.norm(np.einsum("rij,rj->ri", one.compressed.factor, local)))
+    gap = jax.tree.map(np.subtract, other.unknowns, one.unknowns)
+    return float(np.linalg.norm(np.einsum("rij,rj->ri", one.compressed.factor, gap.local())))
 
 
 def _sane(out: Polished, recordings: Sequence[Recording]) -> bool:

@@ -54,6 +54,12 @@ class Unknowns(NamedTuple):
     numbers: Float[AnyArray, " P"]
     states: Float[AnyArray, "R s"]
 
+    def local(self) -> Float[AnyArray, "R L"]:
+        """Each recording's own unknowns: the numbers, then its state."""
+        here = np if isinstance(self.numbers, np.ndarray) else jnp
+        numbers = here.broadcast_to(self.numbers, (len(self.states), len(self.numbers)))
+        return here.concatenate([numbers, self.states], axis=1)
+
 
 class Problem(eqx.Module):
     """A model, its recordings and the scales in which the unknowns are of order one.
