@@ -105,7 +105,7 @@ class Box(NamedTuple):
 def box(
     numbers: Sequence[Fitted],
     typical: np.ndarray,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None,
 ) -> Box:
     """The bounds of a search: those given by name, the others from typical sizes (P,).
 

@@ -30,7 +30,7 @@ from ..physics.model import Model
 from ..recordings.recording import Recording
 from ..simulation.integrator import Integrator
 from .history import watching
-from .lanes import Fitting, evaluating
+from .lanes import Fitting
 from .layout import drives
 from .least_squares import RESIDUAL_TOLERANCE, Compressed, predictions
 from .linalg import BLIND, damped_step
@@ -54,7 +54,7 @@ _STABLE = 3.0
 def corrected(
     descent: Descent,
     recordings: Sequence[Recording],
-    evaluate: Callable[[Problem, Unknowns], Fitting[Compressed]] = evaluating,
+    evaluate: Callable[[Problem, Unknowns], Fitting[Compressed]],
 ) -> Fitting[tuple[Descent, float]]:
     """A descent's minimum without the error that integration has left in it, to first order, and
     that error, in times the noise; inf where twice the steps lead to no finite motion, and to no
@@ -89,7 +89,7 @@ def corrected(
 def at_twice_the_steps(
     descent: Descent,
     recordings: Sequence[Recording],
-    evaluate: Callable[[Problem, Unknowns], Fitting[Compressed]] = evaluating,
+    evaluate: Callable[[Problem, Unknowns], Fitting[Compressed]],
 ) -> Fitting[tuple[Compressed, float]]:
     """The motion where a descent ended, but at twice the steps: how far it is from the descent's
     own, a residual like any other, with its Jacobian; and the same in times the noise."""

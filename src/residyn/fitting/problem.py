@@ -202,6 +202,11 @@ class Ready(NamedTuple):
         """The model as each recording saw it."""
         return [posed(model or self.model, m) for m in self.mechanisms]
 
+    @property
+    def adapts(self) -> bool:
+        """Whether what integrates chooses its steps."""
+        return self.integrator is not None and self.integrator.adapts
+
     def problem(
         self,
         begin: Model,
@@ -253,8 +258,7 @@ class Ready(NamedTuple):
 
     def frequency(self, begin: Model) -> float:
         """Fastest angular frequency that the integration must follow, rad/s."""
-        adapts = self.integrator is not None and self.integrator.adapts
-        fast = max((ringing if adapts else fastest)(m) for m in self.posed(begin))
+        fast = max((ringing if self.adapts else fastest)(m) for m in self.posed(begin))
         # No mode above the sampling's own limit can have been seen, none below one cycle matters.
         most = max(math.pi / float(np.median(np.diff(r.time))) for r in self.recordings)
         # In a wide swing the angles themselves turn the forces round.
