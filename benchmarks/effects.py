@@ -102,7 +102,7 @@ def cost() -> None:
 def _run(model: residyn.Model):
     steps = steps_for(model, 20.0)
     q0 = np.array([0.2, -0.1])
-    program = jax.jit(lambda m: march(m, 0.0, 20.0, q0, 0 * q0, steps=steps).q)
+    program = jax.jit(lambda m: march(m, 0.0, 20.0, q0, 0 * q0, steps=steps).ends)
     program(model).block_until_ready()
     return lambda: program(model).block_until_ready()
 

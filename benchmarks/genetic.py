@@ -101,7 +101,7 @@ class Case(NamedTuple):
             how = dataclasses.replace(how, bounds=bounds)
         look = search_of(self.here, self.wild, how)
         if each.release_told:
-            look = look._replace(genome=look.genome._replace(states=released(self.arm)))
+            look = look._replace(states=released(self.arm))
         return look
 
 

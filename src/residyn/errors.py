@@ -6,6 +6,7 @@ else; `inside` adds where we are as the error travels outwards.
 """
 
 import contextlib
+import importlib
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -24,6 +25,23 @@ class InputError(ValueError):
         line = " ".join(str(message).split())
         line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
         super().__init__(line if len(line) <= _LINE else f"{line[: _LINE // 2]} ... {line[-300:]}")
+
+
+class MissingExtra(ImportError):
+    """A package that only an extra of this one brings is not installed: one line that says so."""
+
+
+def extra(module: str, needed: str) -> Any:
+    """A module of a package that only an extra of this one brings.
+
+    **Raises:** `MissingExtra` in the words `needed` if that package is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        if (error.name or "").partition(".")[0] != module.partition(".")[0]:
+            raise
+        raise MissingExtra(needed) from None
 
 
 @contextlib.contextmanager

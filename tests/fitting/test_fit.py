@@ -331,7 +331,7 @@ def test_starts_that_meet_go_on_as_one():
     def end(number, cost):
         at = Unknowns(np.array([number]), np.zeros((1, 1)))
         seen = Compressed(np.zeros(0), np.diag([10.0, 1.0])[None], np.zeros((1, 2)), np.zeros(1))
-        return Polished(at, seen, cost, 3, True, 1)
+        return Polished(at, seen, cost, 3, True)
 
     found = distinct(
         [end(1.2, 9.0), end(1.0, 8.0), end(1.04, 8.5), end(1.01, 900.0), end(5.0, 300.0)]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import residyn
+from residyn import errors
 from residyn.cli import main
 from residyn.fitting import Genetic, History, MissingExtra, evolution, levenberg_history, methods
 from residyn.fitting.genetic import Part, box, search_of
@@ -95,7 +96,7 @@ def test_lost_readings_are_in_neither_norm(experiment):
     with jax.enable_x64(True):
         here = ready(holed, holed.fit_recordings, ())
         look = search_of(here, outliers_among(here), Genetic())
-        y = look.genome.unknowns(jnp.full(8, 0.5), look.problem)
+        y = look.unknowns(jnp.full(8, 0.5))
         found = float(relative_error(look.problem, y))
         bare = residyn.simulate(
             here.model.with_vector(look.problem.numbers(y)),
@@ -191,7 +192,7 @@ def without_evosax(monkeypatch):
         raise ModuleNotFoundError(f"No module named '{name}'", name=name)
 
     evolution.traced_algorithm.cache_clear()
-    monkeypatch.setattr(evolution, "importlib", SimpleNamespace(import_module=refuse))
+    monkeypatch.setattr(errors, "importlib", SimpleNamespace(import_module=refuse))
 
 
 @pytest.fixture

@@ -263,7 +263,7 @@ def test_a_correction_that_the_model_does_not_follow_is_not_made(usual):
         here = alone(evaluating(problem, y))
         cost = float(np.sum(here.along**2) + np.sum(here.beside**2))
         wild = [~r.used for r in usual.recordings]
-        descent = Descent(usual.ready, problem, wild, y, here, cost, 1, True, 1, 1)
+        descent = Descent(usual.ready, problem, wild, y, here, cost, 1, True)
         moved, times = [], 1.0
 
         def evaluate(which, where):

@@ -146,7 +146,7 @@ def polish(
         found = minimum(part, at, enough=enough)
         at, steps = found.at, steps + found.steps
     assert found is not None
-    return Polished(at, found.compressed(), found.cost, steps, found.converged, 1)
+    return Polished(at, found.compressed(), found.cost, steps, found.converged)
 
 
 class LinearisedFit(NamedTuple):

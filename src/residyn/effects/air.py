@@ -10,7 +10,7 @@ import math
 import jax.numpy as jnp
 
 from ..physics.effect import AbstractEffect
-from ..physics.mechanism import PlanarArm
+from ..physics.mechanism import arm_of
 from ..physics.motion import Scalar
 from ..physics.parameter import Dimension, param
 
@@ -41,21 +41,20 @@ class AirDrag(AbstractEffect):
 
     @classmethod
     def places(cls, mechanism):
-        if not isinstance(mechanism, PlanarArm):
-            raise ValueError(f"{cls.name} is about an arm of two links; here is no [arm]")
+        arm_of(mechanism, cls.name)
         return ()
 
     def torque(self, motion, mechanism):
-        assert isinstance(mechanism, PlanarArm)
-        l1, l2 = mechanism.link_lengths[0], mechanism.link_lengths[1]
+        arm = arm_of(mechanism, self.name)
+        l1, l2 = arm.link_lengths[0], arm.link_lengths[1]
         first, whole = motion.v[0], motion.v[0] + motion.v[1]
-        carried = l1 * jnp.cos(mechanism.theta2 + motion.q[1])  # link 2 across itself, by q1'
+        carried = l1 * jnp.cos(arm.theta2 + motion.q[1])  # link 2 across itself, by q1'
         shoulder = 0.25 * l1**4 * first * jnp.abs(first)
         elbow = 0.0
         for point, weight in zip(_POINTS, _WEIGHTS, strict=True):
-            arm = point * l2
-            across = carried * first + arm * whole
+            lever = point * l2
+            across = carried * first + lever * whole
             force = weight * l2 * across * jnp.abs(across)
-            shoulder = shoulder + force * (carried + arm)
-            elbow = elbow + force * arm
+            shoulder = shoulder + force * (carried + lever)
+            elbow = elbow + force * lever
         return self.coefficient * shoulder, self.coefficient * elbow

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from ..physics.effect import AbstractEffect
 from ..physics.inertia import AbstractInertia
-from ..physics.mechanism import PlanarArm
+from ..physics.mechanism import arm_of
 from ..physics.motion import Joints, Motion, Scalar
 from ..physics.parameter import FORCE, POINT_DAMPING, POINT_QUADRATIC, param
 
@@ -25,9 +25,9 @@ class _Slip(NamedTuple):
     generalised: Joints
 
 
-def _slips(motion: Motion, arm: AbstractInertia) -> tuple[_Slip, _Slip]:
+def _slips(motion: Motion, mechanism: AbstractInertia) -> tuple[_Slip, _Slip]:
     """At the elbow and at the wrist."""
-    assert isinstance(arm, PlanarArm)
+    arm = arm_of(mechanism, "a bearing")
     l1, l2 = arm.link_lengths[0], arm.link_lengths[1]
     first, whole = motion.v[0], motion.v[0] + motion.v[1]
     cross = l1 * l2 * jnp.cos(arm.theta2 + motion.q[1])
@@ -45,10 +45,8 @@ class _BearingEffect(AbstractEffect):
 
     @classmethod
     def places(cls, mechanism):
-        if not isinstance(mechanism, PlanarArm):
-            raise ValueError(f"{cls.name} is about an arm on air bearings; here is no [arm]")
         # In Python: the arm may be of another precision than that in force.
-        if not sum(mechanism.bearings.tolist()) > 0:
+        if not sum(arm_of(mechanism, cls.name).bearings.tolist()) > 0:
             raise ValueError(f"{cls.name} is about air bearings; here is no [[air_bearings]]")
         return ()
 
@@ -115,11 +113,10 @@ class BearingFriction(_BearingEffect):
     force: Scalar = param("friction force of one bearing", FORCE, sign="positive")
 
     def jumps(self, motion, mechanism):
-        assert isinstance(mechanism, PlanarArm)
-        return mechanism.bearings[0] * self.force * mechanism.link_lengths[0], None
+        arm = arm_of(mechanism, self.name)
+        return arm.bearings[0] * self.force * arm.link_lengths[0], None
 
     def torque(self, motion, mechanism):
-        assert isinstance(mechanism, PlanarArm)
         _, wrist = _slips(motion, mechanism)
         at_elbow = self.jumps(motion, mechanism)[0] * motion.direction[0]
         slow = self.lost_speed(motion, mechanism) ** 2
@@ -133,8 +130,7 @@ class BearingFriction(_BearingEffect):
 
     def lost_speed(self, motion, mechanism):
         """Speed, m/s, that friction takes from the wrist in one grain of the integrator's time."""
-        assert isinstance(mechanism, PlanarArm)
-        arm = mechanism
+        arm = arm_of(mechanism, self.name)
         # In the pose of rest, which is near enough and the same for all steps.
         (l1, l2), cos = arm.link_lengths, jnp.cos(arm.theta2)
         (a, b), (_, c) = arm.mass_matrix((0.0, 0.0))
@@ -144,20 +140,17 @@ class BearingFriction(_BearingEffect):
         return motion.grain * arm.bearings[1] * jnp.abs(self.force) * light
 
     def speed_spread(self, spread, mechanism):
-        assert isinstance(mechanism, PlanarArm)
-        l1, l2 = mechanism.link_lengths
+        l1, l2 = arm_of(mechanism, self.name).link_lengths
         return jnp.sqrt((l1 * spread[0]) ** 2 + (l2 * (spread[0] + spread[1])) ** 2)
 
     def crawls(self, motion, mechanism):
-        assert isinstance(mechanism, PlanarArm)
         _, wrist = _slips(motion, mechanism)
         return wrist.square <= self.lost_speed(motion, mechanism) ** 2
 
     def holds(self, load, joints, motion, mechanism):
-        assert isinstance(mechanism, PlanarArm)
-        _, wrist = _slips(motion, mechanism)
-        (l1, l2), sin = mechanism.link_lengths, jnp.sin(mechanism.theta2 + motion.q[1])
-        cos, limit = jnp.cos(mechanism.theta2 + motion.q[1]), wrist.bearings * self.force
+        arm, (_, wrist) = arm_of(mechanism, self.name), _slips(motion, mechanism)
+        (l1, l2), angle = arm.link_lengths, arm.theta2 + motion.q[1]
+        sin, cos, limit = jnp.sin(angle), jnp.cos(angle), wrist.bearings * self.force
         # The force F at the wrist with J'F = load; along the two links' normals n1, n2 it is
         # F.n2 = load2 / l2 and F.n1 = (load1 - load2) / l1, less what the joints take: the elbow as
         # much as it can, the shoulder what leaves the smallest F. An arm stretched out can take

@@ -4,15 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from ..physics.effect import AbstractEffect
-from ..physics.inertia import AbstractInertia
-from ..physics.mechanism import PlanarArm
+from ..physics.mechanism import arm_of
 from ..physics.motion import Scalar
 from ..physics.parameter import RATIO, param
-
-
-def _needs_arm(name: str, mechanism: AbstractInertia) -> None:
-    if not isinstance(mechanism, PlanarArm):
-        raise ValueError(f"{name} is about the two-link arm of Eq. 2; this experiment has no [arm]")
 
 
 class PrintedInertiaTorque(AbstractEffect):
@@ -32,14 +26,12 @@ class PrintedInertiaTorque(AbstractEffect):
 
     @classmethod
     def places(cls, mechanism):
-        _needs_arm(cls.name, mechanism)
+        arm_of(mechanism, cls.name)
         return ()
 
     def torque(self, motion, mechanism):
-        assert isinstance(mechanism, PlanarArm)
-        v = motion.v
-        s = mechanism.link_lengths[0] * mechanism.coupling
-        s = s * jnp.sin(mechanism.theta2 + motion.q[1])
+        arm, v = arm_of(mechanism, self.name), motion.v
+        s = arm.link_lengths[0] * arm.coupling * jnp.sin(arm.theta2 + motion.q[1])
         printed = s * (v[1] ** 2 - v[0] ** 2), -s * v[0] ** 2
         conserving = mechanism.inertia_torque(motion.q, v)
         return tuple(self.share * (p - c) for p, c in zip(printed, conserving, strict=True))
@@ -61,7 +53,7 @@ class InertiaError(AbstractEffect):
 
     @classmethod
     def places(cls, mechanism):
-        _needs_arm(cls.name, mechanism)
+        arm_of(mechanism, cls.name)
         return ("shoulder", "elbow", "coupling")
 
     @property

@@ -14,6 +14,7 @@ import importlib.metadata
 import importlib.util
 import inspect
 import sys
+import traceback
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -111,12 +112,9 @@ def _defined_in(module: ModuleType) -> list[type[AbstractEffect]]:
 
 def _line_in(error: Exception, file: str | None) -> int | None:
     """The last line of a file that an error came through."""
-    line, trace = None, error.__traceback__
-    while trace is not None:
-        if file and Path(trace.tb_frame.f_code.co_filename).name == Path(file).name:
-            line = trace.tb_lineno
-        trace = trace.tb_next
-    return line
+    name, trace = Path(file or "").name, traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in trace if name and Path(frame.filename).name == name]
+    return lines[-1] if lines else None
 
 
 def _snake(name: str) -> str:
@@ -152,27 +150,26 @@ def check_law(kind: type[AbstractEffect]) -> None:
     remembered = (number,) * len(kind.memory)
     motion = Motion(number, pair, pair, pair, remembered)
 
+    method, right = "torque", "the torques, a tuple of one number for each joint"
+    if issubclass(kind, JointEffect):
+        method, right = "joint_torque", "the torque, a number"
+
     def law(own, motion, arm):
         effect = kind(*places[:1], **own)
-        if isinstance(effect, JointEffect):
-            torque = {"joint_torque": effect.joint_torque(motion.of(0))}
-        else:
-            torque = {"torque": effect.torque(motion, arm)}
-        rates = effect.rate(motion, arm)
+        given = (motion, arm) if method == "torque" else (motion.of(0),)
+        torque, rates = getattr(effect, method)(*given), effect.rate(motion, arm)
         return torque, rates, effect.reading((motion.q[0][None], motion.q[1][None]), arm)
 
     try:
-        torque, rates, _ = _evaluated(law, own, motion, arm)
+        value, rates, _ = _evaluated(law, own, motion, arm)
     except InputError:
         raise
     except Exception as error:  # whatever the user's law does
         raise InputError(f"{_where(kind, error)}{_why(error)}") from None
-    ((method, value),) = torque.items()
-    shapes = value if method == "torque" and isinstance(value, tuple) else (value,)
-    right = "the torque, a number"
+    good = _is_number(value)
     if method == "torque":
-        right = "the torques, a tuple of one number for each joint"
-    if not all(_is_number(x) for x in shapes) or (method == "torque" and len(shapes) != 2):
+        good = isinstance(value, tuple) and len(value) == 2 and all(map(_is_number, value))
+    if not good:
         raise InputError(
             f"{_line_of(kind, method)}{method} returns {_words(value)}: must be {right}"
         )
@@ -219,7 +216,10 @@ def _why(error: Exception) -> str:
 
 
 def _where(kind: type, error: Exception) -> str:
-    line = _line_in(error, _file(kind))
+    try:
+        line = _line_in(error, inspect.getsourcefile(kind))
+    except (OSError, TypeError):
+        line = None
     return f"{kind.__name__}: " if line is None else f"line {line}: "
 
 
@@ -228,10 +228,3 @@ def _line_of(kind: type, method: str) -> str:
         return f"line {inspect.getsourcelines(getattr(kind, method))[1]}: "
     except (OSError, TypeError):
         return f"{kind.__name__}: "
-
-
-def _file(kind: type) -> str | None:
-    try:
-        return inspect.getsourcefile(kind)
-    except (OSError, TypeError):
-        return None

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from ..physics.effect import AbstractEffect
-from ..physics.mechanism import PlanarArm
+from ..physics.mechanism import arm_of
 from ..physics.motion import Scalar
 from ..physics.parameter import ANGLE, FREQUENCY, INERTIA, RATE, RATIO, Memory, param
 
@@ -49,13 +49,12 @@ class WristFlexibility(AbstractEffect):
 
     @classmethod
     def places(cls, mechanism):
-        if not isinstance(mechanism, PlanarArm):
-            raise ValueError(f"{cls.name} is about the arm of Eq. 2; this experiment has no [arm]")
+        arm_of(mechanism, cls.name)
         return ()
 
     def bodies(self, mechanism):
-        assert isinstance(mechanism, PlanarArm)
-        return eqx.tree_at(lambda arm: arm.elbow, mechanism, mechanism.elbow - self.inertia)
+        arm = arm_of(mechanism, self.name)
+        return eqx.tree_at(lambda arm: arm.elbow, arm, arm.elbow - self.inertia)
 
     def _push(self, motion) -> Scalar:
         deflection, rate = motion.memory

@@ -1,10 +1,10 @@
 """Fitting a model to recordings."""
 
+from ..errors import MissingExtra as MissingExtra
 from .batch import Each as Each
 from .batch import fit_many as fit_many
 from .bootstrap import Bootstrap as Bootstrap
 from .bootstrap import bootstrap as bootstrap
-from .evolution import MissingExtra as MissingExtra
 from .fit import fit as fit
 from .fit import levenberg_history as levenberg_history
 from .genetic import Genetic as Genetic

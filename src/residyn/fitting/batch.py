@@ -11,6 +11,7 @@ machines share the work.
 
 import contextlib
 import functools
+import itertools
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
@@ -89,34 +90,25 @@ def fit_many(
     say = progress or (lambda words: None)
     with contextlib.ExitStack() as opened:
         if out is None:
-            lines, done, digests = None, {}, {}
+            lines, digests = None, {}
         else:
             digests = {name: digest(one, effects, starts) for name, one in named}
             lines = opened.enter_context(contextlib.closing(ResultLines(out, digests)))
-            done = lines.done
+        done = {} if lines is None else lines.done
+        before = {name: Each(name, None, told, True) for name, told in done.items()}
         left = [(name, one) for name, one in named if name not in done]
         if executor is None:
-            width = lanes(batch, _TOGETHER)
-            fresh = _in_batches(left, effects, starts, say, width)
-            every = _in_order(named, done, fresh)
+            fresh = _in_batches(left, effects, starts, say, lanes(batch, _TOGETHER))
+            every = (before[name] if name in before else next(fresh) for name, _ in named)
         else:
-            every = _first(done, _by_executor(left, effects, starts, say, executor))
+            fresh = _by_executor(left, effects, starts, say, executor)
+            every = itertools.chain(before.values(), fresh)
         for each in every:
             if lines is not None and not each.before:
                 told = {"name": each.name, "digest": digests[each.name]} | each.told
                 each = each._replace(told=told)
                 lines.add(told)
             yield each
-
-
-def _in_order(named, done: dict[str, dict[str, Any]], fresh: Iterator[Each]) -> Iterator[Each]:
-    for name, _ in named:
-        yield Each(name, None, done[name], True) if name in done else next(fresh)
-
-
-def _first(done: dict[str, dict[str, Any]], fresh: Iterator[Each]) -> Iterator[Each]:
-    yield from (Each(name, None, told, True) for name, told in done.items())
-    yield from fresh
 
 
 def _in_batches(left, effects, starts: int, say, width: int) -> Iterator[Each]:
@@ -126,7 +118,7 @@ def _in_batches(left, effects, starts: int, say, width: int) -> Iterator[Each]:
         progress = lambda words, at=at: say(at + words)  # noqa: E731
         works.append((name, one, effects, starts, progress))
     if width == 1:
-        calls = [functools.partial(_alone, each) for each in works]
+        calls = [functools.partial(_alone, *each) for each in works]
         # The first one compiles what the others of its kind need.
         yield from in_order(calls[:1], 1)
         yield from in_order(calls[1:], cores())
@@ -137,7 +129,7 @@ def _in_batches(left, effects, starts: int, say, width: int) -> Iterator[Each]:
         yield from found
 
 
-def _alone(given) -> Each:
+def _alone(*given) -> Each:
     return alone(_fitted(*given))
 
 
@@ -164,7 +156,7 @@ def _by_executor(left, effects, starts: int, say: Callable[[str], None], executo
 def _told(*given) -> Each:
     """What travels between processes: numbers, not the recordings they came from."""
     with jax.enable_x64(True):
-        return alone(_fitted(*given))._replace(fit=None)
+        return _alone(*given)._replace(fit=None)
 
 
 def _lost(name: str) -> Each:

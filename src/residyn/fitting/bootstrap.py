@@ -80,13 +80,12 @@ def bootstrap(
         rounds = -(-draws // most)
         width = -(-draws // (rounds * len(devices))) * len(devices)  # alike, and no more
         each = width * min(_ROUNDS, rounds)
-        fitted = [r for r in fit.recordings if r.recording.role != "check"]
         size = float(np.sqrt(max(1.0, fit.reduced_chi2)))
-        noise = [jnp.asarray(size * r.recording.noise) for r in fitted]
+        noise = [jnp.asarray(size * r.recording.noise) for r in fit.fitted]
         mesh = Mesh(np.asarray(devices), ("fits",))
         divided = NamedSharding(mesh, PartitionSpec(None, "fits"))
         seen = tuple(map(np.asarray, look(fits.problem, fits.start)[:2]))
-        pairs = zip(fitted, seen[0], strict=True)
+        pairs = zip(fit.fitted, seen[0], strict=True)
         truth = [np.where(r.used, x[: len(r.used)], np.nan) for r, x in pairs]
         fits, seen = eqx.filter_shard((fits, seen), NamedSharding(mesh, PartitionSpec()))
         keys = np.asarray(jax.random.key_data(jax.random.split(jax.random.key(seed), draws)))

@@ -115,10 +115,10 @@ def searched(
     problem, _ = here.problem(model, outliers)
     at = jax.device_get(problem.scaled(jnp.asarray(found.numbers), jnp.asarray(found.states)))
     there = jax.device_get(compressed(problem, at))
-    cost = float(np.sum(there.along**2) + np.sum(there.beside**2))
+    cost = float(there.cost)
     if not np.isfinite(cost):
         raise FitError("no individual led to finite numbers: is this the arm that was recorded?")
-    end = Descent(here, problem, outliers, at, there, cost, found.steps, found.settled, 1, 1)
+    end = Descent(here, problem, outliers, at, there, cost, found.steps, found.settled)
     fit = finish(experiment, found.first, end, began, evaluate=compressed, correct=False)
     far = _far(fit, there, np.asarray(problem.scale.numbers))
     return dataclasses.replace(fit, reason=reason, history=found.history, short_of_minimum=far)
@@ -139,8 +139,6 @@ def _far(fit: Fit, there: Compressed, sizes: np.ndarray) -> tuple[str, float] | 
 
 def with_held_out(fit: Fit, experiment: Experiment, search: Callable[..., Any]) -> Fit:
     """A fit of the fitted recordings alone, with those that the experiment holds out beside it."""
-    assert fit.ready is not None
-    assert fit.problem is not None
     more = alone(_held_out(experiment, fit.model, fit.ready, fit.problem, search))
     return dataclasses.replace(fit, experiment=experiment, recordings=(*fit.recordings, *more))
 

@@ -7,17 +7,12 @@ individuals; those that keep a distribution, what they drew.
 
 import functools
 import importlib
-from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-_CHUNK = 25  # generations between two looks at how it goes, at most
-_HOPELESS = 1e6  # objective of an individual whose simulation ran away
+from ..errors import extra
 
 # evosax's own defaults are made for networks without bounds; these are for genes from 0 to 1. `std`
 # falls to `std_end` over the generations, geometrically. Tuned by `benchmarks.genetic tune`.
@@ -30,72 +25,12 @@ USUAL: dict[str, dict[str, float]] = {
 """Settings of the strategies that were tuned; others of evosax run with its own."""
 
 
-class MissingExtra(ImportError):
-    """A package that only an extra of this one brings is not installed: one line that says so."""
+class Strategy(NamedTuple):
+    """One of evosax's algorithms, its parameters, and whether it keeps a population."""
 
-
-class _Search(NamedTuple):
-    """One of evosax's algorithms, and what it is to minimise. evosax compiles anew for every object
-    of an algorithm."""
-
-    strategy: Any
+    algorithm: Any
+    params: Any
     keeps_population: bool
-    objective: Callable[[Any, Float[Array, " G"]], Float[Array, ""]]
-    one_by_one: bool
-    population: int
-
-
-def evolve(
-    objective: Callable[[Any, Float[Array, " G"]], Float[Array, ""]],
-    given: Any,
-    size: int,
-    *,
-    strategy: str,
-    settings: Mapping[str, float],
-    population: int,
-    generations: int,
-    seed: int,
-    one_by_one: bool,
-    compiled: Callable[[], None],
-    told: Callable[[Sequence[float]], None],
-    stop: Callable[[], bool],
-) -> tuple[Array, Array]:
-    """Minimise `objective(given, genes)` over `size` genes from 0 to 1.
-
-    **Arguments:**
-
-    - `given`: a pytree that the objective needs; its arrays are traced, so that others of the same
-      shapes run in the same compiled program. `objective` should be a function of a module.
-    - `strategy`, `settings`: a name of `evosax.algorithms`, and what it takes beside `USUAL`.
-    - `one_by_one`: one individual after the other instead of side by side.
-    - `compiled`: called before the first generation that counts, when both programs have been run.
-    - `told`: called now and then with the best objective so far after each generation since.
-    - `stop`: asked as often whether to end before all generations are done.
-
-    **Returns:** the best genes (G,), and the best of the first generation.
-
-    **Raises:** `MissingExtra` without evosax; `ValueError` for a strategy or a setting that it does
-    not have.
-    """
-    made, params, keeps = traced_algorithm(
-        strategy, population, generations, size, tuple(sorted(settings.items()))
-    )
-    search = _Search(made, keeps, objective, one_by_one, population)
-    begun, first, least = _begin(search, params, given, size, jax.random.key(seed))
-    again, fell = begun, least
-    for _ in range(2):  # of its own output, whose types JAX may take for others
-        again, fell = _go_on(search, params, given, again, jnp.asarray(0))
-    jax.block_until_ready(fell)
-    compiled()
-    begun, first, least = _begin(search, params, given, size, jax.random.key(seed))
-    done = 1
-    told([float(least)])
-    while done < generations and not stop():
-        more = min(_CHUNK, generations - done)
-        begun, fell = _go_on(search, params, given, begun, jnp.asarray(more))
-        told(np.asarray(fell)[:more].tolist())
-        done += more
-    return fold(begun[1].best_solution), first
 
 
 def fold(x: Array) -> Array:
@@ -103,82 +38,26 @@ def fold(x: Array) -> Array:
     return 1 - jnp.abs(1 - jnp.mod(x, 2))
 
 
-def values_of(objective: Callable, given: Any, genes: Float[Array, "N G"], one_by_one: bool):
-    """(N,) objective of every individual."""
-
-    def one(individual):
-        value = objective(given, individual)
-        return jnp.where(jnp.isfinite(value), jnp.minimum(value, _HOPELESS), _HOPELESS)
-
-    # Side by side, what dry friction seldom asks for would be computed always.
-    return jax.lax.map(one, genes) if one_by_one else jax.vmap(one)(genes)
-
-
-@eqx.filter_jit
-def _begin(search: _Search, params, given, size: int, key):
-    """The first generation: where the strategy stands, its best genes and their objective."""
-    key, draw, begin = jax.random.split(key, 3)
-    if search.keeps_population:
-        genes = jax.random.uniform(draw, (search.population, size))
-        values = values_of(search.objective, given, genes, search.one_by_one)
-        state = search.strategy.init(begin, genes, values, params)
-        best = jnp.argmin(values)
-        return (key, state), genes[best], values[best]
-    state = search.strategy.init(begin, jnp.full(size, 0.5), params)
-    (key, state), least = _generation(search, params, given, (key, state))
-    return (key, state), fold(state.best_solution), least
-
-
-@eqx.filter_jit
-def _go_on(search: _Search, params, given, begun, count):
-    """The next `count` generations, at most a chunk: one program, however many they are."""
-
-    def advance(carry, index):
-        return jax.lax.cond(
-            index < count,
-            lambda carry: _generation(search, params, given, carry),
-            lambda carry: (carry, carry[1].best_fitness),
-            carry,
-        )
-
-    return jax.lax.scan(advance, begun, jnp.arange(_CHUNK))
-
-
-def _generation(search: _Search, params, given, carry):
-    key, state = carry
-    key, ask, tell = jax.random.split(key, 3)
-    drawn, state = search.strategy.ask(ask, state, params)
-    genes = fold(drawn)
-    values = values_of(search.objective, given, genes, search.one_by_one)
-    known = genes if search.keeps_population else drawn
-    state, _ = search.strategy.tell(tell, known, values, state, params)
-    return (key, state), state.best_fitness
-
-
 def evosax_or_missing() -> tuple[dict[str, Any], dict[str, Any]]:
     """All of evosax's algorithms by name, and those that keep a population.
 
     **Raises:** `MissingExtra` without it.
     """
-    try:
-        known: dict[str, Any] = importlib.import_module("evosax.algorithms").algorithms
-        kept: dict[str, Any] = importlib.import_module(
-            "evosax.algorithms.population_based"
-        ).population_based_algorithms
-    except ImportError as error:
-        if (error.name or "").partition(".")[0] != "evosax":
-            raise
-        raise MissingExtra(
-            "the genetic algorithm needs evosax: pip install 'residyn[ga]'"
-        ) from None
+    needed = "the genetic algorithm needs evosax: pip install 'residyn[ga]'"
+    known = extra("evosax.algorithms", needed).algorithms
+    kept = extra("evosax.algorithms.population_based", needed).population_based_algorithms
     return known, kept
 
 
 @functools.lru_cache(maxsize=64)  # evosax compiles anew for every object
 def traced_algorithm(
     name: str, population: int, generations: int, size: int, settings: tuple[tuple[str, float], ...]
-) -> tuple[Any, Any, bool]:
-    """An algorithm, its parameters, and whether it keeps a population."""
+) -> Strategy:
+    """A strategy for so many genes.
+
+    **Raises:** `MissingExtra` without evosax; `ValueError` for a strategy or a setting that it does
+    not have.
+    """
     known, kept = evosax_or_missing()
     if name not in known:
         raise ValueError(f'strategy = "{name}": evosax has {", ".join(sorted(known))}')
@@ -200,4 +79,4 @@ def traced_algorithm(
         weight = chosen["differential_weight"]
         bounds = {"differential_weight_min": weight, "differential_weight_max": weight}
         chosen = {**{k: v for k, v in bounds.items() if hasattr(params, k)}, **chosen}
-    return strategy, params.replace(**chosen), name in kept
+    return Strategy(strategy, params.replace(**chosen), name in kept)

@@ -4,6 +4,7 @@ Everything numerical lives in the neighbours of this file; here is their order.
 """
 
 import dataclasses
+import functools
 import time
 from collections.abc import Callable, Sequence
 from numbers import Integral
@@ -112,7 +113,6 @@ def fitting(
         raise ValueError(f"starts = {starts!r}: must be a whole number, at least one")
     here = ready(experiment, experiment.fit_recordings, effects)
     outliers = outliers_among(here)
-    base = lambda: ready(experiment, here.recordings, ())  # noqa: E731
 
     if seed is None:
         progress("finding a start in closed form")
@@ -121,18 +121,18 @@ def fitting(
         experiment = without_drift(whole, here.model.with_vector(numbers[0]))
         if experiment is not whole:
             here = ready(experiment, experiment.fit_recordings, effects)
-            outliers, memory = outliers_among(here), None
+            outliers, memory = outliers_among(here), here.memory(starts)
         progress(f"fitting from {starts} start{'s' * (starts > 1)}")
-        again = base if effects else None
-        guess = numbers, memory
+        base = functools.partial(ready, experiment, here.recordings, ()) if effects else None
+        begun = base, outliers, starts, progress, numbers, memory
         try:
-            descent = yield from multistart(here, again, outliers, starts, progress, guess)
+            descent = yield from multistart(here, *begun)
         except FitError:
             finer = stable(here, resolving(here, numbers))
             if finer is None:
                 raise
             progress("fitting with steps that are short enough")
-            descent = yield from multistart(finer, again, outliers, starts, progress, guess)
+            descent = yield from multistart(finer, *begun)
     else:
         progress("drawing starts")
         numbers = drawn(here, outliers, starts, seed)
@@ -141,8 +141,7 @@ def fitting(
         descent = yield from descending(here, begin, numbers, outliers, progress)
     progress("errors, modes and held-out recordings")
     found = yield from finishing(experiment, numbers[0], descent, began)
-    adapts = here.integrator is not None and here.integrator.adapts
-    if found.integration_error > TENTH and not adapts:
+    if found.integration_error > TENTH and not here.adapts:
         progress("fitting again with shorter integration steps")
         again = yield from _refined(descent, found.integration_error)
         if again is not None:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -22,7 +23,7 @@ from ..physics.model import Number as Fitted
 from ..physics.parameter import RATIO, STIFFNESS, Dimension
 from ..recordings.experiment import Experiment
 from .conclusion import Found, searched
-from .evolution import evolve, values_of
+from .evolution import Strategy, fold, traced_algorithm
 from .history import History, Part, Watch, relative_error, watching
 from .initial_guess import first_guess, resolving
 from .multistart import DEFAULT_STARTS, outliers_among
@@ -46,6 +47,8 @@ _MEMORY = 2.0
 
 READINGS, GENES = "readings", "genes"
 
+_CHUNK = 25  # generations between two looks at how it goes, at most
+_HOPELESS = 1e6  # objective of an individual whose simulation ran away
 _DRAWN = 100  # individuals, of which the best ones are random starts
 _LAST, _FALL = 0.1, 0.01  # settled: the last tenth of the generations gained less than 1 %
 
@@ -102,7 +105,7 @@ class Box(NamedTuple):
 def box(
     numbers: Sequence[Fitted],
     typical: np.ndarray,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None,
 ) -> Box:
     """The bounds of a search: those given by name, the others from typical sizes (P,).
 
@@ -142,13 +145,15 @@ def _is(one: Dimension, other: Dimension) -> bool:
     return (one.rotary, one.sliding) == (other.rotary, other.sliding)
 
 
-class Genome(NamedTuple):
-    """What the G genes of one individual mean: first the P numbers, then any initial states.
+class Search(NamedTuple):
+    """What a genetic algorithm looks at: a problem, and what the G genes of one individual mean
+    there: first the P numbers, then any initial states.
 
     `states` (R, s) are those that the first readings give, in their own units, and `reach` (s,) how
     far a gene may move them, if they are `free`.
     """
 
+    problem: Problem
     box: Box
     states: np.ndarray
     reach: np.ndarray
@@ -159,27 +164,24 @@ class Genome(NamedTuple):
         """G."""
         return len(self.box.low) + self.free * self.states.size
 
-    def unknowns(self, genes: Float[Array, " G"], problem: Problem) -> Unknowns:
-        """The individual as unknowns of a problem, scaled."""
-        count = len(self.box.low)
+    def numbers(self, genes: Float[Array, " G"]) -> Float[Array, " P"]:
+        """The individual's numbers, in their own units."""
+        return self.box.at(genes[: len(self.box.low)])
+
+    def unknowns(self, genes: Float[Array, " G"]) -> Unknowns:
+        """The individual as unknowns of the problem, scaled."""
         states = jnp.asarray(self.states)
         if self.free:
-            states = states + (2 * genes[count:].reshape(states.shape) - 1) * self.reach
-        return problem.scaled(self.box.at(genes[:count]), states)
-
-
-class Search(NamedTuple):
-    """What a genetic algorithm looks at: a problem, and what its genes mean there."""
-
-    problem: Problem
-    genome: Genome
+            moves = 2 * genes[len(self.box.low) :].reshape(states.shape) - 1
+            states = states + moves * self.reach
+        return self.problem.scaled(self.numbers(genes), states)
 
 
 def fit_genetic(
     experiment: Experiment,
-    effects: Sequence[str | AbstractEffect] = (),
-    how: Genetic | None = None,
-    progress: Callable[[str], None] = lambda words: None,
+    effects: Sequence[str | AbstractEffect],
+    how: Genetic,
+    progress: Callable[[str], None],
 ) -> Fit:
     """`residyn.fit(..., method="genetic")`: the same `Fit`, with its `history`.
 
@@ -188,7 +190,7 @@ def fit_genetic(
     **Raises:** `MissingExtra` without evosax; `FitError` if no individual moves like an arm;
     `ValueError` as `fit`, and for bounds or settings that do not go.
     """
-    began, how = time.perf_counter(), how or Genetic()
+    began = time.perf_counter()
     here = ready(experiment, experiment.fit_recordings, effects)
     outliers = outliers_among(here)
     found = run(search_of(here, outliers, how), how, progress)
@@ -211,59 +213,49 @@ def search_of(here: Ready, outliers: Sequence[np.ndarray], how: Genetic) -> Sear
     share = _SHARE_OF_STATE + _SIGMAS * noise / scale[: len(noise)]
     memory = np.full(len(scale) - 2 * len(noise), _MEMORY)
     reach = np.concatenate([share, share, memory]) * scale
-    return Search(problem, Genome(bounds, states, reach, how.initial == GENES))
+    return Search(problem, bounds, states, reach, how.initial == GENES)
 
 
 def drawn(here: Ready, outliers: list[np.ndarray], starts: int, seed: int) -> np.ndarray:
     """(S, P) numbers of the best of a hundred individuals, drawn as the first generation is: starts
     that know nothing of the closed form, which shows what that is worth."""
     look = search_of(here, outliers, Genetic())
-    genes = jnp.asarray(np.random.default_rng(seed).uniform(size=(_DRAWN, look.genome.size)))
-    values = np.asarray(_drawn_values(look, genes))
+    genes = jnp.asarray(np.random.default_rng(seed).uniform(size=(_DRAWN, look.size)))
+    values = np.asarray(_values(objective_of, look, genes))
     order = np.argsort(values)[:starts]
     if (watch := watching()) is not None:
         watch.add(_DRAWN, float(values[order[0]]))
-    return np.stack(
-        [np.asarray(look.genome.box.at(genes[i, : len(look.genome.box.low)])) for i in order]
-    )
-
-
-@eqx.filter_jit
-def _drawn_values(look: Search, genes):
-    return values_of(objective_of, look, genes, look.problem.model.dry)
+    return np.stack([np.asarray(look.numbers(genes[i])) for i in order])
 
 
 def run(look: Search, how: Genetic, progress: Callable[[str], None] = lambda words: None) -> Found:
     """Search."""
-    watch, done = watching() or Watch(), 0
-
-    def told(fell: Sequence[float]) -> None:
-        nonlocal done
-        done += len(fell)
+    watch, key = watching() or Watch(), jax.random.key(how.seed)
+    settings = tuple(sorted(how.settings.items()))
+    strategy = traced_algorithm(how.strategy, how.population, how.generations, look.size, settings)
+    given = strategy, objective_of, look
+    progress(Part("the first generation", 0.0))
+    begun, first, least = _begin(*given, key)
+    for _ in range(2):  # compiles; of its own output, whose types JAX may take for others
+        begun, _ = _go_on(*given, begun, jnp.asarray(0))
+    jax.block_until_ready(begun)
+    watch.restart()
+    begun, first, least = _begin(*given, key)
+    done, fell = 1, [float(least)]
+    while True:
         words = f"generation {done} of {how.generations}, objective {fell[-1]:.4g}"
         progress(Part(words, done / how.generations))
         watch.add(how.population, *fell)
-
-    progress(Part("the first generation", 0.0))
-    best, first = evolve(
-        objective_of,
-        look,
-        look.genome.size,
-        strategy=how.strategy,
-        settings=how.settings,
-        population=how.population,
-        generations=how.generations,
-        seed=how.seed,
-        one_by_one=look.problem.model.dry,
-        compiled=watch.restart,
-        told=told,
-        stop=watch.over,
-    )
-    y, bounds, history = look.genome.unknowns(best, look.problem), look.genome.box, watch.history
+        if done == how.generations or watch.over():
+            break
+        more = min(_CHUNK, how.generations - done)
+        begun, fell = _go_on(*given, begun, jnp.asarray(more))
+        fell, done = np.asarray(fell)[:more].tolist(), done + more
+    y, history = look.unknowns(fold(begun[1].best_solution)), watch.history
     return Found(
         np.asarray(look.problem.numbers(y)),
         np.asarray(look.problem.states(y)),
-        np.asarray(bounds.at(first[: len(bounds.low)])),
+        np.asarray(look.numbers(first)),
         history,
         done,
         done > 1 and _settled(history),
@@ -271,7 +263,61 @@ def run(look: Search, how: Genetic, progress: Callable[[str], None] = lambda wor
 
 
 def objective_of(look: Search, genes: Any):
-    return relative_error(look.problem, look.genome.unknowns(genes, look.problem))
+    """Eq. 17 of one individual."""
+    return relative_error(look.problem, look.unknowns(genes))
+
+
+@eqx.filter_jit
+def _values(objective: Callable, look: Search, genes: Float[Array, "N G"]) -> Float[Array, " N"]:
+    """Objective of every individual."""
+
+    def one(individual):
+        value = objective(look, individual)
+        return jnp.where(jnp.isfinite(value), jnp.minimum(value, _HOPELESS), _HOPELESS)
+
+    # Side by side, what dry friction seldom asks for would be computed always.
+    return jax.lax.map(one, genes) if look.problem.model.dry else jax.vmap(one)(genes)
+
+
+@eqx.filter_jit
+def _begin(strategy: Strategy, objective: Callable, look: Search, key):
+    """The first generation: where the strategy stands, its best genes and their objective."""
+    key, draw, begin = jax.random.split(key, 3)
+    if strategy.keeps_population:
+        genes = jax.random.uniform(draw, (strategy.algorithm.population_size, look.size))
+        values = _values(objective, look, genes)
+        state = strategy.algorithm.init(begin, genes, values, strategy.params)
+        best = jnp.argmin(values)
+        return (key, state), genes[best], values[best]
+    state = strategy.algorithm.init(begin, jnp.full(look.size, 0.5), strategy.params)
+    (key, state), least = _generation(strategy, objective, look, (key, state))
+    return (key, state), fold(state.best_solution), least
+
+
+@eqx.filter_jit
+def _go_on(strategy: Strategy, objective: Callable, look: Search, begun, count):
+    """The next `count` generations, at most a chunk: one program, however many they are."""
+
+    def advance(carry, index):
+        return jax.lax.cond(
+            index < count,
+            lambda carry: _generation(strategy, objective, look, carry),
+            lambda carry: (carry, carry[1].best_fitness),
+            carry,
+        )
+
+    return jax.lax.scan(advance, begun, jnp.arange(_CHUNK))
+
+
+def _generation(strategy: Strategy, objective: Callable, look: Search, carry):
+    key, state = carry
+    key, ask, tell = jax.random.split(key, 3)
+    drawn, state = strategy.algorithm.ask(ask, state, strategy.params)
+    genes = fold(drawn)
+    values = _values(objective, look, genes)
+    known = genes if strategy.keeps_population else drawn
+    state, _ = strategy.algorithm.tell(tell, known, values, state, strategy.params)
+    return (key, state), state.best_fitness
 
 
 def _settled(history: History) -> bool:

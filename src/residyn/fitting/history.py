@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .least_squares import over_recordings, predict
+from .least_squares import predictions
 from .problem import Problem, Unknowns
 
 
@@ -61,12 +61,7 @@ def relative_error(problem: Problem, y: Unknowns) -> Float[Array, ""]:
     A series is that of all fitted recordings, one after the other; lost readings and outliers are
     in neither norm. A joint that does not move at all counts with its error alone.
     """
-    numbers = problem.numbers(y)
-
-    def one(recorded, state):
-        return predict(problem, recorded, numbers, state)
-
-    predicted = over_recordings(one, problem.model)(problem.recorded, problem.states(y))
+    predicted = predictions(problem, problem.numbers(y), problem.states(y))
     seen, angles = problem.recorded.weights > 0, problem.recorded.angles
     off = jnp.sum(jnp.where(seen, predicted - angles, 0.0) ** 2, axis=(0, 1))
     size = jnp.sum(jnp.where(seen, angles, 0.0) ** 2, axis=(0, 1))

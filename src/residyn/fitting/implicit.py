@@ -22,7 +22,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from ..physics.mechanism import AbstractMechanism
 from ..physics.model import Model
 from ..physics.parameter import all_floating, stacked
-from .least_squares import Compressed, Horizon, compressed, cost_of, descended, predict, whiten
+from .least_squares import Compressed, Horizon, compressed, descended, predictions, whiten
 from .problem import Problem, Unknowns, posed, ready, tight
 from .result import Fit
 
@@ -103,9 +103,12 @@ class Embedded(eqx.Module):
         self, numbers: Float[Array, " P"], states: Float[Array, "R s"] | None = None
     ) -> "Embedded":
         """The same fit from another start; it must be near enough that no cycle is missed."""
+        return eqx.tree_at(lambda e: e.start, self, self._at(numbers, states))
+
+    def _at(self, numbers, states) -> Unknowns:
+        """A point, scaled; `states` None are those of the start."""
         own = self.problem.states(self.start) if states is None else jnp.asarray(states, float)
-        y = self.problem.scaled(jnp.asarray(numbers, float), own)
-        return eqx.tree_at(lambda e: e.start, self, y)
+        return self.problem.scaled(jnp.asarray(numbers, float), own)
 
     # -- use ---------------------------------------------------------------------------------
 
@@ -122,7 +125,7 @@ class Embedded(eqx.Module):
         return Solution(
             numbers=numbers,
             states=jnp.asarray(self.problem.states(y)),
-            chi2=cost_of(squeezed),
+            chi2=squeezed.cost,
             covariance=_covariance(self.problem, squeezed),
             converged=done,
             steps=steps,
@@ -135,15 +138,12 @@ class Embedded(eqx.Module):
     ) -> Float[Array, ""]:
         """Sum of squared residuals in units of the noise; minus half of it is the log likelihood,
         but for a constant. `states` None are those of the start."""
-        problem, joints = self.problem, self.problem.recorded.angles.shape[-1]
-        own = problem.states(self.start) if states is None else jnp.asarray(states, float)
-
-        def one(recorded, state):
-            return jnp.sum(whiten(recorded, predict(problem, recorded, numbers, state)) ** 2)
-
+        problem, y = self.problem, self._at(numbers, states)
+        predicted = predictions(problem, problem.numbers(y), problem.states(y))
+        misfit = jax.vmap(whiten)(problem.recorded, predicted)
         # What is known of memories counts as a reading.
-        known = jnp.sum((own / problem.scale.states)[:, 2 * joints :] ** 2)
-        return jnp.sum(jax.vmap(one)(problem.recorded, own)) + known
+        known = y.states[:, 2 * predicted.shape[-1] :]
+        return jnp.sum(misfit**2) + jnp.sum(known**2)
 
     def covariance(
         self, numbers: Float[Array, " P"], states: Float[Array, "R s"] | None = None
@@ -154,11 +154,9 @@ class Embedded(eqx.Module):
         It is (J'J)^-1 at this point; its first P rows and columns at the minimum are
         `Solution.covariance`. `states` None are those of the start.
         """
-        problem = self.problem
-        own = problem.states(self.start) if states is None else jnp.asarray(states, float)
-        y = problem.scaled(jnp.asarray(numbers, float), own)
+        problem, y = self.problem, self._at(numbers, states)
         squeezed = compressed(problem, y)
-        (count, each), p = own.shape, y.numbers.shape[0]
+        (count, each), p = y.states.shape, y.numbers.shape[0]
         total = jnp.zeros((p + count * each, p + count * each))
         for i, factor in enumerate(squeezed.factor):
             # Each recording knows of the numbers and of its own state.
@@ -198,7 +196,7 @@ def embed(fit: Fit, *, integrator: Any = None) -> Embedded:
 
 def embedded(fit: Fit, integrator: Any = None, fixed: bool = True) -> Embedded:
     """`embed`, in float64. Without `fixed` steps, which reverse mode asks for, it is quicker."""
-    fitted = [r for r in fit.recordings if r.recording.role != "check"]
+    fitted = fit.fitted
     effects = [e for e in fit.model.effects if e.name not in ("spring", "damper")]
     experiment = fit.experiment
     if integrator is not None:

@@ -34,7 +34,7 @@ from ..physics.parameter import stacked
 from ..recordings.recording import Recording
 from ..runtime.export_cache import kept
 from .layout import AnyArray, bucket
-from .problem import Ready, posed
+from .problem import Ready
 from .smoothing import smooth, uniform
 
 _NARROWEST = 4  # samples in half a kernel
@@ -47,6 +47,7 @@ _CHUNK = 256  # instants whose equations are summed at a time
 _FAR = 10.0  # times its typical size: no number is looked for much further away
 _ROUNDING = 1e-14
 _ELSEWHERE = 0.1  # of a joint's swing: where it rings about, if not about zero
+_PERTURBED = 0.3  # standard deviation of the logarithm of a number's factor
 _MOST = 48  # trials; beyond, shapes vary one at a time
 _LINES = 3  # frequencies tried for each periodic disturbance
 _SUBSTEPS = 2
@@ -59,16 +60,16 @@ _SLOWER = 0.75  # share of the starts that are no faster than the one that sets 
 
 def first_guess(
     here: Ready, outliers: Sequence[np.ndarray], starts: int
-) -> tuple[np.ndarray, np.ndarray | None]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Where the starts begin, the best one first: numbers (S, P), internal states (S, R, m)."""
     found = closed_form(here.posed(), here.recordings, outliers, here.typical())
     some = various(here, found.numbers)[:starts] if starts > 1 else [0][: len(found.numbers)]
-    candidates = found.numbers[some] if some else here.typical()[None]
-    candidates = _turned(here.model, candidates)
+    if not some:
+        found, some = Trials(here.typical()[None], here.memory(1)), [0]
+    candidates = _turned(here.model, found.numbers[some])
     more = starts - len(candidates)
     numbers = np.vstack([candidates, perturbed(candidates[0], more)])
-    memory = found.memory[[*some, *some[:1] * more]] if some else None
-    return numbers, memory
+    return numbers, found.memory[[*some, *some[:1] * more]]
 
 
 def various(here: Ready, candidates: np.ndarray) -> list[int]:
@@ -93,8 +94,8 @@ def various(here: Ready, candidates: np.ndarray) -> list[int]:
 def _paces(here: Ready, numbers: np.ndarray) -> np.ndarray:
     """(S, s) how fast a model's modes are with numbers (S, P), slowest first, rad/s, none slower
     than a cycle in the longest recording."""
-    least = 2 * math.pi / max(r.duration for r in here.recordings)
-    return np.clip(paces(posed(here.model, here.mechanisms[0]), numbers), least, _ABSURD)
+    least = 2 * math.pi / here.duration
+    return np.clip(paces(here.model, numbers), least, _ABSURD)
 
 
 def resolving(here: Ready, numbers: np.ndarray) -> Model:
@@ -129,26 +130,18 @@ class Trials(NamedTuple):
     memory: np.ndarray
 
 
-class Candidates(NamedTuple):
-    """Closed-form estimates, best first: (C, P) numbers, (C, R, m) internal states at the first
-    sample, (C,) typical log relative spread."""
-
-    numbers: np.ndarray
-    memory: np.ndarray
-    spread: np.ndarray
-
-
 def closed_form(
     models: Sequence[Model],
     recordings: Sequence[Recording],
     outliers: Sequence[np.ndarray],
     sizes: np.ndarray,
-) -> Candidates:
+) -> Trials:
     """Candidate numbers for a model from its recordings (one model per recording's pose).
 
     `sizes` (P,) are the numbers' typical ones, in which their grids are given.
 
-    **Returns:** the candidates, the least uncertain first; empty if the model has no numbers.
+    **Returns:** the candidates, the least uncertain first, hopeless ones left out; empty if the
+    model has no numbers.
     """
     if len(recordings) > _ENOUGH and not models[0].memory:
         some = np.linspace(0, len(recordings) - 1, _ENOUGH).round().astype(int)
@@ -179,7 +172,7 @@ def closed_form(
         return _solved(equations, np.asarray(trials.numbers), sizes, used // stride)
 
     trials = plain(models[0], sizes, len(grids))
-    if oscillates(models[0]):
+    if any(effect.oscillates for effect in models[0].effects):
         first = jax.tree.map(lambda x: x[0], trials)
         found = solved(trials)[0][:, 0, 0]
         missing = jax.device_get(_missing(posed, first, found, spacing, data))
@@ -202,20 +195,12 @@ def closed_form(
     spread = spread + np.where(fits, 0.5 * np.log(halves), np.inf)[:, None]
     spread = np.where(np.isfinite(numbers).all(axis=-1), spread, np.inf)
     memory = np.broadcast_to(memory, (_LADDER, *memory.shape))
-    order = _order(spread)
-    flat = [x.reshape(spread.size, *x.shape[2:])[order] for x in (numbers, memory, spread)]
-    return Candidates(*flat)
-
-
-def _order(spread: np.ndarray) -> np.ndarray:
-    """Indices into the flat (kernels, trials), best first, hopeless ones left out.
-
-    Every trial's best kernel comes before any trial's second: what tells shapes apart is
-    the simulation.
-    """
+    # Every trial's best kernel comes before any trial's second: what tells shapes apart is the
+    # simulation.
     rank = np.argsort(np.argsort(spread, axis=0, kind="stable"), axis=0, kind="stable")
-    order = np.lexsort((spread.reshape(-1), rank.reshape(-1)))
-    return order[np.isfinite(spread.reshape(-1)[order])]
+    order = np.lexsort((spread.ravel(), rank.ravel()))
+    order = order[np.isfinite(spread.ravel()[order])]
+    return Trials(*(x.reshape(spread.size, *x.shape[2:])[order] for x in (numbers, memory)))
 
 
 def _side_by_side(parts: Sequence[np.ndarray], longest: int) -> np.ndarray:
@@ -292,8 +277,8 @@ def _equations(models, trials: Trials, spacing, data, chunks) -> _Equations:
         return jax.lax.fori_loop(0, chunks, add, empty)
 
     each = jax.vmap(one, in_axes=(0, 0, None))
-    sums = jax.vmap(each, in_axes=(None, None, 0))(*trials, data)
-    return _Equations(sums[0], sums[1], sums[2], jnp.sum(data[-1], axis=(1, 2)) * joints)
+    square, slope, total = jax.vmap(each, in_axes=(None, None, 0))(*trials, data)
+    return _Equations(square, slope, total, jnp.sum(data[-1], axis=(1, 2)) * joints)
 
 
 def _solved(
@@ -344,8 +329,7 @@ def _missing(models, trial: Trials, numbers, spacing, data):
     t = spacing[:, None] * jnp.arange(data[0].shape[2])
 
     def torque(model, q, e):
-        rows = model.bodies.mass_matrix(split(q))
-        return stack(tuple(sum(z * x for z, x in zip(row, split(e), strict=True)) for row in rows))
+        return jnp.stack([stack(row) for row in model.bodies.mass_matrix(split(q))]) @ e
 
     def one(found, data):
         z = _memories(models, trial.numbers, trial.memory, spacing, data)
@@ -357,13 +341,11 @@ def _missing(models, trial: Trials, numbers, spacing, data):
     return jax.vmap(one)(numbers, data)
 
 
-def perturbed(best: np.ndarray, count: int, spread: float = 0.3) -> np.ndarray:
-    """`count` points around one: each number times a log-normal factor of log-spread `spread`.
-
-    The factors are always the same ones, so that the same recording gives the same fit.
-    """
+def perturbed(best: np.ndarray, count: int) -> np.ndarray:
+    """`count` points around one: each number times a log-normal factor, always the same ones, so
+    that the same recording gives the same fit."""
     factors = np.random.default_rng(0).standard_normal((count, len(best)))
-    return best * np.exp(spread * factors)
+    return best * np.exp(_PERTURBED * factors)
 
 
 def plain(model: Model, sizes: np.ndarray, recordings: int) -> Trials:
@@ -382,11 +364,6 @@ def plain(model: Model, sizes: np.ndarray, recordings: int) -> Trials:
             found += [(*middle[:i], x, *middle[i + 1 :]) for x in c if x != middle[i]]
     numbers = np.asarray(found, float).reshape(-1, len(values))
     return Trials(numbers, np.zeros((len(numbers), recordings, len(model.memory))))
-
-
-def oscillates(model: Model) -> bool:
-    """Whether an effect has a frequency to be found in a spectrum."""
-    return any(effect.oscillates for effect in model.effects)
 
 
 def tuned(
@@ -479,7 +456,7 @@ def memory_along_readings(
     here: Ready,
     outliers: Sequence[np.ndarray],
     numbers: np.ndarray,
-    memory: np.ndarray | None,
+    memory: np.ndarray,
     at: Sequence[tuple[int, float]],
 ) -> np.ndarray:
     """(S, T, m) what internal states come to along the measured motion with numbers (S, P), from
@@ -487,8 +464,6 @@ def memory_along_readings(
     times, s."""
     from scipy.signal import savgol_filter
 
-    count = len(here.model.memory)
-    first = np.zeros((len(numbers), len(here.recordings), count)) if memory is None else memory
     pairs = zip(here.posed(), here.recordings, outliers, strict=True)
     paths, grids = [], []
     for r, (model, recording, own) in enumerate(pairs):
@@ -499,7 +474,7 @@ def memory_along_readings(
             for k in (0, 1)
         )
         q, v = (np.pad(x, ((0, size - len(x)), (0, 0)), "edge") for x in (q, v))
-        paths.append(np.asarray(_beyond(model, numbers, grid.dt, q, v, first[:, r])))
+        paths.append(np.asarray(_beyond(model, numbers, grid.dt, q, v, memory[:, r])))
         grids.append((recording.time[0], grid.dt, len(grid.q)))
     found = []
     for r, time in at:

@@ -30,9 +30,9 @@ from ..physics.model import Model
 from ..recordings.recording import Recording
 from ..simulation.integrator import Integrator
 from .history import watching
-from .lanes import Fitting, evaluating
+from .lanes import Fitting
 from .layout import drives
-from .least_squares import RESIDUAL_TOLERANCE, Compressed, over_recordings, predict
+from .least_squares import RESIDUAL_TOLERANCE, Compressed, predictions
 from .linalg import BLIND, damped_step
 from .multistart import Descent
 from .problem import Problem, Ready, Unknowns
@@ -54,7 +54,7 @@ _STABLE = 3.0
 def corrected(
     descent: Descent,
     recordings: Sequence[Recording],
-    evaluate: Callable[[Problem, Unknowns], Fitting[Compressed]] = evaluating,
+    evaluate: Callable[[Problem, Unknowns], Fitting[Compressed]],
 ) -> Fitting[tuple[Descent, float]]:
     """A descent's minimum without the error that integration has left in it, to first order, and
     that error, in times the noise; inf where twice the steps lead to no finite motion, and to no
@@ -72,15 +72,15 @@ def corrected(
     # What is known beforehand of internal states has no such error.
     slope[:, count + 2 * n :] -= y.states[:, 2 * n :]
     step = damped_step(square, slope, count, BLIND)
-    local = np.concatenate([np.tile(step.numbers, (len(step.states), 1)), step.states], axis=1)
+    local = step.local()
     moved = np.sqrt(np.einsum("ra,rab,rb->", local, square, local))
     if not moved > RESIDUAL_TOLERANCE:  # the descent did not look any closer
         return descent, error
-    there = Unknowns(y.numbers + step.numbers, y.states + step.states)
+    there = jax.tree.map(np.add, y, step)
     found = jax.device_get((yield from evaluate(problem, there)))
     if watch is not None:
         watch.descended(problem, there, 1)
-    cost = float(np.sum(found.along**2) + np.sum(found.beside**2))
+    cost = float(found.cost)
     if not math.sqrt(cost) <= math.sqrt(descent.cost) + moved:  # it bends more than slopes say
         return descent, error
     return descent._replace(unknowns=there, compressed=found, cost=cost), error
@@ -89,7 +89,7 @@ def corrected(
 def at_twice_the_steps(
     descent: Descent,
     recordings: Sequence[Recording],
-    evaluate: Callable[[Problem, Unknowns], Fitting[Compressed]] = evaluating,
+    evaluate: Callable[[Problem, Unknowns], Fitting[Compressed]],
 ) -> Fitting[tuple[Compressed, float]]:
     """The motion where a descent ended, but at twice the steps: how far it is from the descent's
     own, a residual like any other, with its Jacobian; and the same in times the noise."""
@@ -123,7 +123,7 @@ def finer(problem: Problem, recordings: Sequence[Recording]) -> Problem:
     recorded = dataclasses.replace(
         recorded, row=2 * np.asarray(recorded.row) + late, place=place - late, drive=drive
     )
-    tighter = None if problem.tighter is None else _TIGHTER * np.asarray(problem.tighter)
+    tighter = _TIGHTER * np.asarray(problem.tighter)
     return dataclasses.replace(problem, recorded=recorded, steps=np.asarray(steps), tighter=tighter)
 
 
@@ -144,7 +144,7 @@ def stable(here: Ready, begin: Model) -> Ready | None:
     if here.integrator is not None:
         return None
     rate = max(fastest(m) for m in here.posed(begin))
-    step = max(r.duration for r in here.recordings) / here.steps(begin)
+    step = here.duration / here.steps(begin)
     if not rate * step > _STABLE:
         return None
     times = math.ceil(2 * rate * step / _STABLE)
@@ -164,24 +164,16 @@ def checked(fit: Fit) -> tuple[float, str]:
 
     The motion begins in the fitted initial states, so that nothing but the integration differs.
     """
-    fitted = fit.recordings[: len(fit.ready.recordings)]
     sticks = fit.model.dry or fit.model.follows
     # Twice the nodes for the reference's curve, so that none of the difference is the curve's.
     here = fit.ready._replace(
         integrator=None if sticks else _REFERENCE,
         finer=fit.ready.finer * (_FINEST if sticks else 2),
     )
-    problem, _ = here.problem(fit.model, [r.wild for r in fitted])
+    problem, _ = here.problem(fit.model, [r.wild for r in fit.fitted])
     numbers, states = fit.problem.numbers(fit.unknowns), fit.problem.states(fit.unknowns)
-    found = np.asarray(_predicted(problem, jnp.asarray(numbers), jnp.asarray(states)))
-    error = rms_over_noise(found, fitted)
+    predicted = eqx.filter_jit(predictions)
+    found = np.asarray(predicted(problem, jnp.asarray(numbers), jnp.asarray(states)))
+    error = rms_over_noise(found, fit.fitted)
     words = f"{_FINEST} times the steps" if sticks else "Dopri8 at rtol 1e-10"
     return error, words
-
-
-@eqx.filter_jit
-def _predicted(problem: Problem, numbers, states):
-    def one(recorded, state):
-        return predict(problem, recorded, numbers, state)
-
-    return over_recordings(one, problem.model)(problem.recorded, states)

@@ -21,7 +21,15 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from ..physics.parameter import stacked
 from ..runtime.export_cache import kept
 from .layout import read_of
-from .least_squares import ENDED, Compressed, Horizon, descended, one_descent, one_start
+from .least_squares import (
+    ENDED,
+    Compressed,
+    Horizon,
+    descended,
+    one_descent,
+    one_start,
+    side_by_side,
+)
 from .problem import Problem, Unknowns
 
 Result = TypeVar("Result")
@@ -115,9 +123,7 @@ def _head(problem: Problem, share: float) -> Problem:
 def _descents_of_starts(problem: Problem, y: Unknowns, share, size):
     """`one_descent` of starts (S, ...) side by side, over one share."""
     horizon = Horizon.of(problem, share)._replace(size=size)
-    # See `over_recordings`: what dry friction seldom asks for must stay seldom.
-    side_by_side = jax.lax.map if problem.model.dry else lambda one, y: jax.vmap(one)(y)
-    ended = side_by_side(lambda start: descended(horizon, start, _STEPS), y)
+    ended = side_by_side(lambda start: descended(horizon, start, _STEPS), problem.model)(y)
     return *ended, jnp.ones_like(ended[-1], int)
 
 

@@ -57,14 +57,13 @@ def lay_out(
     outliers: Sequence[np.ndarray],
     steps: int,
     room: int,
-    instants: int = 0,
+    instants: int,
 ) -> Recorded:
     """Readings as they lie in `steps` equal steps a recording; `outliers` (N, n) get no weight.
 
-    `instants` is the least N to lay out for.
+    `instants` is the N to lay out for.
     """
-    longest = max(instants, *(len(r.time) for r in recordings))
-    shape = len(recordings), longest, recordings[0].angle.shape[1]
+    shape = len(recordings), instants, recordings[0].angle.shape[1]
     row, place = np.zeros(shape[:2], int), np.zeros(shape[:2])
     angles, weights = np.zeros(shape), np.zeros(shape)
     for i, (r, bad) in enumerate(zip(recordings, outliers, strict=True)):
@@ -97,33 +96,31 @@ def drives(recordings: Sequence[Recording], steps: int, room: int) -> Piecewise 
     """
     if all(r.drive is None for r in recordings):
         return None
-    drives = []
+    found = []
     for r in recordings:
         ends = np.linspace(r.time[0], r.time[-1], steps + 1)
         h = ends[1] - ends[0]
-        left, right = [], []
-        for torque in (r.drive if r.drive is not None else np.zeros_like(r.angle)).T:
-            once, twice = _integrals(r.time, torque, ends)
-            mean = np.diff(once) / h
-            # Second integral over the step, beyond that of its mean: a slope s gives -s h^3 / 12.
-            slope = -12 * (np.diff(twice) - h * once[:-1] - mean * h**2 / 2) / h**3
-            left.append(mean - slope * h / 2)
-            right.append(mean + slope * h / 2)
-        sides = (
-            np.stack([np.pad(x, (0, room - steps)) for x in side], 1) for side in (left, right)
+        once, twice = _integrals(
+            r.time, np.zeros_like(r.angle) if r.drive is None else r.drive, ends
         )
-        drives.append(Piecewise(0.0, h, *sides))
-    return stacked(drives)
+        mean = np.diff(once, axis=0) / h
+        # Second integral over the step, beyond that of its mean: a slope s gives -s h^3 / 12.
+        slope = -12 * (np.diff(twice, axis=0) - h * once[:-1] - mean * h**2 / 2) / h**3
+        left, right = mean - slope * h / 2, mean + slope * h / 2
+        sides = (np.pad(side, ((0, room - steps), (0, 0))) for side in (left, right))
+        found.append(Piecewise(0.0, h, *sides))
+    return stacked(found)
 
 
 def _integrals(time: np.ndarray, x: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First and second integral, from time[0], of straight lines through (time, x)."""
-    gap, slope = np.diff(time), np.diff(x) / np.diff(time)
-    once = np.concatenate([[0.0], np.cumsum(gap * (x[:-1] + slope * gap / 2))])
+    """First and second integral (M, n), from time[0], of straight lines through (time, x)."""
+    gap = np.diff(time)[:, None]
+    slope, none = np.diff(x, axis=0) / gap, np.zeros((1, x.shape[1]))
+    once = np.vstack([none, np.cumsum(gap * (x[:-1] + slope * gap / 2), axis=0)])
     rise = gap * (once[:-1] + gap * (x[:-1] / 2 + slope * gap / 6))
-    twice = np.concatenate([[0.0], np.cumsum(rise)])
+    twice = np.vstack([none, np.cumsum(rise, axis=0)])
     i = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(gap) - 1)
-    s = at - time[i]
+    s = (at - time[i])[:, None]
     return (
         once[i] + s * (x[i] + slope[i] * s / 2),
         twice[i] + s * (once[i] + s * (x[i] / 2 + slope[i] * s / 6)),

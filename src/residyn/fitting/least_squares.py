@@ -43,8 +43,8 @@ _UNKNOWN_TOLERANCE = 1e-5
 
 def predict(problem: Problem, one: Recorded, numbers, state) -> Float[Array, "N n"]:
     """Predicted readings of one recording (`one` without its leading axis)."""
-    model, nodes = _simulated(problem, one, numbers, state)
-    return read_rows(model, nodes, jnp.asarray(one.row), jnp.asarray(one.place), one.orders)
+    found = _simulated(problem, one, numbers, state)
+    return read_rows(*found, jnp.asarray(one.row), jnp.asarray(one.place), one.orders)
 
 
 def _simulated(problem: Problem, one: Recorded, numbers, state, only=None) -> tuple[Model, Nodes]:
@@ -52,8 +52,6 @@ def _simulated(problem: Problem, one: Recorded, numbers, state, only=None) -> tu
     first so many steps are taken, if that is given."""
     n = one.angles.shape[-1]
     model = posed(problem.model.with_vector(numbers), one.mechanism)
-    integrator = problem.integrator
-    adjoint = integrator and integrator.adjoint
     return model, march(
         model,
         0.0,
@@ -65,9 +63,8 @@ def _simulated(problem: Problem, one: Recorded, numbers, state, only=None) -> tu
         drive=one.drive,
         room=None if problem.fixed else problem.room,
         only=only,
-        adjoint=adjoint,
-        integrator=integrator,
-        tighter=1.0 if problem.tighter is None else jnp.asarray(problem.tighter),
+        integrator=problem.integrator,
+        tighter=jnp.asarray(problem.tighter),
     )
 
 
@@ -85,6 +82,11 @@ class Compressed(NamedTuple):
     factor: Float[Array, "R L L"]  # upper triangular, factor'factor = J'J
     along: Float[Array, "R L"]  # residual projected on J's columns
     beside: Float[Array, " R"]  # length of the rest of the residual
+
+    @property
+    def cost(self) -> Float[Array, ""]:
+        """Sum of squared whitened residuals, and of what is known beforehand of internal states."""
+        return (self.along**2).sum() + (self.beside**2).sum()
 
 
 @eqx.filter_jit  # inside a larger program too: it is traced once where it is used many times
@@ -142,19 +144,14 @@ def compressed(problem: Problem, y: Unknowns, only: Scalar | None = None) -> Com
                 jax.lax.dynamic_update_slice_in_dim(readings, predicted, first, 0),
             )
 
-        sums = (
-            jnp.diag(known),
-            known * z,
-            jnp.sum(known * z**2),
-            jnp.zeros_like(recorded.angles),
-        )
-        if problem.fixed:
-            square, slope, total, predicted = add(0, sums)
-        else:
-            square, slope, total, predicted = jax.lax.fori_loop(0, chunks, add, sums)
+        none = jnp.zeros_like(recorded.angles)
+        sums = jnp.diag(known), known * z, jnp.sum(known * z**2), none
+        # Reverse mode asks for one chunk, and no loop.
+        sums = add(0, sums) if problem.fixed else jax.lax.fori_loop(0, chunks, add, sums)
+        square, slope, total, predicted = sums
         return Compressed(predicted, *_compress(square, slope, total))
 
-    return over_recordings(one, problem.model)(problem.recorded, problem.scale.states, y.states)
+    return side_by_side(one, problem.model)(problem.recorded, problem.scale.states, y.states)
 
 
 def _chunks(problem: Problem, only, chunk: int):
@@ -166,10 +163,10 @@ def _chunks(problem: Problem, only, chunk: int):
     return -(-jnp.max(jnp.sum(counts, axis=-1)) // chunk)
 
 
-def over_recordings(one: Callable, model: Model) -> Callable:
-    """`one`, of one recording, for all of them: side by side, a few at a time where a CPU's cache
-    cannot hold them all, or one after the other where dry friction asks what seldom happens: side
-    by side it would be computed every time."""
+def side_by_side(one: Callable, model: Model) -> Callable:
+    """`one`, of one recording or start, for all of them: side by side, a few at a time where a
+    CPU's cache cannot hold them all, or one after the other where dry friction asks what seldom
+    happens: side by side it would be computed every time."""
 
     def each(*trees):
         count = jax.tree.leaves(trees)[0].shape[0]
@@ -198,6 +195,15 @@ def _compress(square, slope, total):
     return lower.T, along, beside
 
 
+def predictions(problem: Problem, numbers, states) -> Float[Array, "R N n"]:
+    """Predicted readings of all recordings, from numbers and initial states in their own units."""
+
+    def one(recorded, state):
+        return predict(problem, recorded, numbers, state)
+
+    return side_by_side(one, problem.model)(problem.recorded, states)
+
+
 @kept(like=(0, 0, 0))
 def look(problem: Problem, y: Unknowns):
     """Predictions (R, N, n), their slopes (R, N, n, L), and whitened residuals (R, N, n)."""
@@ -216,7 +222,7 @@ def look(problem: Problem, y: Unknowns):
         slopes = jnp.where(jnp.isfinite(slopes), slopes, 0.0)
         return predicted, slopes, whiten(recorded, predicted)
 
-    each = over_recordings(one, problem.model)
+    each = side_by_side(one, problem.model)
     return each(problem.recorded, problem.scale.states, y.states)
 
 
@@ -244,7 +250,7 @@ class Polished(NamedTuple):
     cost: float  # sum of squared whitened residuals
     steps: int
     converged: bool
-    agreeing: int
+    agreeing: int = 1
     """How many starts ended here."""
 
 
@@ -301,28 +307,20 @@ def one_descent(problem: Problem, y: Unknowns, shares, size):
 one_start = kept(like=ENDED)(one_descent)
 
 
-class _Rows(NamedTuple):
-    """Compressed residual: the only thing that an optimiser sees."""
-
-    along: Float[Array, "R L"]
-    beside: Float[Array, " R"]
-
-
 @eqx.filter_custom_jvp
-def rows(y: Unknowns, horizon: Horizon) -> tuple[_Rows, Compressed]:
-    """Compressed residual. Its Jacobian is known already, so it is attached, not derived."""
+def rows(y: Unknowns, horizon: Horizon) -> tuple[tuple[Array, Array], Compressed]:
+    """Compressed residual, the only thing that an optimiser sees. Its Jacobian is known already, so
+    it is attached, not derived."""
     squeezed = compressed(horizon.problem, y, horizon.only)
-    return _Rows(squeezed.along, squeezed.beside), squeezed
+    return (squeezed.along, squeezed.beside), squeezed
 
 
 @rows.def_jvp
 def _rows_jvp(primals, tangents):
-    (y, horizon), (dy, _) = primals, tangents
-    squeezed = compressed(horizon.problem, y, horizon.only)
-    along = _moved(squeezed, dy) - squeezed.along
-    rows = _Rows(squeezed.along, squeezed.beside)
+    (found, squeezed), (dy, _) = rows(*primals), tangents
     still = jax.tree.map(jnp.zeros_like, squeezed)
-    return (rows, squeezed), (_Rows(along, jnp.zeros_like(squeezed.beside)), still)
+    along = _moved(squeezed, dy) - squeezed.along
+    return (found, squeezed), ((along, still.beside), still)
 
 
 class _Tried(NamedTuple):
@@ -357,7 +355,7 @@ class CompressedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     def step(self, fn, y, args, options, state, tags):
         there = jax.tree.map(jnp.add, y, state.step)
         _, new = fn(there, args)
-        cost, first = cost_of(new), jnp.isinf(state.cost)
+        cost, first = new.cost, jnp.isinf(state.cost)
         promise = jnp.sum(_moved(state.here, state.step) ** 2) - jnp.sum(state.here.along**2)
         gain = cost - state.cost
         accept = first | (gain <= 0.01 * promise)
@@ -394,18 +392,10 @@ def descended(horizon: Horizon, y: Unknowns, most: int):
         throw=False,
     )
     squeezed, good = solution.aux, solution.result == optx.RESULTS.successful
-    cost = cost_of(squeezed)
-    cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
+    cost = jnp.where(jnp.isfinite(squeezed.cost), squeezed.cost, jnp.inf)
     return solution.value, squeezed, cost, solution.stats["num_steps"], good
 
 
 def _moved(squeezed: Compressed, step: Unknowns) -> Float[Array, "R L"]:
     """The residual's projection after a step, to first order."""
-    everywhere = jnp.broadcast_to(step.numbers, (len(step.states), len(step.numbers)))
-    local = jnp.concatenate([everywhere, step.states], axis=1)
-    return squeezed.along + jnp.einsum("rij,rj->ri", squeezed.factor, local)
-
-
-def cost_of(squeezed: Compressed) -> Float[Array, ""]:
-    """Sum of squared whitened residuals, and of what is known beforehand of internal states."""
-    return jnp.sum(squeezed.along**2) + jnp.sum(squeezed.beside**2)
+    return squeezed.along + jnp.einsum("rij,rj->ri", squeezed.factor, step.local())

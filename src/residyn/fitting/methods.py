@@ -7,27 +7,22 @@ from .genetic import Genetic
 from .minimise import minimiser
 
 LEVENBERG, RANDOM = "levenberg", "random"
-GENETIC = {
-    "genetic": Genetic(),
-    "genetic_release_told": Genetic(initial="readings"),
-    "cma_es": Genetic(20, 500, "CMA_ES"),
-    "differential_evolution": Genetic(40, 500, "DifferentialEvolution"),
-    "particle_swarm": Genetic(40, 500, "PSO"),
-}
-"""Evolutionary searches, with their settings."""
 
 
 class Method(NamedTuple):
-    """What a method is called, and what it is given beforehand, in words."""
+    """What a method is called, what it is given beforehand, in words, and the settings of an
+    evolutionary search."""
 
     title: str
     given: str
+    how: Genetic | None = None
 
 
 _WIDE = (
     "bounds a thousandfold wide, from the typical sizes that the readings show; settings of the "
     "strategy tuned on simulated arms; "
 )
+_TOLD = _WIDE + "initial states as the first readings say, not searched"
 _GENES = _WIDE + "initial states are genes about the first readings"
 METHODS = {
     LEVENBERG: Method(
@@ -40,16 +35,19 @@ METHODS = {
         "the best six of 100 individuals drawn in the genetic algorithm's bounds, which count; no "
         "closed-form start",
     ),
-    "genetic": Method("genetic algorithm, 100 x 500", _GENES),
+    "genetic": Method("genetic algorithm, 100 x 500", _GENES, Genetic()),
     "genetic_release_told": Method(
-        "genetic algorithm, 100 x 500, release told",
-        _WIDE + "initial states as the first readings say, not searched",
+        "genetic algorithm, 100 x 500, release told", _TOLD, Genetic(initial="readings")
     ),
-    "cma_es": Method("CMA-ES, 20 x 500", _GENES),
-    "differential_evolution": Method("differential evolution, 40 x 500", _GENES),
-    "particle_swarm": Method("particle swarm, 40 x 500", _GENES),
+    "cma_es": Method("CMA-ES, 20 x 500", _GENES, Genetic(20, 500, "CMA_ES")),
+    "differential_evolution": Method(
+        "differential evolution, 40 x 500", _GENES, Genetic(40, 500, "DifferentialEvolution")
+    ),
+    "particle_swarm": Method("particle swarm, 40 x 500", _GENES, Genetic(40, 500, "PSO")),
 }
 """Methods by their names."""
+GENETIC = {name: method.how for name, method in METHODS.items() if method.how is not None}
+"""Evolutionary searches, with their settings."""
 _MINIMISER = "the closed-form start, and gradients in forward mode"
 
 

@@ -20,9 +20,9 @@ import numpy as np
 import optimistix as optx
 
 from ..effects import AbstractEffect
+from ..errors import extra
 from ..recordings.experiment import Experiment
 from .conclusion import Found, searched
-from .evolution import MissingExtra
 from .history import Part, Watch, objective_of, relative_error, watching
 from .initial_guess import first_guess, resolving
 from .least_squares import Horizon, rows
@@ -53,10 +53,8 @@ def minimiser(given: Any) -> tuple[str, Any]:
     module, _, name = given.partition(".")
     if module not in _MODULES or not name:
         raise ValueError(f'method = "{given}": there is no such method')
-    try:
-        make = getattr(importlib.import_module(module), name, None)
-    except ImportError:
-        raise MissingExtra(f"{given} needs {module}: pip install 'residyn[ga]'") from None
+    home = extra(module, f"{given} needs {module}: pip install 'residyn[ga]'")
+    make = getattr(home, name, None)
     wrong = ValueError(f'method = "{given}": {module} has no such minimiser')
     if make is None or name.startswith("_") or not callable(make):
         raise wrong
@@ -73,7 +71,7 @@ def fit_minimised(
     experiment: Experiment,
     effects: Sequence[str | AbstractEffect],
     method: Any,
-    progress: Callable[[str], None] = lambda words: None,
+    progress: Callable[[str], None],
     steps: int = STEPS,
 ) -> Fit:
     """`residyn.fit(..., method="optimistix.BFGS")`: the same `Fit`, with its `history`.
@@ -88,8 +86,7 @@ def fit_minimised(
     outliers = outliers_among(here)
     numbers, memory = first_guess(here, outliers, 1)
     problem, states = here.problem(resolving(here, numbers), outliers)
-    if memory is not None and memory.size:
-        states[..., -memory.shape[-1] :] = memory[0]
+    states[:, states.shape[-1] - memory.shape[-1] :] = memory[0]
     y = problem.scaled(jnp.asarray(numbers[0]), jnp.asarray(states))
     problem = jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_array_like(x) else x, problem)
     ran: list[int] = []

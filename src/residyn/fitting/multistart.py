@@ -16,7 +16,7 @@ found so, the segments are joined: their states go, and the horizon grows once m
 import contextlib
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..physics.modal import concrete_state_matrix, modes_of
+from ..physics.modal import at_rest, modes_of
 from ..physics.model import Model
 from ..physics.motion import split
 from ..recordings.experiment import Experiment
@@ -58,7 +58,7 @@ _SEGMENTS = 4, 64  # room for segments comes in powers of this, up to this
 
 
 class Descent(NamedTuple):
-    """Where the best start ended."""
+    """A `Polished` of a problem, with outliers set aside."""
 
     here: Ready
     problem: Problem
@@ -68,8 +68,8 @@ class Descent(NamedTuple):
     cost: float
     steps: int
     converged: bool
-    starts: int
-    agreeing: int
+    agreeing: int = 1
+    starts: int = 1
 
     @property
     def numbers(self) -> np.ndarray:
@@ -105,7 +105,8 @@ def multistart(
     outliers: list[np.ndarray],
     starts: int,
     progress: Callable[[str], None],
-    guess: tuple[np.ndarray, np.ndarray | None],
+    numbers: np.ndarray,
+    memory: np.ndarray,
 ) -> Fitting[Descent]:
     """The best minimum from starts: numbers (S, P) and internal states (S, R, m).
 
@@ -114,7 +115,6 @@ def multistart(
 
     **Raises:** `FitError` if nothing led anywhere.
     """
-    numbers, memory = guess
     begin = resolving(here, numbers)
     found: list[Descent] = []
     failed: FitError | None = None
@@ -182,8 +182,8 @@ def descending(
         problem = eqx.tree_at(lambda p: p.active, problem, np.zeros_like(problem.active))
     starts = len(numbers)
     first = np.broadcast_to(states, (starts, *states.shape)).copy() if near is None else near
-    if memory is not None and memory.size:
-        first[..., -memory.shape[-1] :] = memory
+    if memory is not None:
+        first[..., first.shape[-1] - memory.shape[-1] :] = memory
     y = Unknowns(numbers / problem.scale.numbers, first / problem.scale.states)
     shares = horizons(here, frequency) if near is None or growing else [1.0]
 
@@ -216,18 +216,7 @@ def descending(
         problem = reweighted(problem, outliers)
         out = yield from polished(problem, _single(out.unknowns), [1.0])
         steps += out.steps
-    return Descent(
-        here,
-        problem,
-        outliers,
-        out.unknowns,
-        out.compressed,
-        out.cost,
-        steps,
-        out.converged,
-        starts,
-        agreeing,
-    )
+    return Descent(here, problem, outliers, *out._replace(steps=steps, agreeing=agreeing), starts)
 
 
 def horizons(here: Ready, frequency: float) -> list[float]:
@@ -238,8 +227,7 @@ def horizons(here: Ready, frequency: float) -> list[float]:
     before it sticks is a whole number, which is off by one where friction is known from a few
     swings only: there, roots are taken up to most of a recording.
     """
-    longest = max(r.duration for r in here.recordings)
-    shares = [min(1.0, _CYCLES * 2 * math.pi / frequency / longest)]
+    shares = [min(1.0, _CYCLES * 2 * math.pi / frequency / here.duration)]
     while len(shares) < 2 or (here.model.rough and shares[-1] < _MOST):
         shares.append(math.sqrt(shares[-1]))
     return sorted({*shares[: SHARES - 1], 1.0})
@@ -279,10 +267,8 @@ def _further(
         ]
         for i, out in zip(going, outs, strict=True):
             y, squeezed, cost, steps, good, done = jax.device_get(out)
-            before = ends[i]
-            ends[i] = Polished(
-                y, squeezed, float(cost), before.steps + int(steps), bool(good), before.agreeing
-            )
+            total, agreeing = ends[i].steps + int(steps), ends[i].agreeing
+            ends[i] = Polished(y, squeezed, float(cost), total, bool(good), agreeing)
             made[i] = made[i] + 1 if done == 1 else 1
             left[i] = left[i][int(done) - 1 :]
             if np.isfinite(ends[i].cost):
@@ -297,9 +283,8 @@ def _further(
 def _begun(starts: Unknowns) -> list[Polished]:
     """Starts that have not moved yet."""
     nothing: Compressed = None  # pyright: ignore[reportAssignmentType]
-    starts, count = jax.device_get(starts), starts.numbers.shape[0]
-    row = lambda i: jax.tree.map(lambda x: x[i], starts)  # noqa: E731
-    return [Polished(row(i), nothing, math.inf, 0, False, 1) for i in range(count)]
+    each = map(Unknowns, *jax.device_get(starts))
+    return [Polished(y, nothing, math.inf, 0, False) for y in each]
 
 
 def distinct(ends: Sequence[Polished]) -> list[Polished]:
@@ -318,10 +303,8 @@ def distinct(ends: Sequence[Polished]) -> list[Polished]:
 
 def _distance(one: Polished, other: Polished) -> float:
     """Between two ends, in standard errors of the first."""
-    numbers = np.asarray(other.unknowns.numbers) - one.unknowns.numbers
-    states = np.asarray(other.unknowns.states) - one.unknowns.states
-    local = np.concatenate([np.tile(numbers, (len(states), 1)), states], axis=1)
-    return float(np.linalg.norm(np.einsum("rij,rj->ri", one.compressed.factor, local)))
+    gap = jax.tree.map(np.subtract, other.unknowns, one.unknowns)
+    return float(np.linalg.norm(np.einsum("rij,rj->ri", one.compressed.factor, gap.local())))
 
 
 def _sane(out: Polished, recordings: Sequence[Recording]) -> bool:
@@ -378,7 +361,7 @@ def _shooting(
     here: Ready,
     begin: Model,
     numbers: np.ndarray,
-    memory: np.ndarray | None,
+    memory: np.ndarray,
     outliers: list[np.ndarray],
     progress: Callable[[str], None],
 ) -> Fitting[Descent | None]:
@@ -392,56 +375,53 @@ def _shooting(
     most = max(1, _SEGMENTS[1] // len(here.recordings))
     cut: list[Recording] = []
     bad: list[np.ndarray] = []
-    first: list[int] = []
-    for r, own in zip(here.recordings, outliers, strict=True):
-        first.append(len(cut))
+    which: list[int] = []
+    for i, (r, own) in enumerate(zip(here.recordings, outliers, strict=True)):
         parts = segments_of(r, r.duration / min(most, max(1, round(r.duration / cycle / _CYCLES))))
         cut += parts
         bad += np.split(own, np.cumsum([len(p.time) for p in parts])[:-1])
+        which += [i] * len(parts)
     if len(cut) == len(here.recordings):
         return None
-    which = np.repeat(np.arange(len(first)), np.diff([*first, len(cut)]))
     # Few sizes, few programs: what fills up has no weight.
     filling = bucket(len(cut), _SEGMENTS[0], _SEGMENTS[0]) - len(cut)
     cut += [cut[-1]] * filling
     bad += [np.ones_like(bad[-1])] * filling
-    which = np.append(which, np.full(filling, which[-1]))
+    which += [which[-1]] * filling
     segments = here._replace(
         recordings=tuple(cut), mechanisms=tuple(here.mechanisms[i] for i in which)
     )
     problem, states = segments.problem(begin, bad, frequency=frequency)
     each = np.tile(states, (len(numbers), 1, 1))
     if here.model.memory:
-        each[..., -len(here.model.memory) :] = memory_along_readings(
-            here, outliers, numbers, memory, [(int(r), cut[i].time[0]) for i, r in enumerate(which)]
-        )
+        at = [(r, part.time[0]) for r, part in zip(which, cut, strict=True)]
+        found = memory_along_readings(here, outliers, numbers, memory, at)
+        each[..., -found.shape[-1] :] = found
     y = Unknowns(numbers / problem.scale.numbers, each / problem.scale.states)
     ends = distinct((yield from _further(problem, _begun(y), [1.0], calls=1)))[:2]
     end = distinct((yield from _further(problem, ends, [1.0])))[0]
     if not np.isfinite(end.cost):
         return None
     numbers = np.asarray(problem.numbers(end.unknowns))
-    joined = np.asarray(problem.states(end.unknowns))[first]
-    begin = here.model.with_vector(numbers)
+    first = np.searchsorted(which, range(len(here.recordings)))
+    joined = np.asarray(problem.states(end.unknowns))[None, first]
+    begun = here, here.model.with_vector(numbers), numbers[None], outliers, progress
+    found = yield from _one_by_one(
+        descending(*begun, near=joined, growing=growing) for growing in (False, True)
+    )
+    return min(found, key=lambda d: d.cost, default=None)
+
+
+def _one_by_one(descents: Iterable[Fitting[Descent]]) -> Fitting[list[Descent]]:
+    """Where they end, those left out that lead nowhere; the first that ends at the noise is the
+    last."""
     found = []
-    for growing in (False, True):
+    for each in descents:
         with contextlib.suppress(FitError):
-            found.append(
-                (
-                    yield from descending(
-                        here,
-                        begin,
-                        numbers[None],
-                        outliers,
-                        progress,
-                        near=joined[None],
-                        growing=growing,
-                    )
-                )
-            )
+            found.append((yield from each))
             if not found[-1].above_noise:
                 break
-    return min(found, key=lambda d: d.cost, default=None)
+    return found
 
 
 # -- the nested model first ----------------------------------------------------------------------
@@ -456,7 +436,7 @@ def _from_the_base(
     here: Ready,
     base: Ready,
     guess: np.ndarray,
-    memory: np.ndarray | None,
+    memory: np.ndarray,
     outliers: list[np.ndarray],
     progress: Callable[[str], None],
 ) -> Fitting[list[Descent]]:
@@ -474,24 +454,15 @@ def _from_the_base(
         return []
     rows = [(_typically(here, share), None, None) for share in _STRENGTHS]
     rows += [(row, None, near) for row, near in _ringing(here, end)]
-    remembered = [None] * len(guess) if memory is None else memory[:, None]
-    rows += [(row, own, None) for row, own in zip(guess, remembered, strict=True)]
-    # Each by itself: of several, those that are behind after the first cycles would be left.
-    found = []
-    for row, own, near in rows:
+    rows += [(row, own[None], None) for row, own in zip(guess, memory, strict=True)]
+
+    def from_here(row, memory, near) -> Fitting[Descent]:
         numbers = np.concatenate([end.numbers, row[len(end.numbers) :]])
         begin = here.model.with_vector(numbers)
-        with contextlib.suppress(FitError):
-            found.append(
-                (
-                    yield from descending(
-                        here, begin, numbers[None], outliers, progress, own, near=near
-                    )
-                )
-            )
-            if not found[-1].above_noise:
-                break
-    return found
+        return descending(here, begin, numbers[None], outliers, progress, memory, near=near)
+
+    # Each by itself: of several, those that are behind after the first cycles would be left.
+    return (yield from _one_by_one(from_here(*each) for each in rows))
 
 
 def _ringing(here: Ready, base: Descent) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -544,7 +515,7 @@ def segment_length(model: Model, recording: Recording) -> float | None:
     driven = recording.drive is not None and bool(np.any(recording.drive))
     if not driven or recording.segment_of is not None:
         return None
-    values = np.linalg.eigvals(np.asarray(concrete_state_matrix(model)))
+    values = np.linalg.eigvals(at_rest(model)[1])
     frequency, damping = (np.asarray(x) for x in modes_of(values))
     rings = (frequency * recording.duration > _RINGS) & (np.abs(damping) < 1 - 1e-9)
     if rings.all():

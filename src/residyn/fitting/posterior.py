@@ -5,13 +5,12 @@ the fit's values and covariance (Laplace's approximation). A number whose error 
 size can leave the sign that physics allows; then sample `Embedded.chi2` instead.
 """
 
-import importlib
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from .evolution import MissingExtra
+from ..errors import extra
 
 
 def gaussian(
@@ -41,12 +40,7 @@ def gaussian(
 
 def to_arviz(numbers: Sequence[Any], covariance: np.ndarray, draws: int, seed: int) -> Any:
     """See `Fit.to_arviz`."""
-    try:
-        arviz = importlib.import_module("arviz")
-    except ImportError as error:
-        if (error.name or "").partition(".")[0] != "arviz":
-            raise
-        raise MissingExtra("to_arviz needs ArviZ: pip install 'residyn[bayes]'") from None
+    arviz = extra("arviz", "to_arviz needs ArviZ: pip install 'residyn[bayes]'")
     posterior = {name: x[None] for name, x in gaussian(numbers, covariance, draws, seed).items()}
     if int(arviz.__version__.partition(".")[0]) < 1:
         return arviz.from_dict(posterior=posterior)

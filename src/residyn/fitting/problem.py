@@ -54,6 +54,12 @@ class Unknowns(NamedTuple):
     numbers: Float[AnyArray, " P"]
     states: Float[AnyArray, "R s"]
 
+    def local(self) -> Float[AnyArray, "R L"]:
+        """Each recording's own unknowns: the numbers, then its state."""
+        here = np if isinstance(self.numbers, np.ndarray) else jnp
+        numbers = here.broadcast_to(self.numbers, (len(self.states), len(self.numbers)))
+        return here.concatenate([numbers, self.states], axis=1)
+
 
 class Problem(eqx.Module):
     """A model, its recordings and the scales in which the unknowns are of order one.
@@ -67,13 +73,12 @@ class Problem(eqx.Module):
     scale: Unknowns
     active: Float[AnyArray, " P"]  # 1 for a number that the fit moves, 0 for one it must keep
     steps: Int[AnyArray, ""]  # M, of every recording
+    tighter: Float[AnyArray, ""]  # what the tolerances of an integrator are divided by
     room: int = eqx.field(static=True)  # at least M
     fixed: bool = eqx.field(static=True, default=False)
     """Whether M is `room`, compiled in: what reverse mode asks for."""
     integrator: Integrator | None = eqx.field(static=True, default=None)
     """What integrates instead of fixed steps; M are then the nodes that it leaves behind."""
-    tighter: Float[AnyArray, ""] | None = None
-    """What its tolerances are divided by."""
 
     def numbers(self, y: Unknowns) -> Float[AnyArray, " P"]:
         """The model's numbers, in their own units, at scaled unknowns."""
@@ -197,6 +202,11 @@ class Ready(NamedTuple):
         """The model as each recording saw it."""
         return [posed(model or self.model, m) for m in self.mechanisms]
 
+    @property
+    def adapts(self) -> bool:
+        """Whether what integrates chooses its steps."""
+        return self.integrator is not None and self.integrator.adapts
+
     def problem(
         self,
         begin: Model,
@@ -211,7 +221,7 @@ class Ready(NamedTuple):
         `fixed` compiles the number of steps in; `frequency` is `begin`'s, if that is known.
         """
         frequency = self.frequency(begin) if frequency is None else frequency
-        steps = self.steps(begin, frequency)
+        steps, scales = self.steps(begin, frequency), self.scales(frequency)
         readings = max(len(r.time) for r in self.recordings)
         room, instants = steps, readings
         if not fixed:
@@ -229,27 +239,16 @@ class Ready(NamedTuple):
                 for r, bad in zip(self.recordings, outliers, strict=True)
             ]
         )
+        # A number's size is never zero: its value, or a part of what is typical of its dimension.
+        values = np.nan_to_num(np.abs(begin.vector()), posinf=0.0)
         size = self.amplitude
-        scales = _scales_of(begin, size, np.full(len(size), frequency), self.duration)
         memory = [m.meaning.dimension.size(scales(m.joint)) for m in begin.memory]
         scale = Unknowns(
-            _sizes(begin, scales),
+            np.maximum(values, 1e-2 * self.typical(scales)),
             np.tile(np.concatenate([size, size * frequency, memory]), (len(states), 1)),
         )
-        active = np.ones(len(begin.fitted))
-        tighter = None if self.integrator is None else np.asarray(1.0)
-        problem = Problem(
-            begin,
-            recorded,
-            scale,
-            active,
-            np.asarray(steps),
-            room,
-            fixed,
-            self.integrator,
-            tighter,
-        )
-        return problem, states
+        counts = np.ones(len(begin.fitted)), np.asarray(steps), np.asarray(1.0)
+        return Problem(begin, recorded, scale, *counts, room, fixed, self.integrator), states
 
     @property
     def amplitude(self) -> np.ndarray:
@@ -259,37 +258,47 @@ class Ready(NamedTuple):
 
     def frequency(self, begin: Model) -> float:
         """Fastest angular frequency that the integration must follow, rad/s."""
-        adapts = self.integrator is not None and self.integrator.adapts
-        fast = max((ringing if adapts else fastest)(m) for m in self.posed(begin))
+        fast = max((ringing if self.adapts else fastest)(m) for m in self.posed(begin))
         # No mode above the sampling's own limit can have been seen, none below one cycle matters.
-        least = max(2 * math.pi / r.duration for r in self.recordings)
         most = max(math.pi / float(np.median(np.diff(r.time))) for r in self.recordings)
         # In a wide swing the angles themselves turn the forces round.
         units = begin.mechanism.units or ("rad",) * len(begin.mechanism.joints)
         rotary = np.array([u == "rad" for u in units])
         turning = max(float(r.extent.rate[rotary].max(initial=0.0)) for r in self.recordings)
         fast = math.hypot(fast, turning) if math.isfinite(fast) else most
-        return min(max(fast, least), most)
+        return min(max(fast, self._slowest), most)
 
     def steps(self, begin: Model, frequency: float | None = None) -> int:
         """How many integration steps the longest recording needs; `frequency` is `begin`'s."""
         frequency = self.frequency(begin) if frequency is None else frequency
-        longest = max(r.duration for r in self.recordings)
-        steps = longest * frequency / (_ROUGH_STEP if begin.rough else _STEP)
+        steps = self.duration * frequency / (_ROUGH_STEP if begin.rough else _STEP)
         for r in self.recordings:
             if r.drive is not None:
-                steps = max(steps, len(r.time) * longest / r.duration / _SAMPLES_DRIVEN)
+                steps = max(steps, len(r.time) * self.duration / r.duration / _SAMPLES_DRIVEN)
         return self.finer * max(16, math.ceil(steps))
 
-    def typical(self) -> np.ndarray:
-        """(P,) numbers of typical size, from the amplitudes and rates of the readings alone."""
-        scales = self.scales()
+    def memory(self, starts: int) -> np.ndarray:
+        """(S, R, m) internal states of which nothing is known."""
+        return np.zeros((starts, len(self.recordings), len(self.model.memory)))
+
+    def typical(self, scales: Callable[[int | None], Scales] | None = None) -> np.ndarray:
+        """(P,) numbers of typical size."""
+        scales = scales or self.scales()
         sizes = [n.meaning.dimension.size(scales(n.joint)) for n in self.model.fitted]
         return np.array(sizes, float)
 
-    def scales(self) -> Callable[[int | None], Scales]:
-        """The scales of a joint's motion, from the amplitudes and rates of the readings alone."""
-        return _scales_of(self.model, self.amplitude, self.pace, self.duration)
+    def scales(self, frequency: float | None = None) -> Callable[[int | None], Scales]:
+        """The scales of one joint's motion, or of the last one's for what belongs to none, from the
+        amplitudes and rates of the readings alone, or for one angular `frequency`."""
+        mechanism, size = self.model.mechanism, self.amplitude
+        pace = self.pace if frequency is None else np.full(len(size), frequency)
+        each = np.asarray(_inertia(mechanism)), pace, size, np.array(mechanism.reach())
+
+        def of(joint: int | None) -> Scales:
+            own = (float(x[-1 if joint is None else joint]) for x in each)
+            return Scales(*own, duration=self.duration)
+
+        return of
 
     @property
     def duration(self) -> float:
@@ -301,8 +310,12 @@ class Ready(NamedTuple):
         """(n,) typical angular frequency of each joint's motion, rad/s."""
         swing = np.max([r.extent.largest for r in self.recordings], axis=0)
         rate = np.max([r.extent.rate for r in self.recordings], axis=0)
-        least = max(2 * math.pi / r.duration for r in self.recordings)
-        return np.maximum(rate / np.maximum(swing, self.amplitude), least)
+        return np.maximum(rate / np.maximum(swing, self.amplitude), self._slowest)
+
+    @property
+    def _slowest(self) -> float:
+        """Angular frequency of one cycle in the shortest recording, rad/s."""
+        return max(2 * math.pi / r.duration for r in self.recordings)
 
 
 def ready(
@@ -358,34 +371,12 @@ def tight(problem: Problem) -> Problem:
     )
 
 
-def _sizes(model: Model, scales: Callable[[int | None], Scales]) -> np.ndarray:
-    """A size for every number, never zero: its value, or what its dimension is typically."""
-    sizes = []
-    for number, value in zip(model.fitted, np.asarray(model.vector()), strict=True):
-        typical = float(number.meaning.dimension.size(scales(number.joint)))
-        sizes.append(max(abs(value) if np.isfinite(value) else 0.0, 1e-2 * typical))
-    return np.asarray(sizes, float)
-
-
-def _scales_of(
-    model: Model, amplitude: np.ndarray, pace: np.ndarray, duration: float
-) -> Callable[[int | None], Scales]:
-    """The scales of one joint, or of the last one for what belongs to none; `pace` (n,) rad/s."""
-    inertia, reach = np.asarray(_inertia(model.mechanism)), np.array(model.mechanism.reach())
-    each = inertia, pace, amplitude, reach
-    return lambda joint: Scales(*(_at(x, joint) for x in each), duration=duration)
-
-
 @kept(like=0)
 def _inertia(mechanism: AbstractMechanism):
     """(n,) the diagonal of the mass matrix with all angles zero."""
     n = len(mechanism.joints)
     matrix = mechanism.mass_matrix(split(jnp.zeros(n)))
     return jnp.stack([jnp.asarray(row[i], float) for i, row in enumerate(matrix)])
-
-
-def _at(each: np.ndarray, joint: int | None) -> float:
-    return float(each[-1 if joint is None else joint])
 
 
 def _first_state(recording: Recording, outliers: np.ndarray, frequency: float) -> np.ndarray:

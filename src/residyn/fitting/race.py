@@ -119,12 +119,8 @@ class Race(TableResult):
         best = self.best and self.best.fit
         if run.fit is None or best is None:
             return np.zeros(0)
-        return np.array(
-            [
-                abs(a.value - b.value) / b.std
-                for a, b in zip(run.fit.numbers, best.numbers, strict=True)
-            ]
-        )
+        pairs = zip(run.fit.numbers, best.numbers, strict=True)
+        return np.array([abs(a.value - b.value) / b.std for a, b in pairs])
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of `residyn race`."""
@@ -138,8 +134,11 @@ class Race(TableResult):
         }
 
     def _told(self, each: Raced) -> dict[str, Any]:
-        run = each.median
-        found: dict[str, Any] = {
+        run, parameters, off = each.median, None, None
+        if run.fit is not None:
+            parameters = run.fit.to_dict()["parameters"]
+            off = dict(zip(parameters, map(number, self.off(run)), strict=True))
+        return {
             "name": each.name,
             "title": each.title,
             "given": each.given,
@@ -147,8 +146,8 @@ class Race(TableResult):
             "objective_worst": number(each.worst.objective),
             "simulations": run.simulations,
             "seconds": run.seconds,
-            "parameters": None,
-            "standard_errors_off": None,
+            "parameters": parameters,
+            "standard_errors_off": off,
             "within_10_percent": each.within(TEN * self.least).to_dict(),
             "within_1_percent": each.within(ONE * self.least).to_dict(),
             "seeds": [
@@ -162,11 +161,6 @@ class Race(TableResult):
             ],
             "error": run.error or None,
         }
-        if run.fit is not None:
-            found["parameters"] = own = run.fit.to_dict()["parameters"]
-            off = {name: number(x) for name, x in zip(own, self.off(run), strict=True)}
-            found["standard_errors_off"] = off
-        return found
 
 
 def race(

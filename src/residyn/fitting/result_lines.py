@@ -13,9 +13,8 @@ import inspect
 import json
 import os
 import sys
-import tempfile
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -23,7 +22,7 @@ import numpy as np
 
 from ..effects import AbstractEffect, catalogue
 from ..errors import InputError
-from ..files import read_bytes
+from ..files import read_bytes, write
 from ..recordings.experiment import Experiment
 from ..runtime.export_cache import sources
 from ..runtime.json import finite
@@ -188,18 +187,5 @@ class ResultLines:
                 self.done[name] = told
             stays.append(line if line.endswith(b"\n") else line + b"\n")
         if b"".join(stays) != data:
-            self._replace(stays)
-
-    def _replace(self, lines: Iterable[bytes]) -> None:
-        """All at once, and the new file is held before it has the name of the old one."""
-        handle, name = tempfile.mkstemp(dir=self.path.parent, prefix=f".{self.path.name}.")
-        try:
-            self._file = self._held.enter_context(open(handle, "ab", buffering=0))  # noqa: SIM115
-            self._lock(self._file)
-            self._file.write(b"".join(lines))
-            os.chmod(name, os.stat(self.path).st_mode & 0o777)
-            os.replace(name, self.path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                os.unlink(name)
-            raise
+            write(self.path, b"".join(stays))
+            self._file = self._hold()

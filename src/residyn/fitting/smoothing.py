@@ -9,6 +9,7 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 from ..recordings.recording import Recording
 
@@ -94,7 +95,7 @@ def smooth(data: Uniform, halves: np.ndarray, noise: np.ndarray, stride: int) ->
     """Through the kernels of these half-widths (H,), in samples, at every `stride`-th instant."""
     length, widest = len(data.q), int(halves.max())
     # Long enough that no end reaches round to the other, and quick to transform.
-    size = _quick(length + 2 * widest)
+    size = 4 * int(next_fast_len(-(-(length + 2 * widest) // 4)))  # pyright: ignore
 
     def through(columns: np.ndarray, responses: np.ndarray) -> np.ndarray:
         if not columns.any():
@@ -121,12 +122,6 @@ def smooth(data: Uniform, halves: np.ndarray, noise: np.ndarray, stride: int) ->
     share = (size2 / (6 * left) ** 2).max(axis=0)
     weight = share / (1 + share) * inside
     return Smoothed(q, v, a, through(data.drive, responses[0]), weight)
-
-
-def _quick(least: int) -> int:
-    """The next length that is a power of two, or one and a half times one."""
-    size = 1 << (least - 1).bit_length()
-    return size * 3 // 4 if size * 3 // 4 >= least else size
 
 
 @functools.lru_cache(maxsize=16)  # recordings come in few lengths

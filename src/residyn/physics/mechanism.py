@@ -102,6 +102,16 @@ class PlanarArm(AbstractMechanism):
         return q[0], q[0] + self.theta2 + q[1]
 
 
+def arm_of(mechanism: AbstractInertia, name: str) -> PlanarArm:
+    """The mechanism, which an effect of this name takes for the arm.
+
+    **Raises:** `ValueError` if it is something else.
+    """
+    if not isinstance(mechanism, PlanarArm):
+        raise ValueError(f"{name} is about the arm of Eq. 2; this experiment has no [arm]")
+    return mechanism
+
+
 class ConstantInertia(AbstractMechanism):
     """Any number of joints with a mass matrix that does not depend on their positions.
 

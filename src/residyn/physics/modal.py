@@ -66,7 +66,7 @@ def ringing(model: Model) -> float:
     """Largest angular frequency of a mode of the linearised model that rings, rad/s, 0 if none does
     (concrete numbers only). What only fades, however fast, is left out: a solver that chooses its
     steps follows it where it must."""
-    values = np.linalg.eigvals(_finite(concrete_state_matrix(model)))
+    values = np.linalg.eigvals(_finite(at_rest(model)[1]))
     rings = np.abs(values.imag) > 1e-9 * np.abs(values)
     return float(np.abs(values[rings]).max(initial=0.0))
 
@@ -96,13 +96,9 @@ def _eigenvalue_sizes(model: Model, numbers: np.ndarray) -> np.ndarray:
     return np.concatenate(found)
 
 
-def concrete_state_matrix(model: Model) -> np.ndarray:
-    """`state_matrix` (s, s) of concrete numbers, by the program that a fit needs anyway."""
-    return at_rest(model)[1]
-
-
 def at_rest(model: Model) -> tuple[np.ndarray, np.ndarray]:
-    """`equilibrium` (n,) and `state_matrix` (s, s) of concrete numbers."""
+    """`equilibrium` (n,) and `state_matrix` (s, s) of concrete numbers, by the program that a fit
+    needs anyway."""
     vector = np.asarray(model.vector())
     q, matrices = _at_rest_with(model, np.tile(vector, (2 * len(vector) + 1, 1)))
     return q[0], matrices[0]

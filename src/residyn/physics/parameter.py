@@ -170,17 +170,10 @@ def param(
     """
     if silent is None and default is None:
         raise ValueError(f"{words}: a shape number (silent = None) needs a default")
-    meaning = {
-        "name": name,
-        "words": words,
-        "dimension": dimension,
-        "sign": sign,
-        "silent": silent,
-        "fitted": fitted,
-        "grid": grid,
-        "joint": joint,
-        "as_spring": as_spring,
-    }
+    # Its field, and so its name if there is no other, is known once the class is made.
+    meaning = Parameter(
+        "", name or "", words, dimension, sign, silent, fitted, grid, joint, as_spring
+    )
     return eqx.field(
         default=silent if default is None else default,
         converter=floating,
@@ -195,11 +188,8 @@ def parameters_of(effect: Any) -> tuple[Parameter, ...]:
 
 @functools.cache  # a fit asks some hundred times
 def _declared_by(kind: Any) -> tuple[Parameter, ...]:
+    fields = {f.name: f.metadata[_KEY] for f in dataclasses.fields(kind) if _KEY in f.metadata}
     return tuple(
-        Parameter(
-            field=field.name,
-            **{**field.metadata[_KEY], "name": field.metadata[_KEY]["name"] or field.name},
-        )
-        for field in dataclasses.fields(kind)
-        if _KEY in field.metadata
+        dataclasses.replace(meaning, field=field, name=meaning.name or field)
+        for field, meaning in fields.items()
     )

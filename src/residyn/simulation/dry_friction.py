@@ -198,21 +198,19 @@ def _broken(args: Args, h, begin: Motion, end: Motion, sticking: Sticking):
     """`break_away` where a joint is held."""
     q, v, held = end.q, end.v, sticking.held
     loose = signs(v)
-    free = {
-        "begin": acceleration(args, begin._replace(v=v, direction=loose)),
-        "end": acceleration(args, end._replace(direction=loose)),
-    }
-    for j, limit in enumerate(_friction(args, end._replace(direction=loose))):
+    motions = begin._replace(v=v, direction=loose), end._replace(direction=loose)
+    free = [acceleration(args, motion) for motion in motions]
+    for j, limit in enumerate(_friction(args, motions[1])):
         if limit is None:
             continue
         column = _mobility(args, q, j)
-        before, after = (jnp.abs(free[when][j] / column[j]) for when in ("begin", "end"))
+        before, after = (jnp.abs(a[j] / column[j]) for a in free)
         stuck = (held[j] > 0) & (sticking.gripped == 0)
         excess = jnp.where(stuck, jnp.maximum(after - limit, 0.0), 0.0)
         grown = jnp.where(excess > 0, after - before, 1.0)
         rest = h * jnp.clip(excess / grown, 0.0, 1.0)
         # From then on the torque that is not held grows in proportion to time.
-        kick = tuple(c * excess * jnp.sign(free["end"][j]) for c in column)
+        kick = tuple(c * excess * jnp.sign(free[1][j]) for c in column)
         q = _plus(q, tuple(rest**2 / 6.0 * k for k in kick))
         v = _plus(v, tuple(rest / 2.0 * k for k in kick))
     return q, v

@@ -21,7 +21,6 @@ from typing import Any, ClassVar
 import diffrax
 import equinox as eqx
 import equinox.internal as eqxi
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -366,8 +365,3 @@ class _UpToNodes(diffrax.AbstractAdaptiveStepSizeController):
         # A sliver of a step before a node would cost as much as a whole one.
         near = begin + 0.999 * (node - begin)
         return jnp.where(end >= near, node, end)
-
-
-def stopped(nodes: Float[Array, " M"], last) -> Float[Array, " M"]:
-    """Nodes of which those behind the one with index `last` are copies of it."""
-    return jnp.minimum(nodes, jax.lax.stop_gradient(nodes)[last])

@@ -38,17 +38,6 @@ class Nodes(NamedTuple):
     steps: Int[Array, ""] | int
     ends: Float[Array, "M 3n"]
 
-    @property
-    def q(self) -> Float[Array, "M n"]:
-        """Angles, rad or m."""
-        return self.ends[:, : self.ends.shape[1] // 3]
-
-    @property
-    def v(self) -> Float[Array, "M n"]:
-        """Rates, rad/s or m/s."""
-        n = self.ends.shape[1] // 3
-        return self.ends[:, n : 2 * n] / self.h
-
 
 def read(
     model: Model, nodes: Nodes, times: Float[Array, " N"], orders: Sequence[int] = ()
@@ -62,7 +51,7 @@ def read(
     if model.late:
         seen = _late(nodes, place, model.delays, orders)
     else:
-        seen = _derivatives(curve, s, nodes.h, orders) if any(orders) else q
+        seen = _derivatives(curve, s, nodes.h, orders)
     return Trajectory(times, q, rate, model.reading(seen))
 
 

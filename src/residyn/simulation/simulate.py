@@ -5,11 +5,6 @@ time. So the steps are fixed (an adaptive step makes the cost of a bad guess unb
 result jump with the step count), Tsitouras' fifth-order stages are written out so that XLA fuses
 them, and readings are taken from a quintic Hermite curve through position, rate and acceleration
 at the step ends: the step need not know where the samples lie.
-
-Dry friction breaks smoothness where a joint reverses. `StickSlip` holds the direction of sliding
-fixed inside a step, finds the instant of reversal on the step's own cubic, and corrects the rest of
-the step for the torque that changed sign there, or stops the joint if friction can hold it. It is
-exact to the order that matters, costs nearly what a smooth step costs, and differentiates.
 """
 
 import math
@@ -34,7 +29,6 @@ from .integrator import (
     UnrolledTsit5,
     at_nodes,
     integrator_of,
-    stopped,
     tuples_of,
 )
 from .interpolation import Nodes, Trajectory, read
@@ -116,7 +110,8 @@ def march(
     assert isinstance(size, int), "the number of nodes is compiled in"
     index = jnp.arange(size + 1)
     last = steps if only is None else jnp.minimum(only, steps)
-    nodes = stopped(start + h * index, last)
+    nodes = start + h * index  # those behind the last one are copies of it
+    nodes = jnp.minimum(nodes, jax.lax.stop_gradient(nodes)[last])
     if integrator is None:
         integrator = Integrator(StickSlip() if model.dry else UnrolledTsit5())
     integrator.check(model)

@@ -9,6 +9,7 @@ round: the stages foresee that, and the end of the step knows.
 
 from typing import NamedTuple
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -37,45 +38,20 @@ class State(NamedTuple):
 
 # Tsitouras' method of fifth order (Computers and Mathematics with Applications 62, 2011), less its
 # last stage, which only estimates the error.
-_NODES = (0.0, 0.161, 0.327, 0.9, 0.9800255409045097, 1.0, 1.0)
-_ROWS = (
-    (),
-    (0.161,),
-    (-0.008480655492356989, 0.335480655492357),
-    (2.8971530571054935, -6.359448489975075, 4.3622954328695815),
-    (5.325864828439257, -11.748883564062828, 7.4955393428898365, -0.09249506636175525),
-    (
-        5.86145544294642,
-        -12.92096931784711,
-        8.159367898576159,
-        -0.071584973281401,
-        -0.028269050394068383,
-    ),
-)
-_WEIGHTS = (
-    0.09646076681806523,
-    0.01,
-    0.4798896504144996,
-    1.379008574103742,
-    -3.290069515436081,
-    2.324710524099774,
-)
-
-
-_TABLE = np.array([[*row, *(0.0,) * (len(_WEIGHTS) - len(row))] for row in _ROWS])
+_METHOD = diffrax.Tsit5.tableau
+_STAGES = 6
+_WEIGHTS = _METHOD.b_sol[:_STAGES]
+_NODES = np.append(0.0, _METHOD.c[: _STAGES - 1])
+_TABLE = np.zeros((_STAGES, _STAGES))
+for _i, _row in enumerate(_METHOD.a_lower[: _STAGES - 1], start=1):
+    _TABLE[_i, :_i] = _row
 
 # How often each stage's torque counts in the rate at the end, and in the position; and minus the
 # same by a finer rule, Gauss' two points in each eighth of a step: its error at corners.
-_FINE = tuple((k + 0.5 + side / 12**0.5) / 8 for k in range(8) for side in (-1.0, 1.0))
-_PLACES = (*_NODES[: len(_WEIGHTS)], *_FINE)
-_IN_RATE = (*_WEIGHTS, *(-1 / len(_FINE) for _ in _FINE))
-_IN_POSITION = (
-    *(
-        sum(_WEIGHTS[j] * _ROWS[j][i] for j in range(i + 1, len(_WEIGHTS)))
-        for i in range(len(_WEIGHTS))
-    ),
-    *((s - 1) / len(_FINE) for s in _FINE),
-)
+_FINE = ((np.arange(8)[:, None] + 0.5 + np.array([-1.0, 1.0]) / 12**0.5) / 8).ravel()
+_PLACES = np.append(_NODES, _FINE)
+_IN_RATE = np.append(_WEIGHTS, np.full(len(_FINE), -1 / len(_FINE)))
+_IN_POSITION = np.append(_WEIGHTS @ _TABLE, (_FINE - 1) / len(_FINE))
 
 
 def _tsit5(rates, h, y: State):
@@ -88,7 +64,7 @@ def _tsit5(rates, h, y: State):
     **Returns:** the state at the end of the step, and q'' at its first and last stage.
     """
     n, begin = len(y.q), (*y.q, *y.v, *y.z)
-    rows, nodes, order = jnp.asarray(_TABLE), jnp.asarray(_NODES), jnp.arange(len(_TABLE))
+    rows, nodes, order = jnp.asarray(_TABLE), jnp.asarray(_NODES), jnp.arange(_STAGES)
 
     def at(weights, slopes) -> State:
         x = tuple(b + h * jnp.sum(weights * s) for b, s in zip(begin, slopes, strict=True))
@@ -100,7 +76,7 @@ def _tsit5(rates, h, y: State):
         found = zip((*here.v, *a, *z), slopes, strict=True)
         return tuple(jnp.where(order == i, slope, earlier) for slope, earlier in found)
 
-    slopes = jax.lax.fori_loop(0, len(_TABLE), stage, (jnp.zeros(len(_TABLE)),) * len(begin))
+    slopes = jax.lax.fori_loop(0, _STAGES, stage, (jnp.zeros(_STAGES),) * len(begin))
     first, last = (tuple(s[i] for s in slopes[n : 2 * n]) for i in (0, -1))
     return at(jnp.asarray(_WEIGHTS), slopes), first, last
 

@@ -298,7 +298,7 @@ class Study:
             raise FitError("with these numbers the motion runs away")
         outliers = [r.wild for r in found.recordings if r.recording.role != "check"]
         ends = out.unknowns, out.compressed, out.cost, out.steps, out.converged
-        descent = Descent(found.ready, problem, outliers, *ends, starts=1, agreeing=1)
+        descent = Descent(found.ready, problem, outliers, *ends)
         return finish(found.experiment, start, descent, began, polish, evaluated, correct=False)
 
     # -- the search ---------------------------------------------------------------------------
