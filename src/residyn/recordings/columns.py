@@ -6,7 +6,6 @@ says (`units`), else what stands in its name ("Time [ms]", "Shoulder (deg)", "t/
 units below it, else SI. Nothing is guessed in silence: what was understood is told in one line.
 """
 
-import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import InputError, quote
+from ..errors import InputError, did_you_mean, quote
 from .reads import PER_TIME, READS
 
 _TIMES = ("t", "time", "zeit", "temps", "tiempo", "tempo")
@@ -60,6 +59,7 @@ _SPELLED = (
     (re.compile(r"[\s*·-]"), ""),  # N*m, N·m, N-m
 )
 
+_JOINTS_OWN = re.compile(r"([qu])[1-9][0-9]*")
 _BRACKETS = re.compile(r"(.*?)[\s,_]*[\[({<]\s*([^\[\](){}<>]*?)\s*[\])}>]\s*")
 _TAILS = re.compile(r"(.*\S)(?:\s+in\s+|\s*/\s*|_|,\s*)(\S+)", re.I)
 
@@ -74,13 +74,13 @@ class Layout:
     decimal: str | None = None
 
     def __post_init__(self):
-        for key in ("columns", "units"):
-            table = getattr(self, key)
+        for key, example in (
+            ("columns", '{ t = "Time [ms]", q1 = "Shoulder (deg)" }'),
+            ("units", '{ t = "ms", q1 = "deg" }'),
+        ):
+            table, right = getattr(self, key), f"must be a table, as {example}"
             if table is None:
                 continue
-            right = 'must be a table, as { t = "Time [ms]", q1 = "Shoulder (deg)" }'
-            if key == "units":
-                right = 'must be a table, as { t = "ms", q1 = "deg" }'
             if not isinstance(table, Mapping) or not table:
                 raise InputError(f"{key} = {quote(table)}: {right}")
             for name, value in table.items():
@@ -90,11 +90,10 @@ class Layout:
                     )
                 if not isinstance(value, str) or not value.strip():
                     raise InputError(f"{key}: {name} = {quote(value)}: {right}")
-        if self.columns is not None:
-            names = [value.strip() for value in self.columns.values()]
-            for name in names:
-                if names.count(name) > 1:
-                    raise InputError(f"columns has {quote(name)} twice: each must be one column")
+        names = [value.strip() for value in (self.columns or {}).values()]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"columns has {quote(name)} twice: each must be one column")
         if self.decimal not in (None, ".", ","):
             raise InputError(f'decimal = {quote(self.decimal)}: must be "." or ","')
         if self.separator is not None:
@@ -138,17 +137,21 @@ class Joints(NamedTuple):
         """The columns that may be there."""
         return [f"u{j + 1}" for j in range(len(self.names))]
 
+    @property
+    def how_many(self) -> str:
+        """The number of joints, in words."""
+        return f"{len(self.names)} joint{'s' * (len(self.names) > 1)}"
+
     def quantities(self, name: str) -> tuple[str, ...]:
         """The SI units that a column may be in."""
         if name == "t":
             return ("s",)
-        turning, sliding = "N m", "N"
+        j = int(name[1:]) - 1
+        both = ("N m", "N")
         if name[0] == "q":
-            order = self.orders[int(name[1:]) - 1] if self.orders else 0
-            turning, sliding = (unit + PER_TIME[order] for unit in ("rad", "m"))
-        if self.units is None:
-            return (turning, sliding)
-        return (turning if self.units[int(name[1:]) - 1] == "rad" else sliding,)
+            per_time = PER_TIME[self.orders[j] if self.orders else 0]
+            both = ("rad" + per_time, "m" + per_time)
+        return both if self.units is None else (both[self.units[j] == "m"],)
 
 
 def matched(header: Sequence[str], joints: Joints, layout: Layout) -> dict[str, list[int]]:
@@ -158,9 +161,8 @@ def matched(header: Sequence[str], joints: Joints, layout: Layout) -> dict[str, 
     folded = [cell.casefold() for cell in plain]
     bare = [_parts(cell)[0].casefold() for cell in plain]
     for name in ("t", *joints.angles, *joints.drives):
-        wanted = (layout.columns or {}).get(name)
-        if wanted is not None:
-            wanted = wanted.strip()
+        wanted = (layout.columns or {}).get(name, "").strip()
+        if wanted:
             tries = [(plain, wanted), (folded, wanted.casefold()), (bare, wanted.casefold())]
         else:
             own = _TIMES if name == "t" else (name,)
@@ -192,42 +194,37 @@ def columns_of(
     has = ", ".join(quote(cell.strip()) for cell in header if cell.strip())
     for name in [*(layout.columns or {}), *(layout.units or {})]:
         if name not in ("t", *joints.angles, *joints.drives):
-            count = len(joints.names)
-            raise InputError(f"there is no joint for {name}: {count} joint{'s' * (count > 1)}")
+            raise InputError(f"there is no joint for {name}: {joints.how_many}")
     for name, wanted in (layout.columns or {}).items():
         if name not in found:
             taken = {at[0] for at in found.values()}
             free = [cell.strip() for i, cell in enumerate(header) if i not in taken]
-            close = difflib.get_close_matches(wanted, free, n=1)
-            hint = f"; did you mean {quote(close[0])}?" if close else ""
-            raise InputError(
-                f"columns: there is no column {quote(wanted)} for {name}; it has {has}{hint}"
-            )
+            line = f"columns: there is no column {quote(wanted)} for {name}; it has {has}"
+            raise InputError("; ".join(filter(None, [line, did_you_mean(wanted, free)])))
     for name in ("t", *joints.angles):
         if name not in found:
             raise InputError(
                 f"there is no column {name}; {right}, or say which column is what, as "
                 f'columns = {{ {name} = "..." }}; it has {has}'
             )
-    used = {at[0]: name for name, at in found.items()}
+    used = {at[0] for at in found.values()}
     for at in found.values():
         if len(at) > 1:
             raise InputError(f"column {quote(header[at[0]].strip())} appears twice; {right}")
-    for i, cell in enumerate(header):
-        extra = re.fullmatch(r"([qu])[1-9][0-9]*", cell.strip())
-        if extra and i not in used and layout.columns is None:
-            kind = extra[1]
-            have = sum(bool(re.fullmatch(f"{kind}[1-9][0-9]*", c.strip())) for c in header)
-            raise InputError(
-                f"has {have} {kind} columns, up to {quote(cell.strip())}, but the experiment has "
-                f"{len(joints.names)} joint{'s' * (len(joints.names) > 1)}; {right}"
-            )
+    own = [_JOINTS_OWN.fullmatch(cell.strip()) for cell in header]
+    extra = next((m for i, m in enumerate(own) if m and i not in used), None)
+    if extra and layout.columns is None:
+        have = sum(each is not None and each[1] == extra[1] for each in own)
+        raise InputError(
+            f"has {have} {extra[1]} columns, up to {quote(extra[0])}, but the experiment has "
+            f"{joints.how_many}; {right}"
+        )
     if len(used) < len(found):
         raise InputError(f"one column stands for two of {', '.join(found)}; {right}")
     columns = []
     for name, (index, *_) in found.items():
         cell = header[index].strip()
-        own = below[index].strip() if index < len(below) else ""
+        own = below[index] if index < len(below) else ""
         columns.append(Column(name, index, cell, *_unit(name, cell, own, joints, layout)))
     return columns
 
@@ -314,22 +311,17 @@ def guessed(
     plain = [i for i, ok in enumerate(numeric) if ok]
     time = next((i for i in plain if bare[i] in _TIMES), plain[0])
     rest = [i for i in plain if i != time]
-    called = [i for i in rest if re.fullmatch(r"q[1-9][0-9]*", bare[i])]
+    called = [i for i in rest if re.fullmatch("q[1-9][0-9]*", bare[i])]
     sized = [i for i in rest if any(_known(words[i], kind) for kind in ("rad", "m"))]
     angles = called or sized or rest
     order = _named_order([bare[i] for i in angles])
     at = {"t": time} | {f"q{j + 1}": angles[i] for j, i in enumerate(order or range(len(angles)))}
-    kinds = {name: ("s",) if name == "t" else ("rad", "m") for name in at}
-    return (
-        at,
-        {
-            name: unit
-            for name, i in at.items()
-            for kind in kinds[name]
-            if (unit := _known(words[i], kind)) is not None
-        },
-        bool(order),
-    )
+    units = {}
+    for name, i in at.items():
+        for kind in ("s",) if name == "t" else ("rad", "m"):
+            if (unit := _known(words[i], kind)) is not None:
+                units[name] = unit
+    return at, units, bool(order)
 
 
 def _named_order(names: Sequence[str]) -> list[int]:
@@ -372,9 +364,7 @@ def _unit(
                 raise InputError(
                     f"{where}: must be {allowed}, or reads = {quote(reads)} says what it is"
                 )
-    hint = (
-        "" if own is not None else f', or units = {{ {name} = "{allowed.split(",")[0]}" }} says it'
-    )
+    hint = f', or units = {{ {name} = "{allowed.split(",")[0]}" }} says it' * (own is None)
     raise InputError(f"{where}: must be {allowed}{hint}")
 
 

@@ -27,9 +27,9 @@ coupling = "?"            # m2 rho2, kg m; rho2: from the elbow to link 2's cent
 _AS_THEY_ARE = "no name says which column is which joint; the order is the file's"
 _INERTIA = """\
 [inertia]                 # a constant mass matrix
-joints = [{names}]
-units = [{units}]         # "rad" or "m" each
-matrix = [{rows}]         # kg m^2 or kg
+joints = {joints}
+units = {units}         # "rad" or "m" each
+matrix = {matrix}         # kg m^2 or kg
 """
 
 
@@ -58,10 +58,10 @@ def experiment_text(files: Sequence[Path], folder: Path) -> str:
     if width == 2 and kinds == ("rad", "rad"):
         head = _ARM
     else:
-        names = ", ".join(f'"joint{j + 1}"' for j in range(width))
-        zeros = ", ".join("[" + ", ".join(['"?"'] * width) + "]" for _ in range(width))
         head = _INERTIA.format(
-            names=names, units=", ".join(f'"{kind}"' for kind in kinds), rows=zeros
+            joints=toml_value([f"joint{j + 1}" for j in range(width)]),
+            units=toml_value(list(kinds)),
+            matrix=toml_value([["?"] * width] * width),
         )
     return "\n".join([head, *tables])
 
@@ -78,11 +78,15 @@ def _entry(
     what is `said` already."""
     understood = ""
     for _ in range(6):
-        layout = Layout(**{k: v for k, v in keys.items() if k in ("columns", "units")})
-        table = read_lab_csv(file, joints, layout)
+        table = read_lab_csv(file, joints, Layout(keys.get("columns"), keys.get("units")))
         understood = table.understood
-        options = {key: keys[key] for key in ("start", "rest") if key in keys}
-        recording = Recording.from_arrays(table.time, table.angle, name=str(file), **options)
+        recording = Recording.from_arrays(
+            table.time,
+            table.angle,
+            name=str(file),
+            start=keys.get("start"),
+            rest=keys.get("rest"),
+        )
         lines = table.lines_at(recording.time)
         found = not_free(recording, joints.units, table.stated, keys, lines)
         if found is None:
@@ -113,12 +117,9 @@ def _comment(words: str) -> list[str]:
 def toml_value(value: Any) -> str:
     """A value as TOML writes it: a table or a list of what JSON writes alike."""
     if isinstance(value, dict):
-        each = (f"{_key(key)} = {toml_value(x)}" for key, x in value.items())
+        keys = [k if re.fullmatch("[A-Za-z0-9_-]+", k) else toml_value(k) for k in value]
+        each = (f"{k} = {toml_value(x)}" for k, x in zip(keys, value.values(), strict=True))
         return "{ " + ", ".join(each) + " }"
     if isinstance(value, list):
         return "[" + ", ".join(map(toml_value, value)) + "]"
     return json.dumps(value, ensure_ascii=False)
-
-
-def _key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key, ensure_ascii=False)

@@ -22,9 +22,6 @@ from .trajectories import Trajectories, read_trajectories
 
 __all__ = ["MotionCapture", "read"]
 
-_SURE = 1e-3
-"""Error, rad, beyond which an angle is not put back but left lost."""
-
 _TILT = 2e-3
 """Error of the plane's direction, rad, that is worth a word."""
 
@@ -72,7 +69,6 @@ class MotionCapture:
 
         **Arguments:** those of `Recording.from_arrays`, without `time` and `angle`.
         """
-
         options = {"name": self.name, **options}
         rest, of_rest = self._rest(options.get("start"), options.get("stop"))
         said = [*self.repairs, *self.warnings]
@@ -171,7 +167,7 @@ def _solve(
             f"{quote(names[0])} moves by {1e3 * chain.base_sigma:.2g} mm (standard deviation): the "
             "base of the arm should stand still"
         )
-    back = repair.put_back(flat, noise, _SURE)
+    back = repair.put_back(flat, noise)
     angle = plane.angles(flat)
     repairs = repair.sentences(
         names, file.time, file.frame, assigned.order, lost, rejected, back, still

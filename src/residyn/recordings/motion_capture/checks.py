@@ -12,7 +12,7 @@ import numpy as np
 from ...errors import InputError, entries, number, quote
 from .labels import Labels
 from .rigid import Rigid
-from .trajectories import Trajectories
+from .trajectories import Trajectories, listed
 
 _LOOSE = 0.01
 """Relative scatter or error of a link's length that is worth a word."""
@@ -26,17 +26,15 @@ _OTHER = 0.2
 
 def names_of(markers: Any, file: Trajectories, lengths: Sequence[float] | None) -> tuple[str, ...]:
     """The names of the markers from base to tip, if they are such."""
-    has = ", ".join(quote(name) for name in file.names[:12])
-    has += ", ..." if len(file.names) > 12 else ""
-    right = f'from base to tip, as ["Shoulder", "Elbow", "Wrist"]; the file has {has}'
+    example = '["Shoulder", "Elbow", "Wrist"]'
+    right = f"from base to tip, as {example}; the file has {listed(file.names)}"
     if markers is None:
         raise InputError(f"markers is missing: name them {right}")
-    if isinstance(markers, str) or not isinstance(markers, (list, tuple)):
-        raise InputError(f"markers = {quote(markers)}: must be a list of names, {right}")
+    markers = entries("markers", markers, f"a list of names, {right}")
     if not all(isinstance(name, str) for name in markers):
-        raise InputError(f"markers = {quote(list(markers))}: must be names, {right}")
+        raise InputError(f"markers = {quote(markers)}: must be names, {right}")
     if len(set(markers)) < len(markers):
-        raise InputError(f"markers = {quote(list(markers))}: names must differ, {right}")
+        raise InputError(f"markers = {quote(markers)}: names must differ, {right}")
     joints = len(markers) - 1
     if joints < 1 or (lengths is not None and joints != len(lengths)):
         need = "at least 2" if lengths is None else f"{len(lengths) + 1}, one more than links"
@@ -60,10 +58,9 @@ def check_believable(
         j = int(loose.argmax())
         why = f"from {quote(names[j])} to {quote(names[j + 1])} the distance changes"
     if why:
-        listed = ", ".join(quote(name) for name in names)
         raise InputError(
-            f"markers {listed} are no chain of rigid links from a joint that stands still: {why}; "
-            "must be one marker at each joint's centre, from base to tip"
+            f"markers {', '.join(map(quote, names))} are no chain of rigid links from a joint that "
+            f"stands still: {why}; must be one marker at each joint's centre, from base to tip"
         )
 
 

@@ -74,30 +74,24 @@ def _alone(joints: np.ndarray, rigid: Rigid) -> np.ndarray:
     vouched[:, :-1] |= both
     alone = np.zeros_like(seen)
     for j, (place, sure) in enumerate(zip(joints.swapaxes(0, 1), vouched.T, strict=True)):
-        at = np.flatnonzero(sure)
+        at, odd = np.flatnonzero(sure), np.flatnonzero(seen[:, j] & ~sure)
         if len(at) < 2:
-            alone[:, j] = seen[:, j] & ~sure
+            alone[odd, j] = True
             continue
         usual = np.quantile(np.linalg.norm(np.diff(place[at], axis=0), axis=1) / np.diff(at), 0.99)
-        for t in np.flatnonzero(seen[:, j] & ~sure):
-            after = int(np.searchsorted(at, t))
-            near = [at[k] for k in (after - 1, after) if 0 <= k < len(at)]
-            least = min(near, key=lambda s: abs(s - t))
-            room = 2 * usual * abs(least - t) + 6 * rigid.base_sigma
-            alone[t, j] = np.linalg.norm(place[t] - place[least]) > room
+        after = np.searchsorted(at, odd).clip(1, len(at) - 1)
+        before, after = at[after - 1], at[after]
+        nearest = np.where(odd - before <= after - odd, before, after)
+        room = 2 * usual * np.abs(nearest - odd) + 6 * rigid.base_sigma
+        alone[odd, j] = np.linalg.norm(place[odd] - place[nearest], axis=1) > room
     return alone
 
 
 def _orders(markers: int) -> np.ndarray:
     """The ways to give labels to joints, the labels' own first; of long chains, single swaps."""
-    if markers <= 4:
-        return np.array(list(itertools.permutations(range(markers))))
-    orders = [list(range(markers))]
-    for i, j in itertools.combinations(range(markers), 2):
-        order = list(range(markers))
-        order[i], order[j] = j, i
-        orders.append(order)
-    return np.array(orders)
+    orders = np.array(list(itertools.permutations(range(markers))))
+    moved = (orders != np.arange(markers)).sum(axis=1)
+    return orders if markers <= 4 else orders[moved <= 2]
 
 
 def _frames(markers: np.ndarray, rigid: Rigid, orders: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -140,12 +134,12 @@ def _frames(markers: np.ndarray, rigid: Rigid, orders: np.ndarray) -> tuple[np.n
 def _leaps(markers: np.ndarray, rigid: Rigid) -> np.ndarray:
     """(N, n + 1, n + 1): what it costs to go on from label j's last place to label i's new one."""
     frames, joints = markers.shape[:2]
-    last = np.full_like(markers, np.nan)
-    gap = np.ones((frames, joints))
-    for t in range(1, frames):
-        seen = ~np.isnan(markers[t - 1, :, 0])
-        last[t] = np.where(seen[:, None], markers[t - 1], last[t - 1])
-        gap[t] = np.where(seen, 1, gap[t - 1] + 1)
+    t = np.arange(frames)[:, None]
+    seen = np.where(np.isnan(markers[:-1, :, 0]), -1, t[:-1])
+    before = np.vstack([np.full(joints, -1), np.maximum.accumulate(seen)])  # seen last; -1: never
+    last = np.take_along_axis(markers, before.clip(0)[..., None], axis=0)
+    last[before < 0] = np.nan
+    gap = t - before
     moved = np.linalg.norm(markers - last, axis=2) / gap
     usual = np.nanquantile(moved, 0.99) if np.isfinite(moved).any() else 0.0
     scale = (2 * usual + 6 * rigid.base_sigma) * gap

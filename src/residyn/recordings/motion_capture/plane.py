@@ -43,9 +43,7 @@ class Plane(NamedTuple):
 def frame_of(normal: np.ndarray, tilt: float = 0.0) -> Plane:
     """The plane of this normal, whose length does not matter."""
     normal = normal / np.linalg.norm(normal)
-    along = np.eye(3)[0]
-    if np.abs(normal).argmax() == 0:
-        along = np.eye(3)[1]
+    along = np.eye(3)[1 if np.abs(normal).argmax() == 0 else 0]
     x = along - (along @ normal) * normal
     x = x / np.linalg.norm(x)
     return Plane(x, np.cross(normal, x), normal, tilt)
@@ -64,9 +62,9 @@ def _settle(
     joints: np.ndarray, noise: float, size: float, level: float
 ) -> tuple[np.ndarray, float, float]:
     """A normal, how badly it fits and its error, from a first guess of how far heights differ."""
-    first, tilt = noise, 0.0
+    first, normal, cost, tilt = noise, np.zeros(3), 0.0, 0.0
     keep = ~np.isnan(joints[:, :, 0])
-    middle, normal, cost = np.nanmedian(joints, axis=0), np.zeros(3), 0.0
+    middle = np.nanmedian(joints, axis=0)
     for _ in range(10):
         moved = (joints - middle)[keep]
         centre = middle - middle.mean(axis=0)

@@ -62,7 +62,7 @@ def find(markers: np.ndarray, lengths: Sequence[float] | None = None) -> Rigid:
             f"only {len(seen)} frames have all of these markers; at least 20 are needed"
         )
     picked = markers[seen[np.linspace(0, len(seen) - 1, min(len(seen), _FRAMES)).astype(int)]]
-    joints = picked.shape[1]
+    rows, joints = np.arange(len(picked)), picked.shape[1]
     size = float(np.median(np.linalg.norm(np.diff(picked, axis=1), axis=2)))
     near = max(6 * _jitter(markers), 2e-3 * size, 1e-9)
     base, sure = _place(picked, near)
@@ -71,11 +71,9 @@ def find(markers: np.ndarray, lengths: Sequence[float] | None = None) -> Rigid:
     free = np.ones(picked.shape[:2], dtype=bool)
     at = np.linalg.norm(picked - base, axis=2).argmin(axis=1)
     for j in range(1, joints):
-        rows = np.arange(len(picked))
         free[rows, at] = False
-        away = np.linalg.norm(picked - picked[rows, at][:, None], axis=2)
-        if j == 1:  # the base is known better than its marker
-            away = np.linalg.norm(picked - base, axis=2)
+        before = base if j == 1 else picked[rows, at][:, None]  # the base is known better
+        away = np.linalg.norm(picked - before, axis=2)
         away[~free] = np.inf
         length, sure = _length(away, j, near, lengths[j - 1] if lengths is not None else None)
         found.append(length)
@@ -91,13 +89,8 @@ def refine(joints: np.ndarray, before: Rigid) -> Rigid:
     floor = FLOOR * float(np.mean(before.lengths))
     links = np.linalg.norm(np.diff(joints, axis=1), axis=2)
     lengths = np.nanmedian(links, axis=0)
-    return Rigid(
-        base,
-        max(_spread(joints[:, 0] - base), floor),
-        lengths,
-        np.maximum([_spread(link - l) for link, l in zip(links.T, lengths, strict=True)], floor),
-        before.unsure,
-    )
+    sigmas = np.maximum([_spread(off) for off in (links - lengths).T], floor)
+    return Rigid(base, max(_spread(joints[:, 0] - base), floor), lengths, sigmas, before.unsure)
 
 
 def _spread(x: np.ndarray) -> float:
@@ -122,7 +115,7 @@ def _place(picked: np.ndarray, near: float) -> tuple[np.ndarray, bool]:
     for place in np.concatenate([places, own]):
         away = np.linalg.norm(picked - place, axis=2)
         here = away < near
-        values.append(_Value(place, here, _size(away[here])))
+        values.append(_Value(place, here, _spread(away[here])))
     best, sure = _most(values, 0)
     return np.median(picked[best.here], axis=0), sure
 
@@ -131,14 +124,13 @@ def _length(away: np.ndarray, j: int, near: float, known: float | None) -> tuple
     """The distance at which in most frames some marker is, and whether that is sure; else the
     j-th one's."""
     pool = away[np.isfinite(away)]
-    tried = np.quantile(pool, np.linspace(0, 1, _PLACES))
     values = []
-    for length in tried:
+    for length in np.quantile(pool, np.linspace(0, 1, _PLACES)):
         here = np.abs(away - length) < near
         if not here.any():
             continue
         middle = np.median(away[here])
-        values.append(_Value(middle, here, _size(away[here] - middle)))
+        values.append(_Value(middle, here, _spread(away[here] - middle)))
     best, sure = _most(values, j, known)
     return float(np.median(away[best.here])), sure
 
@@ -150,10 +142,6 @@ class _Value(NamedTuple):
     here: np.ndarray
     """(frames, n + 1) bool: which markers have it."""
     scatter: float
-
-
-def _size(x: np.ndarray) -> float:
-    return 1.4826 * float(np.median(np.abs(x))) if len(x) else np.inf
 
 
 def _most(values: list[_Value], label: int, known: float | None = None) -> tuple[_Value, bool]:
