@@ -164,7 +164,7 @@ BAD = {
     "json nowhere": (["fit", "cart.toml", "--json", "no/such/folder.json"], "no/such/folder.json"),
     "report nowhere": (["fit", "cart.toml", "--report", "no/such.html"], "no/such.html"),
     "report into a folder": (["fit", "cart.toml", "--report", "."], "--report"),
-    "report to a pipe": (["fit", "cart.toml", "--report", "-"], "name of a file"),
+    "report to a pipe": (["fit", "cart.toml", "--report", "-"], "must end in .html"),
     "both into one": (
         ["fit", "cart.toml", "--report", "x.html", "--json", "./x.html"],
         "same file",

@@ -232,7 +232,7 @@ def test_matlab_has_names_and_units_too(tmp_path):
         ("rest = 0.1", "rest = 0.1: must be"),
         ('rest = [0.1, "x"]', 'rest = "x"'),
         ("rest = [0.1, inf]", "rest = inf"),
-        ("dezimal = 1", "did you mean decimal?"),
+        ("dezimal = 1", 'did you mean "decimal"?'),
     ],
 )
 def test_keys_are_checked(tmp_path, keys, says):

@@ -272,7 +272,7 @@ def test_reads_standard_input(folder, monkeypatch):
         (['recordings = ["a.csv"]', ARM], ["[[recordings]]"]),
         (["arm = 3", entry()], ["[arm]"]),
         (["[[arm]]", entry()], ["[arm]"]),
-        ([ARM.replace("arm", "arms"), entry()], ['"arms"', "did you mean arm?"]),
+        ([ARM.replace("arm", "arms"), entry()], ['"arms"', 'did you mean "arm"?']),
         ([ARM, "sholder = 1", entry()], ["[arm]", '"sholder"', "shoulder"]),
         ([ARM, entry("nosie = 1")], ["[[recordings]] 1", '"nosie"', "noise"]),
         ([ARM, entry("xyz = 1")], ['"xyz"', "extra_mass"]),

@@ -37,8 +37,7 @@ def unload(
     inertia_std: Annotated[
         str | None,
         _options.option(
-            "--inertia-std",
-            "A,B,C",
+            "--inertia-std A,B,C",
             "Standard errors of shoulder, elbow (kg m^2) and coupling (kg m) from step 1, to "
             'carry over. Recordings with role = "inertia" give them too.',
         ),
@@ -47,7 +46,6 @@ def unload(
         bool,
         _options.option(
             "--diagnose",
-            None,
             "Diagnose first: the modes without bearings over all models that the recordings "
             "leave in play, with their probabilities.",
         ),

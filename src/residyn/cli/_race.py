@@ -16,17 +16,14 @@ if TYPE_CHECKING:
     from ..fitting.history import Watch
 
 _METHODS = _options.option(
-    "--methods",
-    "LIST",
-    "Which methods, separated by commas: levenberg, random, genetic, "
-    "genetic_release_told, cma_es, differential_evolution, particle_swarm, or any minimiser "
+    "--methods LIST",
+    f"Which methods, separated by commas: {', '.join(_options.METHODS)}, or any minimiser "
     "such as optimistix.BFGS or optax.adam. Without it, the first seven.",
 )
-_REPEATS = _options.number("--repeats", "N", "Seeds that each method runs with.", least=1)
-_SECONDS = _options.seconds("--seconds", "S", "The most that one run of a method may take.")
+_REPEATS = _options.number("--repeats N", "Seeds that each method runs with.", least=1)
+_SECONDS = _options.seconds("--seconds S", "The most that one run of a method may take.")
 _SIMULATIONS = _options.number(
-    "--simulations",
-    "N",
+    "--simulations N",
     "The most simulations that one run of a method may take, instead of --seconds.",
     least=1,
 )
@@ -78,15 +75,15 @@ def _live() -> Iterator[tuple[Callable[[str], None], "Callable[[str, int, Watch]
     from rich.live import Live
     from rich.table import Table
 
-    rows: dict[tuple[str, int], tuple[str, str, str]] = {}
+    rows: dict[str, tuple[str, str, str]] = {}
     doing = ""
 
     def drawn() -> Table:
         table = Table(title=doing, title_justify="left", box=None)
         for head in ("method", "objective", "simulations", "seconds"):
             table.add_column(head, justify="left" if head == "method" else "right")
-        for (name, seed), row in rows.items():
-            table.add_row(name if seed == 0 else f"{name}, seed {seed}", *row)
+        for name, told in rows.items():
+            table.add_row(name, *told)
         return table
 
     out = console(stderr=True)
@@ -101,8 +98,8 @@ def _live() -> Iterator[tuple[Callable[[str], None], "Callable[[str, int, Watch]
             live.update(drawn(), refresh=True)
 
         def news(name: str, seed: int, watch: "Watch") -> None:
-            row = f"{watch.best:.5g}", f"{watch.simulations:.0f}", f"{watch.seconds:.1f}"
-            rows[name, seed] = row
+            told = f"{watch.best:.5g}", f"{watch.simulations:.0f}", f"{watch.seconds:.1f}"
+            rows[name if seed == 0 else f"{name}, seed {seed}"] = told
             live.update(drawn(), refresh=True)
 
         yield say, news

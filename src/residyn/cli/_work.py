@@ -6,7 +6,7 @@ import itertools
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from ..fitting.result import Fit
     from ..recordings.experiment import Experiment
 
-_TABLES = (".tex", ".csv")
-_PAGES = (".html", ".htm")
+_ENDINGS = {"--report": (".html", ".htm"), "--table": (".tex", ".csv"), "--found": (".py",)}
 
 
 class Work:
@@ -37,16 +36,12 @@ class Work:
         found: str | None = None,
     ):
         self.json_file, self.report, self.table, self.found = json_file, report, table, found
-        if report == "-":
-            raise InputError("--report -: a report needs the name of a file")
-        if report is not None and Path(report).suffix not in _PAGES:
-            raise InputError(f"--report {report}: must end in {' or '.join(_PAGES)}")
-        if table is not None and Path(table).suffix not in _TABLES:
-            raise InputError(f"--table {table}: must end in {' or '.join(_TABLES)}")
-        if found is not None and Path(found).suffix != ".py":
-            raise InputError(f"--found {found}: must end in .py")
         given = {"--json": json_file, "--report": report, "--table": table, "--found": found}
         self._files = {option: path for option, path in given.items() if path is not None}
+        for option, path in self._files.items():
+            right = _ENDINGS.get(option)
+            if right is not None and Path(path).suffix not in right:
+                raise InputError(f"{option} {path}: must end in {' or '.join(right)}")
         written = [(option, path) for option, path in self._files.items() if path != "-"]
         for (one, path), (other, own) in itertools.combinations(written, 2):
             if _same(path, own):
@@ -94,44 +89,37 @@ class Work:
 
     def write(self, result: Any, page: Callable[[str], None] | None = None) -> None:
         """Write what was asked for, as `give`."""
-        self.write_json(result.to_dict())
+        if self.json_file is not None:
+            told = finite(result.to_dict())
+            text = json.dumps(told, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+            if self.json_file == "-":
+                sys.stdout.write(text)
+                sys.stdout.flush()
+            else:
+                with inside("--json"):
+                    write(self.json_file, text)
         if self.table is not None:
             text = result.to_latex() if Path(self.table).suffix == ".tex" else result.to_csv()
             with inside("--table"):
                 write(self.table, text)
             self.words.print(f"table: {self.table}", soft_wrap=True)
         if self.found is not None:
-            self._write_found(result)
+            self._write_found(result, self.found)
         if self.report is not None and page is not None:
             with progress() as say:
                 say("writing the report")
                 page(self.report)
             self.words.print(f"report: {self.report}", soft_wrap=True)
 
-    def write_json(self, result: Mapping[str, Any]) -> None:
-        """Write the JSON, if it was asked for."""
-        if self.json_file is None:
-            return
-        text = json.dumps(finite(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        if self.json_file == "-":
-            sys.stdout.write(text)
-            sys.stdout.flush()
-            return
-        with inside("--json"):
-            write(self.json_file, text)
-
-    def _write_found(self, result: "Diagnosis") -> None:
+    def _write_found(self, result: "Diagnosis", file: str) -> None:
         """Write the law without a name as an effect, if there is one."""
         law = next((law.found for law in result.laws if law.found is not None), None)
         if law is None:
-            self.words.print(f"no law without a name was found: {self.found} is not written")
+            self.words.print(f"no law without a name was found: {file} is not written")
             return
-        assert self.found is not None
         with inside("--found"):
-            write(self.found, law.text(Path(self.found).name))
-        self.words.print(
-            f"law: {self.found} (--effects {self.found} --with {law.label})", soft_wrap=True
-        )
+            write(file, law.text(Path(file).name))
+        self.words.print(f"law: {file} (--effects {file} --with {law.label})", soft_wrap=True)
 
 
 def _same(one: str | Path, other: str | Path) -> bool:
@@ -197,9 +185,8 @@ def bring(files: Sequence[str] | None) -> None:
 
 def input_files(path: str, experiment: "Experiment") -> list[Path]:
     """Every file that was read, so that none of them is written over."""
-    base = Path() if path == "-" else Path(path).parent
-    files = [base / r.name for r in experiment.recordings]
-    return files if path == "-" else [Path(path), *files]
+    own = [] if path == "-" else [Path(path)]
+    return own + [Path(path).parent / r.name for r in experiment.recordings]
 
 
 def title(path: str) -> str:

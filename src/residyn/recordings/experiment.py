@@ -51,7 +51,8 @@ class Experiment:
         check_bearings(self.inertia, self.bearings)
         if self.limits is not None:
             arm = isinstance(self.inertia, ArmTable)
-            self.limits.check(self.joints, arm, bool(self.bearings))
+            with inside("[limits]"):
+                self.limits.check(self.joints, arm, bool(self.bearings))
         for recording in self.recordings:
             if recording.joints != len(self.joints):
                 raise InputError(

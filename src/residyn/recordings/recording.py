@@ -12,22 +12,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InputError, entries, flag, inside, number
-from .arrays import (
-    check_drive,
-    check_enough,
-    check_noise,
-    check_table,
-    clock_warnings,
-)
+from ..errors import InputError, did_you_mean, entries, flag, inside, number, quote
+from .arrays import check_drive, check_enough, check_noise, check_table, clock_warnings
 from .noise import noise_and_warnings
 from .outliers import outlier_mask
 from .reads import READS, angles_from, check_reads
 from .release import window
 from .resampling import block_means
 from .rest import estimated_rest
-from .toml import check_own, check_role
 
+ROLES = ("fit", "check", "inertia")
 MOST = 100_000
 """Instants of a recording: where there are more, means of some after each other are taken. That
 leaves dozens for each period of anything that swings less than a thousand times."""
@@ -258,3 +252,25 @@ def _rest(rest: Any, time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, l
         return np.array([number("rest", x, "rad or m") for x in values]), []
     check_enough(angle, part=False)
     return estimated_rest(time, angle)
+
+
+def check_role(role: Any) -> str:
+    """`role`, if it is one."""
+    if not isinstance(role, str) or role not in ROLES:
+        line = f"role = {quote(role)}: must be {' or '.join(map(quote, ROLES))}"
+        raise InputError("; ".join(filter(None, [line, did_you_mean(str(role), ROLES)])))
+    return role
+
+
+def check_own(own: Any, role: str) -> tuple[str, ...]:
+    """`own`, if it is a list of effects, and the recording is one that tells their numbers."""
+    if not isinstance(own, list | tuple) or not all(isinstance(x, str) for x in own):
+        raise InputError(
+            f'own = {quote(own)}: must be a list of effects, as ["coulomb_friction:elbow"]'
+        )
+    if own and role != "fit":
+        raise InputError(
+            f"own = {quote(list(own))}: with role = {quote(role)} nothing tells its own numbers; "
+            "leave own out"
+        )
+    return tuple(own)
