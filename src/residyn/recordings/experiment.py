@@ -182,14 +182,7 @@ def from_text(text: str, folder: Path, where: str, path: str = "") -> Experiment
         for i, entry in enumerate(contents.recordings):
             with inside(f"[[recordings]] {i + 1}"):
                 recordings.append(_read(folder, contents.inertia, **entry))
-        return Experiment(
-            contents.inertia,
-            tuple(recordings),
-            contents.bearings,
-            path,
-            contents.integrator,
-            contents.limits,
-        )
+        return Experiment(**contents._replace(recordings=tuple(recordings))._asdict(), path=path)
 
 
 def _read(
@@ -213,12 +206,11 @@ def _read(
                 )
         with inside(file):
             layout = Layout(**given)
-        with inside(file):
             kinds = check_reads(options.get("reads", "angle"), len(inertia.joints))
         orders = tuple(map(READS.index, kinds))
         table = read_table(path, Joints(inertia.joints, inertia.units, orders), layout)
-        time, angle, drive = table.time, table.angle, table.drive
-        recording = Recording.from_arrays(time, angle, drive=drive, name=file, **options)
+        angle, drive = table.angle, table.drive
+        recording = Recording.from_arrays(table.time, angle, drive=drive, name=file, **options)
         said = "; ".join(filter(None, [table.understood, recording.understood]))
         recording = dataclasses.replace(recording, understood=said)
         units, lines = reading_units(inertia.units, orders), table.lines_at(recording.time)

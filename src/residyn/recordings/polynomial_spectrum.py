@@ -91,22 +91,19 @@ def blocks(time: np.ndarray, values: np.ndarray) -> Blocks:
     # Down from the top while the next degree is as small as all above it, within its statistics;
     # then up again by two, past motion that was too small to be noticed.
     limit = math.sqrt(1 + 3 * math.sqrt(4 / len(live)))
-    each = spread_of_columns(live)
+    each = spread(live)
     above = np.sqrt(np.cumsum(each[::-1] ** 2) / np.arange(1, m + 1))[::-1]
     degree = top
     while degree > 1 and each[degree - 1] <= limit * above[degree]:
         degree -= 1
     degree = min(degree + 2, top)
-    return Blocks(first, basis, share, degree, spread(share[moves, degree:]))
+    left = spread(share[moves, degree:].reshape(-1, 1))[0]
+    return Blocks(first, basis, share, degree, float(left))
 
 
-def spread(values: np.ndarray) -> float:
-    """Standard deviation about zero, blind to a minority of outliers: clipped at three sigma."""
-    return float(spread_of_columns(values.reshape(-1, 1))[0])
-
-
-def spread_of_columns(values: np.ndarray) -> np.ndarray:
-    """`spread` of each column of (N, K) values."""
+def spread(values: np.ndarray) -> np.ndarray:
+    """Standard deviation about zero of each column of (N, K) values, blind to a minority of
+    outliers: clipped at three sigma."""
     count = len(values)
     half = (count - 1) // 2, count // 2
     size = np.abs(values)

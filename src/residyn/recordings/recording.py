@@ -125,8 +125,15 @@ class Recording:
             warnings += clock_warnings(time)
             many = -(-len(time) // MOST)
             if many > 1:
-                time, angle, force, words = _means(time, angle, force, many)
-                warnings.append(words)
+                warnings.append(
+                    f"has {len(time)} samples: means of {many} are taken, which leaves "
+                    f"{len(time) // many}; if the arm swings faster than they tell, cut it with "
+                    "start and stop"
+                )
+                # Not of outliers, which would be in their means.
+                angle = np.where(outlier_mask(time, angle), np.nan, angle)
+                time, angle = block_means(time, many), block_means(angle, many)
+                force = None if force is None else block_means(force, many)
             understood = ""
             if rest is not None:
                 off, more = _rest(rest, time, angle)
@@ -229,24 +236,10 @@ class Recording:
         return int(np.count_nonzero(np.isnan(self.angle)))
 
 
-def _means(
-    time: np.ndarray, angle: np.ndarray, force: np.ndarray | None, many: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, str]:
-    """Means over so many instants after each other, and what was done, in words."""
-    angle = np.where(outlier_mask(time, angle), np.nan, angle)  # or it would be in its mean
-    found = block_means(time, many), block_means(angle, many)
-    drive = None if force is None else block_means(force, many)
-    words = (
-        f"has {len(time)} samples: means of {many} are taken, which leaves {len(found[0])}; if the "
-        "arm swings faster than they tell, cut it with start and stop"
-    )
-    return *found, drive, words
-
-
 def _rest(rest: Any, time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """(n,) angles at rest, given or found, and what is doubtful of them."""
     n = angle.shape[1]
-    if rest != "estimate" or not isinstance(rest, str):
+    if not (isinstance(rest, str) and rest == "estimate"):
         many = f"{n} number{'s' * (n > 1)} (rad or m), one for each joint, in a list"
         values = entries("rest", rest, f'"estimate", or {many}', n)
         return np.array([number("rest", x, "rad or m") for x in values]), []

@@ -18,7 +18,7 @@ import numpy as np
 
 from .arrays import clock_warnings
 from .recording import Recording
-from .resampling import decimated, evenly_sampled, slowest_period
+from .resampling import decimated, evenly_sampled, moving_means, slowest_period
 from .rest import rest_angles
 
 _OFF = 0.5
@@ -113,12 +113,11 @@ def _no_angle(
         if not len(far):
             continue
         value, count = float(recording.angle[far[0], j]), len(far)
-        places = [f"{recording.time[i]:.6g} s" for i in (far[0], far[-1])]
-        what = "at"
-        if lines is not None:
-            places, what = [str(lines[i]) for i in (far[0], far[-1])], f"line{'s' * (count > 1)}"
-        where = f"{what} {places[0]}"
-        where += f" to {places[1]} ({count} readings)" if count > 1 else ""
+        what = "at" if lines is None else f"line{'s' * (count > 1)}"
+        first, last = (
+            f"{recording.time[i]:.6g} s" if lines is None else lines[i] for i in (far[0], far[-1])
+        )
+        where = f"{what} {first}" + f" to {last} ({count} readings)" * (count > 1)
         words = (
             f"q{j + 1} = {value:.4g} rad ({np.degrees(value):.4g} deg), {where}, more than "
             f"{_TURN:g} rad from the readings beside it, as no braked joint turns: a lost sample "
@@ -133,8 +132,7 @@ def _held_until(motion: np.ndarray, period: float) -> float | None:
     `period` of the slowest mode in samples."""
     size = np.abs(motion - np.median(motion[-max(1, len(motion) // 4) :], axis=0)).max(axis=0)
     width = max(1, min(int(period / 40), len(motion)))
-    total = np.cumsum(np.pad(motion, ((1, 0), (0, 0))), axis=0)
-    smooth = (total[width:] - total[:-width]) / width
+    smooth = moving_means(motion, width)
     first = np.median(smooth[:width], axis=0)
     each = np.abs(smooth - first) / np.where(size > 0, size, np.inf)
     largest = each[:, int(np.argmax(each.max(axis=0)))]
