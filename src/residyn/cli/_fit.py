@@ -125,11 +125,7 @@ def _fit_each(
     no_cache: bool,
     jobs: int,
 ) -> None:
-    """Fit every experiment of a folder, a line each as it is done, in `jobs` processes.
-
-    **Raises:** `InputError` for a folder without experiments, or a file of results that is none or
-    cannot be written.
-    """
+    """Fit every experiment of a folder, a line each as it is done, in `jobs` processes."""
     if not Path(folder).is_dir():
         raise InputError(f"--each {folder}: there is no such folder")
     files = sorted(str(file) for file in Path(folder).glob("*.toml"))

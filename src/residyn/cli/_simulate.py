@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import InputError, inside, number
+from ..errors import InputError, inside
 from ..files import make_folder
 from . import _options
 from ._shell import DONE, NO_NUMBERS, NoNumbers, complain, console
-from ._work import Work, computing, input_files
+from ._work import Work, computing, float_of, floats_of, input_files
 
 if TYPE_CHECKING:
     import numpy as np
@@ -55,7 +55,7 @@ def simulate(
             raise InputError(f"--set {each}: must be NAME=VALUE, as spring:elbow.stiffness=16.7")
         if name in numbers:
             raise InputError(f"--set {each}: {name} is set twice")
-        numbers[name] = _float(f"--set {name}", value)
+        numbers[name] = float_of(f"--set {name}", value)
     loaded = Work().begin(experiment, own, no_cache, integrator)
     import numpy as np
 
@@ -63,7 +63,8 @@ def simulate(
     from ..fitting.problem import posed
     from ..recordings.csv import write_csv
 
-    angles, rates = _per_joint("--q0", q0, loaded), _per_joint("--v0", v0, loaded)
+    angles = None if q0 is None else np.array(floats_of("--q0", q0, loaded.joints))
+    rates = None if v0 is None else np.array(floats_of("--v0", v0, loaded.joints))
     # Driven recordings of step 1 have their brakes off: springs and dampers say nothing of them.
     shown = [r for r in loaded.recordings if r.role != "inertia"]
     if not shown:
@@ -114,11 +115,7 @@ def simulate(
 def _model_with(
     experiment: "Experiment", effects: Sequence[str], numbers: dict[str, float]
 ) -> "Model":
-    """The springs, dampers and effects, with all their numbers as given.
-
-    **Raises:** `InputError` for a number that there is not, or one left out; `ValueError` for an
-    effect that there is not.
-    """
+    """The springs, dampers and effects, with all their numbers as given."""
     from ..fitting import mechanism_of, model_for
 
     model = model_for(mechanism_of(experiment, experiment.recordings[0]), effects)
@@ -168,11 +165,7 @@ def _motion(
     rates: "np.ndarray",
     memory: "np.ndarray | None" = None,
 ) -> "np.ndarray":
-    """Readings (N, n) of a model under the drive of one recording, at its times.
-
-    **Raises:** `NoNumbers` if the motion runs away.
-    """
-    import jax.numpy as jnp
+    """Readings (N, n) of a model under the drive of one recording, at its times."""
     import numpy as np
 
     from ..simulation.simulate import Drive, simulate
@@ -181,49 +174,16 @@ def _motion(
     if recording.drive is not None:
         grid = np.linspace(time[0], time[-1], len(time))
         values = np.stack([np.interp(grid, time, u) for u in recording.drive.T], axis=1)
-        drive = Drive(grid[0], grid[1] - grid[0], jnp.asarray(values))
-    path = simulate(
-        here,
-        jnp.asarray(time),
-        jnp.asarray(angles),
-        jnp.asarray(rates),
-        z0=memory,
-        drive=drive,
-        integrator=integrator,
-        orders=recording.orders,
-    )
-    found = np.asarray(path.readings)
+        drive = Drive(grid[0], grid[1] - grid[0], values)
+    how = {"z0": memory, "drive": drive, "integrator": integrator, "orders": recording.orders}
+    found = np.asarray(simulate(here, time, angles, rates, **how).readings)
     if not np.isfinite(found).all():
         raise NoNumbers(f"{recording.name}: with these numbers the motion runs away")
     return found
 
 
-def _float(key: str, words: str) -> float:
-    try:
-        value: float | str = float(words)
-    except ValueError:
-        value = words
-    return number(key, value, "in SI units")
-
-
-def _per_joint(option: str, words: str | None, experiment: "Experiment") -> "np.ndarray | None":
-    """Numbers separated by commas, one per joint."""
-    if words is None:
-        return None
-    import numpy as np
-
-    parts, joints = words.split(","), experiment.joints
-    if len(parts) != len(joints):
-        many = f"{len(joints)} numbers separated by commas" if len(joints) > 1 else "one number"
-        raise InputError(f"{option} {words}: must be {many}, for {', '.join(joints)}")
-    return np.array([_float(option, part) for part in parts])
-
-
 def _paths(folder: Path, recordings: "Sequence[Recording]", inputs: Sequence[Path]) -> list[Path]:
-    """One file per recording, named as it is; none of them an input.
-
-    **Raises:** `InputError`, before anything is written.
-    """
+    """One file per recording, named as it is; none of them an input."""
     paths: list[Path] = []
     for recording in recordings:
         stem = Path(recording.name).stem or "recording"

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import InputError, inside
+from ..errors import InputError, inside, number
 from ..files import check_writable, write
 from ..runtime.json import finite
 from ._shell import NoNumbers, console, interruptible, progress, set_up_jax, tell
@@ -58,10 +58,7 @@ class Work:
     def begin(
         self, path: str, own: Sequence[str] | None, no_cache: bool, integrator: str | None = None
     ) -> "Experiment":
-        """Make JAX and the user's own effects ready, and read the experiment.
-
-        **Raises:** `InputError`, also for an output that is one of the inputs.
-        """
+        """Make JAX and the user's own effects ready, and read the experiment."""
         set_up_jax(not no_cache)
         bring(own)
         experiment = load(path)
@@ -74,10 +71,7 @@ class Work:
         return experiment
 
     def spare(self, inputs: Sequence[Path]) -> None:
-        """Refuse to write over a file that was read.
-
-        **Raises:** `InputError`.
-        """
+        """Refuse to write over a file that was read."""
         for option, path in self._files.items():
             if any(_same(path, each) for each in inputs):
                 raise InputError(f"{option} {path}: is an input of this experiment; choose another")
@@ -137,11 +131,8 @@ def computing() -> Iterator[Callable[[str], None]]:
 
 @contextlib.contextmanager
 def one_complaint() -> Iterator[None]:
-    """What cannot be computed, as the one line that the user reads.
-
-    **Raises:** `NoNumbers` for numbers that cannot be had; `InputError` for effects that do not
-    exist or do not go with the experiment, and for what needs an extra that is not installed.
-    """
+    """What cannot be computed, as the one line that the user reads: numbers that cannot be had, or
+    effects that do not exist or go with the experiment, or an extra that is not installed."""
     from ..fitting import FitError, MissingExtra
 
     interruptible()
@@ -154,10 +145,7 @@ def one_complaint() -> Iterator[None]:
 
 
 def load(path: str) -> "Experiment":
-    """Read the experiment, and say on standard error what was made of a lab's own files.
-
-    **Raises:** `InputError`.
-    """
+    """Read the experiment, and say on standard error what was made of a lab's own files."""
     with progress() as say:
         say("reading")
         from ..recordings.experiment import load as read_experiment
@@ -170,10 +158,7 @@ def load(path: str) -> "Experiment":
 
 
 def bring(files: Sequence[str] | None) -> None:
-    """Add the effects of users' files to the catalogue.
-
-    **Raises:** `InputError`.
-    """
+    """Add the effects of users' files to the catalogue."""
     if files:
         with progress() as say:
             say("loading")
@@ -187,6 +172,25 @@ def input_files(path: str, experiment: "Experiment") -> list[Path]:
     """Every file that was read, so that none of them is written over."""
     own = [] if path == "-" else [Path(path)]
     return own + [Path(path).parent / r.name for r in experiment.recordings]
+
+
+def float_of(key: str, words: str, least: float | None = None) -> float:
+    """The number in these words, in SI units."""
+    value: float | str = words
+    with contextlib.suppress(ValueError):
+        value = float(words)
+    return number(key, value, "in SI units", least=least)
+
+
+def floats_of(
+    option: str, words: str, names: Sequence[str], least: float | None = None
+) -> list[float]:
+    """Numbers separated by commas, one for each of these names."""
+    parts, count = words.split(","), len(names)
+    if len(parts) != count:
+        many = f"{count} numbers separated by commas" if count > 1 else "one number"
+        raise InputError(f"{option} {words}: must be {many}, for {', '.join(names)}")
+    return [float_of(option, part, least) for part in parts]
 
 
 def title(path: str) -> str:

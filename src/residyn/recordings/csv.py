@@ -220,10 +220,7 @@ def _values(
     columns: Sequence[Column],
     where: str,
 ) -> np.ndarray:
-    """(N, columns) the numbers of the needed columns, as they stand.
-
-    **Raises:** `InputError` that names the line, and which cell is wrong.
-    """
+    """(N, columns) the numbers of the needed columns, as they stand."""
     plain = all('"' not in row and row.count(separator) == width - 1 for _, row in rows)
     if plain and decimal == "." and separator != " ":
         # All at once, if all cells that are wanted are numbers as NumPy reads them.

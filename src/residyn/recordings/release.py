@@ -96,10 +96,7 @@ def release_time(time: np.ndarray, angle: np.ndarray) -> float:
 
 
 def _broken(motion: np.ndarray, excursion: np.ndarray, quarter: int) -> np.ndarray:
-    """Which samples of `motion` (N, n) break the law of the ring-down.
-
-    `quarter` is a quarter period in samples.
-    """
+    """Which samples of `motion` (N, n) break the law of the ring-down."""
     broken = np.zeros(len(motion), dtype=bool)
     for part in (4, 2, 1):  # as little smoothing as the noise allows
         q, v, a = _smooth(motion, max(1, quarter // part))

@@ -114,10 +114,7 @@ def _in_words(line: str, what: str) -> str:
 
 
 def _check_filled_in(tables: Mapping[str, Any]) -> None:
-    """That no "?" is left where `residyn new` writes one.
-
-    **Raises:** `InputError` that names them all.
-    """
+    """That no "?" is left where `residyn new` writes one."""
     left = []
     for name, content in tables.items():
         many = isinstance(content, list)
