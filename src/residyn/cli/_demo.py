@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from ..fitting.result import Fit
 
 _REPORT = "residyn-demo.html"
-_BAR = 16
-"""Letters of the longest bar of the table by time window."""
+_BAR = 16  # letters of the longest bar of the table by time window
 
 
 def demo(

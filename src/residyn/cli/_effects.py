@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from ..effects import AbstractEffect
     from ..physics.parameter import Parameter
 
-_ROOMY = 110
-"""Columns of text from which the table has a column for everything."""
+_ROOMY = 110  # columns of text from which the table has a column for everything
 
 
 def effects(

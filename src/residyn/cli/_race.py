@@ -1,7 +1,5 @@
 """`residyn race`."""
 
-import contextlib
-from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -9,8 +7,8 @@ import typer
 from .. import reporting
 from ..errors import InputError
 from . import _options
-from ._shell import INTERRUPTED, NoNumbers, complain, console
-from ._work import Work, one_complaint, title
+from ._shell import INTERRUPTED, NoNumbers, complain
+from ._work import Work, computing, title
 
 if TYPE_CHECKING:
     from ..fitting.history import Watch
@@ -49,8 +47,12 @@ def race(
     names = None if methods is None else [name.strip() for name in methods.split(",")]
     out = Work(json, report, table)
     loaded = out.begin(experiment, own, no_cache, integrator)
-    with _live() as (say, news), one_complaint():
+    with computing() as say:
         from ..fitting import race as run
+
+        def news(name: str, seed: int, watch: "Watch") -> None:
+            who = name if seed == 0 else f"{name}, seed {seed}"
+            say(f"{who}: objective {watch.best:.5g} after {watch.simulations:.0f} simulations")
 
         found = run(
             loaded,
@@ -67,39 +69,3 @@ def race(
         raise typer.Exit(complain("interrupted", INTERRUPTED))
     if found.best is None:
         raise NoNumbers("no method led to finite numbers")
-
-
-@contextlib.contextmanager
-def _live() -> Iterator[tuple[Callable[[str], None], "Callable[[str, int, Watch], None]"]]:
-    """A table on standard error in which every method's best objective falls; gone afterwards."""
-    from rich.live import Live
-    from rich.table import Table
-
-    rows: dict[str, tuple[str, str, str]] = {}
-    doing = ""
-
-    def drawn() -> Table:
-        table = Table(title=doing, title_justify="left", box=None)
-        for head in ("method", "objective", "simulations", "seconds"):
-            table.add_column(head, justify="left" if head == "method" else "right")
-        for name, told in rows.items():
-            table.add_row(name, *told)
-        return table
-
-    out = console(stderr=True)
-    if not out.is_terminal:
-        yield lambda words: None, lambda name, seed, watch: None
-        return
-    with Live(drawn(), console=out, transient=True, auto_refresh=False) as live:
-
-        def say(words: str) -> None:
-            nonlocal doing
-            doing = words
-            live.update(drawn(), refresh=True)
-
-        def news(name: str, seed: int, watch: "Watch") -> None:
-            told = f"{watch.best:.5g}", f"{watch.simulations:.0f}", f"{watch.seconds:.1f}"
-            rows[name if seed == 0 else f"{name}, seed {seed}"] = told
-            live.update(drawn(), refresh=True)
-
-        yield say, news

@@ -9,8 +9,7 @@ import numpy as np
 
 from ..errors import LARGEST, InputError, number
 
-_SHORTEST = 1e-9
-"""s, which nothing reads an arm in."""
+_SHORTEST = 1e-9  # s, which nothing reads an arm in
 
 LEAST = 20
 """Readings per joint below which there is nothing to fit."""

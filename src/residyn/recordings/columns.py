@@ -157,13 +157,12 @@ class Joints(NamedTuple):
 def matched(header: Sequence[str], joints: Joints, layout: Layout) -> dict[str, list[int]]:
     """By name, the columns that could be it; the first of them that the header has counts."""
     found: dict[str, list[int]] = {}
-    plain = [cell.strip() for cell in header]
-    folded = [cell.casefold() for cell in plain]
-    bare = [_parts(cell)[0].casefold() for cell in plain]
+    folded = [cell.casefold() for cell in header]
+    bare = [_parts(cell)[0].casefold() for cell in header]
     for name in ("t", *joints.angles, *joints.drives):
         wanted = (layout.columns or {}).get(name, "").strip()
         if wanted:
-            tries = [(plain, wanted), (folded, wanted.casefold()), (bare, wanted.casefold())]
+            tries = [(header, wanted), (folded, wanted.casefold()), (bare, wanted.casefold())]
         else:
             own = _TIMES if name == "t" else (name,)
             if name[0] == "q":
@@ -191,14 +190,14 @@ def columns_of(
         f"must have the columns {','.join(['t', *joints.angles])}, and {','.join(joints.drives)} "
         "if driven"
     )
-    has = ", ".join(quote(cell.strip()) for cell in header if cell.strip())
+    has = ", ".join(map(quote, filter(None, header)))
     for name in [*(layout.columns or {}), *(layout.units or {})]:
         if name not in ("t", *joints.angles, *joints.drives):
             raise InputError(f"there is no joint for {name}: {joints.how_many}")
     for name, wanted in (layout.columns or {}).items():
         if name not in found:
             taken = {at[0] for at in found.values()}
-            free = [cell.strip() for i, cell in enumerate(header) if i not in taken]
+            free = [cell for i, cell in enumerate(header) if i not in taken]
             line = f"columns: there is no column {quote(wanted)} for {name}; it has {has}"
             raise InputError("; ".join(filter(None, [line, did_you_mean(wanted, free)])))
     for name in ("t", *joints.angles):
@@ -210,8 +209,8 @@ def columns_of(
     used = {at[0] for at in found.values()}
     for at in found.values():
         if len(at) > 1:
-            raise InputError(f"column {quote(header[at[0]].strip())} appears twice; {right}")
-    own = [_JOINTS_OWN.fullmatch(cell.strip()) for cell in header]
+            raise InputError(f"column {quote(header[at[0]])} appears twice; {right}")
+    own = [_JOINTS_OWN.fullmatch(cell) for cell in header]
     extra = next((m for i, m in enumerate(own) if m and i not in used), None)
     if extra and layout.columns is None:
         have = sum(each is not None and each[1] == extra[1] for each in own)
@@ -222,30 +221,28 @@ def columns_of(
     if len(used) < len(found):
         raise InputError(f"one column stands for two of {', '.join(found)}; {right}")
     columns = []
-    for name, (index, *_) in found.items():
-        cell = header[index].strip()
-        own = below[index] if index < len(below) else ""
-        columns.append(Column(name, index, cell, *_unit(name, cell, own, joints, layout)))
+    for name, (i, *_) in found.items():
+        unit = _unit(name, header[i], below[i] if i < len(below) else "", joints, layout)
+        columns.append(Column(name, i, header[i], *unit))
     return columns
 
 
-def understood(
-    columns: Sequence[Column], header: Sequence[str], joints: Joints, more: Sequence[str] = ()
-) -> str:
+def understood(columns: Sequence[Column], header: Sequence[str], more: Sequence[str]) -> str:
     """What was made of the header, in one line; empty if it is as this package writes it."""
     usual = all(c.header == c.name and c.factor == 1.0 for c in columns)
     used = {c.at for c in columns}
-    ignored = [quote(h.strip()) for i, h in enumerate(header) if i not in used and h.strip()]
+    ignored = [quote(cell) for i, cell in enumerate(header) if i not in used and cell]
     if usual and not ignored and not more:
         return ""
-    said = [
-        c.name
-        + (f" from {quote(c.header)}" if c.header != c.name else "")
-        + (f" in {c.unit}" if c.unit else "")
-        for c in columns
-    ]
-    some = ", ".join(ignored[:4]) + (f" and {len(ignored) - 4} more" if len(ignored) > 4 else "")
-    return "; ".join([", ".join(said), *more, *([f"not read: {some}"] if ignored else [])])
+    each = []
+    for c in columns:
+        source = f" from {quote(c.header)}" * (c.header != c.name)
+        each.append(c.name + source + f" in {c.unit}" * (c.unit != ""))
+    said = [", ".join(each), *more]
+    if ignored:
+        rest = f" and {len(ignored) - 4} more" * (len(ignored) > 4)
+        said.append(f"not read: {', '.join(ignored[:4])}{rest}")
+    return "; ".join(said)
 
 
 class Table(NamedTuple):
@@ -290,7 +287,7 @@ class Table(NamedTuple):
             drive,
             line,
             frozenset(column.name for column in columns if column.stated),
-            understood(columns, header, joints, more),
+            understood(columns, header, more),
         )
 
 

@@ -31,8 +31,7 @@ _INFINITE = re.compile(r"[+-]?inf(?:inity)?", re.I)
 _COMMENT = re.compile(r"\s*(?:#|%|//)\s*")
 _SEPARATORS = (",", ";", "\t", " ")
 _WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}
-_HEAD = 200
-"""Lines in which the header must be."""
+_HEAD = 200  # lines in which the header must be
 
 
 def read_csv(

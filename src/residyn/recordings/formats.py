@@ -111,11 +111,11 @@ _READERS: dict[str, Callable[[str], Mapping[str, Any]]] = {
 
 def _table(content: Mapping[str, Any], joints: Joints, layout: Layout) -> Table:
     """The recording in these columns."""
-    header = list(content)
+    header, values = [name.strip() for name in content], list(content.values())
     columns = columns_of(header, joints, layout)
     found: dict[str, np.ndarray] = {}
     for column in columns:
-        value = content[header[column.at]]
+        value = values[column.at]
         try:
             if value is None or np.iscomplexobj(value):
                 raise TypeError
@@ -127,6 +127,6 @@ def _table(content: Mapping[str, Any], joints: Joints, layout: Layout) -> Table:
         if (shape := found[column.name].shape) != (count,):
             raise InputError(f"{column.header} has shape {shape}: must be ({count},), as long as t")
     # What a workspace has besides is nothing to speak of.
-    used = [header[column.at] for column in columns]
-    columns = [column._replace(at=i) for i, column in enumerate(columns)]
-    return Table.of(found.values(), np.arange(1, count + 1), columns, used, joints)
+    used = {column.at for column in columns}
+    header = [name if i in used else "" for i, name in enumerate(header)]
+    return Table.of(found.values(), np.arange(1, count + 1), columns, header, joints)

@@ -14,14 +14,9 @@ import numpy as np
 from .arrays import check_noise, check_table
 from .polynomial_spectrum import Blocks, blocks, grid_step, parts, scaled
 
-_SURE = 5.0
-"""Standard deviations from which a reading is an outlier."""
-
-_RUN = 4
-"""The most outliers in a row that are looked for."""
-
-_HAIR = 1e-6
-"""A ridge for small inverses: a reading that is free already has no room left."""
+_SURE = 5.0  # standard deviations from which a reading is an outlier
+_RUN = 4  # the most outliers in a row that are looked for
+_HAIR = 1e-6  # a ridge for small inverses: a reading that is free already has no room left
 
 
 def outlier_mask(

@@ -12,11 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-_BLOCK = 32
-"""Readings per block: long enough that noise fills most degrees, short against a slow motion."""
-
-_TINY = 1e-100
-"""Motion smaller than this is none."""
+_BLOCK = 32  # readings per block: noise fills most degrees, and a slow motion is longer
+_TINY = 1e-100  # motion smaller than this is none
 
 
 def scaled(column: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:

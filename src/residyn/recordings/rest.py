@@ -23,14 +23,9 @@ _WINDOWS = {
 }
 """Cosines of the window that spans so many swings: Blackman's and Harris', Blackman's, Hann's."""
 
-_LEAK = 1e-3
-"""What a mean may be off, of the swing under its window."""
-
-_STILL = 0.05
-"""Of the largest swing: less may be an arm that sticks, anywhere."""
-
-_ASIDE = 0.5
-"""How far a swing of one radian typically pulls an arm aside, rad."""
+_LEAK = 1e-3  # what a mean may be off, of the swing under its window
+_STILL = 0.05  # of the largest swing: less may be an arm that sticks, anywhere
+_ASIDE = 0.5  # how far a swing of one radian typically pulls an arm aside, rad
 
 
 def rest_angles(motion: np.ndarray) -> np.ndarray:

@@ -21,22 +21,14 @@ from .recording import Recording
 from .resampling import decimated, evenly_sampled, moving_means, slowest_period
 from .rest import rest_angles
 
-_OFF = 0.5
-"""Of the amplitude about rest: a larger distance of rest from zero is no effect's."""
-_SLIPPED = 10.0
-"""The same where a brake may have slipped: towards the side that the joint was released from."""
-_FEWEST = 1.2
-"""Swings of the slowest mode from which rest can be told from the rest of a swing."""
-_STILL = 0.1
-"""Of the largest excursion: a released arm covers it in 0.07 of a period, if one mode rings."""
-_QUITE = 0.03
-"""The same for the first 0.8 of that time: what swings up moves more."""
-_HELD = 0.2
-"""Of the slowest period: no free arm stays within `_STILL` of where it begins for so long."""
-_TURN = 5.0
-"""rad, which no braked joint turns."""
-_SLOW = 300.0
-"""s, which no swing takes."""
+_OFF = 0.5  # of the amplitude about rest: a larger distance of rest from zero is no effect's
+_SLIPPED = 10.0  # the same where a brake may have slipped, towards the side of the release
+_FEWEST = 1.2  # swings of the slowest mode from which rest can be told from the rest of a swing
+_STILL = 0.1  # of the largest excursion: a released arm covers it in 0.07 of a period of one mode
+_QUITE = 0.03  # the same for the first 0.8 of that time: what swings up moves more
+_HELD = 0.2  # of the slowest period: no free arm stays within `_STILL` of its beginning so long
+_TURN = 5.0  # rad, which no braked joint turns
+_SLOW = 300.0  # s, which no swing takes
 
 
 class Finding(NamedTuple):

@@ -22,8 +22,7 @@ from .tables import ArmTable, Bearing, InertiaTable
 
 _TABLES = ("arm", "inertia", "air_bearings", "recordings", "integrator", "limits")
 _MANY = ("air_bearings", "recordings")
-_WORDS = ("file", "columns", "units", "separator", "decimal", "markers")
-"""Keys whose values are words."""
+_WORDS = ("file", "columns", "units", "separator", "decimal", "markers")  # keys of words
 _OF_A_LINK = re.compile(r"(mass|inertia|length|com|link|rho|[mlcrij])[_a-z]*\d?", re.I)
 _INERTIAS = (
     "from masses m, lengths l, centres of mass c (from their joint) and inertias J about these: "

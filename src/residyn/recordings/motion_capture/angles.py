@@ -22,11 +22,8 @@ from .trajectories import Trajectories, read_trajectories
 
 __all__ = ["MotionCapture", "read"]
 
-_TILT = 2e-3
-"""Error of the plane's direction, rad, that is worth a word."""
-
-_WANDERS = 3e-3
-"""Scatter of the base, of the first link's length, that is no noise: it moves."""
+_TILT = 2e-3  # error of the plane's direction, rad, that is worth a word
+_WANDERS = 3e-3  # scatter of the base, of the first link's length, that is no noise: it moves
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,14 +14,9 @@ from .labels import Labels
 from .rigid import Rigid
 from .trajectories import Trajectories, listed
 
-_LOOSE = 0.01
-"""Relative scatter or error of a link's length that is worth a word."""
-
-_ELASTIC, _REFUSED = 0.1, 0.25
-"""Relative scatter of a link's length, and share of readings rejected, that are no arm's."""
-
-_OTHER = 0.2
-"""Relative error of a link's length with which it must be another link."""
+_LOOSE = 0.01  # relative scatter or error of a link's length that is worth a word
+_ELASTIC, _REFUSED = 0.1, 0.25  # scatter of a link's length, share of readings rejected: no arm's
+_OTHER = 0.2  # relative error of a link's length with which it must be another link
 
 
 def names_of(markers: Any, file: Trajectories, lengths: Sequence[float] | None) -> tuple[str, ...]:

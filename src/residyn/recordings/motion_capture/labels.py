@@ -15,26 +15,13 @@ import numpy as np
 
 from .rigid import Rigid
 
-_REJECT = 36.0
-"""What it costs to reject a marker: with what the others lose, it takes eight sigma."""
-
-_AGREE = 16.0
-"""What it is worth, when a marker must be rejected, that another has its place or its distance."""
-
-_NOISE = 16.0
-"""A misfit below this counts as none: to miss a marker must not be better than to see it."""
-
-_SWITCH = 20.0
-"""What it costs to change the state."""
-
-_LEAP = 40.0
-"""What a leap of one marker costs at most."""
-
-_ODD = 0.01
-"""What a frame costs whose labels are wrong: what nothing can tell, labels do."""
-
-_FAR_OFF = 1e6
-"""Misfits are cut off here, which only keeps numbers finite."""
+_REJECT = 36.0  # what it costs to reject a marker: with what the others lose, it takes eight sigma
+_AGREE = 16.0  # what it is worth, when a marker must be rejected, that another then agrees
+_NOISE = 16.0  # a misfit below this is none: to miss a marker must not be better than to see it
+_SWITCH = 20.0  # what it costs to change the state
+_LEAP = 40.0  # what a leap of one marker costs at most
+_ODD = 0.01  # what a frame costs whose labels are wrong: what nothing can tell, labels do
+_FAR_OFF = 1e6  # misfits are cut off here, which only keeps numbers finite
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,9 @@ import numpy as np
 
 from ...errors import InputError
 
-_LEVEL = 0.02
-"""How far markers' heights may differ, of the arm's size, before the motion is looked at."""
-
-_FAR_OFF = 8.0
-"""Standard deviations off the plane at which a reading is not one of the arm's."""
-
-_SEAM = 0.15
-"""Where a joint's typical angle is cut, rad beyond a half turn: not at a value that is usual."""
+_LEVEL = 0.02  # how far heights may differ, of the arm's size, before the motion is looked at
+_FAR_OFF = 8.0  # standard deviations off the plane at which a reading is not one of the arm's
+_SEAM = 0.15  # where a joint's typical angle is cut, rad beyond a half turn: at no usual value
 
 
 class Plane(NamedTuple):

@@ -12,20 +12,11 @@ import numpy as np
 
 from ...errors import quote
 
-_SURE = 1e-3
-"""Error, rad, beyond which an angle is not put back but left lost."""
-
-_STRAIGHT = 0.1
-"""Sine of a joint's angle below which its side cannot be told."""
-
-_WORSE = 4.0
-"""How many times less sure than a reading an angle may be put back."""
-
-_SIGMAS = 5.0
-"""Standard deviations that an error stays within, over a recording's few lost frames."""
-
-_TOLD = 4
-"""How many times or intervals are given one by one."""
+_SURE = 1e-3  # error, rad, beyond which an angle is not put back but left lost
+_STRAIGHT = 0.1  # sine of a joint's angle below which its side cannot be told
+_WORSE = 4.0  # how many times less sure than a reading an angle may be put back
+_SIGMAS = 5.0  # standard deviations that an error stays within, over a recording's few lost frames
+_TOLD = 4  # how many times or intervals are given one by one
 
 
 def put_back(flat: np.ndarray, noise: float) -> np.ndarray:

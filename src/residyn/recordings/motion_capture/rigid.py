@@ -14,21 +14,15 @@ import numpy as np
 
 from ...errors import InputError
 
-_FRAMES = 1500
-"""Frames that are looked at to find what most of them have."""
-
-_PLACES = 400
-"""Places that are tried for the base."""
-
-_AS_GOOD = 0.05
-"""A value that so few frames fewer have is as good: labels then decide."""
+_FRAMES = 1500  # frames that are looked at to find what most of them have
+_PLACES = 400  # places that are tried for the base
+_AS_GOOD = 0.05  # a value that so few frames fewer have is as good: labels then decide
 
 _UNANIMOUS, _SPLIT = 4.0, 1.3
 """Scatter, of the firmest value's, with which a value is still believed for its label's sake: where
 all frames agree on the label, and where they are split evenly."""
 
-_FAR = 0.2
-"""A link this much (relative) longer or shorter than known is another one."""
+_FAR = 0.2  # a link this much (relative) longer or shorter than known is another one
 
 FLOOR = 3e-5
 """Of the arm's size: scatter below this is rounding."""

@@ -18,8 +18,7 @@ from ...files import read_bytes, read_text
 from ..csv import number_in
 
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-_HEAD = 200_000
-"""Characters in which a Trajectories section must begin for a CSV file to be recognised."""
+_HEAD = 200_000  # characters in which a Trajectories section must begin to be recognised
 _LABELS = re.compile(r"LABELS[0-9]*")  # beyond 255 markers they go on in LABELS2
 
 
