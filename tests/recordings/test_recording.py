@@ -283,7 +283,7 @@ def test_reads_standard_input(folder, monkeypatch):
         ([ARM.replace("1.1662", "-1"), entry()], ["shoulder = -1", "above 0"]),
         ([ARM.replace("0.579", "0"), entry()], ["elbow = 0"]),
         ([ARM.replace("1.4384", "inf"), entry()], ["coupling = inf"]),
-        ([ARM.replace("[0.4, 0.4]", "[0.4]"), entry()], ["link_lengths", "1 number"]),
+        ([ARM.replace("[0.4, 0.4]", "[0.4]"), entry()], ["link_lengths", "must be two lengths"]),
         ([ARM.replace("[0.4, 0.4]", "[0.4, -1]"), entry()], ["link_lengths = -1"]),
         ([ARM.replace("[0.4, 0.4]", "0.4"), entry()], ["link_lengths = 0.4", "[l1, l2]"]),
         ([ARM.replace("1.4384", "2.5"), entry()], ["coupling = 2.5", "real arm"]),

@@ -53,16 +53,18 @@ def fit(
     if method not in _options.SEEDED and seed != 0:
         raise InputError(f"--seed goes with a --method that draws; {method} does not")
     if each is not None:
-        if experiment is not None:
-            raise InputError(f"--each {each}: takes the place of EXPERIMENT; leave one of them out")
-        other_method = method if method != _options.METHODS[0] else None
-        if any(x is not None for x in (report, table, other_method, against)):
-            raise InputError("--each goes with none of --report, --table, --method and --against")
-        if integrator is not None or check_integration:
-            raise InputError(
-                "--each goes with neither --integrator nor --check-integration; [integrator] in "
-                "an experiment's file says what integrates it"
-            )
+        others = {
+            "EXPERIMENT": experiment,
+            "--report": report,
+            "--table": table,
+            "--against": against,
+            "--integrator": integrator,
+            "--method": method != _options.METHODS[0] or None,
+            "--check-integration": check_integration or None,
+        }
+        wrong = [name for name, value in others.items() if value is not None]
+        if wrong:
+            raise InputError(f"--each {each}: leave out {', '.join(wrong)}, of one experiment each")
         bring(own)
         return _fit_each(each, effects or [], own, starts, json, no_cache, jobs)
     if jobs != 1:

@@ -113,10 +113,8 @@ class Column(NamedTuple):
     at: int
     header: str
     unit: str
-    factor: float
-    """What turns its numbers into s, rad, m, N m or N."""
-    stated: bool = False
-    """Whether its unit is said, by a key or in the file."""
+    factor: float  # what turns its numbers into s, rad, m, N m or N
+    stated: bool = False  # whether its unit is said, by a key or in the file
 
 
 class Joints(NamedTuple):
@@ -124,8 +122,7 @@ class Joints(NamedTuple):
 
     names: tuple[str, ...]
     units: tuple[str, ...] | None = None
-    orders: tuple[int, ...] = ()
-    """Which derivative was read of each joint; () is angles."""
+    orders: tuple[int, ...] = ()  # which derivative was read of each joint; () is angles
 
     @property
     def angles(self) -> list[str]:
@@ -248,16 +245,12 @@ def understood(columns: Sequence[Column], header: Sequence[str], more: Sequence[
 class Table(NamedTuple):
     """A recording as its file has it, in SI units."""
 
-    time: np.ndarray
-    """(N,) s."""
-    angle: np.ndarray
-    """(N, n) rad or m, NaN where one is missing."""
+    time: np.ndarray  # (N,) s
+    angle: np.ndarray  # (N, n) rad or m, NaN where one is missing
     drive: np.ndarray | None
     """(N, n) N m or N, zero for a joint without its own column; None if no joint has one."""
-    line: np.ndarray
-    """(N,) the line number of each sample."""
-    stated: frozenset[str]
-    """The columns whose unit is stated, by a key or the file itself."""
+    line: np.ndarray  # (N,) the line number of each sample
+    stated: frozenset[str]  # the columns whose unit is stated, by a key or the file itself
     understood: str = ""
     """What was made of the header, in one line; empty if there is nothing to say."""
 

@@ -169,11 +169,8 @@ def _bare(row: str) -> str:
 
 
 def _find_header(rows: list[str], joints: Joints, layout: Layout) -> tuple[int, str]:
-    """Which of the lines is the header, and what stands between its cells.
-
-    The first line that names t and every q. If there is none, the line that names most of them:
-    what it lacks is then said of it.
-    """
+    """Which line is the header, the first that names t and every q, or else the one that names most
+    of them, of which is then said what it lacks; and what stands between its cells."""
     needed = {"t", *joints.angles}
     separators = _SEPARATORS if layout.separator is None else (layout.separator,)
     best: tuple[int, int, str] | None = None

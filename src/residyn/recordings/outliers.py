@@ -87,10 +87,9 @@ def _stand_out(cut: Blocks, values: np.ndarray, least: float) -> np.ndarray:
 
 
 def _explain(room: np.ndarray, rest: np.ndarray, degrees: np.ndarray) -> dict[int, float]:
-    """The readings which, let free, explain what is left of a block, and how far off each is.
-
-    Empty when there are none, when so many would be needed that they are no exception, or when as
-    many further degrees explain as much.
+    """The readings which, let free, explain what is left of a block, and how far off each is. Empty
+    when so many would be needed that they are no exception, or when as many further degrees explain
+    as much.
 
     **Arguments:** `room` (m, m) projects on what polynomials leave; `rest` (m,) is that part of the
     readings, in sigmas; `degrees`, what each further degree holds of it.

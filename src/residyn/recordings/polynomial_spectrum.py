@@ -49,17 +49,13 @@ def parts(index: np.ndarray) -> list[np.ndarray]:
 class Blocks(NamedTuple):
     """Short blocks of one joint's readings, each expressed in polynomials."""
 
-    first: np.ndarray
-    """(B,) index of each block's first reading; neighbours overlap by half."""
+    first: np.ndarray  # (B,) index of each block's first reading; neighbours overlap by half
     basis: np.ndarray
     """(B, m, m), or (1, m, m) for all of them, orthonormal: column k is a polynomial of degree k,
     the last quarter is the rest."""
-    share: np.ndarray
-    """(B, m) what each column holds of the readings."""
-    degree: int
-    """The first degree that holds nothing but noise."""
-    spread: float
-    """Robust standard deviation of the shares from there on."""
+    share: np.ndarray  # (B, m) what each column holds of the readings
+    degree: int  # the first degree that holds nothing but noise
+    spread: float  # robust standard deviation of the shares from there on
 
 
 def blocks(time: np.ndarray, values: np.ndarray) -> Blocks:

@@ -45,7 +45,7 @@ def not_free(
     units: tuple[str, ...] | None,
     said: Collection[str],
     keys: Mapping[str, Any],
-    lines: np.ndarray | None = None,
+    lines: np.ndarray,
 ) -> Finding | None:
     """What is not as the free motion of an arm; None if nothing is.
 
@@ -91,9 +91,7 @@ def not_free(
     return None
 
 
-def _no_angle(
-    recording: Recording, units: tuple[str, ...], lines: np.ndarray | None
-) -> Finding | None:
+def _no_angle(recording: Recording, units: tuple[str, ...], lines: np.ndarray) -> Finding | None:
     """Readings that are `_TURN` from the others and from the one beside them, if there are any;
     what a fit sets aside as outliers is not looked at."""
     for j, unit in enumerate(units):
@@ -105,11 +103,9 @@ def _no_angle(
         if not len(far):
             continue
         value, count = float(recording.angle[far[0], j]), len(far)
-        what = "at" if lines is None else f"line{'s' * (count > 1)}"
-        first, last = (
-            f"{recording.time[i]:.6g} s" if lines is None else lines[i] for i in (far[0], far[-1])
-        )
-        where = f"{what} {first}" + f" to {last} ({count} readings)" * (count > 1)
+        where = f"line {lines[far[0]]}"
+        if count > 1:
+            where = f"lines {lines[far[0]]} to {lines[far[-1]]} ({count} readings)"
         words = (
             f"q{j + 1} = {value:.4g} rad ({np.degrees(value):.4g} deg), {where}, more than "
             f"{_TURN:g} rad from the readings beside it, as no braked joint turns: a lost sample "

@@ -28,10 +28,8 @@ _FAR_OFF = 1e6  # misfits are cut off here, which only keeps numbers finite
 class Labels:
     """Which label is at which joint."""
 
-    order: np.ndarray
-    """(N, n + 1) int: the label at each joint."""
-    rejected: np.ndarray
-    """(N, n + 1) bool: the marker at this joint is none of the arm's."""
+    order: np.ndarray  # (N, n + 1) int: the label at each joint
+    rejected: np.ndarray  # (N, n + 1) bool: the marker at this joint is none of the arm's
 
     def apply(self, markers: np.ndarray) -> np.ndarray:
         """Markers (N, n + 1, 3) at their joints, NaN where rejected."""
@@ -82,10 +80,8 @@ def _orders(markers: int) -> np.ndarray:
 
 
 def _frames(markers: np.ndarray, rigid: Rigid, orders: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What each frame costs in each state, (N, states), and which joints it goes without.
-
-    A joint's marker is rejected if that is cheapest; (N, states, n + 1) bool.
-    """
+    """What each frame costs in each state, (N, states), and which joints' markers are rejected, as
+    that is cheapest, (N, states, n + 1) bool."""
     frames, joints = markers.shape[:2]
     # The misfits of every label at the base, and of every two labels at the ends of each link.
     base = ((markers - rigid.base) ** 2).sum(axis=2) / rigid.base_sigma**2
@@ -93,29 +89,25 @@ def _frames(markers: np.ndarray, rigid: Rigid, orders: np.ndarray) -> tuple[np.n
     cost = np.full((frames, len(orders)), np.inf)
     best = np.full((frames, len(orders)), np.inf)
     chosen = np.zeros((frames, len(orders)), dtype=int)
-    sets = sorted(itertools.product([False, True], repeat=joints), key=sum)
+    sets = np.array(sorted(itertools.product([False, True], repeat=joints), key=sum))
     # Rejecting more than three of a long chain leaves nothing to believe.
-    sets = [each for each in sets if sum(each) <= 3]
+    sets = sets[sets.sum(axis=1) <= 3]
     for s, order in enumerate(orders):
-        terms = [base[:, order[0]]]
-        for i in range(joints - 1):
-            off = (apart[:, order[i], order[i + 1]] - rigid.lengths[i]) / rigid.sigmas[i]
-            terms.append(off**2)
-        # A misfit that cannot be had (NaN) says nothing, neither for nor against.
-        agree = [~np.isnan(term) for term in terms]
-        wrong = [np.nan_to_num(np.clip(t - _NOISE, 0, _FAR_OFF), nan=0.0) for t in terms]
+        links = (apart[:, order[:-1], order[1:]] - rigid.lengths) / rigid.sigmas
+        misfit = np.column_stack([base[:, order[0]], links**2])
+        # One that cannot be had (NaN) says nothing, neither for nor against.
+        wrong = np.nan_to_num(np.clip(misfit - _NOISE, 0, _FAR_OFF))
         here = ~np.isnan(markers[:, order, 0])
         for r, out in enumerate(sets):
-            kept = [not out[0], *(not out[i] and not out[i + 1] for i in range(joints - 1))]
-            total = _REJECT * (here & np.array(out)).sum(axis=1)
-            total = total + sum(w for w, k in zip(wrong, kept, strict=True) if k)
+            kept = ~out & ~np.append(False, out[:-1])
+            total = _REJECT * (here & out).sum(axis=1) + wrong[:, kept].sum(axis=1)
             # Which marker to reject is a matter of how many others then agree; which state is
             # right is not, or a marker that is lost would be replaced by any other.
-            score = total - _AGREE * sum(a for a, k in zip(agree, kept, strict=True) if k)
+            score = total - _AGREE * (~np.isnan(misfit[:, kept])).sum(axis=1)
             better = score < best[:, s] - 1e-9
             best[better, s], cost[better, s] = score[better], total[better]
             chosen[better, s] = r
-    return cost, np.array(sets)[chosen]
+    return cost, sets[chosen]
 
 
 def _leaps(markers: np.ndarray, rigid: Rigid) -> np.ndarray:

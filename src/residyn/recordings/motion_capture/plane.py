@@ -23,8 +23,7 @@ class Plane(NamedTuple):
     x: np.ndarray
     y: np.ndarray
     normal: np.ndarray
-    tilt: float = 0.0
-    """Standard deviation of the normal's direction, rad."""
+    tilt: float = 0.0  # standard deviation of the normal's direction, rad
 
     def flat(self, joints: np.ndarray) -> np.ndarray:
         """(..., 2) m, of positions (..., 3) m."""

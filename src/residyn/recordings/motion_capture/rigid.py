@@ -17,29 +17,21 @@ from ...errors import InputError
 _FRAMES = 1500  # frames that are looked at to find what most of them have
 _PLACES = 400  # places that are tried for the base
 _AS_GOOD = 0.05  # a value that so few frames fewer have is as good: labels then decide
-
+# Scatter, of the firmest value's, with which a value is still believed for its label's sake: where
+# all frames agree on the label, and where they are split evenly.
 _UNANIMOUS, _SPLIT = 4.0, 1.3
-"""Scatter, of the firmest value's, with which a value is still believed for its label's sake: where
-all frames agree on the label, and where they are split evenly."""
-
 _FAR = 0.2  # a link this much (relative) longer or shorter than known is another one
-
-FLOOR = 3e-5
-"""Of the arm's size: scatter below this is rounding."""
+_FLOOR = 3e-5  # of the arm's size: scatter below this is rounding
 
 
 @dataclass(frozen=True, eq=False)
 class Rigid:
     """A chain's constants, in m."""
 
-    base: np.ndarray
-    """(3,) place of the first joint."""
-    base_sigma: float
-    """Its scatter, one coordinate's."""
-    lengths: np.ndarray
-    """(n,) of the links."""
-    sigmas: np.ndarray
-    """(n,) their scatter."""
+    base: np.ndarray  # (3,) place of the first joint
+    base_sigma: float  # its scatter, one coordinate's
+    lengths: np.ndarray  # (n,) of the links
+    sigmas: np.ndarray  # (n,) their scatter
     unsure: tuple[int, ...] = ()
     """Joints whose label changes, and that neither the motion nor a known length tells apart."""
 
@@ -73,14 +65,14 @@ def find(markers: np.ndarray, lengths: Sequence[float] | None = None) -> Rigid:
         found.append(length)
         unsure += [] if sure else [j]
         at = np.abs(away - length).argmin(axis=1)
-    sigma = max(near / 3, FLOOR * size)
+    sigma = max(near / 3, _FLOOR * size)
     return Rigid(base, sigma, np.array(found), np.full(joints - 1, sigma), tuple(unsure))
 
 
 def refine(joints: np.ndarray, before: Rigid) -> Rigid:
     """The same constants from markers (N, n + 1, 3) that are at their joints, NaN where none is."""
     base = np.nanmedian(joints[:, 0], axis=0)
-    floor = FLOOR * float(np.mean(before.lengths))
+    floor = _FLOOR * float(np.mean(before.lengths))
     links = np.linalg.norm(np.diff(joints, axis=1), axis=2)
     lengths = np.nanmedian(links, axis=0)
     sigmas = np.maximum([_spread(off) for off in (links - lengths).T], floor)
@@ -115,8 +107,7 @@ def _place(picked: np.ndarray, near: float) -> tuple[np.ndarray, bool]:
 
 
 def _length(away: np.ndarray, j: int, near: float, known: float | None) -> tuple[float, bool]:
-    """The distance at which in most frames some marker is, and whether that is sure; else the
-    j-th one's."""
+    """The same of a distance; else the j-th one's."""
     pool = away[np.isfinite(away)]
     values = []
     for length in np.quantile(pool, np.linspace(0, 1, _PLACES)):
@@ -133,16 +124,13 @@ class _Value(NamedTuple):
     """A value that a constant may have."""
 
     value: Any
-    here: np.ndarray
-    """(frames, n + 1) bool: which markers have it."""
+    here: np.ndarray  # (frames, n + 1) bool: which markers have it
     scatter: float
 
 
 def _most(values: list[_Value], label: int, known: float | None = None) -> tuple[_Value, bool]:
-    """The value that most frames have, and of those as good, what its label or its scatter says.
-
-    Not sure where there is another, about as firm, and frames do not agree on the label.
-    """
+    """The value that most frames have, and of those as good, what its label or its scatter says;
+    and whether that is sure: none other is about as firm, or frames agree on the label."""
     frames = np.array([each.here.any(axis=1).mean() for each in values])
     good = [v for v, count in zip(values, frames, strict=True) if count >= frames.max() - _AS_GOOD]
     if known is not None:  # decides between what is as good, and cannot make anything so

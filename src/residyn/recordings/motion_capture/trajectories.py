@@ -26,14 +26,10 @@ _LABELS = re.compile(r"LABELS[0-9]*")  # beyond 255 markers they go on in LABELS
 class Trajectories:
     """Every marker of a file."""
 
-    time: np.ndarray
-    """(N,) s from the first frame."""
-    frame: np.ndarray
-    """(N,) int, the file's own number of each frame."""
-    names: tuple[str, ...]
-    """One per marker, "Subject:Marker" where the file says the subject."""
-    position: np.ndarray
-    """(N, markers, 3) m; NaN where a marker was lost."""
+    time: np.ndarray  # (N,) s from the first frame
+    frame: np.ndarray  # (N,) int, the file's own number of each frame
+    names: tuple[str, ...]  # one per marker, "Subject:Marker" where the file says the subject
+    position: np.ndarray  # (N, markers, 3) m; NaN where a marker was lost
 
     def of(self, markers: Sequence[str]) -> np.ndarray:
         """(N, len(markers), 3) m: positions of these markers, named with or without a subject."""
