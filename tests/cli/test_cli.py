@@ -182,7 +182,7 @@ BAD = {
     ),
     "each nowhere": (["fit", "--each", "nowhere"], "no such folder"),
     "each of nothing": (["fit", "--each", "empty"], "no experiment in it"),
-    "each and one": (["fit", "cart.toml", "--each", "."], "leave out EXPERIMENT"),
+    "each and one": (["fit", "cart.toml", "--each", "."], "goes without EXPERIMENT"),
     "jobs of one": (["fit", "cart.toml", "--jobs", "2"], "--jobs 2 goes with --each"),
     "no jobs": (["fit", "--each", ".", "--jobs", "0"], "--jobs"),
     "lines nowhere": (["fit", "--each", ".", "--json", "no/all.jsonl"], "cannot be written"),

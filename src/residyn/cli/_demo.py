@@ -26,8 +26,7 @@ def demo(
     """A shipped recording with a hidden effect, through the whole loop; needs no files."""
     out = Work(json, report or _REPORT)
     set_up_jax(not no_cache)
-    with progress() as say:
-        say("loading")
+    with progress("loading"):
         from .. import demo as shipped
         from ..recordings.experiment import load
         from ..reporting import diagnosis as text

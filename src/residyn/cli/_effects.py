@@ -62,8 +62,7 @@ def effects(
         with inside("--plot"):
             check_writable(plot)
     bring(own)
-    with progress() as say:
-        say("loading")
+    with progress("loading"):
         from ..effects import catalogue
     known = catalogue()
     out = console()
@@ -86,8 +85,7 @@ def effects(
 
 
 def _draw(name: str, file: str) -> None:
-    with progress() as say:
-        say("drawing")
+    with progress("drawing"):
         from ..reporting.figures import signature
 
         buffer, kind = io.BytesIO(), Path(file).suffix[1:] or "png"

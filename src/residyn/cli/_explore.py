@@ -35,8 +35,7 @@ def explore(
     """Add effects by hand on a page, and watch the error fall; Ctrl-C stops it (status 0)."""
     set_up_jax(not no_cache)
     bring(own)
-    with progress() as say, contextlib.ExitStack() as stack:
-        say("loading")
+    with progress("loading"), contextlib.ExitStack() as stack:
         try:
             from ..reporting.explorer.files import ExperimentFiles
             from ..reporting.explorer.server import Explorer, serve

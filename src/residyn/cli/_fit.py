@@ -64,7 +64,9 @@ def fit(
         }
         wrong = [name for name, value in others.items() if value is not None]
         if wrong:
-            raise InputError(f"--each {each}: leave out {', '.join(wrong)}, of one experiment each")
+            raise InputError(
+                f"--each {each} goes without {', '.join(wrong)}: leave out one of them"
+            )
         bring(own)
         return _fit_each(each, effects or [], own, starts, json, no_cache, jobs)
     if jobs != 1:

@@ -161,7 +161,7 @@ def console(*, stderr: bool = False) -> "Console":
 
 
 @contextlib.contextmanager
-def progress() -> Iterator[Callable[[str], None]]:
+def progress(first: str = "starting") -> Iterator[Callable[[str], None]]:
     """A line on standard error that says what is being done and for how long, gone afterwards;
     words that know what `share` (0 to 1) is done move a bar."""
     out = console(stderr=True)
@@ -181,7 +181,7 @@ def progress() -> Iterator[Callable[[str], None]]:
     words = rich.TextColumn("{task.description}", markup=False, table_column=cut)
     columns = (rich.SpinnerColumn(), words, Bar(), rich.TimeElapsedColumn())
     with rich.Progress(*columns, console=out, transient=True, expand=True) as bar:
-        task = bar.add_task("starting", total=None)
+        task = bar.add_task(first, total=None)
 
         def say(words: str) -> None:
             share = getattr(words, "share", None)

@@ -100,8 +100,7 @@ class Work:
         if self.found is not None:
             self._write_found(result, self.found)
         if self.report is not None and page is not None:
-            with progress() as say:
-                say("writing the report")
+            with progress("writing the report"):
                 page(self.report)
             self.words.print(f"report: {self.report}", soft_wrap=True)
 
@@ -123,10 +122,8 @@ def _same(one: str | Path, other: str | Path) -> bool:
 @contextlib.contextmanager
 def computing() -> Iterator[Callable[[str], None]]:
     """Progress while something is computed, and what cannot be computed as one complaint."""
-    with progress() as say:
-        say("loading")
-        with one_complaint():
-            yield say
+    with progress("loading") as say, one_complaint():
+        yield say
 
 
 @contextlib.contextmanager
@@ -146,8 +143,7 @@ def one_complaint() -> Iterator[None]:
 
 def load(path: str) -> "Experiment":
     """Read the experiment, and say on standard error what was made of a lab's own files."""
-    with progress() as say:
-        say("reading")
+    with progress("reading"):
         from ..recordings.experiment import load as read_experiment
 
         loaded = read_experiment(path)
@@ -160,8 +156,7 @@ def load(path: str) -> "Experiment":
 def bring(files: Sequence[str] | None) -> None:
     """Add the effects of users' files to the catalogue."""
     if files:
-        with progress() as say:
-            say("loading")
+        with progress("loading"):
             from ..effects import load_effects
 
             for file in files:

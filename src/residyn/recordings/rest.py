@@ -13,9 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from .resampling import decimated, evenly_sampled, slowest_period
 
-SWINGS = 8
-"""Swings of the slowest mode, two of the best windows: with fewer, rest is known roughly."""
-
+_SWINGS = 8  # of the slowest mode, two of the best windows: with fewer, rest is known roughly
 _WINDOWS = {
     4: (0.35875, -0.48829, 0.14128, -0.01168),
     3: (0.42, -0.5, 0.08),
@@ -60,7 +58,7 @@ def estimated_rest(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, lis
         f"with {count:.2g} swings of the slowest mode its rest is known roughly: if the residual "
         "has an offset, fit sensor_offset too"
     ]
-    return rest_angles(decimated(motion)), warnings if count < SWINGS else []
+    return rest_angles(decimated(motion)), warnings if count < _SWINGS else []
 
 
 def _window(count: int, period: float) -> np.ndarray:
