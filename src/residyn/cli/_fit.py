@@ -64,9 +64,7 @@ def fit(
         }
         wrong = [name for name, value in others.items() if value is not None]
         if wrong:
-            raise InputError(
-                f"--each {each} goes without {', '.join(wrong)}: leave out one of them"
-            )
+            raise InputError(f"--each {each} goes without {', '.join(wrong)}; leave them out")
         bring(own)
         return _fit_each(each, effects or [], own, starts, json, no_cache, jobs)
     if jobs != 1:

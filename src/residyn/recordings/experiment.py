@@ -51,8 +51,7 @@ class Experiment:
         check_bearings(self.inertia, self.bearings)
         if self.limits is not None:
             arm = isinstance(self.inertia, ArmTable)
-            with inside("[limits]"):
-                self.limits.check(self.joints, arm, bool(self.bearings))
+            self.limits.check(self.joints, arm, bool(self.bearings))
         for recording in self.recordings:
             if recording.joints != len(self.joints):
                 raise InputError(

@@ -18,7 +18,7 @@ from ..simulation.integrator import Integrator
 from .columns import Layout
 from .limits import Limits
 from .recording import Recording, check_role
-from .tables import ArmTable, Bearing, InertiaTable
+from .tables import ArmTable, Bearing, InertiaTable, check_bearings
 
 _TABLES = ("arm", "inertia", "air_bearings", "recordings", "integrator", "limits")
 _MANY = ("air_bearings", "recordings")
@@ -75,7 +75,11 @@ def parse(text: str, where: str) -> Contents:
         for i, entry in enumerate(_many(tables, "air_bearings", _keys_of(Bearing))):
             with inside(f"[[air_bearings]] {i + 1}"):
                 bearings.append(_made(Bearing, entry))
+        check_bearings(inertia, bearings)
         limits = _one(tables, "limits", Limits)
+        if limits is not None:
+            with inside("[limits]"):
+                limits.check(inertia.joints, "arm" in tables, bool(bearings))
         integrator = _one(tables, "integrator", _integrator, ("solver", "rtol", "atol"))
         return Contents(inertia, tuple(bearings), tuple(recordings), integrator, limits)
 
