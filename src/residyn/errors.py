@@ -6,9 +6,10 @@ else; `inside` adds where we are as the error travels outwards.
 """
 
 import contextlib
+import difflib
 import importlib
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 LARGEST = 1e30
@@ -65,6 +66,12 @@ def quote(value: Any, most: int = 40) -> str:
         except ValueError:  # Python refuses to print integers of thousands of digits
             text = "a huge number"
     return text if len(text) <= most else text[: most - 3] + "..."
+
+
+def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:
+    """A hint at the known word that is closest to a wrong one; empty if none is close."""
+    close = difflib.get_close_matches(word, list(known), n=1, cutoff=cutoff)
+    return f"did you mean {quote(close[0])}?" if close else ""
 
 
 def number(

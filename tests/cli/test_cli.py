@@ -164,7 +164,7 @@ BAD = {
     "json nowhere": (["fit", "cart.toml", "--json", "no/such/folder.json"], "no/such/folder.json"),
     "report nowhere": (["fit", "cart.toml", "--report", "no/such.html"], "no/such.html"),
     "report into a folder": (["fit", "cart.toml", "--report", "."], "--report"),
-    "report to a pipe": (["fit", "cart.toml", "--report", "-"], "name of a file"),
+    "report to a pipe": (["fit", "cart.toml", "--report", "-"], "must end in .html"),
     "both into one": (
         ["fit", "cart.toml", "--report", "x.html", "--json", "./x.html"],
         "same file",
@@ -182,7 +182,7 @@ BAD = {
     ),
     "each nowhere": (["fit", "--each", "nowhere"], "no such folder"),
     "each of nothing": (["fit", "--each", "empty"], "no experiment in it"),
-    "each and one": (["fit", "cart.toml", "--each", "."], "leave one of them out"),
+    "each and one": (["fit", "cart.toml", "--each", "."], "goes without EXPERIMENT"),
     "jobs of one": (["fit", "cart.toml", "--jobs", "2"], "--jobs 2 goes with --each"),
     "no jobs": (["fit", "--each", ".", "--jobs", "0"], "--jobs"),
     "lines nowhere": (["fit", "--each", ".", "--json", "no/all.jsonl"], "cannot be written"),

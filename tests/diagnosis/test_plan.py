@@ -202,7 +202,7 @@ WRONG = {
     "air_bearings = false": "there is no [[air_bearings]] table",
     "duration = 0": "must be a number above 0",
     "drive = [1, 2, 3]": "one for each joint",
-    "angles = 0.3": "did you mean angle?",
+    "angles = 0.3": 'did you mean "angle"?',
 }
 
 

@@ -666,7 +666,7 @@ def test_command_ends_with_1_where_a_mode_grows(command, tmp_path):
     ("text", "words", "says"),
     [
         (TOML + RECORDING, [], ["arm.toml", "[[air_bearings]]", "mass"]),
-        (TOML + BEARING_TABLES + RECORDING, ["--inertia-std", "1,2"], ["--inertia-std", "three"]),
+        (TOML + BEARING_TABLES + RECORDING, ["--inertia-std", "1,2"], ["3 numbers"]),
         (TOML + BEARING_TABLES + RECORDING, ["--inertia-std", "1,2,x"], ["--inertia-std"]),
     ],
 )

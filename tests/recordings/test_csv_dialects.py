@@ -227,12 +227,13 @@ def test_matlab_has_names_and_units_too(tmp_path):
         ('separator = "ab"', 'must be one character, as ";"'),
         ('separator = ","\ndecimal = ","', "are both"),
         ('decimal = "x"', 'decimal = "x": must be "." or ","'),
+        ('decimal = ","', 'the decimal sign is "," here'),
         ('rest = "estimated"', 'rest = "estimated": must be "estimate", or 2 numbers'),
         ("rest = [0.1]", "rest = [0.1]: must be"),
         ("rest = 0.1", "rest = 0.1: must be"),
         ('rest = [0.1, "x"]', 'rest = "x"'),
         ("rest = [0.1, inf]", "rest = inf"),
-        ("dezimal = 1", "did you mean decimal?"),
+        ("dezimal = 1", 'did you mean "decimal"?'),
     ],
 )
 def test_keys_are_checked(tmp_path, keys, says):

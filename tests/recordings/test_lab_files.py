@@ -166,7 +166,7 @@ def test_refuses_what_is_no_c3d(tmp_path):
     assert "is not a C3D file" in refusal(tmp_path, MARKERS, file="trial.c3d")
     trial(tmp_path, b"\x02\x50" + bytes(2000), "half.c3d")
     assert "half.c3d" in refusal(tmp_path, MARKERS, file="half.c3d")
-    assert "cannot be read" in refusal(tmp_path, MARKERS, file="none.c3d")
+    assert "there is no such file" in refusal(tmp_path, MARKERS, file="none.c3d")
 
 
 @pytest.mark.parametrize(

@@ -179,7 +179,7 @@ WRITTEN = {
     "no real arm, in metres": (ARM.replace("1.4", "2.2"), "would have no inertia\n"),
     "a mass": (ARM + "m1 = 4", "coupling = m2 c2 (docs/lab-files.md)"),
     "a length": (ARM + "l_1 = 0.4", "shoulder = J1 + m1 c1^2 + m2 l1^2"),
-    "a wrong letter": (ARM.replace("link", "lenk"), "did you mean link_lengths?"),
+    "a wrong letter": (ARM.replace("link", "lenk"), 'did you mean "link_lengths"?'),
     "the rest of the elbow": (ARM + "theta2 = 0", "[arm] has link_lengths"),
     "question marks": (
         ARM.replace("[0.4, 0.4]", '["?", "?"]').replace("0.6", '"?"')

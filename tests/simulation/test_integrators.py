@@ -363,7 +363,7 @@ def test_the_error_is_checked_where_that_is_asked(file, capsys):
         ('[integrator]\nsolver = "Euler99"\n', [], "arm.toml: [integrator]: solver"),
         ("[integrator]\nrtol = 1e-8\n", [], "[integrator]: solver is missing"),
         ('[integrator]\nsolver = "Tsit5"\nrtol = -1\n', [], "[integrator]: rtol = -1"),
-        ('[integrator]\nsolvr = "Tsit5"\n', [], "did you mean solver"),
+        ('[integrator]\nsolvr = "Tsit5"\n', [], 'did you mean "solver"'),
         ("", ["--integrator", "Euler99"], "--integrator: solver"),
         ("", ["--integrator", "Tsit5", "--with", "coulomb_friction:tip"], "cannot integrate"),
     ],

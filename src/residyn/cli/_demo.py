@@ -1,8 +1,6 @@
 """`residyn demo`."""
 
-import textwrap
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .. import reporting
@@ -14,13 +12,10 @@ from ._work import Work, computing, models
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ..diagnosis.result import Diagnosis
     from ..fitting.result import Fit
 
 _REPORT = "residyn-demo.html"
-_TEXT = 80
-_BAR = 16
-"""Letters of the longest bar of the table by time window."""
+_BAR = 16  # letters of the longest bar of the table by time window
 
 
 def demo(
@@ -31,8 +26,7 @@ def demo(
     """A shipped recording with a hidden effect, through the whole loop; needs no files."""
     out = Work(json, report or _REPORT)
     set_up_jax(not no_cache)
-    with progress() as say:
-        say("loading")
+    with progress("loading"):
         from .. import demo as shipped
         from ..recordings.experiment import load
         from ..reporting import diagnosis as text
@@ -41,12 +35,12 @@ def demo(
         with shipped.experiment_file() as path:
             experiment = load(path)
     words = out.words
-    _say(
-        words,
+    intro = (
         "Two releases of a braked two-joint arm on an air-bearing table, 20 s each at 100 Hz with "
         "1 mrad of noise: one to fit, one held out. A simulator that is no part of this package "
-        "made them, with something hidden in the arm that is neither a spring nor a damper.\n",
+        "made them, with something hidden in the arm that is neither a spring nor a damper."
     )
+    _lines(words, [*filled(intro), ""])
 
     words.print("1. Springs and dampers alone, the model of the paper\n", style="bold")
     with computing() as say:
@@ -63,8 +57,8 @@ def demo(
 
         found = diagnose(experiment, starts=_options.STARTS, progress=say)
     _lines(words, [*filled(" ".join(found.words)), ""])
-    parts = text.candidates(found), text.lookalikes(found), text.next_experiment(found)
-    _lines(words, [line for part in parts for line in part])
+    for part in text.candidates, text.lookalikes, text.next_experiment:
+        _lines(words, part(found))
 
     if found.added:
         words.print(f"\n3. With {' and '.join(found.added)}\n", style="bold")
@@ -72,19 +66,13 @@ def demo(
 
     words.print("\n4. The error falling\n", style="bold")
     _lines(words, text.models(found))
-    _answer(words, found, shipped.HIDDEN)
-    out.write_json(found.to_dict())
-    with progress() as say:
-        say("writing the report")
-        reporting.write_report(report or _REPORT, models(found), diagnosis=found)
-    words.print(f"\nReport with pictures: {Path(report or _REPORT).resolve()}", soft_wrap=True)
+    # Nothing above has looked at what was hidden.
+    named, hidden = " and ".join(found.added) or "nothing", shipped.HIDDEN
+    right = " Right." * (found.added == (hidden,))
+    words.print(f"\nNamed: {named}. Hidden was: {hidden}.{right}\n")
+    out.write(found, lambda path: reporting.write_report(path, models(found), diagnosis=found))
     if not found.fit.converged:
         raise NoNumbers("the demo's fit did not settle")
-
-
-def _say(words: "Console", text: str) -> None:
-    for paragraph in text.split("\n"):
-        words.print(textwrap.fill(paragraph, min(words.width, _TEXT), break_on_hyphens=False))
 
 
 def _lines(words: "Console", lines: Sequence[str]) -> None:
@@ -109,10 +97,3 @@ def _windows(words: "Console", fit: "Fit") -> None:
         table.add_row(f"{start:.1f}-{stop:.1f} s", *bars)
     words.print(table)
     words.print("\nNoise alone would leave 1.0 in every window.\n")
-
-
-def _answer(words: "Console", found: "Diagnosis", hidden: str) -> None:
-    """What was hidden, beside what was named: nothing above has looked at it."""
-    named = " and ".join(found.added) or "nothing"
-    right = found.added == (hidden,)
-    words.print(f"\nNamed: {named}. Hidden was: {hidden}.{' Right.' if right else ''}")

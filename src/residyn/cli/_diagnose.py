@@ -66,7 +66,7 @@ def diagnose(
 def plan(
     experiment: _options.Experiment,
     effects: _options.With = None,
-    tests: Annotated[int, _options.number("--tests", "K", "How many tests to plan.", least=1)] = 3,
+    tests: Annotated[int, _options.number("--tests K", "How many tests to plan.", least=1)] = 3,
     most: _options.MaxEffects = _options.MAX_EFFECTS,
     own: _options.Effects = None,
     starts: _options.Starts = _options.STARTS,

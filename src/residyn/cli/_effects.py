@@ -1,12 +1,11 @@
 """`residyn effects`."""
 
-import difflib
 import inspect
 import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from ..errors import InputError, inside
+from ..errors import InputError, did_you_mean, inside
 from ..files import check_writable, write
 from . import _options
 from ._shell import console, indented, progress
@@ -18,8 +17,7 @@ if TYPE_CHECKING:
     from ..effects import AbstractEffect
     from ..physics.parameter import Parameter
 
-_ROOMY = 110
-"""Columns of text from which the table has a column for everything."""
+_ROOMY = 110  # columns of text from which the table has a column for everything
 
 
 def effects(
@@ -29,14 +27,13 @@ def effects(
     plot: Annotated[
         str | None,
         _options.option(
-            "--plot", "FILE", "Draw what the effect NAME does, to a file (.png, .svg or .pdf)."
+            "--plot FILE", "Draw what the effect NAME does, to a file (.png, .svg or .pdf)."
         ),
     ] = None,
     experiment: Annotated[
         str | None,
         _options.option(
-            "--detectable",
-            "EXPERIMENT",
+            "--detectable EXPERIMENT",
             "From which strength each effect would show in recordings like these, and be told "
             "from its rivals.",
         ),
@@ -59,38 +56,36 @@ def effects(
         return out.give(found)
     if json is not None:
         raise InputError("--json goes with --detectable EXPERIMENT")
-    if plot is not None and name is None:
-        raise InputError("--plot draws one effect: residyn effects NAME --plot FILE")
     if plot is not None:
+        if name is None:
+            raise InputError("--plot draws one effect: residyn effects NAME --plot FILE")
         with inside("--plot"):
             check_writable(plot)
     bring(own)
-    with progress() as say:
-        say("loading")
+    with progress("loading"):
         from ..effects import catalogue
     known = catalogue()
     out = console()
     if name is not None:
         name = name.partition(":")[0]
         if name not in known:
-            close = difflib.get_close_matches(name, known, n=1)
-            hint = f'did you mean "{close[0]}"?' if close else "`residyn effects` lists them"
+            hint = did_you_mean(name, known) or "`residyn effects` lists them"
             raise InputError(f'there is no effect "{name}"; {hint}')
         _one(out, known[name])
         if plot is not None:
             _draw(name, plot)
             out.print(f"picture: {plot}", soft_wrap=True)
-        return
-    kinds = list(known.values())
-    if not out.is_terminal:
-        return _plain(kinds)
-    tabulate(out, kinds)
-    out.print("spring and damper are in every model; --with NAME adds another")
+    elif out.is_terminal:
+        tabulate(out, list(known.values()))
+        out.print("spring and damper are in every model; --with NAME adds another")
+    else:  # one line each with tabs between cells, for grep, cut and friends
+        print("name", "equation", "parameters", "looks like", sep="\t")
+        for kind in known.values():
+            print(kind.name, kind.equation, ", ".join(_numbers(kind)), kind.looks_like, sep="\t")
 
 
 def _draw(name: str, file: str) -> None:
-    with progress() as say:
-        say("drawing")
+    with progress("drawing"):
         from ..reporting.figures import signature
 
         buffer, kind = io.BytesIO(), Path(file).suffix[1:] or "png"
@@ -112,14 +107,6 @@ def _numbers(kind: "type[AbstractEffect]") -> list[str]:
 def _unit(parameter: "Parameter") -> str:
     unit = parameter.dimension.unit(None)
     return "" if unit == "1" else f" ({unit})"
-
-
-def _plain(kinds: "list[type[AbstractEffect]]") -> None:
-    """One line each with tabs between cells, for grep, cut and friends."""
-    rows = [["name", "equation", "parameters", "looks like"]]
-    rows += [[k.name, k.equation, ", ".join(_numbers(k)), k.looks_like] for k in kinds]
-    for row in rows:
-        print("\t".join(row))
 
 
 def tabulate(out: "Console", kinds: "list[type[AbstractEffect]]") -> None:

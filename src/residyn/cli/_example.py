@@ -9,8 +9,6 @@ from ..files import write
 from . import _options
 from ._shell import console
 
-_NAMES = ("release", "driven", "bearings", "pendulum")
-
 
 def example(
     folder: Annotated[str, _options.argument("FOLDER", "Where to write it.")],
@@ -20,13 +18,13 @@ def example(
             "[NAME]",
             "release (a hidden effect), driven (step 1), bearings (step 3) or pendulum (measured).",
         ),
-    ] = _NAMES[0],
+    ] = "release",
 ) -> None:
     """Write a shipped example, ready to run."""
-    if name not in _NAMES:
-        raise InputError(f"{quote(name)}: there is no such example; it is {', '.join(_NAMES)}")
     from ..demo import EXAMPLES, write_example
 
+    if name not in EXAMPLES:
+        raise InputError(f"{quote(name)}: there is no such example; it is {', '.join(EXAMPLES)}")
     files = write_example(name, Path(folder))
     words = console()
     for file in files:

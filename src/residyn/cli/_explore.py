@@ -26,19 +26,16 @@ def explore(
     ],
     effects: _options.With = None,
     own: _options.Effects = None,
-    port: Annotated[
-        int, _options.number("--port", "N", "0 takes one that is free.", most=65535)
-    ] = 0,
+    port: Annotated[int, _options.number("--port N", "0 takes one that is free.", most=65535)] = 0,
     no_browser: Annotated[
-        bool, _options.option("--no-browser", None, "Only print the address; open no browser.")
+        bool, _options.option("--no-browser", "Only print the address; open no browser.")
     ] = False,
     no_cache: _options.NoCache = False,
 ) -> None:
     """Add effects by hand on a page, and watch the error fall; Ctrl-C stops it (status 0)."""
     set_up_jax(not no_cache)
     bring(own)
-    with progress() as say, contextlib.ExitStack() as stack:
-        say("loading")
+    with progress("loading"), contextlib.ExitStack() as stack:
         try:
             from ..reporting.explorer.files import ExperimentFiles
             from ..reporting.explorer.server import Explorer, serve

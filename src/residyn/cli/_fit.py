@@ -2,7 +2,6 @@
 
 import contextlib
 import json as json_
-import math
 import multiprocessing
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -43,10 +42,9 @@ def fit(
 ) -> None:
     """Fit springs, dampers and other effects to recordings."""
     if method not in _options.METHODS and "." not in method:
-        known = ", ".join(_options.METHODS)
         raise InputError(
-            f'--method "{method}": there is no such method; it must be one of {known}, or a '
-            "minimiser such as optimistix.BFGS"
+            f'--method "{method}": there is no such method; it must be one of '
+            f"{', '.join(_options.METHODS)}, or a minimiser such as optimistix.BFGS"
         )
     if method not in _options.DESCENTS and starts != _options.STARTS:
         raise InputError(
@@ -55,17 +53,18 @@ def fit(
     if method not in _options.SEEDED and seed != 0:
         raise InputError(f"--seed goes with a --method that draws; {method} does not")
     if each is not None:
-        if experiment is not None:
-            raise InputError(f"--each {each}: takes the place of EXPERIMENT; leave one of them out")
-        if report is not None or table is not None or method != _options.METHODS[0]:
-            raise InputError("--each goes with none of --report, --table and --method")
-        if integrator is not None or check_integration:
-            raise InputError(
-                "--each goes with neither --integrator nor --check-integration; [integrator] in "
-                "an experiment's file says what integrates it"
-            )
-        if against is not None:
-            raise InputError("--each goes without --against")
+        others = {
+            "EXPERIMENT": experiment,
+            "--report": report,
+            "--table": table,
+            "--against": against,
+            "--integrator": integrator,
+            "--method": method != _options.METHODS[0] or None,
+            "--check-integration": check_integration or None,
+        }
+        wrong = [name for name, value in others.items() if value is not None]
+        if wrong:
+            raise InputError(f"--each {each} goes without {', '.join(wrong)}; leave them out")
         bring(own)
         return _fit_each(each, effects or [], own, starts, json, no_cache, jobs)
     if jobs != 1:
@@ -88,22 +87,13 @@ def fit(
                 f"--against {' '.join(against)}: is the model that it would stand beside; name "
                 "other effects than those of --with"
             )
-    fits = []
-    for names in both:
-        with computing() as say:
-            from ..fitting import fit
+    how = {"starts": starts, "method": method, "check_integration": check_integration}
+    if seed:
+        how["seed"] = seed
+    with computing() as say:
+        from ..fitting import fit
 
-            fits.append(
-                fit(
-                    loaded,
-                    effects=names,
-                    starts=starts,
-                    progress=say,
-                    method=method,
-                    check_integration=check_integration,
-                    **({"seed": seed} if seed else {}),
-                )
-            )
+        fits = [fit(loaded, effects=names, progress=say, **how) for names in both]
     if against is not None:
         from ..reporting.side_by_side import SideBySide, headings
 
@@ -113,14 +103,14 @@ def fit(
             if not one.stands:
                 raise NoNumbers(f"{name}: {one.reason}")
         return
-    (result,) = fits
+    result = fits[0]
     out.words.print(str(result), soft_wrap=True)
     if result.misses:
         out.words.print(
             f"the model misses something: residyn diagnose {experiment}", soft_wrap=True
         )
-    fits = [(title(experiment), result)]
-    out.write(result, lambda path: reporting.write_report(path, fits))
+    headed = [(title(experiment), result)]
+    out.write(result, lambda path: reporting.write_report(path, headed))
     if not result.stands:
         raise NoNumbers(result.reason)
     if result.unphysical:
@@ -137,28 +127,26 @@ def _fit_each(
     no_cache: bool,
     jobs: int,
 ) -> None:
-    """Fit every experiment of a folder, a line each as it is done, in `jobs` processes.
-
-    **Raises:** `InputError` for a folder without experiments, or a file of results that is none or
-    cannot be written.
-    """
-    files = _experiments_in(folder)
+    """Fit every experiment of a folder, a line each as it is done, in `jobs` processes."""
+    if not Path(folder).is_dir():
+        raise InputError(f"--each {folder}: there is no such folder")
+    files = sorted(str(file) for file in Path(folder).glob("*.toml"))
+    if not files:
+        raise InputError(f"--each {folder}: no experiment in it; must hold files that end in .toml")
     out = Work(json)
     out.spare([Path(file) for file in files])
     set_up_jax(not no_cache)
-    lines = json == "-"
-    bad = 0
+    to_terminal, bad = json == "-", 0
     with progress() as say, _workers(min(jobs, len(files)), own, not no_cache) as executor:
         from ..fitting import fit_many
 
         interruptible()
-        to = None if lines else json
-        every = fit_many(
+        to = None if to_terminal else json
+        for each in fit_many(
             files, effects=effects, starts=starts, out=to, progress=say, executor=executor
-        )
-        for each in every:
+        ):
             out.words.print(_line(each), soft_wrap=True)
-            if lines:
+            if to_terminal:
                 print(json_.dumps(finite(each.told), allow_nan=False), flush=True)
             bad += "error" in each.told
     if bad:
@@ -188,20 +176,6 @@ def _prepare(own: Sequence[str] | None, cache: bool) -> None:
         load_effects(file)
 
 
-def _experiments_in(folder: str) -> list[str]:
-    """The TOML files in a folder, by name.
-
-    **Raises:** `InputError` if there is no such folder, or none in it.
-    """
-    path = Path(folder)
-    if not path.is_dir():
-        raise InputError(f"--each {folder}: there is no such folder")
-    files = sorted(str(file) for file in path.glob("*.toml"))
-    if not files:
-        raise InputError(f"--each {folder}: no experiment in it; must hold files that end in .toml")
-    return files
-
-
 def _line(each: "Each") -> str:
     name, told = Path(each.name).name, each.told
     if "error" in told:
@@ -214,12 +188,13 @@ def _line(each: "Each") -> str:
         for joint, rms in told["rmse"].items()
         if rms is not None
     )
-    chi2 = plain(math.nan if told["reduced_chi2"] is None else told["reduced_chi2"], 3)
+    chi2 = told["reduced_chi2"]
+    chi2 = "?" if chi2 is None else plain(chi2, 3)
     return f"{name}: {numbers}; rms error {error}; reduced chi2 {chi2}{settled}{before}"
 
 
 def _number(number: dict[str, float | None]) -> str:
     value, std = number["value"], number["std"]
     if value is None or std is None:
-        return f"{plain(math.nan if value is None else value, 5)} (not determined)"
+        return f"{'?' if value is None else plain(value, 5)} (not determined)"
     return " +/- ".join(with_error(value, std))

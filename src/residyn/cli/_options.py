@@ -1,5 +1,6 @@
 """The options that several commands share, so that they read the same everywhere."""
 
+import contextlib
 import math
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -9,14 +10,15 @@ import typer
 from ._shell import UsageError
 
 
-def option(name: str, metavar: str | None, words: str, **more: Any) -> Any:
-    """An option as `--help` shows it."""
-    return typer.Option(name, metavar=metavar, help=words, **more)
+def option(usage: str, words: str, **more: Any) -> Any:
+    """An option as `--help` shows it; `usage` is its name and, if it takes a value, what that is:
+    "--json FILE"."""
+    name, _, metavar = usage.partition(" ")
+    return typer.Option(name, metavar=metavar or None, help=words, **more)
 
 
 def number(
-    name: str,
-    metavar: str,
+    usage: str,
     words: str,
     kind: Callable[[str], float] = int,
     least: float = 0,
@@ -30,27 +32,31 @@ def number(
         right = f"a{' whole' * (kind is int)} number from {least:g}{end}"
 
     def read(given: Any) -> float:
-        try:
+        with contextlib.suppress(ValueError, OverflowError):
             value = kind(given)
             if least <= value <= most and value < math.inf:
                 return value
-        except (ValueError, OverflowError):
-            pass
-        raise UsageError(f"{name} {given}: must be {right}")
+        raise UsageError(f"{usage.split()[0]} {given}: must be {right}")
 
-    return option(name, metavar, words, parser=read)
+    return option(usage, words, parser=read)
 
 
-def seconds(name: str, metavar: str, words: str) -> Any:
+def seconds(usage: str, words: str) -> Any:
     """An option that is a time."""
-    right = "a number of seconds above 0"
-    return number(name, metavar, words, float, math.ulp(0.0), right=right)
+    return number(usage, words, float, math.ulp(0.0), right="a number of seconds above 0")
 
 
-def argument(metavar: str, words: str, **more: Any) -> Any:
+def argument(metavar: str, words: str) -> Any:
     """An argument as `--help` shows it."""
-    return typer.Argument(metavar=metavar, help=words, show_default=False, **more)
+    return typer.Argument(metavar=metavar, help=words, show_default=False)
 
+
+DESCENTS = ("levenberg", "random")
+SEARCHES = ("genetic", "genetic_release_told", "cma_es", "differential_evolution", "particle_swarm")
+METHODS = (*DESCENTS, *SEARCHES)
+SEEDED = METHODS[1:]
+STARTS = 6
+MAX_EFFECTS = 3
 
 _EXPERIMENT = argument(
     "EXPERIMENT",
@@ -59,13 +65,12 @@ _EXPERIMENT = argument(
 Experiment = Annotated[str, _EXPERIMENT]
 OneExperiment = Annotated[str | None, _EXPERIMENT]
 Jobs = Annotated[
-    int, number("--jobs", "N", "With --each: how many processes share the experiments.", least=1)
+    int, number("--jobs N", "With --each: how many processes share the experiments.", least=1)
 ]
 Each = Annotated[
     str | None,
     option(
-        "--each",
-        "FOLDER",
+        "--each FOLDER",
         "Fit every experiment (*.toml) of a folder instead of one; --json FILE then takes a "
         "line for each as it is done, and a run that was stopped goes on from there.",
     ),
@@ -73,8 +78,7 @@ Each = Annotated[
 With = Annotated[
     list[str] | None,
     option(
-        "--with",
-        "EFFECT",
+        "--with EFFECT",
         "Add an effect to the springs and dampers: NAME, or NAME:JOINT. May be repeated; "
         "`residyn effects` lists them.",
     ),
@@ -82,8 +86,7 @@ With = Annotated[
 Against = Annotated[
     list[str] | None,
     option(
-        "--against",
-        "EFFECT",
+        "--against EFFECT",
         "Fit a second model, with these effects instead of those of --with, and set the two "
         'side by side; "nothing": springs and dampers alone. May be repeated.',
     ),
@@ -91,20 +94,18 @@ Against = Annotated[
 Effects = Annotated[
     list[str] | None,
     option(
-        "--effects",
-        "FILE.py",
+        "--effects FILE.py",
         "A Python file that defines effects of your own, to use by name. May be repeated.",
     ),
 ]
-Starts = Annotated[int, number("--starts", "N", "How many starts to fit from.", least=1)]
+Starts = Annotated[int, number("--starts N", "How many starts to fit from.", least=1)]
 MaxEffects = Annotated[
-    int, number("--max-effects", "N", "How many effects to add at most; 0 only names.")
+    int, number("--max-effects N", "How many effects to add at most; 0 only names.")
 ]
 Budget = Annotated[
     float | None,
     seconds(
-        "--budget",
-        "SECONDS",
+        "--budget SECONDS",
         "End the search after so long, with the best so far. Ctrl-C does the same at any "
         "time. Without it the search ends when nothing more is gained.",
     ),
@@ -112,8 +113,7 @@ Budget = Annotated[
 Found = Annotated[
     str | None,
     option(
-        "--found",
-        "FILE.py",
+        "--found FILE.py",
         "If a law without a name is found, write it as an effect into this file, for "
         "--effects FILE.py.",
     ),
@@ -121,18 +121,15 @@ Found = Annotated[
 Method = Annotated[
     str,
     option(
-        "--method",
-        "METHOD",
-        "How to search: levenberg, random (starts), genetic, genetic_release_told, cma_es, "
-        "differential_evolution, particle_swarm, or a minimiser such as optimistix.BFGS.",
+        "--method METHOD",
+        f"How to search: {', '.join(METHODS)}, or a minimiser such as optimistix.BFGS.",
     ),
 ]
-Seed = Annotated[int, number("--seed", "N", "Of a --method that draws: which draw.")]
+Seed = Annotated[int, number("--seed N", "Of a --method that draws: which draw.")]
 Integrator = Annotated[
     str | None,
     option(
-        "--integrator",
-        "NAME",
+        "--integrator NAME",
         "What integrates: fixed steps, or a solver of diffrax such as Tsit5, Dopri8 or, for "
         "a stiff effect, Kvaerno5; before [integrator] in the file.",
     ),
@@ -141,45 +138,29 @@ CheckIntegration = Annotated[
     bool,
     option(
         "--check-integration",
-        None,
         "Integrate the fitted motion again with Dopri8 at rtol = 1e-10, and state the error.",
     ),
 ]
 Json = Annotated[
     str | None,
     option(
-        "--json",
-        "FILE",
+        "--json FILE",
         'Write the result as JSON; "-" writes it to standard output, and all words to '
         "standard error.",
     ),
 ]
 Report = Annotated[
     str | None,
-    option("--report", "FILE.html", "Write one self-contained page with pictures."),
+    option("--report FILE.html", "Write one self-contained page with pictures."),
 ]
 Table = Annotated[
     str | None,
     option(
-        "--table",
-        "FILE.tex|FILE.csv",
+        "--table FILE.tex|FILE.csv",
         "Write the numbers as a table for a paper: LaTeX (booktabs), or CSV.",
     ),
 ]
 NoCache = Annotated[
     bool,
-    option("--no-cache", None, "Keep no compiled programs in your cache folder, and use none."),
+    option("--no-cache", "Keep no compiled programs in your cache folder, and use none."),
 ]
-
-METHODS = (
-    "levenberg",
-    "random",
-    "genetic",
-    "genetic_release_told",
-    "cma_es",
-    "differential_evolution",
-    "particle_swarm",
-)
-DESCENTS, SEEDED = METHODS[:2], METHODS[1:]
-STARTS = 6
-MAX_EFFECTS = 3

@@ -3,10 +3,10 @@
 from typing import Annotated
 
 from .. import reporting
-from ..errors import InputError, inside
+from ..errors import inside
 from . import _options
 from ._shell import NoNumbers
-from ._work import Work, computing, title
+from ._work import Work, computing, floats_of, title
 
 
 def inertia(
@@ -37,8 +37,7 @@ def unload(
     inertia_std: Annotated[
         str | None,
         _options.option(
-            "--inertia-std",
-            "A,B,C",
+            "--inertia-std A,B,C",
             "Standard errors of shoulder, elbow (kg m^2) and coupling (kg m) from step 1, to "
             'carry over. Recordings with role = "inertia" give them too.',
         ),
@@ -47,7 +46,6 @@ def unload(
         bool,
         _options.option(
             "--diagnose",
-            None,
             "Diagnose first: the modes without bearings over all models that the recordings "
             "leave in play, with their probabilities.",
         ),
@@ -60,7 +58,8 @@ def unload(
 ) -> None:
     """Take the air bearings off, drag and friction too: how the arm rings in orbit."""
     out = Work(json, report)
-    std = _three(inertia_std)
+    names = "shoulder (kg m^2)", "elbow (kg m^2)", "coupling (kg m)"
+    std = None if inertia_std is None else floats_of("--inertia-std", inertia_std, names, least=0)
     loaded = out.begin(experiment, own, no_cache)
     how = {"effects": effects or [], "starts": starts}
     with computing() as say, inside(experiment):
@@ -76,22 +75,3 @@ def unload(
         raise NoNumbers(found.fit.reason)
     if not found.physical:
         raise NoNumbers(found.unphysical[0])
-
-
-def _three(words: str | None) -> list[float] | None:
-    """Three numbers separated by commas.
-
-    **Raises:** `InputError`.
-    """
-    if words is None:
-        return None
-    try:
-        found = [float(part) for part in words.split(",")]
-    except ValueError:
-        found = []
-    if len(found) != 3 or not all(0 <= x < float("inf") for x in found):
-        raise InputError(
-            f"--inertia-std {words}: must be three numbers from 0 up, separated by commas, for "
-            "shoulder, elbow (kg m^2) and coupling (kg m)"
-        )
-    return found

@@ -1,7 +1,5 @@
 """`residyn race`."""
 
-import contextlib
-from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -9,24 +7,21 @@ import typer
 from .. import reporting
 from ..errors import InputError
 from . import _options
-from ._shell import INTERRUPTED, NoNumbers, complain, console
-from ._work import Work, one_complaint, title
+from ._shell import INTERRUPTED, NoNumbers, complain
+from ._work import Work, computing, title
 
 if TYPE_CHECKING:
     from ..fitting.history import Watch
 
 _METHODS = _options.option(
-    "--methods",
-    "LIST",
-    "Which methods, separated by commas: levenberg, random, genetic, "
-    "genetic_release_told, cma_es, differential_evolution, particle_swarm, or any minimiser "
+    "--methods LIST",
+    f"Which methods, separated by commas: {', '.join(_options.METHODS)}, or any minimiser "
     "such as optimistix.BFGS or optax.adam. Without it, the first seven.",
 )
-_REPEATS = _options.number("--repeats", "N", "Seeds that each method runs with.", least=1)
-_SECONDS = _options.seconds("--seconds", "S", "The most that one run of a method may take.")
+_REPEATS = _options.number("--repeats N", "Seeds that each method runs with.", least=1)
+_SECONDS = _options.seconds("--seconds S", "The most that one run of a method may take.")
 _SIMULATIONS = _options.number(
-    "--simulations",
-    "N",
+    "--simulations N",
     "The most simulations that one run of a method may take, instead of --seconds.",
     least=1,
 )
@@ -52,8 +47,12 @@ def race(
     names = None if methods is None else [name.strip() for name in methods.split(",")]
     out = Work(json, report, table)
     loaded = out.begin(experiment, own, no_cache, integrator)
-    with _live() as (say, news), one_complaint():
+    with computing() as say:
         from ..fitting import race as run
+
+        def news(name: str, seed: int, watch: "Watch") -> None:
+            who = name if seed == 0 else f"{name}, seed {seed}"
+            say(f"{who}: objective {watch.best:.5g} after {watch.simulations:.0f} simulations")
 
         found = run(
             loaded,
@@ -70,39 +69,3 @@ def race(
         raise typer.Exit(complain("interrupted", INTERRUPTED))
     if found.best is None:
         raise NoNumbers("no method led to finite numbers")
-
-
-@contextlib.contextmanager
-def _live() -> Iterator[tuple[Callable[[str], None], "Callable[[str, int, Watch], None]"]]:
-    """A table on standard error in which every method's best objective falls; gone afterwards."""
-    from rich.live import Live
-    from rich.table import Table
-
-    rows: dict[tuple[str, int], tuple[str, str, str]] = {}
-    doing = ""
-
-    def drawn() -> Table:
-        table = Table(title=doing, title_justify="left", box=None)
-        for head in ("method", "objective", "simulations", "seconds"):
-            table.add_column(head, justify="left" if head == "method" else "right")
-        for (name, seed), row in rows.items():
-            table.add_row(name if seed == 0 else f"{name}, seed {seed}", *row)
-        return table
-
-    out = console(stderr=True)
-    if not out.is_terminal:
-        yield lambda words: None, lambda name, seed, watch: None
-        return
-    with Live(drawn(), console=out, transient=True, auto_refresh=False) as live:
-
-        def say(words: str) -> None:
-            nonlocal doing
-            doing = words
-            live.update(drawn(), refresh=True)
-
-        def news(name: str, seed: int, watch: "Watch") -> None:
-            row = f"{watch.best:.5g}", f"{watch.simulations:.0f}", f"{watch.seconds:.1f}"
-            rows[name, seed] = row
-            live.update(drawn(), refresh=True)
-
-        yield say, news

@@ -23,10 +23,8 @@ if TYPE_CHECKING:
 
 DONE, NO_NUMBERS, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 TRACEBACK = "RESIDYN_TRACEBACK"
-_WIDTH = 80
-"""Columns of a terminal that does not say how many it has."""
-_AGAIN = 0.1
-"""s after which memory is freed and Ctrl-C, lost in that, comes again: not seen as a delay."""
+_WIDTH = 80  # columns of a terminal that does not say how many it has
+_AGAIN = 0.1  # s after which memory is freed and a Ctrl-C that was lost in that comes again
 _WHOLE: Any = {"break_on_hyphens": False, "break_long_words": False}
 
 # The class of all complaints about the command line, which typer itself does not name.
@@ -35,9 +33,6 @@ UsageError: Any = typer.BadParameter.__bases__[0]
 
 class NoNumbers(Exception):
     """The input was fine, and still the numbers could not be had: one line that says why."""
-
-
-# -- from words to an exit status ------------------------------------------------------------
 
 
 def run(app: typer.Typer, args: Sequence[str] | None) -> int:
@@ -151,9 +146,6 @@ def _usage(error: Any) -> str:
     return f"{line[:1].lower()}{line[1:]}; see {path} --help"
 
 
-# -- words -----------------------------------------------------------------------------------
-
-
 def console(*, stderr: bool = False) -> "Console":
     """Where words for people go. Not a terminal: no colours, and lines as long as they are."""
     from rich.console import Console
@@ -162,18 +154,16 @@ def console(*, stderr: bool = False) -> "Console":
         def on_broken_pipe(self) -> None:
             raise BrokenPipeError  # rich would end with a status of its own
 
-    out = Open(stderr=stderr, highlight=False, markup=False, emoji=False, soft_wrap=False)
+    out = Open(stderr=stderr, highlight=False, markup=False, emoji=False)
     if not out.is_terminal:
-        out = Open(stderr=stderr, highlight=False, markup=False, emoji=False, width=1000)
+        out.width = 1000
     return out
 
 
 @contextlib.contextmanager
-def progress() -> Iterator[Callable[[str], None]]:
-    """A line on standard error that says what is being done and for how long; gone afterwards.
-
-    Words that know what `share` (0 to 1) is done move a bar.
-    """
+def progress(first: str = "starting") -> Iterator[Callable[[str], None]]:
+    """A line on standard error that says what is being done and for how long, gone afterwards;
+    words that know what `share` (0 to 1) is done move a bar."""
     out = console(stderr=True)
     if not out.is_terminal:
         yield lambda words: None
@@ -191,18 +181,14 @@ def progress() -> Iterator[Callable[[str], None]]:
     words = rich.TextColumn("{task.description}", markup=False, table_column=cut)
     columns = (rich.SpinnerColumn(), words, Bar(), rich.TimeElapsedColumn())
     with rich.Progress(*columns, console=out, transient=True, expand=True) as bar:
-        task = bar.add_task("starting", total=None)
+        task = bar.add_task(first, total=None)
 
         def say(words: str) -> None:
             share = getattr(words, "share", None)
-            total = None if share is None else 1.0
-            bar.tasks[0].total = total
+            bar.tasks[0].total = None if share is None else 1.0
             bar.update(task, description=words, completed=share or 0.0)
 
         yield say
-
-
-# -- JAX -------------------------------------------------------------------------------------
 
 
 def set_up_jax(cache: bool) -> None:

@@ -2,15 +2,15 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import InputError, inside, number
+from ..errors import InputError, inside
 from ..files import make_folder
 from . import _options
 from ._shell import DONE, NO_NUMBERS, NoNumbers, complain, console
-from ._work import Work, computing, input_files
+from ._work import Work, computing, float_of, floats_of, input_files
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,18 +20,17 @@ if TYPE_CHECKING:
     from ..recordings.recording import Recording
 
 _SET = _options.option(
-    "--set",
-    "NAME=VALUE",
+    "--set NAME=VALUE",
     "A number of the model, as spring:elbow.stiffness=16.7. May be repeated. Set all or "
     "none: without any, they are fitted first.",
 )
-_OUT = _options.option("--out", "FOLDER", "Where the recordings go.")
-_NOISE = _options.number("--noise", "SIGMA", "Gaussian noise to add, rad (or m).", float)
-_SEED = _options.number("--seed", "N", "Which noise.")
+_OUT = _options.option("--out FOLDER", "Where the recordings go.")
+_NOISE = _options.number("--noise SIGMA", "Gaussian noise to add, rad (or m).", float)
+_SEED = _options.number("--seed N", "Which noise.")
 _Q0 = _options.option(
-    "--q0", "ANGLES", "Where to begin, rad (or m): one number per joint, as 0.25,-0.3."
+    "--q0 ANGLES", "Where to begin, rad (or m): one number per joint, as 0.25,-0.3."
 )
-_V0 = _options.option("--v0", "RATES", "Rates to begin with, rad/s (or m/s): one number per joint.")
+_V0 = _options.option("--v0 RATES", "Rates to begin with, rad/s (or m/s): one number per joint.")
 
 
 def simulate(
@@ -49,34 +48,44 @@ def simulate(
     no_cache: _options.NoCache = False,
 ) -> None:
     """Write predicted recordings, one CSV file each."""
-    numbers = _numbers(values or [])
+    numbers: dict[str, float] = {}
+    for each in values or []:
+        name, equals, value = (part.strip() for part in each.partition("="))
+        if not equals or not name:
+            raise InputError(f"--set {each}: must be NAME=VALUE, as spring:elbow.stiffness=16.7")
+        if name in numbers:
+            raise InputError(f"--set {each}: {name} is set twice")
+        numbers[name] = float_of(f"--set {name}", value)
     loaded = Work().begin(experiment, own, no_cache, integrator)
-    angles, rates = _per_joint("--q0", q0, loaded), _per_joint("--v0", v0, loaded)
+    import numpy as np
+
+    from ..fitting import fit, mechanism_of
+    from ..fitting.problem import posed
+    from ..recordings.csv import write_csv
+
+    angles = None if q0 is None else np.array(floats_of("--q0", q0, loaded.joints))
+    rates = None if v0 is None else np.array(floats_of("--v0", v0, loaded.joints))
     # Driven recordings of step 1 have their brakes off: springs and dampers say nothing of them.
     shown = [r for r in loaded.recordings if r.role != "inertia"]
     if not shown:
         raise InputError(f"{experiment}: has no recording of braked motion to simulate")
     paths = _paths(Path(out), shown, input_files(experiment, loaded))
-    words, status = console(stderr=True), DONE
-    predicted = []
+    words, status, predicted = console(stderr=True), DONE, []
     if numbers:
         with computing() as say:
             model = _model_with(loaded, effects or [], numbers)
             for r in shown:
                 say(f"simulating {r.name}")
-                begin = [0.0] * r.joints if rates is None else rates
-                first = _first_angles(model, loaded, r, begin) if angles is None else angles
-                predicted.append(_motion(model, loaded, r, first, begin))
-        taken = [] if angles is not None else ["angles from the first readings, smoothed"]
-        taken += [] if rates is not None else ["rates of zero"]
+                here = posed(model, mechanism_of(loaded, r))
+                begin = np.zeros(r.joints) if rates is None else rates
+                first = _first_angles(here, r, begin) if angles is None else angles
+                predicted.append(_motion(here, r, loaded.integrator, first, begin))
+        taken = ["angles from the first readings, smoothed"] * (angles is None)
+        taken += ["rates of zero"] * (rates is None)
         if taken:
             words.print(f"begins with {' and '.join(taken)}; --q0 and --v0 give others")
     else:
         with computing() as say:
-            import numpy as np
-
-            from ..fitting import fit
-
             result = fit(loaded, effects=effects or [], starts=starts, progress=say)
         words.print(str(result), soft_wrap=True)
         if not result.stands:
@@ -92,28 +101,26 @@ def simulate(
                     continue
                 q, v, memory = np.split(fitted.state, [r.joints, 2 * r.joints])
                 first, begin = q if angles is None else angles, v if rates is None else rates
-                predicted.append(_motion(result.model, loaded, r, first, begin, memory))
-    _write(paths, shown, predicted, noise, seed)
-    for path, recording in zip(paths, shown, strict=True):
-        print(f"{path}: {len(recording.time)} samples, at the times of {recording.name}")
+                here = posed(result.model, mechanism_of(loaded, r))
+                predicted.append(_motion(here, r, loaded.integrator, first, begin, memory))
+    random = np.random.default_rng(seed)
+    for path, r, angle in zip(paths, shown, predicted, strict=True):
+        if noise:
+            angle = angle + noise * random.standard_normal(angle.shape)
+        write_csv(path, r.time, angle, r.drive)
+        print(f"{path}: {len(r.time)} samples, at the times of {r.name}")
     raise typer.Exit(status)
 
 
 def _model_with(
     experiment: "Experiment", effects: Sequence[str], numbers: dict[str, float]
 ) -> "Model":
-    """The springs, dampers and effects, with all their numbers as given.
-
-    **Raises:** `InputError` for an effect or a number that there is not, or a number left out.
-    """
+    """The springs, dampers and effects, with all their numbers as given."""
     from ..fitting import mechanism_of, model_for
 
-    try:
-        model = model_for(mechanism_of(experiment, experiment.recordings[0]), effects)
-        if experiment.integrator is not None:
-            experiment.integrator.check(model)
-    except ValueError as error:
-        raise InputError(str(error)) from None
+    model = model_for(mechanism_of(experiment, experiment.recordings[0]), effects)
+    if experiment.integrator is not None:
+        experiment.integrator.check(model)
     known = [n.name for n in model.numbers]
     for name in numbers:
         if name not in known:
@@ -130,12 +137,7 @@ def _model_with(
     return model.with_values(numbers)
 
 
-def _first_angles(
-    model: "Model",
-    experiment: "Experiment",
-    recording: "Recording",
-    rates: "Sequence[float] | np.ndarray",
-) -> "np.ndarray":
+def _first_angles(here: "Model", recording: "Recording", rates: "np.ndarray") -> "np.ndarray":
     """Angles at the first instant: a parabola of the known slope through the first readings."""
     import numpy as np
 
@@ -144,7 +146,7 @@ def _first_angles(
     recording = recording.as_angles
     time = recording.time - recording.time[0]
     # Up to here, a swing at the fastest mode is a parabola within 0.3 %.
-    window = 0.5 / max(fastest(_posed(model, experiment, recording)), 1e-9)
+    window = 0.5 / max(fastest(here), 1e-9)
     angles = []
     for joint, rate in enumerate(rates):
         seen = np.flatnonzero(np.isfinite(recording.angle[:, joint]))
@@ -156,18 +158,14 @@ def _first_angles(
 
 
 def _motion(
-    model: "Model",
-    experiment: "Experiment",
+    here: "Model",
     recording: "Recording",
+    integrator: Any,
     angles: "np.ndarray",
-    rates: "Sequence[float] | np.ndarray",
+    rates: "np.ndarray",
     memory: "np.ndarray | None" = None,
 ) -> "np.ndarray":
-    """Readings (N, n) of the bodies and under the drive of one recording, at its times.
-
-    **Raises:** `NoNumbers` if the motion runs away.
-    """
-    import jax.numpy as jnp
+    """Readings (N, n) of a model under the drive of one recording, at its times."""
     import numpy as np
 
     from ..simulation.simulate import Drive, simulate
@@ -176,71 +174,16 @@ def _motion(
     if recording.drive is not None:
         grid = np.linspace(time[0], time[-1], len(time))
         values = np.stack([np.interp(grid, time, u) for u in recording.drive.T], axis=1)
-        drive = Drive(grid[0], grid[1] - grid[0], jnp.asarray(values))
-    here = _posed(model, experiment, recording)
-    begin = jnp.asarray(angles), jnp.asarray(rates)
-    path = simulate(
-        here,
-        jnp.asarray(time),
-        *begin,
-        z0=memory,
-        drive=drive,
-        integrator=experiment.integrator,
-        orders=recording.orders,
-    )
-    found = np.asarray(path.readings)
+        drive = Drive(grid[0], grid[1] - grid[0], values)
+    how = {"z0": memory, "drive": drive, "integrator": integrator, "orders": recording.orders}
+    found = np.asarray(simulate(here, time, angles, rates, **how).readings)
     if not np.isfinite(found).all():
         raise NoNumbers(f"{recording.name}: with these numbers the motion runs away")
     return found
 
 
-def _posed(model: "Model", experiment: "Experiment", recording: "Recording") -> "Model":
-    from ..fitting import mechanism_of
-    from ..fitting.problem import posed
-
-    return posed(model, mechanism_of(experiment, recording))
-
-
-def _numbers(words: Sequence[str]) -> dict[str, float]:
-    """NAME=VALUE, each once."""
-    found: dict[str, float] = {}
-    for each in words:
-        name, equals, value = each.partition("=")
-        name = name.strip()
-        if not equals or not name:
-            raise InputError(f"--set {each}: must be NAME=VALUE, as spring:elbow.stiffness=16.7")
-        if name in found:
-            raise InputError(f"--set {each}: {name} is set twice")
-        found[name] = _float(f"--set {name}", value)
-    return found
-
-
-def _float(key: str, words: str) -> float:
-    try:
-        value: float | str = float(words)
-    except ValueError:
-        value = words
-    return number(key, value, "in SI units")
-
-
-def _per_joint(option: str, words: str | None, experiment: "Experiment") -> "np.ndarray | None":
-    """Numbers separated by commas, one per joint."""
-    if words is None:
-        return None
-    import numpy as np
-
-    parts, joints = words.split(","), experiment.joints
-    if len(parts) != len(joints):
-        many = f"{len(joints)} numbers separated by commas" if len(joints) > 1 else "one number"
-        raise InputError(f"{option} {words}: must be {many}, for {', '.join(joints)}")
-    return np.array([_float(option, part) for part in parts])
-
-
 def _paths(folder: Path, recordings: "Sequence[Recording]", inputs: Sequence[Path]) -> list[Path]:
-    """One file per recording, named as it is; none of them an input.
-
-    **Raises:** `InputError`, before anything is written.
-    """
+    """One file per recording, named as it is; none of them an input."""
     paths: list[Path] = []
     for recording in recordings:
         stem = Path(recording.name).stem or "recording"
@@ -253,21 +196,3 @@ def _paths(folder: Path, recordings: "Sequence[Recording]", inputs: Sequence[Pat
     with inside("--out"):
         make_folder(folder)
     return paths
-
-
-def _write(
-    paths: Sequence[Path],
-    recordings: "Sequence[Recording]",
-    predicted: "Sequence[np.ndarray]",
-    noise: float,
-    seed: int,
-) -> None:
-    import numpy as np
-
-    from ..recordings.csv import write_csv
-
-    random = np.random.default_rng(seed)
-    for path, recording, angle in zip(paths, recordings, predicted, strict=True):
-        if noise:
-            angle = angle + noise * random.standard_normal(angle.shape)
-        write_csv(path, recording.time, angle, recording.drive)

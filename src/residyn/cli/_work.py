@@ -6,11 +6,11 @@ import itertools
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import InputError, inside
+from ..errors import InputError, inside, number
 from ..files import check_writable, write
 from ..runtime.json import finite
 from ._shell import NoNumbers, console, interruptible, progress, set_up_jax, tell
@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from ..fitting.result import Fit
     from ..recordings.experiment import Experiment
 
-_TABLES = (".tex", ".csv")
-_PAGES = (".html", ".htm")
+_ENDINGS = {"--report": (".html", ".htm"), "--table": (".tex", ".csv"), "--found": (".py",)}
 
 
 class Work:
@@ -37,16 +36,12 @@ class Work:
         found: str | None = None,
     ):
         self.json_file, self.report, self.table, self.found = json_file, report, table, found
-        if report == "-":
-            raise InputError("--report -: a report needs the name of a file")
-        if report is not None and Path(report).suffix not in _PAGES:
-            raise InputError(f"--report {report}: must end in {' or '.join(_PAGES)}")
-        if table is not None and Path(table).suffix not in _TABLES:
-            raise InputError(f"--table {table}: must end in {' or '.join(_TABLES)}")
-        if found is not None and Path(found).suffix != ".py":
-            raise InputError(f"--found {found}: must end in .py")
         given = {"--json": json_file, "--report": report, "--table": table, "--found": found}
         self._files = {option: path for option, path in given.items() if path is not None}
+        for option, path in self._files.items():
+            right = _ENDINGS.get(option)
+            if right is not None and Path(path).suffix not in right:
+                raise InputError(f"{option} {path}: must end in {' or '.join(right)}")
         written = [(option, path) for option, path in self._files.items() if path != "-"]
         for (one, path), (other, own) in itertools.combinations(written, 2):
             if _same(path, own):
@@ -63,10 +58,7 @@ class Work:
     def begin(
         self, path: str, own: Sequence[str] | None, no_cache: bool, integrator: str | None = None
     ) -> "Experiment":
-        """Make JAX and the user's own effects ready, and read the experiment.
-
-        **Raises:** `InputError`, also for an output that is one of the inputs.
-        """
+        """Make JAX and the user's own effects ready, and read the experiment."""
         set_up_jax(not no_cache)
         bring(own)
         experiment = load(path)
@@ -79,10 +71,7 @@ class Work:
         return experiment
 
     def spare(self, inputs: Sequence[Path]) -> None:
-        """Refuse to write over a file that was read.
-
-        **Raises:** `InputError`.
-        """
+        """Refuse to write over a file that was read."""
         for option, path in self._files.items():
             if any(_same(path, each) for each in inputs):
                 raise InputError(f"{option} {path}: is an input of this experiment; choose another")
@@ -94,44 +83,36 @@ class Work:
 
     def write(self, result: Any, page: Callable[[str], None] | None = None) -> None:
         """Write what was asked for, as `give`."""
-        self.write_json(result.to_dict())
+        if self.json_file is not None:
+            told = finite(result.to_dict())
+            text = json.dumps(told, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+            if self.json_file == "-":
+                sys.stdout.write(text)
+                sys.stdout.flush()
+            else:
+                with inside("--json"):
+                    write(self.json_file, text)
         if self.table is not None:
             text = result.to_latex() if Path(self.table).suffix == ".tex" else result.to_csv()
             with inside("--table"):
                 write(self.table, text)
             self.words.print(f"table: {self.table}", soft_wrap=True)
         if self.found is not None:
-            self._write_found(result)
+            self._write_found(result, self.found)
         if self.report is not None and page is not None:
-            with progress() as say:
-                say("writing the report")
+            with progress("writing the report"):
                 page(self.report)
             self.words.print(f"report: {self.report}", soft_wrap=True)
 
-    def write_json(self, result: Mapping[str, Any]) -> None:
-        """Write the JSON, if it was asked for."""
-        if self.json_file is None:
-            return
-        text = json.dumps(finite(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        if self.json_file == "-":
-            sys.stdout.write(text)
-            sys.stdout.flush()
-            return
-        with inside("--json"):
-            write(self.json_file, text)
-
-    def _write_found(self, result: "Diagnosis") -> None:
+    def _write_found(self, result: "Diagnosis", file: str) -> None:
         """Write the law without a name as an effect, if there is one."""
         law = next((law.found for law in result.laws if law.found is not None), None)
         if law is None:
-            self.words.print(f"no law without a name was found: {self.found} is not written")
+            self.words.print(f"no law without a name was found: {file} is not written")
             return
-        assert self.found is not None
         with inside("--found"):
-            write(self.found, law.text(Path(self.found).name))
-        self.words.print(
-            f"law: {self.found} (--effects {self.found} --with {law.label})", soft_wrap=True
-        )
+            write(file, law.text(Path(file).name))
+        self.words.print(f"law: {file} (--effects {file} --with {law.label})", soft_wrap=True)
 
 
 def _same(one: str | Path, other: str | Path) -> bool:
@@ -141,19 +122,14 @@ def _same(one: str | Path, other: str | Path) -> bool:
 @contextlib.contextmanager
 def computing() -> Iterator[Callable[[str], None]]:
     """Progress while something is computed, and what cannot be computed as one complaint."""
-    with progress() as say:
-        say("loading")
-        with one_complaint():
-            yield say
+    with progress("loading") as say, one_complaint():
+        yield say
 
 
 @contextlib.contextmanager
 def one_complaint() -> Iterator[None]:
-    """What cannot be computed, as the one line that the user reads.
-
-    **Raises:** `NoNumbers` for numbers that cannot be had; `InputError` for effects that do not
-    exist or do not go with the experiment, and for what needs an extra that is not installed.
-    """
+    """What cannot be computed, as the one line that the user reads: numbers that cannot be had, or
+    effects that do not exist or go with the experiment, or an extra that is not installed."""
     from ..fitting import FitError, MissingExtra
 
     interruptible()
@@ -166,12 +142,8 @@ def one_complaint() -> Iterator[None]:
 
 
 def load(path: str) -> "Experiment":
-    """Read the experiment, and say on standard error what was made of a lab's own files.
-
-    **Raises:** `InputError`.
-    """
-    with progress() as say:
-        say("reading")
+    """Read the experiment, and say on standard error what was made of a lab's own files."""
+    with progress("reading"):
         from ..recordings.experiment import load as read_experiment
 
         loaded = read_experiment(path)
@@ -182,13 +154,9 @@ def load(path: str) -> "Experiment":
 
 
 def bring(files: Sequence[str] | None) -> None:
-    """Add the effects of users' files to the catalogue.
-
-    **Raises:** `InputError`.
-    """
+    """Add the effects of users' files to the catalogue."""
     if files:
-        with progress() as say:
-            say("loading")
+        with progress("loading"):
             from ..effects import load_effects
 
             for file in files:
@@ -197,9 +165,27 @@ def bring(files: Sequence[str] | None) -> None:
 
 def input_files(path: str, experiment: "Experiment") -> list[Path]:
     """Every file that was read, so that none of them is written over."""
-    base = Path() if path == "-" else Path(path).parent
-    files = [base / r.name for r in experiment.recordings]
-    return files if path == "-" else [Path(path), *files]
+    own = [] if path == "-" else [Path(path)]
+    return own + [Path(path).parent / r.name for r in experiment.recordings]
+
+
+def float_of(key: str, words: str, least: float | None = None) -> float:
+    """The number in these words, in SI units."""
+    value: float | str = words
+    with contextlib.suppress(ValueError):
+        value = float(words)
+    return number(key, value, "in SI units", least=least)
+
+
+def floats_of(
+    option: str, words: str, names: Sequence[str], least: float | None = None
+) -> list[float]:
+    """Numbers separated by commas, one for each of these names."""
+    parts, count = words.split(","), len(names)
+    if len(parts) != count:
+        many = f"{count} numbers separated by commas" if count > 1 else "one number"
+        raise InputError(f"{option} {words}: must be {many}, for {', '.join(names)}")
+    return [float_of(option, part, least) for part in parts]
 
 
 def title(path: str) -> str:

@@ -9,11 +9,8 @@ import numpy as np
 
 from ..errors import LARGEST, InputError, number
 
-_SHORTEST = 1e-9
-"""s, which nothing reads an arm in."""
-
-LEAST = 20
-"""Readings per joint below which there is nothing to fit."""
+_SHORTEST = 1e-9  # s, which nothing reads an arm in
+LEAST = 20  # readings per joint below which there is nothing to fit
 
 
 def check_table(time: Any, angle: Any, what: str = "angle") -> tuple[np.ndarray, np.ndarray]:

@@ -6,7 +6,6 @@ says (`units`), else what stands in its name ("Time [ms]", "Shoulder (deg)", "t/
 units below it, else SI. Nothing is guessed in silence: what was understood is told in one line.
 """
 
-import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import InputError, quote
+from ..errors import InputError, did_you_mean, quote
 from .reads import PER_TIME, READS
 
 _TIMES = ("t", "time", "zeit", "temps", "tiempo", "tempo")
@@ -60,6 +59,7 @@ _SPELLED = (
     (re.compile(r"[\s*·-]"), ""),  # N*m, N·m, N-m
 )
 
+_JOINTS_OWN = re.compile(r"([qu])[1-9][0-9]*")
 _BRACKETS = re.compile(r"(.*?)[\s,_]*[\[({<]\s*([^\[\](){}<>]*?)\s*[\])}>]\s*")
 _TAILS = re.compile(r"(.*\S)(?:\s+in\s+|\s*/\s*|_|,\s*)(\S+)", re.I)
 
@@ -74,13 +74,13 @@ class Layout:
     decimal: str | None = None
 
     def __post_init__(self):
-        for key in ("columns", "units"):
-            table = getattr(self, key)
+        for key, example in (
+            ("columns", '{ t = "Time [ms]", q1 = "Shoulder (deg)" }'),
+            ("units", '{ t = "ms", q1 = "deg" }'),
+        ):
+            table, right = getattr(self, key), f"must be a table, as {example}"
             if table is None:
                 continue
-            right = 'must be a table, as { t = "Time [ms]", q1 = "Shoulder (deg)" }'
-            if key == "units":
-                right = 'must be a table, as { t = "ms", q1 = "deg" }'
             if not isinstance(table, Mapping) or not table:
                 raise InputError(f"{key} = {quote(table)}: {right}")
             for name, value in table.items():
@@ -90,11 +90,10 @@ class Layout:
                     )
                 if not isinstance(value, str) or not value.strip():
                     raise InputError(f"{key}: {name} = {quote(value)}: {right}")
-        if self.columns is not None:
-            names = [value.strip() for value in self.columns.values()]
-            for name in names:
-                if names.count(name) > 1:
-                    raise InputError(f"columns has {quote(name)} twice: each must be one column")
+        names = [value.strip() for value in (self.columns or {}).values()]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"columns has {quote(name)} twice: each must be one column")
         if self.decimal not in (None, ".", ","):
             raise InputError(f'decimal = {quote(self.decimal)}: must be "." or ","')
         if self.separator is not None:
@@ -114,10 +113,8 @@ class Column(NamedTuple):
     at: int
     header: str
     unit: str
-    factor: float
-    """What turns its numbers into s, rad, m, N m or N."""
-    stated: bool = False
-    """Whether its unit is said, by a key or in the file."""
+    factor: float  # what turns its numbers into s, rad, m, N m or N
+    stated: bool = False  # whether its unit is said, by a key or in the file
 
 
 class Joints(NamedTuple):
@@ -125,8 +122,7 @@ class Joints(NamedTuple):
 
     names: tuple[str, ...]
     units: tuple[str, ...] | None = None
-    orders: tuple[int, ...] = ()
-    """Which derivative was read of each joint; () is angles."""
+    orders: tuple[int, ...] = ()  # which derivative was read of each joint; () is angles
 
     @property
     def angles(self) -> list[str]:
@@ -138,30 +134,32 @@ class Joints(NamedTuple):
         """The columns that may be there."""
         return [f"u{j + 1}" for j in range(len(self.names))]
 
+    @property
+    def how_many(self) -> str:
+        """The number of joints, in words."""
+        return f"{len(self.names)} joint{'s' * (len(self.names) > 1)}"
+
     def quantities(self, name: str) -> tuple[str, ...]:
         """The SI units that a column may be in."""
         if name == "t":
             return ("s",)
-        turning, sliding = "N m", "N"
+        j = int(name[1:]) - 1
+        both = ("N m", "N")
         if name[0] == "q":
-            order = self.orders[int(name[1:]) - 1] if self.orders else 0
-            turning, sliding = (unit + PER_TIME[order] for unit in ("rad", "m"))
-        if self.units is None:
-            return (turning, sliding)
-        return (turning if self.units[int(name[1:]) - 1] == "rad" else sliding,)
+            per_time = PER_TIME[self.orders[j] if self.orders else 0]
+            both = ("rad" + per_time, "m" + per_time)
+        return both if self.units is None else (both[self.units[j] == "m"],)
 
 
 def matched(header: Sequence[str], joints: Joints, layout: Layout) -> dict[str, list[int]]:
     """By name, the columns that could be it; the first of them that the header has counts."""
     found: dict[str, list[int]] = {}
-    plain = [cell.strip() for cell in header]
-    folded = [cell.casefold() for cell in plain]
-    bare = [_parts(cell)[0].casefold() for cell in plain]
+    folded = [cell.casefold() for cell in header]
+    bare = [_parts(cell)[0].casefold() for cell in header]
     for name in ("t", *joints.angles, *joints.drives):
-        wanted = (layout.columns or {}).get(name)
-        if wanted is not None:
-            wanted = wanted.strip()
-            tries = [(plain, wanted), (folded, wanted.casefold()), (bare, wanted.casefold())]
+        wanted = (layout.columns or {}).get(name, "").strip()
+        if wanted:
+            tries = [(header, wanted), (folded, wanted.casefold()), (bare, wanted.casefold())]
         else:
             own = _TIMES if name == "t" else (name,)
             if name[0] == "q":
@@ -189,81 +187,70 @@ def columns_of(
         f"must have the columns {','.join(['t', *joints.angles])}, and {','.join(joints.drives)} "
         "if driven"
     )
-    has = ", ".join(quote(cell.strip()) for cell in header if cell.strip())
+    has = ", ".join(map(quote, filter(None, header)))
     for name in [*(layout.columns or {}), *(layout.units or {})]:
         if name not in ("t", *joints.angles, *joints.drives):
-            count = len(joints.names)
-            raise InputError(f"there is no joint for {name}: {count} joint{'s' * (count > 1)}")
+            raise InputError(f"there is no joint for {name}: {joints.how_many}")
     for name, wanted in (layout.columns or {}).items():
         if name not in found:
             taken = {at[0] for at in found.values()}
-            free = [cell.strip() for i, cell in enumerate(header) if i not in taken]
-            close = difflib.get_close_matches(wanted, free, n=1)
-            hint = f"; did you mean {quote(close[0])}?" if close else ""
-            raise InputError(
-                f"columns: there is no column {quote(wanted)} for {name}; it has {has}{hint}"
-            )
+            free = [cell for i, cell in enumerate(header) if i not in taken]
+            line = f"columns: there is no column {quote(wanted)} for {name}; it has {has}"
+            raise InputError("; ".join(filter(None, [line, did_you_mean(wanted, free)])))
     for name in ("t", *joints.angles):
         if name not in found:
             raise InputError(
                 f"there is no column {name}; {right}, or say which column is what, as "
                 f'columns = {{ {name} = "..." }}; it has {has}'
             )
-    used = {at[0]: name for name, at in found.items()}
+    used = {at[0] for at in found.values()}
     for at in found.values():
         if len(at) > 1:
-            raise InputError(f"column {quote(header[at[0]].strip())} appears twice; {right}")
-    for i, cell in enumerate(header):
-        extra = re.fullmatch(r"([qu])[1-9][0-9]*", cell.strip())
-        if extra and i not in used and layout.columns is None:
-            kind = extra[1]
-            have = sum(bool(re.fullmatch(f"{kind}[1-9][0-9]*", c.strip())) for c in header)
-            raise InputError(
-                f"has {have} {kind} columns, up to {quote(cell.strip())}, but the experiment has "
-                f"{len(joints.names)} joint{'s' * (len(joints.names) > 1)}; {right}"
-            )
+            raise InputError(f"column {quote(header[at[0]])} appears twice; {right}")
+    own = [_JOINTS_OWN.fullmatch(cell) for cell in header]
+    extra = next((m for i, m in enumerate(own) if m and i not in used), None)
+    if extra and layout.columns is None:
+        have = sum(each is not None and each[1] == extra[1] for each in own)
+        raise InputError(
+            f"has {have} {extra[1]} columns, up to {quote(extra[0])}, but the experiment has "
+            f"{joints.how_many}; {right}"
+        )
     if len(used) < len(found):
         raise InputError(f"one column stands for two of {', '.join(found)}; {right}")
     columns = []
-    for name, (index, *_) in found.items():
-        cell = header[index].strip()
-        own = below[index].strip() if index < len(below) else ""
-        columns.append(Column(name, index, cell, *_unit(name, cell, own, joints, layout)))
+    for name, (i, *_) in found.items():
+        unit = _unit(name, header[i], below[i] if i < len(below) else "", joints, layout)
+        columns.append(Column(name, i, header[i], *unit))
     return columns
 
 
-def understood(
-    columns: Sequence[Column], header: Sequence[str], joints: Joints, more: Sequence[str] = ()
-) -> str:
+def understood(columns: Sequence[Column], header: Sequence[str], more: Sequence[str]) -> str:
     """What was made of the header, in one line; empty if it is as this package writes it."""
     usual = all(c.header == c.name and c.factor == 1.0 for c in columns)
     used = {c.at for c in columns}
-    ignored = [quote(h.strip()) for i, h in enumerate(header) if i not in used and h.strip()]
+    ignored = [quote(cell) for i, cell in enumerate(header) if i not in used and cell]
     if usual and not ignored and not more:
         return ""
-    said = [
-        c.name
-        + (f" from {quote(c.header)}" if c.header != c.name else "")
-        + (f" in {c.unit}" if c.unit else "")
-        for c in columns
-    ]
-    some = ", ".join(ignored[:4]) + (f" and {len(ignored) - 4} more" if len(ignored) > 4 else "")
-    return "; ".join([", ".join(said), *more, *([f"not read: {some}"] if ignored else [])])
+    each = []
+    for c in columns:
+        source = f" from {quote(c.header)}" * (c.header != c.name)
+        each.append(c.name + source + f" in {c.unit}" * (c.unit != ""))
+    said = [", ".join(each), *more]
+    if ignored:
+        rest = f" and {len(ignored) - 4} more" * (len(ignored) > 4)
+        said.append(f"not read: {', '.join(ignored[:4])}{rest}")
+    return "; ".join(said)
 
 
 class Table(NamedTuple):
     """A recording as its file has it, in SI units."""
 
-    time: np.ndarray
-    """(N,) s."""
-    angle: np.ndarray
-    """(N, n) rad or m, NaN where one is missing."""
+    time: np.ndarray  # (N,) s
+    angle: np.ndarray  # (N, n) rad or m, NaN where one is missing
     drive: np.ndarray | None
     """(N, n) N m or N, zero for a joint without its own column; None if no joint has one."""
-    line: np.ndarray
-    """(N,) the line number of each sample."""
-    stated: frozenset[str]
-    """The columns whose unit is stated, by a key or the file itself."""
+    line: np.ndarray  # (N,) the line number of each sample
+    stated: frozenset[str]  # the columns whose unit is stated, by a key or the file itself
     understood: str = ""
     """What was made of the header, in one line; empty if there is nothing to say."""
 
@@ -293,7 +280,7 @@ class Table(NamedTuple):
             drive,
             line,
             frozenset(column.name for column in columns if column.stated),
-            understood(columns, header, joints, more),
+            understood(columns, header, more),
         )
 
 
@@ -314,22 +301,17 @@ def guessed(
     plain = [i for i, ok in enumerate(numeric) if ok]
     time = next((i for i in plain if bare[i] in _TIMES), plain[0])
     rest = [i for i in plain if i != time]
-    called = [i for i in rest if re.fullmatch(r"q[1-9][0-9]*", bare[i])]
+    called = [i for i in rest if re.fullmatch("q[1-9][0-9]*", bare[i])]
     sized = [i for i in rest if any(_known(words[i], kind) for kind in ("rad", "m"))]
     angles = called or sized or rest
     order = _named_order([bare[i] for i in angles])
     at = {"t": time} | {f"q{j + 1}": angles[i] for j, i in enumerate(order or range(len(angles)))}
-    kinds = {name: ("s",) if name == "t" else ("rad", "m") for name in at}
-    return (
-        at,
-        {
-            name: unit
-            for name, i in at.items()
-            for kind in kinds[name]
-            if (unit := _known(words[i], kind)) is not None
-        },
-        bool(order),
-    )
+    units = {}
+    for name, i in at.items():
+        for kind in ("s",) if name == "t" else ("rad", "m"):
+            if (unit := _known(words[i], kind)) is not None:
+                units[name] = unit
+    return at, units, bool(order)
 
 
 def _named_order(names: Sequence[str]) -> list[int]:
@@ -372,9 +354,7 @@ def _unit(
                 raise InputError(
                     f"{where}: must be {allowed}, or reads = {quote(reads)} says what it is"
                 )
-    hint = (
-        "" if own is not None else f', or units = {{ {name} = "{allowed.split(",")[0]}" }} says it'
-    )
+    hint = f', or units = {{ {name} = "{allowed.split(",")[0]}" }} says it' * (own is None)
     raise InputError(f"{where}: must be {allowed}{hint}")
 
 

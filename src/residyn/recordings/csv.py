@@ -26,15 +26,12 @@ from ..files import read_table_text, write
 from .columns import Column, Joints, Layout, Table, columns_of, guessed, is_unit_row, matched
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eEdD][+-]?[0-9]+)?")
-_PLAIN = re.compile("[-+.0-9eE]+")
-"""What Python reads as a number, or not at all."""
 _LOST = re.compile(r"|[+-]?nan|#?n/?a|null|none", re.I)
 _INFINITE = re.compile(r"[+-]?inf(?:inity)?", re.I)
 _COMMENT = re.compile(r"\s*(?:#|%|//)\s*")
 _SEPARATORS = (",", ";", "\t", " ")
 _WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}
-_HEAD = 200
-"""Lines in which the header must be."""
+_HEAD = 200  # lines in which the header must be
 
 
 def read_csv(
@@ -96,36 +93,32 @@ def guessed_columns(path: str | os.PathLike[str]) -> tuple[dict[str, str], dict[
     **Raises:** `InputError` if no line is a header above numbers.
     """
     where, rows = os.fspath(path), _lines(read_table_text(path))[:_HEAD]
-    only_t: tuple[int, list[str], list[str], list[bool]] | None = None
+    above_numbers, with_t = [], []
     for i, (line, _) in enumerate(rows):
         for separator in _SEPARATORS:
             header, *below = (_cells(_bare(each), separator) for _, each in rows[i : i + 3])
             units = below.pop(0) if below and is_unit_row(below[0]) else []
-            ok = [_is_sample(cell) for cell in below[0]] if below else []
             if len(header) < 2 or any(map(_is_number, header)):
                 continue
-            if len(ok) == len(header) and sum(ok) > 1 and any(map(_is_number, below[0])):
-                return _guessed(where, line, header, units, ok)
-            if only_t is None and "t" in matched(header, Joints(()), Layout()):
-                only_t = line, header, units, [bool(cell) for cell in header]
-    if only_t is not None:  # whoever reads it says what is wrong below
-        return _guessed(where, *only_t)
-    raise InputError(f"{where}: has no line of names above columns of numbers")
-
-
-def _guessed(
-    where: str, line: int, header: list[str], units: list[str], numeric: list[bool]
-) -> tuple[dict[str, str], dict[str, str], bool]:
-    """`guessed_columns` of this header."""
+            first = below[0] if below else []
+            ok = [_is_number(cell) or bool(cell and _LOST.fullmatch(cell)) for cell in first]
+            if len(ok) == len(header) and sum(ok) > 1 and any(map(_is_number, first)):
+                above_numbers.append((line, header, units, ok))
+            elif "t" in matched(header, Joints(()), Layout()):
+                with_t.append((line, header, units, [bool(cell) for cell in header]))
+    # Without numbers below, whoever reads the file says what is wrong there.
+    if not above_numbers + with_t:
+        raise InputError(f"{where}: has no line of names above columns of numbers")
+    line, header, units, numeric = (above_numbers + with_t)[0]
     at, known, ordered = guessed(header, units, numeric)
-    names = {name: header[k] for name, k in at.items()}
-    twice = [cell for cell in names.values() if list(names.values()).count(cell) > 1]
-    if twice:
-        raise InputError(
-            f"{where}, line {line}: two columns are called {quote(twice[0])}: each must have a "
-            "name of its own"
-        )
-    return names, known, ordered
+    names = [header[k] for k in at.values()]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"{where}, line {line}: two columns are called {quote(name)}: each must have a "
+                "name of its own"
+            )
+    return dict(zip(at, names, strict=True)), known, ordered
 
 
 def write_csv(
@@ -141,30 +134,28 @@ def write_csv(
     time = np.asarray(time, dtype=float)
     if time.ndim != 1 or not len(time):
         raise InputError(f"time has shape {time.shape}: it must be one row of samples")
-    names, columns = ["t"], [time]
-    for letter, values in (("q", angle), ("u", drive)):
-        if values is None:
-            continue
+    columns = {"t": time}
+    for letter, values in [("q", angle)] + [("u", drive)] * (drive is not None):
         values = np.asarray(values, dtype=float)
         values = values[:, None] if values.ndim == 1 else values
         if values.ndim != 2 or len(values) != len(time) or not values.shape[1]:
             raise InputError(
                 f"{letter} has shape {values.shape}: it must be ({len(time)}, joints) like time"
             )
-        names += [f"{letter}{j + 1}" for j in range(values.shape[1])]
-        columns += list(values.T)
-    if len([n for n in names if n[0] == "u"]) > len([n for n in names if n[0] == "q"]):
+        columns |= {f"{letter}{j + 1}": column for j, column in enumerate(values.T)}
+    letters = "".join(name[0] for name in columns)
+    if letters.count("u") > letters.count("q"):
         raise InputError("drive has more joints than angle")
-    table = np.stack(columns, axis=1)
+    table = np.stack(list(columns.values()), axis=1)
     if np.isinf(table).any() or np.isnan(time).any():
         raise InputError("time must be finite; angle and drive finite or NaN")
     # repr is the shortest text that reads back as the same number.
     lines = [",".join("" if x != x else repr(x) for x in row) for row in table.tolist()]
-    text = "\n".join([",".join(names), *lines, ""])
-    if not isinstance(path_or_file, (str, os.PathLike)):
+    text = "\n".join([",".join(columns), *lines, ""])
+    if isinstance(path_or_file, str | os.PathLike):
+        write(path_or_file, text)
+    else:
         path_or_file.write(text)
-        return
-    write(path_or_file, text)
 
 
 def _lines(text: str) -> list[tuple[int, str]]:
@@ -178,11 +169,8 @@ def _bare(row: str) -> str:
 
 
 def _find_header(rows: list[str], joints: Joints, layout: Layout) -> tuple[int, str]:
-    """Which of the lines is the header, and what stands between its cells.
-
-    The first line that names t and every q. If there is none, the line that names most of them:
-    what it lacks is then said of it.
-    """
+    """Which line is the header, the first that names t and every q, or else the one that names most
+    of them, of which is then said what it lacks; and what stands between its cells."""
     needed = {"t", *joints.angles}
     separators = _SEPARATORS if layout.separator is None else (layout.separator,)
     best: tuple[int, int, str] | None = None
@@ -220,11 +208,6 @@ def _is_number(cell: str) -> bool:
     return bool(_NUMBER.fullmatch(cell.replace(",", ".")))
 
 
-def _is_sample(cell: str) -> bool:
-    """A number, or a word for a lost one."""
-    return _is_number(cell) or bool(cell and _LOST.fullmatch(cell))
-
-
 def _values(
     rows: Sequence[tuple[int, str]],
     width: int,
@@ -233,48 +216,36 @@ def _values(
     columns: Sequence[Column],
     where: str,
 ) -> np.ndarray:
-    """(N, columns) the numbers of the needed columns, as they stand.
-
-    **Raises:** `InputError` that names the line, and which cell is wrong.
-    """
-    wanted = [(column.at, column.name) for column in columns]
-    plain = [row for _, row in rows if '"' not in row and row.count(separator) == width - 1]
-    if len(plain) == len(rows) and decimal == "." and separator != " ":
+    """(N, columns) the numbers of the needed columns, as they stand."""
+    plain = all('"' not in row and row.count(separator) == width - 1 for _, row in rows)
+    if plain and decimal == "." and separator != " ":
         # All at once, if all cells that are wanted are numbers as NumPy reads them.
-        at = [at for at, _ in wanted]
+        lines, at = [row for _, row in rows], [column.at for column in columns]
         with contextlib.suppress(ValueError):
-            return np.loadtxt(plain, delimiter=separator, usecols=at, comments=None, ndmin=2)
-    table = np.empty((len(rows), len(columns)))
-    for i, (line, row) in enumerate(rows):
-        cells = _cells(row, separator)
-        while len(cells) > width and not cells[-1]:
-            cells.pop()
-        try:
-            if len(cells) != width or (decimal == "," and separator != "," and "." in row):
-                raise ValueError
-            for j, (at, _) in enumerate(wanted):
-                cell = cells[at] if decimal == "." else cells[at].replace(",", ".")
-                if not _PLAIN.fullmatch(cell):
-                    raise ValueError
-                table[i, j] = float(cell)
-        except ValueError:
-            with inside(f"{where}, line {line}"):
-                _check_width(len(cells), width, separator)
-                table[i] = [number_in(cells[at], name, decimal) for at, name in wanted]
-    return table
+            return np.loadtxt(lines, delimiter=separator, usecols=at, comments=None, ndmin=2)
+    wanted = [(column.at, column.name) for column in columns]
+    table = []
+    for line, row in rows:
+        try:  # not `inside`, which would take as long again
+            cells = _cells(row, separator)
+            while len(cells) > width and not cells[-1]:
+                cells.pop()
+            if len(cells) != width:
+                raise InputError(_wrong_width(len(cells), width, separator))
+            table.append([number_in(cells[at], name, decimal) for at, name in wanted])
+        except InputError as error:
+            raise InputError(f"{where}, line {line}: {error}") from None
+    return np.array(table)
 
 
-def _check_width(count: int, width: int, separator: str) -> None:
-    if count != width:
-        hint = ""
-        if separator == "," and count > width:
-            hint = (
-                "; a comma between cells cannot be the decimal sign too: decimal commas need "
-                "another separator, as semicolons, or quotes"
-            )
-        raise InputError(
-            f"has {count} cell{'s' * (count != 1)}; the header names {width} columns{hint}"
+def _wrong_width(count: int, width: int, separator: str) -> str:
+    said = f"has {count} cell{'s' * (count != 1)}; the header names {width} columns"
+    if separator == "," and count > width:
+        said += (
+            "; a comma between cells cannot be the decimal sign too: decimal commas need another "
+            "separator, as semicolons, or quotes"
         )
+    return said
 
 
 def number_in(cell: str, name: str, decimal: str) -> float:
@@ -283,17 +254,17 @@ def number_in(cell: str, name: str, decimal: str) -> float:
     **Raises:** `InputError`.
     """
     cell = cell.replace("\u2212", "-")
-    if _INFINITE.fullmatch(cell):
-        raise InputError(f"{name} is infinite")
+    point = cell if decimal == "." else cell.replace(",", ".")
+    if _NUMBER.fullmatch(point) and not (decimal == "," and "." in cell):
+        return float(point.replace("d", "e").replace("D", "e"))
     if _LOST.fullmatch(cell):
         return math.nan
-    point = cell if decimal == "." else cell.replace(",", ".")
-    if not _NUMBER.fullmatch(point) or (decimal == "," and "." in cell):
-        hint = "a missing sample is an empty cell or nan"
-        if _is_number(cell):
-            hint = f"the decimal sign is {quote(decimal)} here; decimal says which it is"
-        raise InputError(f"{name} = {quote(cell)} is no number; {hint}")
-    return float(re.sub("[dD]", "e", point))
+    if _INFINITE.fullmatch(cell):
+        raise InputError(f"{name} is infinite")
+    hint = "a missing sample is an empty cell or nan"
+    if _is_number(cell):
+        hint = f"the decimal sign is {quote(decimal)} here; decimal says which it is"
+    raise InputError(f"{name} = {quote(cell)} is no number; {hint}")
 
 
 def _check_time(time: np.ndarray, number: np.ndarray, where: str) -> None:

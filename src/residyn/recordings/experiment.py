@@ -78,9 +78,9 @@ class Experiment:
     @property
     def reading_units(self) -> tuple[str, ...]:
         """ "rad", "m/s", ...: of what was read of each joint, "" where it is not known."""
-        unknown = (0,) * len(self.joints), ("",) * len(self.joints)
-        orders = self._braked[0].orders if self._braked else unknown[0]
-        return reading_units(self.units, orders) or unknown[1]
+        n = len(self.joints)
+        orders = self._braked[0].orders if self._braked else (0,) * n
+        return reading_units(self.units, orders) or ("",) * n
 
     @property
     def fit_recordings(self) -> tuple[Recording, ...]:
@@ -132,8 +132,7 @@ class Experiment:
     def warnings(self) -> tuple[str, ...]:
         """What is doubtful in the recordings, and in their fitting together."""
         own = [line for recording in self.recordings for line in recording.warnings]
-        checks = (_in_degrees, _not_held_out, _twice, _no_load)
-        return (*own, *(line for check in checks for line in check(self)))
+        return (*own, *_in_degrees(self), *_not_held_out(self), *_twice(self), *_no_load(self))
 
 
 def must_be_experiment(given: Any) -> None:
@@ -181,14 +180,7 @@ def from_text(text: str, folder: Path, where: str, path: str = "") -> Experiment
         for i, entry in enumerate(contents.recordings):
             with inside(f"[[recordings]] {i + 1}"):
                 recordings.append(_read(folder, contents.inertia, **entry))
-        return Experiment(
-            contents.inertia,
-            tuple(recordings),
-            contents.bearings,
-            path,
-            contents.integrator,
-            contents.limits,
-        )
+        return Experiment(**contents._replace(recordings=tuple(recordings))._asdict(), path=path)
 
 
 def _read(
@@ -212,12 +204,11 @@ def _read(
                 )
         with inside(file):
             layout = Layout(**given)
-        with inside(file):
             kinds = check_reads(options.get("reads", "angle"), len(inertia.joints))
         orders = tuple(map(READS.index, kinds))
         table = read_table(path, Joints(inertia.joints, inertia.units, orders), layout)
-        time, angle, drive = table.time, table.angle, table.drive
-        recording = Recording.from_arrays(time, angle, drive=drive, name=file, **options)
+        angle, drive = table.angle, table.drive
+        recording = Recording.from_arrays(table.time, angle, drive=drive, name=file, **options)
         said = "; ".join(filter(None, [table.understood, recording.understood]))
         recording = dataclasses.replace(recording, understood=said)
         units, lines = reading_units(inertia.units, orders), table.lines_at(recording.time)
@@ -255,19 +246,15 @@ def _from_markers(
 def _in_degrees(experiment: Experiment) -> list[str]:
     """Doubts about the unit of angles: no braked joint turns by five radians, and who counts an
     elbow's rest in radians seldom takes more than half a turn."""
-    warnings = []
+    large = []
     for recording, _ in by_recording(experiment.recordings):
         sizes = np.nanquantile(np.abs(recording.angle), 0.99, axis=0)
-        units = experiment.reading_units
-        large = [
-            f"q{j + 1} reaches {size:.3g}"
-            for j, (size, unit) in enumerate(zip(sizes, units, strict=True))
-            if unit == "rad" and size > 5
-        ]
+        for j, (size, unit) in enumerate(zip(sizes, experiment.reading_units, strict=True)):
+            if unit == "rad" and size > 5:
+                large.append(f"{recording.name}: q{j + 1} reaches {size:.3g}")
         if abs(recording.theta2) > np.pi:
-            large.append(f"theta2 = {recording.theta2:g}")
-        warnings += [f"{recording.name}: {x}: in degrees? it must be in rad" for x in large]
-    return warnings
+            large.append(f"{recording.name}: theta2 = {recording.theta2:g}")
+    return [f"{seen}: in degrees? it must be in rad" for seen in large]
 
 
 def _not_held_out(experiment: Experiment) -> list[str]:
@@ -292,9 +279,9 @@ def _twice(experiment: Experiment) -> list[str]:
     for i, r in enumerate(fitted):
         same = first.setdefault((r.time.tobytes(), r.angle.tobytes()), i)
         if same != i:
-            other = fitted[same].name
-            what = f"has the readings of {other}, so that they"
-            what = "is listed twice, so that its readings" if other == r.name else what
+            what = f"has the readings of {fitted[same].name}, so that they"
+            if fitted[same].name == r.name:
+                what = "is listed twice, so that its readings"
             warnings.append(f"{r.name}: {what} are fitted twice: errors come out too small")
     return warnings
 

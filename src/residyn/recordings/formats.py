@@ -28,9 +28,7 @@ def is_named_as_recording(path: str | os.PathLike[str]) -> bool:
 def has_markers(path: str | os.PathLike[str]) -> bool:
     """Whether a file has marker trajectories: a C3D file, or a CSV file with their header."""
     suffix = Path(path).suffix.lower()
-    if suffix == ".c3d":
-        return True
-    return suffix not in _READERS and is_vicon(read_table_text(path))
+    return suffix == ".c3d" or (suffix not in _READERS and is_vicon(read_table_text(path)))
 
 
 def read_table(path: str | os.PathLike[str], joints: Joints, layout: Layout) -> Table:
@@ -69,16 +67,15 @@ def _mat(path: str) -> Mapping[str, Any]:
         raise InputError(
             f"has several structs with a field t ({', '.join(structs)}): keep one recording a file"
         )
-    columns = found if "t" in found or not structs else found[structs[0]]
+    columns = dict(found if "t" in found or not structs else found[structs[0]])
     wide: dict[str, Any] = {}
-    for name, value in columns.items():
-        if name in ("q", "u"):
-            matrix = np.asarray(value)
-            matrix = matrix[:, None] if matrix.ndim == 1 else matrix
-            if matrix.ndim != 2:
-                raise InputError(f"{name} has shape {matrix.shape}: must be a row per time")
-            wide |= {f"{name}{j + 1}": column for j, column in enumerate(matrix.T)}
-    return wide | {n: v for n, v in columns.items() if n not in ("q", "u")}
+    for name in columns.keys() & {"q", "u"}:
+        matrix = np.asarray(columns.pop(name))
+        matrix = matrix[:, None] if matrix.ndim == 1 else matrix
+        if matrix.ndim != 2:
+            raise InputError(f"{name} has shape {matrix.shape}: must be a row per time")
+        wide |= {f"{name}{j + 1}": column for j, column in enumerate(matrix.T)}
+    return wide | columns
 
 
 def _parquet(path: str) -> Mapping[str, Any]:
@@ -94,10 +91,10 @@ def _parquet(path: str) -> Mapping[str, Any]:
         table = parquet.ParquetFile(path).read()
     except (arrow.ArrowException, OSError) as error:
         raise InputError(f"is no Parquet file that can be read: {error}") from None
-    # An index that pandas wrote is no column.
-    names = [name for name in table.column_names if not re.fullmatch(r"__.*__", name)]
     columns: dict[str, Any] = {}
-    for name in names:
+    for name in table.column_names:
+        if re.fullmatch("__.*__", name):
+            continue  # an index that pandas wrote
         try:
             columns[name] = table.column(name).cast(arrow.float64()).to_numpy()
         except arrow.ArrowException:
@@ -114,11 +111,11 @@ _READERS: dict[str, Callable[[str], Mapping[str, Any]]] = {
 
 def _table(content: Mapping[str, Any], joints: Joints, layout: Layout) -> Table:
     """The recording in these columns."""
-    header = list(content)
+    header, values = [name.strip() for name in content], list(content.values())
     columns = columns_of(header, joints, layout)
     found: dict[str, np.ndarray] = {}
     for column in columns:
-        value = content[header[column.at]]
+        value = values[column.at]
         try:
             if value is None or np.iscomplexobj(value):
                 raise TypeError
@@ -130,6 +127,6 @@ def _table(content: Mapping[str, Any], joints: Joints, layout: Layout) -> Table:
         if (shape := found[column.name].shape) != (count,):
             raise InputError(f"{column.header} has shape {shape}: must be ({count},), as long as t")
     # What a workspace has besides is nothing to speak of.
-    used = [header[column.at] for column in columns]
-    columns = [column._replace(at=i) for i, column in enumerate(columns)]
-    return Table.of(found.values(), np.arange(1, count + 1), columns, used, joints)
+    used = {column.at for column in columns}
+    header = [name if i in used else "" for i, name in enumerate(header)]
+    return Table.of(found.values(), np.arange(1, count + 1), columns, header, joints)

@@ -1,5 +1,6 @@
 """What a rig can do: within which limits the next test may be planned, `[limits]` of the file."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,36 +31,10 @@ class Limits:
     """Largest torque of the motors, N m (N): a number, or one for each joint; 0 for none."""
 
     def __post_init__(self):
-        for key, unit in (("angle", "rad or m"), ("drive", "N m or N")):
-            given = getattr(self, key)
+        for field in dataclasses.fields(self):
+            given = getattr(self, field.name)
             if given is not None:
-                several = isinstance(given, list | tuple)
-                each = [number(key, x, unit, least=0) for x in (given if several else [given])]
-                if not each or (key == "angle" and not any(each)):
-                    raise InputError(f"{key} = {quote(given)}: must be above 0 somewhere ({unit})")
-                object.__setattr__(self, key, tuple(each) if several else each[0])
-        for key, unit, least in (
-            ("theta2", "rad", -math.inf),
-            ("extra_mass", "kg", 0.0),
-            ("load", "N", 0.0),
-        ):
-            given = getattr(self, key)
-            if given is not None:
-                right = f"two numbers ({unit}), the lower one first, as [a, b]"
-                low, high = (number(key, x, unit) for x in entries(key, given, right, 2))
-                if not least <= low <= high:
-                    raise InputError(f"{key} = {quote(list(given))}: must be {right}")
-                object.__setattr__(self, key, (low, high))
-        if self.duration is not None:
-            object.__setattr__(self, "duration", number("duration", self.duration, "s", above=0))
-        given = self.air_bearings
-        if given is not None:
-            each = tuple(given) if isinstance(given, list | tuple) else (given,)
-            if not each or not all(isinstance(x, bool) for x in each):
-                raise InputError(
-                    f"air_bearings = {quote(given)}: must be true, false or [true, false]"
-                )
-            object.__setattr__(self, "air_bearings", tuple(dict.fromkeys(each)))
+                object.__setattr__(self, field.name, _checked(field.name, given))
 
     def check(self, joints: Sequence[str], arm: bool, bearings: bool) -> None:
         """**Raises:** `InputError` for a limit that does not go with the experiment."""
@@ -81,3 +56,30 @@ class Limits:
         """`angle` or `drive` of every joint."""
         given = getattr(self, key)
         return given if given is None or isinstance(given, tuple) else (given,) * joints
+
+
+_SIZES = {"angle": "rad or m", "drive": "N m or N"}
+_RANGES = {"theta2": ("rad", -math.inf), "extra_mass": ("kg", 0.0), "load": ("N", 0.0)}
+
+
+def _checked(key: str, given: Any) -> Any:
+    """A limit as it is kept: one number or a tuple."""
+    if key == "duration":
+        return number(key, given, "s", above=0)
+    if key in _RANGES:
+        unit, least = _RANGES[key]
+        right = f"two numbers ({unit}), the lower one first, as [a, b]"
+        low, high = (number(key, x, unit) for x in entries(key, given, right, 2))
+        if not least <= low <= high:
+            raise InputError(f"{key} = {quote(list(given))}: must be {right}")
+        return low, high
+    several = isinstance(given, list | tuple)
+    each = tuple(given) if several else (given,)
+    if key in _SIZES:
+        each = tuple(number(key, x, _SIZES[key], least=0) for x in each)
+        if not each or (key == "angle" and not any(each)):
+            raise InputError(f"{key} = {quote(given)}: must be above 0 somewhere ({_SIZES[key]})")
+        return each if several else each[0]
+    if not each or not all(isinstance(x, bool) for x in each):
+        raise InputError(f"{key} = {quote(given)}: must be true, false or [true, false]")
+    return tuple(dict.fromkeys(each))

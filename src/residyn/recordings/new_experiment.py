@@ -24,12 +24,13 @@ shoulder = "?"            # I1 about the shoulder + m2 l1^2, kg m^2
 elbow = "?"               # I2 about the elbow, kg m^2
 coupling = "?"            # m2 rho2, kg m; rho2: from the elbow to link 2's centre of mass
 """
+_ARMS_KINDS = ("rad", "rad")
 _AS_THEY_ARE = "no name says which column is which joint; the order is the file's"
 _INERTIA = """\
 [inertia]                 # a constant mass matrix
-joints = [{names}]
-units = [{units}]         # "rad" or "m" each
-matrix = [{rows}]         # kg m^2 or kg
+joints = {joints}
+units = {units}         # "rad" or "m" each
+matrix = {matrix}         # kg m^2 or kg
 """
 
 
@@ -38,51 +39,46 @@ def experiment_text(files: Sequence[Path], folder: Path) -> str:
 
     **Raises:** `InputError` for a recording that is no table with a header.
     """
-    tables: list[str] = []
-    width, kinds = 0, ()
+    tables, kinds = [], ()
     for file in files:
-        columns, units, ordered = guessed_columns(file)
-        n = len(columns) - 1
-        if width not in (0, n):
-            raise InputError(f"{file}: has {n} columns of angles, {files[0]} has {width}")
-        width = n
-        keys: dict[str, Any] = {}
-        if list(columns.values()) != list(columns):
-            keys["columns"] = columns
-        sliding = [units.get(f"q{j + 1}") in ("m", "cm", "mm") for j in range(n)]
-        kinds = tuple("m" if s else "rad" for s in sliding)
-        joints = Joints(tuple(columns[f"q{j + 1}"] for j in range(n)), kinds)
-        said = {} if ordered else {"columns": _AS_THEY_ARE}
-        arm = n == 2 and kinds == ("rad", "rad")
-        tables.append(_entry(file, folder, joints, keys, said, arm))
-    if width == 2 and kinds == ("rad", "rad"):
-        head = _ARM
-    else:
-        names = ", ".join(f'"joint{j + 1}"' for j in range(width))
-        zeros = ", ".join("[" + ", ".join(['"?"'] * width) + "]" for _ in range(width))
-        head = _INERTIA.format(
-            names=names, units=", ".join(f'"{kind}"' for kind in kinds), rows=zeros
-        )
-    return "\n".join([head, *tables])
+        table, found = _entry(file, folder)
+        if tables and len(found) != len(kinds):
+            raise InputError(
+                f"{file}: has {len(found)} columns of angles, {files[0]} has {len(kinds)}"
+            )
+        tables.append(table)
+        kinds = found
+    n = len(kinds)
+    head = _INERTIA.format(
+        joints=toml_value([f"joint{j + 1}" for j in range(n)]),
+        units=toml_value(list(kinds)),
+        matrix=toml_value([["?"] * n] * n),
+    )
+    return "\n".join([_ARM if kinds == _ARMS_KINDS else head, *tables])
 
 
-def _entry(
-    file: Path,
-    folder: Path,
-    joints: Joints,
-    keys: dict[str, Any],
-    said: dict[str, str],
-    arm: bool,
-) -> str:
-    """One `[[recordings]]` table, with a key for each thing that is seen in the recording, also of
-    what is `said` already."""
+def _entry(file: Path, folder: Path) -> tuple[str, tuple[str, ...]]:
+    """One `[[recordings]]` table, with a key for each thing that is seen in the recording, and its
+    joints' units."""
+    columns, units, ordered = guessed_columns(file)
+    angles = list(columns)[1:]
+    kinds = tuple("m" if units.get(q) in ("m", "cm", "mm") else "rad" for q in angles)
+    joints = Joints(tuple(columns[q] for q in angles), kinds)
+    keys: dict[str, Any] = {}
+    if list(columns.values()) != list(columns):
+        keys["columns"] = columns
+    said = {} if ordered else {"columns": _AS_THEY_ARE}
     understood = ""
     for _ in range(6):
-        layout = Layout(**{k: v for k, v in keys.items() if k in ("columns", "units")})
-        table = read_lab_csv(file, joints, layout)
+        table = read_lab_csv(file, joints, Layout(keys.get("columns"), keys.get("units")))
         understood = table.understood
-        options = {key: keys[key] for key in ("start", "rest") if key in keys}
-        recording = Recording.from_arrays(table.time, table.angle, name=str(file), **options)
+        recording = Recording.from_arrays(
+            table.time,
+            table.angle,
+            name=str(file),
+            start=keys.get("start"),
+            rest=keys.get("rest"),
+        )
         lines = table.lines_at(recording.time)
         found = not_free(recording, joints.units, table.stated, keys, lines)
         if found is None:
@@ -99,9 +95,9 @@ def _entry(
         if key in said:
             lines += _comment(f"seen: {said[key]}")
         lines.append(f"{key} = {toml_value(value)}")
-    if arm:
+    if kinds == _ARMS_KINDS:
         lines.append('theta2 = "?"              # elbow angle at rest, rad; 0: stretched out')
-    return "\n".join([*lines, ""])
+    return "\n".join([*lines, ""]), kinds
 
 
 def _comment(words: str) -> list[str]:
@@ -113,12 +109,9 @@ def _comment(words: str) -> list[str]:
 def toml_value(value: Any) -> str:
     """A value as TOML writes it: a table or a list of what JSON writes alike."""
     if isinstance(value, dict):
-        each = (f"{_key(key)} = {toml_value(x)}" for key, x in value.items())
+        keys = [k if re.fullmatch("[A-Za-z0-9_-]+", k) else toml_value(k) for k in value]
+        each = (f"{k} = {toml_value(x)}" for k, x in zip(keys, value.values(), strict=True))
         return "{ " + ", ".join(each) + " }"
     if isinstance(value, list):
         return "[" + ", ".join(map(toml_value, value)) + "]"
     return json.dumps(value, ensure_ascii=False)
-
-
-def _key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key, ensure_ascii=False)

@@ -14,14 +14,9 @@ import numpy as np
 from .arrays import check_noise, check_table
 from .polynomial_spectrum import Blocks, blocks, grid_step, parts, scaled
 
-_SURE = 5.0
-"""Standard deviations from which a reading is an outlier."""
-
-_RUN = 4
-"""The most outliers in a row that are looked for."""
-
-_HAIR = 1e-6
-"""A ridge for small inverses: a reading that is free already has no room left."""
+_SURE = 5.0  # standard deviations from which a reading is an outlier
+_RUN = 4  # the most outliers in a row that are looked for
+_HAIR = 1e-6  # a ridge for small inverses: a reading that is free already has no room left
 
 
 def outlier_mask(
@@ -92,10 +87,9 @@ def _stand_out(cut: Blocks, values: np.ndarray, least: float) -> np.ndarray:
 
 
 def _explain(room: np.ndarray, rest: np.ndarray, degrees: np.ndarray) -> dict[int, float]:
-    """The readings which, let free, explain what is left of a block, and how far off each is.
-
-    Empty when there are none, when so many would be needed that they are no exception, or when as
-    many further degrees explain as much.
+    """The readings which, let free, explain what is left of a block, and how far off each is. Empty
+    when so many would be needed that they are no exception, or when as many further degrees explain
+    as much.
 
     **Arguments:** `room` (m, m) projects on what polynomials leave; `rest` (m,) is that part of the
     readings, in sigmas; `degrees`, what each further degree holds of it.

@@ -12,11 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-_BLOCK = 32
-"""Readings per block: long enough that noise fills most degrees, short against a slow motion."""
-
-_TINY = 1e-100
-"""Motion smaller than this is none."""
+_BLOCK = 32  # readings per block: noise fills most degrees, and a slow motion is longer
+_TINY = 1e-100  # motion smaller than this is none
 
 
 def scaled(column: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -52,17 +49,13 @@ def parts(index: np.ndarray) -> list[np.ndarray]:
 class Blocks(NamedTuple):
     """Short blocks of one joint's readings, each expressed in polynomials."""
 
-    first: np.ndarray
-    """(B,) index of each block's first reading; neighbours overlap by half."""
+    first: np.ndarray  # (B,) index of each block's first reading; neighbours overlap by half
     basis: np.ndarray
     """(B, m, m), or (1, m, m) for all of them, orthonormal: column k is a polynomial of degree k,
     the last quarter is the rest."""
-    share: np.ndarray
-    """(B, m) what each column holds of the readings."""
-    degree: int
-    """The first degree that holds nothing but noise."""
-    spread: float
-    """Robust standard deviation of the shares from there on."""
+    share: np.ndarray  # (B, m) what each column holds of the readings
+    degree: int  # the first degree that holds nothing but noise
+    spread: float  # robust standard deviation of the shares from there on
 
 
 def blocks(time: np.ndarray, values: np.ndarray) -> Blocks:
@@ -91,22 +84,19 @@ def blocks(time: np.ndarray, values: np.ndarray) -> Blocks:
     # Down from the top while the next degree is as small as all above it, within its statistics;
     # then up again by two, past motion that was too small to be noticed.
     limit = math.sqrt(1 + 3 * math.sqrt(4 / len(live)))
-    each = spread_of_columns(live)
+    each = spread(live)
     above = np.sqrt(np.cumsum(each[::-1] ** 2) / np.arange(1, m + 1))[::-1]
     degree = top
     while degree > 1 and each[degree - 1] <= limit * above[degree]:
         degree -= 1
     degree = min(degree + 2, top)
-    return Blocks(first, basis, share, degree, spread(share[moves, degree:]))
+    left = spread(share[moves, degree:].reshape(-1, 1))[0]
+    return Blocks(first, basis, share, degree, float(left))
 
 
-def spread(values: np.ndarray) -> float:
-    """Standard deviation about zero, blind to a minority of outliers: clipped at three sigma."""
-    return float(spread_of_columns(values.reshape(-1, 1))[0])
-
-
-def spread_of_columns(values: np.ndarray) -> np.ndarray:
-    """`spread` of each column of (N, K) values."""
+def spread(values: np.ndarray) -> np.ndarray:
+    """Standard deviation about zero of each column of (N, K) values, blind to a minority of
+    outliers: clipped at three sigma."""
     count = len(values)
     half = (count - 1) // 2, count // 2
     size = np.abs(values)

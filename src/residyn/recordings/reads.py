@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, quote
-from .resampling import evenly_sampled, slowest_period
+from .resampling import evenly_sampled, moving_means, slowest_period
 
 READS = ("angle", "rate", "acceleration")
 """By the order of the derivative."""
@@ -56,14 +56,9 @@ def angles_from(time: np.ndarray, reading: np.ndarray, orders: Sequence[int]) ->
         x = even[:, j] - np.mean(even[:, j])
         for _ in range(order):
             x = np.append(0.0, np.cumsum(0.5 * step * (x[1:] + x[:-1])))
-            x = x - _mean_over(x, period)
+            # Near the ends the period over which means are taken stays inside.
+            first = np.clip(np.arange(len(x)) - period // 2, 0, len(x) - period)
+            x = x - moving_means(x, period)[first]
         if order:
             found[:, j] = np.where(np.isfinite(found[:, j]), np.interp(time, clock, x), np.nan)
     return found
-
-
-def _mean_over(x: np.ndarray, count: int) -> np.ndarray:
-    """(N,) means over `count` samples about each one; near the ends the window stays inside."""
-    total = np.append(0.0, np.cumsum(x))
-    first = np.clip(np.arange(len(x)) - count // 2, 0, len(x) - count)
-    return (total[first + count] - total[first]) / count

@@ -12,22 +12,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InputError, entries, flag, inside, number
-from .arrays import (
-    check_drive,
-    check_enough,
-    check_noise,
-    check_table,
-    clock_warnings,
-)
+from ..errors import InputError, did_you_mean, entries, flag, inside, number, quote
+from .arrays import check_drive, check_enough, check_noise, check_table, clock_warnings
 from .noise import noise_and_warnings
 from .outliers import outlier_mask
 from .reads import READS, angles_from, check_reads
 from .release import window
 from .resampling import block_means
 from .rest import estimated_rest
-from .toml import check_own, check_role
 
+ROLES = ("fit", "check", "inertia")
 MOST = 100_000
 """Instants of a recording: where there are more, means of some after each other are taken. That
 leaves dozens for each period of anything that swings less than a thousand times."""
@@ -131,8 +125,15 @@ class Recording:
             warnings += clock_warnings(time)
             many = -(-len(time) // MOST)
             if many > 1:
-                time, angle, force, words = _means(time, angle, force, many)
-                warnings.append(words)
+                warnings.append(
+                    f"has {len(time)} samples: means of {many} are taken, which leaves "
+                    f"{len(time) // many}; if the arm swings faster than they tell, cut it with "
+                    "start and stop"
+                )
+                # Not of outliers, which would be in their means.
+                angle = np.where(outlier_mask(time, angle), np.nan, angle)
+                time, angle = block_means(time, many), block_means(angle, many)
+                force = None if force is None else block_means(force, many)
             understood = ""
             if rest is not None:
                 off, more = _rest(rest, time, angle)
@@ -235,26 +236,34 @@ class Recording:
         return int(np.count_nonzero(np.isnan(self.angle)))
 
 
-def _means(
-    time: np.ndarray, angle: np.ndarray, force: np.ndarray | None, many: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, str]:
-    """Means over so many instants after each other, and what was done, in words."""
-    angle = np.where(outlier_mask(time, angle), np.nan, angle)  # or it would be in its mean
-    found = block_means(time, many), block_means(angle, many)
-    drive = None if force is None else block_means(force, many)
-    words = (
-        f"has {len(time)} samples: means of {many} are taken, which leaves {len(found[0])}; if the "
-        "arm swings faster than they tell, cut it with start and stop"
-    )
-    return *found, drive, words
-
-
 def _rest(rest: Any, time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """(n,) angles at rest, given or found, and what is doubtful of them."""
     n = angle.shape[1]
-    if rest != "estimate" or not isinstance(rest, str):
+    if not (isinstance(rest, str) and rest == "estimate"):
         many = f"{n} number{'s' * (n > 1)} (rad or m), one for each joint, in a list"
         values = entries("rest", rest, f'"estimate", or {many}', n)
         return np.array([number("rest", x, "rad or m") for x in values]), []
     check_enough(angle, part=False)
     return estimated_rest(time, angle)
+
+
+def check_role(role: Any) -> str:
+    """`role`, if it is one."""
+    if not isinstance(role, str) or role not in ROLES:
+        line = f"role = {quote(role)}: must be {' or '.join(map(quote, ROLES))}"
+        raise InputError("; ".join(filter(None, [line, did_you_mean(str(role), ROLES)])))
+    return role
+
+
+def check_own(own: Any, role: str) -> tuple[str, ...]:
+    """`own`, if it is a list of effects, and the recording is one that tells their numbers."""
+    if not isinstance(own, list | tuple) or not all(isinstance(x, str) for x in own):
+        raise InputError(
+            f'own = {quote(own)}: must be a list of effects, as ["coulomb_friction:elbow"]'
+        )
+    if own and role != "fit":
+        raise InputError(
+            f"own = {quote(list(own))}: with role = {quote(role)} nothing tells its own numbers; "
+            "leave own out"
+        )
+    return tuple(own)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..errors import InputError, number, quote
 from .arrays import LEAST, check_enough, check_table
-from .resampling import evenly_sampled
+from .resampling import evenly_sampled, moving_means
 
 
 def window(time: np.ndarray, angle: np.ndarray, start: Any, stop: Any) -> slice:
@@ -96,10 +96,7 @@ def release_time(time: np.ndarray, angle: np.ndarray) -> float:
 
 
 def _broken(motion: np.ndarray, excursion: np.ndarray, quarter: int) -> np.ndarray:
-    """Which samples of `motion` (N, n) break the law of the ring-down.
-
-    `quarter` is a quarter period in samples.
-    """
+    """Which samples of `motion` (N, n) break the law of the ring-down."""
     broken = np.zeros(len(motion), dtype=bool)
     for part in (4, 2, 1):  # as little smoothing as the noise allows
         q, v, a = _smooth(motion, max(1, quarter // part))
@@ -109,13 +106,8 @@ def _broken(motion: np.ndarray, excursion: np.ndarray, quarter: int) -> np.ndarr
         live = live[:: max(1, len(live) // 5000)]
         wrong = _misfit(q, v, a, live)
         usual = 1.4826 * np.median(wrong[live], axis=0)
-        limit = np.maximum.reduce(
-            [
-                3.5 * usual,
-                1.5 * np.quantile(wrong[live], 0.9, axis=0),  # of a law that is a little wrong
-                0.05 * np.abs(a[live]).max(axis=0),
-            ]
-        )
+        bent = np.quantile(wrong[live], 0.9, axis=0)  # of a law that is a little wrong
+        limit = np.max([3.5 * usual, 1.5 * bent, 0.05 * np.abs(a[live]).max(axis=0)], axis=0)
         held = (pace < 0.2 * pace.max()) & (excursion > 0.3 * excursion.max())
         broken = (wrong > limit + 1e-12).any(axis=1) | held
         if (usual <= 0.3 * np.sqrt(np.mean(a[live] ** 2, axis=0))).all():
@@ -126,8 +118,7 @@ def _broken(motion: np.ndarray, excursion: np.ndarray, quarter: int) -> np.ndarr
 def _smooth(motion: np.ndarray, w: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Angle, velocity and acceleration, (N, n) each, by mean and differences over `w` samples."""
     pad = np.pad(motion, ((2 * w, 2 * w), (0, 0)), mode="edge")
-    total = np.cumsum(np.pad(pad, ((1, 0), (0, 0))), axis=0)
-    mean = (total[w:] - total[:-w]) / w
+    mean = moving_means(pad, w)
     at = 2 * w - w // 2 + np.arange(len(motion))
     q, ahead, behind = mean[at], mean[at + w], mean[at - w]
     return q, ahead - behind, ahead - 2 * q + behind
@@ -157,7 +148,5 @@ def _after_last(broken: np.ndarray, quarter: int) -> int:
     mostly = np.flatnonzero(count[high] - count[low] > 0.5 * (high - low))
     if not len(mostly):
         return 0
-    free = int(mostly[-1])
-    while free < n - 1 and broken[free]:
-        free += 1
-    return free
+    mended = np.flatnonzero(~broken[mostly[-1] :])
+    return int(mostly[-1] + mended[0]) if len(mended) else n - 1

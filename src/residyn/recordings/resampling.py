@@ -44,6 +44,12 @@ def slowest_period(motion: np.ndarray) -> float:
     return length / (first + 9)
 
 
+def moving_means(x: np.ndarray, width: int) -> np.ndarray:
+    """(N - width + 1, ...) means of so many rows of x (N, ...), from each one on."""
+    total = np.cumsum(np.concatenate([np.zeros_like(x[:1]), x]), axis=0)
+    return (total[width:] - total[:-width]) / width
+
+
 def block_means(x: np.ndarray, many: int, most_missing: float = 0.5) -> np.ndarray:
     """Means of so many rows after each other of x (N,) or (N, n); NaN where more than that share of
     them is missing. A rest of fewer rows is left out."""

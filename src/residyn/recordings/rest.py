@@ -13,9 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from .resampling import decimated, evenly_sampled, slowest_period
 
-SWINGS = 8
-"""Swings of the slowest mode, two of the best windows: with fewer, rest is known roughly."""
-
+_SWINGS = 8  # of the slowest mode, two of the best windows: with fewer, rest is known roughly
 _WINDOWS = {
     4: (0.35875, -0.48829, 0.14128, -0.01168),
     3: (0.42, -0.5, 0.08),
@@ -23,14 +21,9 @@ _WINDOWS = {
 }
 """Cosines of the window that spans so many swings: Blackman's and Harris', Blackman's, Hann's."""
 
-_LEAK = 1e-3
-"""What a mean may be off, of the swing under its window."""
-
-_STILL = 0.05
-"""Of the largest swing: less may be an arm that sticks, anywhere."""
-
-_ASIDE = 0.5
-"""How far a swing of one radian typically pulls an arm aside, rad."""
+_LEAK = 1e-3  # what a mean may be off, of the swing under its window
+_STILL = 0.05  # of the largest swing: less may be an arm that sticks, anywhere
+_ASIDE = 0.5  # how far a swing of one radian typically pulls an arm aside, rad
 
 
 def rest_angles(motion: np.ndarray) -> np.ndarray:
@@ -65,7 +58,7 @@ def estimated_rest(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, lis
         f"with {count:.2g} swings of the slowest mode its rest is known roughly: if the residual "
         "has an offset, fit sensor_offset too"
     ]
-    return rest_angles(decimated(motion)), warnings if count < SWINGS else []
+    return rest_angles(decimated(motion)), warnings if count < _SWINGS else []
 
 
 def _window(count: int, period: float) -> np.ndarray:

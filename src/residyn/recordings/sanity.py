@@ -18,25 +18,17 @@ import numpy as np
 
 from .arrays import clock_warnings
 from .recording import Recording
-from .resampling import decimated, evenly_sampled, slowest_period
+from .resampling import decimated, evenly_sampled, moving_means, slowest_period
 from .rest import rest_angles
 
-_OFF = 0.5
-"""Of the amplitude about rest: a larger distance of rest from zero is no effect's."""
-_SLIPPED = 10.0
-"""The same where a brake may have slipped: towards the side that the joint was released from."""
-_FEWEST = 1.2
-"""Swings of the slowest mode from which rest can be told from the rest of a swing."""
-_STILL = 0.1
-"""Of the largest excursion: a released arm covers it in 0.07 of a period, if one mode rings."""
-_QUITE = 0.03
-"""The same for the first 0.8 of that time: what swings up moves more."""
-_HELD = 0.2
-"""Of the slowest period: no free arm stays within `_STILL` of where it begins for so long."""
-_TURN = 5.0
-"""rad, which no braked joint turns."""
-_SLOW = 300.0
-"""s, which no swing takes."""
+_OFF = 0.5  # of the amplitude about rest: a larger distance of rest from zero is no effect's
+_SLIPPED = 10.0  # the same where a brake may have slipped, towards the side of the release
+_FEWEST = 1.2  # swings of the slowest mode from which rest can be told from the rest of a swing
+_STILL = 0.1  # of the largest excursion: a released arm covers it in 0.07 of a period of one mode
+_QUITE = 0.03  # the same for the first 0.8 of that time: what swings up moves more
+_HELD = 0.2  # of the slowest period: no free arm stays within `_STILL` of its beginning so long
+_TURN = 5.0  # rad, which no braked joint turns
+_SLOW = 300.0  # s, which no swing takes
 
 
 class Finding(NamedTuple):
@@ -53,7 +45,7 @@ def not_free(
     units: tuple[str, ...] | None,
     said: Collection[str],
     keys: Mapping[str, Any],
-    lines: np.ndarray | None = None,
+    lines: np.ndarray,
 ) -> Finding | None:
     """What is not as the free motion of an arm; None if nothing is.
 
@@ -99,9 +91,7 @@ def not_free(
     return None
 
 
-def _no_angle(
-    recording: Recording, units: tuple[str, ...], lines: np.ndarray | None
-) -> Finding | None:
+def _no_angle(recording: Recording, units: tuple[str, ...], lines: np.ndarray) -> Finding | None:
     """Readings that are `_TURN` from the others and from the one beside them, if there are any;
     what a fit sets aside as outliers is not looked at."""
     for j, unit in enumerate(units):
@@ -113,12 +103,9 @@ def _no_angle(
         if not len(far):
             continue
         value, count = float(recording.angle[far[0], j]), len(far)
-        places = [f"{recording.time[i]:.6g} s" for i in (far[0], far[-1])]
-        what = "at"
-        if lines is not None:
-            places, what = [str(lines[i]) for i in (far[0], far[-1])], f"line{'s' * (count > 1)}"
-        where = f"{what} {places[0]}"
-        where += f" to {places[1]} ({count} readings)" if count > 1 else ""
+        where = f"line {lines[far[0]]}"
+        if count > 1:
+            where = f"lines {lines[far[0]]} to {lines[far[-1]]} ({count} readings)"
         words = (
             f"q{j + 1} = {value:.4g} rad ({np.degrees(value):.4g} deg), {where}, more than "
             f"{_TURN:g} rad from the readings beside it, as no braked joint turns: a lost sample "
@@ -133,8 +120,7 @@ def _held_until(motion: np.ndarray, period: float) -> float | None:
     `period` of the slowest mode in samples."""
     size = np.abs(motion - np.median(motion[-max(1, len(motion) // 4) :], axis=0)).max(axis=0)
     width = max(1, min(int(period / 40), len(motion)))
-    total = np.cumsum(np.pad(motion, ((1, 0), (0, 0))), axis=0)
-    smooth = (total[width:] - total[:-width]) / width
+    smooth = moving_means(motion, width)
     first = np.median(smooth[:width], axis=0)
     each = np.abs(smooth - first) / np.where(size > 0, size, np.inf)
     largest = each[:, int(np.argmax(each.max(axis=0)))]

@@ -8,7 +8,7 @@ inertia that no real thing has is refused.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -28,11 +28,11 @@ class ArmTable:
     shoulder: float | None = None
     elbow: float | None = None
     coupling: float | None = None
+    joints: ClassVar[tuple[str, ...]] = ("shoulder", "elbow")
+    units: ClassVar[tuple[str, ...]] = ("rad", "rad")
 
     def __post_init__(self):
-        lengths = entries("link_lengths", self.link_lengths, "two lengths in m, [l1, l2]")
-        if len(lengths) != 2:
-            raise InputError(f"link_lengths has {len(lengths)} numbers: must be [l1, l2], in m")
+        lengths = entries("link_lengths", self.link_lengths, "two lengths in m, [l1, l2]", 2)
         lengths = tuple(number("link_lengths", x, "m", above=0) for x in lengths)
         object.__setattr__(self, "link_lengths", lengths)
         for name, unit, above in (
@@ -44,16 +44,6 @@ class ArmTable:
             if value is not None:
                 object.__setattr__(self, name, number(name, value, unit, above=above))
         check_bearings(self, ())
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """One name per coordinate."""
-        return ("shoulder", "elbow")
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """ "rad" per joint."""
-        return ("rad", "rad")
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -92,7 +82,7 @@ class InertiaTable:
         if len(rows) != n or any(len(row) != n for row in rows):
             raise InputError(f"matrix = {quote(rows)}: must be {right}")
         matrix = tuple(tuple(number("matrix", x, "kg or kg m^2") for x in row) for row in rows)
-        _check_matrix(matrix)
+        _check_matrix(np.array(matrix))
         units = self.units
         if units is not None:
             units = tuple(entries("units", units, 'a list, as ["m"]'))
@@ -158,20 +148,18 @@ def check_bearings(inertia: Any, bearings: Iterable[Bearing]) -> None:
     )
 
 
-def _check_matrix(matrix: tuple[tuple[float, ...], ...]) -> None:
-    for i, row in enumerate(matrix):
-        for j, x in enumerate(row[:i]):
-            y = matrix[j][i]
-            if abs(x - y) > 1e-6 * max(abs(x), abs(y)):
-                raise InputError(
-                    f"matrix is not symmetric: {x:g} in row {i + 1}, column {j + 1}, but {y:g} in "
-                    f"row {j + 1}, column {i + 1}"
-                )
-    size = np.diag(np.array(matrix))
-    if (size > 0).all():
+def _check_matrix(matrix: np.ndarray) -> None:
+    size = np.maximum(abs(matrix), abs(matrix.T))
+    for i, j in np.argwhere(np.tril(abs(matrix - matrix.T) > 1e-6 * size)):
+        raise InputError(
+            f"matrix is not symmetric: {matrix[i, j]:g} in row {i + 1}, column {j + 1}, but "
+            f"{matrix[j, i]:g} in row {j + 1}, column {i + 1}"
+        )
+    own = np.diag(matrix)
+    if (own > 0).all():
         # Kilograms stand beside kilogram square metres: measure each joint by its own inertia.
         with np.errstate(over="ignore"):
-            scaled = np.array(matrix) / np.sqrt(size)[:, None] / np.sqrt(size)[None, :]
+            scaled = matrix / np.sqrt(own)[:, None] / np.sqrt(own)
         if np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled).min() > 1e-12:
             return
     raise InputError("matrix is not positive definite: some motion would have no inertia")

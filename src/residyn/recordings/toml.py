@@ -6,54 +6,31 @@ that is not known is a mistake and never ignored.
 """
 
 import dataclasses
-import difflib
+import inspect
 import json
 import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
-from ..errors import InputError, flag, inside, quote
+from ..errors import InputError, did_you_mean, flag, inside, quote
 from ..simulation.integrator import Integrator
+from .columns import Layout
 from .limits import Limits
+from .recording import Recording, check_role
 from .tables import ArmTable, Bearing, InertiaTable, check_bearings
-
-ROLES = ("fit", "check", "inertia")
 
 _TABLES = ("arm", "inertia", "air_bearings", "recordings", "integrator", "limits")
 _MANY = ("air_bearings", "recordings")
-_WORDS = ("file", "columns", "units", "separator", "decimal", "markers")
-"""Keys whose values are words."""
+_WORDS = ("file", "columns", "units", "separator", "decimal", "markers")  # keys of words
 _OF_A_LINK = re.compile(r"(mass|inertia|length|com|link|rho|[mlcrij])[_a-z]*\d?", re.I)
 _INERTIAS = (
     "from masses m, lengths l, centres of mass c (from their joint) and inertias J about these: "
     "shoulder = J1 + m1 c1^2 + m2 l1^2, elbow = J2 + m2 c2^2, coupling = m2 c2 (docs/lab-files.md)"
 )
-_RECORDING = (
-    "file",
-    "columns",
-    "units",
-    "separator",
-    "decimal",
-    "rest",
-    "theta2",
-    "noise",
-    "start",
-    "stop",
-    "role",
-    "air_bearings",
-    "extra_mass",
-    "load",
-    "own",
-    "reads",
-    "markers",
-    "normal",
-)
 
 
-@dataclass(frozen=True)
-class Contents:
+class Contents(NamedTuple):
     """What the file says; of each `[[recordings]]` the keys, most of their values unchecked yet."""
 
     inertia: ArmTable | InertiaTable
@@ -74,7 +51,7 @@ def parse(text: str, where: str) -> Contents:
             raise InputError("there is no [[recordings]] table: nothing to work on")
         for i, entry in enumerate(recordings):
             with inside(f"[[recordings]] {i + 1}"):
-                _check_recording(entry, "arm" in tables)
+                _check_recording(entry, "arm" in tables, bool(tables.get("air_bearings")))
         roles = {entry.get("role", "fit") for entry in recordings}
         if roles == {"check"}:
             raise InputError(
@@ -86,8 +63,7 @@ def parse(text: str, where: str) -> Contents:
             raise InputError(
                 f"has {have}: give one, [arm] for two links or [inertia] for any matrix"
             )
-        kind = ArmTable if "arm" in tables else InertiaTable
-        inertia = _one(tables, "arm" if kind is ArmTable else "inertia", kind)
+        inertia = _one(tables, "arm", ArmTable) or _one(tables, "inertia", InertiaTable)
         if isinstance(inertia, ArmTable) and inertia.missing and roles != {"inertia"}:
             raise InputError(
                 f"[arm]: {', '.join(inertia.missing)} missing: free motion fixes only the ratios "
@@ -100,16 +76,10 @@ def parse(text: str, where: str) -> Contents:
             with inside(f"[[air_bearings]] {i + 1}"):
                 bearings.append(_made(Bearing, entry))
         check_bearings(inertia, bearings)
-        for i, entry in enumerate(recordings):
-            if entry.get("air_bearings") is False and not bearings:
-                raise InputError(
-                    f"[[recordings]] {i + 1}: air_bearings = false, but there is no "
-                    "[[air_bearings]] table to say what was taken off"
-                )
         limits = _one(tables, "limits", Limits)
         if limits is not None:
             with inside("[limits]"):
-                limits.check(inertia.joints, kind is ArmTable, bool(bearings))
+                limits.check(inertia.joints, "arm" in tables, bool(bearings))
         integrator = _one(tables, "integrator", _integrator, ("solver", "rtol", "atol"))
         return Contents(inertia, tuple(bearings), tuple(recordings), integrator, limits)
 
@@ -147,22 +117,18 @@ def _in_words(line: str, what: str) -> str:
 
 
 def _check_filled_in(tables: Mapping[str, Any]) -> None:
-    """That no "?" is left where `residyn new` writes one.
-
-    **Raises:** `InputError` that names them all.
-    """
+    """That no "?" is left where `residyn new` writes one."""
     left = []
     for name, content in tables.items():
-        entries = content if isinstance(content, list) else [content]
-        for i, entry in enumerate(entries, 1):
-            table = f"[[{name}]] {i}" if isinstance(content, list) else f"[{name}]"
-            keys = entry.items() if isinstance(entry, dict) else ()
+        many = isinstance(content, list)
+        for i, entry in enumerate(content if many else [content], 1):
             keys = [
                 key
-                for key, value in keys
+                for key, value in (entry.items() if isinstance(entry, dict) else ())
                 if key not in _WORDS and '"?"' in json.dumps(value, default=str)
             ]
-            left += [f"{table} {', '.join(keys)}"] if keys else []
+            if keys:
+                left.append((f"[[{name}]] {i} " if many else f"[{name}] ") + ", ".join(keys))
     if left:
         raise InputError(f'"?" is left in {"; ".join(left)}: write numbers there, in SI units')
 
@@ -171,15 +137,18 @@ def _check_keys(where: str, keys: Mapping[str, Any], known: Sequence[str]) -> No
     for key in keys:
         if key not in known:
             of_link = where == "[arm]" and _OF_A_LINK.fullmatch(key)
-            close = difflib.get_close_matches(key, known, n=1, cutoff=0.75 if of_link else 0.5)
-            hint = f"did you mean {close[0]}?" if close else f"{where} has {', '.join(known)}"
-            if of_link and not close:
-                hint = _INERTIAS
-            raise InputError(f"unknown key {quote(key)}: {hint}")
+            hint = did_you_mean(key, known, cutoff=0.75 if of_link else 0.5)
+            else_say = _INERTIAS if of_link else f"{where} has {', '.join(known)}"
+            raise InputError(f"unknown key {quote(key)}: {hint or else_say}")
 
 
 def _keys_of(kind: Any) -> list[str]:
     return [field.name for field in dataclasses.fields(kind)]
+
+
+_OPTIONS = set(inspect.signature(Recording.from_arrays).parameters)
+_OPTIONS -= {"time", "angle", "drive", "name"}  # which the file itself has
+_RECORDING = ("file", *_keys_of(Layout), *sorted(_OPTIONS), "markers", "normal")
 
 
 def _made(kind: Any, keys: Mapping[str, Any]) -> Any:
@@ -207,9 +176,8 @@ def _one(
 
 
 def _integrator(solver: Any = None, **tolerances: Any) -> Integrator:
-    if not isinstance(solver, str):
-        have = "solver is missing" if solver is None else f"solver = {quote(solver)}"
-        raise InputError(f'{have}: must be the name of a solver, such as "Tsit5"')
+    if solver is None:
+        raise InputError('solver is missing: must be the name of a solver, such as "Tsit5"')
     return Integrator(solver, **tolerances)
 
 
@@ -223,40 +191,19 @@ def _many(tables: Mapping[str, Any], name: str, known: Sequence[str]) -> list[di
     return entries
 
 
-def _check_recording(entry: Mapping[str, Any], arm: bool) -> None:
+def _check_recording(entry: Mapping[str, Any], arm: bool, bearings: bool) -> None:
     """What can be said before the recording is read."""
     if not isinstance(entry.get("file"), str) or not entry["file"]:
         have = f"file = {quote(entry['file'])}" if "file" in entry else "file is missing"
         raise InputError(f"{have}: must be the name of a recording's file")
     check_role(entry.get("role", "fit"))
-    flag("air_bearings", entry.get("air_bearings", True))
+    if not flag("air_bearings", entry.get("air_bearings", True)) and not bearings:
+        raise InputError(
+            "air_bearings = false, but there is no [[air_bearings]] table to say what was taken off"
+        )
     if not arm and "theta2" in entry:
         raise InputError("theta2 is the elbow's angle of an [arm]; with [inertia] leave it out")
     if arm and "extra_mass" in entry:
         raise InputError(
             "extra_mass is for [inertia] only; for an [arm] give the loaded arm's own inertias"
         )
-
-
-def check_role(role: Any) -> str:
-    """`role`, if it is one."""
-    if not isinstance(role, str) or role not in ROLES:
-        close = difflib.get_close_matches(role, ROLES, n=1) if isinstance(role, str) else []
-        hint = f"; did you mean {quote(close[0])}?" if close else ""
-        known = " or ".join(quote(name) for name in ROLES)
-        raise InputError(f"role = {quote(role)}: must be {known}{hint}")
-    return role
-
-
-def check_own(own: Any, role: str) -> tuple[str, ...]:
-    """`own`, if it is a list of effects, and the recording is one that tells their numbers."""
-    if not isinstance(own, list | tuple) or not all(isinstance(x, str) for x in own):
-        raise InputError(
-            f'own = {quote(own)}: must be a list of effects, as ["coulomb_friction:elbow"]'
-        )
-    if own and role != "fit":
-        raise InputError(
-            f"own = {quote(list(own))}: with role = {quote(role)} nothing tells its own numbers; "
-            "leave own out"
-        )
-    return tuple(own)

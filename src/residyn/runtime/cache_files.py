@@ -20,12 +20,9 @@ from pathlib import Path
 
 _MAGIC = b"residyn cache 1\n"
 _SUM = hashlib.sha256().digest_size
-_LARGEST = 500_000_000
-"""Bytes of all files together, beyond which the oldest are removed."""
-_OLDEST = 60 * 24 * 3600.0
-"""Seconds after its last use when a file is removed."""
-_ROOM = 0.8
-"""Share of the largest size to which a cache is cut down, so that this is seldom done."""
+_LARGEST = 500_000_000  # bytes of all files together, beyond which the oldest are removed
+_OLDEST = 60 * 24 * 3600.0  # seconds after its last use when a file is removed
+_ROOM = 0.8  # share of the largest size to which a cache is cut down, so that this is seldom done
 
 
 class UnsafeFolder(OSError):

@@ -169,13 +169,12 @@ class Kept:
 
     def _flat(self, args) -> Callable:
         """The function of the arrays among these arguments alone, its result's leaves as a list."""
-        structure = jax.tree.structure(args)
-        leaves = [None if eqx.is_array(x) else (x,) for x in jax.tree.leaves(args)]
+        given, others = eqx.partition(args, eqx.is_array)
+        structure = jax.tree.structure(given)
 
         def flat(*arrays):
-            given = iter(arrays)
-            filled = [next(given) if x is None else x[0] for x in leaves]
-            found = self.__wrapped__(*jax.tree.unflatten(structure, filled))  # pyright: ignore
+            filled = eqx.combine(jax.tree.unflatten(structure, arrays), others)
+            found = self.__wrapped__(*filled)  # pyright: ignore
             values, built = jax.tree.flatten(found)
             assert built == self._out, f"{self._name} returns {built}, not {self._out}"
             return values
@@ -185,7 +184,12 @@ class Kept:
 
 def _key(leaves, structure) -> tuple:
     """All that tells one program of a function from another one."""
-    told = tuple(_array(x) if eqx.is_array(x) else x for x in leaves)
+    told = tuple(
+        (x.shape, np.dtype(x.dtype).str, bool(getattr(x, "weak_type", False)))
+        if eqx.is_array(x)
+        else x
+        for x in leaves
+    )
     return structure, told, jax.config.jax_enable_x64, jax.default_backend()  # pyright: ignore
 
 
@@ -194,11 +198,6 @@ def _devices(arrays) -> frozenset:
     bound = (x for x in arrays if isinstance(x, jax.Array) and x.committed)
     default = jax.config.jax_default_device or jax.devices()[0]  # pyright: ignore
     return frozenset(device for x in bound for device in x.devices()) or frozenset([default])
-
-
-def _array(x) -> tuple:
-    """All of an array that a traced program depends on."""
-    return x.shape, np.dtype(x.dtype).str, bool(getattr(x, "weak_type", False))
 
 
 def _words(structure, others) -> str | None:

@@ -12,24 +12,21 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import InputError, inside, number, quote
+from ...errors import InputError, entries, inside, number, quote
 from ..arrays import check_enough
 from ..recording import Recording
 from ..release import window
 from ..rest import estimated_rest
-from . import checks, labels, plane, repair, rigid
-from .trajectories import Trajectories, read_trajectories
+from . import labels, plane, repair, rigid
+from .trajectories import Trajectories, listed, read_trajectories
 
 __all__ = ["MotionCapture", "read"]
 
-_SURE = 1e-3
-"""Error, rad, beyond which an angle is not put back but left lost."""
-
-_TILT = 2e-3
-"""Error of the plane's direction, rad, that is worth a word."""
-
-_WANDERS = 3e-3
-"""Scatter of the base, of the first link's length, that is no noise: it moves."""
+_LOOSE = 0.01  # relative scatter or error of a link's length that is worth a word
+_ELASTIC, _REFUSED = 0.1, 0.25  # scatter of a link's length, share of readings rejected: no arm's
+_OTHER = 0.2  # relative error of a link's length with which it must be another link
+_TILT = 2e-3  # error of the plane's direction, rad, that is worth a word
+_WANDERS = 3e-3  # scatter of the base, of the first link's length, that is no noise: it moves
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +69,6 @@ class MotionCapture:
 
         **Arguments:** those of `Recording.from_arrays`, without `time` and `angle`.
         """
-
         options = {"name": self.name, **options}
         rest, of_rest = self._rest(options.get("start"), options.get("stop"))
         said = [*self.repairs, *self.warnings]
@@ -116,7 +112,7 @@ def read(
     with inside(where):
         if link_lengths is not None:
             link_lengths = [number("link_lengths", x, "m", above=0) for x in link_lengths]
-        names = checks.names_of(markers, trajectories, link_lengths)
+        names = _names_of(markers, trajectories, link_lengths)
         return _solve(where, names, trajectories, normal, link_lengths)
 
 
@@ -137,13 +133,13 @@ def _solve(
     assigned = labels.assign(markers, chain)
     for _ in range(2):
         chain = rigid.refine(assigned.apply(markers), chain)
-        checks.check_believable(names, markers, assigned, chain)
+        _check_believable(names, markers, assigned, chain)
         assigned = labels.assign(markers, chain)
     joints = assigned.apply(markers)
     noise = float(min(chain.sigmas)) / 2**0.5
-    given = None if normal is None else checks.direction(normal)
+    given = None if normal is None else _direction(normal)
     table = plane.fit(joints, noise) if given is None else plane.frame_of(given)
-    warnings = checks.length_warnings(names, chain, lengths)
+    warnings = _length_warnings(names, chain, lengths)
     warnings += [
         f"{quote(names[j])} changes its label with another marker, and the arm moves too little to "
         "tell which it is: what most frames have was believed"
@@ -171,7 +167,7 @@ def _solve(
             f"{quote(names[0])} moves by {1e3 * chain.base_sigma:.2g} mm (standard deviation): the "
             "base of the arm should stand still"
         )
-    back = repair.put_back(flat, noise, _SURE)
+    back = repair.put_back(flat, noise)
     angle = plane.angles(flat)
     repairs = repair.sentences(
         names, file.time, file.frame, assigned.order, lost, rejected, back, still
@@ -188,3 +184,83 @@ def _solve(
         repairs=tuple(repairs),
         warnings=tuple(warnings),
     )
+
+
+def _names_of(markers: Any, file: Trajectories, lengths: Sequence[float] | None) -> tuple[str, ...]:
+    """The names of the markers from base to tip, if they are such."""
+    example = '["Shoulder", "Elbow", "Wrist"]'
+    right = f"from base to tip, as {example}; the file has {listed(file.names)}"
+    if markers is None:
+        raise InputError(f"markers is missing: name them {right}")
+    markers = entries("markers", markers, f"a list of names, {right}")
+    if not all(isinstance(name, str) for name in markers):
+        raise InputError(f"markers = {quote(markers)}: must be names, {right}")
+    if len(set(markers)) < len(markers):
+        raise InputError(f"markers = {quote(markers)}: names must differ, {right}")
+    joints = len(markers) - 1
+    if joints < 1 or (lengths is not None and joints != len(lengths)):
+        need = "at least 2" if lengths is None else f"{len(lengths) + 1}, one more than links"
+        raise InputError(f"markers has {len(markers)} names: must have {need}, {right}")
+    if joints > 7:
+        raise InputError(f"markers has {len(markers)} names: chains of up to 7 links are read")
+    return tuple(markers)
+
+
+def _check_believable(
+    names: tuple[str, ...], markers: np.ndarray, assigned: labels.Labels, chain: rigid.Rigid
+) -> None:
+    """Markers of which many fit no rigid arm are not an arm's."""
+    seen = int((~np.isnan(markers[:, :, 0])).sum())
+    wrong = int(assigned.rejected.sum())
+    why = ""
+    if wrong > _REFUSED * seen:
+        why = f"{wrong} of {seen} readings fit none"
+    loose = chain.sigmas / chain.lengths
+    if not loose.max() < _ELASTIC:
+        j = int(loose.argmax())
+        why = f"from {quote(names[j])} to {quote(names[j + 1])} the distance changes"
+    if why:
+        raise InputError(
+            f"markers {', '.join(map(quote, names))} are no chain of rigid links from a joint that "
+            f"stands still: {why}; must be one marker at each joint's centre, from base to tip"
+        )
+
+
+def _direction(normal: Any) -> np.ndarray:
+    """`normal`, (3,), if it is a direction."""
+    values = entries("normal", normal, "three numbers, as [0, 0, 1]", 3)
+    found = np.array([number("normal", value, "of any unit") for value in values])
+    if not np.linalg.norm(found) > 0:
+        raise InputError(f"normal = {quote(normal)}: must point somewhere, as [0, 0, 1]")
+    return found
+
+
+def _length_warnings(
+    names: tuple[str, ...], chain: rigid.Rigid, known: Sequence[float] | None
+) -> list[str]:
+    """Links that are not rigid, or not as long as they should be.
+
+    **Raises:** `InputError` where the difference is so large that it must be another link.
+    """
+    warnings = []
+    for i, (length, sigma) in enumerate(zip(chain.lengths, chain.sigmas, strict=True)):
+        link = f"link {i + 1}, {quote(names[i])} to {quote(names[i + 1])},"
+        if sigma > _LOOSE * length:
+            warnings.append(
+                f"{link} changes its length of {length:.4g} m by {1e3 * sigma:.2g} mm (standard "
+                "deviation): are the markers at the joints' centres?"
+            )
+        if known is None:
+            continue
+        off = length / known[i] - 1
+        if abs(off) > _OTHER:
+            raise InputError(
+                f"{link} is {length:.4g} m long by its markers, but link_lengths has "
+                f"{known[i]:g} m: is that another marker, or another unit?"
+            )
+        if abs(off) > _LOOSE:
+            warnings.append(
+                f"{link} is {length:.4g} m long by its markers, {100 * off:+.2g} % from the "
+                f"{known[i]:g} m of link_lengths"
+            )
+    return warnings

@@ -15,36 +15,21 @@ import numpy as np
 
 from .rigid import Rigid
 
-_REJECT = 36.0
-"""What it costs to reject a marker: with what the others lose, it takes eight sigma."""
-
-_AGREE = 16.0
-"""What it is worth, when a marker must be rejected, that another has its place or its distance."""
-
-_NOISE = 16.0
-"""A misfit below this counts as none: to miss a marker must not be better than to see it."""
-
-_SWITCH = 20.0
-"""What it costs to change the state."""
-
-_LEAP = 40.0
-"""What a leap of one marker costs at most."""
-
-_ODD = 0.01
-"""What a frame costs whose labels are wrong: what nothing can tell, labels do."""
-
-_FAR_OFF = 1e6
-"""Misfits are cut off here, which only keeps numbers finite."""
+_REJECT = 36.0  # what it costs to reject a marker: with what the others lose, it takes eight sigma
+_AGREE = 16.0  # what it is worth, when a marker must be rejected, that another then agrees
+_NOISE = 16.0  # a misfit below this is none: to miss a marker must not be better than to see it
+_SWITCH = 20.0  # what it costs to change the state
+_LEAP = 40.0  # what a leap of one marker costs at most
+_ODD = 0.01  # what a frame costs whose labels are wrong: what nothing can tell, labels do
+_FAR_OFF = 1e6  # misfits are cut off here, which only keeps numbers finite
 
 
 @dataclass(frozen=True, eq=False)
 class Labels:
     """Which label is at which joint."""
 
-    order: np.ndarray
-    """(N, n + 1) int: the label at each joint."""
-    rejected: np.ndarray
-    """(N, n + 1) bool: the marker at this joint is none of the arm's."""
+    order: np.ndarray  # (N, n + 1) int: the label at each joint
+    rejected: np.ndarray  # (N, n + 1) bool: the marker at this joint is none of the arm's
 
     def apply(self, markers: np.ndarray) -> np.ndarray:
         """Markers (N, n + 1, 3) at their joints, NaN where rejected."""
@@ -74,37 +59,29 @@ def _alone(joints: np.ndarray, rigid: Rigid) -> np.ndarray:
     vouched[:, :-1] |= both
     alone = np.zeros_like(seen)
     for j, (place, sure) in enumerate(zip(joints.swapaxes(0, 1), vouched.T, strict=True)):
-        at = np.flatnonzero(sure)
+        at, odd = np.flatnonzero(sure), np.flatnonzero(seen[:, j] & ~sure)
         if len(at) < 2:
-            alone[:, j] = seen[:, j] & ~sure
+            alone[odd, j] = True
             continue
         usual = np.quantile(np.linalg.norm(np.diff(place[at], axis=0), axis=1) / np.diff(at), 0.99)
-        for t in np.flatnonzero(seen[:, j] & ~sure):
-            after = int(np.searchsorted(at, t))
-            near = [at[k] for k in (after - 1, after) if 0 <= k < len(at)]
-            least = min(near, key=lambda s: abs(s - t))
-            room = 2 * usual * abs(least - t) + 6 * rigid.base_sigma
-            alone[t, j] = np.linalg.norm(place[t] - place[least]) > room
+        after = np.searchsorted(at, odd).clip(1, len(at) - 1)
+        before, after = at[after - 1], at[after]
+        nearest = np.where(odd - before <= after - odd, before, after)
+        room = 2 * usual * np.abs(nearest - odd) + 6 * rigid.base_sigma
+        alone[odd, j] = np.linalg.norm(place[odd] - place[nearest], axis=1) > room
     return alone
 
 
 def _orders(markers: int) -> np.ndarray:
     """The ways to give labels to joints, the labels' own first; of long chains, single swaps."""
-    if markers <= 4:
-        return np.array(list(itertools.permutations(range(markers))))
-    orders = [list(range(markers))]
-    for i, j in itertools.combinations(range(markers), 2):
-        order = list(range(markers))
-        order[i], order[j] = j, i
-        orders.append(order)
-    return np.array(orders)
+    orders = np.array(list(itertools.permutations(range(markers))))
+    moved = (orders != np.arange(markers)).sum(axis=1)
+    return orders if markers <= 4 else orders[moved <= 2]
 
 
 def _frames(markers: np.ndarray, rigid: Rigid, orders: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What each frame costs in each state, (N, states), and which joints it goes without.
-
-    A joint's marker is rejected if that is cheapest; (N, states, n + 1) bool.
-    """
+    """What each frame costs in each state, (N, states), and which joints' markers are rejected, as
+    that is cheapest, (N, states, n + 1) bool."""
     frames, joints = markers.shape[:2]
     # The misfits of every label at the base, and of every two labels at the ends of each link.
     base = ((markers - rigid.base) ** 2).sum(axis=2) / rigid.base_sigma**2
@@ -112,40 +89,36 @@ def _frames(markers: np.ndarray, rigid: Rigid, orders: np.ndarray) -> tuple[np.n
     cost = np.full((frames, len(orders)), np.inf)
     best = np.full((frames, len(orders)), np.inf)
     chosen = np.zeros((frames, len(orders)), dtype=int)
-    sets = sorted(itertools.product([False, True], repeat=joints), key=sum)
+    sets = np.array(sorted(itertools.product([False, True], repeat=joints), key=sum))
     # Rejecting more than three of a long chain leaves nothing to believe.
-    sets = [each for each in sets if sum(each) <= 3]
+    sets = sets[sets.sum(axis=1) <= 3]
     for s, order in enumerate(orders):
-        terms = [base[:, order[0]]]
-        for i in range(joints - 1):
-            off = (apart[:, order[i], order[i + 1]] - rigid.lengths[i]) / rigid.sigmas[i]
-            terms.append(off**2)
-        # A misfit that cannot be had (NaN) says nothing, neither for nor against.
-        agree = [~np.isnan(term) for term in terms]
-        wrong = [np.nan_to_num(np.clip(t - _NOISE, 0, _FAR_OFF), nan=0.0) for t in terms]
+        links = (apart[:, order[:-1], order[1:]] - rigid.lengths) / rigid.sigmas
+        misfit = np.column_stack([base[:, order[0]], links**2])
+        # One that cannot be had (NaN) says nothing, neither for nor against.
+        wrong = np.nan_to_num(np.clip(misfit - _NOISE, 0, _FAR_OFF))
         here = ~np.isnan(markers[:, order, 0])
         for r, out in enumerate(sets):
-            kept = [not out[0], *(not out[i] and not out[i + 1] for i in range(joints - 1))]
-            total = _REJECT * (here & np.array(out)).sum(axis=1)
-            total = total + sum(w for w, k in zip(wrong, kept, strict=True) if k)
+            kept = ~out & ~np.append(False, out[:-1])
+            total = _REJECT * (here & out).sum(axis=1) + wrong[:, kept].sum(axis=1)
             # Which marker to reject is a matter of how many others then agree; which state is
             # right is not, or a marker that is lost would be replaced by any other.
-            score = total - _AGREE * sum(a for a, k in zip(agree, kept, strict=True) if k)
+            score = total - _AGREE * (~np.isnan(misfit[:, kept])).sum(axis=1)
             better = score < best[:, s] - 1e-9
             best[better, s], cost[better, s] = score[better], total[better]
             chosen[better, s] = r
-    return cost, np.array(sets)[chosen]
+    return cost, sets[chosen]
 
 
 def _leaps(markers: np.ndarray, rigid: Rigid) -> np.ndarray:
     """(N, n + 1, n + 1): what it costs to go on from label j's last place to label i's new one."""
     frames, joints = markers.shape[:2]
-    last = np.full_like(markers, np.nan)
-    gap = np.ones((frames, joints))
-    for t in range(1, frames):
-        seen = ~np.isnan(markers[t - 1, :, 0])
-        last[t] = np.where(seen[:, None], markers[t - 1], last[t - 1])
-        gap[t] = np.where(seen, 1, gap[t - 1] + 1)
+    t = np.arange(frames)[:, None]
+    seen = np.where(np.isnan(markers[:-1, :, 0]), -1, t[:-1])
+    before = np.vstack([np.full(joints, -1), np.maximum.accumulate(seen)])  # seen last; -1: never
+    last = np.take_along_axis(markers, before.clip(0)[..., None], axis=0)
+    last[before < 0] = np.nan
+    gap = t - before
     moved = np.linalg.norm(markers - last, axis=2) / gap
     usual = np.nanquantile(moved, 0.99) if np.isfinite(moved).any() else 0.0
     scale = (2 * usual + 6 * rigid.base_sigma) * gap

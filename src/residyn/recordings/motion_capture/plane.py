@@ -12,14 +12,9 @@ import numpy as np
 
 from ...errors import InputError
 
-_LEVEL = 0.02
-"""How far markers' heights may differ, of the arm's size, before the motion is looked at."""
-
-_FAR_OFF = 8.0
-"""Standard deviations off the plane at which a reading is not one of the arm's."""
-
-_SEAM = 0.15
-"""Where a joint's typical angle is cut, rad beyond a half turn: not at a value that is usual."""
+_LEVEL = 0.02  # how far heights may differ, of the arm's size, before the motion is looked at
+_FAR_OFF = 8.0  # standard deviations off the plane at which a reading is not one of the arm's
+_SEAM = 0.15  # where a joint's typical angle is cut, rad beyond a half turn: at no usual value
 
 
 class Plane(NamedTuple):
@@ -28,8 +23,7 @@ class Plane(NamedTuple):
     x: np.ndarray
     y: np.ndarray
     normal: np.ndarray
-    tilt: float = 0.0
-    """Standard deviation of the normal's direction, rad."""
+    tilt: float = 0.0  # standard deviation of the normal's direction, rad
 
     def flat(self, joints: np.ndarray) -> np.ndarray:
         """(..., 2) m, of positions (..., 3) m."""
@@ -43,9 +37,7 @@ class Plane(NamedTuple):
 def frame_of(normal: np.ndarray, tilt: float = 0.0) -> Plane:
     """The plane of this normal, whose length does not matter."""
     normal = normal / np.linalg.norm(normal)
-    along = np.eye(3)[0]
-    if np.abs(normal).argmax() == 0:
-        along = np.eye(3)[1]
+    along = np.eye(3)[1 if np.abs(normal).argmax() == 0 else 0]
     x = along - (along @ normal) * normal
     x = x / np.linalg.norm(x)
     return Plane(x, np.cross(normal, x), normal, tilt)
@@ -64,9 +56,9 @@ def _settle(
     joints: np.ndarray, noise: float, size: float, level: float
 ) -> tuple[np.ndarray, float, float]:
     """A normal, how badly it fits and its error, from a first guess of how far heights differ."""
-    first, tilt = noise, 0.0
+    first, normal, cost, tilt = noise, np.zeros(3), 0.0, 0.0
     keep = ~np.isnan(joints[:, :, 0])
-    middle, normal, cost = np.nanmedian(joints, axis=0), np.zeros(3), 0.0
+    middle = np.nanmedian(joints, axis=0)
     for _ in range(10):
         moved = (joints - middle)[keep]
         centre = middle - middle.mean(axis=0)

@@ -12,29 +12,21 @@ import numpy as np
 
 from ...errors import quote
 
-_STRAIGHT = 0.1
-"""Sine of a joint's angle below which its side cannot be told."""
-
-_WORSE = 4.0
-"""How many times less sure than a reading an angle may be put back."""
-
-_SIGMAS = 5.0
-"""Standard deviations that an error stays within, over a recording's few lost frames."""
-
-_TOLD = 4
-"""How many times or intervals are given one by one."""
+_SURE = 1e-3  # error, rad, beyond which an angle is not put back but left lost
+_STRAIGHT = 0.1  # sine of a joint's angle below which its side cannot be told
+_WORSE = 4.0  # how many times less sure than a reading an angle may be put back
+_SIGMAS = 5.0  # standard deviations that an error stays within, over a recording's few lost frames
+_TOLD = 4  # how many times or intervals are given one by one
 
 
-def put_back(flat: np.ndarray, noise: float, sure: float) -> np.ndarray:
+def put_back(flat: np.ndarray, noise: float) -> np.ndarray:
     """Fill in lost inner joints from their neighbours; (N, n + 1) bool, where.
 
-    **Arguments:** `flat` (N, n + 1, 2) m, changed in place; `noise` of one coordinate, m; `sure`,
-    the largest error of an angle, rad.
+    **Arguments:** `flat` (N, n + 1, 2) m, changed in place; `noise` of one coordinate, m.
     """
     back = np.zeros(flat.shape[:2], dtype=bool)
     seen = ~np.isnan(flat[:, :, 0])
-    links = np.linalg.norm(np.diff(flat, axis=1), axis=2)
-    length = np.nanmedian(links, axis=0)
+    length = np.nanmedian(np.linalg.norm(np.diff(flat, axis=1), axis=2), axis=0)
     for j in range(1, flat.shape[1] - 1):
         l1, l2 = length[j - 1], length[j]
         reading = 2**0.5 * noise / min(l1, l2)
@@ -52,8 +44,7 @@ def put_back(flat: np.ndarray, noise: float, sure: float) -> np.ndarray:
             off = -side * l1 * l2 * sine / reach
             unit = span / reach[:, None]
             place = along[:, None] * unit + off[:, None] * unit[:, ::-1] * [-1, 1]
-        good = _SIGMAS * np.hypot(error, reading) <= sure
-        good &= error <= _WORSE * reading
+        good = (_SIGMAS * np.hypot(error, reading) <= _SURE) & (error <= _WORSE * reading)
         fill = ~seen[:, j] & seen[:, j - 1] & seen[:, j + 1] & (side != 0) & good
         flat[fill, j] = (flat[:, j - 1] + place)[fill]
         back[:, j] = fill
@@ -63,15 +54,12 @@ def put_back(flat: np.ndarray, noise: float, sure: float) -> np.ndarray:
 def _sides(side: np.ndarray, sine: np.ndarray) -> np.ndarray:
     """(N,) 1 or -1 where the joint's side is known, or follows from before and after; else 0."""
     known = np.nan_to_num(side)
-    ahead, behind = known.copy(), known.copy()
-    bent = sine > _STRAIGHT  # NaN is not
-    lost = np.isnan(side)
-    for t in range(1, len(side)):
-        if lost[t] and bent[t]:
-            ahead[t] = ahead[t - 1]
-    for t in range(len(side) - 2, -1, -1):
-        if lost[t] and bent[t]:
-            behind[t] = behind[t + 1]
+    keeps = np.isnan(side) & (sine > _STRAIGHT)  # a sine that is NaN is not
+
+    def carried(known: np.ndarray, keeps: np.ndarray) -> np.ndarray:
+        return known[np.maximum.accumulate(np.where(keeps, 0, np.arange(len(known))))]
+
+    ahead, behind = carried(known, keeps), carried(known[::-1], keeps[::-1])[::-1]
     return np.where(ahead * behind < 0, 0, np.sign(ahead + behind))
 
 
@@ -90,9 +78,11 @@ def sentences(
     for j, name in enumerate(names):
         out = np.flatnonzero(rejected[:, j])
         if len(out):
+            when = ", ".join(f"{time[i]:.6g}" for i in out[:_TOLD])
+            more = f" and {len(out) - _TOLD} more" * (len(out) > _TOLD)
             said.append(
-                f"{quote(name)}: {_times(len(out), 'reading')} rejected, since no rigid arm has a "
-                f"marker there ({_when(time, out)})"
+                f"{quote(name)}: {len(out)} reading{'s' * (len(out) > 1)} rejected, since no rigid "
+                f"arm has a marker there (at {when} s{more})"
             )
         gone = lost[:, j] & ~rejected[:, j]
         if gone.any():
@@ -121,7 +111,7 @@ def _exchanged(
     """One sentence for each way in which labels were exchanged."""
     said = []
     own = np.arange(order.shape[1])
-    for wrong in _ways(order):
+    for wrong in np.unique(order[(order != own).any(axis=1)], axis=0):
         here = np.all(order == wrong, axis=1)
         moved = [quote(names[j]) for j in own if wrong[j] != j]
         listed = f"{', '.join(moved[:-1])} and {moved[-1]}"
@@ -137,7 +127,7 @@ def _exchanged(
             else f"at {time[a]:.6g} s (frame {frame[a]})"
             for a, b in runs[:_TOLD]
         ]
-        more = f" and {len(runs) - _TOLD} more times" if len(runs) > _TOLD else ""
+        more = f" and {len(runs) - _TOLD} more times" * (len(runs) > _TOLD)
         line = f"{listed} had exchanged labels {', '.join(spans)}{more}: put back"
         if here.all():
             line += "; as that is the whole recording, is markers in the wrong order?"
@@ -147,22 +137,7 @@ def _exchanged(
     return said
 
 
-def _ways(order: np.ndarray) -> list[np.ndarray]:
-    """The different rows of `order` in which a label is not at its own joint."""
-    wrong = (order != np.arange(order.shape[1])).any(axis=1)
-    return [np.array(row) for row in sorted(set(map(tuple, order[wrong].tolist())))]
-
-
 def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
     """The intervals, first and one past the last, in which flags are true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-
-
-def _when(time: np.ndarray, index: np.ndarray) -> str:
-    more = f" and {len(index) - _TOLD} more" if len(index) > _TOLD else ""
-    return f"at {', '.join(f'{time[i]:.6g}' for i in index[:_TOLD])} s{more}"
-
-
-def _times(count: int, what: str) -> str:
-    return f"{count} {what}{'s' * (count > 1)}"

@@ -14,38 +14,24 @@ import numpy as np
 
 from ...errors import InputError
 
-_FRAMES = 1500
-"""Frames that are looked at to find what most of them have."""
-
-_PLACES = 400
-"""Places that are tried for the base."""
-
-_AS_GOOD = 0.05
-"""A value that so few frames fewer have is as good: labels then decide."""
-
+_FRAMES = 1500  # frames that are looked at to find what most of them have
+_PLACES = 400  # places that are tried for the base
+_AS_GOOD = 0.05  # a value that so few frames fewer have is as good: labels then decide
+# Scatter, of the firmest value's, with which a value is still believed for its label's sake: where
+# all frames agree on the label, and where they are split evenly.
 _UNANIMOUS, _SPLIT = 4.0, 1.3
-"""Scatter, of the firmest value's, with which a value is still believed for its label's sake: where
-all frames agree on the label, and where they are split evenly."""
-
-_FAR = 0.2
-"""A link this much (relative) longer or shorter than known is another one."""
-
-FLOOR = 3e-5
-"""Of the arm's size: scatter below this is rounding."""
+_FAR = 0.2  # a link this much (relative) longer or shorter than known is another one
+_FLOOR = 3e-5  # of the arm's size: scatter below this is rounding
 
 
 @dataclass(frozen=True, eq=False)
 class Rigid:
     """A chain's constants, in m."""
 
-    base: np.ndarray
-    """(3,) place of the first joint."""
-    base_sigma: float
-    """Its scatter, one coordinate's."""
-    lengths: np.ndarray
-    """(n,) of the links."""
-    sigmas: np.ndarray
-    """(n,) their scatter."""
+    base: np.ndarray  # (3,) place of the first joint
+    base_sigma: float  # its scatter, one coordinate's
+    lengths: np.ndarray  # (n,) of the links
+    sigmas: np.ndarray  # (n,) their scatter
     unsure: tuple[int, ...] = ()
     """Joints whose label changes, and that neither the motion nor a known length tells apart."""
 
@@ -62,7 +48,7 @@ def find(markers: np.ndarray, lengths: Sequence[float] | None = None) -> Rigid:
             f"only {len(seen)} frames have all of these markers; at least 20 are needed"
         )
     picked = markers[seen[np.linspace(0, len(seen) - 1, min(len(seen), _FRAMES)).astype(int)]]
-    joints = picked.shape[1]
+    rows, joints = np.arange(len(picked)), picked.shape[1]
     size = float(np.median(np.linalg.norm(np.diff(picked, axis=1), axis=2)))
     near = max(6 * _jitter(markers), 2e-3 * size, 1e-9)
     base, sure = _place(picked, near)
@@ -71,33 +57,26 @@ def find(markers: np.ndarray, lengths: Sequence[float] | None = None) -> Rigid:
     free = np.ones(picked.shape[:2], dtype=bool)
     at = np.linalg.norm(picked - base, axis=2).argmin(axis=1)
     for j in range(1, joints):
-        rows = np.arange(len(picked))
         free[rows, at] = False
-        away = np.linalg.norm(picked - picked[rows, at][:, None], axis=2)
-        if j == 1:  # the base is known better than its marker
-            away = np.linalg.norm(picked - base, axis=2)
+        before = base if j == 1 else picked[rows, at][:, None]  # the base is known better
+        away = np.linalg.norm(picked - before, axis=2)
         away[~free] = np.inf
         length, sure = _length(away, j, near, lengths[j - 1] if lengths is not None else None)
         found.append(length)
         unsure += [] if sure else [j]
         at = np.abs(away - length).argmin(axis=1)
-    sigma = max(near / 3, FLOOR * size)
+    sigma = max(near / 3, _FLOOR * size)
     return Rigid(base, sigma, np.array(found), np.full(joints - 1, sigma), tuple(unsure))
 
 
 def refine(joints: np.ndarray, before: Rigid) -> Rigid:
     """The same constants from markers (N, n + 1, 3) that are at their joints, NaN where none is."""
     base = np.nanmedian(joints[:, 0], axis=0)
-    floor = FLOOR * float(np.mean(before.lengths))
+    floor = _FLOOR * float(np.mean(before.lengths))
     links = np.linalg.norm(np.diff(joints, axis=1), axis=2)
     lengths = np.nanmedian(links, axis=0)
-    return Rigid(
-        base,
-        max(_spread(joints[:, 0] - base), floor),
-        lengths,
-        np.maximum([_spread(link - l) for link, l in zip(links.T, lengths, strict=True)], floor),
-        before.unsure,
-    )
+    sigmas = np.maximum([_spread(off) for off in (links - lengths).T], floor)
+    return Rigid(base, max(_spread(joints[:, 0] - base), floor), lengths, sigmas, before.unsure)
 
 
 def _spread(x: np.ndarray) -> float:
@@ -122,23 +101,21 @@ def _place(picked: np.ndarray, near: float) -> tuple[np.ndarray, bool]:
     for place in np.concatenate([places, own]):
         away = np.linalg.norm(picked - place, axis=2)
         here = away < near
-        values.append(_Value(place, here, _size(away[here])))
+        values.append(_Value(place, here, _spread(away[here])))
     best, sure = _most(values, 0)
     return np.median(picked[best.here], axis=0), sure
 
 
 def _length(away: np.ndarray, j: int, near: float, known: float | None) -> tuple[float, bool]:
-    """The distance at which in most frames some marker is, and whether that is sure; else the
-    j-th one's."""
+    """The same of a distance; else the j-th one's."""
     pool = away[np.isfinite(away)]
-    tried = np.quantile(pool, np.linspace(0, 1, _PLACES))
     values = []
-    for length in tried:
+    for length in np.quantile(pool, np.linspace(0, 1, _PLACES)):
         here = np.abs(away - length) < near
         if not here.any():
             continue
         middle = np.median(away[here])
-        values.append(_Value(middle, here, _size(away[here] - middle)))
+        values.append(_Value(middle, here, _spread(away[here] - middle)))
     best, sure = _most(values, j, known)
     return float(np.median(away[best.here])), sure
 
@@ -147,20 +124,13 @@ class _Value(NamedTuple):
     """A value that a constant may have."""
 
     value: Any
-    here: np.ndarray
-    """(frames, n + 1) bool: which markers have it."""
+    here: np.ndarray  # (frames, n + 1) bool: which markers have it
     scatter: float
 
 
-def _size(x: np.ndarray) -> float:
-    return 1.4826 * float(np.median(np.abs(x))) if len(x) else np.inf
-
-
 def _most(values: list[_Value], label: int, known: float | None = None) -> tuple[_Value, bool]:
-    """The value that most frames have, and of those as good, what its label or its scatter says.
-
-    Not sure where there is another, about as firm, and frames do not agree on the label.
-    """
+    """The value that most frames have, and of those as good, what its label or its scatter says;
+    and whether that is sure: none other is about as firm, or frames agree on the label."""
     frames = np.array([each.here.any(axis=1).mean() for each in values])
     good = [v for v, count in zip(values, frames, strict=True) if count >= frames.max() - _AS_GOOD]
     if known is not None:  # decides between what is as good, and cannot make anything so

@@ -6,7 +6,6 @@ marker. C3D is the binary format that every motion capture system writes; the pa
 it, an extra of this one. Both become metres on a clock that starts with the first frame.
 """
 
-import difflib
 import os
 import re
 from collections.abc import Sequence
@@ -14,27 +13,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...errors import InputError, inside, quote
-from ...files import read_text
+from ...errors import InputError, did_you_mean, inside, quote
+from ...files import read_bytes, read_text
 from ..csv import number_in
 
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-_HEAD = 200_000
-"""Characters in which a Trajectories section must begin for a CSV file to be recognised."""
+_HEAD = 200_000  # characters in which a Trajectories section must begin to be recognised
+_LABELS = re.compile(r"LABELS[0-9]*")  # beyond 255 markers they go on in LABELS2
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectories:
     """Every marker of a file."""
 
-    time: np.ndarray
-    """(N,) s from the first frame."""
-    frame: np.ndarray
-    """(N,) int, the file's own number of each frame."""
-    names: tuple[str, ...]
-    """One per marker, "Subject:Marker" where the file says the subject."""
-    position: np.ndarray
-    """(N, markers, 3) m; NaN where a marker was lost."""
+    time: np.ndarray  # (N,) s from the first frame
+    frame: np.ndarray  # (N,) int, the file's own number of each frame
+    names: tuple[str, ...]  # one per marker, "Subject:Marker" where the file says the subject
+    position: np.ndarray  # (N, markers, 3) m; NaN where a marker was lost
 
     def of(self, markers: Sequence[str]) -> np.ndarray:
         """(N, len(markers), 3) m: positions of these markers, named with or without a subject."""
@@ -54,20 +49,20 @@ def is_vicon(text: str) -> bool:
 
 
 def read_trajectories(path: str | os.PathLike[str]) -> Trajectories:
-    """Read a C3D file (by its extension) or a Vicon CSV file."""
+    """Read a C3D file (by its extension) or a Vicon CSV file.
+
+    **Raises:** `InputError`, also where the extra `c3d` is not installed.
+    """
     if os.fspath(path).lower().endswith(".c3d"):
-        return read_c3d(path)
+        return _read_c3d(path)
     text = read_text(path, "CSV file of marker trajectories")
     with inside(os.fspath(path)):
-        return parse_vicon(text)
+        return _parse_vicon(text)
 
 
-# Vicon's CSV
-
-
-def parse_vicon(text: str) -> Trajectories:
+def _parse_vicon(text: str) -> Trajectories:
     """The first Trajectories section of the text of a Vicon CSV file."""
-    rows = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    rows = re.split("\r\n|\r|\n", text)
     top = next((i for i, row in enumerate(rows) if _first_cell(row) == "trajectories"), None)
     if top is None:
         raise InputError(
@@ -86,26 +81,21 @@ def parse_vicon(text: str) -> Trajectories:
         rate = _number(table[1][0], "the frame rate")
         if not 0 < rate < 1e6:
             raise InputError(f"{quote(table[1][0])} is no frame rate: must be above 0 (Hz)")
+    axes = table[head - top]
     with inside(f"line {head}"):
-        columns = _columns(table[head - top - 1], table[head - top])
+        columns = _columns(table[head - top - 1], axes)
     first = head - top + 1
     with inside(f"line {top + first + 1}"):
         scale, first = _unit(table, first, columns)
     frames, values = [], []
-    for i in range(first, len(table)):
-        if not any(table[i]):
+    for i, row in enumerate(table[first:], first):
+        if not any(row):
             break  # a blank line ends the section
         with inside(f"line {top + i + 1}"):
-            frames.append(_frame(table[i][0], frames[-1] if frames else None))
-            # NaN for an empty cell, or one that the row does not reach.
-            cells = table[i] + [""] * 3
-            values.append(
-                [
-                    _number(cell, quote(name))
-                    for name, x in columns.items()
-                    for cell in (*cells[x : x + 3], "", "")[:3]
-                ]
-            )
+            frames.append(_frame(row[0], frames[-1] if frames else -1))
+            cells = row + [""] * len(axes)  # a row may end early: what it does not reach is lost
+            for name, x in columns.items():
+                values.append([_number(cell, quote(name)) for cell in cells[x : x + 3]])
     if not frames:
         raise InputError(f"line {head + 1}: no frames come after the header")
     position = np.array(values).reshape(len(frames), len(columns), 3) * scale
@@ -152,37 +142,24 @@ def _unit(
     return np.array([_METRES[unit] for unit in units])[:, None], row + 1
 
 
-def _frame(cell: str, before: int | None) -> int:
+def _frame(cell: str, before: int) -> int:
     if not re.fullmatch(r"[0-9]{1,15}", cell):
         raise InputError(f"{quote(cell)} is no number of a frame")
-    frame = int(cell)
-    if before is not None and frame <= before:
-        raise InputError(f"frame {frame} comes after frame {before}: frames must go up")
-    return frame
+    if int(cell) <= before:
+        raise InputError(f"frame {int(cell)} comes after frame {before}: frames must go up")
+    return int(cell)
 
 
-# C3D
-
-
-def read_c3d(path: str | os.PathLike[str]) -> Trajectories:
-    """The markers of a C3D file.
-
-    **Raises:** `InputError`, also where the extra `c3d` is not installed.
-    """
+def _read_c3d(path: str | os.PathLike[str]) -> Trajectories:
     where = os.fspath(path)
-    try:
-        with open(where, "rb") as file:
-            start = file.read(2)
-    except OSError as error:
-        raise InputError(f"{where}: cannot be read ({error.strerror or error})") from None
-    try:
-        import ezc3d
-    except ImportError:
-        raise InputError(
-            f"{where}: C3D files need the package ezc3d: pip install 'residyn[c3d]'"
-        ) from None
+    start = read_bytes(path, "C3D file")[:2]
     with inside(where):
-        if len(start) < 2 or start[1] != 0x50:  # the format's own mark
+        try:
+            import ezc3d
+        except ImportError:
+            why = "C3D files need the package ezc3d: pip install 'residyn[c3d]'"
+            raise InputError(why) from None
+        if start[1:] != b"\x50":  # the format's own mark
             raise InputError("is not a C3D file")
         try:
             contents = ezc3d.c3d(where)
@@ -213,14 +190,8 @@ def read_c3d(path: str | os.PathLike[str]) -> Trajectories:
     return Trajectories(count / rate, count + first, tuple(names), scaled)
 
 
-_LABELS = re.compile(r"LABELS[0-9]*")  # beyond 255 markers they go on in LABELS2
-
-
 def _value(parameter) -> list:
-    return list(parameter["value"]) if "value" in parameter else []
-
-
-# Both
+    return list(parameter.get("value", []))
 
 
 def _unseen(position: np.ndarray) -> np.ndarray:
@@ -240,7 +211,10 @@ def _find(name: str, names: Sequence[str]) -> int:
     if found:
         both = " and ".join(quote(names[i]) for i in found)
         raise InputError(f"marker {quote(name)} could be {both}: give its full name")
-    close = difflib.get_close_matches(name, [*names, *short], n=1)
-    listed = ", ".join(quote(each) for each in names[:12]) + (", ..." if len(names) > 12 else "")
-    hint = f"did you mean {quote(close[0])}?" if close else f"the file has {listed}"
+    hint = did_you_mean(name, [*names, *short]) or f"the file has {listed(names)}"
     raise InputError(f"there is no marker {quote(name)}: {hint}")
+
+
+def listed(names: Sequence[str]) -> str:
+    """The names of a file's markers, for a line that says which there are."""
+    return ", ".join(map(quote, names[:12])) + ", ..." * (len(names) > 12)
