@@ -10,7 +10,7 @@ subset of them, to first order.
 import dataclasses
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -18,20 +18,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..effects import AbstractEffect
-from ..filtering.kalman import Inputs, gram
+from ..filtering.kalman import Torques, gram
 from ..filtering.law import (
     Laws,
     Table,
     along_readings,
     changes_bodies,
     group_of,
-    joint_law,
     law_name,
     laws_for,
+    number_slices,
     numbers_of,
+    state_slices,
     states_along,
+    torque_law,
     usual,
-    whole_law,
     with_numbers,
 )
 from ..filtering.linearised import (
@@ -54,6 +55,7 @@ from .evidence import (
     log_prior_intensity,
     log_sum,
     means_of_base,
+    prior_of,
     signed,
     subset,
     width_of,
@@ -87,28 +89,14 @@ def _not_an_offset(effect: AbstractEffect) -> bool:
 
 
 class Column(NamedTuple):
-    """A candidate at one value of its shapes."""
+    """A candidate at one value of its shapes, and what that comes to, to first order."""
 
     effect: AbstractEffect
-    shape: dict[str, float]
-    """Field -> value."""
-    which: tuple[int, ...]
-    """Which columns of the Gram matrix are its strengths (and phases)."""
-    states: np.ndarray
-    """(K, m) its internal states along the motion."""
-
-
-class Screened(NamedTuple):
-    """A candidate at its likeliest shape, to first order."""
-
-    effect: AbstractEffect
-    gain: float
-    """By how much it raises the log evidence, shapes averaged over their grid."""
-    shape: dict[str, float]
-    regressors: np.ndarray
-    """Posterior mean of its columns, in prior widths."""
-    which: tuple[int, ...]
-    states: np.ndarray
+    shape: dict[str, float]  # field -> value
+    which: tuple[int, ...]  # which columns of the Gram matrix are its strengths (and phases)
+    states: np.ndarray  # (K, m) its internal states along the motion
+    gain: float = 0.0  # by how much it raises the log evidence; its best, shapes averaged
+    regressors: np.ndarray = np.zeros(0)  # posterior mean of its columns, in prior widths
 
 
 def strengths(effect: AbstractEffect):
@@ -148,47 +136,7 @@ class Shaped(NamedTuple):
     widths: Any  # (J, s) of the strengths' priors
 
 
-class Acting(NamedTuple):
-    """Columns as what acts, which is a third of what they do to a system: C1 torques at one joint,
-    C2 of the whole mechanism, and C3 of the sensors."""
-
-    by_torque: Any  # (K, 3, X, n) how a step answers to torques at its beginning, middle and end
-    pushed: Any  # (K, n, n) what torques at its beginning add to the readings
-    joint: Any  # (K, 3, C1)
-    whole: Any  # (K, 3, n, C2)
-    sensors: Any  # (K, n, C3)
-
-    def torque(self, place):
-        """(K, n, C) at the beginning of each step; `place` (n, C1), 1 at the joint of each."""
-        parts = self.joint[:, 0, None] * place, self.whole[:, 0], 0 * self.sensors
-        return jnp.concatenate(parts, -1)
-
-    def inputs(self, place) -> Inputs:
-        """What they do to the system."""
-        joint = [
-            jnp.einsum("kax,kac->kxc", self.by_torque[..., i], self.joint * own)
-            for i, own in enumerate(place)
-        ]
-        whole = jnp.einsum("kaxi,kaic->kxc", self.by_torque, self.whole)
-        B = jnp.concatenate([sum(joint), whole], -1)
-        read = -jnp.einsum("kij,kjc->kic", self.pushed, self.torque(place))
-        acting, C = B.shape[-1], self.sensors.shape[-1]
-        B = jnp.pad(B, ((0, 0), (0, 0), (0, C)))
-        return Inputs(B, read.at[..., acting:].add(self.sensors))
-
-
-class Parts(NamedTuple):
-    """Columns of several programs, one after the other."""
-
-    each: tuple[Acting, ...]
-
-    def inputs(self, places) -> Inputs:
-        """What they do to the system; `places` as in `Acting`, of each."""
-        found = [x.inputs(place) for x, place in zip(self.each, places, strict=True)]
-        return Inputs(*(jnp.concatenate(x, -1) for x in zip(*found, strict=True)))
-
-
-@kept(like=(Acting(*[0] * 5), 0, 0))
+@kept(like=(0, 0, 0, 0, 0, 0))
 def columns(
     laws: Laws,
     shaped: Sequence[Shaped],
@@ -201,8 +149,8 @@ def columns(
 
     **Arguments:** `model` is along the motion, `field` its `by_x`, `by_torque`, `acceleration`.
 
-    **Returns:** what acts, N m, by columns, in the order of `_places`, then shape, phase, strength;
-    (n, C1) their joints; and (F, K) internal states, in the same order.
+    **Returns:** what `Torques` holds, the joints' columns together, N m, in the order of `_places`,
+    then shape, phase, strength; and (F, K) internal states, in the same order.
     """
     n, K = point.spread.shape[1], instants.step.shape[0]
     by_x, by_torque, acceleration = field
@@ -262,21 +210,17 @@ def columns(
             torque, z = of_place(effect, place, numbers, width)
             torques[place].append(torque)
             states.append(z)
-    W = jnp.where(instants.last, 0.0, jnp.stack(responses(instants.step, by_x, -by_torque)))
+    answers = responses(instants, by_x, by_torque)
 
     def nodes_of(each, rows: int):
         """(K, 3, r, C) of torques (C, r, 3 K)."""
         whole = jnp.concatenate([jnp.zeros((0, rows, 3 * K)), *each])
         return whole.reshape(-1, rows, 3, K).transpose(3, 2, 1, 0)
 
-    counts = [sum(len(x) for x in each) for each in torques[:n]]
     joint = nodes_of([x for each in torques[:n] for x in each], 1)[:, :, 0]
-    place = jnp.repeat(jnp.eye(n), np.array(counts), axis=1, total_repeat_length=sum(counts))
     sensors = jnp.concatenate([jnp.zeros((n, 0, K)), *readings], 1).transpose(2, 0, 1)
-    acting = Acting(
-        W.transpose(3, 0, 1, 2), pushed.transpose(2, 0, 1), joint, nodes_of(torques[n], n), sensors
-    )
-    return acting, place, jnp.concatenate([jnp.zeros((0, K)), *states])
+    states = jnp.concatenate([jnp.zeros((0, K)), *states])
+    return answers, pushed.transpose(2, 0, 1), joint, nodes_of(torques[n], n), sensors, states
 
 
 def _seen(orders, at, by_x, by_torque, acceleration):
@@ -318,31 +262,23 @@ def _begin(effect, j: int, numbers, at, mechanism):
 def _strengths(effect, unit, mechanism, q, v, at, z, numbers):
     """(s, r, N) d torque / d strength and the same of friction's level."""
 
-    def joint(q, v, t, z, step, spread, mechanism):
+    def one(q, v, t, z, step, spread, mechanism):
         def of(u):
-            torque, level, _ = joint_law(effect, q[0], v[0], t, z, u)
-            return stack((torque,)), stack((level,))
-
-        return jax.vmap(lambda e: jax.jvp(of, (numbers,), (e,))[1])(unit)
-
-    def whole(q, v, t, z, step, spread, mechanism):
-        def of(u):
-            torque, level, _ = whole_law(effect, mechanism, q, v, t, z, step, spread, u)
+            torque, level, _ = torque_law(effect, mechanism, q, v, t, z, step, spread, u)
             return stack(torque), stack(level)
 
         return jax.vmap(lambda e: jax.jvp(of, (numbers,), (e,))[1])(unit)
 
-    one = joint if group_of(effect) == "joint" else whole
     axes = -1, -1, 0, -1, 0, -1, 0
     over = jax.vmap(one, in_axes=axes, out_axes=-1)
     return over(q, v, at.time, z, at.step, at.spread, mechanism)
 
 
-def responses(h, by_x, by_torque):
-    """How a Runge-Kutta step answers to a unit torque at its beginning, middle and end, each
-    (X, n, K)."""
-    X, K = by_x.shape[0], h.shape[0]
-    A, G = (x.reshape(X, -1, 3, K).transpose(2, 0, 1, 3) for x in (by_x, by_torque))
+def responses(instants: Instants, by_x, by_torque):
+    """(K, 3, X, n) how a Runge-Kutta step answers to a unit torque that resists at its beginning,
+    middle and end; not at all where another recording follows."""
+    h, X = instants.step, by_x.shape[0]
+    A, G = (x.reshape(X, -1, 3, len(h)).transpose(2, 0, 1, 3) for x in (by_x, -by_torque))
 
     def times(M, x):
         return sum(M[:, i, None] * x[None, i] for i in range(X))
@@ -352,7 +288,9 @@ def responses(h, by_x, by_torque):
     c = h / 2 * times(A[1], b)
     begin = h / 6 * (a + 2 * b + 2 * c + h * times(A[2], c))
     twice = G[1] + h / 2 * times(A[1], G[1])
-    return begin, h / 6 * (2 * G[1] + 2 * twice + h * times(A[2], twice)), h / 6 * G[2]
+    middle = h / 6 * (2 * G[1] + 2 * twice + h * times(A[2], twice))
+    found = jnp.stack([begin, middle, h / 6 * G[2]])
+    return jnp.where(instants.last, 0.0, found).transpose(3, 0, 1, 2)
 
 
 class Columns:
@@ -392,21 +330,17 @@ class Columns:
             row._replace(which=tuple(range(first, first + len(row.which))))
             for row, first in zip(self.rows, ends, strict=False)
         ]
-        self._more = Parts(tuple(acting for acting, _ in parts))
-        self._where = tuple(place for _, place in parts)
+        self._more = tuple(parts)
 
     def _part(self, group, wanted, frequencies, shape_of):
         """The columns of some effects by one program."""
         scene, t = self.scene, self.trajectory
         most = 2 * CONTENDERS * scene.n  # lines of two motions, see `spectral_lines`
-        members: dict[str, list[AbstractEffect]] = {}
-        for effect in group:
-            members.setdefault(law_name(effect), []).append(effect)
         laws, shaped = laws_for(group), []
         every: dict[str, list[dict[str, float]]] = {}
-        for effects in (members[law_name(e)] for e in laws.each):
-            tables = []
-            for effect in effects:
+        for law in laws.each:
+            members, tables = [e for e in group if law_name(e) == law_name(law)], []
+            for effect in members:
                 own = shapes(scene, effect, frequencies or [1.0])
                 room = len(shapes(scene, effect, [1.0] * most))
                 if shape_of and effect.label in shape_of:
@@ -414,10 +348,10 @@ class Columns:
                 numbers = [shaped_numbers(effect, s) for s in own]
                 tables.append(np.stack(numbers + numbers[-1:] * (room - len(numbers))))
                 every[effect.label] = own
-            widths = [[width_of(scene, e, x) for x in strengths(e)] for e in effects]
-            joints = tuple(scene.joint_of(e) for e in effects)
+            widths = [[width_of(scene, e, x) for x in strengths(e)] for e in members]
+            joints = tuple(scene.joint_of(e) for e in members)
             shaped.append(Shaped(joints, np.stack(tables), np.array(widths)))
-        first, row, places = self._count, 0, []
+        first, row, places, counts = self._count, 0, [], np.zeros(scene.n, int)
         for place, law, numbers, width in _places(laws, shaped, scene.n):
             at_joint = group_of(law) == "joint"
             label = f"{law.name}:{scene.joints[place]}" if at_joint else law.label
@@ -430,8 +364,10 @@ class Columns:
                 places.append((wanted[label], shape, which, where))
             first += len(numbers) * phases * own
             row += len(numbers) * phases * m
+            if at_joint:
+                counts[place] += len(numbers) * phases * own
         linear = self.linear
-        *found, states = columns(
+        answers, pushed, joint, whole, sensors, states = columns(
             laws, tuple(shaped), scene.tabulated(t), scene.instants,
             Point(t.path, t.spread, t.u, t.first),
             (linear.by_x, linear.by_torque, linear.acceleration),
@@ -439,26 +375,27 @@ class Columns:
         states = np.asarray(states)
         self.rows += [Column(e, s, which, states[where].T) for e, s, which, where in places]
         self._count = first
-        return found
+        each = np.split(np.asarray(joint), np.cumsum(counts)[:-1], axis=-1)
+        return Torques(answers, pushed, tuple(each), whole, sensors)
 
     @property
     def inputs(self) -> tuple[np.ndarray, np.ndarray]:
         """(K, X, C) what each column adds to the states in a step, (K, n, C) to the readings."""
-        B, read = self._more.inputs(self._where)
-        return np.asarray(B)[..., self._used], np.asarray(read)[..., self._used]
+        each = zip(*(x.inputs() for x in self._more), strict=True)
+        found = (np.concatenate(x, -1)[..., self._used] for x in each)
+        return next(found), next(found)
 
     @property
     def torque(self) -> np.ndarray:
         """(K, n, C) of each column, at its prior's width, N m."""
-        each = zip(self._more.each, self._where, strict=True)
-        return np.concatenate([x.torque(place) for x, place in each], -1)[..., self._used]
+        return np.concatenate([x.torque() for x in self._more], -1)[..., self._used]
 
     def gram(self, intensities: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(I,) log normalisers, and the (I, 1 + P + C, 1 + P + C) Gram matrices of whitened
         innovations of readings, of the model's own regressors and of all columns, under each of
         some random torques."""
         scene, noise = self.scene, self.scene.noise(self.trajectory)
-        args = self.linear.system, self._more, self._where, scene.readings, noise
+        args = self.linear.system, self._more, scene.readings, noise
         found = [gram(*args, np.asarray(x, float)) for x in intensities]
         P = 1 + len(self.trajectory.u)
         keep = np.r_[0:P, P + self._used]
@@ -492,20 +429,23 @@ class Screen:
         for each; `base_means` (P, 1 + C) for each, see `means_of_base`."""
         self.rows, self.weights, self.base_means = rows, weights, base_means
         self.grams = np.asarray(grams)
-        best: dict[str, list[Screened]] = {}
-        for row, (gain, u) in zip(rows, self._gains([[row] for row in rows]), strict=True):
-            found = Screened(row.effect, gain, row.shape, u, row.which, row.states)
-            best.setdefault(row.effect.label, []).append(found)
-        self.ranked = sorted(map(_averaged, best.values()), key=lambda s: -s.gain)
+        gains = self._gains([[row] for row in rows])
+        each = (r._replace(gain=g, regressors=u) for r, (g, u) in zip(rows, gains, strict=True))
+        self.ranked: list[Column] = []
         """Each candidate at its likeliest shape, the best first."""
+        self.revise(each)
 
-    def revise(self, known: Sequence[Sequence[Screened]]) -> None:
-        """Rank some candidates anew, each by what is known of it at the points of a grid."""
-        new = {each[0].effect.label: _averaged(each) for each in known}
-        self.ranked = [new.get(s.effect.label, s) for s in self.ranked]
-        self.ranked.sort(key=lambda s: -s.gain)
+    def revise(self, points: Iterable[Column]) -> None:
+        """Rank some candidates anew, each by its gains at the points of a grid."""
+        ranked, grids = {s.effect.label: s for s in self.ranked}, {}
+        for point in points:
+            grids.setdefault(point.effect.label, []).append(point)
+        for label, grid in grids.items():
+            mean = log_sum([p.gain for p in grid]) - math.log(len(grid))
+            ranked[label] = max(grid, key=lambda p: p.gain)._replace(gain=mean)
+        self.ranked = sorted(ranked.values(), key=lambda s: -s.gain)
 
-    def gain(self, rows: Sequence[Screened]) -> tuple[float, np.ndarray]:
+    def gain(self, rows: Sequence[Column]) -> tuple[float, np.ndarray]:
         """Gain of some columns together, and their regressors at the likeliest random torque."""
         return self._gains([rows])[0]
 
@@ -525,7 +465,7 @@ class Screen:
                 found[i] = log_sum(each[:, k]), mean[top[k], k]
         return found
 
-    def pairs(self, most: int) -> list[tuple[float, Screened, Screened]]:
+    def pairs(self, most: int) -> list[tuple[float, Column, Column]]:
         """Every two of the best candidates, the best pair first."""
         each = list(itertools.combinations(self.ranked[:most], 2))
         gains = [gain for gain, _ in self._gains(each)]
@@ -534,14 +474,7 @@ class Screen:
         )
 
 
-def _averaged(each: Sequence[Screened]) -> Screened:
-    """A candidate at the likeliest point of a grid, with its gain averaged over the grid."""
-    gains = np.array([s.gain for s in each])
-    top = each[int(np.argmax(gains))]
-    return top._replace(gain=log_sum(gains) - math.log(len(gains)))
-
-
-def _signs(row: Column | Screened) -> list[bool]:
+def _signs(row: Column) -> list[bool]:
     """Of each column, whether the sign of its strength is known."""
     if row.effect.oscillates:
         return [False] * len(row.which)
@@ -573,32 +506,44 @@ def spectral_lines(
     return found
 
 
-def extended(scene: Scene, trajectory: Trajectory, prior_of, found: Screened) -> Trajectory:
+def with_effects(
+    scene: Scene, t: Trajectory, kept: Sequence[int], more: Sequence[AbstractEffect] = ()
+) -> Trajectory:
+    """A model with some of its effects, as they are, and others, whose regressors and internal
+    states are zero."""
+    effects, n = (*(t.effects[i] for i in kept), *more), 2 * scene.n
+
+    def known(slices: Sequence[slice]) -> np.ndarray:
+        return np.r_[(slice(0, 0), *(slices[i] for i in kept))].astype(int)
+
+    numbers, states = known(number_slices(t.effects)), known(state_slices(t.effects))
+    u, first = np.zeros(scene.regressors(effects)), np.zeros(scene.room(effects))
+    path = np.zeros((scene.K, n + len(first)))
+    u[: len(numbers)], first[: len(states)] = t.u[numbers], t.first[states]
+    path[:, : n + len(states)] = t.path[:, np.r_[0:n, n + states]]
+    prior = prior_of(scene, effects)
+    return dataclasses.replace(t, effects=effects, prior=prior, u=u, path=path, first=first)
+
+
+def without(scene: Scene, t: Trajectory, label: str) -> Trajectory:
+    """A model without one of its effects, from where it is."""
+    return with_effects(scene, t, [i for i, x in enumerate(t.labels) if x != label])
+
+
+def extended(scene: Scene, t: Trajectory, found: Column) -> Trajectory:
     """A model with one more effect, from the screen's answer."""
-    effect, own = found.effect, numbers_of(found.effect)
-    effects = (*trajectory.effects, with_numbers(effect, shaped_numbers(effect, found.shape)))
-    prior, first = prior_of(scene, effects), len(trajectory.prior.mean)
-    values, phase = list(found.regressors), 0.0
+    effect = with_numbers(found.effect, shaped_numbers(found.effect, found.shape))
+    t = with_effects(scene, t, range(len(t.effects)), [effect])
+    own, states = number_slices(t.effects)[-1], state_slices(t.effects)[-1]
+    values, phase, least = list(found.regressors), 0.0, 0.02
     if effect.oscillates:
         values, phase = [math.hypot(*values)], math.atan2(values[1], values[0])
-    least = 0.02
-    numbers, strong = np.array(prior.mean), iter(values)
-    numbers[first:] = [found.shape.get(x.field, 1.0) for x in own]
-    u = np.zeros(scene.regressors(effects))
-    u[:first] = trajectory.u[:first]
-    u[first : first + len(own)] = prior.regressors(numbers)[first:]
-    for i, number in enumerate(own, first):
+    numbers, strong = np.array(t.prior.mean), iter(values)
+    numbers[own] = [found.shape.get(x.field, 1.0) for x in numbers_of(effect)]
+    t.u[own] = t.prior.regressors(numbers)[own]
+    for i, number in enumerate(numbers_of(effect), own.start):
         if number.silent is not None:
-            x = next(strong)
-            u[i] = max(x, least) if signed(number) else x
-    old, known = trajectory.path.shape[1], sum(len(e.memory) for e in trajectory.effects)
-    path = np.zeros((scene.K, 2 * scene.n + scene.room(effects)))
-    path[:, :old] = trajectory.path
-    states = slice(known, known + len(effect.memory))
-    path[:, 2 * scene.n :][:, states] = found.states + phase
-    begin = np.zeros(scene.room(effects))
-    begin[:known] = trajectory.first[:known]
-    begin[states] = found.states[0] + phase
-    return dataclasses.replace(
-        trajectory, effects=effects, prior=prior, u=u, path=path, first=begin
-    )
+            t.u[i] = max(next(strong), least) if signed(number) else next(strong)
+    t.path[:, 2 * scene.n :][:, states] = found.states + phase
+    t.first[states] = found.states[0] + phase
+    return t

@@ -7,7 +7,6 @@ error on readings that were fitted and on readings that were not.
 
 import contextlib
 import dataclasses
-import datetime
 import functools
 import math
 import threading
@@ -102,8 +101,6 @@ def diagnose(
         raise ValueError(f"starts = {starts}: at least one start is needed")
     if budget is not None and not budget > 0:
         raise ValueError(f"budget = {budget}: it must be positive (seconds)")
-    if not experiment.fit_recordings:
-        raise ValueError('no recording has role = "fit": there is nothing to fit to')
     began, say = time.perf_counter(), progress or (lambda words: None)
     with jax.enable_x64(True):
         deadline = math.inf if budget is None else time.perf_counter() + budget
@@ -331,21 +328,16 @@ class Fits:
 def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
     """What a search has found, in numbers."""
     posterior = Posterior(search)
-    scene, best = search.scene, posterior.best
+    scene, best, other = search.scene, posterior.best, search.reassigned
     models = _ladder_of(search, fits, best)
-    lookalikes = posterior.lookalikes()
-    advice = None
+    lookalikes, advice = posterior.lookalikes(), None
     rivals, p = posterior.rivals()
     if len(rivals) > 1:
         search.say("looking for the experiment that would tell the models apart")
         advice = next(iter(best_tests(fits.whole, scene, rivals, p).tests), None)
     if search.curves:
         search.say("looking for its formula")
-    source = _source(fits.whole)
-    laws = laws_of(
-        search, search.curves, posterior.of_curves.tolist(), best.log_evidence, fits, source
-    )
-    drawn = [best] if best.added else []
+    laws = laws_of(search, posterior.of_curves.tolist(), best.log_evidence, fits)
     shown = [(search.tried.get(frozenset([x]), best), x) for x in best.added]
     others = [
         (search.tried[frozenset([x])], x)
@@ -354,7 +346,7 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
         if frozenset([x]) in search.tried
     ]
     missing = missing_of(scene, search.base, [*shown, *others[:_CURVES]])
-    still = missing_of(scene, best) if drawn else missing
+    still = missing_of(scene, best) if best.added else missing
     verdict, probability = posterior.verdict()
     return Diagnosis(
         verdict=verdict,
@@ -369,7 +361,8 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
         laws=laws,
         random_torque=_random_torque(scene, best),
         parameters=values_of(scene, best.best),
-        channels=_channels(search, posterior.of_reassigned),
+        channels=other
+        and ChannelError(other.channels.words, posterior.of_reassigned, other.tried.complete > 0.5),
         intensity=float(np.dot(best.weights, INTENSITIES)),
         explains_nothing=best.intensity >= EXPLAINS_NOTHING,
         budget=Budget(len(search.tried), len(search.candidates), search.stopped),
@@ -379,34 +372,18 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
     )
 
 
-def _channels(search: Search, probability: float) -> ChannelError | None:
-    """What the columns are instead, if that alone explains the readings."""
-    other = search.reassigned
-    return other and ChannelError(other.channels.words, probability, other.tried.complete > 0.5)
-
-
-def _source(experiment: Experiment) -> str:
-    """Where and when a law was found."""
-    names = [r.name for r in experiment.fit_recordings]
-    more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-    return f"found in {names[0]}{more}, {datetime.date.today().isoformat()}"
-
-
 def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...]:
     """The models on the way to the best one: each of its effects joins in turn."""
-    labels = best.added
-
-    models = [search.tried.get(frozenset(labels[:k])) for k in range(len(labels) + 1)]
+    labels, found = best.added, []
+    ways = (frozenset(labels[:k]) for k in range(len(labels) + 1))
+    models = [search.tried[x] for x in ways if x in search.tried]
     for model in models:
-        if model is not None:
-            fits.begin(model)
-    found = []
-    for k, model in enumerate(models):
-        if model is not None:
-            result = fits.of(model)
-            held = held_out(LinearisedFit.of(result))
-            relative = model.log_evidence - best.log_evidence
-            found.append(ModelState(labels[k - 1] if k else None, (), result, held, relative))
+        fits.begin(model)
+    for model in models:
+        result, joined = fits.of(model), labels[len(model.added) - 1] if model.added else None
+        held = held_out(LinearisedFit.of(result))
+        relative = model.log_evidence - best.log_evidence
+        found.append(ModelState(joined, (), result, held, relative))
     give_back()
     return tuple(found)
 
@@ -441,6 +418,7 @@ class Posterior:
         each = shares(np.array(logs))
         ends = np.cumsum([len(self.named), len(self.curves)])
         self.each, self.of_curves, of_other = np.split(each / each.sum(), ends)
+        self.weighed = list(zip([*self.named, *self.curves], each / each.sum(), strict=False))
         """Probability of each model with names only, of each with a free curve, and of the base
         model with the columns read otherwise."""
         self.of_reassigned = float(of_other.sum())
@@ -463,10 +441,9 @@ class Posterior:
         is at work: that of all models which have one, less what may be of a torque of no catalogue
         that they only take up a part of."""
         wanted = set(labels)
-        models, each = [*self.named, *self.curves], [*self.each, *self.of_curves]
         return float(sum(
             p * np.dot(model.weights, self._at_work(model))
-            for model, p in zip(models, each, strict=True)
+            for model, p in self.weighed
             if wanted & set(model.added) or (kind is not None and self._kind_of(model) == kind)
         ))  # fmt: skip
 
@@ -492,13 +469,10 @@ class Posterior:
     def verdict(self) -> tuple[Verdict, float]:
         """The likeliest of the three, and its probability."""
         sums = {"adequate": 0.0, "missing": 0.0, "unexplained": 0.0}
-        for model, p in zip(self.named, self.each, strict=True):
-            complete = self._explains(model)
-            sums["missing" if model.added else "adequate"] += p * complete
-            sums["unexplained"] += p * (1.0 - complete)
-        for model, p in zip(self.curves, self.of_curves, strict=True):
+        for model, p in self.weighed:
             # A law without a name is no explanation by the catalogue, unless it is negligible.
-            complete = 0.0 if model.matters else self._explains(model)
+            unnamed = isinstance(model, CurveModel) and model.matters
+            complete = 0.0 if unnamed else self._explains(model)
             sums["missing" if model.added else "adequate"] += p * complete
             sums["unexplained"] += p * (1.0 - complete)
         sums["unexplained"] += self.of_reassigned  # by anything of the readings as they stand
@@ -517,28 +491,19 @@ class Posterior:
     def candidates(self) -> tuple[Candidate, ...]:
         """Every effect and place."""
         found = []
-        for effect in self.search.candidates:
-            label = effect.label
+        for label in (e.label for e in self.search.candidates):
             alone = self.search.tried.get(frozenset([label]))
-            parameters: dict[str, Value] = {}
-            iterated = alone is not None
-            if alone is not None:
-                values = values_of(self.search.scene, alone.best)
-                parameters = {k: v for k, v in values.items() if k.startswith(f"{label}.")}
-            evidence = self._alone(label)
-            if evidence == -math.inf:
-                continue
-            found.append(
-                Candidate(
-                    effect=label,
-                    probability=self.of([label]),
-                    log_evidence=evidence - self.best.log_evidence,
-                    iterated=iterated,
-                    parameters=parameters,
-                )
+            values = values_of(self.search.scene, alone.best) if alone else {}
+            candidate = Candidate(
+                effect=label,
+                probability=self.of([label]),
+                log_evidence=self._alone(label) - self.best.log_evidence,
+                iterated=alone is not None,
+                parameters={k: v for k, v in values.items() if k.startswith(f"{label}.")},
             )
-        order = lambda c: (-c.probability, -c.log_evidence)  # noqa: E731
-        return tuple(sorted(found, key=order))
+            if candidate.log_evidence > -math.inf:
+                found.append(candidate)
+        return tuple(sorted(found, key=lambda c: (-c.probability, -c.log_evidence)))
 
     def families(self) -> tuple[Family, ...]:
         """Kinds of law and their places."""
@@ -613,12 +578,9 @@ def _random_torque(scene: Scene, model: Tried) -> tuple[RandomTorque, ...]:
     spring = np.sqrt(np.mean(restoring_torque(scene, model.best)[real] ** 2, axis=0))
     found = []
     for j, joint in enumerate(scene.joints):
-        order = np.argsort(sizes[:, j])
-        cumulated = np.cumsum(weights[order])
-        low, high = (
-            float(sizes[order, j][min(int(np.searchsorted(cumulated, p)), len(order) - 1)])
-            for p in (0.025, 0.975)
-        )
+        low, high = map(float, np.quantile(
+            sizes[:, j], (0.025, 0.975), weights=weights, method="inverted_cdf"
+        ))  # fmt: skip
         mean = float(weights @ sizes[:, j])
         share = mean / spring[j] if spring[j] > 0 else math.nan
         unit = "N" if units[j] == "m" else "N m"

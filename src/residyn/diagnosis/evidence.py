@@ -46,9 +46,6 @@ half a decade apart, which no posterior of it is narrower than with a hundred in
 instants."""
 NO_RANDOM_TORQUE = 0.5
 """Prior probability that the model needs none; the other half is shared by the rest of the grid."""
-CORRELATION = 1.0
-"""Correlation time of the random torque, in radians of the joint's ringing: what changes no faster
-than the motion does."""
 FURTHER = 0.5
 """Prior probability of one more effect, given that there are m: the number of effects is geometric,
 one on average; which ones they are is uniform over kinds and places."""

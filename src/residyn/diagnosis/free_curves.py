@@ -11,6 +11,7 @@ does.
 
 import dataclasses
 import functools
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -18,9 +19,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.interpolate import BSpline
 
 from ..filtering.free_curve import HEIGHTS, FreeCurve, FreeFriction
-from ..filtering.kalman import Evidences, Functions, Torques, gram
+from ..filtering.kalman import Evidences, Torques, gram
 from ..filtering.linearised import Instants, Linear, nodes
 from ..filtering.trajectory import Scene, Trajectory
 from ..runtime.export_cache import kept
@@ -82,18 +84,10 @@ KINDS = (
 a stiffness, a damping and a friction that change with time."""
 
 
-def spline(x: np.ndarray) -> np.ndarray:
-    """The cubic B-spline about 0 whose knots are one apart."""
-    a = np.abs(x)
-    inner = 2 / 3 - a**2 + a**3 / 2
-    return np.where(a < 1, inner, np.maximum(2 - a, 0.0) ** 3 / 6)
-
-
-def splines(x: Any, low: float, high: float, count: int = SPLINES) -> np.ndarray:
-    """(count, ...) their values at x; they cover low to high."""
-    x = np.asarray(x, float)
-    at = np.clip((x - low) / (high - low), 0.0, 1.0) * (count - 3) + 1
-    return spline(at - np.arange(count).reshape(-1, *[1] * x.ndim))
+def splines(x: np.ndarray, low: float, high: float, count: int = SPLINES) -> np.ndarray:
+    """(count, N) values at x (N,) of cubic B-splines that cover low to high."""
+    at = np.clip((x - low) / (high - low), 0.0, 1.0) * (count - 3)
+    return BSpline.design_matrix(at, np.arange(-3.0, count + 1.0), 3).toarray().T
 
 
 def knots(low: float, high: float) -> np.ndarray:
@@ -126,14 +120,11 @@ def _finer() -> np.ndarray:
 
 @kept(like=(0, 0, 0, 0, 0))
 def _along(instants: Instants, path, spread, held, by_x, by_torque, sliding):
-    """Angles, rates, times and directions at the nodes, and (3, X, n, K) how a step answers to a
-    unit torque at its beginning, middle and end."""
+    """Angles, rates, times and directions at the nodes, and (K, 3, X, n) `responses`."""
     at = nodes(instants, path, spread, held)
     direction = jax.scipy.special.erf(at.v / (math.sqrt(2) * at.spread))
     direction = jnp.where(jnp.abs(sliding) < 1, sliding, direction)
-    answers = jnp.stack(responses(instants.step, by_x, -by_torque))
-    answers = jnp.where(instants.last, 0.0, answers)
-    return at.q, at.v, at.time, direction, answers
+    return at.q, at.v, at.time, direction, responses(instants, by_x, by_torque)
 
 
 class Along:
@@ -150,8 +141,8 @@ class Along:
         self.q, self.v, self.time, self.direction, self._answers = map(np.asarray, found)
         n, K, orders = scene.n, scene.K, np.array(scene.orders or (0,) * scene.n)
         # What a torque adds at once to a reading: to an acceleration.
-        self._pushed = np.asarray(self.linear.by_torque)[n : 2 * n, :, :K]
-        self._pushed = self._pushed * (orders == 2)[:, None, None]
+        pushed = np.asarray(self.linear.by_torque)[n : 2 * n, :, :K].transpose(2, 0, 1)
+        self._pushed = pushed * (orders == 2)[:, None]
         self.real = np.tile(np.arange(scene.K) < scene.grid.real, 3)
         self._squares: dict[tuple[Place, int], np.ndarray] = {}
 
@@ -192,33 +183,29 @@ class Along:
         """(I,) log normalisers, and the (I, 1 + P + C, 1 + P + C) Gram matrices of whitened
         innovations with functions (HEIGHTS, C / G) of each of G places at one joint. The model may
         hold a curve of the first place already, of heights `held`: it is taken away."""
-        counts = [f.shape[1] for f in functions]
-        room = next(r for r in _ROOMS if r >= sum(counts) + (held is not None))
-        wide = np.zeros((len(places), HEIGHTS, room // len(places)))
-        for own, each in zip(wide, functions, strict=True):
-            own[:, : each.shape[1]] = each
+        counts, j, K = [f.shape[1] for f in functions], places[0].joint, self.scene.K
         if held is not None:
-            wide[0, :, -1] = held
-        K, joint = self.scene.K, places[0].joint
-
-        def nodes_of(rows):  # (K, 3, G)
-            return np.stack(list(rows), -1).reshape(3, K, -1).swapaxes(0, 1)
-
+            functions = [*functions, held[:, None]]
+            places = [*places, places[0]]
+        room = next(r for r in _ROOMS if r >= sum(f.shape[1] for f in functions))
+        torque = np.zeros((3 * K, room))
+        ends = np.cumsum([0, *(f.shape[1] for f in functions)])
+        for place, each, own in zip(places, functions, itertools.pairwise(ends), strict=True):
+            x = self.variable(place.kind.variable, j)
+            values = splines(x, place.low, place.high, HEIGHTS).T @ each
+            torque[:, slice(*own)] = self.factor(place.kind.factor, j)[:, None] * values
         more = Torques(
-            self._answers[:, :, joint].transpose(2, 0, 1), -self._pushed[:, joint].T,
-            nodes_of(self.variable(p.kind.variable, p.joint) for p in places),
-            nodes_of(self.factor(p.kind.factor, p.joint) for p in places),
+            self._answers[..., j : j + 1], self._pushed[..., j : j + 1],
+            (torque.reshape(3, K, room).swapaxes(0, 1),),
+            np.zeros((K, 3, 1, 0)), np.zeros((K, self.scene.n, 0)),
         )  # fmt: skip
-        low, high = (np.array([getattr(p, x) for p in places]) for x in ("low", "high"))
-        args = self.linear.system, more, Functions(low, high, wide), self.scene.readings
+        args = self.linear.system, (more,), self.scene.readings
         noise = self.scene.noise(self.trajectory)
         found = [gram(*args, noise, np.asarray(x, float)) for x in intensities]
-        first, each = 1 + len(self.trajectory.u), room // len(places)
-        columns = [first + i * each + np.arange(c) for i, c in enumerate(counts)]
-        keep = np.concatenate([np.arange(first), *columns])
-        move = np.eye(first + room)[:, keep]
+        first, C = 1 + len(self.trajectory.u), sum(counts)
+        move = np.eye(first + room)[:, : first + C]
         if held is not None:
-            move[first + each - 1, 0] = -1.0
+            move[first + C, 0] = -1.0
         return np.array([t for t, _ in found]), np.stack(
             [move.T @ np.asarray(g) @ move for _, g in found]
         )

@@ -9,6 +9,7 @@ model without it. Otherwise the curve itself, as a table, is the law.
 """
 
 import dataclasses
+import datetime
 import math
 import textwrap
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ from ..fitting import FitError
 from ..fitting.result import Fit
 from ..physics.motion import JointMotion
 from ..runtime.json import number
+from .columns import with_effects
 from .evidence import (
     CONTENDERS,
     FURTHER,
@@ -32,7 +34,6 @@ from .evidence import (
     INTENSITIES,
     OUTSIDE,
     over_intensities,
-    prior_of,
 )
 from .forecast import HeldOut, held_out
 from .formula import likeliest, written
@@ -204,30 +205,23 @@ class Law:
 
 
 def laws_of(
-    search: Search,
-    models: Sequence[CurveModel],
-    probabilities: Sequence[float],
-    best: float,
-    fits: Any,
-    source: str,
+    search: Search, probabilities: Sequence[float], best: float, fits: Any
 ) -> tuple[Law, ...]:
-    """The laws that curve models speak of, of probability `IN_PLAY` at least, the likeliest first;
-    where it has most of the posterior, with its formula or table. `best` is the log evidence of
-    the best model with names only; `fits` is `diagnose.Fits`."""
-    groups: dict[Any, list[int]] = {}
-    for i, m in enumerate(models):
-        if m.matters:
-            groups.setdefault((m.place.kind, m.place.joint), []).append(i)
-    found = []
-    for each in groups.values():
-        p = float(sum(probabilities[i] for i in each))
-        top = max((models[i] for i in each), key=lambda m: m.log_posterior)
-        if p >= IN_PLAY:
-            found.append((p, top))
-    found.sort(key=lambda f: -f[0])
+    """The laws that a search's curves speak of, of probability `IN_PLAY` at least, the likeliest
+    first; where it has most of the posterior, with its formula or table. `best` is the log evidence
+    of the best model with names only; `fits` is `diagnose.Fits`."""
+    groups: dict[Any, list[tuple[CurveModel, float]]] = {}
+    for model, p in zip(search.curves, probabilities, strict=True):
+        if model.matters:
+            groups.setdefault((model.place.kind, model.place.joint), []).append((model, p))
+    found = [
+        (float(sum(p for _, p in each)), max((m for m, _ in each), key=lambda m: m.log_posterior))
+        for each in groups.values()
+    ]
+    found = sorted((f for f in found if f[0] >= IN_PLAY), key=lambda f: -f[0])
     laws = [_law(search, top, p, best) for p, top in found]
     if laws and found[0][0] > 0.5:
-        laws[0] = _with_class(search, found[0][1], laws[0], fits, source)
+        laws[0] = _with_class(search, found[0][1], laws[0], fits)
     return tuple(laws)
 
 
@@ -294,18 +288,19 @@ class Written(Tried):
         """The model without a random torque, with the class."""
         t = silenced(scene, self.best, self.intensity)
         effect: Any = self.found.kind()(self.found.joint)  # pyright: ignore[reportCallIssue]
-        effects = (*(e for e in t.effects if not isinstance(e, FreeCurve)), effect)
-        prior, first = prior_of(scene, effects), number_slices(effects)[-1]
-        numbers = np.array(prior.mean)
-        numbers[first] = [float(getattr(effect, n.field)) for n in numbers_of(effect)]
-        u = np.zeros(scene.regressors(effects))
-        u[: first.start] = t.u[: first.start]
-        u[first] = prior.regressors(numbers)[first]
-        return (dataclasses.replace(t, effects=effects, prior=prior, u=u),)
+        own = [i for i, e in enumerate(t.effects) if not isinstance(e, FreeCurve)]
+        t = with_effects(scene, t, own, [effect])
+        numbers, last = np.array(t.prior.mean), number_slices(t.effects)[-1]
+        numbers[last] = [float(getattr(effect, n.field)) for n in numbers_of(effect)]
+        t.u[last] = t.prior.regressors(numbers)[last]
+        return (t,)
 
 
-def _with_class(search: Search, model: CurveModel, law: Law, fits: Any, source: str) -> Law:
+def _with_class(search: Search, model: CurveModel, law: Law, fits: Any) -> Law:
     """The law with its formula, or with a table where none was accepted."""
+    names = [r.name for r in fits.whole.fit_recordings]
+    more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+    source = f"found in {names[0]}{more}, {datetime.date.today().isoformat()}"
     scene, parent, place = search.scene, search.tried[frozenset(model.added)], model.place
     curve = over_intensities(model.evidences, INTENSITIES)
     terms = (model.formulas or likeliest(Along(scene, model.best), model))[0]

@@ -26,7 +26,6 @@ from ..physics.model import Model
 from ..physics.parameter import parameters_of
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
-from .evidence import CORRELATION
 from .search import Tried, tried_alone
 
 
@@ -118,18 +117,17 @@ def missing_torque(
     """
     with jax.enable_x64(True):
         bad = np.zeros(recording.angle.shape, bool) if wild is None else np.asarray(wild, bool)
-        scene = Scene([recording], [model.mechanism], [bad], correlation=CORRELATION)
+        scene = Scene([recording], [model.mechanism], [bad])
         (found,) = torques_of(scene, tried_alone(scene, model.effects))
     return found
 
 
-def torques_of(scene: Scene, model: Tried) -> list[MissingTorque]:
+def torques_of(
+    scene: Scene, model: Tried, pairs: Sequence[tuple[float, Trajectory]] | None = None
+) -> list[MissingTorque]:
     """The missing torque of each recording of a scene: averaged over the random torque's
-    intensities, each by its posterior."""
-    return _torques(scene, model.best, model.over_torques(scene))
-
-
-def _torques(scene: Scene, best: Trajectory, pairs) -> list[MissingTorque]:
+    intensities, each by its posterior (`pairs`, if `model.over_torques` is known)."""
+    best, pairs = model.best, pairs or model.over_torques(scene)
     weights = np.array([w for w, _ in pairs])
     torques = np.stack([t.torque for _, t in pairs])
     variances = np.stack([t.torque_variance for _, t in pairs])
@@ -207,7 +205,7 @@ def missing_of(
     kinds = mechanism.units or ("rad",) * scene.n
     units = tuple("N" if kind == "m" else "N m" for kind in kinds)
     g, found = scene.grid, []
-    for i, torque in enumerate(_torques(scene, base.best, pairs)):
+    for i, torque in enumerate(torques_of(scene, base, pairs)):
         own = g.of(i)
         try:
             angles = scene.mechanisms[i].link_angles(tuple(torque.angle.T))
@@ -227,5 +225,5 @@ def scene_of(
     `fast` as in `Scene`."""
     here = ready(experiment, experiment.fit_recordings, effects)
     wild = outliers_among(here)
-    scene = Scene(here.recordings, here.mechanisms, wild, CORRELATION, fast)
+    scene = Scene(here.recordings, here.mechanisms, wild, fast)
     return scene, here.model.effects, wild

@@ -28,9 +28,8 @@ from .law import (
     Slots,
     Table,
     along_follow,
-    along_joint,
     along_readings,
-    along_whole,
+    along_torque,
     beyond,
     changes_bodies,
     follow,
@@ -226,35 +225,41 @@ def _plus(s: Sums, f: Slopes, r: int, j, state, column) -> Sums:
     return s._replace(**new)
 
 
+def _groups(laws: Laws, table: Table):
+    """What acts at one joint, and on the whole mechanism: laws, slots, and of an array (n, ...) the
+    rows that the effect in a slot sees."""
+
+    def own(x, e):
+        return jax.lax.dynamic_slice_in_dim(x, table.joint.joint[e], 1)
+
+    each = laws.each
+    yield [each[i] for i in laws.of("joint")], table.joint, own
+    yield [each[i] for i in laws.of("whole")], table.whole, lambda x, e: x
+
+
 def _summed(laws: Laws, table: Table, at: Nodes, mechanism, P: int):
     """`Sums` of a model at the nodes, and each effect's own torque."""
-    (n, N), M, effects = at.q.shape, at.z.shape[0], laws.each
-    groups = {g: [effects[i] for i in laws.of(g)] for g in ("joint", "whole")}
+    (n, N), M = at.q.shape, at.z.shape[0]
     # Room at the end, so that no block of rows would be moved to fit.
-    p = P + max(map(most_numbers, groups.values()))
-    m = M + max(map(most_states, groups.values()))
+    p, m = P + most_numbers(laws.each), M + most_states(laws.each)
     z = jnp.concatenate([at.z, jnp.zeros((m - M, N))])
     shapes = [(n,), (n, n), (n, n), (n, m), (n, p), (n,), (n, n), (n, n), (n, p)]
     shapes += [(m,), (m, n), (m, n), (m, m), (m, p)]
     sums, own = Sums(*[jnp.zeros((*s, N)) for s in shapes]), []
-    for group, slots, r in (("joint", table.joint, 1), ("whole", table.whole, n)):
-        known = groups[group]
+    for (known, slots, of_own), r in zip(_groups(laws, table), (1, n), strict=True):
         room = most_states(known), most_numbers(known)
         each = jnp.zeros((len(slots.law), 2 * r, N // 3))
-        along = along_joint if group == "joint" else along_whole
-        branches = [functools.partial(along, k, room) for k in known]
+        branches = [functools.partial(along_torque, k, room) for k in known]
 
-        def add(e, carry, slots=slots, room=room, branches=branches, r=r, group=group):
+        def add(e, carry, slots=slots, room=room, branches=branches, r=r, of_own=of_own):
             sums, each = carry
             j, state, column = slots.joint[e], slots.state[e], slots.column[e]
             states = jax.lax.dynamic_slice(z, (state, 0), (room[0], N))
-            args = at.q[j], at.v[j], at.time, states, slots.numbers[e]
-            if group == "whole":
-                args = mechanism, at.q, at.v, at.time, states, at.step, at.spread, slots.numbers[e]
+            q, v, spread = (of_own(x, e) for x in (at.q, at.v, at.spread))
+            args = mechanism, q, v, at.time, states, at.step, spread, slots.numbers[e]
             f = jax.lax.switch(slots.law[e], branches, *args)
             f = f._replace(by_number=f.by_number * slots.slopes[e][:, None])
-            torque = f.value[None, : 2 * r, : N // 3]
-            each = jax.lax.dynamic_update_slice(each, torque, (e, 0, 0))
+            each = each.at[e].set(f.value[: 2 * r, : N // 3])
             return _plus(sums, f, r, j, state, column), each
 
         if known:
@@ -465,19 +470,18 @@ def _of_bodies(laws: Laws, table: Table, instants: Instants, at: Nodes, accelera
 def _followed(laws: Laws, table: Table, at: Nodes, h, bodies, run, phi, inputs: int):
     """The step phi (X, W, K) with the internal states that follow the motion instead of having a
     rate: z+ = f(z, q+)."""
-    effects, mechanism = laws.each, at_nodes(bodies, run, 1)
-    for group, slots in (("joint", table.joint), ("whole", table.whole)):
-        known = [effects[i] for i in laws.of(group)]
+    mechanism = at_nodes(bodies, run, 1)
+    for known, slots, of_own in _groups(laws, table):
         if any(e.follows for e in known):
-            phi = _followed_by(known, slots, at, h, mechanism, phi, inputs)
+            phi = _followed_by(known, slots, of_own, at, h, mechanism, phi, inputs)
     return phi
 
 
-def _followed_by(known, slots: Slots, at: Nodes, h, mechanism, phi, inputs: int):
+def _followed_by(known, slots: Slots, of_own, at: Nodes, h, mechanism, phi, inputs: int):
     """The same for the effects of one group."""
     n, (X, W, K) = at.q.shape[0], phi.shape
-    end = at.q[:, 2 * K :], at.v[:, 2 * K :], at.time[2 * K :]
-    far = beyond(at.v[:, :K], end[1], h)
+    q, v, time = at.q[:, 2 * K :], at.v[:, 2 * K :], at.time[2 * K :]
+    far = beyond(at.v[:, :K], v, h)
     m, p = most_states(known), most_numbers(known)
     z = jnp.pad(at.z[:, :K], ((0, m), (0, 0)))
 
@@ -485,10 +489,11 @@ def _followed_by(known, slots: Slots, at: Nodes, h, mechanism, phi, inputs: int)
         def moved(phi, e):
             state = slots.state[e]
             own = jax.lax.dynamic_slice(z, (state, 0), (m, K))
-            args = slots.joint[e], *end, own, far, slots.numbers[e], mechanism
+            here, rates, beside = (of_own(x, e) for x in (q, v, far))
+            args = here, rates, time, own, beside, slots.numbers[e], mechanism
             f = along_follow(effect, (m, p), *args)
-            rows = _product(f.by_q, phi[:n])
-            gone = jnp.sum(f.by_z * own[None], 1) + jnp.sum(f.by_q * end[0][None], 1)
+            rows = _product(f.by_q, of_own(phi[:n], e))
+            gone = jnp.sum(f.by_z * own[None], 1) + jnp.sum(f.by_q * here[None], 1)
             rows = rows.at[:, X].add(f.value - gone)
             wide = jnp.pad(rows, ((0, 0), (0, m + p), (0, 0)))
             wide = _added(wide, f.by_z, 0, 2 * n + state)
@@ -516,10 +521,9 @@ def followed(laws: Laws, table: Table, instants: Instants, path):
         x, t, run, begins, far = at
         q, v, given = x[:n], x[n : 2 * n], x[2 * n :]
         mechanism, moved = jax.tree.map(lambda leaf: leaf[run], bodies), z
-        for group, slots in (("joint", table.joint), ("whole", table.whole)):
-            known = [laws.each[i] for i in laws.of(group)]
+        for known, slots, of_own in _groups(laws, table):
             if any(e.follows for e in known):
-                moved = _moved(known, slots, mechanism, q, v, t, far, moved)
+                moved = _moved(known, slots, of_own, mechanism, q, v, t, far, moved)
         z = jnp.where(begins | ~table.held, given, moved)
         return z, z
 
@@ -531,7 +535,7 @@ def followed(laws: Laws, table: Table, instants: Instants, path):
     return jnp.concatenate([path[:, : 2 * n], z], axis=1)
 
 
-def _moved(known, slots: Slots, mechanism, q, v, t, far, z):
+def _moved(known, slots: Slots, of_own, mechanism, q, v, t, far, z):
     """Internal states (M,) after one step that ended at q, v (n,), `far` (n,) from a turn."""
     M, m = len(z), most_states(known)
 
@@ -539,7 +543,8 @@ def _moved(known, slots: Slots, mechanism, q, v, t, far, z):
         def moved(z, e):
             state = slots.state[e]
             own = jax.lax.dynamic_slice(z, (state,), (m,))
-            args = slots.joint[e], q, v, t, own, far, slots.numbers[e], mechanism
+            here, rates, beside = (of_own(x, e) for x in (q, v, far))
+            args = here, rates, t, own, beside, slots.numbers[e], mechanism
             new = follow(effect, m, *args)[: len(effect.memory)]
             return jax.lax.dynamic_update_slice(z, new, (state,))
 

@@ -16,9 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...diagnosis.columns import Columns, Screened, extended
+from ...diagnosis.columns import Column, Columns, extended
 from ...diagnosis.diagnose import MOST_EFFECTS, Fits, diagnosed
-from ...diagnosis.evidence import INTENSITIES, prior_of
+from ...diagnosis.evidence import INTENSITIES
 from ...diagnosis.forecast import HeldOut, held_out
 from ...diagnosis.linearised_fit import LinearisedFit, evaluated, polish
 from ...diagnosis.missing_torque import scene_of
@@ -327,14 +327,14 @@ class Study:
         known = [t for t in known if key.issuperset(t.added)]
         near = max(known, key=lambda t: (len(t.added) == len(key), t.evidences[-1]))
         rows = {s.effect.label: s for s in self.screen.ranked}
-        chosen: list[Screened] = [rows[x] for x in added]
+        chosen: list[Column] = [rows[x] for x in added]
         _, means = self.screen.gain(chosen)
         trajectory, first = near.best, 0
         for s in chosen:
             s = s._replace(regressors=means[first : first + len(s.which)])
             first += len(s.which)
             if s.effect.label not in near.added:
-                trajectory = extended(self.search.scene, trajectory, prior_of, s)
+                trajectory = extended(self.search.scene, trajectory, s)
         return dataclasses.replace(near, added=added, best=trajectory)
 
     def _holding(self, found: Fit, held: Mapping[str, float]) -> Fit:
