@@ -154,8 +154,7 @@ class Rival(NamedTuple):
 
     tried: Tried
     model: Model
-    root: np.ndarray
-    """(P, P) R with R R' the posterior covariance of its numbers."""
+    root: np.ndarray  # (P, P) R with R R' the posterior covariance of its numbers
 
     @classmethod
     def of(cls, scene: Scene, tried: Tried) -> "Rival":
@@ -256,16 +255,11 @@ class Predictions:
         stacked = jax.tree.map(lambda *x: np.stack(x), *mechanisms)
         releases = np.stack([s.release for s in self.settings])
         drives = self._drives(steps)
-        self.readings: list[np.ndarray] = []
-        """(S, T, n) of each model."""
-        self.slopes: list[np.ndarray] = []
-        """(S, T, n, P + 2n + M) in its numbers, and in the angles, rates and internal states at
-        release."""
-        for rival in rivals:
-            told = _predict(rival.model, stacked, releases, drives, self.time, steps)
-            found, slopes = jax.device_get(told)
-            self.readings.append(found)
-            self.slopes.append(slopes)
+        given = stacked, releases, drives, self.time, steps
+        told = [jax.device_get(_predict(r.model, *given)) for r in rivals]
+        self.readings, self.slopes = zip(*told, strict=True)
+        """(S, T, n) of each model, and (S, T, n, P + 2n + M) in its numbers, and in the angles,
+        rates and internal states at release."""
 
     def _drives(self, steps: int) -> Drive | None:
         if not any(s.drive for s in self.settings):

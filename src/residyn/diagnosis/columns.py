@@ -455,7 +455,7 @@ class Screen:
         found: list[Any] = [None] * len(groups)
         for size in {len(w) for w in which}:
             own = [i for i, w in enumerate(which) if len(w) == size]
-            known = [[s for row in groups[i] for s in _signs(row)] for i in own]
+            known = [[s for row in groups[i] for s in known_signs(row)] for i in own]
             gain, mean, covariance = subset(self.grams, [which[i] for i in own])
             std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
             gain = gain + np.where(known, half_normal(mean / std), 0.0).sum(-1)
@@ -474,7 +474,7 @@ class Screen:
         )
 
 
-def _signs(row: Column) -> list[bool]:
+def known_signs(row: Column) -> list[bool]:
     """Of each column, whether the sign of its strength is known."""
     if row.effect.oscillates:
         return [False] * len(row.which)

@@ -124,20 +124,20 @@ def compare_fit(
         found = where(near, slopes)
         say("predicting what was held out")
         ahead = held_out(near), horizon(near)
+        own = [e for e in fitted.model.effects if e.name not in ("spring", "damper")]
         if missing is None:
             say("smoothing the missing torque")
-            missing = _missing(fitted, say)
-        own = [e for e in fitted.model.effects if e.name not in ("spring", "damper")]
+            missing = _missing(fitted.experiment, own, say)
         return Comparison(fitted, found, *ahead, missing, own_numbers(fitted.experiment, own))
 
 
 _CURVES = 2  # drawn beside a missing torque
 
 
-def _missing(fitted: Fit, say: Callable[[str], None]) -> tuple[Missing, ...]:
-    """The torque that a fit's model lacks, and what the likeliest single effects would draw."""
-    own = [e for e in fitted.model.effects if e.name not in ("spring", "damper")]
-    scene, effects, _ = scene_of(fitted.experiment, own)
+def _missing(experiment: Experiment, own, say: Callable[[str], None]) -> tuple[Missing, ...]:
+    """The torque that a model with effects of its `own` lacks, and what the likeliest single ones
+    more would draw."""
+    scene, effects, _ = scene_of(experiment, own)
     search = Search(scene, effects, say=say)
     if search.base.intensity > 0:
         search.extend(search.base)

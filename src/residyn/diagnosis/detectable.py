@@ -32,17 +32,16 @@ from ..physics.modal import modes
 from ..recordings.experiment import Experiment
 from ..runtime.json import finite
 from ..runtime.presentation import Result
-from .columns import Column, Columns, candidates, strengths
+from .columns import Column, Columns, candidates, known_signs, strengths
 from .evidence import (
     INDISTINGUISHABLE,
     conditional,
     half_normal,
     log_prior_model,
-    signed,
     width_of,
 )
 from .missing_torque import scene_of
-from .search import tried_alone
+from .search import nested, tried_alone
 
 DRAWS = 400
 """Of recordings: the half of them is then known to 3 %."""
@@ -143,8 +142,8 @@ class Rivals:
     def __init__(self, rows: Sequence[Column], gram: np.ndarray, draws: int = DRAWS):
         """`gram` (C, C) of the columns of all rows."""
         self.rows, self.gram = rows, gram
-        self.effects = {r.effect.label: r.effect for r in rows}
-        self.labels = list(self.effects)
+        self.effects = list({r.effect.label: r.effect for r in rows}.values())
+        self.labels = [e.label for e in self.effects]
         values, vectors = np.linalg.eigh(gram)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         self.noise = np.random.default_rng(0).standard_normal((draws, len(gram))) @ root.T
@@ -152,8 +151,7 @@ class Rivals:
         for row in rows:
             c = list(row.which)
             covariance = np.linalg.inv(np.eye(len(c)) + gram[np.ix_(c, c)])
-            own = [] if row.effect.oscillates else enumerate(strengths(row.effect))
-            sides = [i for i, x in own if signed(x)]
+            sides = np.flatnonzero(known_signs(row))
             half = 0.5 * np.linalg.slogdet(covariance)[1]
             self._inner.append((c, covariance, half, sides))
 
@@ -183,7 +181,14 @@ class Rivals:
 def _one(scene: Scene, rivals: Rivals, effect: AbstractEffect, price: float) -> Detectable:
     first = strengths(effect)[0]
     width, size = width_of(scene, effect, first), scene.size(effect, first)
-    own, others = rivals.labels.index(effect.label), _others(rivals, effect)
+    own, others = (
+        rivals.labels.index(effect.label),
+        [
+            i
+            for i, e in enumerate(rivals.effects)
+            if e.label != effect.label and not nested(e, effect)
+        ],
+    )
     truth, shape = rivals.truth(effect)
 
     def told_at(share: float) -> tuple[float, float, int | None]:
@@ -216,24 +221,13 @@ def _one(scene: Scene, rivals: Rivals, effect: AbstractEffect, price: float) -> 
     )
 
 
-def _others(rivals: Rivals, effect: AbstractEffect) -> list[int]:
-    """Which labels are rivals: all but laws that contain this one, or that it contains, there."""
-
-    def nested(other: AbstractEffect) -> bool:
-        either = other.extends == effect.name or effect.extends == other.name
-        return other.label == effect.label or (either and other.place == effect.place)
-
-    return [i for i, label in enumerate(rivals.labels) if not nested(rivals.effects[label])]
-
-
 def _half(share_of) -> float | None:
     """The least strength at which a share of recordings reaches a half; None: at none."""
-    each = None
+    before = share_of(_SHARES[0])
     for low, high in itertools.pairwise(_SHARES):
         after = share_of(high)
         if after >= 0.5:
-            before = share_of(low) if each is None else each
             part = (0.5 - before) / max(after - before, 1e-12)
             return float(low * (high / low) ** min(max(part, 0.0), 1.0))
-        each = after
+        before = after
     return None

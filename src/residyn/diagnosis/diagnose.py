@@ -122,8 +122,8 @@ def diagnosed(
     """What `diagnose` finds from a base model with some effects; `began` on `time.perf_counter`."""
     fits.begin(search.base)
     search.exact = fits.simulated
-    reassign = functools.partial(reassigned, fits.whole, effects, search.scene, search.base)
-    search.run(max_effects, reassign)
+    given = fits.whole, effects, search.scene, search.base, len(search.candidates)
+    search.run(max_effects, functools.partial(reassigned, *given))
     lost = search.best.intensity >= EXPLAINS_NOTHING or search.reassigned
     if not (lost or search.stopped):
         with search.ending():
@@ -178,13 +178,12 @@ class Fits:
     def _enough(self, tried: Tried) -> float:
         """The squared whitened residuals from which a model's evidence without a random torque is
         hopelessly less than with one, for all that its priors may add."""
-        g, pairs = self.scene.grid, zip(self.scene.recordings, self.wild, strict=True)
-        fixed = float(np.sum(np.where(g.seen, np.log(2 * np.pi * g.variance), 0.0)))
+        pairs = zip(self.scene.recordings, self.wild, strict=True)
         readings = sum(int((np.isfinite(r.angle) & ~wild).sum()) for r, wild in pairs)
         raised = len(tried.best.prior.mean) * math.log(2.0)
         # Readings scatter about their averages, by twice the noise's square at the most.
         scatter = 2 * (readings - self.scene.length)
-        return scatter - fixed + 2 * (raised + HOPELESS - tried.log_evidence)
+        return scatter + 2 * (self.scene.highest + raised + HOPELESS - tried.log_evidence)
 
     def _of(self, tried: Tried, enough: float) -> Fit:
         before = list(self._begun.items())
@@ -213,12 +212,15 @@ class Fits:
         t = motions[0]
         own = [e for e in t.valued() if e.name not in ("spring", "damper")]
         with self.lock:
-            self._cut(t.numbers, own)
+            if not self.cut:  # what drives a joint that nothing pulls back is fitted in segments
+                here = ready(self.whole, self.whole.fit_recordings, own)
+                at = here.model.with_vector(jnp.asarray(t.numbers))
+                self.experiment, self.cut = without_drift(self.whole, at), True
         known = self.experiment.fit_recordings
         fitted = dataclasses.replace(self.experiment, recordings=known)
         here = ready(fitted, known, own)
 
-        def descended(*starts: tuple[np.ndarray, np.ndarray]) -> Fit:
+        def descended(*starts) -> Fit:
             search = functools.partial(polish, enough=enough)
             found, why = [], FitError("no motion of the model goes with the readings")
             for numbers, states in starts:
@@ -228,7 +230,7 @@ class Fits:
                 for growing in (False, True) if begin.rough else (False,):
                     try:
                         found.append(
-                            descend(*begun, near=states[None], growing=growing, search=search)
+                            descend(*begun, near=np.array([states]), growing=growing, search=search)
                         )
                     except Hopeless as hopeless:
                         why = hopeless
@@ -247,7 +249,7 @@ class Fits:
             if tried.intensity >= EXPLAINS_NOTHING:  # then the smoothed motion leads nowhere
                 found = fit(fitted, effects=own, starts=self.starts, progress=progress)
         with contextlib.suppress(FitError):
-            starts = [(m.numbers, self._states(m, here.recordings)) for m in motions]
+            starts = [(m.numbers, [self._state(m, r) for r in here.recordings]) for m in motions]
             # From the minimum of a model that it contains no fit ends above that one.
             starts += [self._from(best, t)] if best else []
             found = found or descended(*starts)
@@ -259,8 +261,8 @@ class Fits:
             self.known.append(found)
         return found
 
-    def _from(self, best: Fit, t: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers and initial states (R, s) of a model at the minimum of one that it contains: what
+    def _from(self, best: Fit, t: Trajectory) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Numbers and initial states (s,) of a model at the minimum of one that it contains: what
         else it has does nothing."""
         values = {n.name: float(n.value) for n in best.numbers}
         names = [f"{e.label}.{n.name}" for e in t.effects for n in numbers_of(e)]
@@ -276,15 +278,7 @@ class Fits:
             own = [r.state[n:][known[e.label]] if e.label in known else np.zeros(len(e.memory))
                    for e in t.effects]  # fmt: skip
             states.append(np.concatenate([r.state[:n], *own]))
-        return np.array(numbers), np.stack(states)
-
-    def _cut(self, numbers: np.ndarray, own: Sequence[AbstractEffect]) -> None:
-        """What drives a joint that nothing pulls back is fitted in segments, in all models."""
-        if not self.cut:
-            here = ready(self.whole, self.whole.fit_recordings, own)
-            settled = here.model.with_vector(jnp.asarray(numbers))
-            self.experiment = without_drift(self.whole, settled)
-            self.cut = True
+        return np.array(numbers), states
 
     def _index(self, recording) -> tuple[int, int]:
         """Which recording of the scene one (or a segment) is of, and where it begins there."""
@@ -300,16 +294,11 @@ class Fits:
 
     def _wild(self, recordings) -> list[np.ndarray]:
         found = []
-        for recording in recordings:
-            run, _ = self._index(recording)
-            whole = self.scene.recordings[run]
-            first = int(np.searchsorted(whole.time, recording.time[0]))
-            found.append(self.wild[run][first : first + len(recording.time)])
+        for r in recordings:
+            run, _ = self._index(r)
+            first = int(np.searchsorted(self.scene.recordings[run].time, r.time[0]))
+            found.append(self.wild[run][first : first + len(r.time)])
         return found
-
-    def _states(self, t: Trajectory, recordings) -> np.ndarray:
-        """(R, s) `_state` of each."""
-        return np.stack([self._state(t, r) for r in recordings])
 
     def _state(self, t: Trajectory, recording) -> np.ndarray:
         """Initial state (q0, v0, and internal states beyond what the effects begin with)."""
@@ -414,7 +403,7 @@ class Posterior:
         """With those that are known to first order only."""
         other = search.reassigned
         logs = [m.log_posterior for m in [*self.named, *self.curves]]
-        logs += [search.log_posterior_of(other)] if other else []
+        logs += [other.tried.log_posterior] if other else []
         each = shares(np.array(logs))
         ends = np.cumsum([len(self.named), len(self.curves)])
         self.each, self.of_curves, of_other = np.split(each / each.sum(), ends)
@@ -569,7 +558,6 @@ class Posterior:
 def _random_torque(scene: Scene, model: Tried) -> tuple[RandomTorque, ...]:
     """Per joint, what the model still lacks: its rms over the recordings, summed over
     intensities."""
-    units = scene.mechanisms[0].units or ("rad",) * scene.n
     real = np.arange(scene.K) < scene.grid.real
     pairs = model.over_torques(scene)
     sizes = np.array([np.sqrt(np.mean((t.torque**2 + t.torque_variance)[real], axis=0))
@@ -583,6 +571,5 @@ def _random_torque(scene: Scene, model: Tried) -> tuple[RandomTorque, ...]:
         ))  # fmt: skip
         mean = float(weights @ sizes[:, j])
         share = mean / spring[j] if spring[j] > 0 else math.nan
-        unit = "N" if units[j] == "m" else "N m"
-        found.append(RandomTorque(joint, unit, mean, low, high, share))
+        found.append(RandomTorque(joint, scene.torque_units[j], mean, low, high, share))
     return tuple(found)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.special import erf, log_ndtr, logsumexp
+from scipy.special import erf, log_ndtr, logsumexp, softmax
 
 from ..effects import AbstractEffect
 from ..filtering.kalman import Evidences
@@ -108,8 +108,7 @@ def prior_of(scene: Scene, effects: Sequence[AbstractEffect]) -> Prior:
                 rows.append((size, size, False))
             elif number.silent is None:
                 known = [g * size for g in number.grid] or [float(getattr(effect, number.field))]
-                middle = math.exp(np.mean(np.log(known)))
-                rows.append((middle, SHAPE, True))
+                rows.append((math.exp(np.mean(np.log(known))), SHAPE, True))
             else:
                 rows.append((number.silent, width_of(scene, effect, number), False))
     mean, width, log = zip(*rows, strict=True)
@@ -186,11 +185,8 @@ def savage_dickey(mean: np.ndarray, covariance: np.ndarray, signs: Sequence[bool
 
 def log_prior_intensity(intensities: Sequence[float]) -> np.ndarray:
     """(I,) log prior of each intensity, of which 0 is one."""
-    others = len(INTENSITIES) - 1
-    return np.array(
-        [math.log(NO_RANDOM_TORQUE if x == 0 else (1 - NO_RANDOM_TORQUE) / others)
-         for x in intensities]
-    )  # fmt: skip
+    others = (1 - NO_RANDOM_TORQUE) / (len(INTENSITIES) - 1)
+    return np.log(np.where(np.equal(intensities, 0), NO_RANDOM_TORQUE, others))
 
 
 def prior_sizes(sizes: Sequence[float]) -> np.ndarray:
@@ -224,13 +220,12 @@ def at_work(signs: Any = 1.0) -> np.ndarray:
 
 def log_sum(logs) -> float:
     """Log of the sum of what some logarithms are of."""
-    total: Any = logsumexp(logs)
-    return float(total)
+    return float(logsumexp(logs))  # pyright: ignore[reportArgumentType]
 
 
-def shares(logs: np.ndarray) -> np.ndarray:
+def shares(logs: np.ndarray, axis: int | None = None) -> np.ndarray:
     """What some logarithms are of, normalised to 1."""
-    return np.exp(logs - log_sum(logs))
+    return softmax(logs, axis=axis)
 
 
 def over_intensities(evidences: np.ndarray, intensities: Sequence[float]) -> float:
@@ -240,10 +235,8 @@ def over_intensities(evidences: np.ndarray, intensities: Sequence[float]) -> flo
 
 def log_prior_model(added: int, candidates: int) -> float:
     """Log prior of one set of `added` effects out of `candidates`."""
-    sets = (
-        math.lgamma(candidates + 1) - math.lgamma(added + 1) - math.lgamma(candidates - added + 1)
-    )
-    return math.log(1 - FURTHER) + added * math.log(FURTHER) - sets
+    sets = math.comb(candidates, added)
+    return math.log(1 - FURTHER) + added * math.log(FURTHER) - math.log(sets)
 
 
 _ROUNDING = 1e-13

@@ -159,13 +159,15 @@ class Along:
         """(count, count) mean over the motion of the products of torques, of splines over a place's
         range: h' squares h is the mean square of the torque of a curve with heights h."""
         if (place, count) not in self._squares:
-            x, factor = (
-                f(name, place.joint)[self.real]
-                for f, name in zip((self.variable, self.factor), place.kind, strict=True)
-            )
+            x, factor = self.visited(place)
             each = factor * splines(x, place.low, place.high, count)
             self._squares[place, count] = each @ each.T / len(x)
         return self._squares[place, count]
+
+    def visited(self, place: "Place") -> tuple[np.ndarray, np.ndarray]:
+        """A curve's variable and its factor, all over the motion."""
+        x = self.variable(place.kind.variable, place.joint)
+        return x[self.real], self.factor(place.kind.factor, place.joint)[self.real]
 
     def typical(self, place: "Place") -> float:
         """Rms of a torque that is as large as the spring's at full swing, N m."""
@@ -183,7 +185,7 @@ class Along:
         """(I,) log normalisers, and the (I, 1 + P + C, 1 + P + C) Gram matrices of whitened
         innovations with functions (HEIGHTS, C / G) of each of G places at one joint. The model may
         hold a curve of the first place already, of heights `held`: it is taken away."""
-        counts, j, K = [f.shape[1] for f in functions], places[0].joint, self.scene.K
+        C, j, K = sum(f.shape[1] for f in functions), places[0].joint, self.scene.K
         if held is not None:
             functions = [*functions, held[:, None]]
             places = [*places, places[0]]
@@ -202,7 +204,7 @@ class Along:
         args = self.linear.system, (more,), self.scene.readings
         noise = self.scene.noise(self.trajectory)
         found = [gram(*args, noise, np.asarray(x, float)) for x in intensities]
-        first, C = 1 + len(self.trajectory.u), sum(counts)
+        first = 1 + len(self.trajectory.u)
         move = np.eye(first + room)[:, : first + C]
         if held is not None:
             move[first + C, 0] = -1.0
@@ -218,11 +220,6 @@ class Place(NamedTuple):
     joint: int
     low: float
     high: float
-
-    @classmethod
-    def visited(cls, along: Along, kind: Kind, joint: int) -> "Place":
-        """Over the range that a motion visits."""
-        return cls(kind, joint, *along.span(kind.variable, joint))
 
     def taken(self, x: np.ndarray) -> np.ndarray | None:
         """What of a curve springs and dampers are already: a line of the angle or the rate, a
@@ -272,12 +269,9 @@ def _priors(along: "Along", place: "Place") -> np.ndarray:
 class Posterior(NamedTuple):
     """A free curve beside a model, given the readings."""
 
-    evidences: np.ndarray
-    """(I,) log evidence of model and curve under each random torque."""
-    mean: np.ndarray
-    """(SPLINES,) heights."""
-    covariance: np.ndarray
-    """(SPLINES, SPLINES)"""
+    evidences: np.ndarray  # (I,) log evidence of model and curve under each random torque
+    mean: np.ndarray  # (SPLINES,) heights
+    covariance: np.ndarray  # (SPLINES, SPLINES)
 
     @property
     def heights(self) -> np.ndarray:
@@ -343,8 +337,7 @@ class Screened(NamedTuple):
     """A free curve beside a model, to first order."""
 
     place: Place
-    log_evidence: float
-    """Random torques summed over."""
+    log_evidence: float  # random torques summed over
     posterior: Posterior
 
 
@@ -353,7 +346,10 @@ def screen(along: Along, intensities: Sequence[float]) -> list[Screened]:
     found, P = [], len(along.trajectory.u)
     for joint in range(along.scene.n):
         for k in range(0, len(KINDS), _AT_ONCE):
-            places = [Place.visited(along, kind, joint) for kind in KINDS[k : k + _AT_ONCE]]
+            places = [
+                Place(kind, joint, *along.span(kind.variable, joint))
+                for kind in KINDS[k : k + _AT_ONCE]
+            ]
             totals, grams = along.gram(places, [_finer()] * len(places), intensities)
             for i, place in enumerate(places):
                 own = 1 + P + SPLINES * i
@@ -371,15 +367,12 @@ class CurveModel(Tried):
     is its motion with the curve in it."""
 
     place: Place
-    mean: np.ndarray
-    """(SPLINES,) heights of the curve."""
+    mean: np.ndarray  # (SPLINES,) heights of the curve
     covariance: np.ndarray
-    held: np.ndarray
-    """(HEIGHTS,) heights that `best` has."""
+    held: np.ndarray  # (HEIGHTS,) heights that `best` has
     share: float
     """Rms torque of the curve, beyond what springs and dampers take up, over the spring's torque at
     full swing."""
-
     formulas: tuple[Any, ...] = ()
     """`formula.Sum`s that say the same, where they were weighed, to first order."""
 
@@ -401,14 +394,10 @@ class CurveModel(Tried):
 class Settled(NamedTuple):
     """A model and a law, iterated to their motion."""
 
-    evidences: np.ndarray
-    """(I,)"""
-    best: Trajectory
-    """With the law in it."""
-    law: Any
-    """As it is in `best`."""
-    found: Any
-    """The law, along that motion."""
+    evidences: np.ndarray  # (I,)
+    best: Trajectory  # with the law in it
+    law: Any  # as it is in `best`
+    found: Any  # the law, along that motion
 
 
 def settle(
@@ -417,14 +406,13 @@ def settle(
     """Iterate a model and a law to their motion: law and evidences along the motion, then the
     motion with that law. `law` is a `Posterior`, or a `formula.Sum`. None if it runs away."""
     level = next(k for k, x in enumerate(INTENSITIES) if x <= loudest)
-    before, prior = -math.inf, log_prior_intensity(INTENSITIES)
-    t = start
+    before, prior, t = -math.inf, log_prior_intensity(INTENSITIES), start
     for turn in range(_ITERATIONS):
         t = with_curve(scene, t, place, law.heights)
-        moved = scene.smoothed(t, scene.linearised(t), INTENSITIES[level])
-        if moved is None:
+        t = scene.smoothed(t, scene.linearised(t), INTENSITIES[level])
+        if t is None:
             return None
-        t, along = moved, Along(scene, moved)
+        along = Along(scene, t)
         near = np.arange(max(level - 1, 0), min(level + _NEAR, len(INTENSITIES)))
         found = law.beside(along, place, np.array(INTENSITIES)[near])
         likeliest = int(near[np.argmax(found.evidences + prior[near])])
@@ -454,17 +442,12 @@ def settled_curve(
         return None
     evidences, best, held, found = settled
     share = _share(Along(scene, best), first.place, found.mean)
-    return CurveModel(
-        added, evidences, best, log_prior, first.place, found.mean, found.covariance, held.heights,
-        share,
-    )  # fmt: skip
+    law = first.place, found.mean, found.covariance, held.heights, share
+    return CurveModel(added, evidences, best, log_prior, *law)
 
 
 def _share(along: Along, place: Place, heights: np.ndarray) -> float:
-    x, factor = (
-        f(name, place.joint)[along.real]
-        for f, name in ((along.variable, place.kind.variable), (along.factor, place.kind.factor))
-    )
+    x, factor = along.visited(place)
     value, taken = splines(x, place.low, place.high).T @ heights, place.taken(x)
     if taken is not None:
         value = value - taken * (taken @ value) / (taken @ taken)

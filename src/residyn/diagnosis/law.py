@@ -36,7 +36,7 @@ from .evidence import (
     over_intensities,
 )
 from .forecast import HeldOut, held_out
-from .formula import likeliest, written
+from .formula import FACTORS, SYMBOLS, likeliest, unit_of, written
 from .free_curves import (
     KINDS,
     Along,
@@ -73,7 +73,7 @@ def curve_models(search: Search) -> list[CurveModel]:
     for parent in (search.tried[s] for s in wanted if s in search.tried):
         search.in_time()
         trajectory, intensity = search.screening_motion(parent)
-        used = sorted({intensity, 0.1 * intensity, 0.0}, reverse=True)
+        used = [intensity, 0.1 * intensity, 0.0]
         # One more effect, which is in no catalogue, and any of the curves.
         prior = parent.log_prior + math.log(FURTHER * OUTSIDE / (len(KINDS) * scene.n))
         # Where little is left, the first order is right, and by it most curves have no part; where
@@ -92,13 +92,9 @@ def curve_models(search: Search) -> list[CurveModel]:
         search.in_time()
         model = settled_curve(scene, *first)
         if model is not None:  # the law that has a simple formula is the likelier one
-            models.append(_with_formulas(scene, model))
+            formulas = tuple(likeliest(Along(scene, model.best), model))
+            models.append(dataclasses.replace(model, formulas=formulas))
     return models
-
-
-def _with_formulas(scene: Scene, model: CurveModel) -> CurveModel:
-    formulas = tuple(likeliest(Along(scene, model.best), model))
-    return dataclasses.replace(model, formulas=formulas)
 
 
 def _beyond(taken: np.ndarray | None, visits: np.ndarray) -> np.ndarray:
@@ -236,10 +232,8 @@ def _law(search: Search, model: CurveModel, probability: float, best: float) -> 
     rows = _beyond(place.taken(grid), visits)
     rows = rows @ splines(grid, place.low, place.high).T
     variance = np.einsum("gi,ij,gj->g", rows, model.covariance, rows)
-    units = scene.mechanisms[0].units
-    kind = units[place.joint] if units else "rad"
-    torque = "N" if kind == "m" else "N m"
-    by = {"angle": f"/{kind}", "rate": f" s/{kind}"}
+    kind = scene.units[place.joint]
+    by = {"angle": f"/{kind}", "rate": f" s/{kind}"}.get(place.kind.factor, "")
     law = Law(
         joint=scene.joints[place.joint],
         variable=place.kind.variable,
@@ -251,8 +245,8 @@ def _law(search: Search, model: CurveModel, probability: float, best: float) -> 
         mean=rows @ model.mean,
         std=np.sqrt(np.maximum(variance, 0.0)),
         visits=visits,
-        unit=torque + by.get(place.kind.factor, ""),
-        variable_unit={"angle": kind, "rate": f"{kind}/s", "time": "s"}[place.kind.variable],
+        unit=scene.torque_units[place.joint] + by,
+        variable_unit=unit_of(scene, place),
         named=(),
     )
     return dataclasses.replace(law, named=_named(search, law))
@@ -348,11 +342,8 @@ def _fitted(fits: Any, tried: Tried) -> tuple[Fit | None, HeldOut | None]:
 
 def _predicts(with_it: HeldOut | None, without: HeldOut | None) -> bool:
     """Whether held-out readings are predicted better with a law than without it."""
-    if with_it is None:
-        return False
-    if without is None:
-        return True
-    after, before = (np.nansum(h.held_out.ratio**2) for h in (with_it, without))
+    each = (with_it, without)
+    after, before = (np.inf if h is None else np.nansum(h.held_out.ratio**2) for h in each)
     return bool(after < before)
 
 
@@ -366,9 +357,8 @@ def _tabulated(law: Law, source: str) -> FoundLaw:
     )
     call = f"jnp.interp(\n            x, jnp.array([\n{at}\n            ]), jnp.array([\n{values}"
     number_of_it = FoundNumber("scale", "its size, 1 as found", "RATIO", 1.0, True)
-    symbol = {"angle": "q", "rate": "q'", "time": "t"}[law.variable]
-    by = {"angle": "q ", "rate": "q' ", "direction": "sign(q') "}.get(law.factor, "")
+    equation = f"scale {FACTORS[law.factor]}f({SYMBOLS[law.variable]}), f a table"
     return FoundLaw(
-        law.joint, law.variable, law.factor, f"scale {by}f({symbol}), f a table", source,
+        law.joint, law.variable, law.factor, equation, source,
         (number_of_it,), f"self.scale * {call}\n            ]))",
     )  # fmt: skip

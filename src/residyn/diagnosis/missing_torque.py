@@ -162,14 +162,13 @@ def restoring_torque(scene: Scene, t: Trajectory) -> np.ndarray:
     linear = scene.linearised(t)
     acceleration = np.asarray(linear.acceleration)[:, : scene.K].T
     each = scene.torques(t, linear)
-    own = [each[e.label] for e in t.effects if e.name == "spring" or _as_spring(e)]
+    own = [
+        each[e.label] for e in t.effects
+        if e.name == "spring" or any(p.as_spring for p in parameters_of(e))
+    ]  # fmt: skip
     found = np.sum(own, axis=0) if own else np.zeros_like(acceleration)
     sizes = np.array([s.inertia for s in scene.scales])
     return np.where(np.any(found != 0, axis=0), found, sizes * acceleration)
-
-
-def _as_spring(effect: AbstractEffect) -> bool:
-    return any(p.as_spring for p in parameters_of(effect))
 
 
 def curve(scene: Scene, before: np.ndarray, missing: np.ndarray, model: Tried, label: str) -> Curve:
@@ -181,7 +180,7 @@ def curve(scene: Scene, before: np.ndarray, missing: np.ndarray, model: Tried, l
     real = np.arange(scene.K) < scene.grid.real
     left = np.sum((missing - own - changed)[real] ** 2) / max(np.sum(missing[real] ** 2), 1e-300)
     t = model.best
-    index = [e.label for e in t.effects].index(label)
+    index = t.labels.index(label)
     effect, numbers = t.effects[index], t.numbers[number_slices(t.effects)[index]]
     units = scene.mechanisms[0].units
     unit = units[scene.joint_of(effect)] if units else None
@@ -201,9 +200,6 @@ def missing_of(
         missing = -np.sum([w * t.torque for w, t in pairs], axis=0)
         before = np.sum([*scene.torques(base.best).values()], axis=0)
         curves = [curve(scene, before, missing, model, label) for model, label in models]
-    mechanism = scene.mechanisms[0]
-    kinds = mechanism.units or ("rad",) * scene.n
-    units = tuple("N" if kind == "m" else "N m" for kind in kinds)
     g, found = scene.grid, []
     for i, torque in enumerate(torques_of(scene, base, pairs)):
         own = g.of(i)
@@ -214,7 +210,7 @@ def missing_of(
             links = None
         cut = tuple(c._replace(torque=c.torque[own], changed=c.changed[own]) for c in curves)
         name = scene.recordings[i].name
-        found.append(Missing(name, units, scene.joints, torque, links, cut))
+        found.append(Missing(name, scene.torque_units, scene.joints, torque, links, cut))
     return tuple(found)
 
 

@@ -73,12 +73,9 @@ _HERE = 6  # iterations at one random torque, at the most
 class Tried:
     """A model, iterated to its evidence."""
 
-    added: tuple[str, ...]
-    """Labels beyond the base model, in the order in which they joined."""
-    evidences: np.ndarray
-    """(I,) log evidence at each of `INTENSITIES` of the random torque."""
-    best: Trajectory
-    """At the likeliest of them."""
+    added: tuple[str, ...]  # labels beyond the base model, in the order in which they joined
+    evidences: np.ndarray  # (I,) log evidence at each of `INTENSITIES` of the random torque
+    best: Trajectory  # at the likeliest of them
     log_prior: float
     simulated: Simulated | None = dataclasses.field(default=None, kw_only=True)
     """Without a random torque, by exact simulation, where that was done."""
@@ -96,8 +93,7 @@ class Tried:
     @functools.cached_property
     def weights(self) -> np.ndarray:
         """(I,) posterior of the random torque's intensity, given the model."""
-        each = self.evidences + log_prior_intensity(INTENSITIES)
-        return shares(each)
+        return shares(self.evidences + log_prior_intensity(INTENSITIES))
 
     @property
     def complete(self) -> float:
@@ -132,7 +128,7 @@ class Tried:
         found = [
             (w, scene.smoothed(self.best, system, x))
             for w, x in zip(self.weights, INTENSITIES, strict=True)
-            if w > 0.01
+            if w > IN_PLAY
         ]
         kept = [(w, t) for w, t in found if t is not None] or [(1.0, self.best)]
         return [(w / sum(w for w, _ in kept), t) for w, t in kept]
@@ -417,35 +413,52 @@ class Search:
         if known is None or found.log_posterior > known.log_posterior:
             self.tried[frozenset(added)] = found
 
-    def _pass(self, parent: Tried, row: Column) -> None:
-        added = (*parent.added, row.effect.label)
-        prior = log_prior_model(len(added), len(self.candidates))
-        self.passed[frozenset(added)] = Tried(
-            added, parent.evidences + row.gain, parent.best, prior
-        )
-
     @property
     def reassigned(self) -> Any:
         """The likeliest other reading of the columns, if it leaves less than an effect might
         explain and is likelier than all models of the columns as they stand; else None."""
         each = [r for r in self.reassignments if r.tried.intensity < WIDTH]
-        likeliest = max(each, key=self.log_posterior_of, default=None)
-        if likeliest is None or self.log_posterior_of(likeliest) < self.best.log_posterior:
+        likeliest = max(each, key=lambda r: r.tried.log_posterior, default=None)
+        if likeliest is None or likeliest.tried.log_posterior < self.best.log_posterior:
             return None
         return likeliest
-
-    def log_posterior_of(self, other: Any) -> float:
-        """Of one of `reassignments`, on the scale of `Tried.log_posterior`: as unlikely beforehand
-        as one effect."""
-        known = len(self.candidates) + len(self.reassignments)
-        return other.tried.log_evidence + log_prior_model(1, known)
 
     def run(self, most: int, reassign: Callable[[], Sequence[Any]] = tuple) -> None:
         """Add effects, `most` at most, until no model beats the one that there is, or as long as
         the likeliest explains anything of the motion. Ctrl-C and the deadline end it with what
         there is. `reassign` makes `channels.Reassigned`s."""
         with self.ending():
-            self._run(most, reassign)
+            if self.base.complete < 0.5:
+                self.say("reading the columns otherwise")
+                self.reassignments = reassign()
+                give_back()
+            other = self.reassigned
+            if other and (other.tried.complete > 0.5 or self.base.intensity >= WIDTH):
+                return  # nothing is left to be explained, or as much as effects are
+            extended: set[frozenset[str]] = set()
+            self.screen(self.base)
+            self._simulate()
+            while not extended or self.best.intensity < EXPLAINS_NOTHING:
+                best = frozenset(self.best.added)
+                if best in extended or len(best) >= most:
+                    # Each effect in turn might have another in its place.
+                    model = self.best
+                    todo = [x for x in model.added[:-1] if best - {x} not in extended]
+                    if not todo:
+                        break
+                    self._simplify([(model, x, None) for x in todo if best - {x} not in self.tried])
+                    rest = [best - {x} for x in todo]
+                    extended.update(x for x in rest if x not in self.tried)  # no motion has it
+                    found = [x for x in rest if x in self.tried]
+                    if not found:
+                        continue
+                    best = found[0]
+                self.extend(self.tried[best])
+                extended.add(best)
+                self.reduce()
+                self._simulate()
+            if self.best.intensity >= EXPLAINS_NOTHING:  # then no name says anything
+                self.tried, self.passed = {frozenset(): self.base}, {}
 
     @contextlib.contextmanager
     def ending(self) -> Iterator[None]:
@@ -456,39 +469,6 @@ class Search:
             self.stopped = "interrupted"
         except OutOfTime:
             self.stopped = "budget"
-
-    def _run(self, most: int, reassign: Callable[[], Sequence[Any]]) -> None:
-        if self.base.complete < 0.5:
-            self.say("reading the columns otherwise")
-            self.reassignments = reassign()
-            give_back()
-        other = self.reassigned
-        if other and (other.tried.complete > 0.5 or self.base.intensity >= WIDTH):
-            return  # nothing is left to be explained, or as much as effects are
-        extended: set[frozenset[str]] = set()
-        self.screen(self.base)
-        self._simulate()
-        while not extended or self.best.intensity < EXPLAINS_NOTHING:
-            best = frozenset(self.best.added)
-            if best in extended or len(best) >= most:
-                # Each effect in turn might have another in its place.
-                model = self.best
-                todo = [x for x in model.added[:-1] if best - {x} not in extended]
-                if not todo:
-                    break
-                self._simplify([(model, x, None) for x in todo if best - {x} not in self.tried])
-                rest = [best - {x} for x in todo]
-                extended.update(x for x in rest if x not in self.tried)  # no motion has it
-                found = [x for x in rest if x in self.tried]
-                if not found:
-                    continue
-                best = found[0]
-            self.extend(self.tried[best])
-            extended.add(best)
-            self.reduce()
-            self._simulate()
-        if self.best.intensity >= EXPLAINS_NOTHING:  # then no name says anything
-            self.tried, self.passed = {frozenset(): self.base}, {}
 
     def _simulate(self) -> None:
         """The evidence of each model in play that may need no random torque, by exact simulation,
@@ -547,8 +527,7 @@ class Search:
             effects = [e for e in self.candidates if self._may_join(e, trajectory)]
             columns = Columns(self.scene, trajectory, effects, lines)
             # The likeliest random torque, one a decade below it, and none.
-            used = sorted({intensity, 0.1 * intensity, 0.0}, reverse=True)
-            screen = self.screens[key] = columns.screen(used)
+            screen = self.screens[key] = columns.screen([intensity, 0.1 * intensity, 0.0])
             if parent.complete <= 0.5:  # else little is left, and the first order right
                 screen.revise(self._sticking(screen, trajectory, columns.linear, intensity))
         return self.screens[key]
@@ -586,21 +565,18 @@ class Search:
         trajectory, intensity = self.screening_motion(parent)
         screen = self.screen(parent)
         ranked = screen.ranked
-        found = {s.effect.label: s for s in ranked}
-        likeliest = screen.pairs(3 * CONTENDERS)[:CONTENDERS]
-        chosen = {s.effect.label: s for s in ranked[:CONTENDERS]}
-        for _, a, b in likeliest:
-            for s in (a, b):
-                chosen.setdefault(s.effect.label, found[s.effect.label])
+        pairs = (s for _, *pair in screen.pairs(3 * CONTENDERS)[:CONTENDERS] for s in pair)
+        chosen = {s.effect.label: s for s in (*ranked[:CONTENDERS], *pairs)}
         if parent.complete > 0.5:
             # What is left is small, and the first order right: by it most have no part.
             n, m = len(self.candidates), len(parent.added)
-            price = log_prior_model(m, n) - log_prior_model(m + 1, n)
-            worth = price + math.log(IN_PLAY)
+            prior = log_prior_model(m + 1, n)
+            worth = log_prior_model(m, n) - prior + math.log(IN_PLAY)
             chosen = {k: s for k, s in chosen.items() if s.gain > worth}
-            for s in ranked:
-                if s.gain <= worth:
-                    self._pass(parent, s)
+            for s in (s for s in ranked if s.gain <= worth):
+                added = (*parent.added, s.effect.label)
+                passed = Tried(added, parent.evidences + s.gain, parent.best, prior)
+                self.passed[frozenset(added)] = passed
         if not chosen:
             return
         self.say(f"weighing {len(chosen)} candidates")

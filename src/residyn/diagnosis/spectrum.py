@@ -30,16 +30,11 @@ class Spectrum(NamedTuple):
     """
 
     duration: float
-    products: np.ndarray
-    """(K,) of the whitened residual with each cosine."""
-    overlap: np.ndarray
-    """(K, K) products of the cosines with each other; one on the diagonal."""
-    along: np.ndarray
-    """(L, K) products of the tangent's columns with the cosines."""
-    energy: float
-    """Of the whole whitened residual."""
-    freedom: float
-    """Its expectation: readings less unknowns."""
+    products: np.ndarray  # (K,) of the whitened residual with each cosine
+    overlap: np.ndarray  # (K, K) products of the cosines with each other; one on the diagonal
+    along: np.ndarray  # (L, K) products of the tangent's columns with the cosines
+    energy: float  # of the whole whitened residual
+    freedom: float  # its expectation: readings less unknowns
 
     def covariance(self, group: np.ndarray) -> np.ndarray:
         """Of the products of a group, were the residual white noise less its part along the
@@ -56,14 +51,10 @@ class Spectrum(NamedTuple):
 class Strip(NamedTuple):
     """One joint of one recording, a row per sample."""
 
-    time: np.ndarray
-    """(N,) s."""
-    residual: np.ndarray
-    """(N,) whitened."""
-    tangent: np.ndarray
-    """(N, K), see `linear.Tangent`."""
-    used: np.ndarray
-    """(N,) whether the reading counts."""
+    time: np.ndarray  # (N,) s
+    residual: np.ndarray  # (N,) whitened
+    tangent: np.ndarray  # (N, K), see `linearised_fit.Tangent`
+    used: np.ndarray  # (N,) whether the reading counts
 
 
 def strips(

@@ -14,7 +14,7 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple, TypeGuard, TypeVar
 
 import equinox as eqx
@@ -52,25 +52,24 @@ def with_numbers(effect: _Effect, values) -> _Effect:
     return dataclasses.replace(effect, **dict(zip(fields, split(values), strict=True)))
 
 
+def _slices(counts: Iterable[int]) -> list[slice]:
+    ends = np.cumsum([0, *counts]).tolist()
+    return [slice(a, b) for a, b in itertools.pairwise(ends)]
+
+
 def number_slices(effects: Sequence[AbstractEffect]) -> list[slice]:
     """Where each effect's numbers stand among a model's."""
-    ends = np.cumsum([0, *(len(numbers_of(e)) for e in effects)])
-    return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+    return _slices(len(numbers_of(e)) for e in effects)
 
 
 def state_slices(effects: Sequence[AbstractEffect]) -> list[slice]:
     """Where each effect's internal states stand among a model's."""
-    ends = np.cumsum([0, *(len(e.memory) for e in effects)])
-    return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+    return _slices(len(e.memory) for e in effects)
 
 
 def of_one_joint(effect: AbstractEffect) -> TypeGuard[JointEffect]:
     """Whether the effect's torque and states depend on the motion of its own joint alone."""
-    return _of_one_joint(type(effect))
-
-
-@functools.cache
-def _of_one_joint(kind: type[AbstractEffect]) -> bool:
+    kind = type(effect)
     return (
         issubclass(kind, JointEffect)
         and not kind.senses
@@ -103,17 +102,15 @@ class Laws(NamedTuple):
         """An effect of each law, in the order of `Table.law`."""
         return (*map(_made, self.names), *self.others, *self.curves)
 
-    def of(self, group: str) -> list[int]:
-        """Which act at one "joint", on the "whole" mechanism, or are of the "sensor"."""
-        return [i for i, e in enumerate(self.each) if group_of(e) == group]
+    def of(self, group: str) -> list[AbstractEffect]:
+        """Those that act at one "joint", on the "whole" mechanism, or are of the "sensor"."""
+        return [e for e in self.each if group_of(e) == group]
 
     def place(self, effect: AbstractEffect) -> int:
-        """Where an effect's law is."""
-        name = law_name(effect)
-        if name in self.names and usual(effect):
-            return self.names.index(name)
-        own = [law_name(e) for e in (*self.others, *self.curves)]
-        return len(self.names) + own.index(name)
+        """Where an effect's law is among those of its group."""
+        names = [*self.names, *map(law_name, (*self.others, *self.curves))]
+        index = names.index(law_name(effect), 0 if usual(effect) else len(self.names))
+        return sum(group_of(e) == group_of(effect) for e in self.each[:index])
 
 
 def group_of(effect: AbstractEffect) -> str:
@@ -225,15 +222,14 @@ def tabulated(
         held[each] = effect.follows
 
     def slots(group: str) -> Slots:
-        known, which = laws.each, laws.of(group)
         members = [i for i, e in enumerate(effects) if group_of(e) == group]
         room = ROOM * max(1, math.ceil((len(members) + (group == "joint")) / ROOM))
-        p = most_numbers([known[i] for i in which])
+        p = most_numbers(laws.of(group))
         law, joint, column, state = np.zeros((4, room), int)
         values, widths = np.zeros((2, room, p))
         for k, i in enumerate(members):
             effect, count = effects[i], own[i].stop - own[i].start
-            law[k] = which.index(laws.place(effect))
+            law[k] = laws.place(effect)
             joint[k] = joints.index(effect.joint) if of_one_joint(effect) else 0
             values[k, :count], widths[k, :count] = numbers[own[i]], slopes[own[i]]
             column[k], state[k] = own[i].start, memory[i].start

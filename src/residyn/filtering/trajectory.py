@@ -80,9 +80,7 @@ class Trajectory:
     u: np.ndarray  # (P,) regressors, filled up: 0 where the model has no number
     path: np.ndarray  # (K, 2n + M) smoothed angles, rates and internal states
     spread: np.ndarray  # (K, n) standard deviation of the rates
-    first: (
-        np.ndarray
-    )  # (M,) internal states at the beginning of each recording, as known beforehand
+    first: np.ndarray  # (M,) internal states where a recording begins, as known beforehand
     log_evidence: float = -math.inf
     # Empty until the model is smoothed:
     covariance: np.ndarray = dataclasses.field(default_factory=_not_yet)  # (P, P) of u
@@ -121,6 +119,8 @@ class Scene:
         self.recordings, self.mechanisms = tuple(recordings), tuple(mechanisms)
         self.joints = mechanisms[0].joints
         n = len(self.joints)
+        self.units = mechanisms[0].units or ("rad",) * n
+        self.torque_units = tuple("N" if unit == "m" else "N m" for unit in self.units)
         rows = mechanisms[0].mass_matrix((0.0,) * n)
         inertia = np.array([[float(x) for x in row] for row in rows])
         long = int(np.argmax([r.duration for r in recordings]))
@@ -178,6 +178,12 @@ class Scene:
     def length(self) -> int:
         """How many readings count."""
         return int(self.grid.seen.sum())
+
+    @property
+    def highest(self) -> float:
+        """Log density of the readings without any residual."""
+        g = self.grid
+        return float(-0.5 * np.sum(np.where(g.seen, np.log(2 * np.pi * g.variance), 0.0)))
 
     def joint_of(self, effect: AbstractEffect) -> int:
         """The joint whose typical sizes an effect's numbers have."""
@@ -262,9 +268,7 @@ class Scene:
         """Log evidences, but -inf where they are not finite, or above the density of the readings
         without any residual: noise is in every innovation, so that only rounding comes so high, of
         a model whose motion grows exponentially."""
-        g = self.grid
-        highest = -0.5 * np.sum(np.where(g.seen, np.log(2 * np.pi * g.variance), 0.0))
-        return np.where(evidences <= highest, evidences, -np.inf)
+        return np.where(evidences <= self.highest, evidences, -np.inf)
 
     def evidences(
         self, t: Trajectory, linear: Linear, intensities: Sequence[float] | np.ndarray
