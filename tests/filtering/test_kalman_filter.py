@@ -9,7 +9,7 @@ import pytest
 from residyn import ConstantInertia, PlanarArm, Recording, Spring
 from residyn.effects import CoulombFriction, CubicStiffness, Damper, Gravity, Hysteresis
 from residyn.filtering.grid import Spectrum, bucket, lay_out
-from residyn.filtering.kalman import Inputs, Noise, Readings, System, evidences, gram, smooth
+from residyn.filtering.kalman import Noise, Readings, System, evidences, gram, smooth
 from residyn.filtering.trajectory import Prior, Scene
 from residyn.physics.modal import modes
 from residyn.simulation.simulate import simulate
@@ -134,8 +134,7 @@ def test_one_gram_matrix_holds_the_evidence_of_every_subset():
     from residyn.diagnosis.evidence import conditional, subset
 
     system, readings, noise = a_system(P=4)
-    none = Inputs(np.zeros((*np.shape(system.c), 0)), np.zeros((*np.shape(system.hc), 0)))
-    total, square = map(np.asarray, gram(system, (none,), readings, noise, 1.0))
+    total, square = map(np.asarray, gram(system, (), readings, noise, 1.0))
     base, rest = conditional(square, 1)
     for chosen in ((), (0,), (2,), (0, 1), (0, 1, 2)):
         of = [0, *(i + 1 for i in chosen)]

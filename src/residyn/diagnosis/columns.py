@@ -36,13 +36,16 @@ from ..filtering.law import (
     with_numbers,
 )
 from ..filtering.linearised import (
+    Field,
     Instants,
     Linear,
     Point,
     at_nodes,
     body_columns,
     changed_bodies,
+    derivatives,
     nodes,
+    transition,
 )
 from ..filtering.trajectory import Scene, Trajectory
 from ..physics.motion import Motion, split, stack
@@ -70,22 +73,18 @@ def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
     a choice of unit, which the inertia has to bear; its delay is one of the first
     state, or of the drive.
     """
-    found = [
-        e
-        for e in scene.catalogued
-        if e.name not in ("spring", "damper") and e.label not in present and numbers_of(e)
-    ]
-    orders = scene.recordings[0].orders
-    found = [e for e in found if not (e.of_angles and orders[scene.joint_of(e)])]
-    if len({r.load for r in scene.recordings}) == 1:
-        found = [e for e in found if not e.of_load]
-    if scene.n == 1:
-        found = [e for e in found if not (e.senses and _not_an_offset(e))]
-    return found
+    orders, one_load = scene.recordings[0].orders, len({r.load for r in scene.recordings}) == 1
 
+    def shown(e: AbstractEffect) -> bool:
+        scale = e.senses and all(n.dimension.rotary in ("1", "s") for n in numbers_of(e))
+        return not (
+            (e.of_angles and orders[scene.joint_of(e)])
+            or (e.of_load and one_load)
+            or (scale and scene.n == 1)
+        )
 
-def _not_an_offset(effect: AbstractEffect) -> bool:
-    return all(n.dimension.rotary in ("1", "s") for n in numbers_of(effect))
+    free = [e for e in scene.catalogued if e.name not in ("spring", "damper") and numbers_of(e)]
+    return [e for e in free if e.label not in present and shown(e)]
 
 
 class Column(NamedTuple):
@@ -182,8 +181,7 @@ def columns(
                 args = three(q), three(v), at.time.reshape(3, K), instants.step
                 z = states_along(effect, numbers, early, *args, anew, z0)
                 begun, z = z[0], jnp.moveaxis(z, 0, 1).reshape(m, 3 * K)
-            torque, level = _strengths(effect, unit, mechanism, q, v, at, z, numbers)
-            torque = torque + level * d
+            torque = _strengths(effect, unit, mechanism, q, v, at, z, numbers, d)
             if changes_bodies(effect):
 
                 def change(u, mechanisms):
@@ -200,11 +198,13 @@ def columns(
         torque, z = over(numbers, phases)
         return torque.reshape(-1, *torque.shape[-2:]), z.reshape(-1, K)
 
-    seen, rate, pushed = _seen(model[0].orders or (0,) * n, at, by_x, by_torque, acceleration)
+    moves, none = jnp.concatenate([at.v, acceleration]), jnp.zeros((2 * n, 0, 3 * K))
+    f = Field(moves, by_x[: 2 * n, : 2 * n], none, by_torque[: 2 * n], direction)
+    seen, rate, _ = derivatives(at, f, model[0].orders)
     for place, effect, numbers, width in _places(laws, shaped, n):
         if effect.senses:
-            _, _, by_number, _, late = along_readings(effect, first, seen, numbers[0])
-            own = by_number - rate[:, None] * late[..., None]
+            _, _, by_number, _, late = along_readings(effect, first, seen.value, numbers[0])
+            own = by_number - rate.value[:, None] * late[..., None]
             readings.append(own[:, _which(effect)] * width[:, None])
         else:
             torque, z = of_place(effect, place, numbers, width)
@@ -220,19 +220,8 @@ def columns(
     joint = nodes_of([x for each in torques[:n] for x in each], 1)[:, :, 0]
     sensors = jnp.concatenate([jnp.zeros((n, 0, K)), *readings], 1).transpose(2, 0, 1)
     states = jnp.concatenate([jnp.zeros((0, K)), *states])
-    return answers, pushed.transpose(2, 0, 1), joint, nodes_of(torques[n], n), sensors, states
-
-
-def _seen(orders, at, by_x, by_torque, acceleration):
-    """(n, K) what is read, its rate, and (n, n, K) what a torque adds to it at once: to an
-    acceleration."""
-    n, K = at.q.shape[0], at.q.shape[1] // 3
-    q, v, a = at.q[:, :K], at.v[:, :K], acceleration[:, :K]
-    turns = by_x[n : 2 * n, : 2 * n, :K]
-    each = [q, v, a, jnp.sum(turns * jnp.concatenate([v, a])[None], axis=1)]
-    seen, rate = (jnp.stack([each[k + more][j] for j, k in enumerate(orders)]) for more in (0, 1))
-    accelerates = np.array(orders) == 2
-    return seen, rate, by_torque[n : 2 * n, :, :K] * accelerates[:, None, None]
+    pushed = seen.by_torque.transpose(2, 0, 1)
+    return answers, pushed, joint, nodes_of(torques[n], n), sensors, states
 
 
 def _which(effect: AbstractEffect) -> np.ndarray:
@@ -259,38 +248,28 @@ def _begin(effect, j: int, numbers, at, mechanism):
     return with_numbers(effect, numbers).begin(motion, mechanism)
 
 
-def _strengths(effect, unit, mechanism, q, v, at, z, numbers):
-    """(s, r, N) d torque / d strength and the same of friction's level."""
+def _strengths(effect, unit, mechanism, q, v, at, z, numbers, direction):
+    """(s, r, N) d torque / d strength; `direction` (r, N) of sliding."""
 
-    def one(q, v, t, z, step, spread, mechanism):
+    def one(q, v, t, z, step, spread, mechanism, direction):
         def of(u):
             torque, level, _ = torque_law(effect, mechanism, q, v, t, z, step, spread, u)
-            return stack(torque), stack(level)
+            return stack(torque) + stack(level) * direction
 
         return jax.vmap(lambda e: jax.jvp(of, (numbers,), (e,))[1])(unit)
 
-    axes = -1, -1, 0, -1, 0, -1, 0
-    over = jax.vmap(one, in_axes=axes, out_axes=-1)
-    return over(q, v, at.time, z, at.step, at.spread, mechanism)
+    over = jax.vmap(one, in_axes=(-1, -1, 0, -1, 0, -1, 0, -1), out_axes=-1)
+    return over(q, v, at.time, z, at.step, at.spread, mechanism, direction)
 
 
 def responses(instants: Instants, by_x, by_torque):
     """(K, 3, X, n) how a Runge-Kutta step answers to a unit torque that resists at its beginning,
     middle and end; not at all where another recording follows."""
-    h, X = instants.step, by_x.shape[0]
-    A, G = (x.reshape(X, -1, 3, len(h)).transpose(2, 0, 1, 3) for x in (by_x, -by_torque))
-
-    def times(M, x):
-        return sum(M[:, i, None] * x[None, i] for i in range(X))
-
-    a = G[0]
-    b = h / 2 * times(A[1], a)
-    c = h / 2 * times(A[1], b)
-    begin = h / 6 * (a + 2 * b + 2 * c + h * times(A[2], c))
-    twice = G[1] + h / 2 * times(A[1], G[1])
-    middle = h / 6 * (2 * G[1] + 2 * twice + h * times(A[2], twice))
-    found = jnp.stack([begin, middle, h / 6 * G[2]])
-    return jnp.where(instants.last, 0.0, found).transpose(3, 0, 1, 2)
+    X, n, N = by_torque.shape
+    third = (jnp.arange(N) // (N // 3) == i for i in range(3))
+    field = jnp.concatenate([by_x, *(jnp.where(here, -by_torque, 0.0) for here in third)], 1)
+    found = jnp.where(instants.last, 0.0, transition(instants.step, field, X)[:, X:])
+    return found.reshape(X, 3, n, -1).transpose(3, 1, 0, 2)
 
 
 class Columns:

@@ -1,6 +1,5 @@
 """A fitted model against measurement: where it fails, and what torque it lacks."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +11,7 @@ from ..effects import AbstractEffect
 from ..fitting import DEFAULT_STARTS, fit
 from ..fitting.result import Fit
 from ..recordings.experiment import Experiment
+from ..runtime.json import finite
 from ..runtime.presentation import Result
 from .evidence import NOISE
 from .forecast import HeldOut, Horizon, held_out, horizon
@@ -151,13 +151,9 @@ def summary(found: tuple[Missing, ...]) -> dict[str, Any] | None:
     """Per joint the rms over all recordings, N m or N, and its share of the spring torque's."""
     if not found:
         return None
-    joints = {}
-    for j, joint in enumerate(found[0].joints):
-        rms = math.sqrt(np.mean([m.torque.rms[j] ** 2 for m in found]))
-        share = math.sqrt(np.mean([m.torque.share_of_spring[j] ** 2 for m in found]))
-        joints[joint] = {
-            "rms": rms,
-            "share_of_spring": None if math.isnan(share) else share,
-            "unit": found[0].units[j],
-        }
-    return joints
+    rms, share = (
+        np.sqrt(np.mean([getattr(m.torque, name) ** 2 for m in found], axis=0))
+        for name in ("rms", "share_of_spring")
+    )
+    rows = zip(found[0].joints, rms, share, found[0].units, strict=True)
+    return finite({j: {"rms": r, "share_of_spring": s, "unit": u} for j, r, s, u in rows})

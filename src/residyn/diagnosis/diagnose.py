@@ -407,9 +407,11 @@ class Posterior:
         each = shares(np.array(logs))
         ends = np.cumsum([len(self.named), len(self.curves)])
         self.each, self.of_curves, of_other = np.split(each / each.sum(), ends)
-        self.weighed = list(zip([*self.named, *self.curves], each / each.sum(), strict=False))
         """Probability of each model with names only, of each with a free curve, and of the base
         model with the columns read otherwise."""
+        self.weighed = [
+            *zip(self.named, self.each, strict=True), *zip(self.curves, self.of_curves, strict=True)
+        ]  # fmt: skip
         self.of_reassigned = float(of_other.sum())
         self.of_tried = self.each[: len(self.models)]
         verdict = self.verdict()[0]

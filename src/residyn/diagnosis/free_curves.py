@@ -11,7 +11,6 @@ does.
 
 import dataclasses
 import functools
-import itertools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -23,7 +22,7 @@ from scipy.interpolate import BSpline
 
 from ..filtering.free_curve import HEIGHTS, FreeCurve, FreeFriction
 from ..filtering.kalman import Evidences, Torques, gram
-from ..filtering.linearised import Instants, Linear, nodes
+from ..filtering.linearised import Instants, nodes
 from ..filtering.trajectory import Scene, Trajectory
 from ..runtime.export_cache import kept
 from .columns import responses
@@ -130,9 +129,8 @@ def _along(instants: Instants, path, spread, held, by_x, by_torque, sliding):
 class Along:
     """A model's motion, for columns of functions of it."""
 
-    def __init__(self, scene: Scene, t: Trajectory, linear: Linear | None = None):
-        self.scene, self.trajectory = scene, t
-        self.linear: Linear = scene.linearised(t) if linear is None else linear
+    def __init__(self, scene: Scene, t: Trajectory):
+        self.scene, self.trajectory, self.linear = scene, t, scene.linearised(t)
         _, table = scene.tabulated(t)
         found = _along(
             scene.instants, t.path, t.spread, table.held,
@@ -185,17 +183,17 @@ class Along:
         """(I,) log normalisers, and the (I, 1 + P + C, 1 + P + C) Gram matrices of whitened
         innovations with functions (HEIGHTS, C / G) of each of G places at one joint. The model may
         hold a curve of the first place already, of heights `held`: it is taken away."""
-        C, j, K = sum(f.shape[1] for f in functions), places[0].joint, self.scene.K
+        j, K, C = places[0].joint, self.scene.K, sum(f.shape[1] for f in functions)
         if held is not None:
-            functions = [*functions, held[:, None]]
-            places = [*places, places[0]]
-        room = next(r for r in _ROOMS if r >= sum(f.shape[1] for f in functions))
-        torque = np.zeros((3 * K, room))
-        ends = np.cumsum([0, *(f.shape[1] for f in functions)])
-        for place, each, own in zip(places, functions, itertools.pairwise(ends), strict=True):
-            x = self.variable(place.kind.variable, j)
-            values = splines(x, place.low, place.high, HEIGHTS).T @ each
-            torque[:, slice(*own)] = self.factor(place.kind.factor, j)[:, None] * values
+            places, functions = [*places, places[0]], [*functions, held[:, None]]
+        torques = [
+            self.factor(place.kind.factor, j)[:, None]
+            * (splines(self.variable(place.kind.variable, j), place.low, place.high, HEIGHTS).T @ f)
+            for place, f in zip(places, functions, strict=True)
+        ]
+        torque = np.concatenate(torques, axis=1)
+        room = next(r for r in _ROOMS if r >= torque.shape[1])
+        torque = np.pad(torque, ((0, 0), (0, room - torque.shape[1])))
         more = Torques(
             self._answers[..., j : j + 1], self._pushed[..., j : j + 1],
             (torque.reshape(3, K, room).swapaxes(0, 1),),
@@ -238,26 +236,18 @@ class Place(NamedTuple):
         return made(scene.joints[self.joint], *(np.asarray(x, float) for x in data))
 
 
-@functools.lru_cache(maxsize=64)
-def _roots(low: float, high: float) -> np.ndarray:
-    """(H, SPLINES, SPLINES) square roots of the covariance of heights for each length and parity;
-    `low`, `high` in units of the range."""
-    at, found = knots(low, high), []
+def _priors(along: Along, place: Place) -> np.ndarray:
+    """(H, SPLINES, SPLINES) square roots of the covariance of heights for each size, length and
+    parity, less what springs and dampers have of a curve already."""
+    at, found = knots(place.low, place.high), []
     for length in CURVE_LENGTHS:
-        near, far = (np.exp(-0.5 * ((at[:, None] - s * at) / length) ** 2) for s in (1, -1))
+        width = length * (place.high - place.low)
+        near, far = (np.exp(-0.5 * ((at[:, None] - s * at) / width) ** 2) for s in (1, -1))
         # Any curve; its odd part; its even part (Duvenaud, PhD thesis, Cambridge 2014, ch. 2).
         for covariance in (near, 0.5 * (near - far), 0.5 * (near + far)):
             e, vectors = np.linalg.eigh(covariance)
             found.append(vectors * np.sqrt(np.maximum(e, 0.0)))
-    return np.stack(found)
-
-
-def _priors(along: "Along", place: "Place") -> np.ndarray:
-    """(H, SPLINES, SPLINES) `_roots` of torques of each size, less what springs and dampers have of
-    a curve already."""
-    size = place.high - place.low
-    roots, squares = _roots(place.low / size, place.high / size), along.squares(place, SPLINES)
-    line = place.taken(knots(place.low, place.high))
+    roots, squares, line = np.stack(found), along.squares(place, SPLINES), place.taken(at)
     if line is not None:
         share = line @ squares @ roots / (line @ squares @ line)
         roots = roots - line[:, None] * share[:, None]
@@ -298,7 +288,7 @@ def _posterior(along: Along, place: Place, intensities, totals, grams) -> Poster
     P, roots = len(along.trajectory.u), _priors(along, place)
     each_of = len(roots) // len(CURVE_AMPLITUDES)
     prior = np.repeat(np.log(prior_sizes(CURVE_AMPLITUDES) / each_of), each_of)
-    evidences, each, means, covariances = [], [], [], []
+    evidences, each = [], []
     for total, square in zip(totals, grams, strict=True):
         base, rest = conditional(square, P)
         inner = np.swapaxes(roots, 1, 2) @ rest[1:, 1:] @ roots + np.eye(SPLINES)
@@ -316,8 +306,7 @@ def _posterior(along: Along, place: Place, intensities, totals, grams) -> Poster
         evidences.append(total + base + log_sum(gains) + signs(along, scale.T @ square @ scale))
         each.append((mean, covariance))
     evidences = along.scene.possible(np.array(evidences))
-    logs = evidences + log_prior_intensity(intensities)
-    weights = shares(logs)
+    weights = shares(evidences + log_prior_intensity(intensities))
     means, covariances = (np.stack(x) for x in zip(*each, strict=True))
     return Posterior(evidences, *_mixed(weights, means, covariances))
 

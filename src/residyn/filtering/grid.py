@@ -70,13 +70,11 @@ def bucket(count: int) -> int:
 class Spectrum(NamedTuple):
     """The readings of one recording, one spectrum a joint."""
 
-    pace: np.ndarray
-    """(F,) angular frequencies, rad/s."""
+    pace: np.ndarray  # (F,) angular frequencies, rad/s
     lines: np.ndarray
     """(n, F) Fourier coefficients of the windowed angles about their mean, rad or m; of a reading
     of order k, its own over (i pace)^k."""
-    signal: np.ndarray
-    """(n, F) power beyond the noise, 0 where nothing stands out of it."""
+    signal: np.ndarray  # (n, F) power beyond the noise, 0 where nothing stands out of it
 
     @classmethod
     def of(cls, recording: Recording, wild: np.ndarray, mirrored: bool = False) -> "Spectrum":
