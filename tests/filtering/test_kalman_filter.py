@@ -255,12 +255,12 @@ def test_strengths_of_laws_with_jumps_or_memory_are_found(effect):
     truth = truth + Damper("shoulder", 0.05) + Damper("elbow", 0.05) + effect
     recording, _ = a_recording(truth, q0=(0.2, -0.3))
     scene = Scene([recording], [ARM], [np.zeros(recording.angle.shape, bool)])
-    from residyn.diagnosis.columns import Columns, extended, spectral_lines
+    from residyn.diagnosis.columns import Columns, Screen, extended, spectral_lines
 
     effects, prior = base_of(scene)
     t = settled(scene, scene.start(effects, prior), (1.0, 0.3, 0.1, 0.03))
     columns = Columns(scene, t, [type(effect)("elbow")], spectral_lines(scene, t))
-    (found,) = columns.screen([0.03]).ranked
+    (found,) = Screen(columns, [0.03]).ranked
     t = extended(scene, t, found)
     for intensity in (0.03, 0.01, 1e-3, 0.0):
         for _ in range(8):

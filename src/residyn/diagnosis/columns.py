@@ -54,13 +54,12 @@ from ..runtime.export_cache import kept
 from .evidence import (
     CONTENDERS,
     conditional,
-    half_normal,
+    gains_of,
     log_prior_intensity,
     log_sum,
     means_of_base,
     prior_of,
     signed,
-    subset,
     width_of,
 )
 
@@ -381,33 +380,20 @@ class Columns:
         totals, grams = zip(*found, strict=True)
         return np.array(totals), np.stack([np.asarray(g)[np.ix_(keep, keep)] for g in grams])
 
-    def screen(self, intensities: Sequence[float]) -> "Screen":
-        """Every candidate's first-order evidence, random torques summed over."""
-        totals, every = self.gram(intensities)
-        evidences, rests, base_means, P = [], [], [], len(self.trajectory.u)
-        for total, square in zip(totals, every, strict=True):
-            base, rest = conditional(square, P)
-            evidences.append(total + base)
-            rests.append(rest)
-            base_means.append(means_of_base(square, P))
-        known = np.array(evidences) + log_prior_intensity(intensities)
-        return Screen(self.rows, known - log_sum(known), rests, base_means)
-
 
 class Screen:
-    """The first-order evidence of any set of candidates, relative to none of them."""
+    """The first-order evidence of any set of candidates along a model's motion, random torques
+    summed over, relative to none of them."""
 
-    def __init__(
-        self,
-        rows: Sequence[Column],
-        weights: np.ndarray,
-        grams: Sequence[np.ndarray],
-        base_means: Sequence[np.ndarray],
-    ):
-        """`weights` (I,) log posterior of each random torque without candidates, `grams` (1 + C)^2
-        for each; `base_means` (P, 1 + C) for each, see `means_of_base`."""
-        self.rows, self.weights, self.base_means = rows, weights, base_means
-        self.grams = np.asarray(grams)
+    def __init__(self, columns: Columns, intensities: Sequence[float]):
+        totals, every = columns.gram(intensities)
+        P, rows = len(columns.trajectory.u), columns.rows
+        bases, rests = zip(*(conditional(square, P) for square in every), strict=True)
+        known = totals + np.array(bases) + log_prior_intensity(intensities)
+        self.rows, self.grams = rows, np.stack(rests)
+        self.weights = known - log_sum(known)
+        """(I,) log posterior of each random torque without candidates."""
+        self.base_means = [means_of_base(square, P) for square in every]
         gains = self._gains([[row] for row in rows])
         each = (r._replace(gain=g, regressors=u) for r, (g, u) in zip(rows, gains, strict=True))
         self.ranked: list[Column] = []
@@ -428,21 +414,11 @@ class Screen:
         """Gain of some columns together, and their regressors at the likeliest random torque."""
         return self._gains([rows])[0]
 
-    def _gains(self, groups: Sequence[Sequence[Any]]) -> list[tuple[float, np.ndarray]]:
-        """`gain` of each group of rows; those of as many columns at once."""
+    def _gains(self, groups: Sequence[Sequence[Column]]) -> list[tuple[float, np.ndarray]]:
+        """`gain` of each group of rows."""
         which = [[i for row in rows for i in row.which] for rows in groups]
-        found: list[Any] = [None] * len(groups)
-        for size in {len(w) for w in which}:
-            own = [i for i, w in enumerate(which) if len(w) == size]
-            known = [[s for row in groups[i] for s in known_signs(row)] for i in own]
-            gain, mean, covariance = subset(self.grams, [which[i] for i in own])
-            std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-            gain = gain + np.where(known, half_normal(mean / std), 0.0).sum(-1)
-            each = gain + np.asarray(self.weights)[:, None]
-            top = np.argmax(each, axis=0)
-            for k, i in enumerate(own):
-                found[i] = log_sum(each[:, k]), mean[top[k], k]
-        return found
+        signs = [[s for row in rows for s in known_signs(row)] for rows in groups]
+        return gains_of(self.grams, self.weights, which, signs)
 
     def pairs(self, most: int) -> list[tuple[float, Column, Column]]:
         """Every two of the best candidates, the best pair first."""

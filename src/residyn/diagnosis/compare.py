@@ -20,6 +20,7 @@ from .missing_torque import Missing, missing_of, scene_of
 from .residuals import Where, where
 from .runs import OwnNumbers, own_numbers
 from .search import Search
+from .whiteness import of_the_least
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +42,7 @@ class Comparison(Result):
     def p(self) -> float:
         """Probability that noise alone leaves a residual so far from white, all joints together;
         1 where no joint has enough readings to tell."""
-        each = [w.p for w in self.where.white.values() if np.isfinite(w.p)]
-        return float(-np.expm1(len(each) * np.log1p(-min(each)))) if each and min(each) < 1 else 1.0
+        return of_the_least([w.p for w in self.where.white.values() if np.isfinite(w.p)])
 
     @property
     def explained(self) -> bool:

@@ -205,13 +205,11 @@ def _one(scene: Scene, rivals: Rivals, effect: AbstractEffect, price: float) -> 
     told = None if shows is None else _half(lambda s: told_at(s)[1])
     at = told or shows
     rival = None if at is None else told_at(at)[2]
-    units = scene.mechanisms[0].units
-    unit = first.dimension.unit(units[scene.joint_of(effect)] if units else None)
     names = {x.field: x.name for x in numbers_of(effect)}
     return Detectable(
         effect=effect.label,
         number=first.name,
-        unit=unit,
+        unit=scene.unit(effect, first),
         shape={names[k]: float(v) for k, v in shape.items()},
         shows=shows and float(shows * size),
         share=shows,

@@ -265,11 +265,10 @@ class Fits:
         """Numbers and initial states (s,) of a model at the minimum of one that it contains: what
         else it has does nothing."""
         values = {n.name: float(n.value) for n in best.numbers}
-        names = [f"{e.label}.{n.name}" for e in t.effects for n in numbers_of(e)]
-        silent = [n.silent for e in t.effects for n in numbers_of(e)]
+        each = ((f"{e.label}.{n.name}", n.silent) for e in t.effects for n in numbers_of(e))
         numbers = [
-            values.get(name, x if nothing is None else nothing)
-            for name, x, nothing in zip(names, t.numbers, silent, strict=True)
+            values.get(name, x if silent is None else silent)
+            for (name, silent), x in zip(each, t.numbers, strict=True)
         ]
         n, inner = 2 * self.scene.n, state_slices(best.model.effects)
         known = dict(zip(best.model.labels, inner, strict=True))
@@ -380,15 +379,14 @@ def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...
 def values_of(scene: Scene, t: Trajectory) -> dict[str, Value]:
     """The numbers of a smoothed model, by name, with their posterior standard deviations; less
     those that do nothing at all, as the second link's where there is one."""
-    slopes, units = t.prior.slopes(t.u), scene.mechanisms[0].units
+    slopes = t.prior.slopes(t.u)
     spread = np.sqrt(np.maximum(np.diag(t.covariance)[: len(slopes)], 0.0)) * np.abs(slopes)
     found = {}
     for effect, own in zip(t.effects, number_slices(t.effects), strict=True):
-        unit = units[scene.joint_of(effect)] if units else None
         for n, x, s in zip(numbers_of(effect), t.numbers[own], spread[own], strict=True):
             if x == n.silent:  # exactly where its prior has it
                 continue
-            found[f"{effect.label}.{n.name}"] = Value(float(x), float(s), n.dimension.unit(unit))
+            found[f"{effect.label}.{n.name}"] = Value(float(x), float(s), scene.unit(effect, n))
     return found
 
 
@@ -406,7 +404,7 @@ class Posterior:
         logs += [other.tried.log_posterior] if other else []
         each = shares(np.array(logs))
         ends = np.cumsum([len(self.named), len(self.curves)])
-        self.each, self.of_curves, of_other = np.split(each / each.sum(), ends)
+        self.each, self.of_curves, of_other = np.split(each, ends)
         """Probability of each model with names only, of each with a free curve, and of the base
         model with the columns read otherwise."""
         self.weighed = [
@@ -560,12 +558,11 @@ class Posterior:
 def _random_torque(scene: Scene, model: Tried) -> tuple[RandomTorque, ...]:
     """Per joint, what the model still lacks: its rms over the recordings, summed over
     intensities."""
-    real = np.arange(scene.K) < scene.grid.real
     pairs = model.over_torques(scene)
-    sizes = np.array([np.sqrt(np.mean((t.torque**2 + t.torque_variance)[real], axis=0))
+    sizes = np.array([np.sqrt(np.mean((t.torque**2 + t.torque_variance)[scene.real], axis=0))
                       for _, t in pairs])  # fmt: skip
     weights = np.array([w for w, _ in pairs])
-    spring = np.sqrt(np.mean(restoring_torque(scene, model.best)[real] ** 2, axis=0))
+    spring = np.sqrt(np.mean(restoring_torque(scene, model.best)[scene.real] ** 2, axis=0))
     found = []
     for j, joint in enumerate(scene.joints):
         low, high = map(float, np.quantile(

@@ -228,9 +228,9 @@ def shares(logs: np.ndarray, axis: int | None = None) -> np.ndarray:
     return softmax(logs, axis=axis)
 
 
-def over_intensities(evidences: np.ndarray, intensities: Sequence[float]) -> float:
-    """Log evidence of a model, its random torque's intensity summed over."""
-    return log_sum(np.nan_to_num(evidences, nan=-np.inf) + log_prior_intensity(intensities))
+def over_intensities(evidences: np.ndarray) -> float:
+    """Log evidence of a model from those (I,) under each random torque."""
+    return log_sum(np.nan_to_num(evidences, nan=-np.inf) + log_prior_intensity(INTENSITIES))
 
 
 def log_prior_model(added: int, candidates: int) -> float:
@@ -289,3 +289,26 @@ def subset(gram: np.ndarray, columns) -> tuple[np.ndarray, np.ndarray, np.ndarra
     logs = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
     mean = np.linalg.solve(np.swapaxes(factor, -1, -2), x)[..., 0]
     return 0.5 * np.sum(x[..., 0] ** 2, -1) - logs, mean, np.linalg.inv(inner)
+
+
+def gains_of(
+    grams: np.ndarray, logs: np.ndarray, sets: Sequence[Sequence[int]],
+    signs: Sequence[Sequence[bool]] | None = None,
+) -> list[tuple[float, np.ndarray]]:  # fmt: skip
+    """Log evidence of each of some sets of columns, random torques summed over, and their posterior
+    mean under the likeliest.
+
+    `grams` (I, 1 + C, 1 + C) and `logs` (I,) log evidences under each random torque; `signs`: of
+    each column of each set, whether it has a half-normal prior. Sets of as many columns at once.
+    """
+    found: dict[int, tuple[float, np.ndarray]] = {}
+    for size in {len(s) for s in sets}:
+        own = [i for i, s in enumerate(sets) if len(s) == size]
+        gain, mean, covariance = subset(grams, [sets[i] for i in own])
+        if signs is not None:
+            std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+            gain = gain + np.where([signs[i] for i in own], half_normal(mean / std), 0.0).sum(-1)
+        each = gain + logs[:, None]
+        top = np.argmax(each, axis=0)
+        found |= {i: (log_sum(each[:, k]), mean[top[k], k]) for k, i in enumerate(own)}
+    return [found[i] for i in range(len(sets))]

@@ -27,8 +27,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
+from scipy.special import entr
 
 from .evidence import gram_factor, shares
 
@@ -67,8 +68,7 @@ class Quantity(NamedTuple):
 
 def entropy(probability: np.ndarray) -> np.ndarray:
     """Shannon's, nats, over the last axis."""
-    p = np.asarray(probability)
-    return -np.sum(p * np.log(np.maximum(p, 1e-300)), axis=-1)
+    return entr(probability).sum(axis=-1)
 
 
 def reduced(test: Sequence[Predicted]) -> list[Predicted]:
@@ -93,7 +93,7 @@ def together(tests: Sequence[Sequence[Predicted]]) -> list[Predicted]:
         Predicted(
             np.concatenate([x.mean for x in each]),
             np.concatenate([x.numbers for x in each]),
-            np.asarray(scipy.linalg.block_diag(*(x.release for x in each))),
+            np.asarray(block_diag(*(x.release for x in each))),
         )
         for each in zip(*tests, strict=True)
     ]

@@ -27,6 +27,7 @@ from .evidence import (
     SHAPE,
     WIDTH,
     conditional,
+    gains_of,
     log_prior_intensity,
     log_prior_model,
     log_sum,
@@ -288,20 +289,15 @@ class Sums:
     def of(self, sets: list[tuple[int, ...]]) -> list[Sum]:
         """Sums of these columns."""
         which = [tuple(i for k in each for i in self.which[k]) for each in sets]
-        found, terms = {}, len(grammar(self.place))
-        for size in {len(w) for w in which}:
-            own = [i for i, w in enumerate(which) if len(w) == size]
-            gain, mean, _ = subset(self.rests, [which[i] for i in own])
-            each = gain + self.bases[:, None]
-            top = np.argmax(each, axis=0)
-            for k, i in enumerate(own):
-                columns = tuple(self.columns[j] for j in sets[i])
-                # There is one term at least.
-                prior = log_prior_model(len(columns), terms) - math.log(FURTHER)
-                evidence = log_sum(each[:, k]) - sum(c.price for c in columns)
-                strengths = self.width[list(which[i])] * mean[top[k], k]
-                found[i] = Sum(self.place, columns, evidence + prior, prior, strengths)
-        return [found[i] for i in range(len(sets))]
+        terms, found = len(grammar(self.place)), []
+        each = gains_of(self.rests, self.bases, which)
+        for own, (evidence, mean), where in zip(sets, each, which, strict=True):
+            columns = tuple(self.columns[j] for j in own)
+            # There is one term at least.
+            prior = log_prior_model(len(columns), terms) - math.log(FURTHER)
+            evidence += prior - sum(c.price for c in columns)
+            found.append(Sum(self.place, columns, evidence, prior, self.width[list(where)] * mean))
+        return found
 
     def best(self) -> list[tuple[tuple[int, ...], Sum]]:
         """The likeliest sums, the best first: the best so far with each further term."""

@@ -141,7 +141,7 @@ class Along:
         # What a torque adds at once to a reading: to an acceleration.
         pushed = np.asarray(self.linear.by_torque)[n : 2 * n, :, :K].transpose(2, 0, 1)
         self._pushed = pushed * (orders == 2)[:, None]
-        self.real = np.tile(np.arange(scene.K) < scene.grid.real, 3)
+        self.real = np.tile(scene.real, 3)
         self._squares: dict[tuple[Place, int], np.ndarray] = {}
 
     def variable(self, name: str, joint: int) -> np.ndarray:

@@ -224,8 +224,7 @@ def laws_of(
 def _law(search: Search, model: CurveModel, probability: float, best: float) -> Law:
     scene, place = search.scene, model.place
     along = Along(scene, model.best)
-    real = np.arange(scene.K) < scene.grid.real
-    x = along.variable(place.kind.variable, place.joint)[: scene.K][real]
+    x = along.variable(place.kind.variable, place.joint)[: scene.K][scene.real]
     grid = np.linspace(place.low, place.high, GRID)
     nearest = np.clip(np.rint((x - place.low) / (grid[1] - grid[0])).astype(int), 0, GRID - 1)
     visits = np.bincount(nearest, minlength=GRID) / len(nearest)
@@ -296,7 +295,7 @@ def _with_class(search: Search, model: CurveModel, law: Law, fits: Any) -> Law:
     more = f" and {len(names) - 1} more" if len(names) > 1 else ""
     source = f"found in {names[0]}{more}, {datetime.date.today().isoformat()}"
     scene, parent, place = search.scene, search.tried[frozenset(model.added)], model.place
-    curve = over_intensities(model.evidences, INTENSITIES)
+    curve = over_intensities(model.evidences)
     terms = (model.formulas or likeliest(Along(scene, model.best), model))[0]
     loudest = INTENSITIES[max(INTENSITIES.index(model.intensity) - 2, 0)]
     settled = settle(scene, model.best, place, terms, loudest)
@@ -305,7 +304,7 @@ def _with_class(search: Search, model: CurveModel, law: Law, fits: Any) -> Law:
         return Written((*model.added, found.label), evidences, t, model.log_prior, found)
 
     if settled is not None:
-        more = over_intensities(settled.evidences, INTENSITIES) + terms.log_prior - curve
+        more = over_intensities(settled.evidences) + terms.log_prior - curve
         found = written(scene, place, settled.found, source)
         if more > 0:
             fit, held = _fitted(fits, of(found, settled.evidences, settled.best))

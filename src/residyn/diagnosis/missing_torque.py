@@ -174,21 +174,17 @@ def restoring_torque(scene: Scene, t: Trajectory) -> np.ndarray:
 def curve(scene: Scene, before: np.ndarray, missing: np.ndarray, model: Tried, label: str) -> Curve:
     """What one effect of a model draws over the torque (K, n) that the base model lacks, whose own
     torque is `before`, over all recordings of the scene."""
-    after = scene.torques(model.best)
+    t = model.best
+    after, index = scene.torques(t), t.labels.index(label)
     own = after.pop(label)
     changed = np.sum([*after.values()], axis=0) - before
-    real = np.arange(scene.K) < scene.grid.real
-    left = np.sum((missing - own - changed)[real] ** 2) / max(np.sum(missing[real] ** 2), 1e-300)
-    t = model.best
-    index = t.labels.index(label)
+    whole, left = (np.sum(x[scene.real] ** 2) for x in (missing, missing - own - changed))
     effect, numbers = t.effects[index], t.numbers[number_slices(t.effects)[index]]
-    units = scene.mechanisms[0].units
-    unit = units[scene.joint_of(effect)] if units else None
     values = {
-        f"{label}.{n.name}": (float(x), n.dimension.unit(unit))
+        f"{label}.{n.name}": (float(x), scene.unit(effect, n))
         for n, x in zip(numbers_of(effect), numbers, strict=True)
     }
-    return Curve(label, float(max(0.0, 1.0 - left)), values, own, changed)
+    return Curve(label, float(max(0.0, 1.0 - left / max(whole, 1e-300))), values, own, changed)
 
 
 def missing_of(

@@ -83,7 +83,7 @@ class Tried:
     @property
     def log_evidence(self) -> float:
         """The random torque summed over."""
-        return over_intensities(self.evidences, INTENSITIES)
+        return over_intensities(self.evidences)
 
     @property
     def log_posterior(self) -> float:
@@ -527,7 +527,7 @@ class Search:
             effects = [e for e in self.candidates if self._may_join(e, trajectory)]
             columns = Columns(self.scene, trajectory, effects, lines)
             # The likeliest random torque, one a decade below it, and none.
-            screen = self.screens[key] = columns.screen([intensity, 0.1 * intensity, 0.0])
+            screen = self.screens[key] = Screen(columns, [intensity, 0.1 * intensity, 0.0])
             if parent.complete <= 0.5:  # else little is left, and the first order right
                 screen.revise(self._sticking(screen, trajectory, columns.linear, intensity))
         return self.screens[key]
@@ -543,13 +543,13 @@ class Search:
         scene, first = self.scene, INTENSITIES.index(intensity)
         first = min(max(first - 1, 0), len(INTENSITIES) - _NEAR)
         levels = np.arange(first, first + _NEAR)
-        none = over_intensities(_evidences(scene, trajectory, linear, levels), INTENSITIES)
+        none = over_intensities(_evidences(scene, trajectory, linear, levels))
 
         def at(row: Column) -> Column:
             self.in_time()
             t = scene.consistent(extended(scene, trajectory, row))
             here = _evidences(scene, t, scene.linearised(t), levels)
-            return row._replace(gain=over_intensities(here, INTENSITIES) - none)
+            return row._replace(gain=over_intensities(here) - none)
 
         points = []
         for row in screen.rows:

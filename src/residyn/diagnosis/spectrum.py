@@ -8,11 +8,11 @@ are in the covariance of the residual's products with the cosines, were it white
 it, the energy in any k cosines is chi-square with k degrees of freedom.
 """
 
-import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.fft import dct
 
 from ..fitting.result import RecordingFit
 from .linearised_fit import Tangent
@@ -90,27 +90,15 @@ def spectrum(strip: Strip, top: float) -> Spectrum:
         residual = np.add.reduceat(residual, first) / np.sqrt(count)
         tangent = np.add.reduceat(tangent, first) / np.sqrt(count)[:, None]
     phase, many = (time - time[0] + step / 2) * np.pi / duration, int(np.ceil(2 * duration * top))
-    even = _middles(len(phase))
-    same = len(phase) >= many and np.abs(phase - even).max() < _EVENLY / max(1, many)
-    cosines, overlap = _even_cosines(len(phase), many) if same else _cosines(phase, many)
-    along = tangent.T @ cosines
-    return Spectrum(duration, cosines.T @ residual, overlap, along, energy, freedom)
-
-
-def _cosines(phase: np.ndarray, many: int) -> tuple[np.ndarray, np.ndarray]:
-    """Cosines of unit length (N, many) at phases (N,), and their products with each other."""
-    cosines = np.cos(phase[:, None] * np.arange(many))
-    cosines /= np.sqrt((cosines**2).sum(axis=0))
-    return cosines, cosines.T @ cosines
-
-
-def _middles(count: int) -> np.ndarray:
-    return (np.arange(count) + 0.5) * np.pi / count
-
-
-@functools.lru_cache(maxsize=4)  # every joint and step asks for the same ones
-def _even_cosines(count: int, many: int) -> tuple[np.ndarray, np.ndarray]:
-    return _cosines(_middles(count), many)
+    even = (np.arange(len(phase)) + 0.5) * np.pi / len(phase)
+    columns = np.column_stack([residual, tangent])
+    if len(phase) >= many and np.abs(phase - even).max() < _EVENLY / max(1, many):
+        columns, overlap = dct(columns, axis=0, norm="ortho")[:many], np.eye(many)
+    else:
+        cosines = np.cos(phase[:, None] * np.arange(many))
+        cosines /= np.sqrt((cosines**2).sum(axis=0))
+        columns, overlap = cosines.T @ columns, cosines.T @ cosines
+    return Spectrum(duration, columns[:, 0], overlap, columns[:, 1:].T, energy, freedom)
 
 
 def energies(one: Spectrum, groups: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -181,11 +181,9 @@ def changed_bodies(laws: Laws, slots: Slots, numbers, mechanisms):
         own = len(numbers_of(effect))
         return lambda bodies, u: jax.vmap(lambda b: with_numbers(effect, u[:own]).bodies(b))(bodies)
 
-    which = {i: k + 1 for k, i in enumerate(i for i, e in enumerate(known) if changes_bodies(e))}
-    branches = [lambda bodies, u: bodies, *(branch(known[i]) for i in which)]
-    place = jnp.asarray([which.get(i, 0) for i in range(len(known))])
+    branches = [*map(branch, known), lambda bodies, u: bodies]
     for e in range(len(slots.law)):
-        at = jnp.where(e < slots.count, place[slots.law[e]], 0)
+        at = jnp.where(e < slots.count, slots.law[e], len(known))
         mechanisms = jax.lax.switch(at, branches, mechanisms, numbers[e])
     return mechanisms
 

@@ -136,6 +136,7 @@ class Scene:
         self.orders = recordings[0].orders if any(recordings[0].orders) else ()
         self._laws: dict[tuple[str, ...], Laws] = {}
         self.n, self.K = n, len(g.time)
+        self.real = np.arange(self.K) < g.real
         self.begins = [int(np.argmax(g.run == i)) for i in range(len(recordings))]
         q, v = np.zeros_like(g.angle), np.zeros_like(g.angle)
         for i in range(len(recordings)):
@@ -193,6 +194,11 @@ class Scene:
         """Typical size of one number."""
         joint = self.joint_of(effect) if number.joint is None else number.joint
         return float(number.dimension.size(self.scales[joint]))
+
+    def unit(self, effect: AbstractEffect, number: Parameter) -> str:
+        """Unit of one number."""
+        units = self.mechanisms[0].units
+        return number.dimension.unit(units[self.joint_of(effect)] if units else None)
 
     def start(self, effects: Sequence[AbstractEffect], prior: Prior) -> Trajectory:
         """A model, led by nothing but the readings yet."""
