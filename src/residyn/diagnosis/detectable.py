@@ -181,14 +181,8 @@ class Rivals:
 def _one(scene: Scene, rivals: Rivals, effect: AbstractEffect, price: float) -> Detectable:
     first = strengths(effect)[0]
     width, size = width_of(scene, effect, first), scene.size(effect, first)
-    own, others = (
-        rivals.labels.index(effect.label),
-        [
-            i
-            for i, e in enumerate(rivals.effects)
-            if e.label != effect.label and not nested(e, effect)
-        ],
-    )
+    own, known = rivals.labels.index(effect.label), enumerate(rivals.effects)
+    others = [i for i, e in known if i != own and not nested(e, effect)]
     truth, shape = rivals.truth(effect)
 
     def told_at(share: float) -> tuple[float, float, int | None]:

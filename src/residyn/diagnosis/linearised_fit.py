@@ -108,7 +108,7 @@ def minimum(
         numbers, steps = numbers * moves, steps + 1
         there = evaluated(Unknowns(here.at.numbers + numbers, here.at.states + states), steps)
         gain = here.cost - there.cost
-        if gain < 0 or np.isnan(gain):
+        if gain < 0:
             damping = max(10 * damping, 1e3 * _DAMPING[0])
             continue
         if there.cost - gain > enough:
