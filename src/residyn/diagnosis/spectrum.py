@@ -93,7 +93,8 @@ def spectrum(strip: Strip, top: float) -> Spectrum:
     even = (np.arange(len(phase)) + 0.5) * np.pi / len(phase)
     columns = np.column_stack([residual, tangent])
     if len(phase) >= many and np.abs(phase - even).max() < _EVENLY / max(1, many):
-        columns, overlap = dct(columns, axis=0, norm="ortho")[:many], np.eye(many)
+        columns = np.asarray(dct(columns, axis=0, norm="ortho"))[:many]
+        overlap = np.eye(many)
     else:
         cosines = np.cos(phase[:, None] * np.arange(many))
         cosines /= np.sqrt((cosines**2).sum(axis=0))
