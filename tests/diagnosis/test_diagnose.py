@@ -304,7 +304,7 @@ def test_what_sticks_is_found_from_afar_as_from_its_own_numbers(made):
         path[:n, :2], path[:n, 2:4] = case.motion
         true = scene.consistent(dataclasses.replace(start, u=u, path=path))
         ((evidences, _),) = settle(scene, [true], 1e-3)
-    best = over_intensities(evidences, INTENSITIES)
+    best = over_intensities(evidences)
     assert found.log_evidence > best - 1.0
     assert best > search.base.log_evidence + 100.0
 

@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 
 import residyn
-from residyn.diagnosis.columns import Columns, candidates
+from residyn.diagnosis.columns import Columns, Screen, candidates
 from residyn.diagnosis.diagnose import Posterior
 from residyn.diagnosis.evidence import (
     CURVE_AMPLITUDES,
@@ -102,7 +102,7 @@ def scene_of_cart(time, reading):
 
 def test_the_prior_of_the_random_torque_sums_to_one():
     assert np.exp(log_prior_intensity(INTENSITIES)).sum() == pytest.approx(1.0)
-    assert over_intensities(np.full(len(INTENSITIES), -7.0), INTENSITIES) == pytest.approx(-7.0)
+    assert over_intensities(np.full(len(INTENSITIES), -7.0)) == pytest.approx(-7.0)
 
 
 def test_a_random_torque_under_which_nothing_was_found_adds_nothing():
@@ -110,7 +110,7 @@ def test_a_random_torque_under_which_nothing_was_found_adds_nothing():
     lost = np.where(np.arange(len(known)) == 2, np.nan, known)
     share = np.exp(log_prior_intensity(INTENSITIES))[2]
     expected = -3.0 + math.log1p(-share)
-    assert over_intensities(lost, INTENSITIES) == pytest.approx(expected)
+    assert over_intensities(lost) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("candidates", [1, 7, 40])
@@ -243,7 +243,7 @@ def test_evidence_and_gain_of_a_column_are_those_of_a_line_fit_by_hand():
 
     found = scene.evidences(t, scene.linearised(t), [0.0])
     assert float(found.log_evidence[0]) == pytest.approx(dense(3), abs=1e-6)
-    (screened,) = Columns(scene, t, [ramp], [[1.0]]).screen([0.0]).ranked
+    (screened,) = Screen(Columns(scene, t, [ramp], [[1.0]]), [0.0]).ranked
     assert screened.gain == pytest.approx(dense(4) - dense(3), abs=1e-6)
     assert screened.regressors[0] * width[1] == pytest.approx(slope, rel=0.05)
 

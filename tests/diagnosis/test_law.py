@@ -102,6 +102,15 @@ def test_a_formula_is_the_curve_of_its_terms():
             assert np.sqrt(np.mean(error**2)) < 2e-4 * np.abs(exact).max()
 
 
+def test_a_power_of_the_size_is_written_so():
+    for kind in free_curves.KINDS:
+        for term in formula.grammar(Place(kind, 0, -0.4, 0.4)):
+            if term.family == "power":
+                assert ["abs" in part for part in term.parts] == [
+                    "|" in word for word in term.words
+                ]
+
+
 def test_terms_that_have_a_name_are_laws_of_the_catalogue():
     """Each at unit strength is one of its laws at unit strength, but for a constant."""
     laws = {

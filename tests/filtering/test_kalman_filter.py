@@ -9,7 +9,7 @@ import pytest
 from residyn import ConstantInertia, PlanarArm, Recording, Spring
 from residyn.effects import CoulombFriction, CubicStiffness, Damper, Gravity, Hysteresis
 from residyn.filtering.grid import Spectrum, bucket, lay_out
-from residyn.filtering.kalman import Inputs, Noise, Readings, System, evidences, gram, smooth
+from residyn.filtering.kalman import Noise, Readings, System, evidences, gram, smooth
 from residyn.filtering.trajectory import Prior, Scene
 from residyn.physics.modal import modes
 from residyn.simulation.simulate import simulate
@@ -134,8 +134,7 @@ def test_one_gram_matrix_holds_the_evidence_of_every_subset():
     from residyn.diagnosis.evidence import conditional, subset
 
     system, readings, noise = a_system(P=4)
-    none = Inputs(np.zeros((*np.shape(system.c), 0)), np.zeros((*np.shape(system.hc), 0)))
-    total, square = map(np.asarray, gram(system, none, (), readings, noise, 1.0))
+    total, square = map(np.asarray, gram(system, (), readings, noise, 1.0))
     base, rest = conditional(square, 1)
     for chosen in ((), (0,), (2,), (0, 1), (0, 1, 2)):
         of = [0, *(i + 1 for i in chosen)]
@@ -256,14 +255,13 @@ def test_strengths_of_laws_with_jumps_or_memory_are_found(effect):
     truth = truth + Damper("shoulder", 0.05) + Damper("elbow", 0.05) + effect
     recording, _ = a_recording(truth, q0=(0.2, -0.3))
     scene = Scene([recording], [ARM], [np.zeros(recording.angle.shape, bool)])
-    from residyn.diagnosis.columns import Columns, extended, spectral_lines
-    from residyn.diagnosis.evidence import prior_of
+    from residyn.diagnosis.columns import Columns, Screen, extended, spectral_lines
 
     effects, prior = base_of(scene)
     t = settled(scene, scene.start(effects, prior), (1.0, 0.3, 0.1, 0.03))
     columns = Columns(scene, t, [type(effect)("elbow")], spectral_lines(scene, t))
-    (found,) = columns.screen([0.03]).ranked
-    t = extended(scene, t, prior_of, found)
+    (found,) = Screen(columns, [0.03]).ranked
+    t = extended(scene, t, found)
     for intensity in (0.03, 0.01, 1e-3, 0.0):
         for _ in range(8):
             t = scene.smoothed(t, scene.linearised(t), intensity, share=0.5)

@@ -34,11 +34,8 @@ class Band(NamedTuple):
 def bands(modes: Sequence[Mode], fitted: Sequence[RecordingFit]) -> tuple[Band, ...]:
     """Bands that cover all frequencies from 0 to the highest that the readings can show."""
     line = max(1.0 / r.recording.duration for r in fitted)
-    counts = [r.used.sum(axis=0).min() for r in fitted]
-    top = min(
-        min(_FULL * n, _MOST / 2) / r.recording.duration
-        for n, r in zip(counts, fitted, strict=True)
-    )
+    counts = (min(_FULL * r.used.sum(axis=0).min(), _MOST / 2) for r in fitted)
+    top = min(n / r.recording.duration for n, r in zip(counts, fitted, strict=True))
     last = 0.5 / min(float(np.median(np.diff(r.recording.time))) for r in fitted)
     ringing = [m for m in modes if line < m.frequency_hz < 0.9 * top]
     if not ringing:

@@ -40,11 +40,10 @@ _SAMPLES = 512
 _STEP = 0.3  # of an integration step, times the fastest angular frequency
 _ELBOWS = 5  # elbow angles that are tried
 _FURTHEST = 0.75 * math.pi  # of them, unless limits are given
-_SIZES = (0.25, 0.5, 1.0)  # of the largest release
-_LOADS = (0.0, 0.5, 1.0)  # of the way from the least load to the largest
+_SHARES = (0.125, 0.25, 0.5, 1.0)  # of the longest duration; of the largest release, from 0.25 on
+_LOADS = 3  # loads that are tried
 _TWICE = 2.0  # angles and loads that are tried, in those recorded, unless limits are given
 _DRIVES = (0.3, 1.0)  # of the largest torque of a motor
-_DURATIONS = (0.125, 0.25, 0.5, 1.0)  # of the longest
 _NEARLY = 0.95  # of what the longest recording tells, from which a shorter one is enough
 
 
@@ -154,8 +153,7 @@ class Rival(NamedTuple):
 
     tried: Tried
     model: Model
-    root: np.ndarray
-    """(P, P) R with R R' the posterior covariance of its numbers."""
+    root: np.ndarray  # (P, P) R with R R' the posterior covariance of its numbers
 
     @classmethod
     def of(cls, scene: Scene, tried: Tried) -> "Rival":
@@ -190,11 +188,9 @@ def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Sett
     most = limits.each("angle", n)
     angle = np.array(most) if most else _TWICE * np.maximum(swing, 0.3 * swing.max())
     duration = limits.duration or like.duration
-    signs = [np.ones(1)] if n == 1 else [
-        np.array(p) for p in ((1.0, 1.0), (1.0, -1.0), (1.0, 0.0), (0.0, 1.0))
-    ]  # fmt: skip
-    signs = signs if n <= 2 else [np.ones(n)]
-    releases = [size * sign * angle for size, sign in itertools.product(_SIZES, signs)]
+    signs = [[1, 1], [1, -1], [1, 0], [0, 1]] if n == 2 else [[1] * n]
+    each = itertools.product(_SHARES[1:], signs)
+    releases = [size * np.array(sign) * angle for size, sign in each]
     motions: list[tuple[np.ndarray, Sweep | None]] = [(r, None) for r in releases if np.any(r)]
     torques = limits.each("drive", n) or (0.0,) * n
     frequencies = modes_of(np.linalg.eigvals(at_rest(model)[1])).frequency_hz
@@ -223,19 +219,19 @@ def _changes(experiment: Experiment, like: Recording, limits: Limits) -> list[di
     elif isinstance(experiment.inertia, InertiaTable):
         own = float(np.asarray(experiment.inertia.matrix)[0][0])
         largest = max([_TWICE * r.extra_mass for r in fitted] + [own])
-        masses = np.interp(_LOADS, (0, 1), limits.extra_mass or (0.0, largest))
-        choices["extra_mass"] = _with(like.extra_mass, masses)
+        low, high = limits.extra_mass or (0.0, largest)
+        choices["extra_mass"] = _with(like.extra_mass, np.linspace(low, high, _LOADS))
     loaded = max(r.load for r in fitted)
     if limits.load or loaded > 0:
-        loads = np.interp(_LOADS, (0, 1), limits.load or (0.0, _TWICE * loaded))
-        choices["load"] = _with(like.load, loads)
+        low, high = limits.load or (0.0, _TWICE * loaded)
+        choices["load"] = _with(like.load, np.linspace(low, high, _LOADS))
     return [dict(zip(choices, x, strict=True)) for x in itertools.product(*choices.values())]
 
 
 def _with(now: float, values: np.ndarray) -> list[float]:
     """These values, and what is set now if it lies between them."""
-    each = [float(x) for x in values]
-    return list(dict.fromkeys([*each, *([now] if min(each) <= now <= max(each) else [])]))
+    each = values.tolist()
+    return list(dict.fromkeys([*each, now] if min(each) <= now <= max(each) else each))
 
 
 class Predictions:
@@ -262,16 +258,11 @@ class Predictions:
         stacked = jax.tree.map(lambda *x: np.stack(x), *mechanisms)
         releases = np.stack([s.release for s in self.settings])
         drives = self._drives(steps)
-        self.readings: list[np.ndarray] = []
-        """(S, T, n) of each model."""
-        self.slopes: list[np.ndarray] = []
-        """(S, T, n, P + 2n + M) in its numbers, and in the angles, rates and internal states at
-        release."""
-        for rival in rivals:
-            told = _predict(rival.model, stacked, releases, drives, self.time, steps)
-            found, slopes = jax.device_get(told)
-            self.readings.append(found)
-            self.slopes.append(slopes)
+        given = stacked, releases, drives, self.time, steps
+        told = [jax.device_get(_predict(r.model, *given)) for r in rivals]
+        self.readings, self.slopes = zip(*told, strict=True)
+        """(S, T, n) of each model, and (S, T, n, P + 2n + M) in its numbers, and in the angles,
+        rates and internal states at release."""
 
     def _drives(self, steps: int) -> Drive | None:
         if not any(s.drive for s in self.settings):
@@ -282,18 +273,17 @@ class Predictions:
             if s.drive is not None:
                 joint = self.scene.joints.index(s.drive.joint)
                 values[i, :, joint] = s.drive.at(time, self.duration)
-        many = len(self.settings)
-        step = np.full(many, time[1])
-        return Drive(jnp.zeros(many), jnp.asarray(step), jnp.asarray(values))
+        begin, step = np.zeros(len(values)), np.full(len(values), time[1])
+        return Drive(*map(jnp.asarray, (begin, step, values)))
 
-    def of(self, index: int, share: float = 1.0) -> list[Predicted] | None:
-        """What all models say of one test, or of its beginning; None if one of them runs away."""
+    def of(self, index: int, share: float = 1.0) -> list[Predicted]:
+        """What all models say of one test, or its beginning; nothing if one of them runs away."""
         keep = slice(0, math.ceil(share * _SAMPLES))
         found = []
         for rival, readings, slopes in zip(self.rivals, self.readings, self.slopes, strict=True):
             mean, by = readings[index, keep], slopes[index, keep]
             if not (np.isfinite(mean).all() and np.isfinite(by).all()):
-                return None
+                return []
             w = self.weight[None, :]
             P = len(rival.root)
             numbers = (by[..., :P] * w[..., None]).reshape(-1, P) @ rival.root
@@ -381,14 +371,13 @@ def best_tests(
     wanted = quantity and quantity._replace(
         slopes=[r.root.T @ s for r, s in zip(rivals, quantity.slopes, strict=True)]
     )
-    each = {i: all_of_them.of(i) for i in range(len(all_of_them.settings))}
-    known = {i: x for i, x in each.items() if x is not None}
+    known = {i: x for i in range(len(all_of_them.settings)) if (x := all_of_them.of(i))}
     made: list[list[Predicted]] = []
     found: list[Test] = []
     before = float(entropy(p))
 
-    def after(test: list[Predicted] | None) -> Worth | None:
-        return worth(together([*made, test]), p, wanted) if test else None
+    def after(test: list[Predicted]) -> Worth:
+        return worth(together([*made, test]), p, wanted)
 
     def rank(told: Worth) -> tuple[float, float]:
         if wanted is not None:
@@ -397,14 +386,13 @@ def best_tests(
         return round(told.entropy, 2), -told.separation
 
     while len(found) < min(tests, len(known)):
-        told = {i: w for i, x in known.items() if (w := after(x))}
-        best = min(told, key=lambda i: rank(told[i]))
-        enough = before - _NEARLY * (before - told[best].entropy)
-        shorter = ((share, after(all_of_them.of(best, share))) for share in _DURATIONS[:-1])
-        share = next((s for s, w in shorter if w and wanted is None and w.entropy <= enough), 1.0)
-        chosen = all_of_them.of(best, share)
-        assert chosen is not None
-        made.append(chosen)
+        told = {i: after(x) for i, x in known.items()}
+        best, share = min(told, key=lambda i: rank(told[i])), 1.0
+        if wanted is None:
+            enough = before - _NEARLY * (before - told[best].entropy)
+            each = ((s, after(all_of_them.of(best, s)).entropy) for s in _SHARES[:-1])
+            share = next((s for s, left in each if left <= enough), 1.0)
+        made.append(all_of_them.of(best, share))
         found.append(_test(all_of_them, best, share, made, p, before, wanted))
         before = found[-1].entropy
         if not found[-1].helps:

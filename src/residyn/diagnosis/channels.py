@@ -21,6 +21,7 @@ from ..fitting import FitError
 from ..recordings.experiment import Experiment
 from ..recordings.tables import ArmTable
 from ..runtime.parallel import side_by_side
+from .evidence import log_prior_model
 from .missing_torque import scene_of
 from .search import Tried, tried_alone
 
@@ -29,8 +30,7 @@ class Channels(NamedTuple):
     """What the columns of n joints may be instead."""
 
     words: str
-    matrix: np.ndarray
-    """(n, n) the joints' readings from the columns."""
+    matrix: np.ndarray  # (n, n) the joints' readings from the columns
 
 
 class Reassigned(NamedTuple):
@@ -70,10 +70,12 @@ def assignments(experiment: Experiment) -> list[Channels]:
 
 
 def reassigned(
-    experiment: Experiment, effects: Sequence[str | AbstractEffect], scene: Scene, base: Tried
-) -> list[Reassigned]:
+    experiment: Experiment, effects: Sequence[str | AbstractEffect], scene: Scene, base: Tried,
+    candidates: int,
+) -> list[Reassigned]:  # fmt: skip
     """The base model with some effects under each assignment of the columns that it can move under,
-    or until it falls hopelessly behind the columns as they stand (`scene` and `base`)."""
+    or until it falls hopelessly behind the columns as they stand (`scene` and `base`). Each is as
+    unlikely beforehand as one effect of all `candidates`."""
 
     def under(channels: Channels) -> Reassigned | None:
         M = channels.matrix
@@ -94,4 +96,6 @@ def reassigned(
         return None
 
     each = side_by_side([functools.partial(under, c) for c in assignments(experiment)])
-    return [r for r in each if r is not None]
+    found = [r for r in each if r is not None]
+    prior = log_prior_model(1, candidates + len(found))
+    return [r._replace(tried=dataclasses.replace(r.tried, log_prior=prior)) for r in found]

@@ -10,7 +10,7 @@ subset of them, to first order.
 import dataclasses
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -18,30 +18,34 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..effects import AbstractEffect
-from ..filtering.kalman import Inputs, gram
+from ..filtering.kalman import Torques, gram
 from ..filtering.law import (
     Laws,
     Table,
     along_readings,
     changes_bodies,
     group_of,
-    joint_law,
     law_name,
     laws_for,
+    number_slices,
     numbers_of,
+    state_slices,
     states_along,
+    torque_law,
     usual,
-    whole_law,
     with_numbers,
 )
 from ..filtering.linearised import (
+    Field,
     Instants,
     Linear,
     Point,
     at_nodes,
     body_columns,
     changed_bodies,
+    derivatives,
     nodes,
+    transition,
 )
 from ..filtering.trajectory import Scene, Trajectory
 from ..physics.motion import Motion, split, stack
@@ -50,12 +54,12 @@ from ..runtime.export_cache import kept
 from .evidence import (
     CONTENDERS,
     conditional,
-    half_normal,
+    gains_of,
     log_prior_intensity,
     log_sum,
     means_of_base,
+    prior_of,
     signed,
-    subset,
     width_of,
 )
 
@@ -68,47 +72,29 @@ def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
     a choice of unit, which the inertia has to bear; its delay is one of the first
     state, or of the drive.
     """
-    found = [
-        e
-        for e in scene.catalogued
-        if e.name not in ("spring", "damper") and e.label not in present and numbers_of(e)
-    ]
-    orders = scene.recordings[0].orders
-    found = [e for e in found if not (e.of_angles and orders[scene.joint_of(e)])]
-    if len({r.load for r in scene.recordings}) == 1:
-        found = [e for e in found if not e.of_load]
-    if scene.n == 1:
-        found = [e for e in found if not (e.senses and _not_an_offset(e))]
-    return found
+    orders, one_load = scene.recordings[0].orders, len({r.load for r in scene.recordings}) == 1
 
+    def shown(e: AbstractEffect) -> bool:
+        scale = e.senses and all(n.dimension.rotary in ("1", "s") for n in numbers_of(e))
+        return not (
+            (e.of_angles and orders[scene.joint_of(e)])
+            or (e.of_load and one_load)
+            or (scale and scene.n == 1)
+        )
 
-def _not_an_offset(effect: AbstractEffect) -> bool:
-    return all(n.dimension.rotary in ("1", "s") for n in numbers_of(effect))
+    free = [e for e in scene.catalogued if e.name not in ("spring", "damper") and numbers_of(e)]
+    return [e for e in free if e.label not in present and shown(e)]
 
 
 class Column(NamedTuple):
-    """A candidate at one value of its shapes."""
+    """A candidate at one value of its shapes, and what that comes to, to first order."""
 
     effect: AbstractEffect
-    shape: dict[str, float]
-    """Field -> value."""
-    which: tuple[int, ...]
-    """Which columns of the Gram matrix are its strengths (and phases)."""
-    states: np.ndarray
-    """(K, m) its internal states along the motion."""
-
-
-class Screened(NamedTuple):
-    """A candidate at its likeliest shape, to first order."""
-
-    effect: AbstractEffect
-    gain: float
-    """By how much it raises the log evidence, shapes averaged over their grid."""
-    shape: dict[str, float]
-    regressors: np.ndarray
-    """Posterior mean of its columns, in prior widths."""
-    which: tuple[int, ...]
-    states: np.ndarray
+    shape: dict[str, float]  # field -> value
+    which: tuple[int, ...]  # which columns of the Gram matrix are its strengths (and phases)
+    states: np.ndarray  # (K, m) its internal states along the motion
+    gain: float = 0.0  # by how much it raises the log evidence; its best, shapes averaged
+    regressors: np.ndarray = np.zeros(0)  # posterior mean of its columns, in prior widths
 
 
 def strengths(effect: AbstractEffect):
@@ -148,47 +134,7 @@ class Shaped(NamedTuple):
     widths: Any  # (J, s) of the strengths' priors
 
 
-class Acting(NamedTuple):
-    """Columns as what acts, which is a third of what they do to a system: C1 torques at one joint,
-    C2 of the whole mechanism, and C3 of the sensors."""
-
-    by_torque: Any  # (K, 3, X, n) how a step answers to torques at its beginning, middle and end
-    pushed: Any  # (K, n, n) what torques at its beginning add to the readings
-    joint: Any  # (K, 3, C1)
-    whole: Any  # (K, 3, n, C2)
-    sensors: Any  # (K, n, C3)
-
-    def torque(self, place):
-        """(K, n, C) at the beginning of each step; `place` (n, C1), 1 at the joint of each."""
-        parts = self.joint[:, 0, None] * place, self.whole[:, 0], 0 * self.sensors
-        return jnp.concatenate(parts, -1)
-
-    def inputs(self, place) -> Inputs:
-        """What they do to the system."""
-        joint = [
-            jnp.einsum("kax,kac->kxc", self.by_torque[..., i], self.joint * own)
-            for i, own in enumerate(place)
-        ]
-        whole = jnp.einsum("kaxi,kaic->kxc", self.by_torque, self.whole)
-        B = jnp.concatenate([sum(joint), whole], -1)
-        read = -jnp.einsum("kij,kjc->kic", self.pushed, self.torque(place))
-        acting, C = B.shape[-1], self.sensors.shape[-1]
-        B = jnp.pad(B, ((0, 0), (0, 0), (0, C)))
-        return Inputs(B, read.at[..., acting:].add(self.sensors))
-
-
-class Parts(NamedTuple):
-    """Columns of several programs, one after the other."""
-
-    each: tuple[Acting, ...]
-
-    def inputs(self, places) -> Inputs:
-        """What they do to the system; `places` as in `Acting`, of each."""
-        found = [x.inputs(place) for x, place in zip(self.each, places, strict=True)]
-        return Inputs(*(jnp.concatenate(x, -1) for x in zip(*found, strict=True)))
-
-
-@kept(like=(Acting(*[0] * 5), 0, 0))
+@kept(like=(0, 0, 0, 0, 0, 0))
 def columns(
     laws: Laws,
     shaped: Sequence[Shaped],
@@ -201,8 +147,8 @@ def columns(
 
     **Arguments:** `model` is along the motion, `field` its `by_x`, `by_torque`, `acceleration`.
 
-    **Returns:** what acts, N m, by columns, in the order of `_places`, then shape, phase, strength;
-    (n, C1) their joints; and (F, K) internal states, in the same order.
+    **Returns:** what `Torques` holds, the joints' columns together, N m, in the order of `_places`,
+    then shape, phase, strength; and (F, K) internal states, in the same order.
     """
     n, K = point.spread.shape[1], instants.step.shape[0]
     by_x, by_torque, acceleration = field
@@ -234,8 +180,7 @@ def columns(
                 args = three(q), three(v), at.time.reshape(3, K), instants.step
                 z = states_along(effect, numbers, early, *args, anew, z0)
                 begun, z = z[0], jnp.moveaxis(z, 0, 1).reshape(m, 3 * K)
-            torque, level = _strengths(effect, unit, mechanism, q, v, at, z, numbers)
-            torque = torque + level * d
+            torque = _strengths(effect, unit, mechanism, q, v, at, z, numbers, d)
             if changes_bodies(effect):
 
                 def change(u, mechanisms):
@@ -252,43 +197,30 @@ def columns(
         torque, z = over(numbers, phases)
         return torque.reshape(-1, *torque.shape[-2:]), z.reshape(-1, K)
 
-    seen, rate, pushed = _seen(model[0].orders or (0,) * n, at, by_x, by_torque, acceleration)
+    moves, none = jnp.concatenate([at.v, acceleration]), jnp.zeros((2 * n, 0, 3 * K))
+    f = Field(moves, by_x[: 2 * n, : 2 * n], none, by_torque[: 2 * n], direction)
+    seen, rate, _ = derivatives(at, f, model[0].orders)
     for place, effect, numbers, width in _places(laws, shaped, n):
         if effect.senses:
-            _, _, by_number, _, late = along_readings(effect, first, seen, numbers[0])
-            own = by_number - rate[:, None] * late[..., None]
+            _, _, by_number, _, late = along_readings(effect, first, seen.value, numbers[0])
+            own = by_number - rate.value[:, None] * late[..., None]
             readings.append(own[:, _which(effect)] * width[:, None])
         else:
             torque, z = of_place(effect, place, numbers, width)
             torques[place].append(torque)
             states.append(z)
-    W = jnp.where(instants.last, 0.0, jnp.stack(responses(instants.step, by_x, -by_torque)))
+    answers = responses(instants, by_x, by_torque)
 
     def nodes_of(each, rows: int):
         """(K, 3, r, C) of torques (C, r, 3 K)."""
         whole = jnp.concatenate([jnp.zeros((0, rows, 3 * K)), *each])
         return whole.reshape(-1, rows, 3, K).transpose(3, 2, 1, 0)
 
-    counts = [sum(len(x) for x in each) for each in torques[:n]]
     joint = nodes_of([x for each in torques[:n] for x in each], 1)[:, :, 0]
-    place = jnp.repeat(jnp.eye(n), np.array(counts), axis=1, total_repeat_length=sum(counts))
     sensors = jnp.concatenate([jnp.zeros((n, 0, K)), *readings], 1).transpose(2, 0, 1)
-    acting = Acting(
-        W.transpose(3, 0, 1, 2), pushed.transpose(2, 0, 1), joint, nodes_of(torques[n], n), sensors
-    )
-    return acting, place, jnp.concatenate([jnp.zeros((0, K)), *states])
-
-
-def _seen(orders, at, by_x, by_torque, acceleration):
-    """(n, K) what is read, its rate, and (n, n, K) what a torque adds to it at once: to an
-    acceleration."""
-    n, K = at.q.shape[0], at.q.shape[1] // 3
-    q, v, a = at.q[:, :K], at.v[:, :K], acceleration[:, :K]
-    turns = by_x[n : 2 * n, : 2 * n, :K]
-    each = [q, v, a, jnp.sum(turns * jnp.concatenate([v, a])[None], axis=1)]
-    seen, rate = (jnp.stack([each[k + more][j] for j, k in enumerate(orders)]) for more in (0, 1))
-    accelerates = np.array(orders) == 2
-    return seen, rate, by_torque[n : 2 * n, :, :K] * accelerates[:, None, None]
+    states = jnp.concatenate([jnp.zeros((0, K)), *states])
+    pushed = seen.by_torque.transpose(2, 0, 1)
+    return answers, pushed, joint, nodes_of(torques[n], n), sensors, states
 
 
 def _which(effect: AbstractEffect) -> np.ndarray:
@@ -315,44 +247,28 @@ def _begin(effect, j: int, numbers, at, mechanism):
     return with_numbers(effect, numbers).begin(motion, mechanism)
 
 
-def _strengths(effect, unit, mechanism, q, v, at, z, numbers):
-    """(s, r, N) d torque / d strength and the same of friction's level."""
+def _strengths(effect, unit, mechanism, q, v, at, z, numbers, direction):
+    """(s, r, N) d torque / d strength; `direction` (r, N) of sliding."""
 
-    def joint(q, v, t, z, step, spread, mechanism):
+    def one(q, v, t, z, step, spread, mechanism, direction):
         def of(u):
-            torque, level, _ = joint_law(effect, q[0], v[0], t, z, u)
-            return stack((torque,)), stack((level,))
+            torque, level, _ = torque_law(effect, mechanism, q, v, t, z, step, spread, u)
+            return stack(torque) + stack(level) * direction
 
         return jax.vmap(lambda e: jax.jvp(of, (numbers,), (e,))[1])(unit)
 
-    def whole(q, v, t, z, step, spread, mechanism):
-        def of(u):
-            torque, level, _ = whole_law(effect, mechanism, q, v, t, z, step, spread, u)
-            return stack(torque), stack(level)
-
-        return jax.vmap(lambda e: jax.jvp(of, (numbers,), (e,))[1])(unit)
-
-    one = joint if group_of(effect) == "joint" else whole
-    axes = -1, -1, 0, -1, 0, -1, 0
-    over = jax.vmap(one, in_axes=axes, out_axes=-1)
-    return over(q, v, at.time, z, at.step, at.spread, mechanism)
+    over = jax.vmap(one, in_axes=(-1, -1, 0, -1, 0, -1, 0, -1), out_axes=-1)
+    return over(q, v, at.time, z, at.step, at.spread, mechanism, direction)
 
 
-def responses(h, by_x, by_torque):
-    """How a Runge-Kutta step answers to a unit torque at its beginning, middle and end, each
-    (X, n, K)."""
-    X, K = by_x.shape[0], h.shape[0]
-    A, G = (x.reshape(X, -1, 3, K).transpose(2, 0, 1, 3) for x in (by_x, by_torque))
-
-    def times(M, x):
-        return sum(M[:, i, None] * x[None, i] for i in range(X))
-
-    a = G[0]
-    b = h / 2 * times(A[1], a)
-    c = h / 2 * times(A[1], b)
-    begin = h / 6 * (a + 2 * b + 2 * c + h * times(A[2], c))
-    twice = G[1] + h / 2 * times(A[1], G[1])
-    return begin, h / 6 * (2 * G[1] + 2 * twice + h * times(A[2], twice)), h / 6 * G[2]
+def responses(instants: Instants, by_x, by_torque):
+    """(K, 3, X, n) how a Runge-Kutta step answers to a unit torque that resists at its beginning,
+    middle and end; not at all where another recording follows."""
+    X, n, N = by_torque.shape
+    third = (jnp.arange(N) // (N // 3) == i for i in range(3))
+    field = jnp.concatenate([by_x, *(jnp.where(here, -by_torque, 0.0) for here in third)], 1)
+    found = jnp.where(instants.last, 0.0, transition(instants.step, field, X)[:, X:])
+    return found.reshape(X, 3, n, -1).transpose(3, 1, 0, 2)
 
 
 class Columns:
@@ -392,21 +308,17 @@ class Columns:
             row._replace(which=tuple(range(first, first + len(row.which))))
             for row, first in zip(self.rows, ends, strict=False)
         ]
-        self._more = Parts(tuple(acting for acting, _ in parts))
-        self._where = tuple(place for _, place in parts)
+        self._more = tuple(parts)
 
     def _part(self, group, wanted, frequencies, shape_of):
         """The columns of some effects by one program."""
         scene, t = self.scene, self.trajectory
         most = 2 * CONTENDERS * scene.n  # lines of two motions, see `spectral_lines`
-        members: dict[str, list[AbstractEffect]] = {}
-        for effect in group:
-            members.setdefault(law_name(effect), []).append(effect)
         laws, shaped = laws_for(group), []
         every: dict[str, list[dict[str, float]]] = {}
-        for effects in (members[law_name(e)] for e in laws.each):
-            tables = []
-            for effect in effects:
+        for law in laws.each:
+            members, tables = [e for e in group if law_name(e) == law_name(law)], []
+            for effect in members:
                 own = shapes(scene, effect, frequencies or [1.0])
                 room = len(shapes(scene, effect, [1.0] * most))
                 if shape_of and effect.label in shape_of:
@@ -414,10 +326,10 @@ class Columns:
                 numbers = [shaped_numbers(effect, s) for s in own]
                 tables.append(np.stack(numbers + numbers[-1:] * (room - len(numbers))))
                 every[effect.label] = own
-            widths = [[width_of(scene, e, x) for x in strengths(e)] for e in effects]
-            joints = tuple(scene.joint_of(e) for e in effects)
+            widths = [[width_of(scene, e, x) for x in strengths(e)] for e in members]
+            joints = tuple(scene.joint_of(e) for e in members)
             shaped.append(Shaped(joints, np.stack(tables), np.array(widths)))
-        first, row, places = self._count, 0, []
+        first, row, places, counts = self._count, 0, [], np.zeros(scene.n, int)
         for place, law, numbers, width in _places(laws, shaped, scene.n):
             at_joint = group_of(law) == "joint"
             label = f"{law.name}:{scene.joints[place]}" if at_joint else law.label
@@ -430,8 +342,10 @@ class Columns:
                 places.append((wanted[label], shape, which, where))
             first += len(numbers) * phases * own
             row += len(numbers) * phases * m
+            if at_joint:
+                counts[place] += len(numbers) * phases * own
         linear = self.linear
-        *found, states = columns(
+        answers, pushed, joint, whole, sensors, states = columns(
             laws, tuple(shaped), scene.tabulated(t), scene.instants,
             Point(t.path, t.spread, t.u, t.first),
             (linear.by_x, linear.by_torque, linear.acceleration),
@@ -439,93 +353,83 @@ class Columns:
         states = np.asarray(states)
         self.rows += [Column(e, s, which, states[where].T) for e, s, which, where in places]
         self._count = first
-        return found
+        each = np.split(np.asarray(joint), np.cumsum(counts)[:-1], axis=-1)
+        return Torques(answers, pushed, tuple(each), whole, sensors)
 
     @property
     def inputs(self) -> tuple[np.ndarray, np.ndarray]:
         """(K, X, C) what each column adds to the states in a step, (K, n, C) to the readings."""
-        B, read = self._more.inputs(self._where)
-        return np.asarray(B)[..., self._used], np.asarray(read)[..., self._used]
+        each = zip(*(x.inputs() for x in self._more), strict=True)
+        found = (np.concatenate(x, -1)[..., self._used] for x in each)
+        return next(found), next(found)
 
     @property
     def torque(self) -> np.ndarray:
         """(K, n, C) of each column, at its prior's width, N m."""
-        each = zip(self._more.each, self._where, strict=True)
-        return np.concatenate([x.torque(place) for x, place in each], -1)[..., self._used]
+        return np.concatenate([x.torque() for x in self._more], -1)[..., self._used]
 
-    def gram(self, intensities: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def gram(
+        self, intensities: Sequence[float] | np.ndarray, read: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """(I,) log normalisers, and the (I, 1 + P + C, 1 + P + C) Gram matrices of whitened
         innovations of readings, of the model's own regressors and of all columns, under each of
-        some random torques."""
+        some random torques; after the columns, of what `read` (K, r, D) adds to the readings."""
         scene, noise = self.scene, self.scene.noise(self.trajectory)
-        args = self.linear.system, self._more, self._where, scene.readings, noise
-        found = [gram(*args, np.asarray(x, float)) for x in intensities]
-        P = 1 + len(self.trajectory.u)
-        keep = np.r_[0:P, P + self._used]
-        totals, grams = zip(*found, strict=True)
+        more, D = self._more, 0
+        if read is not None:
+            D, first = read.shape[-1], more[0]
+            none = np.zeros((*first.whole.shape[:-1], 0))
+            more = (
+                *more,
+                first._replace(joint=(none[:, :, 0],) * scene.n, whole=none, sensors=read),
+            )
+        args = self.linear.system, more, scene.readings, noise
+        totals, grams = zip(*(gram(*args, np.asarray(x, float)) for x in intensities), strict=True)
+        P, size = 1 + len(self.trajectory.u), len(grams[0])
+        keep = np.r_[0:P, P + self._used, size - D : size]
         return np.array(totals), np.stack([np.asarray(g)[np.ix_(keep, keep)] for g in grams])
-
-    def screen(self, intensities: Sequence[float]) -> "Screen":
-        """Every candidate's first-order evidence, random torques summed over."""
-        totals, every = self.gram(intensities)
-        evidences, rests, base_means, P = [], [], [], len(self.trajectory.u)
-        for total, square in zip(totals, every, strict=True):
-            base, rest = conditional(square, P)
-            evidences.append(total + base)
-            rests.append(rest)
-            base_means.append(means_of_base(square, P))
-        known = np.array(evidences) + log_prior_intensity(intensities)
-        return Screen(self.rows, known - log_sum(known), rests, base_means)
 
 
 class Screen:
-    """The first-order evidence of any set of candidates, relative to none of them."""
+    """The first-order evidence of any set of candidates along a model's motion, random torques
+    summed over, relative to none of them."""
 
-    def __init__(
-        self,
-        rows: Sequence[Column],
-        weights: np.ndarray,
-        grams: Sequence[np.ndarray],
-        base_means: Sequence[np.ndarray],
-    ):
-        """`weights` (I,) log posterior of each random torque without candidates, `grams` (1 + C)^2
-        for each; `base_means` (P, 1 + C) for each, see `means_of_base`."""
-        self.rows, self.weights, self.base_means = rows, weights, base_means
-        self.grams = np.asarray(grams)
-        best: dict[str, list[Screened]] = {}
-        for row, (gain, u) in zip(rows, self._gains([[row] for row in rows]), strict=True):
-            found = Screened(row.effect, gain, row.shape, u, row.which, row.states)
-            best.setdefault(row.effect.label, []).append(found)
-        self.ranked = sorted(map(_averaged, best.values()), key=lambda s: -s.gain)
+    def __init__(self, columns: Columns, intensities: Sequence[float]):
+        totals, every = columns.gram(intensities)
+        P, rows = len(columns.trajectory.u), columns.rows
+        bases, rests = zip(*(conditional(square, P) for square in every), strict=True)
+        known = totals + np.array(bases) + log_prior_intensity(intensities)
+        self.rows, self.grams = rows, np.stack(rests)
+        self.weights = known - log_sum(known)
+        """(I,) log posterior of each random torque without candidates."""
+        self.base_means = [means_of_base(square, P) for square in every]
+        gains = self._gains([[row] for row in rows])
+        each = (r._replace(gain=g, regressors=u) for r, (g, u) in zip(rows, gains, strict=True))
+        self.ranked: list[Column] = []
         """Each candidate at its likeliest shape, the best first."""
+        self.revise(each)
 
-    def revise(self, known: Sequence[Sequence[Screened]]) -> None:
-        """Rank some candidates anew, each by what is known of it at the points of a grid."""
-        new = {each[0].effect.label: _averaged(each) for each in known}
-        self.ranked = [new.get(s.effect.label, s) for s in self.ranked]
-        self.ranked.sort(key=lambda s: -s.gain)
+    def revise(self, points: Iterable[Column]) -> None:
+        """Rank some candidates anew, each by its gains at the points of a grid."""
+        ranked, grids = {s.effect.label: s for s in self.ranked}, {}
+        for point in points:
+            grids.setdefault(point.effect.label, []).append(point)
+        for label, grid in grids.items():
+            mean = log_sum([p.gain for p in grid]) - math.log(len(grid))
+            ranked[label] = max(grid, key=lambda p: p.gain)._replace(gain=mean)
+        self.ranked = sorted(ranked.values(), key=lambda s: -s.gain)
 
-    def gain(self, rows: Sequence[Screened]) -> tuple[float, np.ndarray]:
+    def gain(self, rows: Sequence[Column]) -> tuple[float, np.ndarray]:
         """Gain of some columns together, and their regressors at the likeliest random torque."""
         return self._gains([rows])[0]
 
-    def _gains(self, groups: Sequence[Sequence[Any]]) -> list[tuple[float, np.ndarray]]:
-        """`gain` of each group of rows; those of as many columns at once."""
+    def _gains(self, groups: Sequence[Sequence[Column]]) -> list[tuple[float, np.ndarray]]:
+        """`gain` of each group of rows."""
         which = [[i for row in rows for i in row.which] for rows in groups]
-        found: list[Any] = [None] * len(groups)
-        for size in {len(w) for w in which}:
-            own = [i for i, w in enumerate(which) if len(w) == size]
-            known = [[s for row in groups[i] for s in signs_known(row)] for i in own]
-            gain, mean, covariance = subset(self.grams, [which[i] for i in own])
-            std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-            gain = gain + np.where(known, half_normal(mean / std), 0.0).sum(-1)
-            each = gain + np.asarray(self.weights)[:, None]
-            top = np.argmax(each, axis=0)
-            for k, i in enumerate(own):
-                found[i] = log_sum(each[:, k]), mean[top[k], k]
-        return found
+        signs = [[s for row in rows for s in known_signs(row)] for rows in groups]
+        return gains_of(self.grams, self.weights, which, signs)
 
-    def pairs(self, most: int) -> list[tuple[float, Screened, Screened]]:
+    def pairs(self, most: int) -> list[tuple[float, Column, Column]]:
         """Every two of the best candidates, the best pair first."""
         each = list(itertools.combinations(self.ranked[:most], 2))
         gains = [gain for gain, _ in self._gains(each)]
@@ -534,14 +438,7 @@ class Screen:
         )
 
 
-def _averaged(each: Sequence[Screened]) -> Screened:
-    """A candidate at the likeliest point of a grid, with its gain averaged over the grid."""
-    gains = np.array([s.gain for s in each])
-    top = each[int(np.argmax(gains))]
-    return top._replace(gain=log_sum(gains) - math.log(len(gains)))
-
-
-def signs_known(row: Column | Screened) -> list[bool]:
+def known_signs(row: Column) -> list[bool]:
     """Of each column, whether the sign of its strength is known."""
     if row.effect.oscillates:
         return [False] * len(row.which)
@@ -573,32 +470,44 @@ def spectral_lines(
     return found
 
 
-def extended(scene: Scene, trajectory: Trajectory, prior_of, found: Screened) -> Trajectory:
+def with_effects(
+    scene: Scene, t: Trajectory, kept: Sequence[int], more: Sequence[AbstractEffect] = ()
+) -> Trajectory:
+    """A model with some of its effects, as they are, and others, whose regressors and internal
+    states are zero."""
+    effects, n = (*(t.effects[i] for i in kept), *more), 2 * scene.n
+
+    def known(slices: Sequence[slice]) -> np.ndarray:
+        return np.r_[(slice(0, 0), *(slices[i] for i in kept))].astype(int)
+
+    numbers, states = known(number_slices(t.effects)), known(state_slices(t.effects))
+    u, first = np.zeros(scene.regressors(effects)), np.zeros(scene.room(effects))
+    path = np.zeros((scene.K, n + len(first)))
+    u[: len(numbers)], first[: len(states)] = t.u[numbers], t.first[states]
+    path[:, : n + len(states)] = t.path[:, np.r_[0:n, n + states]]
+    prior = prior_of(scene, effects)
+    return dataclasses.replace(t, effects=effects, prior=prior, u=u, path=path, first=first)
+
+
+def without(scene: Scene, t: Trajectory, label: str) -> Trajectory:
+    """A model without one of its effects, from where it is."""
+    return with_effects(scene, t, [i for i, x in enumerate(t.labels) if x != label])
+
+
+def extended(scene: Scene, t: Trajectory, found: Column) -> Trajectory:
     """A model with one more effect, from the screen's answer."""
-    effect, own = found.effect, numbers_of(found.effect)
-    effects = (*trajectory.effects, with_numbers(effect, shaped_numbers(effect, found.shape)))
-    prior, first = prior_of(scene, effects), len(trajectory.prior.mean)
-    values, phase = list(found.regressors), 0.0
+    effect = with_numbers(found.effect, shaped_numbers(found.effect, found.shape))
+    t = with_effects(scene, t, range(len(t.effects)), [effect])
+    own, states = number_slices(t.effects)[-1], state_slices(t.effects)[-1]
+    values, phase, least = list(found.regressors), 0.0, 0.02
     if effect.oscillates:
         values, phase = [math.hypot(*values)], math.atan2(values[1], values[0])
-    least = 0.02
-    numbers, strong = np.array(prior.mean), iter(values)
-    numbers[first:] = [found.shape.get(x.field, 1.0) for x in own]
-    u = np.zeros(scene.regressors(effects))
-    u[:first] = trajectory.u[:first]
-    u[first : first + len(own)] = prior.regressors(numbers)[first:]
-    for i, number in enumerate(own, first):
+    numbers, strong = np.array(t.prior.mean), iter(values)
+    numbers[own] = [found.shape.get(x.field, 1.0) for x in numbers_of(effect)]
+    t.u[own] = t.prior.regressors(numbers)[own]
+    for i, number in enumerate(numbers_of(effect), own.start):
         if number.silent is not None:
-            x = next(strong)
-            u[i] = max(x, least) if signed(number) else x
-    old, known = trajectory.path.shape[1], sum(len(e.memory) for e in trajectory.effects)
-    path = np.zeros((scene.K, 2 * scene.n + scene.room(effects)))
-    path[:, :old] = trajectory.path
-    states = slice(known, known + len(effect.memory))
-    path[:, 2 * scene.n :][:, states] = found.states + phase
-    begin = np.zeros(scene.room(effects))
-    begin[:known] = trajectory.first[:known]
-    begin[states] = found.states[0] + phase
-    return dataclasses.replace(
-        trajectory, effects=effects, prior=prior, u=u, path=path, first=begin
-    )
+            t.u[i] = max(next(strong), least) if signed(number) else next(strong)
+    t.path[:, 2 * scene.n :][:, states] = found.states + phase
+    t.first[states] = found.states[0] + phase
+    return t

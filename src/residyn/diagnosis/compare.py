@@ -1,6 +1,5 @@
 """A fitted model against measurement: where it fails, and what torque it lacks."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +11,7 @@ from ..effects import AbstractEffect
 from ..fitting import DEFAULT_STARTS, fit
 from ..fitting.result import Fit
 from ..recordings.experiment import Experiment
+from ..runtime.json import finite
 from ..runtime.presentation import Result
 from .evidence import NOISE
 from .forecast import HeldOut, Horizon, held_out, horizon
@@ -20,6 +20,7 @@ from .missing_torque import Missing, missing_of, scene_of
 from .residuals import Where, where
 from .runs import OwnNumbers, own_numbers
 from .search import Search
+from .whiteness import of_the_least
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +42,7 @@ class Comparison(Result):
     def p(self) -> float:
         """Probability that noise alone leaves a residual so far from white, all joints together;
         1 where no joint has enough readings to tell."""
-        each = [w.p for w in self.where.white.values() if np.isfinite(w.p)]
-        return float(-np.expm1(len(each) * np.log1p(-min(each)))) if each and min(each) < 1 else 1.0
+        return of_the_least([w.p for w in self.where.white.values() if np.isfinite(w.p)])
 
     @property
     def explained(self) -> bool:
@@ -124,20 +124,20 @@ def compare_fit(
         found = where(near, slopes)
         say("predicting what was held out")
         ahead = held_out(near), horizon(near)
+        own = [e for e in fitted.model.effects if e.name not in ("spring", "damper")]
         if missing is None:
             say("smoothing the missing torque")
-            missing = _missing(fitted, say)
-        own = [e for e in fitted.model.effects if e.name not in ("spring", "damper")]
+            missing = _missing(fitted.experiment, own, say)
         return Comparison(fitted, found, *ahead, missing, own_numbers(fitted.experiment, own))
 
 
 _CURVES = 2  # drawn beside a missing torque
 
 
-def _missing(fitted: Fit, say: Callable[[str], None]) -> tuple[Missing, ...]:
-    """The torque that a fit's model lacks, and what the likeliest single effects would draw."""
-    own = [e for e in fitted.model.effects if e.name not in ("spring", "damper")]
-    scene, effects, _ = scene_of(fitted.experiment, own)
+def _missing(experiment: Experiment, own, say: Callable[[str], None]) -> tuple[Missing, ...]:
+    """The torque that a model with effects of its `own` lacks, and what the likeliest single ones
+    more would draw."""
+    scene, effects, _ = scene_of(experiment, own)
     search = Search(scene, effects, say=say)
     if search.base.intensity > 0:
         search.extend(search.base)
@@ -151,13 +151,9 @@ def summary(found: tuple[Missing, ...]) -> dict[str, Any] | None:
     """Per joint the rms over all recordings, N m or N, and its share of the spring torque's."""
     if not found:
         return None
-    joints = {}
-    for j, joint in enumerate(found[0].joints):
-        rms = math.sqrt(np.mean([m.torque.rms[j] ** 2 for m in found]))
-        share = math.sqrt(np.mean([m.torque.share_of_spring[j] ** 2 for m in found]))
-        joints[joint] = {
-            "rms": rms,
-            "share_of_spring": None if math.isnan(share) else share,
-            "unit": found[0].units[j],
-        }
-    return joints
+    rms, share = (
+        np.sqrt(np.mean([getattr(m.torque, name) ** 2 for m in found], axis=0))
+        for name in ("rms", "share_of_spring")
+    )
+    rows = zip(found[0].joints, rms, share, found[0].units, strict=True)
+    return finite({j: {"rms": r, "share_of_spring": s, "unit": u} for j, r, s, u in rows})

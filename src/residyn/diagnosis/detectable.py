@@ -26,14 +26,13 @@ import numpy as np
 from scipy.optimize import bisect
 
 from ..effects import AbstractEffect
-from ..filtering.kalman import Inputs, gram
 from ..filtering.law import numbers_of
 from ..filtering.trajectory import Scene
 from ..physics.modal import modes
 from ..recordings.experiment import Experiment
 from ..runtime.json import finite
 from ..runtime.presentation import Result
-from .columns import Column, Columns, candidates, signs_known, strengths
+from .columns import Column, Columns, candidates, known_signs, strengths
 from .evidence import (
     INDISTINGUISHABLE,
     INTENSITIES,
@@ -46,7 +45,7 @@ from .evidence import (
     width_of,
 )
 from .missing_torque import scene_of
-from .search import tried_alone
+from .search import nested, tried_alone
 
 DRAWS = 200
 """Of recordings: the half of them is then known to 4 %."""
@@ -143,22 +142,12 @@ def detectable(experiment: Experiment, *, effects: Sequence[str | AbstractEffect
 def _grams(columns: Columns) -> tuple[np.ndarray, np.ndarray]:
     """(I,) log normalisers under each random torque, and the (I, C + D, C + D) Gram matrices of the
     C columns and of `DRAWS` recordings of noise."""
-    scene, trajectory = columns.scene, columns.trajectory
-    push, read = columns.inputs
-    readings, P = scene.readings, len(trajectory.u)
-    noise = np.random.default_rng(0).standard_normal((*readings.y.shape, DRAWS))
-    noise *= np.sqrt(readings.variance)[..., None]
-    none = np.zeros((*push.shape[:2], DRAWS))
-    more = Inputs(np.concatenate([push, none], -1), np.concatenate([read, noise], -1))
-    fixed = None, readings, scene.noise(trajectory)
-    logs, grams = [], []
-    for intensity in INTENSITIES:
-        found = gram(columns.linear.system, more, *fixed, np.asarray(intensity, float))
-        total, square = map(np.asarray, found)
-        base, rest = conditional(square, P)
-        logs.append(float(total) + base + 0.5 * rest[0, 0])
-        grams.append(rest[1:, 1:])
-    return np.array(logs), np.stack(grams)
+    noise = np.sqrt(columns.scene.readings.variance)[..., None]
+    noise = noise * np.random.default_rng(0).standard_normal((*noise.shape[:-1], DRAWS))
+    totals, each = columns.gram(INTENSITIES, noise)
+    bases, rests = zip(*(conditional(g, len(columns.trajectory.u)) for g in each), strict=True)
+    rests = np.stack(rests)
+    return totals + np.array(bases) + 0.5 * rests[:, 0, 0], rests[:, 1:, 1:]
 
 
 class Rivals:
@@ -169,8 +158,8 @@ class Rivals:
         columns of all rows and of D recordings of noise."""
         C = sum(len(row.which) for row in rows)
         self.rows, self.gram = rows, grams[:, :C, :C]
-        self.effects = {r.effect.label: r.effect for r in rows}
-        self.labels = list(self.effects)
+        self.effects = list({r.effect.label: r.effect for r in rows}.values())
+        self.labels = [e.label for e in self.effects]
         self._across = np.swapaxes(grams[:, C:, :C], 0, 1)  # (D, I, C)
         square = np.diagonal(grams[:, C:, C:], axis1=1, axis2=2).T  # (D, I)
         self._base = logs + log_prior_intensity(INTENSITIES) - 0.5 * square
@@ -242,7 +231,7 @@ class _Posteriors:
         which = np.array([row.which for row in rows])
         inner = gram[:, which[:, :, None], which[:, None, :]]
         covariance = np.linalg.inv(np.eye(which.shape[1]) + inner)
-        sided = np.array([signs_known(row) for row in rows])
+        sided = np.array([known_signs(row) for row in rows])
         return cls(which, covariance, 0.5 * np.linalg.slogdet(covariance)[1], sided)
 
     def gains(self, x: np.ndarray) -> np.ndarray:
@@ -259,7 +248,8 @@ class _Posteriors:
 def _one(scene: Scene, rivals: Rivals, effect: AbstractEffect) -> Detectable:
     first = strengths(effect)[0]
     width, size = width_of(scene, effect, first), scene.size(effect, first)
-    own, others = rivals.labels.index(effect.label), _others(rivals, effect)
+    own, known = rivals.labels.index(effect.label), enumerate(rivals.effects)
+    others = [i for i, e in known if i != own and not nested(e, effect)]
     truth, shape = rivals.truth(effect)
 
     @functools.cache
@@ -270,13 +260,11 @@ def _one(scene: Scene, rivals: Rivals, effect: AbstractEffect) -> Detectable:
     told = None if shows is None else _half(lambda s: told_at(s)[1])
     at = told or shows
     rival = None if at is None else told_at(at)[2]
-    units = scene.mechanisms[0].units
-    unit = first.dimension.unit(units[scene.joint_of(effect)] if units else None)
     names = {x.field: x.name for x in numbers_of(effect)}
     return Detectable(
         effect=effect.label,
         number=first.name,
-        unit=unit,
+        unit=scene.unit(effect, first),
         shape={names[k]: float(v) for k, v in shape.items()},
         shows=shows and float(shows * size),
         share=shows,
@@ -284,16 +272,6 @@ def _one(scene: Scene, rivals: Rivals, effect: AbstractEffect) -> Detectable:
         told_share=told,
         rival=None if rival is None else rivals.labels[rival],
     )
-
-
-def _others(rivals: Rivals, effect: AbstractEffect) -> list[int]:
-    """Which labels are rivals: all but laws that contain this one, or that it contains, there."""
-
-    def nested(other: AbstractEffect) -> bool:
-        either = other.extends == effect.name or effect.extends == other.name
-        return other.label == effect.label or (either and other.place == effect.place)
-
-    return [i for i, label in enumerate(rivals.labels) if not nested(rivals.effects[label])]
 
 
 def _half(share_of) -> float | None:

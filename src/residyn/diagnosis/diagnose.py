@@ -7,7 +7,6 @@ error on readings that were fitted and on readings that were not.
 
 import contextlib
 import dataclasses
-import datetime
 import functools
 import math
 import threading
@@ -102,8 +101,6 @@ def diagnose(
         raise ValueError(f"starts = {starts}: at least one start is needed")
     if budget is not None and not budget > 0:
         raise ValueError(f"budget = {budget}: it must be positive (seconds)")
-    if not experiment.fit_recordings:
-        raise ValueError('no recording has role = "fit": there is nothing to fit to')
     began, say = time.perf_counter(), progress or (lambda words: None)
     with jax.enable_x64(True):
         deadline = math.inf if budget is None else time.perf_counter() + budget
@@ -125,8 +122,8 @@ def diagnosed(
     """What `diagnose` finds from a base model with some effects; `began` on `time.perf_counter`."""
     fits.begin(search.base)
     search.exact = fits.simulated
-    reassign = functools.partial(reassigned, fits.whole, effects, search.scene, search.base)
-    search.run(max_effects, reassign)
+    given = fits.whole, effects, search.scene, search.base, len(search.candidates)
+    search.run(max_effects, functools.partial(reassigned, *given))
     lost = search.best.intensity >= EXPLAINS_NOTHING or search.reassigned
     if not (lost or search.stopped):
         with search.ending():
@@ -181,13 +178,12 @@ class Fits:
     def _enough(self, tried: Tried) -> float:
         """The squared whitened residuals from which a model's evidence without a random torque is
         hopelessly less than with one, for all that its priors may add."""
-        g, pairs = self.scene.grid, zip(self.scene.recordings, self.wild, strict=True)
-        fixed = float(np.sum(np.where(g.seen, np.log(2 * np.pi * g.variance), 0.0)))
+        pairs = zip(self.scene.recordings, self.wild, strict=True)
         readings = sum(int((np.isfinite(r.angle) & ~wild).sum()) for r, wild in pairs)
         raised = len(tried.best.prior.mean) * math.log(2.0)
         # Readings scatter about their averages, by twice the noise's square at the most.
         scatter = 2 * (readings - self.scene.length)
-        return scatter - fixed + 2 * (raised + HOPELESS - tried.log_evidence)
+        return scatter + 2 * (self.scene.highest + raised + HOPELESS - tried.log_evidence)
 
     def _of(self, tried: Tried, enough: float) -> Fit:
         before = list(self._begun.items())
@@ -216,12 +212,15 @@ class Fits:
         t = motions[0]
         own = [e for e in t.valued() if e.name not in ("spring", "damper")]
         with self.lock:
-            self._cut(t.numbers, own)
+            if not self.cut:  # what drives a joint that nothing pulls back is fitted in segments
+                here = ready(self.whole, self.whole.fit_recordings, own)
+                at = here.model.with_vector(jnp.asarray(t.numbers))
+                self.experiment, self.cut = without_drift(self.whole, at), True
         known = self.experiment.fit_recordings
         fitted = dataclasses.replace(self.experiment, recordings=known)
         here = ready(fitted, known, own)
 
-        def descended(*starts: tuple[np.ndarray, np.ndarray]) -> Fit:
+        def descended(*starts) -> Fit:
             search = functools.partial(polish, enough=enough)
             found, why = [], FitError("no motion of the model goes with the readings")
             for numbers, states in starts:
@@ -231,7 +230,7 @@ class Fits:
                 for growing in (False, True) if begin.rough else (False,):
                     try:
                         found.append(
-                            descend(*begun, near=states[None], growing=growing, search=search)
+                            descend(*begun, near=np.array([states]), growing=growing, search=search)
                         )
                     except Hopeless as hopeless:
                         why = hopeless
@@ -250,7 +249,7 @@ class Fits:
             if tried.intensity >= EXPLAINS_NOTHING:  # then the smoothed motion leads nowhere
                 found = fit(fitted, effects=own, starts=self.starts, progress=progress)
         with contextlib.suppress(FitError):
-            starts = [(m.numbers, self._states(m, here.recordings)) for m in motions]
+            starts = [(m.numbers, [self._state(m, r) for r in here.recordings]) for m in motions]
             # From the minimum of a model that it contains no fit ends above that one.
             starts += [self._from(best, t)] if best else []
             found = found or descended(*starts)
@@ -262,15 +261,14 @@ class Fits:
             self.known.append(found)
         return found
 
-    def _from(self, best: Fit, t: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers and initial states (R, s) of a model at the minimum of one that it contains: what
+    def _from(self, best: Fit, t: Trajectory) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Numbers and initial states (s,) of a model at the minimum of one that it contains: what
         else it has does nothing."""
         values = {n.name: float(n.value) for n in best.numbers}
-        names = [f"{e.label}.{n.name}" for e in t.effects for n in numbers_of(e)]
-        silent = [n.silent for e in t.effects for n in numbers_of(e)]
+        each = ((f"{e.label}.{n.name}", n.silent) for e in t.effects for n in numbers_of(e))
         numbers = [
-            values.get(name, x if nothing is None else nothing)
-            for name, x, nothing in zip(names, t.numbers, silent, strict=True)
+            values.get(name, x if silent is None else silent)
+            for (name, silent), x in zip(each, t.numbers, strict=True)
         ]
         n, inner = 2 * self.scene.n, state_slices(best.model.effects)
         known = dict(zip(best.model.labels, inner, strict=True))
@@ -279,15 +277,7 @@ class Fits:
             own = [r.state[n:][known[e.label]] if e.label in known else np.zeros(len(e.memory))
                    for e in t.effects]  # fmt: skip
             states.append(np.concatenate([r.state[:n], *own]))
-        return np.array(numbers), np.stack(states)
-
-    def _cut(self, numbers: np.ndarray, own: Sequence[AbstractEffect]) -> None:
-        """What drives a joint that nothing pulls back is fitted in segments, in all models."""
-        if not self.cut:
-            here = ready(self.whole, self.whole.fit_recordings, own)
-            settled = here.model.with_vector(jnp.asarray(numbers))
-            self.experiment = without_drift(self.whole, settled)
-            self.cut = True
+        return np.array(numbers), states
 
     def _index(self, recording) -> tuple[int, int]:
         """Which recording of the scene one (or a segment) is of, and where it begins there."""
@@ -303,16 +293,11 @@ class Fits:
 
     def _wild(self, recordings) -> list[np.ndarray]:
         found = []
-        for recording in recordings:
-            run, _ = self._index(recording)
-            whole = self.scene.recordings[run]
-            first = int(np.searchsorted(whole.time, recording.time[0]))
-            found.append(self.wild[run][first : first + len(recording.time)])
+        for r in recordings:
+            run, _ = self._index(r)
+            first = int(np.searchsorted(self.scene.recordings[run].time, r.time[0]))
+            found.append(self.wild[run][first : first + len(r.time)])
         return found
-
-    def _states(self, t: Trajectory, recordings) -> np.ndarray:
-        """(R, s) `_state` of each."""
-        return np.stack([self._state(t, r) for r in recordings])
 
     def _state(self, t: Trajectory, recording) -> np.ndarray:
         """Initial state (q0, v0, and internal states beyond what the effects begin with)."""
@@ -331,21 +316,16 @@ class Fits:
 def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
     """What a search has found, in numbers."""
     posterior = Posterior(search)
-    scene, best = search.scene, posterior.best
+    scene, best, other = search.scene, posterior.best, search.reassigned
     models = _ladder_of(search, fits, best)
-    lookalikes = posterior.lookalikes()
-    advice = None
+    lookalikes, advice = posterior.lookalikes(), None
     rivals, p = posterior.rivals()
     if len(rivals) > 1:
         search.say("looking for the experiment that would tell the models apart")
         advice = next(iter(best_tests(fits.whole, scene, rivals, p).tests), None)
     if search.curves:
         search.say("looking for its formula")
-    source = _source(fits.whole)
-    laws = laws_of(
-        search, search.curves, posterior.of_curves.tolist(), best.log_evidence, fits, source
-    )
-    drawn = [best] if best.added else []
+    laws = laws_of(search, posterior.of_curves.tolist(), best.log_evidence, fits)
     shown = [(search.tried.get(frozenset([x]), best), x) for x in best.added]
     others = [
         (search.tried[frozenset([x])], x)
@@ -354,7 +334,7 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
         if frozenset([x]) in search.tried
     ]
     missing = missing_of(scene, search.base, [*shown, *others[:_CURVES]])
-    still = missing_of(scene, best) if drawn else missing
+    still = missing_of(scene, best) if best.added else missing
     verdict, probability = posterior.verdict()
     return Diagnosis(
         verdict=verdict,
@@ -369,7 +349,8 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
         laws=laws,
         random_torque=_random_torque(scene, best),
         parameters=values_of(scene, best.best),
-        channels=_channels(search, posterior.of_reassigned),
+        channels=other
+        and ChannelError(other.channels.words, posterior.of_reassigned, other.tried.complete > 0.5),
         intensity=float(np.dot(best.weights, INTENSITIES)),
         explains_nothing=best.intensity >= EXPLAINS_NOTHING,
         budget=Budget(len(search.tried), len(search.candidates), search.stopped),
@@ -379,34 +360,18 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
     )
 
 
-def _channels(search: Search, probability: float) -> ChannelError | None:
-    """What the columns are instead, if that alone explains the readings."""
-    other = search.reassigned
-    return other and ChannelError(other.channels.words, probability, other.tried.complete > 0.5)
-
-
-def _source(experiment: Experiment) -> str:
-    """Where and when a law was found."""
-    names = [r.name for r in experiment.fit_recordings]
-    more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-    return f"found in {names[0]}{more}, {datetime.date.today().isoformat()}"
-
-
 def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...]:
     """The models on the way to the best one: each of its effects joins in turn."""
-    labels = best.added
-
-    models = [search.tried.get(frozenset(labels[:k])) for k in range(len(labels) + 1)]
+    labels, found = best.added, []
+    ways = (frozenset(labels[:k]) for k in range(len(labels) + 1))
+    models = [search.tried[x] for x in ways if x in search.tried]
     for model in models:
-        if model is not None:
-            fits.begin(model)
-    found = []
-    for k, model in enumerate(models):
-        if model is not None:
-            result = fits.of(model)
-            held = held_out(LinearisedFit.of(result))
-            relative = model.log_evidence - best.log_evidence
-            found.append(ModelState(labels[k - 1] if k else None, (), result, held, relative))
+        fits.begin(model)
+    for model in models:
+        result, joined = fits.of(model), labels[len(model.added) - 1] if model.added else None
+        held = held_out(LinearisedFit.of(result))
+        relative = model.log_evidence - best.log_evidence
+        found.append(ModelState(joined, (), result, held, relative))
     give_back()
     return tuple(found)
 
@@ -414,15 +379,14 @@ def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...
 def values_of(scene: Scene, t: Trajectory) -> dict[str, Value]:
     """The numbers of a smoothed model, by name, with their posterior standard deviations; less
     those that do nothing at all, as the second link's where there is one."""
-    slopes, units = t.prior.slopes(t.u), scene.mechanisms[0].units
+    slopes = t.prior.slopes(t.u)
     spread = np.sqrt(np.maximum(np.diag(t.covariance)[: len(slopes)], 0.0)) * np.abs(slopes)
     found = {}
     for effect, own in zip(t.effects, number_slices(t.effects), strict=True):
-        unit = units[scene.joint_of(effect)] if units else None
         for n, x, s in zip(numbers_of(effect), t.numbers[own], spread[own], strict=True):
             if x == n.silent:  # exactly where its prior has it
                 continue
-            found[f"{effect.label}.{n.name}"] = Value(float(x), float(s), n.dimension.unit(unit))
+            found[f"{effect.label}.{n.name}"] = Value(float(x), float(s), scene.unit(effect, n))
     return found
 
 
@@ -437,12 +401,15 @@ class Posterior:
         """With those that are known to first order only."""
         other = search.reassigned
         logs = [m.log_posterior for m in [*self.named, *self.curves]]
-        logs += [search.log_posterior_of(other)] if other else []
+        logs += [other.tried.log_posterior] if other else []
         each = shares(np.array(logs))
         ends = np.cumsum([len(self.named), len(self.curves)])
-        self.each, self.of_curves, of_other = np.split(each / each.sum(), ends)
+        self.each, self.of_curves, of_other = np.split(each, ends)
         """Probability of each model with names only, of each with a free curve, and of the base
         model with the columns read otherwise."""
+        self.weighed = [
+            *zip(self.named, self.each, strict=True), *zip(self.curves, self.of_curves, strict=True)
+        ]  # fmt: skip
         self.of_reassigned = float(of_other.sum())
         self.of_tried = self.each[: len(self.models)]
         verdict = self.verdict()[0]
@@ -463,10 +430,9 @@ class Posterior:
         is at work: that of all models which have one, less what may be of a torque of no catalogue
         that they only take up a part of."""
         wanted = set(labels)
-        models, each = [*self.named, *self.curves], [*self.each, *self.of_curves]
         return float(sum(
             p * np.dot(model.weights, self._at_work(model))
-            for model, p in zip(models, each, strict=True)
+            for model, p in self.weighed
             if wanted & set(model.added) or (kind is not None and self._kind_of(model) == kind)
         ))  # fmt: skip
 
@@ -492,13 +458,10 @@ class Posterior:
     def verdict(self) -> tuple[Verdict, float]:
         """The likeliest of the three, and its probability."""
         sums = {"adequate": 0.0, "missing": 0.0, "unexplained": 0.0}
-        for model, p in zip(self.named, self.each, strict=True):
-            complete = self._explains(model)
-            sums["missing" if model.added else "adequate"] += p * complete
-            sums["unexplained"] += p * (1.0 - complete)
-        for model, p in zip(self.curves, self.of_curves, strict=True):
+        for model, p in self.weighed:
             # A law without a name is no explanation by the catalogue, unless it is negligible.
-            complete = 0.0 if model.matters else self._explains(model)
+            unnamed = isinstance(model, CurveModel) and model.matters
+            complete = 0.0 if unnamed else self._explains(model)
             sums["missing" if model.added else "adequate"] += p * complete
             sums["unexplained"] += p * (1.0 - complete)
         sums["unexplained"] += self.of_reassigned  # by anything of the readings as they stand
@@ -517,28 +480,19 @@ class Posterior:
     def candidates(self) -> tuple[Candidate, ...]:
         """Every effect and place."""
         found = []
-        for effect in self.search.candidates:
-            label = effect.label
+        for label in (e.label for e in self.search.candidates):
             alone = self.search.tried.get(frozenset([label]))
-            parameters: dict[str, Value] = {}
-            iterated = alone is not None
-            if alone is not None:
-                values = values_of(self.search.scene, alone.best)
-                parameters = {k: v for k, v in values.items() if k.startswith(f"{label}.")}
-            evidence = self._alone(label)
-            if evidence == -math.inf:
-                continue
-            found.append(
-                Candidate(
-                    effect=label,
-                    probability=self.of([label]),
-                    log_evidence=evidence - self.best.log_evidence,
-                    iterated=iterated,
-                    parameters=parameters,
-                )
+            values = values_of(self.search.scene, alone.best) if alone else {}
+            candidate = Candidate(
+                effect=label,
+                probability=self.of([label]),
+                log_evidence=self._alone(label) - self.best.log_evidence,
+                iterated=alone is not None,
+                parameters={k: v for k, v in values.items() if k.startswith(f"{label}.")},
             )
-        order = lambda c: (-c.probability, -c.log_evidence)  # noqa: E731
-        return tuple(sorted(found, key=order))
+            if candidate.log_evidence > -math.inf:
+                found.append(candidate)
+        return tuple(sorted(found, key=lambda c: (-c.probability, -c.log_evidence)))
 
     def families(self) -> tuple[Family, ...]:
         """Kinds of law and their places."""
@@ -604,23 +558,17 @@ class Posterior:
 def _random_torque(scene: Scene, model: Tried) -> tuple[RandomTorque, ...]:
     """Per joint, what the model still lacks: its rms over the recordings, summed over
     intensities."""
-    units = scene.mechanisms[0].units or ("rad",) * scene.n
-    real = np.arange(scene.K) < scene.grid.real
     pairs = model.over_torques(scene)
-    sizes = np.array([np.sqrt(np.mean((t.torque**2 + t.torque_variance)[real], axis=0))
+    sizes = np.array([np.sqrt(np.mean((t.torque**2 + t.torque_variance)[scene.real], axis=0))
                       for _, t in pairs])  # fmt: skip
     weights = np.array([w for w, _ in pairs])
-    spring = np.sqrt(np.mean(restoring_torque(scene, model.best)[real] ** 2, axis=0))
+    spring = np.sqrt(np.mean(restoring_torque(scene, model.best)[scene.real] ** 2, axis=0))
     found = []
     for j, joint in enumerate(scene.joints):
-        order = np.argsort(sizes[:, j])
-        cumulated = np.cumsum(weights[order])
-        low, high = (
-            float(sizes[order, j][min(int(np.searchsorted(cumulated, p)), len(order) - 1)])
-            for p in (0.025, 0.975)
-        )
+        low, high = map(float, np.quantile(
+            sizes[:, j], (0.025, 0.975), weights=weights, method="inverted_cdf"
+        ))  # fmt: skip
         mean = float(weights @ sizes[:, j])
         share = mean / spring[j] if spring[j] > 0 else math.nan
-        unit = "N" if units[j] == "m" else "N m"
-        found.append(RandomTorque(joint, unit, mean, low, high, share))
+        found.append(RandomTorque(joint, scene.torque_units[j], mean, low, high, share))
     return tuple(found)

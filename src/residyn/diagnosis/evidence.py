@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.special import erf, log_ndtr, logsumexp
+from scipy.special import erf, log_ndtr, logsumexp, softmax
 
 from ..effects import AbstractEffect
 from ..filtering.kalman import Evidences
@@ -46,9 +46,6 @@ half a decade apart, which no posterior of it is narrower than with a hundred in
 instants."""
 NO_RANDOM_TORQUE = 0.5
 """Prior probability that the model needs none; the other half is shared by the rest of the grid."""
-CORRELATION = 1.0
-"""Correlation time of the random torque, in radians of the joint's ringing: what changes no faster
-than the motion does."""
 FURTHER = 0.5
 """Prior probability of one more effect, given that there are m: the number of effects is geometric,
 one on average; which ones they are is uniform over kinds and places."""
@@ -111,8 +108,7 @@ def prior_of(scene: Scene, effects: Sequence[AbstractEffect]) -> Prior:
                 rows.append((size, size, False))
             elif number.silent is None:
                 known = [g * size for g in number.grid] or [float(getattr(effect, number.field))]
-                middle = math.exp(np.mean(np.log(known)))
-                rows.append((middle, SHAPE, True))
+                rows.append((math.exp(np.mean(np.log(known))), SHAPE, True))
             else:
                 rows.append((number.silent, width_of(scene, effect, number), False))
     mean, width, log = zip(*rows, strict=True)
@@ -210,11 +206,8 @@ def over_widths(
 
 def log_prior_intensity(intensities: Sequence[float]) -> np.ndarray:
     """(I,) log prior of each intensity, of which 0 is one."""
-    others = len(INTENSITIES) - 1
-    return np.array(
-        [math.log(NO_RANDOM_TORQUE if x == 0 else (1 - NO_RANDOM_TORQUE) / others)
-         for x in intensities]
-    )  # fmt: skip
+    others = (1 - NO_RANDOM_TORQUE) / (len(INTENSITIES) - 1)
+    return np.log(np.where(np.equal(intensities, 0), NO_RANDOM_TORQUE, others))
 
 
 def prior_sizes(sizes: Sequence[float]) -> np.ndarray:
@@ -248,26 +241,23 @@ def at_work(signs: Any = 1.0) -> np.ndarray:
 
 def log_sum(logs) -> float:
     """Log of the sum of what some logarithms are of."""
-    total: Any = logsumexp(logs)
-    return float(total)
+    return float(logsumexp(logs))  # pyright: ignore[reportArgumentType]
 
 
-def shares(logs: np.ndarray) -> np.ndarray:
+def shares(logs: np.ndarray, axis: int | None = None) -> np.ndarray:
     """What some logarithms are of, normalised to 1."""
-    return np.exp(logs - log_sum(logs))
+    return softmax(logs, axis=axis)
 
 
-def over_intensities(evidences: np.ndarray, intensities: Sequence[float]) -> float:
-    """Log evidence of a model, its random torque's intensity summed over."""
-    return log_sum(np.nan_to_num(evidences, nan=-np.inf) + log_prior_intensity(intensities))
+def over_intensities(evidences: np.ndarray) -> float:
+    """Log evidence of a model from those (I,) under each random torque."""
+    return log_sum(np.nan_to_num(evidences, nan=-np.inf) + log_prior_intensity(INTENSITIES))
 
 
 def log_prior_model(added: int, candidates: int) -> float:
     """Log prior of one set of `added` effects out of `candidates`."""
-    sets = (
-        math.lgamma(candidates + 1) - math.lgamma(added + 1) - math.lgamma(candidates - added + 1)
-    )
-    return math.log(1 - FURTHER) + added * math.log(FURTHER) - sets
+    sets = math.comb(candidates, added)
+    return math.log(1 - FURTHER) + added * math.log(FURTHER) - math.log(sets)
 
 
 _ROUNDING = 1e-13
@@ -320,3 +310,26 @@ def subset(gram: np.ndarray, columns) -> tuple[np.ndarray, np.ndarray, np.ndarra
     logs = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
     mean = np.linalg.solve(np.swapaxes(factor, -1, -2), x)[..., 0]
     return 0.5 * np.sum(x[..., 0] ** 2, -1) - logs, mean, np.linalg.inv(inner)
+
+
+def gains_of(
+    grams: np.ndarray, logs: np.ndarray, sets: Sequence[Sequence[int]],
+    signs: Sequence[Sequence[bool]] | None = None,
+) -> list[tuple[float, np.ndarray]]:  # fmt: skip
+    """Log evidence of each of some sets of columns, random torques summed over, and their posterior
+    mean under the likeliest.
+
+    `grams` (I, 1 + C, 1 + C) and `logs` (I,) log evidences under each random torque; `signs`: of
+    each column of each set, whether it has a half-normal prior. Sets of as many columns at once.
+    """
+    found: dict[int, tuple[float, np.ndarray]] = {}
+    for size in {len(s) for s in sets}:
+        own = [i for i, s in enumerate(sets) if len(s) == size]
+        gain, mean, covariance = subset(grams, [sets[i] for i in own])
+        if signs is not None:
+            std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+            gain = gain + np.where([signs[i] for i in own], half_normal(mean / std), 0.0).sum(-1)
+        each = gain + logs[:, None]
+        top = np.argmax(each, axis=0)
+        found |= {i: (log_sum(each[:, k]), mean[top[k], k]) for k, i in enumerate(own)}
+    return [found[i] for i in range(len(sets))]

@@ -22,14 +22,16 @@ columns U of all models and of the differences of their means, and noise beside 
 Tests that follow each other share a, and have a b each.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
+from scipy.special import entr
 
-from .evidence import gram_factor
+from .evidence import gram_factor, shares
 
 DRAWS = 400
 """Of the readings, for each model: the expected entropy of two models is then known to 0.02."""
@@ -38,50 +40,35 @@ DRAWS = 400
 class Predicted(NamedTuple):
     """What a model says of a test's N readings, in units of the noise."""
 
-    mean: np.ndarray
-    """(N,)"""
-    numbers: np.ndarray
-    """(N, P) by what is not known of its numbers, each scaled to a unit normal."""
-    release: np.ndarray
-    """(N, S) by what is not known of the test, likewise."""
+    mean: np.ndarray  # (N,)
+    numbers: np.ndarray  # (N, P) by what is not known of its numbers, each scaled to a unit normal
+    release: np.ndarray  # (N, S) by what is not known of the test, likewise
 
 
 class Worth(NamedTuple):
     """What some tests together are expected to tell."""
 
-    entropy: float
-    """Nats, expected after them."""
+    entropy: float  # nats, expected after them
     right: float
     """Expected probability of the likeliest model after them, which is the chance that it is the
     right one."""
-    each: np.ndarray
-    """(M,) expected probability of each model, if it is the right one."""
+    each: np.ndarray  # (M,) expected probability of each model, if it is the right one
     separation: float
     """Expected log Bayes factor of the right model against the others (Box and Hill's measure)."""
-    variance: float
-    """Expected variance of a quantity; NaN if none was given."""
+    variance: float  # expected, of a quantity; NaN if none was given
 
 
 class Quantity(NamedTuple):
     """Something that is wanted of each model, linear in its numbers."""
 
-    mean: np.ndarray
-    """(M,)"""
-    slopes: Sequence[np.ndarray]
-    """(P,) of each model, in the units of `Predicted.numbers`."""
-    rest: np.ndarray
-    """(M,) variance that no test reduces."""
+    mean: np.ndarray  # (M,)
+    slopes: Sequence[np.ndarray]  # (P,) of each model, in the units of `Predicted.numbers`
+    rest: np.ndarray  # (M,) variance that no test reduces
 
 
 def entropy(probability: np.ndarray) -> np.ndarray:
     """Shannon's, nats, over the last axis."""
-    p = np.asarray(probability)
-    return -np.sum(p * np.log(np.maximum(p, 1e-300)), axis=-1)
-
-
-def _normalised(probability: ArrayLike) -> np.ndarray:
-    p = np.asarray(probability, float)
-    return p / p.sum()
+    return entr(probability).sum(axis=-1)
 
 
 def reduced(test: Sequence[Predicted]) -> list[Predicted]:
@@ -106,7 +93,7 @@ def together(tests: Sequence[Sequence[Predicted]]) -> list[Predicted]:
         Predicted(
             np.concatenate([x.mean for x in each]),
             np.concatenate([x.numbers for x in each]),
-            np.asarray(scipy.linalg.block_diag(*(x.release for x in each))),
+            np.asarray(block_diag(*(x.release for x in each))),
         )
         for each in zip(*tests, strict=True)
     ]
@@ -123,7 +110,7 @@ def worth(
     Exact for models that are linear in their numbers, but for the finite number of draws; these are
     the same for all tests.
     """
-    test, p = reduced(test), _normalised(probability)
+    test, p = reduced(test), np.asarray(probability, float) / np.sum(probability)
     rng, D = np.random.default_rng(0), len(test[0].mean)
     columns = [np.column_stack([x.numbers, x.release]) for x in test]
     inner = [np.eye(u.shape[1]) + u.T @ u for u in columns]
@@ -131,13 +118,14 @@ def worth(
     halves = np.array([np.log(np.diag(f)).sum() for f in factors])
     noise = rng.standard_normal((draws // 2, D))
     noise = np.concatenate([noise, -noise])
-    expected = np.zeros(3)
-    each, variance = np.zeros(len(p)), 0.0
+    prior = np.log(np.maximum(p, 1e-300))[:, None]
+    expected, each = np.zeros(3), np.zeros(len(p))
+    variance = math.nan if quantity is None else 0.0
     for m, truth in enumerate(test):
         own = rng.standard_normal((draws // 2, columns[m].shape[1]))
         y = truth.mean + np.concatenate([own, -own]) @ columns[m].T + noise
-        logs, values = np.zeros((len(p), draws)), np.zeros((len(p), draws))
-        spreads = np.zeros(len(p))
+        logs, values = np.zeros((2, len(p), draws))
+        spreads = np.zeros((len(p), 1))
         for k, (model, u, factor) in enumerate(zip(test, columns, factors, strict=True)):
             left = y - model.mean
             t = np.linalg.solve(factor, u.T @ left.T)
@@ -148,21 +136,15 @@ def worth(
                 by = np.linalg.solve(factor, g)
                 values[k] = quantity.mean[k] + by @ t
                 spreads[k] = by @ by + quantity.rest[k]
-        weighted = logs + np.log(np.maximum(p, 1e-300))[:, None]
-        after = np.exp(weighted - np.logaddexp.reduce(weighted, axis=0))
-        others = np.delete(weighted, m, axis=0)
-        factor_of_truth = 0.0
+        weighted = logs + prior
+        after = shares(weighted, axis=0)
+        told = 0.0
         if len(p) > 1 and p[m] < 1:
-            factor_of_truth = np.mean(logs[m] - np.logaddexp.reduce(others, axis=0)) + np.log(
-                1 - p[m]
-            )
+            others = np.logaddexp.reduce(np.delete(weighted, m, axis=0), axis=0)
+            told = np.mean(logs[m] - others) + np.log(1 - p[m])
         each[m] = after[m].mean()
-        expected += p[m] * np.array(
-            [entropy(after.T).mean(), after.max(axis=0).mean(), factor_of_truth]
-        )
-        if quantity is not None:
-            mean = (after * values).sum(0)
-            second = (after * (values**2 + spreads[:, None])).sum(0)
-            variance += p[m] * float(np.mean(second - mean**2))
-    told = float("nan") if quantity is None else variance
-    return Worth(float(expected[0]), float(expected[1]), each, float(expected[2]), told)
+        expected += p[m] * np.array([entropy(after.T).mean(), after.max(axis=0).mean(), told])
+        mean = (after * values).sum(0)
+        variance += p[m] * float(np.mean((after * (values**2 + spreads)).sum(0) - mean**2))
+    entropy_after, right, separation = map(float, expected)
+    return Worth(entropy_after, right, each, separation, variance)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..fitting.result import RecordingFit
-from ..runtime.json import number
+from ..runtime.json import finite
 from .linearised_fit import LinearisedFit, spread
 
 _HORIZONS = 8
@@ -33,10 +33,9 @@ class Error(NamedTuple):
     def to_dict(self, joints: Sequence[str]) -> dict[str, Any]:
         """Per joint `rmse`, `ratio` and `expected`."""
         expected = np.full(len(joints), np.nan) if self.expected is None else self.expected
-        rows = zip(joints, self.rmse, self.ratio, expected, strict=True)
-        return {
-            j: {"rmse": number(a), "ratio": number(b), "expected": number(c)} for j, a, b, c in rows
-        }
+        rows = zip(self.rmse, self.ratio, expected, strict=True)
+        each = (dict(zip(("rmse", "ratio", "expected"), row, strict=True)) for row in rows)
+        return finite(dict(zip(joints, each, strict=True)))
 
 
 class HeldOut(NamedTuple):
@@ -81,32 +80,35 @@ class Horizon(NamedTuple):
 
 
 class _Run(NamedTuple):
-    """A fit of the first part of each recording, run on to its end: one entry per recording."""
+    """A fit of the first part of each recording, run on to its end; all N instants of all."""
 
-    since: list[np.ndarray]  # (N,) s since the last fitted instant; not positive where fitted
-    left: list[np.ndarray]  # (N, n) measured less predicted; NaN where nothing counts
-    spread: list[np.ndarray]  # (N, n) standard errors of the predictions
-    noise: list[np.ndarray]
+    since: np.ndarray  # (N,) s since the last fitted instant; not positive where fitted
+    left: np.ndarray  # (N, n) measured less predicted; NaN where nothing counts
+    ratio: np.ndarray  # (N, n) the same in times the noise
+    spread: np.ndarray  # (N, n) standard errors of the predictions, in times the noise
+
+    @classmethod
+    def of(cls, fits: Sequence[RecordingFit], since, left, spreads) -> "_Run":
+        """From the columns of each recording."""
+        each = [
+            (s, x, x / r.recording.noise, e / r.recording.noise)
+            for r, s, x, e in zip(fits, since, left, spreads, strict=True)
+        ]
+        return cls(*map(np.concatenate, zip(*each, strict=True)))
 
     def error(self, low: float, high: float) -> Error:
         """Over the instants after `low` and up to `high`."""
-        chosen = [(s > low) & (s <= high) for s in self.since]
+        chosen = (self.since > low) & (self.since <= high)
+        seen = np.isfinite(self.left[chosen])
+        count = seen.sum(axis=0)
 
-        def mean(columns: Sequence[np.ndarray]) -> np.ndarray:
-            x = np.concatenate([c[s] for c, s in zip(columns, chosen, strict=True)])
-            seen = np.concatenate([e[s] for e, s in zip(self.left, chosen, strict=True)])
-            seen = np.isfinite(seen)
-            count = seen.sum(axis=0)
-            total = np.where(seen, x, 0.0).sum(axis=0)
+        def mean_square(x: np.ndarray) -> np.ndarray:
+            total = np.where(seen, x[chosen] ** 2, 0.0).sum(axis=0)
             return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
-        noise = list(zip(self.left, self.spread, self.noise, strict=True))
-        return Error(
-            np.sqrt(mean([e**2 for e in self.left])),
-            np.sqrt(mean([(e / n) ** 2 for e, _, n in noise])),
-            # Within the fitted part the noise and its effect are not independent.
-            np.sqrt(1 + mean([(s / n) ** 2 for _, s, n in noise])) if low >= 0 else None,
-        )
+        rmse, ratio = (np.sqrt(mean_square(x)) for x in (self.left, self.ratio))
+        # Within the fitted part the noise and its effect are not independent.
+        return Error(rmse, ratio, np.sqrt(1 + mean_square(self.spread)) if low >= 0 else None)
 
 
 def _run(near: LinearisedFit, share: float) -> _Run | None:
@@ -127,8 +129,8 @@ def _run(near: LinearisedFit, share: float) -> _Run | None:
         np.where(r.used, r.recording.angle - p, np.nan)
         for r, p in zip(near.fitted, predicted, strict=True)
     ]
-    noise = [r.recording.noise for r in near.fitted]
-    return _Run(since, left, spread(slopes, weights, near.numbers, near.memories()), noise)
+    spreads = spread(slopes, weights, near.numbers, near.memories())
+    return _Run.of(near.fitted, since, left, spreads)
 
 
 def held_out(near: LinearisedFit) -> HeldOut | None:
@@ -144,9 +146,7 @@ def held_out(near: LinearisedFit) -> HeldOut | None:
 
 def _beside(fits: Sequence[RecordingFit]) -> Error:
     left = [np.where(r.used, r.residual, np.nan) for r in fits]
-    none = [np.zeros_like(x) for x in left]
-    since = [np.zeros(len(x)) for x in left]
-    return _Run(since, left, none, [r.recording.noise for r in fits]).error(-1.0, 0.0)
+    return _Run.of(fits, [np.zeros(len(x)) for x in left], left, left).error(-1.0, 0.0)
 
 
 def horizon(near: LinearisedFit) -> Horizon | None:
@@ -154,11 +154,7 @@ def horizon(near: LinearisedFit) -> Horizon | None:
     run = _run(near, 1 / 3)
     if run is None:
         return None
-    longest = max(float(s[-1]) for s in run.since)
-    edges = np.linspace(0.0, longest, _HORIZONS + 1)
-    rows = [
-        Ahead(float(a), float(b), run.error(float(a), float(b)))
-        for a, b in itertools.pairwise(edges)
-    ]
+    edges = np.linspace(0.0, run.since.max(), _HORIZONS + 1).tolist()
+    rows = [Ahead(a, b, run.error(a, b)) for a, b in itertools.pairwise(edges)]
     seconds = max(r.recording.duration for r in near.fitted) / 3
     return Horizon(seconds, run.error(-np.inf, 0.0), tuple(rows))

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ..effects.found import FoundLaw, FoundNumber
 from ..filtering.free_curve import HEIGHTS
@@ -26,6 +27,7 @@ from .evidence import (
     SHAPE,
     WIDTH,
     conditional,
+    gains_of,
     log_prior_intensity,
     log_prior_model,
     log_sum,
@@ -44,22 +46,18 @@ class Term(NamedTuple):
     """A term of the grammar; texts are of `x`, its scale `{x0}` and its shapes by name."""
 
     family: str
-    parts: tuple[str, ...]
-    """Expressions, each with a strength of its own."""
-    words: tuple[str, ...]
-    """The same for people, of `{x}`."""
+    parts: tuple[str, ...]  # expressions, each with a strength of its own
+    words: tuple[str, ...]  # the same for people, of `{x}`
     shapes: tuple[tuple[str, tuple[float, ...]], ...] = ()
     """Names, and grids in units of the variable's scale."""
 
 
 def _power(p: float, odd: bool) -> Term:
-    size = f"(x / {{x0}}) ** {p:g}" if p % 1 == 0 else f"jnp.abs(x / {{x0}}) ** {p:g}"
-    if odd != (p % 2 == 1):
-        size = f"jnp.abs(x / {{x0}}) ** {p:g}"
-        size = f"jnp.sign(x) * {size}" if odd else size
-        word = f"sign({{x}}) |{{x}}/{{x0}}|^{p:g}" if odd else f"|{{x}}/{{x0}}|^{p:g}"
-    else:
-        word = f"({{x}}/{{x0}})^{p:g}"
+    if p % 2 == odd:
+        return Term("power", (f"(x / {{x0}}) ** {p:g}",), (f"({{x}}/{{x0}})^{p:g}",))
+    size, word = f"jnp.abs(x / {{x0}}) ** {p:g}", f"|{{x}}/{{x0}}|^{p:g}"
+    if odd:
+        size, word = f"jnp.sign(x) * {size}", f"sign({{x}}) {word}"
     return Term("power", (size,), (word,))
 
 
@@ -128,13 +126,11 @@ def grammar(place: Place) -> tuple[Term, ...]:
     """The terms that a curve of this kind may be a sum of. What springs and dampers are already is
     left out; a constant is left in where it is neither."""
     variable, factor = place.kind
-    if variable == "time":
-        own = _TIME if factor in ("angle", "rate") else (_CONSTANT, *_TIME)
-    elif factor:
-        own = (_LINEAR, *_ANGLE) if factor == "rate" else (_CONSTANT, _LINEAR, *_ANGLE)
-    else:
-        own = (_CONSTANT, *_ANGLE) if variable == "angle" else _RATE
-    return own
+    own = {"angle": _ANGLE, "rate": _RATE, "time": _TIME}[variable]
+    if variable == "angle" and factor:
+        own = (_LINEAR, *own)
+    constant = factor not in ("angle", "rate") and variable != "rate"
+    return (_CONSTANT, *own) if constant else own
 
 
 class Column(NamedTuple):
@@ -142,10 +138,7 @@ class Column(NamedTuple):
 
     term: Term
     shape: tuple[float, ...]
-    price: float
-    """Log of the number of values on its grid."""
-    scale: float
-    """Of the variable: the unit of the grid."""
+    price: float  # log of the number of values on its grid
 
 
 class Sum(NamedTuple):
@@ -153,12 +146,9 @@ class Sum(NamedTuple):
 
     place: Place
     columns: tuple[Column, ...]
-    log_evidence: float
-    """With the prior of its terms and shapes."""
-    log_prior: float
-    """Of the choice of its terms."""
-    strengths: np.ndarray
-    """One for each part of each term, in the height's unit."""
+    log_evidence: float  # with the prior of its terms and shapes
+    log_prior: float  # of the choice of its terms
+    strengths: np.ndarray  # one for each part of each term, in the height's unit
     evidences: np.ndarray = np.zeros(0)
     """(I,) log evidence of a model and these terms under each random torque, where it is beside
     one."""
@@ -177,16 +167,14 @@ class Sum(NamedTuple):
     @property
     def heights(self) -> np.ndarray:
         """(HEIGHTS,) of its curve."""
-        parts = np.concatenate([parts_of(self.place, c) for c in self.columns], axis=1)
-        return parts @ self.strengths
+        return _functions(self.place, self.columns) @ self.strengths
 
     def beside(
         self, along: Along, place: Place, intensities: Sequence[float] | np.ndarray
     ) -> "Sum":
         """The terms beside a model that holds them as they are here already, each shape known to an
         e-fold."""
-        strong = [parts_of(place, c) for c in self.columns]
-        strong, count = np.concatenate(strong, axis=1), len(self.strengths)
+        strong, count = _functions(place, self.columns), len(self.strengths)
         width = _widths(along, place, strong)
         columns = np.concatenate([width * strong, _bends(self)], axis=1)
         totals, grams = along.gram([place], [columns], intensities, self.heights)
@@ -204,10 +192,10 @@ class Sum(NamedTuple):
 
     def moved(self, by: np.ndarray) -> "Sum":
         """The sum with the logarithms of its shapes moved."""
-        steps, columns = iter(by), []
-        for c in self.columns:
-            columns.append(c._replace(shape=tuple(x * math.exp(next(steps)) for x in c.shape)))
-        return self._replace(columns=tuple(columns))
+        steps = iter(np.exp(by))
+        shapes = (tuple(x * float(next(steps)) for x in c.shape) for c in self.columns)
+        moved = (c._replace(shape=s) for c, s in zip(self.columns, shapes, strict=True))
+        return self._replace(columns=tuple(moved))
 
 
 def scale_of(place: Place) -> float:
@@ -228,7 +216,7 @@ def columns_of(place: Place) -> list[Column]:
     for term in grammar(place):
         grids = [[x0 * g for g in grid] for _, grid in term.shapes]
         values = list(itertools.product(*grids))
-        found += [Column(term, v, math.log(len(values)), x0) for v in values]
+        found += [Column(term, v, math.log(len(values))) for v in values]
     return found
 
 
@@ -237,6 +225,11 @@ def parts_of(place: Place, column: Column) -> np.ndarray:
     x, x0 = points(place.low, place.high), scale_of(place)
     shapes = dict(zip((name for name, _ in column.term.shapes), column.shape, strict=True))
     return heights_of(np.stack([value_of(part, x, x0, shapes) for part in column.term.parts], 1))
+
+
+def _functions(place: Place, columns: Sequence[Column]) -> np.ndarray:
+    """(HEIGHTS, C) `parts_of` some columns."""
+    return np.concatenate([parts_of(place, c) for c in columns], axis=1)
 
 
 def _widths(along: Along, place: Place, functions: np.ndarray) -> np.ndarray:
@@ -263,10 +256,6 @@ class Every:
         """(I,) the likeliest random torque first."""
         self.rests = np.stack([rest for _, rest in each])
 
-    def of(self, columns: np.ndarray) -> np.ndarray:
-        """(I, 1 + C, 1 + C) Gram matrices of functions (HEIGHTS, C)."""
-        return _among(self.rests, columns)
-
     def signs(self, columns: np.ndarray) -> float:
         """`free_curves.signs` beside functions, under the likeliest random torque."""
         return signs(self.along, _among(self.grams[0], columns))
@@ -276,9 +265,7 @@ def _among(square: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """A Gram matrix (..., F + HEIGHTS, F + HEIGHTS) as that of sums (HEIGHTS, C) of its last ones:
     (..., F + C, F + C)."""
     first = square.shape[-1] - len(columns)
-    move = np.zeros((square.shape[-1], first + columns.shape[1]))
-    move[:first, :first] = np.eye(first)
-    move[first:, first:] = columns
+    move = np.asarray(block_diag(np.eye(first), columns))
     return move.T @ square @ move
 
 
@@ -291,42 +278,34 @@ class Sums:
         most: int | None = 1,
     ):  # fmt: skip
         self.columns, self.place = list(columns), every.model.place
-        self.terms = len(grammar(self.place))
-        parts = [parts_of(self.place, c) for c in columns]
-        ends = itertools.accumulate((x.shape[1] for x in parts), initial=0)
+        ends = itertools.accumulate((len(c.term.parts) for c in columns), initial=0)
         self.which = [tuple(range(a, b)) for a, b in itertools.pairwise(ends)]
-        strong = np.concatenate(parts, axis=1)
+        strong = _functions(self.place, columns)
         self.width = _widths(every.along, self.place, strong)
         strong = self.width * strong
         self.functions = strong if more is None else np.concatenate([strong, more], axis=1)
-        self.bases, self.rests = every.bases[:most], every.of(self.functions)[:most]
+        self.bases, self.rests = every.bases[:most], _among(every.rests[:most], self.functions)
 
     def of(self, sets: list[tuple[int, ...]]) -> list[Sum]:
         """Sums of these columns."""
         which = [tuple(i for k in each for i in self.which[k]) for each in sets]
-        found: list[Sum | None] = [None] * len(sets)
-        for size in {len(w) for w in which}:
-            own = [i for i, w in enumerate(which) if len(w) == size]
-            gain, mean, _ = subset(self.rests, [which[i] for i in own])
-            each = gain + self.bases[:, None]
-            top = np.argmax(each, axis=0)
-            for k, i in enumerate(own):
-                columns = tuple(self.columns[j] for j in sets[i])
-                # There is one term at least.
-                prior = log_prior_model(len(columns), self.terms) - math.log(FURTHER)
-                evidence = log_sum(each[:, k]) - sum(c.price for c in columns)
-                strengths = self.width[list(which[i])] * mean[top[k], k]
-                found[i] = Sum(self.place, columns, evidence + prior, prior, strengths)
-        return [s for s in found if s is not None]
+        terms, found = len(grammar(self.place)), []
+        each = gains_of(self.rests, self.bases, which)
+        for own, (evidence, mean), where in zip(sets, each, which, strict=True):
+            columns = tuple(self.columns[j] for j in own)
+            # There is one term at least.
+            prior = log_prior_model(len(columns), terms) - math.log(FURTHER)
+            evidence += prior - sum(c.price for c in columns)
+            found.append(Sum(self.place, columns, evidence, prior, self.width[list(where)] * mean))
+        return found
 
     def best(self) -> list[tuple[tuple[int, ...], Sum]]:
         """The likeliest sums, the best first: the best so far with each further term."""
         every: dict[tuple[int, ...], Sum] = {}
         last: list[tuple[int, ...]] = [()]
         for _ in range(MOST_TERMS):
-            every_k = range(len(self.columns))
-            new = {tuple(sorted((*s, k))) for s in last for k in every_k if self._may_join(k, s)}
-            sets = sorted(new)
+            further = itertools.product(last, range(len(self.columns)))
+            sets = sorted({tuple(sorted((*s, k))) for s, k in further if self._may_join(k, s)})
             found = dict(zip(sets, self.of(sets), strict=True))
             every |= found
             last = sorted(found, key=lambda s: -found[s].log_evidence)[:_KEPT]
@@ -334,10 +313,8 @@ class Sums:
 
     def _may_join(self, k: int, others: tuple[int, ...]) -> bool:
         """Whether a sum takes a term: each once, but sines of several periods."""
-        term = self.columns[k].term
-        return k not in others and (
-            term is _SINE or all(self.columns[i].term is not term for i in others)
-        )
+        term, known = self.columns[k].term, [self.columns[i].term for i in others]
+        return k not in others and (term is _SINE or term not in known)
 
 
 def likeliest(along: Along, model: CurveModel) -> list[Sum]:
@@ -345,12 +322,10 @@ def likeliest(along: Along, model: CurveModel) -> list[Sum]:
     names for, shapes moved off their grids: those that cannot be told from the likeliest, which
     comes first."""
     columns, every = columns_of(model.place), Every(along, model)
-    alone = Sums(every, columns)
-    singles = alone.of([(k,) for k in range(len(columns))])
-    for term in {id(c.term): c.term for c in columns if c.term.shapes}.values():
-        own = [s for s in singles if s.columns[0].term is term]
+    singles = Sums(every, columns).of([(k,) for k in range(len(columns))])
+    for _, own in itertools.groupby(singles, lambda s: s.columns[0].term):
         best = max(own, key=lambda s: s.log_evidence)
-        columns += _refined(every, best).columns
+        columns += _refined(every, best).columns if best.columns[0].shape else ()
     sums = [(k, s) for k, s in Sums(every, columns).best() if not s.has_names]
     tops = [next((s for k, s in sums if len(k) == size), None) for size in range(1, MOST_TERMS + 1)]
     refined = [_weighed(every, _refined(every, s)) for s in tops if s is not None]
@@ -362,12 +337,10 @@ def likeliest(along: Along, model: CurveModel) -> list[Sum]:
 def _bends(found: Sum) -> np.ndarray:
     """(HEIGHTS, b) what a change of each shape of a sum does to its curve, at the shape's prior
     width."""
-    count = sum(len(c.shape) for c in found.columns)
-    bends = [np.zeros((HEIGHTS, 0))]
-    for step in np.eye(count):
-        ends = [found.moved(side * _STEP * step).heights for side in (1.0, -1.0)]
-        bends.append(SHAPE * (ends[0] - ends[1])[:, None] / (2 * _STEP))
-    return np.concatenate(bends, axis=1)
+    bends = np.zeros((HEIGHTS, sum(len(c.shape) for c in found.columns)))
+    for bend, step in zip(bends.T, _STEP * np.eye(bends.shape[1]), strict=True):
+        bend[:] = found.moved(step).heights - found.moved(-step).heights
+    return SHAPE * bends / (2 * _STEP)
 
 
 def _refined(every: Every, found: Sum) -> Sum:
@@ -398,15 +371,15 @@ def _weighed(every: Every, found: Sum) -> Sum:
 
 
 _LETTERS = "abcdefg"
-_SYMBOLS = {"angle": "q", "rate": "q'", "time": "t"}
+SYMBOLS = {"angle": "q", "rate": "q'", "time": "t"}
 _STRENGTH = {"": "TORQUE", "direction": "TORQUE", "angle": "STIFFNESS", "rate": "DAMPING"}
 _SHAPE = {"angle": "ANGLE", "rate": "RATE", "time": "DURATION"}
-_FACTOR = {"": "", "angle": "q ", "rate": "q' ", "direction": "sign(q') "}
+FACTORS = {"": "", "angle": "q ", "rate": "q' ", "direction": "sign(q') "}
 
 
-def _unit(scene: Scene, place: Place) -> str:
-    units = scene.mechanisms[0].units
-    kind = units[place.joint] if units else "rad"
+def unit_of(scene: Scene, place: Place) -> str:
+    """Of a curve's variable."""
+    kind = scene.units[place.joint]
     return {"angle": kind, "rate": f"{kind}/s", "time": "s"}[place.kind.variable]
 
 
@@ -416,7 +389,7 @@ def written(scene: Scene, place: Place, found: Sum, source: str) -> FoundLaw:
     numbers: list[FoundNumber] = []
     shapes: list[FoundNumber] = []
     code, words, letters = [], [], iter(_LETTERS)
-    strengths, unit = iter(found.strengths), _unit(scene, place)
+    strengths, unit = iter(found.strengths), unit_of(scene, place)
     taken: dict[str, int] = {}
     for column in found.columns:
         names = {}
@@ -431,15 +404,14 @@ def written(scene: Scene, place: Place, found: Sum, source: str) -> FoundLaw:
             numbers.append(FoundNumber(*named, float(next(strengths)), True))
             own = part.format(x0=repr(x0), **{k: f"self.{v}" for k, v in names.items()})
             code.append(f"self.{letter}" if own == "1.0" else f"self.{letter} * {own}")
-            said = word.format(x=_SYMBOLS[variable], x0=f"{x0:g}")
+            said = word.format(x=SYMBOLS[variable], x0=f"{x0:g}")
             for name, own_name in names.items():
                 said = said.replace(name, own_name)
             words.append(f"{letter} {said}".strip())
-    sums = " + ".join(words)
-    by = _FACTOR[factor]
+    sums, by = " + ".join(words), FACTORS[factor]
     equation = f"{by}({sums})" if by and len(words) > 1 else f"{by}{sums}"
     if any("{x0}" in part for c in found.columns for part in c.term.parts):
-        equation += f" ({_SYMBOLS[variable]} in {unit})"
+        equation += f" ({SYMBOLS[variable]} in {unit})"
     return FoundLaw(
         scene.joints[place.joint], variable, factor, equation, source,
         tuple(numbers + shapes), " + ".join(code),

@@ -18,10 +18,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.interpolate import BSpline
 
 from ..filtering.free_curve import HEIGHTS, FreeCurve, FreeFriction
-from ..filtering.kalman import Evidences, Functions, Torques, gram
-from ..filtering.linearised import Instants, Linear, nodes
+from ..filtering.kalman import Evidences, Torques, gram
+from ..filtering.linearised import Instants, nodes
 from ..filtering.trajectory import Scene, Trajectory
 from ..runtime.export_cache import kept
 from .columns import responses
@@ -82,18 +83,10 @@ KINDS = (
 a stiffness, a damping and a friction that change with time."""
 
 
-def spline(x: np.ndarray) -> np.ndarray:
-    """The cubic B-spline about 0 whose knots are one apart."""
-    a = np.abs(x)
-    inner = 2 / 3 - a**2 + a**3 / 2
-    return np.where(a < 1, inner, np.maximum(2 - a, 0.0) ** 3 / 6)
-
-
-def splines(x: Any, low: float, high: float, count: int = SPLINES) -> np.ndarray:
-    """(count, ...) their values at x; they cover low to high."""
-    x = np.asarray(x, float)
-    at = np.clip((x - low) / (high - low), 0.0, 1.0) * (count - 3) + 1
-    return spline(at - np.arange(count).reshape(-1, *[1] * x.ndim))
+def splines(x: np.ndarray, low: float, high: float, count: int = SPLINES) -> np.ndarray:
+    """(count, N) values at x (N,) of cubic B-splines that cover low to high."""
+    at = np.clip((x - low) / (high - low), 0.0, 1.0) * (count - 3)
+    return BSpline.design_matrix(at, np.arange(-3.0, count + 1.0), 3).toarray().T
 
 
 def knots(low: float, high: float) -> np.ndarray:
@@ -126,22 +119,18 @@ def _finer() -> np.ndarray:
 
 @kept(like=(0, 0, 0, 0, 0))
 def _along(instants: Instants, path, spread, held, by_x, by_torque, sliding):
-    """Angles, rates, times and directions at the nodes, and (3, X, n, K) how a step answers to a
-    unit torque at its beginning, middle and end."""
+    """Angles, rates, times and directions at the nodes, and (K, 3, X, n) `responses`."""
     at = nodes(instants, path, spread, held)
     direction = jax.scipy.special.erf(at.v / (math.sqrt(2) * at.spread))
     direction = jnp.where(jnp.abs(sliding) < 1, sliding, direction)
-    answers = jnp.stack(responses(instants.step, by_x, -by_torque))
-    answers = jnp.where(instants.last, 0.0, answers)
-    return at.q, at.v, at.time, direction, answers
+    return at.q, at.v, at.time, direction, responses(instants, by_x, by_torque)
 
 
 class Along:
     """A model's motion, for columns of functions of it."""
 
-    def __init__(self, scene: Scene, t: Trajectory, linear: Linear | None = None):
-        self.scene, self.trajectory = scene, t
-        self.linear: Linear = scene.linearised(t) if linear is None else linear
+    def __init__(self, scene: Scene, t: Trajectory):
+        self.scene, self.trajectory, self.linear = scene, t, scene.linearised(t)
         _, table = scene.tabulated(t)
         found = _along(
             scene.instants, t.path, t.spread, table.held,
@@ -150,9 +139,9 @@ class Along:
         self.q, self.v, self.time, self.direction, self._answers = map(np.asarray, found)
         n, K, orders = scene.n, scene.K, np.array(scene.orders or (0,) * scene.n)
         # What a torque adds at once to a reading: to an acceleration.
-        self._pushed = np.asarray(self.linear.by_torque)[n : 2 * n, :, :K]
-        self._pushed = self._pushed * (orders == 2)[:, None, None]
-        self.real = np.tile(np.arange(scene.K) < scene.grid.real, 3)
+        pushed = np.asarray(self.linear.by_torque)[n : 2 * n, :, :K].transpose(2, 0, 1)
+        self._pushed = pushed * (orders == 2)[:, None]
+        self.real = np.tile(scene.real, 3)
         self._squares: dict[tuple[Place, int], np.ndarray] = {}
 
     def variable(self, name: str, joint: int) -> np.ndarray:
@@ -168,13 +157,15 @@ class Along:
         """(count, count) mean over the motion of the products of torques, of splines over a place's
         range: h' squares h is the mean square of the torque of a curve with heights h."""
         if (place, count) not in self._squares:
-            x, factor = (
-                f(name, place.joint)[self.real]
-                for f, name in zip((self.variable, self.factor), place.kind, strict=True)
-            )
+            x, factor = self.visited(place)
             each = factor * splines(x, place.low, place.high, count)
             self._squares[place, count] = each @ each.T / len(x)
         return self._squares[place, count]
+
+    def visited(self, place: "Place") -> tuple[np.ndarray, np.ndarray]:
+        """A curve's variable and its factor, all over the motion."""
+        x = self.variable(place.kind.variable, place.joint)
+        return x[self.real], self.factor(place.kind.factor, place.joint)[self.real]
 
     def typical(self, place: "Place") -> float:
         """Rms of a torque that is as large as the spring's at full swing, N m."""
@@ -192,33 +183,29 @@ class Along:
         """(I,) log normalisers, and the (I, 1 + P + C, 1 + P + C) Gram matrices of whitened
         innovations with functions (HEIGHTS, C / G) of each of G places at one joint. The model may
         hold a curve of the first place already, of heights `held`: it is taken away."""
-        counts = [f.shape[1] for f in functions]
-        room = next(r for r in _ROOMS if r >= sum(counts) + (held is not None))
-        wide = np.zeros((len(places), HEIGHTS, room // len(places)))
-        for own, each in zip(wide, functions, strict=True):
-            own[:, : each.shape[1]] = each
+        j, K, C = places[0].joint, self.scene.K, sum(f.shape[1] for f in functions)
         if held is not None:
-            wide[0, :, -1] = held
-        K, joint = self.scene.K, places[0].joint
-
-        def nodes_of(rows):  # (K, 3, G)
-            return np.stack(list(rows), -1).reshape(3, K, -1).swapaxes(0, 1)
-
+            places, functions = [*places, places[0]], [*functions, held[:, None]]
+        torques = [
+            self.factor(place.kind.factor, j)[:, None]
+            * (splines(self.variable(place.kind.variable, j), place.low, place.high, HEIGHTS).T @ f)
+            for place, f in zip(places, functions, strict=True)
+        ]
+        torque = np.concatenate(torques, axis=1)
+        room = next(r for r in _ROOMS if r >= torque.shape[1])
+        torque = np.pad(torque, ((0, 0), (0, room - torque.shape[1])))
         more = Torques(
-            self._answers[:, :, joint].transpose(2, 0, 1), -self._pushed[:, joint].T,
-            nodes_of(self.variable(p.kind.variable, p.joint) for p in places),
-            nodes_of(self.factor(p.kind.factor, p.joint) for p in places),
+            self._answers[..., j : j + 1], self._pushed[..., j : j + 1],
+            (torque.reshape(3, K, room).swapaxes(0, 1),),
+            np.zeros((K, 3, 1, 0)), np.zeros((K, self.scene.n, 0)),
         )  # fmt: skip
-        low, high = (np.array([getattr(p, x) for p in places]) for x in ("low", "high"))
-        args = self.linear.system, more, Functions(low, high, wide), self.scene.readings
+        args = self.linear.system, (more,), self.scene.readings
         noise = self.scene.noise(self.trajectory)
         found = [gram(*args, noise, np.asarray(x, float)) for x in intensities]
-        first, each = 1 + len(self.trajectory.u), room // len(places)
-        columns = [first + i * each + np.arange(c) for i, c in enumerate(counts)]
-        keep = np.concatenate([np.arange(first), *columns])
-        move = np.eye(first + room)[:, keep]
+        first = 1 + len(self.trajectory.u)
+        move = np.eye(first + room)[:, : first + C]
         if held is not None:
-            move[first + each - 1, 0] = -1.0
+            move[first + C, 0] = -1.0
         return np.array([t for t, _ in found]), np.stack(
             [move.T @ np.asarray(g) @ move for _, g in found]
         )
@@ -231,11 +218,6 @@ class Place(NamedTuple):
     joint: int
     low: float
     high: float
-
-    @classmethod
-    def visited(cls, along: Along, kind: Kind, joint: int) -> "Place":
-        """Over the range that a motion visits."""
-        return cls(kind, joint, *along.span(kind.variable, joint))
 
     def taken(self, x: np.ndarray) -> np.ndarray | None:
         """What of a curve springs and dampers are already: a line of the angle or the rate, a
@@ -254,26 +236,18 @@ class Place(NamedTuple):
         return made(scene.joints[self.joint], *(np.asarray(x, float) for x in data))
 
 
-@functools.lru_cache(maxsize=64)
-def _roots(low: float, high: float) -> np.ndarray:
-    """(H, SPLINES, SPLINES) square roots of the covariance of heights for each length and parity;
-    `low`, `high` in units of the range."""
-    at, found = knots(low, high), []
+def _priors(along: Along, place: Place) -> np.ndarray:
+    """(H, SPLINES, SPLINES) square roots of the covariance of heights for each size, length and
+    parity, less what springs and dampers have of a curve already."""
+    at, found = knots(place.low, place.high), []
     for length in CURVE_LENGTHS:
-        near, far = (np.exp(-0.5 * ((at[:, None] - s * at) / length) ** 2) for s in (1, -1))
+        width = length * (place.high - place.low)
+        near, far = (np.exp(-0.5 * ((at[:, None] - s * at) / width) ** 2) for s in (1, -1))
         # Any curve; its odd part; its even part (Duvenaud, PhD thesis, Cambridge 2014, ch. 2).
         for covariance in (near, 0.5 * (near - far), 0.5 * (near + far)):
             e, vectors = np.linalg.eigh(covariance)
             found.append(vectors * np.sqrt(np.maximum(e, 0.0)))
-    return np.stack(found)
-
-
-def _priors(along: "Along", place: "Place") -> np.ndarray:
-    """(H, SPLINES, SPLINES) `_roots` of torques of each size, less what springs and dampers have of
-    a curve already."""
-    size = place.high - place.low
-    roots, squares = _roots(place.low / size, place.high / size), along.squares(place, SPLINES)
-    line = place.taken(knots(place.low, place.high))
+    roots, squares, line = np.stack(found), along.squares(place, SPLINES), place.taken(at)
     if line is not None:
         share = line @ squares @ roots / (line @ squares @ line)
         roots = roots - line[:, None] * share[:, None]
@@ -285,12 +259,9 @@ def _priors(along: "Along", place: "Place") -> np.ndarray:
 class Posterior(NamedTuple):
     """A free curve beside a model, given the readings."""
 
-    evidences: np.ndarray
-    """(I,) log evidence of model and curve under each random torque."""
-    mean: np.ndarray
-    """(SPLINES,) heights."""
-    covariance: np.ndarray
-    """(SPLINES, SPLINES)"""
+    evidences: np.ndarray  # (I,) log evidence of model and curve under each random torque
+    mean: np.ndarray  # (SPLINES,) heights
+    covariance: np.ndarray  # (SPLINES, SPLINES)
 
     @property
     def heights(self) -> np.ndarray:
@@ -317,7 +288,7 @@ def _posterior(along: Along, place: Place, intensities, totals, grams) -> Poster
     P, roots = len(along.trajectory.u), _priors(along, place)
     each_of = len(roots) // len(CURVE_AMPLITUDES)
     prior = np.repeat(np.log(prior_sizes(CURVE_AMPLITUDES) / each_of), each_of)
-    evidences, each, means, covariances = [], [], [], []
+    evidences, each = [], []
     for total, square in zip(totals, grams, strict=True):
         base, rest = conditional(square, P)
         inner = np.swapaxes(roots, 1, 2) @ rest[1:, 1:] @ roots + np.eye(SPLINES)
@@ -335,8 +306,7 @@ def _posterior(along: Along, place: Place, intensities, totals, grams) -> Poster
         evidences.append(total + base + log_sum(gains) + signs(along, scale.T @ square @ scale))
         each.append((mean, covariance))
     evidences = along.scene.possible(np.array(evidences))
-    logs = evidences + log_prior_intensity(intensities)
-    weights = shares(logs)
+    weights = shares(evidences + log_prior_intensity(intensities))
     means, covariances = (np.stack(x) for x in zip(*each, strict=True))
     return Posterior(evidences, *_mixed(weights, means, covariances))
 
@@ -356,8 +326,7 @@ class Screened(NamedTuple):
     """A free curve beside a model, to first order."""
 
     place: Place
-    log_evidence: float
-    """Random torques summed over."""
+    log_evidence: float  # random torques summed over
     posterior: Posterior
 
 
@@ -366,7 +335,10 @@ def screen(along: Along, intensities: Sequence[float]) -> list[Screened]:
     found, P = [], len(along.trajectory.u)
     for joint in range(along.scene.n):
         for k in range(0, len(KINDS), _AT_ONCE):
-            places = [Place.visited(along, kind, joint) for kind in KINDS[k : k + _AT_ONCE]]
+            places = [
+                Place(kind, joint, *along.span(kind.variable, joint))
+                for kind in KINDS[k : k + _AT_ONCE]
+            ]
             totals, grams = along.gram(places, [_finer()] * len(places), intensities)
             for i, place in enumerate(places):
                 own = 1 + P + SPLINES * i
@@ -384,15 +356,12 @@ class CurveModel(Tried):
     is its motion with the curve in it."""
 
     place: Place
-    mean: np.ndarray
-    """(SPLINES,) heights of the curve."""
+    mean: np.ndarray  # (SPLINES,) heights of the curve
     covariance: np.ndarray
-    held: np.ndarray
-    """(HEIGHTS,) heights that `best` has."""
+    held: np.ndarray  # (HEIGHTS,) heights that `best` has
     share: float
     """Rms torque of the curve, beyond what springs and dampers take up, over the spring's torque at
     full swing."""
-
     formulas: tuple[Any, ...] = ()
     """`formula.Sum`s that say the same, where they were weighed, to first order."""
 
@@ -414,14 +383,10 @@ class CurveModel(Tried):
 class Settled(NamedTuple):
     """A model and a law, iterated to their motion."""
 
-    evidences: np.ndarray
-    """(I,)"""
-    best: Trajectory
-    """With the law in it."""
-    law: Any
-    """As it is in `best`."""
-    found: Any
-    """The law, along that motion."""
+    evidences: np.ndarray  # (I,)
+    best: Trajectory  # with the law in it
+    law: Any  # as it is in `best`
+    found: Any  # the law, along that motion
 
 
 def settle(
@@ -430,14 +395,13 @@ def settle(
     """Iterate a model and a law to their motion: law and evidences along the motion, then the
     motion with that law. `law` is a `Posterior`, or a `formula.Sum`. None if it runs away."""
     level = next(k for k, x in enumerate(INTENSITIES) if x <= loudest)
-    before, prior = -math.inf, log_prior_intensity(INTENSITIES)
-    t = start
+    before, prior, t = -math.inf, log_prior_intensity(INTENSITIES), start
     for turn in range(_ITERATIONS):
         t = with_curve(scene, t, place, law.heights)
-        moved = scene.smoothed(t, scene.linearised(t), INTENSITIES[level])
-        if moved is None:
+        t = scene.smoothed(t, scene.linearised(t), INTENSITIES[level])
+        if t is None:
             return None
-        t, along = moved, Along(scene, moved)
+        along = Along(scene, t)
         near = np.arange(max(level - 1, 0), min(level + _NEAR, len(INTENSITIES)))
         found = law.beside(along, place, np.array(INTENSITIES)[near])
         likeliest = int(near[np.argmax(found.evidences + prior[near])])
@@ -467,17 +431,12 @@ def settled_curve(
         return None
     evidences, best, held, found = settled
     share = _share(Along(scene, best), first.place, found.mean)
-    return CurveModel(
-        added, evidences, best, log_prior, first.place, found.mean, found.covariance, held.heights,
-        share,
-    )  # fmt: skip
+    law = first.place, found.mean, found.covariance, held.heights, share
+    return CurveModel(added, evidences, best, log_prior, *law)
 
 
 def _share(along: Along, place: Place, heights: np.ndarray) -> float:
-    x, factor = (
-        f(name, place.joint)[along.real]
-        for f, name in ((along.variable, place.kind.variable), (along.factor, place.kind.factor))
-    )
+    x, factor = along.visited(place)
     value, taken = splines(x, place.low, place.high).T @ heights, place.taken(x)
     if taken is not None:
         value = value - taken * (taken @ value) / (taken @ taken)

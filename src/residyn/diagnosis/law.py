@@ -9,6 +9,7 @@ model without it. Otherwise the curve itself, as a table, is the law.
 """
 
 import dataclasses
+import datetime
 import math
 import textwrap
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ from ..fitting import FitError
 from ..fitting.result import Fit
 from ..physics.motion import JointMotion
 from ..runtime.json import number
+from .columns import with_effects
 from .evidence import (
     CONTENDERS,
     FURTHER,
@@ -32,10 +34,9 @@ from .evidence import (
     INTENSITIES,
     OUTSIDE,
     over_intensities,
-    prior_of,
 )
 from .forecast import HeldOut, held_out
-from .formula import likeliest, written
+from .formula import FACTORS, SYMBOLS, likeliest, unit_of, written
 from .free_curves import (
     KINDS,
     Along,
@@ -72,7 +73,7 @@ def curve_models(search: Search) -> list[CurveModel]:
     for parent in (search.tried[s] for s in wanted if s in search.tried):
         search.in_time()
         trajectory, intensity = search.screening_motion(parent)
-        used = sorted({intensity, 0.1 * intensity, 0.0}, reverse=True)
+        used = [intensity, 0.1 * intensity, 0.0]
         # One more effect, which is in no catalogue, and any of the curves.
         prior = parent.log_prior + math.log(FURTHER * OUTSIDE / (len(KINDS) * scene.n))
         # Where little is left, the first order is right, and by it most curves have no part; where
@@ -91,13 +92,9 @@ def curve_models(search: Search) -> list[CurveModel]:
         search.in_time()
         model = settled_curve(scene, *first)
         if model is not None:  # the law that has a simple formula is the likelier one
-            models.append(_with_formulas(scene, model))
+            formulas = tuple(likeliest(Along(scene, model.best), model))
+            models.append(dataclasses.replace(model, formulas=formulas))
     return models
-
-
-def _with_formulas(scene: Scene, model: CurveModel) -> CurveModel:
-    formulas = tuple(likeliest(Along(scene, model.best), model))
-    return dataclasses.replace(model, formulas=formulas)
 
 
 def _beyond(taken: np.ndarray | None, visits: np.ndarray) -> np.ndarray:
@@ -204,48 +201,38 @@ class Law:
 
 
 def laws_of(
-    search: Search,
-    models: Sequence[CurveModel],
-    probabilities: Sequence[float],
-    best: float,
-    fits: Any,
-    source: str,
+    search: Search, probabilities: Sequence[float], best: float, fits: Any
 ) -> tuple[Law, ...]:
-    """The laws that curve models speak of, of probability `IN_PLAY` at least, the likeliest first;
-    where it has most of the posterior, with its formula or table. `best` is the log evidence of
-    the best model with names only; `fits` is `diagnose.Fits`."""
-    groups: dict[Any, list[int]] = {}
-    for i, m in enumerate(models):
-        if m.matters:
-            groups.setdefault((m.place.kind, m.place.joint), []).append(i)
-    found = []
-    for each in groups.values():
-        p = float(sum(probabilities[i] for i in each))
-        top = max((models[i] for i in each), key=lambda m: m.log_posterior)
-        if p >= IN_PLAY:
-            found.append((p, top))
-    found.sort(key=lambda f: -f[0])
+    """The laws that a search's curves speak of, of probability `IN_PLAY` at least, the likeliest
+    first; where it has most of the posterior, with its formula or table. `best` is the log evidence
+    of the best model with names only; `fits` is `diagnose.Fits`."""
+    groups: dict[Any, list[tuple[CurveModel, float]]] = {}
+    for model, p in zip(search.curves, probabilities, strict=True):
+        if model.matters:
+            groups.setdefault((model.place.kind, model.place.joint), []).append((model, p))
+    found = [
+        (float(sum(p for _, p in each)), max((m for m, _ in each), key=lambda m: m.log_posterior))
+        for each in groups.values()
+    ]
+    found = sorted((f for f in found if f[0] >= IN_PLAY), key=lambda f: -f[0])
     laws = [_law(search, top, p, best) for p, top in found]
     if laws and found[0][0] > 0.5:
-        laws[0] = _with_class(search, found[0][1], laws[0], fits, source)
+        laws[0] = _with_class(search, found[0][1], laws[0], fits)
     return tuple(laws)
 
 
 def _law(search: Search, model: CurveModel, probability: float, best: float) -> Law:
     scene, place = search.scene, model.place
     along = Along(scene, model.best)
-    real = np.arange(scene.K) < scene.grid.real
-    x = along.variable(place.kind.variable, place.joint)[: scene.K][real]
+    x = along.variable(place.kind.variable, place.joint)[: scene.K][scene.real]
     grid = np.linspace(place.low, place.high, GRID)
     nearest = np.clip(np.rint((x - place.low) / (grid[1] - grid[0])).astype(int), 0, GRID - 1)
     visits = np.bincount(nearest, minlength=GRID) / len(nearest)
     rows = _beyond(place.taken(grid), visits)
     rows = rows @ splines(grid, place.low, place.high).T
     variance = np.einsum("gi,ij,gj->g", rows, model.covariance, rows)
-    units = scene.mechanisms[0].units
-    kind = units[place.joint] if units else "rad"
-    torque = "N" if kind == "m" else "N m"
-    by = {"angle": f"/{kind}", "rate": f" s/{kind}"}
+    kind = scene.units[place.joint]
+    by = {"angle": f"/{kind}", "rate": f" s/{kind}"}.get(place.kind.factor, "")
     law = Law(
         joint=scene.joints[place.joint],
         variable=place.kind.variable,
@@ -257,8 +244,8 @@ def _law(search: Search, model: CurveModel, probability: float, best: float) -> 
         mean=rows @ model.mean,
         std=np.sqrt(np.maximum(variance, 0.0)),
         visits=visits,
-        unit=torque + by.get(place.kind.factor, ""),
-        variable_unit={"angle": kind, "rate": f"{kind}/s", "time": "s"}[place.kind.variable],
+        unit=scene.torque_units[place.joint] + by,
+        variable_unit=unit_of(scene, place),
         named=(),
     )
     return dataclasses.replace(law, named=_named(search, law))
@@ -294,20 +281,21 @@ class Written(Tried):
         """The model without a random torque, with the class."""
         t = silenced(scene, self.best, self.intensity)
         effect: Any = self.found.kind()(self.found.joint)  # pyright: ignore[reportCallIssue]
-        effects = (*(e for e in t.effects if not isinstance(e, FreeCurve)), effect)
-        prior, first = prior_of(scene, effects), number_slices(effects)[-1]
-        numbers = np.array(prior.mean)
-        numbers[first] = [float(getattr(effect, n.field)) for n in numbers_of(effect)]
-        u = np.zeros(scene.regressors(effects))
-        u[: first.start] = t.u[: first.start]
-        u[first] = prior.regressors(numbers)[first]
-        return (dataclasses.replace(t, effects=effects, prior=prior, u=u),)
+        own = [i for i, e in enumerate(t.effects) if not isinstance(e, FreeCurve)]
+        t = with_effects(scene, t, own, [effect])
+        numbers, last = np.array(t.prior.mean), number_slices(t.effects)[-1]
+        numbers[last] = [float(getattr(effect, n.field)) for n in numbers_of(effect)]
+        t.u[last] = t.prior.regressors(numbers)[last]
+        return (t,)
 
 
-def _with_class(search: Search, model: CurveModel, law: Law, fits: Any, source: str) -> Law:
+def _with_class(search: Search, model: CurveModel, law: Law, fits: Any) -> Law:
     """The law with its formula, or with a table where none was accepted."""
+    names = [r.name for r in fits.whole.fit_recordings]
+    more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+    source = f"found in {names[0]}{more}, {datetime.date.today().isoformat()}"
     scene, parent, place = search.scene, search.tried[frozenset(model.added)], model.place
-    curve = over_intensities(model.evidences, INTENSITIES)
+    curve = over_intensities(model.evidences)
     terms = (model.formulas or likeliest(Along(scene, model.best), model))[0]
     loudest = INTENSITIES[max(INTENSITIES.index(model.intensity) - 2, 0)]
     settled = settle(scene, model.best, place, terms, loudest)
@@ -316,7 +304,7 @@ def _with_class(search: Search, model: CurveModel, law: Law, fits: Any, source: 
         return Written((*model.added, found.label), evidences, t, model.log_prior, found)
 
     if settled is not None:
-        more = over_intensities(settled.evidences, INTENSITIES) + terms.log_prior - curve
+        more = over_intensities(settled.evidences) + terms.log_prior - curve
         found = written(scene, place, settled.found, source)
         if more > 0:
             fit, held = _fitted(fits, of(found, settled.evidences, settled.best))
@@ -353,11 +341,8 @@ def _fitted(fits: Any, tried: Tried) -> tuple[Fit | None, HeldOut | None]:
 
 def _predicts(with_it: HeldOut | None, without: HeldOut | None) -> bool:
     """Whether held-out readings are predicted better with a law than without it."""
-    if with_it is None:
-        return False
-    if without is None:
-        return True
-    after, before = (np.nansum(h.held_out.ratio**2) for h in (with_it, without))
+    each = (with_it, without)
+    after, before = (np.inf if h is None else np.nansum(h.held_out.ratio**2) for h in each)
     return bool(after < before)
 
 
@@ -371,9 +356,8 @@ def _tabulated(law: Law, source: str) -> FoundLaw:
     )
     call = f"jnp.interp(\n            x, jnp.array([\n{at}\n            ]), jnp.array([\n{values}"
     number_of_it = FoundNumber("scale", "its size, 1 as found", "RATIO", 1.0, True)
-    symbol = {"angle": "q", "rate": "q'", "time": "t"}[law.variable]
-    by = {"angle": "q ", "rate": "q' ", "direction": "sign(q') "}.get(law.factor, "")
+    equation = f"scale {FACTORS[law.factor]}f({SYMBOLS[law.variable]}), f a table"
     return FoundLaw(
-        law.joint, law.variable, law.factor, f"scale {by}f({symbol}), f a table", source,
+        law.joint, law.variable, law.factor, equation, source,
         (number_of_it,), f"self.scale * {call}\n            ]))",
     )  # fmt: skip

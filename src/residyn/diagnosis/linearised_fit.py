@@ -16,14 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..fitting.least_squares import (
-    RUNAWAY,
-    Compressed,
-    Polished,
-    look,
-)
+from ..fitting.least_squares import RUNAWAY, Compressed, Polished, look
 from ..fitting.linalg import damped_step
-from ..fitting.problem import Problem, Ready, Unknowns, reweighted, tight
+from ..fitting.problem import Problem, Unknowns, reweighted, tight
 from ..fitting.result import Fit, FitError, RecordingFit
 from .evidence import gram_factor
 
@@ -44,21 +39,17 @@ class Minimum(NamedTuple):
     """Where a descent ended."""
 
     at: Unknowns
-    predicted: np.ndarray
-    """(R, N, n) rad or m."""
+    predicted: np.ndarray  # (R, N, n) rad or m
     slopes: np.ndarray
     """(R, N, n, L) in each recording's L unknowns: the shared numbers, then its own initial state,
     in the problem's scales."""
-    residual: np.ndarray
-    """(R, N, n) whitened."""
+    residual: np.ndarray  # (R, N, n) whitened
     cost: float
     """Sum of squared whitened residuals, what is known beforehand of internal states included."""
     steps: int
     converged: bool
-    square: np.ndarray
-    """(R, L, L) J'J of the whitened readings, and of what is known beforehand."""
-    slope: np.ndarray
-    """(R, L) J'r."""
+    square: np.ndarray  # (R, L, L) J'J of the whitened readings, and of what is known beforehand
+    slope: np.ndarray  # (R, L) J'r
 
     def compressed(self) -> Compressed:
         """Predictions, and what least squares need of residual and Jacobian."""
@@ -117,7 +108,7 @@ def minimum(
         numbers, steps = numbers * moves, steps + 1
         there = evaluated(Unknowns(here.at.numbers + numbers, here.at.states + states), steps)
         gain = here.cost - there.cost
-        if gain < 0 or np.isnan(gain):
+        if gain < 0:
             damping = max(10 * damping, 1e3 * _DAMPING[0])
             continue
         if there.cost - gain > enough:
@@ -156,18 +147,12 @@ class LinearisedFit(NamedTuple):
     fitted: tuple[RecordingFit, ...]
     problem: Problem
     at: Unknowns
-    ready: Ready
 
     @classmethod
     def of(cls, fit: Fit) -> "LinearisedFit":
         """Around the end of a fit. Call its methods in float64."""
         fitted = tuple(r for r in fit.recordings if r.recording.role != "check")
-        return cls(fit, fitted, fit.problem, fit.unknowns, fit.ready)
-
-    @property
-    def readings(self) -> int:
-        """How many readings were fitted."""
-        return sum(int(r.used.sum()) for r in self.fitted)
+        return cls(fit, fitted, fit.problem, fit.unknowns)
 
     @property
     def numbers(self) -> int:
@@ -179,7 +164,10 @@ class LinearisedFit(NamedTuple):
 
         **Returns:** they, and whether the search for them, from the whole fit's, settled.
         """
-        dropped = [~(np.isfinite(r.recording.angle) & k[:, None]) for k, r in self._pairs(kept)]
+        dropped = [
+            ~(np.isfinite(r.recording.angle) & k[:, None])
+            for k, r in zip(kept, self.fitted, strict=True)
+        ]
         size = max(1.0, float(np.sqrt(self.fit.reduced_chi2)))
         try:
             found = minimum(reweighted(self.problem, dropped), self.at, size)
@@ -207,9 +195,6 @@ class LinearisedFit(NamedTuple):
     def memories(self) -> int:
         """How many unknowns of a recording are internal states of effects."""
         return len(self.fitted[0].state) - 2 * len(self.fit.joints)
-
-    def _pairs(self, kept: Sequence[np.ndarray]):
-        return zip(kept, self.fitted, strict=True)
 
 
 def evaluated(problem: Problem, y: Unknowns) -> Compressed:
@@ -265,41 +250,27 @@ def _orthonormal(columns: np.ndarray) -> np.ndarray:
 def spread(
     slopes: Sequence[np.ndarray], weights: Sequence[np.ndarray], numbers: int, memories: int
 ) -> list[np.ndarray]:
-    """Standard errors of predictions, (N, n) rad or m per recording.
-
-    Of a fit to the readings that have a weight, see `marginal`.
-    """
-    total, gains, inner = marginal(slopes, weights, numbers, memories)
-    size = np.sqrt(np.where(np.diag(total) > 0, np.diag(total), 1.0))
-    numbers_too = np.linalg.pinv(total / size / size[:, None], rcond=_BLIND**2, hermitian=True)
-    numbers_too = numbers_too / size / size[:, None]
-    found = []
-    for slope, gain, inverse in zip(slopes, gains, inner, strict=True):
-        own, rest = slope[..., numbers:], slope[..., :numbers]
-        beyond = rest - own @ gain
-        variance = np.einsum("tja,ab,tjb->tj", own, inverse, own)
-        variance += np.einsum("tja,ab,tjb->tj", beyond, numbers_too, beyond)
-        found.append(np.sqrt(np.maximum(variance, 0.0)))
-    return found
-
-
-def marginal(
-    slopes: Sequence[np.ndarray], weights: Sequence[np.ndarray], numbers: int, memories: int
-) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
-    """(P, P) what the readings that have a weight know of the numbers, initial states taken out; of
-    each recording, how its states follow the numbers, and their own covariance.
-
-    See `Tangent.of`. Internal states, the last `memories` unknowns of each recording, are known
-    beforehand to their scale.
-    """
-    total, gains, inner = np.zeros((numbers, numbers)), [], []
+    """Standard errors of predictions, (N, n) rad or m per recording, of a fit to the readings that
+    have a weight; see `Tangent.of`. Internal states, the last `memories` unknowns of each
+    recording, are known beforehand to their scale."""
+    total, parts = np.zeros((numbers, numbers)), []
     for slope, weight in zip(slopes, weights, strict=True):
         whitened = (slope * weight[:, :, None]).reshape(-1, slope.shape[-1])
         known = np.zeros(slope.shape[-1])
         known[len(known) - memories :] = 1.0
         square = whitened.T @ whitened + np.diag(known)
+        # How a recording's states follow the numbers, and their own covariance.
         inverse = np.linalg.pinv(square[numbers:, numbers:], hermitian=True)
-        gains.append(inverse @ square[numbers:, :numbers])
-        inner.append(inverse)
-        total += square[:numbers, :numbers] - square[:numbers, numbers:] @ gains[-1]
-    return total, gains, inner
+        gain = inverse @ square[numbers:, :numbers]
+        total += square[:numbers, :numbers] - square[:numbers, numbers:] @ gain
+        parts.append((slope[..., numbers:], slope[..., :numbers], gain, inverse))
+    size = np.sqrt(np.where(np.diag(total) > 0, np.diag(total), 1.0))
+    covariance = np.linalg.pinv(total / size / size[:, None], rcond=_BLIND**2, hermitian=True)
+    covariance = covariance / size / size[:, None]
+    found = []
+    for own, shared, gain, inverse in parts:
+        beyond = shared - own @ gain
+        variance = np.einsum("tja,ab,tjb->tj", own, inverse, own)
+        variance += np.einsum("tja,ab,tjb->tj", beyond, covariance, beyond)
+        found.append(np.sqrt(np.maximum(variance, 0.0)))
+    return found

@@ -26,7 +26,6 @@ from ..physics.model import Model
 from ..physics.parameter import parameters_of
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
-from .evidence import CORRELATION
 from .search import Tried, tried_alone
 
 
@@ -118,18 +117,17 @@ def missing_torque(
     """
     with jax.enable_x64(True):
         bad = np.zeros(recording.angle.shape, bool) if wild is None else np.asarray(wild, bool)
-        scene = Scene([recording], [model.mechanism], [bad], correlation=CORRELATION)
+        scene = Scene([recording], [model.mechanism], [bad])
         (found,) = torques_of(scene, tried_alone(scene, model.effects))
     return found
 
 
-def torques_of(scene: Scene, model: Tried) -> list[MissingTorque]:
+def torques_of(
+    scene: Scene, model: Tried, pairs: Sequence[tuple[float, Trajectory]] | None = None
+) -> list[MissingTorque]:
     """The missing torque of each recording of a scene: averaged over the random torque's
-    intensities, each by its posterior."""
-    return _torques(scene, model.best, model.over_torques(scene))
-
-
-def _torques(scene: Scene, best: Trajectory, pairs) -> list[MissingTorque]:
+    intensities, each by its posterior (`pairs`, if `model.over_torques` is known)."""
+    best, pairs = model.best, pairs or model.over_torques(scene)
     weights = np.array([w for w, _ in pairs])
     torques = np.stack([t.torque for _, t in pairs])
     variances = np.stack([t.torque_variance for _, t in pairs])
@@ -164,34 +162,29 @@ def restoring_torque(scene: Scene, t: Trajectory) -> np.ndarray:
     linear = scene.linearised(t)
     acceleration = np.asarray(linear.acceleration)[:, : scene.K].T
     each = scene.torques(t, linear)
-    own = [each[e.label] for e in t.effects if e.name == "spring" or _as_spring(e)]
+    own = [
+        each[e.label] for e in t.effects
+        if e.name == "spring" or any(p.as_spring for p in parameters_of(e))
+    ]  # fmt: skip
     found = np.sum(own, axis=0) if own else np.zeros_like(acceleration)
     sizes = np.array([s.inertia for s in scene.scales])
     return np.where(np.any(found != 0, axis=0), found, sizes * acceleration)
 
 
-def _as_spring(effect: AbstractEffect) -> bool:
-    return any(p.as_spring for p in parameters_of(effect))
-
-
 def curve(scene: Scene, before: np.ndarray, missing: np.ndarray, model: Tried, label: str) -> Curve:
     """What one effect of a model draws over the torque (K, n) that the base model lacks, whose own
     torque is `before`, over all recordings of the scene."""
-    after = scene.torques(model.best)
+    t = model.best
+    after, index = scene.torques(t), t.labels.index(label)
     own = after.pop(label)
     changed = np.sum([*after.values()], axis=0) - before
-    real = np.arange(scene.K) < scene.grid.real
-    left = np.sum((missing - own - changed)[real] ** 2) / max(np.sum(missing[real] ** 2), 1e-300)
-    t = model.best
-    index = [e.label for e in t.effects].index(label)
+    whole, left = (np.sum(x[scene.real] ** 2) for x in (missing, missing - own - changed))
     effect, numbers = t.effects[index], t.numbers[number_slices(t.effects)[index]]
-    units = scene.mechanisms[0].units
-    unit = units[scene.joint_of(effect)] if units else None
     values = {
-        f"{label}.{n.name}": (float(x), n.dimension.unit(unit))
+        f"{label}.{n.name}": (float(x), scene.unit(effect, n))
         for n, x in zip(numbers_of(effect), numbers, strict=True)
     }
-    return Curve(label, float(max(0.0, 1.0 - left)), values, own, changed)
+    return Curve(label, float(max(0.0, 1.0 - left / max(whole, 1e-300))), values, own, changed)
 
 
 def missing_of(
@@ -203,11 +196,8 @@ def missing_of(
         missing = -np.sum([w * t.torque for w, t in pairs], axis=0)
         before = np.sum([*scene.torques(base.best).values()], axis=0)
         curves = [curve(scene, before, missing, model, label) for model, label in models]
-    mechanism = scene.mechanisms[0]
-    kinds = mechanism.units or ("rad",) * scene.n
-    units = tuple("N" if kind == "m" else "N m" for kind in kinds)
     g, found = scene.grid, []
-    for i, torque in enumerate(_torques(scene, base.best, pairs)):
+    for i, torque in enumerate(torques_of(scene, base, pairs)):
         own = g.of(i)
         try:
             angles = scene.mechanisms[i].link_angles(tuple(torque.angle.T))
@@ -216,7 +206,7 @@ def missing_of(
             links = None
         cut = tuple(c._replace(torque=c.torque[own], changed=c.changed[own]) for c in curves)
         name = scene.recordings[i].name
-        found.append(Missing(name, units, scene.joints, torque, links, cut))
+        found.append(Missing(name, scene.torque_units, scene.joints, torque, links, cut))
     return tuple(found)
 
 
@@ -227,5 +217,5 @@ def scene_of(
     `fast` as in `Scene`."""
     here = ready(experiment, experiment.fit_recordings, effects)
     wild = outliers_among(here)
-    scene = Scene(here.recordings, here.mechanisms, wild, CORRELATION, fast)
+    scene = Scene(here.recordings, here.mechanisms, wild, fast)
     return scene, here.model.effects, wild

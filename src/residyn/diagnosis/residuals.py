@@ -121,12 +121,11 @@ def where(near: LinearisedFit, slopes: Sequence[np.ndarray]) -> Where:
 
     def cells(chosen: Sequence[np.ndarray]) -> tuple[Cell, ...]:
         sums = [
-            [sum(float(x[s, j].sum()) for x, s in zip(xs, chosen, strict=True)) for xs in pair]
-            for j in range(len(near.fit.joints))
+            np.sum([x[s].sum(axis=0) for x, s in zip(xs, chosen, strict=True)], axis=0).tolist()
+            for xs in (energy, freedom)
         ]
-        return tuple(Cell(*s) for s in sums)
+        return tuple(Cell(*each) for each in zip(*sums, strict=True))
 
-    pair = (energy, freedom)
     cut = bands(near.fit.modes, near.fitted)
     spectra = [
         [spectrum_of(strip, cut[-1].start) for strip in row]
@@ -160,9 +159,8 @@ def _by_amplitude(fit: Fit, fitted: Sequence[RecordingFit], cells):
         edges = [most * 0.5**i for i in range(_HALVINGS + 1)] + [0.0]
         parts = []
         for i, (high, low) in enumerate(itertools.pairwise(edges)):
-            chosen = [(s[:, j] > low) & (s[:, j] <= high) for s in sizes]
-            if i == _HALVINGS:
-                chosen = [s[:, j] <= high for s in sizes]
+            last = i == _HALVINGS
+            chosen = [((s[:, j] > low) | last) & (s[:, j] <= high) for s in sizes]
             if any(c.any() for c in chosen):
                 parts.append(Part("", low, high, (cells(chosen)[j],)))
         yield tuple(parts)

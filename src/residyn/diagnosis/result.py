@@ -15,7 +15,7 @@ from ..fitting.result import Fit
 from ..runtime.json import finite, number
 from ..runtime.presentation import TableResult
 from .candidate_tests import Test
-from .compare import Comparison, compare_fit
+from .compare import Comparison, compare_fit, summary
 from .forecast import HeldOut
 from .law import Law
 from .missing_torque import Missing
@@ -246,8 +246,6 @@ class Diagnosis(TableResult):
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of `residyn diagnose`."""
-        from .compare import summary
-
         return {
             "verdict": self.verdict,
             "verdict_probability": number(self.verdict_probability),

@@ -67,21 +67,15 @@ def own_numbers(
         scene, members, _ = scene_of(experiment, effects)
         with_all = tried_alone(scene, members).log_evidence
         found = []
-        for label, recording in _pairs(experiment, members):
+        for label, recording in [
+            (e.label, name) for e in members for _, name in getattr(type(e), "own_runs", ())
+        ]:
             beside = [e.label for e in members if e.label != label and e.name in label]
             fewer = _sharing(experiment, label, recording, beside)
             scene, shared, _ = scene_of(fewer, effects)
             log_odds = with_all - tried_alone(scene, shared).log_evidence
             found.append(OwnNumbers(label, recording, log_odds))
     return tuple(found)
-
-
-def _pairs(experiment: Experiment, members: Sequence[AbstractEffect]) -> list[tuple[str, str]]:
-    return [
-        (effect.label, name)
-        for effect in members
-        for _, name in getattr(type(effect), "own_runs", ())
-    ]
 
 
 def _sharing(

@@ -14,19 +14,28 @@ import functools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..effects import AbstractEffect
 from ..filtering.kalman import Evidences, System
-from ..filtering.law import number_slices, numbers_of, state_slices
+from ..filtering.law import number_slices, numbers_of
 from ..filtering.linearised import Linear
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import FitError
 from ..runtime.memory import give_back
 from ..runtime.parallel import side_by_side
-from .columns import Columns, Screen, Screened, candidates, extended, spectral_lines, strengths
+from .columns import (
+    Column,
+    Columns,
+    Screen,
+    candidates,
+    extended,
+    spectral_lines,
+    strengths,
+    without,
+)
 from .evidence import (
     CONTENDERS,
     EXPLAINS_NOTHING,
@@ -64,12 +73,9 @@ _HERE = 6  # iterations at one random torque, at the most
 class Tried:
     """A model, iterated to its evidence."""
 
-    added: tuple[str, ...]
-    """Labels beyond the base model, in the order in which they joined."""
-    evidences: np.ndarray
-    """(I,) log evidence at each of `INTENSITIES` of the random torque."""
-    best: Trajectory
-    """At the likeliest of them."""
+    added: tuple[str, ...]  # labels beyond the base model, in the order in which they joined
+    evidences: np.ndarray  # (I,) log evidence at each of `INTENSITIES` of the random torque
+    best: Trajectory  # at the likeliest of them
     log_prior: float
     simulated: Simulated | None = dataclasses.field(default=None, kw_only=True)
     """Without a random torque, by exact simulation, where that was done."""
@@ -77,7 +83,7 @@ class Tried:
     @property
     def log_evidence(self) -> float:
         """The random torque summed over."""
-        return over_intensities(self.evidences, INTENSITIES)
+        return over_intensities(self.evidences)
 
     @property
     def log_posterior(self) -> float:
@@ -87,8 +93,7 @@ class Tried:
     @functools.cached_property
     def weights(self) -> np.ndarray:
         """(I,) posterior of the random torque's intensity, given the model."""
-        each = self.evidences + log_prior_intensity(INTENSITIES)
-        return shares(each)
+        return shares(self.evidences + log_prior_intensity(INTENSITIES))
 
     @property
     def complete(self) -> float:
@@ -123,7 +128,7 @@ class Tried:
         found = [
             (w, scene.smoothed(self.best, system, x))
             for w, x in zip(self.weights, INTENSITIES, strict=True)
-            if w > 0.01
+            if w > IN_PLAY
         ]
         kept = [(w, t) for w, t in found if t is not None] or [(1.0, self.best)]
         return [(w / sum(w for w, _ in kept), t) for w, t in kept]
@@ -148,161 +153,127 @@ def settle(
     Reconstruction, 1987).
     """
     first = next(k for k, x in enumerate(INTENSITIES) if x <= loudest)
-    steps: list[_Step | None] = [
-        _Descent(t, first) if _sticks(t) else _Step(t, first - _FALL) for t in starts
+    each = [
+        _descended(scene, t, first) if _sticks(t) else _iterated(scene, t, first - _FALL)
+        for t in starts
     ]
-    for turn in range(_ITERATIONS):
+    found: list[_State | None] = [None] * len(starts)
+    moving = list(range(len(starts)))
+    while moving:
         go_on()
-        moving = [i for i, s in enumerate(steps) if s is not None and not s.done]
-        if not moving:
-            break
-        last = turn == _ITERATIONS - 1
-        work = [functools.partial(steps[i].next, scene, last) for i in moving]  # pyright: ignore
-        for i, step in zip(moving, side_by_side(work), strict=True):
-            steps[i] = step
-        best = max([known, *(s.evidences.max() for s in steps if s is not None)])
-        steps = [s and s.unless_hopeless(best) for s in steps]
-    return [s and (s.evidences, s.trajectory) for s in steps]
+        steps = side_by_side([functools.partial(next, each[i]) for i in moving])
+        for i, state in zip(moving, steps, strict=True):
+            found[i] = state
+        best = max([known, *(s.evidences.max() for s in found if s is not None)])
+        moving = [i for i in moving if (s := found[i]) and not (s.done or s.hopeless(best))]
+    return [s and (s.evidences, s.trajectory) for s in found]
 
 
-def _unknown() -> np.ndarray:
-    return np.full(len(INTENSITIES), -np.inf)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Step:
+class _State(NamedTuple):
     """Where the iteration of a model is."""
 
     trajectory: Trajectory
-    level: int
-    """Index of the random torque of the next smoothing, or of one louder by `_FALL`."""
-    evidences: np.ndarray = dataclasses.field(default_factory=_unknown)
-    """(I,) of the motion before the last smoothing, -inf where not known."""
+    evidences: np.ndarray
+    """(I,) of a motion before the last smoothing, -inf where not known."""
     rise: float = math.inf
     """Of the highest of them, nats, in the last iteration."""
     done: bool = False
-    back: Trajectory | None = None
-    """The motion before the last smoothing, which the evidences are of."""
-    halved: int = 0
-    """How often the step from there was."""
 
-    def unless_hopeless(self, best: float) -> "_Step":
-        """Done if the model is hopelessly behind the best evidence of any, and still would be if
+    def hopeless(self, best: float) -> bool:
+        """Whether the model is hopelessly behind the best evidence of any, and still would be if
         all iterations to come raised it by as much as the last one. Their steps shrink by half at
         least where they converge at all."""
-        over = self.evidences.max() + max(0.0, self.rise) < best - HOPELESS
-        return dataclasses.replace(self, done=self.done or over)
+        return self.evidences.max() < best - HOPELESS - max(0.0, self.rise)
 
-    def next(self, scene: Scene, last: bool) -> "_Step | None":
-        """One Gauss-Newton step: the evidences of the model where it is, near the random torque
-        that it has, and where they lead; all evidences where it ends. None where it runs away."""
-        t, linear = self.trajectory, scene.linearised(self.trajectory)
-        first = min(max(self.level - 1, 0), len(INTENSITIES) - _NEAR)
-        prior = log_prior_intensity(INTENSITIES)
+
+def _iterated(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None]:
+    """Gauss-Newton steps of a model: its evidences where it is, near the random torque that it has,
+    and where they lead; all evidences where it ends. None where it runs away. The first random
+    torque is the one of index `level`, or one louder by `_FALL`.
+
+    Evidence falls along the whole of a step where the model bends more than its slopes say: such a
+    step is halved (backtracking; Nocedal and Wright, Numerical Optimization, 2006, ch. 3).
+    """
+    prior, every = log_prior_intensity(INTENSITIES), np.arange(len(INTENSITIES))
+    evidences, rise, back, halved = np.full(len(INTENSITIES), -np.inf), math.inf, None, 0
+    for turn in range(_ITERATIONS):
+        last, linear = turn == _ITERATIONS - 1, scene.linearised(t)
+        first = min(max(level - 1, 0), len(INTENSITIES) - _NEAR)
         known = _evidences(scene, t, linear, np.arange(first, first + _NEAR))
         likeliest = int(np.argmax(known + prior))
         if likeliest == first > 0:  # it may be a louder one
-            known = _evidences(scene, t, linear, np.arange(len(INTENSITIES)))
+            known = _evidences(scene, t, linear, every)
             likeliest = int(np.argmax(known + prior))
-        fall = float(self.evidences.max()) - float(known.max())
-        if not fall < _SETTLED and self.back is not None:
-            return self._shorter(scene, last or fall < _ROUGH)
+        fall = float(evidences.max()) - float(known.max())
+        if not fall < _SETTLED and back is not None:
+            if last or halved == _HALVED or fall < _ROUGH:
+                evidences = _evidences(scene, back, scene.linearised(back), every)
+                yield _State(t, evidences, rise, True)
+            t = dataclasses.replace(t, u=(t.u + back.u) / 2, path=(t.path + back.path) / 2)
+            halved += 1
+            yield _State(t, evidences, rise)
+            continue
         if not np.isfinite(known).any():
-            return None
-        level = min(likeliest, max(self.level, 0) + _FALL)
-        change = abs(known[level] - self.evidences[level])
-        done = last or (level == self.level and bool(change < _SETTLED))
+            break
+        level, before = min(likeliest, max(level, 0) + _FALL), level
+        done = last or (level == before and abs(known[level] - evidences[level]) < _SETTLED)
         if done:
-            known = _evidences(scene, t, linear, np.arange(len(INTENSITIES)))
+            known = _evidences(scene, t, linear, every)
         moved = scene.smoothed(t, linear, INTENSITIES[level])
-        rise = float(known.max()) - float(self.evidences.max())
-        return moved and _Step(moved, level, known, rise, done, back=t)
-
-    def _shorter(self, scene: Scene, last: bool) -> "_Step":
-        """Half the way back to the motion before: evidence falls along the whole of a step where
-        the model bends more than its slopes say (backtracking; Nocedal and Wright, Numerical
-        Optimization, 2006, ch. 3)."""
-        there, back = self.trajectory, self.back
-        assert back is not None
-        if last or self.halved == _HALVED:
-            linear = scene.linearised(back)
-            known = _evidences(scene, back, linear, np.arange(len(INTENSITIES)))
-            return dataclasses.replace(self, evidences=known, done=True)
-        halfway = dataclasses.replace(
-            there, u=(there.u + back.u) / 2, path=(there.path + back.path) / 2
-        )
-        return dataclasses.replace(self, trajectory=halfway, halved=self.halved + 1)
+        if moved is None:
+            break
+        rise = float(known.max()) - float(evidences.max())
+        t, back, evidences, halved = moved, t, known, 0
+        yield _State(t, evidences, rise, done)
+    yield None
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Descent(_Step):
-    """Where the iteration of a model is in which something sticks.
+def _descended(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None]:
+    """Gauss-Newton steps of a model in which something sticks, under each random torque in turn.
 
     Turns on the motion itself, so that whole steps swing about the end. Half steps, and shorter
     ones after each reversal, converge (Kesten, Annals of Mathematical Statistics 29, 1958). The
-    random torque falls when no number moves by a standard error any more.
+    random torque falls when no number moves by a standard error any more. Loud torques hide what
+    sticks from the evidence, so that no model is hopeless before its end.
     """
-
-    here: int = 0
-    """Iterations at this random torque."""
-    reversals: int = 0
-    """How many of them went against the one before."""
-    before: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
-    """(P,) the last one, whole, of the numbers in standard errors; empty at the first."""
-    best: tuple[Trajectory | None, ...] = (None,) * len(INTENSITIES)
-    """(I,) the motions that the evidences are of: of those that have settled, the likeliest."""
-
-    def unless_hopeless(self, best: float) -> "_Step":
-        """Itself: loud torques hide what sticks from the evidence."""
-        return self
-
-    def next(self, scene: Scene, last: bool) -> "_Step | None":
-        t, linear = self.trajectory, scene.linearised(self.trajectory)
-        share, P = 1.0 / (2.0 + self.reversals), len(t.prior.mean)
-        moved = scene.smoothed(t, linear, INTENSITIES[self.level], share)
+    P, evidences = len(t.prior.mean), np.full(len(INTENSITIES), -np.inf)
+    best: list[Trajectory | None] = [None] * len(INTENSITIES)  # the motions that these are of
+    here, reversals, before = 0, 0, np.zeros(P)
+    for turn in range(_ITERATIONS):
+        last, lowest = turn == _ITERATIONS - 1, level == len(INTENSITIES) - 1
+        linear, share = scene.linearised(t), 1.0 / (2.0 + reversals)
+        moved = scene.smoothed(t, linear, INTENSITIES[level], share)
         if moved is None:
-            return self._ended(scene)
+            break
         step = (moved.u - t.u)[:P] / share / np.sqrt(np.diag(moved.covariance)[:P])
-        against = len(self.before) > 0 and bool(step @ self.before < 0)
-        lowest = self.level == len(INTENSITIES) - 1
-        size = np.abs(step).max() * (_FINER if lowest else 1.0)
-        converged = size < 1.0
-        settled = last or self.here + 1 == _HERE or converged
-        found = dataclasses.replace(
-            self,
-            trajectory=moved,
-            here=self.here + 1,
-            reversals=self.reversals + against,
-            before=step,
-        )
-        if not (settled or lowest):
-            return found
-        # Each of its own motion: one under a louder torque says of them what is linear only.
-        own = np.arange(self.level, min(self.level + _FALL, len(INTENSITIES)))
-        known, best = self.evidences.copy(), list(self.best)
-        known[own] = _evidences(scene, t, linear, own)[own]
-        for i in own:
-            best[i] = t
-        found = dataclasses.replace(found, evidences=known, best=tuple(best))
-        if not settled and np.isfinite(known[own]).any():
-            return found
-        hopeless = converged and not known[own].max() > known.max() - HOPELESS
-        if last or lowest or hopeless:
-            return found._ended(scene)
-        level = min(self.level + _FALL, len(known) - 1)
-        return _Descent(moved, level, known, best=tuple(best))
-
-    def _ended(self, scene: Scene) -> "_Step | None":
-        """At the likeliest random torque."""
-        level = int(np.argmax(self.evidences + log_prior_intensity(INTENSITIES)))
-        t = self.best[level]
-        found = t and scene.smoothed(t, scene.linearised(t), INTENSITIES[level])
-        return found and _Step(found, level, self.evidences, done=True)
+        here, reversals, before = here + 1, reversals + bool(step @ before < 0), step
+        converged = np.abs(step).max() * (_FINER if lowest else 1.0) < 1.0
+        settled = last or here == _HERE or converged
+        if settled or lowest:
+            # Each of its own motion: one under a louder torque says of them what is linear only.
+            own = np.arange(level, min(level + _FALL, len(INTENSITIES)))
+            known = _evidences(scene, t, linear, own)[own]
+            evidences = evidences.copy()
+            evidences[own] = known
+            for i in own:
+                best[i] = t
+            hopeless = converged and not known.max() > evidences.max() - HOPELESS
+            if last or hopeless or (lowest and (settled or not np.isfinite(known).any())):
+                break
+            if settled:
+                level, here, reversals = min(level + _FALL, len(evidences) - 1), 0, 0
+                before = np.zeros(P)
+        t = moved
+        yield _State(t, evidences)
+    level = int(np.argmax(evidences + log_prior_intensity(INTENSITIES)))
+    end = best[level]
+    end = end and scene.smoothed(end, scene.linearised(end), INTENSITIES[level])
+    yield end and _State(end, evidences, done=True)
 
 
 def _evidences(scene: Scene, t: Trajectory, linear: Linear, levels: np.ndarray) -> np.ndarray:
     """(I,) log evidences of a model at some random torques, -inf at others."""
-    found = _unknown()
+    found = np.full(len(INTENSITIES), -np.inf)
     for i in range(0, len(levels), _NEAR):  # one program for few and for all
         some = levels[np.minimum(np.arange(i, i + _NEAR), len(levels) - 1)]
         each = scene.evidences(t, linear, np.array(INTENSITIES)[some])
@@ -442,35 +413,52 @@ class Search:
         if known is None or found.log_posterior > known.log_posterior:
             self.tried[frozenset(added)] = found
 
-    def _pass(self, parent: Tried, row: Screened) -> None:
-        added = (*parent.added, row.effect.label)
-        prior = log_prior_model(len(added), len(self.candidates))
-        self.passed[frozenset(added)] = Tried(
-            added, parent.evidences + row.gain, parent.best, prior
-        )
-
     @property
     def reassigned(self) -> Any:
         """The likeliest other reading of the columns, if it leaves less than an effect might
         explain and is likelier than all models of the columns as they stand; else None."""
         each = [r for r in self.reassignments if r.tried.intensity < WIDTH]
-        likeliest = max(each, key=self.log_posterior_of, default=None)
-        if likeliest is None or self.log_posterior_of(likeliest) < self.best.log_posterior:
+        likeliest = max(each, key=lambda r: r.tried.log_posterior, default=None)
+        if likeliest is None or likeliest.tried.log_posterior < self.best.log_posterior:
             return None
         return likeliest
-
-    def log_posterior_of(self, other: Any) -> float:
-        """Of one of `reassignments`, on the scale of `Tried.log_posterior`: as unlikely beforehand
-        as one effect."""
-        known = len(self.candidates) + len(self.reassignments)
-        return other.tried.log_evidence + log_prior_model(1, known)
 
     def run(self, most: int, reassign: Callable[[], Sequence[Any]] = tuple) -> None:
         """Add effects, `most` at most, until no model beats the one that there is, or as long as
         the likeliest explains anything of the motion. Ctrl-C and the deadline end it with what
         there is. `reassign` makes `channels.Reassigned`s."""
         with self.ending():
-            self._run(most, reassign)
+            if self.base.complete < 0.5:
+                self.say("reading the columns otherwise")
+                self.reassignments = reassign()
+                give_back()
+            other = self.reassigned
+            if other and (other.tried.complete > 0.5 or self.base.intensity >= WIDTH):
+                return  # nothing is left to be explained, or as much as effects are
+            extended: set[frozenset[str]] = set()
+            self.screen(self.base)
+            self._simulate()
+            while not extended or self.best.intensity < EXPLAINS_NOTHING:
+                best = frozenset(self.best.added)
+                if best in extended or len(best) >= most:
+                    # Each effect in turn might have another in its place.
+                    model = self.best
+                    todo = [x for x in model.added[:-1] if best - {x} not in extended]
+                    if not todo:
+                        break
+                    self._simplify([(model, x, None) for x in todo if best - {x} not in self.tried])
+                    rest = [best - {x} for x in todo]
+                    extended.update(x for x in rest if x not in self.tried)  # no motion has it
+                    found = [x for x in rest if x in self.tried]
+                    if not found:
+                        continue
+                    best = found[0]
+                self.extend(self.tried[best])
+                extended.add(best)
+                self.reduce()
+                self._simulate()
+            if self.best.intensity >= EXPLAINS_NOTHING:  # then no name says anything
+                self.tried, self.passed = {frozenset(): self.base}, {}
 
     @contextlib.contextmanager
     def ending(self) -> Iterator[None]:
@@ -481,39 +469,6 @@ class Search:
             self.stopped = "interrupted"
         except OutOfTime:
             self.stopped = "budget"
-
-    def _run(self, most: int, reassign: Callable[[], Sequence[Any]]) -> None:
-        if self.base.complete < 0.5:
-            self.say("reading the columns otherwise")
-            self.reassignments = reassign()
-            give_back()
-        other = self.reassigned
-        if other and (other.tried.complete > 0.5 or self.base.intensity >= WIDTH):
-            return  # nothing is left to be explained, or as much as effects are
-        extended: set[frozenset[str]] = set()
-        self.screen(self.base)
-        self._simulate()
-        while not extended or self.best.intensity < EXPLAINS_NOTHING:
-            best = frozenset(self.best.added)
-            if best in extended or len(best) >= most:
-                # Each effect in turn might have another in its place.
-                model = self.best
-                todo = [x for x in model.added[:-1] if best - {x} not in extended]
-                if not todo:
-                    break
-                self._simplify([(model, x, None) for x in todo if best - {x} not in self.tried])
-                rest = [best - {x} for x in todo]
-                extended.update(x for x in rest if x not in self.tried)  # no motion has it
-                found = [x for x in rest if x in self.tried]
-                if not found:
-                    continue
-                best = found[0]
-            self.extend(self.tried[best])
-            extended.add(best)
-            self.reduce()
-            self._simulate()
-        if self.best.intensity >= EXPLAINS_NOTHING:  # then no name says anything
-            self.tried, self.passed = {frozenset(): self.base}, {}
 
     def _simulate(self) -> None:
         """The evidence of each model in play that may need no random torque, by exact simulation,
@@ -573,14 +528,14 @@ class Search:
             columns = Columns(self.scene, trajectory, effects, lines)
             # The likeliest random torque, one a decade below it, and none.
             used = sorted({intensity, 0.1 * intensity, 0.0}, reverse=True)
-            screen = self.screens[key] = columns.screen(used)
+            screen = self.screens[key] = Screen(columns, used)
             if parent.complete <= 0.5:  # else little is left, and the first order right
                 screen.revise(self._sticking(screen, trajectory, columns.linear, intensity))
         return self.screens[key]
 
     def _sticking(
         self, screen: Screen, trajectory: Trajectory, linear: Linear, intensity: float
-    ) -> list[list[Screened]]:
+    ) -> list[Column]:
         """The candidates in which something sticks, at each of their shapes and of `STRENGTHS`.
 
         When it sticks depends on the numbers, so that one linearisation about no strength says
@@ -589,47 +544,40 @@ class Search:
         scene, first = self.scene, INTENSITIES.index(intensity)
         first = min(max(first - 1, 0), len(INTENSITIES) - _NEAR)
         levels = np.arange(first, first + _NEAR)
-        none = over_intensities(_evidences(scene, trajectory, linear, levels), INTENSITIES)
+        none = over_intensities(_evidences(scene, trajectory, linear, levels))
 
-        def at(row: Screened) -> Screened:
+        def at(row: Column) -> Column:
             self.in_time()
-            t = scene.consistent(extended(scene, trajectory, prior_of, row))
+            t = scene.consistent(extended(scene, trajectory, row))
             here = _evidences(scene, t, scene.linearised(t), levels)
-            return row._replace(gain=over_intensities(here, INTENSITIES) - none)
+            return row._replace(gain=over_intensities(here) - none)
 
-        found: dict[str, list[Screened]] = {}
         points = []
         for row in screen.rows:
             # The torque of what follows the angle is in proportion to its strength: one will do.
             for x in STRENGTHS if row.effect.dry else STRENGTHS[1:2] if row.effect.follows else ():
                 # Further strengths are next to silent: of Stribeck's law, Coulomb's is left.
                 each = np.eye(len(row.which))[0] * x
-                points.append(Screened(row.effect, 0.0, row.shape, each, row.which, row.states))
-        work = [functools.partial(at, point) for point in points]
-        for point in side_by_side(work):
-            found.setdefault(point.effect.label, []).append(point)
-        return list(found.values())
+                points.append(row._replace(regressors=each))
+        return side_by_side([functools.partial(at, point) for point in points])
 
     def extend(self, parent: Tried) -> None:
         """Try a model with one more effect, each contender in turn."""
         trajectory, intensity = self.screening_motion(parent)
         screen = self.screen(parent)
         ranked = screen.ranked
-        found = {s.effect.label: s for s in ranked}
-        likeliest = screen.pairs(3 * CONTENDERS)[:CONTENDERS]
-        chosen = {s.effect.label: s for s in ranked[:CONTENDERS]}
-        for _, a, b in likeliest:
-            for s in (a, b):
-                chosen.setdefault(s.effect.label, found[s.effect.label])
+        pairs = (s for _, *pair in screen.pairs(3 * CONTENDERS)[:CONTENDERS] for s in pair)
+        chosen = {s.effect.label: s for s in (*ranked[:CONTENDERS], *pairs)}
         if parent.complete > 0.5:
             # What is left is small, and the first order right: by it most have no part.
             n, m = len(self.candidates), len(parent.added)
-            price = log_prior_model(m, n) - log_prior_model(m + 1, n)
-            worth = price + math.log(IN_PLAY)
+            prior = log_prior_model(m + 1, n)
+            worth = log_prior_model(m, n) - prior + math.log(IN_PLAY)
             chosen = {k: s for k, s in chosen.items() if s.gain > worth}
-            for s in ranked:
-                if s.gain <= worth:
-                    self._pass(parent, s)
+            for s in (s for s in ranked if s.gain <= worth):
+                added = (*parent.added, s.effect.label)
+                passed = Tried(added, parent.evidences + s.gain, parent.best, prior)
+                self.passed[frozenset(added)] = passed
         if not chosen:
             return
         self.say(f"weighing {len(chosen)} candidates")
@@ -642,13 +590,13 @@ class Search:
                 if found is not None:
                     self._keep((*parent.added, label), *found)
 
-    def _start(self, parent: Tried, trajectory: Trajectory, found: Screened) -> Trajectory:
+    def _start(self, parent: Tried, trajectory: Trajectory, found: Column) -> Trajectory:
         """Where the iteration of a model with one more effect begins: as the screen has it, or, if
         the model with the law that it contains has ended already, from there."""
         less = self._contained(found.effect)
         ended = less and self.tried.get(frozenset([*parent.added, less.label]))
         if less is None or ended is None:
-            return self.scene.consistent(extended(self.scene, trajectory, prior_of, found))
+            return self.scene.consistent(extended(self.scene, trajectory, found))
         return self._instead(ended.best, less, found)
 
     def _contained(self, law: AbstractEffect) -> AbstractEffect | None:
@@ -656,7 +604,7 @@ class Search:
         within = (e for e in self.candidates if e.place == law.place and e.name == law.extends)
         return next(within, None)
 
-    def _instead(self, t: Trajectory, old: AbstractEffect, found: Screened) -> Trajectory:
+    def _instead(self, t: Trajectory, old: AbstractEffect, found: Column) -> Trajectory:
         """A model with another law in the place of one of its effects; what both have keeps its
         value."""
         known = t.u[number_slices(t.effects)[t.labels.index(old.label)]]
@@ -664,7 +612,7 @@ class Search:
         screened = zip(strengths(found.effect), found.regressors, strict=True)
         begun = np.array([at.get(n.field, u) for n, u in screened])
         rest, found = without(self.scene, t, old.label), found._replace(regressors=begun)
-        return self.scene.consistent(extended(self.scene, rest, prior_of, found))
+        return self.scene.consistent(extended(self.scene, rest, found))
 
     def screening_motion(self, model: Tried) -> tuple[Trajectory, float]:
         """The motion that candidates are screened along, and its random torque: the likeliest, or
@@ -714,7 +662,7 @@ class Search:
                 continue
             old, none = t.effects[t.labels.index(label)], np.zeros(len(strengths(less)))
             states = np.zeros((self.scene.K, len(less.memory)))
-            starts.append(self._instead(t, old, Screened(less, 0.0, {}, none, (), states)))
+            starts.append(self._instead(t, old, Column(less, {}, (), states, regressors=none)))
         each = settle(self.scene, starts, loudest, self.in_time)
         for (model, label, less), found in zip(todo, each, strict=True):
             if found is not None:
@@ -740,25 +688,3 @@ def bayes_factor(t: Trajectory, effect: AbstractEffect, less: AbstractEffect | N
 def nested(a: AbstractEffect, b: AbstractEffect) -> bool:
     """Whether one of two effects is at the other's place and contains its law."""
     return a.place == b.place and (a.extends == b.name or b.extends == a.name)
-
-
-def without(scene: Scene, trajectory: Trajectory, label: str) -> Trajectory:
-    """A model without one of its effects, from where it is."""
-    effects = trajectory.effects
-    gone = [e.label for e in effects].index(label)
-    numbers, states = number_slices(effects), state_slices(effects)
-    kept = [i for i in range(len(effects)) if i != gone]
-    rest = tuple(effects[i] for i in kept)
-    u = np.zeros(scene.regressors(rest))
-    own = np.concatenate([trajectory.u[numbers[i]] for i in kept])
-    u[: len(own)] = own
-    n, room = scene.n, scene.room(rest)
-    old = np.concatenate([np.arange(states[i].start, states[i].stop) for i in kept]).astype(int)
-    path = np.zeros((scene.K, 2 * n + room))
-    path[:, : 2 * n] = trajectory.path[:, : 2 * n]
-    path[:, 2 * n : 2 * n + len(old)] = trajectory.path[:, 2 * n + old]
-    first = np.zeros(room)
-    first[: len(old)] = trajectory.first[old]
-    return dataclasses.replace(
-        trajectory, effects=rest, prior=prior_of(scene, rest), u=u, path=path, first=first
-    )

@@ -30,24 +30,18 @@ class Simulated(NamedTuple):
     """A model without a random torque."""
 
     log_evidence: float
-    u: np.ndarray
-    """(P,) the posterior mode of its numbers, in prior widths,"""
-    covariance: np.ndarray
-    """(P, P) and their covariance."""
+    u: np.ndarray  # (P,) the posterior mode of its numbers, in prior widths,
+    covariance: np.ndarray  # (P, P) and their covariance
 
 
 class _Posterior(NamedTuple):
     """The density of numbers and first states, all in standard deviations of their priors."""
 
-    x: np.ndarray
-    """(P + R S,)"""
+    x: np.ndarray  # (P + R S,)
     found: Minimum
-    cost: float
-    """-2 log of it, but for constants: squared whitened residuals, and of `x`."""
-    square: np.ndarray
-    """(P + R S)^2, half the cost's second derivatives, to Gauss and Newton."""
-    slope: np.ndarray
-    """(P + R S,) half its first ones."""
+    cost: float  # -2 log of it, but for constants: squared whitened residuals, and of `x`
+    square: np.ndarray  # (P + R S)^2, half the cost's second derivatives, to Gauss and Newton
+    slope: np.ndarray  # (P + R S,) half its first ones
 
 
 def _mode(problem: Problem, t: Trajectory, mean, width, begin: np.ndarray) -> _Posterior:
@@ -116,15 +110,13 @@ def simulated(scene: Scene, t: Trajectory, fit: Fit) -> Simulated | None:
         factor = cho_factor(mode.square, lower=True)
     except np.linalg.LinAlgError:
         return None
-    fixed, off, g = 0.0, 0.0, scene.grid
+    off, g = 0.0, scene.grid
     for r, recording in enumerate(scene.recordings):
         at, size = g.of(r), len(recording.time)
         predicted = g.of_readings(r, recording.time, mode.found.predicted[r, :size])
-        seen, variance = g.seen[at], g.variance[at]
-        off += np.sum(np.where(seen, (g.angle[at] - predicted) ** 2 / variance, 0.0))
-        fixed += np.sum(np.where(seen, np.log(2 * np.pi * variance), 0.0))
+        off += np.sum(np.where(g.seen[at], (g.angle[at] - predicted) ** 2 / g.variance[at], 0.0))
     x, P = mode.x, len(u)
-    log = -0.5 * (off + fixed + x @ x) - np.log(np.diag(factor[0])).sum()
+    log = scene.highest - 0.5 * (off + x @ x) - np.log(np.diag(factor[0])).sum()
     covariance = cho_solve(factor, np.eye(len(x)))[:P, :P]
     means, std = x[None, :P], np.sqrt(np.diag(covariance))[None]
     log += half_normals(t.effects, t.prior, Evidences(None, means, std))[0]

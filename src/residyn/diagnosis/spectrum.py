@@ -8,11 +8,11 @@ are in the covariance of the residual's products with the cosines, were it white
 it, the energy in any k cosines is chi-square with k degrees of freedom.
 """
 
-import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.fft import dct
 
 from ..fitting.result import RecordingFit
 from .linearised_fit import Tangent
@@ -30,16 +30,11 @@ class Spectrum(NamedTuple):
     """
 
     duration: float
-    products: np.ndarray
-    """(K,) of the whitened residual with each cosine."""
-    overlap: np.ndarray
-    """(K, K) products of the cosines with each other; one on the diagonal."""
-    along: np.ndarray
-    """(L, K) products of the tangent's columns with the cosines."""
-    energy: float
-    """Of the whole whitened residual."""
-    freedom: float
-    """Its expectation: readings less unknowns."""
+    products: np.ndarray  # (K,) of the whitened residual with each cosine
+    overlap: np.ndarray  # (K, K) products of the cosines with each other; one on the diagonal
+    along: np.ndarray  # (L, K) products of the tangent's columns with the cosines
+    energy: float  # of the whole whitened residual
+    freedom: float  # its expectation: readings less unknowns
 
     def covariance(self, group: np.ndarray) -> np.ndarray:
         """Of the products of a group, were the residual white noise less its part along the
@@ -56,14 +51,10 @@ class Spectrum(NamedTuple):
 class Strip(NamedTuple):
     """One joint of one recording, a row per sample."""
 
-    time: np.ndarray
-    """(N,) s."""
-    residual: np.ndarray
-    """(N,) whitened."""
-    tangent: np.ndarray
-    """(N, K), see `linear.Tangent`."""
-    used: np.ndarray
-    """(N,) whether the reading counts."""
+    time: np.ndarray  # (N,) s
+    residual: np.ndarray  # (N,) whitened
+    tangent: np.ndarray  # (N, K), see `linearised_fit.Tangent`
+    used: np.ndarray  # (N,) whether the reading counts
 
 
 def strips(
@@ -99,27 +90,16 @@ def spectrum(strip: Strip, top: float) -> Spectrum:
         residual = np.add.reduceat(residual, first) / np.sqrt(count)
         tangent = np.add.reduceat(tangent, first) / np.sqrt(count)[:, None]
     phase, many = (time - time[0] + step / 2) * np.pi / duration, int(np.ceil(2 * duration * top))
-    even = _middles(len(phase))
-    same = len(phase) >= many and np.abs(phase - even).max() < _EVENLY / max(1, many)
-    cosines, overlap = _even_cosines(len(phase), many) if same else _cosines(phase, many)
-    along = tangent.T @ cosines
-    return Spectrum(duration, cosines.T @ residual, overlap, along, energy, freedom)
-
-
-def _cosines(phase: np.ndarray, many: int) -> tuple[np.ndarray, np.ndarray]:
-    """Cosines of unit length (N, many) at phases (N,), and their products with each other."""
-    cosines = np.cos(phase[:, None] * np.arange(many))
-    cosines /= np.sqrt((cosines**2).sum(axis=0))
-    return cosines, cosines.T @ cosines
-
-
-def _middles(count: int) -> np.ndarray:
-    return (np.arange(count) + 0.5) * np.pi / count
-
-
-@functools.lru_cache(maxsize=4)  # every joint and step asks for the same ones
-def _even_cosines(count: int, many: int) -> tuple[np.ndarray, np.ndarray]:
-    return _cosines(_middles(count), many)
+    even = (np.arange(len(phase)) + 0.5) * np.pi / len(phase)
+    columns = np.column_stack([residual, tangent])
+    if len(phase) >= many and np.abs(phase - even).max() < _EVENLY / max(1, many):
+        columns = np.asarray(dct(columns, axis=0, norm="ortho"))[:many]
+        overlap = np.eye(many)
+    else:
+        cosines = np.cos(phase[:, None] * np.arange(many))
+        cosines /= np.sqrt((cosines**2).sum(axis=0))
+        columns, overlap = cosines.T @ columns, cosines.T @ cosines
+    return Spectrum(duration, columns[:, 0], overlap, columns[:, 1:].T, energy, freedom)
 
 
 def energies(one: Spectrum, groups: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

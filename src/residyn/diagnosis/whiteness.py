@@ -74,10 +74,14 @@ def whiteness_of(parts: Sequence[Spectrum], narrow: Sequence[Band]) -> White:
             found.append((float(p), band))
     if not found:
         return White(float("nan"), float("nan"), float("nan"))
-    p, band = min(found)
-    # That the smallest of so many is as small as this.
-    p = -np.expm1(len(found) * np.log1p(-p)) if p < 1 else 1.0
-    return White(float(p), band.start, band.stop)
+    _, band = min(found)
+    return White(of_the_least([p for p, _ in found]), band.start, band.stop)
+
+
+def of_the_least(p: Sequence[float]) -> float:
+    """Probability that the smallest of so many is as small as it is."""
+    least = min(p, default=1.0)
+    return float(-np.expm1(len(p) * np.log1p(-least))) if least < 1 else 1.0
 
 
 def narrow_bands(cells: Sequence[Band], duration: float) -> list[Band]:

@@ -32,30 +32,18 @@ _ENOUGH = 4096  # instants: fewer are not averaged at all
 class Grid(NamedTuple):
     """K instants of n joints, all recordings one after the other."""
 
-    time: np.ndarray
-    """(K,) s from each recording's first sample."""
-    step: np.ndarray
-    """(K,) s to the next instant; 0 at the end of a recording, and where the grid is filled up."""
-    drive: np.ndarray
-    """(K, 3, n) N m at the beginning, middle and end of each step."""
-    angle: np.ndarray
-    """(K, n) mean reading, rad or m; 0 where there is none."""
-    seen: np.ndarray
-    """(K, n) whether there is one."""
-    variance: np.ndarray
-    """(K, n) of it."""
-    spread: np.ndarray
-    """(K,) s^2, w^2 / 24 of the averaged readings (of k spaced by h: (k^2 - 1) h^2 / 24)."""
-    group: np.ndarray
-    """(K,) how many readings are averaged."""
-    run: np.ndarray
-    """(K,) which recording."""
-    last: np.ndarray
-    """(K,) whether a recording ends here and another one follows."""
-    real: int
-    """How many instants are no filling."""
-    fast: float
-    """rad/s, of the fastest motion that its steps are made for."""
+    time: np.ndarray  # (K,) s from each recording's first sample
+    step: np.ndarray  # (K,) s to the next instant; 0 at the end of a recording, and in the filling
+    drive: np.ndarray  # (K, 3, n) N m at the beginning, middle and end of each step
+    angle: np.ndarray  # (K, n) mean reading, rad or m; 0 where there is none
+    seen: np.ndarray  # (K, n) whether there is one
+    variance: np.ndarray  # (K, n) of it
+    spread: np.ndarray  # (K,) s^2, w^2 / 24 of averages (of k, h apart: (k^2 - 1) h^2 / 24)
+    group: np.ndarray  # (K,) how many readings are averaged
+    run: np.ndarray  # (K,) which recording
+    last: np.ndarray  # (K,) whether a recording ends here and another one follows
+    real: int  # how many instants are no filling
+    fast: float  # rad/s, of the fastest motion that its steps are made for
 
     def of(self, recording: int) -> np.ndarray:
         """Indices of the instants of one recording."""
@@ -82,13 +70,11 @@ def bucket(count: int) -> int:
 class Spectrum(NamedTuple):
     """The readings of one recording, one spectrum a joint."""
 
-    pace: np.ndarray
-    """(F,) angular frequencies, rad/s."""
+    pace: np.ndarray  # (F,) angular frequencies, rad/s
     lines: np.ndarray
     """(n, F) Fourier coefficients of the windowed angles about their mean, rad or m; of a reading
     of order k, its own over (i pace)^k."""
-    signal: np.ndarray
-    """(n, F) power beyond the noise, 0 where nothing stands out of it."""
+    signal: np.ndarray  # (n, F) power beyond the noise, 0 where nothing stands out of it
 
     @classmethod
     def of(cls, recording: Recording, wild: np.ndarray, mirrored: bool = False) -> "Spectrum":
@@ -170,73 +156,50 @@ def lay_out(
         fast = max(least, *each)
     most = sum(len(r.time) for r in recordings) / _ENOUGH  # readings in an average
     parts = [_one(r, w, fast, most) for r, w in zip(recordings, wild, strict=True)]
-    run = np.concatenate([np.full(len(p[0]), i) for i, p in enumerate(parts)])
-    ends = np.zeros(len(run), bool)
-    ends[np.cumsum([len(p[0]) for p in parts])[:-1] - 1] = True
-    columns = [np.concatenate(c) for c in zip(*parts, strict=True)]
-    real, room = len(run), bucket(len(run))
-
-    def filled(x: np.ndarray, rest=None) -> np.ndarray:
-        more = x[-1:] if rest is None else np.full_like(x[-1:], rest)
-        return np.concatenate([x, np.repeat(more, room - real, axis=0)])
-
-    time, step, drive, angle, seen, variance, spread, group = columns
-    return Grid(
-        time=filled(time),
-        step=filled(step, 0.0),
-        drive=filled(drive),
-        angle=filled(angle, 0.0),
-        seen=filled(seen, False),
-        variance=filled(variance),
-        spread=filled(spread, 0.0),
-        group=filled(group, 1),
-        run=filled(run),
-        last=filled(ends, False),
-        real=real,
-        fast=fast,
-    )
+    ends = np.cumsum([len(p[0]) for p in parts])
+    last, real = np.zeros(ends[-1], bool), int(ends[-1])
+    last[ends[:-1] - 1] = True
+    run = np.repeat(np.arange(len(parts)), np.diff(ends, prepend=0))
+    columns = [*map(np.concatenate, zip(*parts, strict=True)), run, last]
+    more = bucket(real) - real
+    filled = [np.pad(x, [(0, more), *[(0, 0)] * (x.ndim - 1)], mode="edge") for x in columns]
+    grid = Grid(*filled, real=real, fast=fast)
+    grid.seen[real:], grid.angle[real:] = False, 0.0
+    return grid
 
 
 def _one(recording: Recording, wild: np.ndarray, fast: float, most: float):
-    """One recording's columns, for motions up to `fast` rad/s, with averages of `most` readings."""
+    """What a `Grid` has of one recording, for motions up to `fast` rad/s: averages of `most`
+    readings, where their group is still short beside the motion."""
     time = recording.time - recording.time[0]
     seen = np.isfinite(recording.angle) & ~wild
-    angle = np.where(seen, recording.angle, 0.0)
+    angle, spread = np.where(seen, recording.angle, 0.0), np.zeros(len(time))
     gap = float(np.median(np.diff(time)))
     drive = np.zeros_like(angle) if recording.drive is None else np.asarray(recording.drive)
     size = max(1, min(math.ceil(most), int(STEP / fast / gap)))
-    even = np.ptp(np.diff(time)) < 0.1 * gap
-    if size > 1 and even:
+    if np.ptp(np.diff(time)) >= 0.1 * gap:  # uneven
+        size = 1
+    if size > 1:
         count = len(time) // size
         cut = lambda x: x[: count * size].reshape(count, size, *x.shape[1:])  # noqa: E731
-        number = cut(seen).sum(axis=1)
-        # A group with a reading missing is not centred: it counts as not seen, unless all are few.
-        whole = number == size
-        angle = np.where(whole, cut(angle).mean(axis=1), 0.0)
+        # A group with a reading missing is not centred: it counts as not seen.
+        seen = cut(seen).all(axis=1)
+        angle = np.where(seen, cut(angle).mean(axis=1), 0.0)
         time, drive = cut(time).mean(axis=1), cut(drive).mean(axis=1)
-        seen = whole
         spread = np.full(count, (size**2 - 1) * gap**2 / 24)
-    else:
-        size, spread = 1, np.zeros(len(time))
-    variance = np.tile(recording.noise**2 / size, (len(time), 1))
     pieces = np.maximum(1, np.ceil(np.diff(time) * fast / LONGEST - 1e-6)).astype(int)
     if pieces.max(initial=1) > 1:
         at = np.concatenate([[0], np.cumsum(pieces)])
-        index = np.arange(at[-1] + 1)
-        fine = np.interp(index, at, time)
-
-        def at_samples(x: np.ndarray, rest) -> np.ndarray:
-            out = np.full((len(fine), *x.shape[1:]), rest, x.dtype)
-            out[at] = x
-            return out
-
+        fine = np.interp(np.arange(at[-1] + 1), at, time)
         drive = np.stack([np.interp(fine, time, u) for u in drive.T], axis=1)
-        angle, seen = at_samples(angle, 0.0), at_samples(seen, False)
-        variance = np.tile(variance[0], (len(fine), 1))
-        spread, time = at_samples(spread, 0.0), fine
+        known = angle, seen, spread
+        angle, seen, spread = (np.zeros((len(fine), *x.shape[1:]), x.dtype) for x in known)
+        angle[at], seen[at], spread[at] = known
+        time = fine
     step = np.append(np.diff(time), 0.0)
     after = np.concatenate([drive[1:], drive[-1:]])
     three = np.stack([drive, 0.5 * (drive + after), after], axis=1)
+    variance = np.tile(recording.noise**2 / size, (len(time), 1))
     group = np.full(len(time), size)
     return time, step, three, angle, seen, variance, spread, group
 

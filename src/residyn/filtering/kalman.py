@@ -18,7 +18,6 @@ import jax
 import jax.numpy as jnp
 
 from ..runtime.export_cache import kept
-from .free_curve import curve
 
 
 class System(NamedTuple):
@@ -122,53 +121,42 @@ def _filter(system: System, readings: Readings, noise: Noise) -> tuple[Any, Filt
     return L, out
 
 
-class Inputs(NamedTuple):
-    """What C columns do to a system."""
-
-    B: Any  # (K, X, C)
-    Hu: Any  # (K, n, C)
-
-    def inputs(self, _fixed):
-        """Themselves."""
-        return self
-
-
 class Torques(NamedTuple):
-    """C torques at one joint, in the place of what they do to a system: functions of G variables of
-    its motion, each times a factor."""
+    """Columns as what acts, a third of what they do to a system: torques at each of n joints, then
+    of all of them, then what is added to the readings."""
 
-    by_torque: Any  # (K, 3, X) how a step answers to a torque at its beginning, middle and end
-    read: Any  # (K, n) what a torque at its beginning adds to the readings
-    x: Any  # (K, 3, G)
-    factor: Any  # (K, 3, G)
+    by_torque: Any  # (K, 3, X, n) how a step answers to torques at its beginning, middle and end
+    pushed: Any  # (K, r, n) what torques at its beginning add to the r readings
+    joint: tuple[Any, ...]  # of each joint (K, 3, C)
+    whole: Any  # (K, 3, n, C)
+    sensors: Any  # (K, r, C)
 
-    def inputs(self, fixed: "Functions"):
-        """B (K, X, C) and Hu (K, n, C)."""
-        of_each = jax.vmap(curve, in_axes=(-1, 0, 0, 0), out_axes=2)
-        torque = of_each(self.x, *fixed) * self.factor[..., None]
-        torque = torque.reshape(*torque.shape[:2], -1)
-        B = jnp.einsum("kax,kac->kxc", self.by_torque, torque)
-        return Inputs(B, self.read[:, :, None] * torque[:, :1])
+    def torque(self):
+        """(K, n, C) at the beginning of each step."""
+        at = jnp.eye(len(self.joint))
+        parts = [x[:, :1] * at[j, :, None] for j, x in enumerate(self.joint)]
+        return jnp.concatenate([*parts, self.whole[:, 0], 0 * self.sensors[:, : len(at)]], -1)
 
-
-class Functions(NamedTuple):
-    """Functions of the G variables of `Torques`."""
-
-    low: Any  # (G,)
-    high: Any  # (G,)
-    heights: Any  # (G, HEIGHTS, C / G)
+    def inputs(self) -> tuple[Any, Any]:
+        """What they do to the system: B (K, X, C) and Hu (K, r, C)."""
+        joint = [
+            jnp.einsum("kax,kac->kxc", self.by_torque[..., j], x) for j, x in enumerate(self.joint)
+        ]
+        whole = jnp.einsum("kaxj,kajc->kxc", self.by_torque, self.whole)
+        B = jnp.concatenate([*joint, whole], -1)
+        acting, C = B.shape[-1], self.sensors.shape[-1]
+        B = jnp.pad(B, ((0, 0), (0, 0), (0, C)))
+        read = -jnp.einsum("kij,kjc->kic", self.pushed, self.torque())
+        return B, read.at[..., acting:].add(self.sensors)
 
 
 _AT_ONCE = 64  # instants whose columns there are at the same time
 
 
 @kept(like=(0, 0))
-def gram(
-    system: System, more: Inputs | Torques, fixed: Any, readings: Readings, noise: Noise, intensity
-):
+def gram(system: System, more: tuple[Torques, ...], readings: Readings, noise: Noise, intensity):
     """Log normaliser -1/2 sum log 2 pi S, and the Gram matrix (1 + P + C)^2 of the whitened
-    innovations: w of the readings, then W of the system's regressors and of C more,
-    `more.inputs(fixed)` (e = w + W u).
+    innovations: w of the readings, then W of the system's regressors and of C more (e = w + W u).
 
     The gains come first, of no columns. Along them the next means and the innovations are one
     matrix times the means, and a few instants of columns, of means and of innovations are held at a
@@ -177,33 +165,29 @@ def gram(
     alone = system._replace(B=system.B[..., :0], Hu=system.Hu[..., :0])
     L, out = _filter(alone, readings, noise.at(intensity))
     K, n, D = out.gains.shape
-    C = jax.eval_shape(lambda m, f: m.inputs(f), more, fixed)[0].shape[-1]
+    C = sum(jax.eval_shape(Torques.inputs, m)[0].shape[-1] for m in more)
     W = 1 + system.B.shape[-1] + C
     H = jnp.concatenate([system.Hx, system.Ht], -1)
     H = jnp.where(readings.seen[..., None], H, 0.0)
-    # Means after the readings = here m + sum over j of given[j] y_j, with y less what is known.
-    here, given, rows, said = jnp.tile(jnp.eye(D), (K, 1, 1)), [], [], []
+    # Means after the readings, and innovations, are linear in the means before and in y, less what
+    # is known: from D + n unit columns.
+    M, white = jnp.tile(jnp.eye(D, D + n), (K, 1, 1)), []
     for j in range(n):
-        h, g, std = H[:, j], out.gains[:, j], jnp.sqrt(out.S[:, j])
-        row = jnp.einsum("ki,kij->kj", h, here)
-        own = [-jnp.sum(h * x, 1) for x in given]
-        own = [*own, jnp.ones(K), *[jnp.zeros(K)] * (n - 1 - j)]
-        rows.append(-row / std[:, None])
-        said.append(jnp.stack(own, -1) / std[:, None])
-        here = here - g[:, :, None] * row[:, None]
-        given = [x - g * jnp.sum(h * x, 1)[:, None] for x in given] + [g]
-    F = out.F
-    by_mean = jnp.concatenate([F @ here, jnp.stack(rows, 1)], 1)  # (K, D + n, D)
-    by_said = jnp.concatenate([F @ jnp.stack(given, -1), jnp.stack(said, 1)], 1)  # (K, D + n, n)
+        new = jnp.eye(D + n)[D + j] - jnp.einsum("ki,kij->kj", H[:, j], M)
+        white.append(new / jnp.sqrt(out.S[:, j])[:, None])
+        M = M + out.gains[:, j][:, :, None] * new[:, None]
+    by = jnp.concatenate([out.F @ M, jnp.stack(white, 1)], 1)  # (K, D + n, D + n)
+    by_mean, by_said = by[..., :D], by[..., D:]
     y = jnp.where(readings.seen, readings.y - system.hc, 0.0)
     size = math.gcd(K, _AT_ONCE)
 
     def part(carry, at):
         M, G = carry
         by_mean, by_said, y, seen, c, B, Hu, more = at
-        push, read = more.inputs(fixed)
-        push = jnp.concatenate([c[..., None], B, push], -1)
-        read = jnp.where(seen[..., None], jnp.concatenate([Hu, read], -1), 0.0)
+        each = [m.inputs() for m in more]
+        push = jnp.concatenate([c[..., None], B, *(x for x, _ in each)], -1)
+        read = jnp.concatenate([Hu, *(x for _, x in each)], -1)
+        read = jnp.where(seen[..., None], read, 0.0)
         known = by_said @ jnp.concatenate([y[..., None], -read], -1)
         known = known.at[:, : push.shape[1]].add(push)
 

@@ -14,7 +14,7 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple, TypeGuard, TypeVar
 
 import equinox as eqx
@@ -24,7 +24,7 @@ import numpy as np
 
 from ..effects import AbstractEffect, JointEffect, catalogue
 from ..physics.inertia import AbstractInertia
-from ..physics.motion import JointMotion, Motion, split, stack
+from ..physics.motion import Motion, split, stack
 from ..physics.parameter import Parameter, parameters_of
 from .free_curve import FreeCurve, no_curves
 
@@ -52,25 +52,24 @@ def with_numbers(effect: _Effect, values) -> _Effect:
     return dataclasses.replace(effect, **dict(zip(fields, split(values), strict=True)))
 
 
+def _slices(counts: Iterable[int]) -> list[slice]:
+    ends = np.cumsum([0, *counts]).tolist()
+    return [slice(a, b) for a, b in itertools.pairwise(ends)]
+
+
 def number_slices(effects: Sequence[AbstractEffect]) -> list[slice]:
     """Where each effect's numbers stand among a model's."""
-    ends = np.cumsum([0, *(len(numbers_of(e)) for e in effects)])
-    return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+    return _slices(len(numbers_of(e)) for e in effects)
 
 
 def state_slices(effects: Sequence[AbstractEffect]) -> list[slice]:
     """Where each effect's internal states stand among a model's."""
-    ends = np.cumsum([0, *(len(e.memory) for e in effects)])
-    return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+    return _slices(len(e.memory) for e in effects)
 
 
 def of_one_joint(effect: AbstractEffect) -> TypeGuard[JointEffect]:
     """Whether the effect's torque and states depend on the motion of its own joint alone."""
-    return _of_one_joint(type(effect))
-
-
-@functools.cache
-def _of_one_joint(kind: type[AbstractEffect]) -> bool:
+    kind = type(effect)
     return (
         issubclass(kind, JointEffect)
         and not kind.senses
@@ -103,17 +102,15 @@ class Laws(NamedTuple):
         """An effect of each law, in the order of `Table.law`."""
         return (*map(_made, self.names), *self.others, *self.curves)
 
-    def of(self, group: str) -> list[int]:
-        """Which act at one "joint", on the "whole" mechanism, or are of the "sensor"."""
-        return [i for i, e in enumerate(self.each) if group_of(e) == group]
+    def of(self, group: str) -> list[AbstractEffect]:
+        """Those that act at one "joint", on the "whole" mechanism, or are of the "sensor"."""
+        return [e for e in self.each if group_of(e) == group]
 
     def place(self, effect: AbstractEffect) -> int:
-        """Where an effect's law is."""
-        name = law_name(effect)
-        if name in self.names and usual(effect):
-            return self.names.index(name)
-        own = [law_name(e) for e in (*self.others, *self.curves)]
-        return len(self.names) + own.index(name)
+        """Where an effect's law is among those of its group."""
+        names = [*self.names, *map(law_name, (*self.others, *self.curves))]
+        index = names.index(law_name(effect), 0 if usual(effect) else len(self.names))
+        return sum(group_of(e) == group_of(effect) for e in self.each[:index])
 
 
 def group_of(effect: AbstractEffect) -> str:
@@ -225,15 +222,14 @@ def tabulated(
         held[each] = effect.follows
 
     def slots(group: str) -> Slots:
-        known, which = laws.each, laws.of(group)
         members = [i for i, e in enumerate(effects) if group_of(e) == group]
         room = ROOM * max(1, math.ceil((len(members) + (group == "joint")) / ROOM))
-        p = most_numbers([known[i] for i in which])
+        p = most_numbers(laws.of(group))
         law, joint, column, state = np.zeros((4, room), int)
         values, widths = np.zeros((2, room, p))
         for k, i in enumerate(members):
             effect, count = effects[i], own[i].stop - own[i].start
-            law[k] = which.index(laws.place(effect))
+            law[k] = laws.place(effect)
             joint[k] = joints.index(effect.joint) if of_one_joint(effect) else 0
             values[k, :count], widths[k, :count] = numbers[own[i]], slopes[own[i]]
             column[k], state[k] = own[i].start, memory[i].start
@@ -249,7 +245,7 @@ class Slopes(NamedTuple):
     """A vector of r entries at N instants, and its derivatives; instants are the last axis."""
 
     value: Any  # (r, N)
-    by_q: Any  # (r, n, N); of one joint n = 1
+    by_q: Any  # (r, n, N); of what acts at one joint n = 1
     by_v: Any  # (r, n, N)
     by_z: Any  # (r, m, N) the effect's own m internal states
     by_number: Any  # (r, p, N) the effect's own p numbers
@@ -260,22 +256,23 @@ def _rows(values: tuple, room: int):
     return stack(values + (0.0,) * (room - len(values)))
 
 
-def joint_law(effect: JointEffect, q, v, t, z, numbers):
-    """Torque without dry friction, level of it, and rates of the internal states of an effect at
-    its joint, at one instant."""
-    own = with_numbers(effect, numbers)
-    motion = JointMotion(t, q, v, jnp.sign(v), split(z), q)
-    rates = own.joint_rate(motion) if effect.memory and not effect.follows else ()
-    if not effect.dry:
-        return own.joint_torque(motion), 0.0, rates
-    up, down = (own.joint_torque(motion._replace(direction=s)) for s in (1.0, -1.0))
-    return 0.5 * (up + down), 0.5 * (up - down), rates
+class _Place(NamedTuple):
+    """What an effect of one joint knows of the mechanism."""
+
+    joints: tuple[str]
 
 
-def whole_law(effect: AbstractEffect, mechanism, q, v, t, z, step, spread, numbers):
-    """The same of an effect of the whole mechanism: (n,) torques, (n,) levels, rates."""
-    own = with_numbers(effect, numbers)
-    direction = tuple(0.0 if effect.dry else jnp.sign(x) for x in v)
+def _around(effect: AbstractEffect, mechanism) -> Any:
+    """The mechanism as an effect sees it: of what acts at one joint, that joint alone."""
+    return _Place((effect.joint,)) if of_one_joint(effect) else mechanism
+
+
+def torque_law(effect: AbstractEffect, mechanism, q, v, t, z, step, spread, numbers):
+    """Torques (r,) without dry friction, levels (r,) of it, and rates of the internal states of an
+    effect at one instant; `q`, `v` (r,), of what acts at one joint r = 1."""
+    own, around = with_numbers(effect, numbers), _around(effect, mechanism)
+    alone = of_one_joint(effect)
+    direction = tuple(float(alone) if effect.dry else jnp.sign(x) for x in v)
     motion = Motion(t, split(q), split(v), direction, split(z), None, 1.0)
     if effect.grips:
         # A point's direction is smoothed over the ramp's time, and over what is not known of its
@@ -284,11 +281,13 @@ def whole_law(effect: AbstractEffect, mechanism, q, v, t, z, step, spread, numbe
         lost = now.lost_speed(motion, mechanism) + 1e-12
         unsure = now.speed_spread(split(spread), mechanism)
         motion = motion._replace(grain=2 * RAMP * step + 1.5 * unsure / lost)
-    level = (0.0,) * len(v)
+    torque, level = own.torque(motion, around), (0.0,) * len(v)
     if effect.dry:
-        level = tuple(0.0 if x is None else x for x in own.jumps(motion, mechanism))
-    rates = own.rate(motion, mechanism) if effect.memory and not effect.follows else ()
-    return own.torque(motion, mechanism), level, rates
+        level = tuple(0.0 if x is None else x for x in own.jumps(motion, around))
+    if effect.dry and alone:  # the mean of both directions
+        torque = (torque[0] - level[0],)
+    rates = own.rate(motion, around) if effect.memory and not effect.follows else ()
+    return torque, level, rates
 
 
 def _with_slopes(f, count: int):
@@ -305,29 +304,14 @@ def _with_slopes(f, count: int):
     return at
 
 
-def along_joint(effect: Any, room: tuple[int, int], q, v, t, z, numbers) -> Slopes:
-    """`joint_law` (r = 2 + m) at N instants: `q`, `v`, `t` (N,), `z` (m, N), `numbers` (p,); `room`
-    (m, p)."""
-    states, count = len(effect.memory), len(numbers_of(effect))
-
-    def at(q, v, z, u, t):
-        torque, level, rates = joint_law(effect, q, v, t, z[:states], u[:count])
-        return _rows((torque, level, *rates), 2 + room[0])
-
-    def one(q, v, t, z):
-        value, by_q, by_v, by_z, by_u = _with_slopes(at, 4)(q, v, z, numbers, t)
-        return Slopes(value, by_q[:, None], by_v[:, None], by_z, by_u)
-
-    return jax.vmap(one, in_axes=(0, 0, 0, -1), out_axes=-1)(q, v, t, z)
-
-
-def along_whole(effect, room: tuple[int, int], mechanism, q, v, t, z, step, spread, numbers):
-    """`whole_law` (r = 2 n + m) at N instants: `q`, `v`, `spread` (n, N)."""
+def along_torque(effect, room: tuple[int, int], mechanism, q, v, t, z, step, spread, numbers):
+    """`torque_law` (2 r + m rows) at N instants as `Slopes`: `q`, `v`, `spread` (r, N), `t`, `step`
+    (N,), `z` (m, N), `numbers` (p,); `room` (m, p)."""
     states, count = len(effect.memory), len(numbers_of(effect))
 
     def at(q, v, z, u, t, step, spread, mechanism):
         args = mechanism, q, v, t, z[:states], step, spread, u[:count]
-        torques, levels, rates = whole_law(effect, *args)
+        torques, levels, rates = torque_law(effect, *args)
         return _rows((*torques, *levels, *rates), 2 * q.shape[0] + room[0])
 
     def one(q, v, t, z, step, spread, mechanism):
@@ -344,24 +328,20 @@ def beyond(v0, v1, h):
     return jnp.where(turns, -0.5 * h * v1**2 / jnp.where(turns, v1 - v0, 1.0), 0.0)
 
 
-def follow(effect, room: int, j, q, v, t, z, far, numbers, mechanism):
+def follow(effect, room: int, q, v, t, z, far, numbers, mechanism):
     """(room,) internal states after a step that began with states `z` (m,) and ended at `q`, `v`
-    (n,), `far` (n,) from where it turned round."""
+    (r,), `far` (r,) from where it turned round."""
     own: Any = with_numbers(effect, numbers[: len(numbers_of(effect))])
-    z, turn = split(z[: len(effect.memory)]), q + far
-    if of_one_joint(effect):
-        motion = JointMotion(t, q[j], v[j], jnp.sign(v[j]), z, turn[j])
-        return _rows(tuple(own.joint_follow(motion)), room)
-    motion = Motion.at(t, q, v, z)._replace(turn=split(turn))
-    return _rows(tuple(own.follow(motion, mechanism)), room)
+    motion = Motion.at(t, q, v, z[: len(effect.memory)])._replace(turn=split(q + far))
+    return _rows(tuple(own.follow(motion, _around(effect, mechanism))), room)
 
 
-def along_follow(effect, room: tuple[int, int], j, q, v, t, z, far, numbers, mechanism) -> Slopes:
-    """`follow` (r = m) of K steps, states `z` (m, K), ends `q`, `v` (n, K); slopes in the angles,
+def along_follow(effect, room: tuple[int, int], q, v, t, z, far, numbers, mechanism) -> Slopes:
+    """`follow` (m rows) of K steps, states `z` (m, K), ends `q`, `v` (r, K); slopes in the angles,
     the states and the numbers."""
 
     def at(q, z, u, t, v, far, mechanism):
-        return follow(effect, room[0], j, q, v, t, z, far, u, mechanism)
+        return follow(effect, room[0], q, v, t, z, far, u, mechanism)
 
     def one(q, v, t, z, far, mechanism):
         value, by_q, by_z, by_u = _with_slopes(at, 3)(q, z, numbers, t, v, far, mechanism)
@@ -392,36 +372,31 @@ def along_readings(effect, mechanism, angle, numbers):
 def states_along(effect: Any, numbers, mechanism, q, v, t, h, anew, z0):
     """Internal states (3, m, K) of an effect along a motion, at the nodes of each step.
 
-    **Arguments:** `q`, `v` (3, n, K), of an effect of one joint n = 1, `t` (3, K), `h` (K,) steps;
+    **Arguments:** `q`, `v` (3, r, K), `t` (3, K), `h` (K,) steps;
     `anew` (K,) where the states begin anew at `z0` (m,); `mechanism` with leaves (K, ...).
     """
     own: Any = with_numbers(effect, numbers)
-    one = of_one_joint(effect)
-
-    def motion(t, q, v, z, far: Any = 0.0):
-        found, turn = Motion.at(t, q, v, z), q + far
-        return found.of(0)._replace(turn=turn[0]) if one else found._replace(turn=split(turn))
 
     def step(z, at):
         q, v, t, h, anew, mechanism = at
-        held = z = jnp.where(anew, z0, z)
+        held, around = jnp.where(anew, z0, z), _around(effect, mechanism)
         if effect.follows:
+            z = held
             for i in (1, 2):
-                here = motion(t[i], q[i], v[i], z, beyond(v[i - 1], v[i], h / 2))
-                z = stack(own.joint_follow(here) if one else own.follow(here, mechanism))
+                far = beyond(v[i - 1], v[i], h / 2)
+                z = follow(effect, len(z0), q[i], v[i], t[i], z, far, numbers, mechanism)
             return z, jnp.stack([held, held, held])
 
         def rate(z, i, k):
             t_, q_, v_ = (0.5 * (x[i] + x[k]) for x in (t, q, v))
-            here = motion(t_, q_, v_, z)
-            return stack(own.joint_rate(here) if one else own.rate(here, mechanism))  # pyright: ignore
+            return stack(own.rate(Motion.at(t_, q_, v_, z), around))
 
         def half(z, i):
             return z + h / 2 * rate(z + h / 4 * rate(z, i, i), i, i + 1)
 
-        middle = half(z, 0)
+        middle = half(held, 0)
         end = half(middle, 1)
-        return end, jnp.stack([z, middle, end])
+        return end, jnp.stack([held, middle, end])
 
     def first(x):  # (3, ..., K) to (K, 3, ...)
         return jnp.moveaxis(x, -1, 0)

@@ -28,9 +28,8 @@ from .law import (
     Slots,
     Table,
     along_follow,
-    along_joint,
     along_readings,
-    along_whole,
+    along_torque,
     beyond,
     changes_bodies,
     follow,
@@ -92,23 +91,11 @@ class Linear(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """A model's effects together, at N nodes: torques without dry friction, levels of friction,
-    rates of the internal states."""
+    """A model's effects together, at N nodes."""
 
-    torque: Any  # (n, N)
-    torque_q: Any  # (n, n, N)
-    torque_v: Any
-    torque_z: Any  # (n, M, N)
-    torque_u: Any  # (n, P, N)
-    level: Any  # (n, N)
-    level_q: Any
-    level_v: Any
-    level_u: Any
-    rate: Any  # (M, N)
-    rate_q: Any  # (M, n, N)
-    rate_v: Any
-    rate_z: Any
-    rate_u: Any
+    torque: Slopes  # (n, ...) without dry friction
+    level: Slopes  # (n, ...) of it
+    rate: Slopes  # (M, ...) of the internal states
 
 
 def _ramp(v, needed, level, spread, slow_time):
@@ -184,7 +171,7 @@ def at_nodes(mechanisms, run, times: int = 3):
 
 def changed_bodies(laws: Laws, slots: Slots, numbers, mechanisms):
     """Mechanisms as a model's effects leave them, with the numbers (E, p) of `slots`."""
-    known = [laws.each[i] for i in laws.of("whole")]
+    known = laws.of("whole")
     if not any(map(changes_bodies, known)):
         return mechanisms
 
@@ -194,11 +181,9 @@ def changed_bodies(laws: Laws, slots: Slots, numbers, mechanisms):
         own = len(numbers_of(effect))
         return lambda bodies, u: jax.vmap(lambda b: with_numbers(effect, u[:own]).bodies(b))(bodies)
 
-    which = {i: k + 1 for k, i in enumerate(i for i, e in enumerate(known) if changes_bodies(e))}
-    branches = [lambda bodies, u: bodies, *(branch(known[i]) for i in which)]
-    place = jnp.asarray([which.get(i, 0) for i in range(len(known))])
+    branches = [*map(branch, known), lambda bodies, u: bodies]
     for e in range(len(slots.law)):
-        at = jnp.where(e < slots.count, place[slots.law[e]], 0)
+        at = jnp.where(e < slots.count, slots.law[e], len(known))
         mechanisms = jax.lax.switch(at, branches, mechanisms, numbers[e])
     return mechanisms
 
@@ -210,52 +195,50 @@ def _added(x, rows, *start):
     return jax.lax.dynamic_update_slice(x, here + rows, start)
 
 
-def _plus(s: Sums, f: Slopes, r: int, j, state, column) -> Sums:
-    """The sums with an effect that acts on r joints from the j-th on: rows of `f` are r torques, r
-    levels, and rates."""
-    parts = (
-        ("torque", slice(r), j),
-        ("level", slice(r, 2 * r), j),
-        ("rate", slice(2 * r, None), state),
-    )
-    starts, new = ((), (j,), (j,), (state,), (column,)), {}
-    for name, rows, first in parts:
-        for by, slope, start in zip(("", "_q", "_v", "_z", "_u"), f, starts, strict=True):
-            if name + by in Sums._fields:
-                new[name + by] = _added(getattr(s, name + by), slope[rows], first, *start)
-    return s._replace(**new)
+def _groups(laws: Laws, table: Table):
+    """What acts at one joint, and on the whole mechanism: laws, slots, and of an array (n, ...) the
+    rows that the effect in a slot sees."""
+
+    def own(x, e):
+        return jax.lax.dynamic_slice_in_dim(x, table.joint.joint[e], 1)
+
+    yield laws.of("joint"), table.joint, own
+    yield laws.of("whole"), table.whole, lambda x, e: x
 
 
 def _summed(laws: Laws, table: Table, at: Nodes, mechanism, P: int):
     """`Sums` of a model at the nodes, and each effect's own torque."""
-    (n, N), M, effects = at.q.shape, at.z.shape[0], laws.each
-    groups = {g: [effects[i] for i in laws.of(g)] for g in ("joint", "whole")}
+    (n, N), M = at.q.shape, at.z.shape[0]
     # Room at the end, so that no block of rows would be moved to fit.
-    p = P + max(map(most_numbers, groups.values()))
-    m = M + max(map(most_states, groups.values()))
+    p, m = P + most_numbers(laws.each), M + most_states(laws.each)
     z = jnp.concatenate([at.z, jnp.zeros((m - M, N))])
-    shapes = [(n,), (n, n), (n, n), (n, m), (n, p), (n,), (n, n), (n, n), (n, p)]
-    shapes += [(m,), (m, n), (m, n), (m, m), (m, p)]
-    sums, own = Sums(*[jnp.zeros((*s, N)) for s in shapes]), []
-    for group, slots, r in (("joint", table.joint, 1), ("whole", table.whole, n)):
-        known = groups[group]
+
+    def nothing(rows: int) -> Slopes:
+        return Slopes(*(jnp.zeros((rows, *wide, N)) for wide in ((), (n,), (n,), (m,), (p,))))
+
+    sums, own = Sums(nothing(n), nothing(n), nothing(m)), []
+    for (known, slots, of_own), r in zip(_groups(laws, table), (1, n), strict=True):
         room = most_states(known), most_numbers(known)
         each = jnp.zeros((len(slots.law), 2 * r, N // 3))
-        along = along_joint if group == "joint" else along_whole
-        branches = [functools.partial(along, k, room) for k in known]
+        branches = [functools.partial(along_torque, k, room) for k in known]
 
-        def add(e, carry, slots=slots, room=room, branches=branches, r=r, group=group):
+        def add(e, carry, slots=slots, room=room, branches=branches, r=r, of_own=of_own):
             sums, each = carry
             j, state, column = slots.joint[e], slots.state[e], slots.column[e]
             states = jax.lax.dynamic_slice(z, (state, 0), (room[0], N))
-            args = at.q[j], at.v[j], at.time, states, slots.numbers[e]
-            if group == "whole":
-                args = mechanism, at.q, at.v, at.time, states, at.step, at.spread, slots.numbers[e]
+            q, v, spread = (of_own(x, e) for x in (at.q, at.v, at.spread))
+            args = mechanism, q, v, at.time, states, at.step, spread, slots.numbers[e]
             f = jax.lax.switch(slots.law[e], branches, *args)
             f = f._replace(by_number=f.by_number * slots.slopes[e][:, None])
-            torque = f.value[None, : 2 * r, : N // 3]
-            each = jax.lax.dynamic_update_slice(each, torque, (e, 0, 0))
-            return _plus(sums, f, r, j, state, column), each
+            each = each.at[e].set(f.value[: 2 * r, : N // 3])
+            # Its rows are r torques, r levels, and rates.
+            rows = (slice(r), j), (slice(r, 2 * r), j), (slice(2 * r, None), state)
+            starts = (), (j,), (j,), (state,), (column,)
+            new = []
+            for total, (which, first) in zip(sums, rows, strict=True):
+                blocks = zip(total, f, starts, strict=True)
+                new.append(Slopes(*(_added(x, y[which], first, *to) for x, y, to in blocks)))
+            return Sums(*new), each
 
         if known:
             sums, each = jax.lax.fori_loop(0, slots.count, add, (sums, each))
@@ -320,35 +303,34 @@ def _field(mechanism, at: Nodes, drive, s: Sums) -> Field:
     def pushed(x):  # Z^-1 of torques (n, ..., N)
         return _product(unit, x) if x.ndim == 3 else jnp.sum(unit * x[None], axis=1)
 
-    free = drive - s.torque
+    free, level = drive - s.torque.value, s.level.value
     light = jnp.stack([unit[j, j] for j in range(n)])
     held = (rest + pushed(free)) / light
-    found = expected_direction(at.v, held, s.level, at.spread, RAMP * at.step * light)
+    found = expected_direction(at.v, held, level, at.spread, RAMP * at.step * light)
     direction, (by_v, by_held, by_level) = jax.lax.optimization_barrier(found)
     # Slopes at the torque that acts, friction included.
-    total = free - s.level * direction
+    total = free - level * direction
     a = rest + pushed(total)
     both = jax.jacfwd(accelerated, argnums=(1, 2))
     a_q, a_v = jax.lax.optimization_barrier(jax.vmap(both, **over)(mechanism, at.q, at.v, total))
-    hold = (s.level * by_held / light)[:, None]
-    grow = (direction + s.level * by_level)[:, None]  # d friction / d level
+    hold = (level * by_held / light)[:, None]
+    grow = (direction + level * by_level)[:, None]  # d friction / d level
 
     def whole(slope, own=0.0):
         return slope - pushed(hold * slope + grow * own)
 
-    to_q = whole(a_q - pushed(s.torque_q), s.level_q)
-    along = jnp.eye(n)[..., None] * (s.level * by_v)[:, None]
-    to_v = whole(a_v - pushed(s.torque_v), s.level_v) - pushed(along)
-    to_z, to_u = whole(-pushed(s.torque_z)), whole(-pushed(s.torque_u), s.level_u)
-    m, p = s.rate.shape[0], to_u.shape[1]
+    to_q = whole(a_q - pushed(s.torque.by_q), s.level.by_q)
+    along = jnp.eye(n)[..., None] * (level * by_v)[:, None]
+    to_v = whole(a_v - pushed(s.torque.by_v), s.level.by_v) - pushed(along)
+    to_z = whole(-pushed(s.torque.by_z))
+    to_u = whole(-pushed(s.torque.by_number), s.level.by_number)
+    m, p = s.rate.value.shape[0], to_u.shape[1]
     zero, eye = jnp.zeros((n, n, N)), jnp.broadcast_to(jnp.eye(n)[..., None], (n, n, N))
-    rows = (
-        (zero, eye, jnp.zeros((n, m, N))), (to_q, to_v, to_z), (s.rate_q, s.rate_v, s.rate_z),
-    )  # fmt: skip
+    rows = (zero, eye, jnp.zeros((n, m, N))), (to_q, to_v, to_z), s.rate[1:4]
     by_x = jnp.concatenate([jnp.concatenate(row, 1) for row in rows])
-    by_u = jnp.concatenate([jnp.zeros((n, p, N)), to_u, s.rate_u])
+    by_u = jnp.concatenate([jnp.zeros((n, p, N)), to_u, s.rate.by_number])
     by_torque = jnp.concatenate([zero, whole(unit), jnp.zeros((m, n, N))])
-    return Field(jnp.concatenate([at.v, a, s.rate]), by_x, by_u, by_torque, direction)
+    return Field(jnp.concatenate([at.v, a, s.rate.value]), by_x, by_u, by_torque, direction)
 
 
 def transition(h, M, X: int):
@@ -401,17 +383,15 @@ def _linearised(laws: Laws, table: Table, instants: Instants, at: Nodes, bodies,
     mechanism = at_nodes(bodies, instants.run)
     sums, each_joint, each_whole = _summed(laws, table, at, mechanism, P)
     drive = instants.drive.transpose(1, 0, 2).reshape(n, 3 * K)
-    rooms = {"torque_z": M, "rate": M, "rate_q": M, "rate_v": M, "torque_u": P, "level_u": P}
-    cut = sums._replace(
-        **{k: getattr(sums, k)[:, :r] if k[0] in "tl" else getattr(sums, k)[:r]
-           for k, r in rooms.items()},
-        rate_z=sums.rate_z[:M, :M], rate_u=sums.rate_u[:M, :P],
-    )  # fmt: skip
+    cut = Sums(*(
+        Slopes(x.value[:k], x.by_q[:k], x.by_v[:k], x.by_z[:k, :M], x.by_number[:k, :P])
+        for x, k in zip(sums, (n, n, M), strict=True)
+    ))  # fmt: skip
     # Barriers keep XLA from computing a stage again in all that uses it.
     here = jax.lax.optimization_barrier
     f = here(_field(mechanism, at, drive, here(cut)))
-    torque_u = _of_bodies(laws, table, instants, at, f.f[n : 2 * n], sums.torque_u)[:, :P]
-    f = f._replace(by_u=f.by_u - _product(f.by_torque, torque_u - cut.torque_u))
+    torque_u = _of_bodies(laws, table, instants, at, f.f[n : 2 * n], sums.torque.by_number)[:, :P]
+    f = f._replace(by_u=f.by_u - _product(f.by_torque, torque_u - cut.torque.by_number))
     x = jnp.concatenate([at.q, at.v, at.z])
     const = f.f - jnp.sum(f.by_x * x[None], axis=1)
     field = jnp.concatenate([f.by_x, const[:, None], f.by_torque, f.by_u], 1)
@@ -431,10 +411,10 @@ def _linearised(laws: Laws, table: Table, instants: Instants, at: Nodes, bodies,
         return jnp.moveaxis(x, -1, 0)
 
     # An acceleration tells which way friction acts; near a reversal nobody knows beforehand.
-    jump = (cut.level**2 * (1 - f.direction**2))[None, :, :K]
+    jump = (cut.level.value**2 * (1 - f.direction**2))[None, :, :K]
     unsure = jnp.sum(Ht**2 * jump, axis=1)
     system = System(*map(first, (A, B, T, c, Hx, Hu, hc, Ht, unsure)))
-    by_number = torque_u[..., :K] + cut.level_u[..., :K] * f.direction[:, None, :K]
+    by_number = torque_u[..., :K] + cut.level.by_number[..., :K] * f.direction[:, None, :K]
     return Linear(
         system, seen.T, f.f[n : 2 * n], f.direction, f.by_x, f.by_torque, by_number,
         each_joint, each_whole,
@@ -444,7 +424,7 @@ def _linearised(laws: Laws, table: Table, instants: Instants, at: Nodes, bodies,
 def _of_bodies(laws: Laws, table: Table, instants: Instants, at: Nodes, acceleration, torque_u):
     """The sum (n, P, N) with what numbers do through the bodies."""
     slots = table.whole
-    moves = [changes_bodies(laws.each[i]) for i in laws.of("whole")]
+    moves = list(map(changes_bodies, laws.of("whole")))
     if not any(moves):
         return torque_u
 
@@ -465,19 +445,18 @@ def _of_bodies(laws: Laws, table: Table, instants: Instants, at: Nodes, accelera
 def _followed(laws: Laws, table: Table, at: Nodes, h, bodies, run, phi, inputs: int):
     """The step phi (X, W, K) with the internal states that follow the motion instead of having a
     rate: z+ = f(z, q+)."""
-    effects, mechanism = laws.each, at_nodes(bodies, run, 1)
-    for group, slots in (("joint", table.joint), ("whole", table.whole)):
-        known = [effects[i] for i in laws.of(group)]
+    mechanism = at_nodes(bodies, run, 1)
+    for known, slots, of_own in _groups(laws, table):
         if any(e.follows for e in known):
-            phi = _followed_by(known, slots, at, h, mechanism, phi, inputs)
+            phi = _followed_by(known, slots, of_own, at, h, mechanism, phi, inputs)
     return phi
 
 
-def _followed_by(known, slots: Slots, at: Nodes, h, mechanism, phi, inputs: int):
+def _followed_by(known, slots: Slots, of_own, at: Nodes, h, mechanism, phi, inputs: int):
     """The same for the effects of one group."""
     n, (X, W, K) = at.q.shape[0], phi.shape
-    end = at.q[:, 2 * K :], at.v[:, 2 * K :], at.time[2 * K :]
-    far = beyond(at.v[:, :K], end[1], h)
+    q, v, time = at.q[:, 2 * K :], at.v[:, 2 * K :], at.time[2 * K :]
+    far = beyond(at.v[:, :K], v, h)
     m, p = most_states(known), most_numbers(known)
     z = jnp.pad(at.z[:, :K], ((0, m), (0, 0)))
 
@@ -485,10 +464,11 @@ def _followed_by(known, slots: Slots, at: Nodes, h, mechanism, phi, inputs: int)
         def moved(phi, e):
             state = slots.state[e]
             own = jax.lax.dynamic_slice(z, (state, 0), (m, K))
-            args = slots.joint[e], *end, own, far, slots.numbers[e], mechanism
+            here, rates, beside = (of_own(x, e) for x in (q, v, far))
+            args = here, rates, time, own, beside, slots.numbers[e], mechanism
             f = along_follow(effect, (m, p), *args)
-            rows = _product(f.by_q, phi[:n])
-            gone = jnp.sum(f.by_z * own[None], 1) + jnp.sum(f.by_q * end[0][None], 1)
+            rows = _product(f.by_q, of_own(phi[:n], e))
+            gone = jnp.sum(f.by_z * own[None], 1) + jnp.sum(f.by_q * here[None], 1)
             rows = rows.at[:, X].add(f.value - gone)
             wide = jnp.pad(rows, ((0, 0), (0, m + p), (0, 0)))
             wide = _added(wide, f.by_z, 0, 2 * n + state)
@@ -516,10 +496,9 @@ def followed(laws: Laws, table: Table, instants: Instants, path):
         x, t, run, begins, far = at
         q, v, given = x[:n], x[n : 2 * n], x[2 * n :]
         mechanism, moved = jax.tree.map(lambda leaf: leaf[run], bodies), z
-        for group, slots in (("joint", table.joint), ("whole", table.whole)):
-            known = [laws.each[i] for i in laws.of(group)]
+        for known, slots, of_own in _groups(laws, table):
             if any(e.follows for e in known):
-                moved = _moved(known, slots, mechanism, q, v, t, far, moved)
+                moved = _moved(known, slots, of_own, mechanism, q, v, t, far, moved)
         z = jnp.where(begins | ~table.held, given, moved)
         return z, z
 
@@ -531,7 +510,7 @@ def followed(laws: Laws, table: Table, instants: Instants, path):
     return jnp.concatenate([path[:, : 2 * n], z], axis=1)
 
 
-def _moved(known, slots: Slots, mechanism, q, v, t, far, z):
+def _moved(known, slots: Slots, of_own, mechanism, q, v, t, far, z):
     """Internal states (M,) after one step that ended at q, v (n,), `far` (n,) from a turn."""
     M, m = len(z), most_states(known)
 
@@ -539,7 +518,8 @@ def _moved(known, slots: Slots, mechanism, q, v, t, far, z):
         def moved(z, e):
             state = slots.state[e]
             own = jax.lax.dynamic_slice(z, (state,), (m,))
-            args = slots.joint[e], q, v, t, own, far, slots.numbers[e], mechanism
+            here, rates, beside = (of_own(x, e) for x in (q, v, far))
+            args = here, rates, t, own, beside, slots.numbers[e], mechanism
             new = follow(effect, m, *args)[: len(effect.memory)]
             return jax.lax.dynamic_update_slice(z, new, (state,))
 
@@ -588,7 +568,7 @@ def _readings(laws: Laws, table: Table, instants: Instants, at: Nodes, f: Field,
     """Slopes of the readings in the state (n, X, K), in the random torque (n, n, K) and in the
     regressors (n, P, K), and the readings (n, K)."""
     n, P = at.q.shape[0], point.u.shape[0]
-    known = [laws.each[i] for i in laws.of("sensor")]
+    known = laws.of("sensor")
     slots, p = table.sensor, most_numbers(known)
     mechanism = jax.tree.map(lambda x: x[0], instants.mechanisms)
     delay, delay_u = jnp.zeros(n), jnp.zeros((n, P + p))

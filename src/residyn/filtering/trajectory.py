@@ -52,8 +52,7 @@ class Prior(NamedTuple):
 
     mean: np.ndarray
     width: np.ndarray
-    log: np.ndarray
-    """(P,) bool: mean exp(width u), else mean + width u."""
+    log: np.ndarray  # (P,) bool: mean exp(width u), else mean + width u
 
     def numbers(self, u: np.ndarray) -> np.ndarray:
         """(P,) numbers at regressors."""
@@ -78,21 +77,16 @@ class Trajectory:
 
     effects: tuple[AbstractEffect, ...]
     prior: Prior
-    u: np.ndarray
-    """(P,) regressors, filled up: 0 where the model has no number."""
-    path: np.ndarray
-    """(K, 2n + M) smoothed angles, rates and internal states."""
-    spread: np.ndarray
-    """(K, n) standard deviation of the rates."""
-    first: np.ndarray
-    """(M,) internal states at the beginning of each recording, as known beforehand."""
+    u: np.ndarray  # (P,) regressors, filled up: 0 where the model has no number
+    path: np.ndarray  # (K, 2n + M) smoothed angles, rates and internal states
+    spread: np.ndarray  # (K, n) standard deviation of the rates
+    first: np.ndarray  # (M,) internal states where a recording begins, as known beforehand
     log_evidence: float = -math.inf
-    covariance: np.ndarray = dataclasses.field(default_factory=_not_yet)
-    """(P, P) of u; this and the next two are empty until the model is smoothed."""
+    # Empty until the model is smoothed:
+    covariance: np.ndarray = dataclasses.field(default_factory=_not_yet)  # (P, P) of u
+    # (K, n) the random torque, on the drive's side of Eq. 1, and its variance
     torque: np.ndarray = dataclasses.field(default_factory=_not_yet)
-    """(K, n) the random torque, on the drive's side of Eq. 1."""
     torque_variance: np.ndarray = dataclasses.field(default_factory=_not_yet)
-    """(K, n)"""
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -119,14 +113,14 @@ class Scene:
         recordings: Sequence[Recording],
         mechanisms: Sequence[AbstractInertia],
         wild: Sequence[np.ndarray],
-        correlation: float = 1.0,
         fast: float | None = None,
     ):
-        """`correlation`: time of the random torque, in radians of a joint's ringing; `fast`: rad/s
-        of the fastest motion, if that is known."""
+        """`fast`: rad/s of the fastest motion, if that is known."""
         self.recordings, self.mechanisms = tuple(recordings), tuple(mechanisms)
         self.joints = mechanisms[0].joints
         n = len(self.joints)
+        self.units = mechanisms[0].units or ("rad",) * n
+        self.torque_units = tuple("N" if unit == "m" else "N m" for unit in self.units)
         rows = mechanisms[0].mass_matrix((0.0,) * n)
         inertia = np.array([[float(x) for x in row] for row in rows])
         long = int(np.argmax([r.duration for r in recordings]))
@@ -141,12 +135,10 @@ class Scene:
         self.catalogued = catalogue_on(richest(mechanisms))
         self.orders = recordings[0].orders if any(recordings[0].orders) else ()
         self._laws: dict[tuple[str, ...], Laws] = {}
-        self.n = n
-        self.K = len(g.time)
-        self.correlation = correlation
+        self.n, self.K = n, len(g.time)
+        self.real = np.arange(self.K) < g.real
         self.begins = [int(np.argmax(g.run == i)) for i in range(len(recordings))]
-        q = np.zeros_like(g.angle)
-        v = np.zeros_like(g.angle)
+        q, v = np.zeros_like(g.angle), np.zeros_like(g.angle)
         for i in range(len(recordings)):
             own = g.of(i)
             for j in range(n):
@@ -188,6 +180,12 @@ class Scene:
         """How many readings count."""
         return int(self.grid.seen.sum())
 
+    @property
+    def highest(self) -> float:
+        """Log density of the readings without any residual."""
+        g = self.grid
+        return float(-0.5 * np.sum(np.where(g.seen, np.log(2 * np.pi * g.variance), 0.0)))
+
     def joint_of(self, effect: AbstractEffect) -> int:
         """The joint whose typical sizes an effect's numbers have."""
         return self.joints.index(effect.place) if effect.place in self.joints else self.n - 1
@@ -196,6 +194,11 @@ class Scene:
         """Typical size of one number."""
         joint = self.joint_of(effect) if number.joint is None else number.joint
         return float(number.dimension.size(self.scales[joint]))
+
+    def unit(self, effect: AbstractEffect, number: Parameter) -> str:
+        """Unit of one number."""
+        units = self.mechanisms[0].units
+        return number.dimension.unit(units[self.joint_of(effect)] if units else None)
 
     def start(self, effects: Sequence[AbstractEffect], prior: Prior) -> Trajectory:
         """A model, led by nothing but the readings yet."""
@@ -250,33 +253,28 @@ class Scene:
 
     def noise(self, t: Trajectory) -> Noise:
         """First state, known to its typical size, and random torque: of typical torques (rms) at
-        intensity 1, correlated over the scene's `correlation` in radians of a joint's ringing."""
+        intensity 1, correlated over one radian of a joint's ringing, for what it stands for changes
+        no faster than the motion does."""
         n, g = self.n, self.grid
-        M = t.path.shape[1] - 2 * n
-        mean, variance = np.zeros(2 * n + M), np.zeros(2 * n + M)
-        mean[:n] = self.q[self.begins[0]]
-        for j, s in enumerate(self.scales):
-            variance[j] = s.amplitude**2
-            variance[n + j] = (s.amplitude * s.frequency) ** 2
+        amplitude = np.array([s.amplitude for s in self.scales])
+        pace = np.array([s.frequency for s in self.scales])
+        memory = np.zeros(len(t.first))
         for effect, own in zip(t.effects, state_slices(t.effects), strict=True):
             scale = self.scales[self.joint_of(effect)]
-            for i, each in zip(range(own.start, own.stop), effect.memory, strict=True):
-                mean[2 * n + i] = t.first[i]
-                variance[2 * n + i] = float(each.dimension.size(scale)) ** 2
+            memory[own] = [float(each.dimension.size(scale)) for each in effect.memory]
+        mean = np.concatenate([self.q[self.begins[0]], np.zeros(n), t.first])
+        variance = np.concatenate([amplitude, amplitude * pace, memory]) ** 2
         loud = self.torque**2
-        pace = np.array([s.frequency for s in self.scales]) / self.correlation
         decay = np.where(g.last[:, None], 0.0, np.exp(-g.step[:, None] * pace))
-        growth = np.concatenate([np.zeros((self.K, 2 * n + M)), loud * (1 - decay**2)], 1)
-        growth[g.last, : 2 * n + M] += variance
+        growth = np.concatenate([np.zeros((self.K, len(mean))), loud * (1 - decay**2)], 1)
+        growth[g.last, : len(mean)] += variance
         return Noise(mean, np.concatenate([variance, loud]), decay, growth)
 
     def possible(self, evidences: np.ndarray) -> np.ndarray:
         """Log evidences, but -inf where they are not finite, or above the density of the readings
         without any residual: noise is in every innovation, so that only rounding comes so high, of
         a model whose motion grows exponentially."""
-        g = self.grid
-        highest = -0.5 * np.sum(np.where(g.seen, np.log(2 * np.pi * g.variance), 0.0))
-        return np.where(evidences <= highest, evidences, -np.inf)
+        return np.where(evidences <= self.highest, evidences, -np.inf)
 
     def evidences(
         self, t: Trajectory, linear: Linear, intensities: Sequence[float] | np.ndarray

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ... import __version__
-from ...diagnosis.columns import Screened, strengths
+from ...diagnosis.columns import Column, strengths
 from ...diagnosis.diagnose import values_of
 from ...diagnosis.evidence import FURTHER, signed, width_of
 from ...diagnosis.missing_torque import missing_of
@@ -228,7 +228,7 @@ def _recording(r):
     }
 
 
-def _candidate(study: Study, s: Screened):
+def _candidate(study: Study, s: Column):
     effect, scene = s.effect, study.search.scene
     units = scene.mechanisms[0].units
     unit = units[scene.joint_of(effect)] if units else None

@@ -18,7 +18,7 @@ import numpy as np
 
 from ...diagnosis.columns import Columns, extended
 from ...diagnosis.diagnose import MOST_EFFECTS, Fits, diagnosed
-from ...diagnosis.evidence import INTENSITIES, prior_of
+from ...diagnosis.evidence import INTENSITIES
 from ...diagnosis.forecast import HeldOut, held_out
 from ...diagnosis.linearised_fit import LinearisedFit, evaluated, polish
 from ...diagnosis.missing_torque import scene_of
@@ -278,7 +278,7 @@ class Study:
         for s, own in zip(chosen, np.split(means, ends)[:-1], strict=True):
             if s.effect.label not in near.added:
                 s = s._replace(regressors=own)
-                trajectory = extended(self.search.scene, trajectory, prior_of, s)
+                trajectory = extended(self.search.scene, trajectory, s)
         return dataclasses.replace(near, added=tuple(added), best=trajectory)
 
     def _holding(self, found: Fit, held: Mapping[str, float]) -> Fit:
