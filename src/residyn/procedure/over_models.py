@@ -13,6 +13,7 @@ of the numbers is in their covariance, so that what no recording shows is as wid
 and not without bound.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
@@ -184,36 +185,42 @@ def without_effects_of_bearings(model: Model) -> Model:
 
 
 def with_and_without_drag(search: Search) -> tuple[list[Tried], np.ndarray, float]:
-    """The models in play with and without viscous drag of the bearings, their probabilities among
+    """The models in play with and without damping of the whole mechanism, their probabilities among
     each other, and that of all that are left out.
 
-    To a search, drag is one of many effects that may be missing, unlikely beforehand, and as large
-    as effects that are worth a name. A film of air does drag; whether by enough to count beside the
-    joints' dampers is as likely as not, and how much it is nobody knows within decades
-    (`at_any_width`). The recordings hardly say, for dampers of the joints do much the same; without
-    bearings they stay.
+    To a search, drag of the bearings is one of many effects that may be missing, unlikely
+    beforehand, and as large as effects that are worth a name. A film of air does drag; whether by
+    enough to count beside the joints' dampers is as likely as not, and how much it is nobody knows
+    within decades (`at_any_width`). Nor which law it has: all of its kind that act on the whole
+    mechanism are as likely as each other. The recordings hardly say, for dampers of the joints do
+    much the same; without bearings they stay.
     """
     posterior = Posterior(search)
     models, p, left_out = in_play(posterior.models, posterior.of_tried)
-    drag = BearingDrag.name
-    if drag not in (e.label for e in search.candidates):
-        models = [at_any_width(search.scene, m, drag) for m in models]
+    scene, count = search.scene, len(search.candidates)
+    if BearingDrag.name not in (e.label for e in search.candidates):
+        models = [at_any_width(scene, m, BearingDrag.name) for m in models]
         return models, shares(np.array([m.log_posterior for m in models])), left_out
-    found, logs = [], []
-    for rest in dict.fromkeys(frozenset(m.added) - {drag} for m in models):
-        without = search.tried.get(rest)
-        both = search.tried.get(rest | {drag}) or (without and search.beside(without, drag))
-        for model in (without, both and at_any_width(search.scene, both, drag)):
+    laws = [e.label for e in search.candidates if e.kind() == BearingDrag.kind() and not e.place]
+    found = {frozenset(m.added): m for m in models}
+    for rest in dict.fromkeys(key.difference(laws) for key in tuple(found)):
+        without, prior = search.tried.get(rest), log_prior_model(len(rest), count)
+        if without is None:
+            continue
+        found[rest] = replace(without, log_prior=prior)
+        for law in laws:
+            model = search.beside(without, law)
             if model is not None:
-                found.append(model)
-                logs.append(model.log_evidence + log_prior_model(len(rest), len(search.candidates)))
-    kept, p, _ = in_play(found, shares(np.array(logs)))
+                model = at_any_width(scene, model, law)
+                found[rest | {law}] = replace(model, log_prior=prior - math.log(len(laws)))
+    every = list(found.values())
+    kept, p, _ = in_play(every, shares(np.array([m.log_posterior for m in every])))
     return kept, p, left_out
 
 
 WIDTHS = np.array([x for x in INTENSITIES if NEGLIGIBLE < x <= WIDTH]) / WIDTH
-"""Prior widths of the drag, in those of a strength: half a decade apart, from that of effects worth
-a name down to what changes nothing."""
+"""Prior widths of that damping, in those of a strength: half a decade apart, from that of effects
+worth a name down to what changes nothing."""
 
 
 def at_any_width(scene: Scene, model: Tried, label: str) -> Tried:
