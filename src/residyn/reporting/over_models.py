@@ -26,12 +26,13 @@ def models_table(found: OverModels) -> Table:
 
 
 def drag_words(found: OverModels) -> str:
-    """What was taken to be known of the bearings' drag; empty if it is in no model."""
+    """What was taken to be known of such damping beforehand; empty if drag is in no model."""
     if not any(BearingDrag.name in m.added for m in found.models):
         return ""
     return (
-        "Before the recordings, drag of the bearings was as likely as not beside each model: "
-        "dampers of the joints do much the same, and stay without bearings."
+        "Before the recordings, damping of the whole arm (drag of the bearings, quadratic drag, "
+        "drag in air, damping between the joints; each as likely) was as likely as not beside each "
+        "model: dampers of the joints do much the same, and stay without bearings."
     )
 
 
