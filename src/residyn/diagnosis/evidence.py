@@ -69,6 +69,9 @@ the true one was among the first two on seven arms of eight, single effects of 1
 CURVE_AMPLITUDES = INTENSITIES[:6]
 """Sizes of a free curve's torque, in the spring's at full swing, of which the prior is that of a
 strength: half a decade apart, down to where an effect is hardly worth naming."""
+DECADES = np.array(CURVE_AMPLITUDES[1:]) / WIDTH
+"""Prior widths, in those of a strength, of damping that is there in any case and of which nobody
+knows how large it is: half a decade apart, from `WIDTH` down to where it changes nothing."""
 CURVE_LENGTHS = (0.08, 0.2, 0.5, 1.5)
 """Correlation lengths of a free curve, in the visited range of its variable: from what its splines
 can just follow to a bend over the whole range."""

@@ -28,9 +28,7 @@ from ..diagnosis.candidate_tests import Rival, Test, best_tests, in_play, poster
 from ..diagnosis.columns import Columns
 from ..diagnosis.diagnose import Posterior
 from ..diagnosis.evidence import (
-    INTENSITIES,
-    NEGLIGIBLE,
-    WIDTH,
+    DECADES,
     log_prior_model,
     means_of_base,
     over_widths,
@@ -218,20 +216,15 @@ def with_and_without_drag(search: Search) -> tuple[list[Tried], np.ndarray, floa
     return kept, p, left_out
 
 
-WIDTHS = np.array([x for x in INTENSITIES if NEGLIGIBLE < x <= WIDTH]) / WIDTH
-"""Prior widths of that damping, in those of a strength: half a decade apart, from that of effects
-worth a name down to what changes nothing."""
-
-
 def at_any_width(scene: Scene, model: Tried, label: str) -> Tried:
-    """A model, the strength of its effect `label` known to be of any of `WIDTHS`."""
+    """A model, the strength of its effect `label` of any prior width of `DECADES`."""
     slices = zip(model.best.effects, number_slices(model.best.effects), strict=True)
     i = next((own.start for e, own in slices if e.label == label), None)
     if i is None:
         return model
     t = posterior_of(scene, model)
     count = len(t.covariance)
-    gain, mean, covariance = over_widths(t.u[:count], t.covariance, i, WIDTHS)
+    gain, mean, covariance = over_widths(t.u[:count], t.covariance, i, DECADES)
     best = replace(t, u=np.append(mean, t.u[count:]), covariance=covariance)
     return replace(model, best=best, evidences=model.evidences + gain, simulated=None)
 
