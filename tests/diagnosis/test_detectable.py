@@ -59,6 +59,23 @@ def test_evidences_are_those_of_the_readings_that_are_drawn():
                 assert each[i, d, k] == pytest.approx(known + expected + (sided if i else 0.0))
 
 
+def test_what_a_small_random_torque_takes_up_is_not_named():
+    """One column, seen without a random torque only; one takes it up at a price of `logs`."""
+    rng, none = np.random.default_rng(3), np.array(INTENSITIES) == 0
+    white = rng.standard_normal((100, 51)) * none[:, None, None]
+    white[none, :, 0] = 0.5
+    grams = np.swapaxes(white, 1, 2) @ white
+    rows = [Column(CubicStiffness("cart"), {}, (0,), np.zeros((0, 0)))]
+
+    def named(price):
+        logs = np.where(none, 0.0, np.where(np.array(INTENSITIES) == 1e-3, -20.0 - price, -1e9))
+        return Rivals(rows, logs, grams).counted(np.array([1.2]), 0, [])[0]
+
+    with jax.enable_x64(True):
+        assert named(1e9) > 0.9  # such a torque is as good as impossible
+        assert named(0.0) < 0.1  # likelier than noise without it
+
+
 def test_twice_the_noise_hides_twice_the_strength(atlases):
     quiet, loud = ({e.effect: e for e in a.effects} for a in atlases.values())
     for label in ("cubic_stiffness:cart", "quadratic_drag:cart", "stiffness_drift:cart"):

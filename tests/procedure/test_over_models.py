@@ -120,6 +120,10 @@ def test_drag_of_the_bearings_is_as_likely_as_not_before_the_recordings(two):
     assert prior
     assert set(prior) <= {("air_drag",), ("bearing_quadratic_drag",), ("coupling_damping",)}
     assert list(prior.values()) == pytest.approx([1 / 4] * len(prior))
+    # As large as effects that are worth a name is not what so little drag is known to be.
+    known = {frozenset(m.added): m.log_evidence for m in models}
+    drag = frozenset(["bearing_drag"])
+    assert known[drag] > search.tried[drag].log_evidence + 0.5
     assert left_out < 1e-9
 
 
