@@ -19,7 +19,7 @@ explore: .venv/.explore
 # With one order of sets a program is traced alike in each process, and found where another one has
 # compiled it.
 test: lint
-	PYTHONHASHSEED=0 $(RUN) -m pytest -n 2 --dist loadfile --durations=25
+	OPENBLAS_NUM_THREADS=1 PYTHONHASHSEED=0 $(RUN) -m pytest -n 2 --dist loadfile --durations=25
 
 # More cases of some tests, minutes.
 slow: .venv/.test

@@ -63,7 +63,7 @@ def bump(q):
 
 def test_splines_add_up_to_one():
     x = np.linspace(-0.3, 0.7, 200)
-    assert np.allclose(np.asarray(splines(x, -0.3, 0.7)).sum(0), 1.0, atol=1e-6)
+    assert np.allclose(splines(x, -0.3, 0.7).sum(axis=1), 1.0, atol=1e-6)
 
 
 def test_a_curve_s_columns_are_the_slopes_of_its_torque():
@@ -75,7 +75,7 @@ def test_a_curve_s_columns_are_the_slopes_of_its_torque():
         along = Along(scene, base)
         held = free_curves.with_curve(scene, base, place, law.heights)
         torque = scene.torques(held)["free_curve:cart"][:, 0]
-        columns = splines(along.variable("angle", 0), -0.4, 0.4)[:, : scene.K]
+        columns = splines(along.variable("angle", 0), -0.4, 0.4).toarray().T[:, : scene.K]
         assert np.allclose(mean @ columns, torque, atol=1e-9)
 
 
@@ -98,7 +98,7 @@ def test_a_formula_is_the_curve_of_its_terms():
         shapes = dict(zip((n for n, _ in column.term.shapes), column.shape, strict=True))
         for part, heights in zip(column.term.parts, formula.parts_of(place, column).T, strict=True):
             exact = formula.value_of(part, x, formula.scale_of(place), shapes)
-            error = splines(x, place.low, place.high, HEIGHTS).T @ heights - exact
+            error = splines(x, place.low, place.high, HEIGHTS) @ heights - exact
             assert np.sqrt(np.mean(error**2)) < 2e-4 * np.abs(exact).max()
 
 
@@ -177,7 +177,7 @@ def test_the_band_holds_a_known_curve_and_the_curve_is_found():
         x = np.linspace(settled.place.low, settled.place.high, 81)
         # Beside the line, which the spring takes up.
         off = np.eye(81) - np.outer(x, x) / (x @ x)
-        rows = off @ np.asarray(splines(x, settled.place.low, settled.place.high)).T
+        rows = off @ splines(x, settled.place.low, settled.place.high)
         std = np.sqrt(np.einsum("gi,ij,gj->g", rows, settled.covariance, rows))
         error = rows @ settled.mean - off @ np.asarray(bump(x))
         assert np.mean(np.abs(error) < 1.96 * std) > 0.85

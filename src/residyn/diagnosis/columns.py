@@ -134,7 +134,7 @@ class Shaped(NamedTuple):
     widths: Any  # (J, s) of the strengths' priors
 
 
-@kept(like=(0, 0, 0, 0, 0, 0))
+@kept(like=(0, 0, 0, 0, 0, 0), seldom=True)
 def columns(
     laws: Laws,
     shaped: Sequence[Shaped],

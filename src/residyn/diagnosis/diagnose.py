@@ -226,12 +226,16 @@ class Fits:
             for numbers, states in starts:
                 begin = here.model.with_vector(jnp.asarray(numbers))
                 begun = here, begin, numbers[None], self._wild(here.recordings)
-                # On all readings; and what sticks does so in order: the first ones first, then all.
+                # On all readings; and, where noise does not explain what that leaves, what sticks
+                # does so in order: the first ones first, then all.
                 for growing in (False, True) if begin.rough else (False,):
                     try:
-                        found.append(
-                            descend(*begun, near=np.array([states]), growing=growing, search=search)
+                        each = descend(
+                            *begun, near=np.array([states]), growing=growing, search=search
                         )
+                        found.append(each)
+                        if not each.above_noise:
+                            break
                     except Hopeless as hopeless:
                         why = hopeless
                     except FitError:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.special import erf, log_ndtr, logsumexp, softmax
+from scipy.special import erf, log_ndtr, softmax
 
 from ..effects import AbstractEffect
 from ..filtering.kalman import Evidences
@@ -244,7 +244,7 @@ def at_work(signs: Any = 1.0) -> np.ndarray:
 
 def log_sum(logs) -> float:
     """Log of the sum of what some logarithms are of."""
-    return float(logsumexp(logs))  # pyright: ignore[reportArgumentType]
+    return float(np.logaddexp.reduce(logs))
 
 
 def shares(logs: np.ndarray, axis: int | None = None) -> np.ndarray:

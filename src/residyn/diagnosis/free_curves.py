@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import BSpline
+from scipy.sparse import csr_array
 
 from ..filtering.free_curve import HEIGHTS, FreeCurve, FreeFriction
 from ..filtering.kalman import Evidences, Torques, gram
@@ -83,10 +84,10 @@ KINDS = (
 a stiffness, a damping and a friction that change with time."""
 
 
-def splines(x: np.ndarray, low: float, high: float, count: int = SPLINES) -> np.ndarray:
-    """(count, N) values at x (N,) of cubic B-splines that cover low to high."""
+def splines(x: np.ndarray, low: float, high: float, count: int = SPLINES) -> csr_array:
+    """(N, count) values at x (N,) of cubic B-splines that cover low to high, four of them not 0."""
     at = np.clip((x - low) / (high - low), 0.0, 1.0) * (count - 3)
-    return BSpline.design_matrix(at, np.arange(-3.0, count + 1.0), 3).toarray().T
+    return BSpline.design_matrix(at, np.arange(-3.0, count + 1.0), 3)
 
 
 def knots(low: float, high: float) -> np.ndarray:
@@ -98,7 +99,7 @@ def knots(low: float, high: float) -> np.ndarray:
 @functools.cache
 def _fine() -> np.ndarray:
     """(HEIGHTS, 2 HEIGHTS) makes heights of values at `points`."""
-    return np.linalg.pinv(splines(points(0.0, 1.0), 0.0, 1.0, HEIGHTS).T)
+    return np.linalg.pinv(splines(points(0.0, 1.0), 0.0, 1.0, HEIGHTS).toarray())
 
 
 def points(low: float, high: float) -> np.ndarray:
@@ -114,10 +115,10 @@ def heights_of(values: np.ndarray) -> np.ndarray:
 @functools.cache
 def _finer() -> np.ndarray:
     """(HEIGHTS, SPLINES) heights of each spline of a free curve."""
-    return heights_of(splines(points(0.0, 1.0), 0.0, 1.0).T)
+    return heights_of(splines(points(0.0, 1.0), 0.0, 1.0).toarray())
 
 
-@kept(like=(0, 0, 0, 0, 0))
+@kept(like=(0, 0, 0, 0, 0), seldom=True)
 def _along(instants: Instants, path, spread, held, by_x, by_torque, sliding):
     """Angles, rates, times and directions at the nodes, and (K, 3, X, n) `responses`."""
     at = nodes(instants, path, spread, held)
@@ -158,8 +159,9 @@ class Along:
         range: h' squares h is the mean square of the torque of a curve with heights h."""
         if (place, count) not in self._squares:
             x, factor = self.visited(place)
-            each = factor * splines(x, place.low, place.high, count)
-            self._squares[place, count] = each @ each.T / len(x)
+            each = splines(x, place.low, place.high, count)
+            weighed = factor[:, None] ** 2 * each.toarray()
+            self._squares[place, count] = each.T @ weighed / len(x)
         return self._squares[place, count]
 
     def visited(self, place: "Place") -> tuple[np.ndarray, np.ndarray]:
@@ -188,7 +190,7 @@ class Along:
             places, functions = [*places, places[0]], [*functions, held[:, None]]
         torques = [
             self.factor(place.kind.factor, j)[:, None]
-            * (splines(self.variable(place.kind.variable, j), place.low, place.high, HEIGHTS).T @ f)
+            * (splines(self.variable(place.kind.variable, j), place.low, place.high, HEIGHTS) @ f)
             for place, f in zip(places, functions, strict=True)
         ]
         torque = np.concatenate(torques, axis=1)
@@ -437,7 +439,7 @@ def settled_curve(
 
 def _share(along: Along, place: Place, heights: np.ndarray) -> float:
     x, factor = along.visited(place)
-    value, taken = splines(x, place.low, place.high).T @ heights, place.taken(x)
+    value, taken = splines(x, place.low, place.high) @ heights, place.taken(x)
     if taken is not None:
         value = value - taken * (taken @ value) / (taken @ taken)
     return float(np.sqrt(np.mean((factor * value) ** 2)) / along.scene.torque[place.joint])

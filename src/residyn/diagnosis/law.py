@@ -229,7 +229,7 @@ def _law(search: Search, model: CurveModel, probability: float, best: float) -> 
     nearest = np.clip(np.rint((x - place.low) / (grid[1] - grid[0])).astype(int), 0, GRID - 1)
     visits = np.bincount(nearest, minlength=GRID) / len(nearest)
     rows = _beyond(place.taken(grid), visits)
-    rows = rows @ splines(grid, place.low, place.high).T
+    rows = rows @ splines(grid, place.low, place.high)
     variance = np.einsum("gi,ij,gj->g", rows, model.covariance, rows)
     kind = scene.units[place.joint]
     by = {"angle": f"/{kind}", "rate": f" s/{kind}"}.get(place.kind.factor, "")

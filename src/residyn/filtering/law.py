@@ -69,14 +69,7 @@ def state_slices(effects: Sequence[AbstractEffect]) -> list[slice]:
 
 def of_one_joint(effect: AbstractEffect) -> TypeGuard[JointEffect]:
     """Whether the effect's torque and states depend on the motion of its own joint alone."""
-    kind = type(effect)
-    return (
-        issubclass(kind, JointEffect)
-        and not kind.senses
-        and kind.torque is JointEffect.torque
-        and kind.rate is JointEffect.rate
-        and kind.jumps is JointEffect.jumps
-    )
+    return group_of(effect) == "joint"
 
 
 def changes_bodies(effect: AbstractEffect) -> bool:
@@ -115,7 +108,20 @@ class Laws(NamedTuple):
 
 def group_of(effect: AbstractEffect) -> str:
     """The part of a program in which an effect's law stands."""
-    return "sensor" if effect.senses else "joint" if of_one_joint(effect) else "whole"
+    return _group_of(type(effect))
+
+
+@functools.cache
+def _group_of(kind: type[AbstractEffect]) -> str:
+    if kind.senses:
+        return "sensor"
+    alone = (
+        issubclass(kind, JointEffect)
+        and kind.torque is JointEffect.torque
+        and kind.rate is JointEffect.rate
+        and kind.jumps is JointEffect.jumps
+    )
+    return "joint" if alone else "whole"
 
 
 @functools.cache

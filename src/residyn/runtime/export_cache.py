@@ -90,13 +90,18 @@ def check_compiled() -> bool:
     return True
 
 
-def kept(like: Any) -> Callable[[Callable], "Kept"]:
+def kept(like: Any, *, seldom: bool = False) -> Callable[[Callable], "Kept"]:
     """`equinox.filter_jit` for a function of arrays and models whose traced program is kept.
 
     It takes no keywords, and returns arrays in the structure of `like`, whose leaves are anything.
-    It must be a module's own: what a closure holds is not in a program's name.
+    It must be a module's own: what a closure holds is not in a program's name. One that is called
+    `seldom`, a few times a process, is compiled without LLVM's optimisations, which take longer
+    than they then save.
     """
-    return lambda function: Kept(function, like)
+    return lambda function: Kept(function, like, _UNOPTIMISED if seldom else {})
+
+
+_UNOPTIMISED = {"xla_backend_optimization_level": 0}
 
 
 _MOST = 24
@@ -117,15 +122,19 @@ class _Program:
 class Kept:
     """What `kept` makes of a function."""
 
-    def __init__(self, function: Callable, like: Any):
+    def __init__(self, function: Callable, like: Any, options: dict[str, Any]):
         functools.update_wrapper(self, function)
-        self._plain = eqx.filter_jit(function)
+        self._options = options
+        self._plain = eqx.filter_jit(function, compiler_options=options)  # pyright: ignore
+        self._within = eqx.filter_jit(function)  # a program takes no options for a part of it
         self._name = f"{function.__module__}.{function.__qualname__}"
         self._out = jax.tree.structure(like)
 
     def __call__(self, *args):
         leaves, structure = jax.tree.flatten(args)
-        if _cache is None or any(isinstance(x, Tracer) for x in leaves):
+        if any(isinstance(x, Tracer) for x in leaves):
+            return self._within(*args)
+        if _cache is None:
             return self._plain(*args)
         arrays = [x for x in leaves if eqx.is_array(x)]
         if any(isinstance(x, jax.Array) and len(x.devices()) > 1 for x in arrays):
@@ -144,7 +153,7 @@ class Kept:
                 found = self._found(_cache, args, arrays, told)
                 # Ahead of the call: by itself JAX would compile once more for arrays that another
                 # exported program has returned, which it takes for bound to their device.
-                program.call = found.lower(*arrays).compile()
+                program.call = found.lower(*arrays).compile(self._options)
         return jax.tree.unflatten(self._out, program.call(*arrays))
 
     def _found(self, cache: Cache, args, arrays, key) -> Any:
