@@ -263,6 +263,23 @@ def test_inside_a_larger_program_it_is_a_function_like_any_other(folder):
     assert not list(folder.iterdir())
 
 
+@pytest.mark.parametrize("keeping", [True, False])
+def test_a_program_that_is_called_seldom_computes_the_same_alone_and_inside_another(
+    keeping, tmp_path
+):
+    @kept.kept(like=0, seldom=True)
+    def cubes(x):
+        return jax.lax.map(lambda y: y**3, x)
+
+    keep_in(tmp_path if keeping else None)
+    try:
+        x = np.arange(4.0)
+        np.testing.assert_allclose(cubes(x), x**3)
+        np.testing.assert_allclose(jax.jit(lambda y: 2 * cubes(y))(x), 2 * x**3)
+    finally:
+        keep_in(None)
+
+
 def test_a_folder_that_cannot_be_written_is_no_reason_to_fail(tmp_path):
     (tmp_path / "file").write_text("in the way")
     keep_in(tmp_path / "file" / "folder")
