@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from residyn import ConstantInertia, PlanarArm, Recording, Spring
 from residyn.effects import CoulombFriction, CubicStiffness, Damper, Gravity, Hysteresis
@@ -354,6 +355,20 @@ def test_typical_stiffness_is_that_of_the_springs():
     inertia = np.array([[float(x) for x in row] for row in rows])
     found = Spectrum.of(recording, np.zeros(recording.angle.shape, bool)).stiffness(inertia)
     np.testing.assert_allclose(found, [30.0, 8.0], rtol=0.15)
+
+
+@pytest.mark.parametrize("off", np.linspace(0.95, 1.05, 5))
+def test_typical_stiffness_is_not_lost_in_a_small_difference_of_large_torques(off):
+    """Only the fast mode rings, and the arm's coupling is off by some per cent."""
+    springs = np.array([30.0, 60.0])
+    truth = ARM + Spring("shoulder", springs[0]) + Spring("elbow", springs[1])
+    rows = ARM.mass_matrix((0.0, 0.0))
+    inertia = np.array([[float(x) for x in row] for row in rows])
+    shape = eigh(np.diag(springs), inertia)[1][:, -1]
+    recording, _ = a_recording(truth, q0=0.1 * shape / np.abs(shape).max(), seconds=20.0)
+    wrong = inertia * np.array([[1.0, off], [off, 1.0]])
+    found = Spectrum.of(recording, np.zeros(recording.angle.shape, bool)).stiffness(wrong)
+    assert np.all((found > springs / 4) & (found < 4 * springs))
 
 
 def test_typical_stiffness_is_the_springs_though_an_encoder_jumps():

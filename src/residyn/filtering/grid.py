@@ -27,6 +27,7 @@ _WIDE = 31  # lines of a periodogram that are averaged, at least, ...
 _SHARE = 0.05  # ... and to either side this share of a line's own frequency ...
 _SURE = 2.6  # ... of which noise alone exceeds so many times its mean once in 10^6
 _ENOUGH = 4096  # instants: fewer are not averaged at all
+_UNSURE = 0.02  # of the torques that move links: nobody knows an inertia better
 
 
 class Grid(NamedTuple):
@@ -115,14 +116,18 @@ class Spectrum(NamedTuple):
 
     def stiffness(self, inertia: np.ndarray, driven: bool = False) -> np.ndarray:
         """(n,) size of each joint's spring by least squares: of the slope of the torque Z q'' that
-        moves it against its angle, N m/rad; `inertia` (n, n) is Z. What is `driven` may have no
-        spring: there, the rms of that torque over the rms of the angle."""
+        moves it against its angle, N m/rad; `inertia` (n, n) is Z. Not less than what that torque
+        may be off by: beside a fast mode the spring's is a small difference of large ones. What is
+        `driven` may have no spring: there, the rms of that torque over the rms of the angle."""
         kept = np.where((self.signal > 0) & (self.pace <= self.fastest), self.lines, 0.0)
-        torque = inertia @ (self.pace**2 * kept)
+        bend = self.pace**2 * kept
+        torque = inertia @ bend
         power = np.maximum(np.sum(np.abs(self.lines) ** 2, axis=1), 1e-300)
         if driven:
             return np.sqrt(np.sum(np.abs(torque) ** 2, axis=1) / power)
-        return np.abs(np.real(torque * self.lines.conj()).sum(axis=1)) / power
+        slope = np.abs(np.real(torque * self.lines.conj()).sum(axis=1)) / power
+        unsure = _UNSURE * np.sqrt(inertia**2 @ np.sum(np.abs(bend) ** 2, axis=1) / power)
+        return np.maximum(slope, unsure)
 
 
 def _bridged(time: np.ndarray, angle: np.ndarray, at: np.ndarray) -> np.ndarray:
