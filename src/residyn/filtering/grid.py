@@ -27,7 +27,7 @@ _WIDE = 31  # lines of a periodogram that are averaged, at least, ...
 _SHARE = 0.05  # ... and to either side this share of a line's own frequency ...
 _SURE = 2.6  # ... of which noise alone exceeds so many times its mean once in 10^6
 _ENOUGH = 4096  # instants: fewer are not averaged at all
-_UNSURE = 0.02  # of the torques that move links: nobody knows an inertia better
+_UNSURE = 0.02  # of the torques that move links: inertias are known to per cents
 
 
 class Grid(NamedTuple):
