@@ -63,6 +63,8 @@ _ITERATIONS = 20  # of one model, at the most
 _NEAR = 4  # random torques at which a model is judged while it moves
 _FALL = 2  # steps of the grid that the random torque may fall by
 _SETTLED = 0.1  # nats
+_ROUGH = 1.0  # nats by which kinks make an evidence fall and rise where it is highest
+_HALVED = 4  # times that a step is halved, at the most
 _FINER = 5.0  # how much closer they come without a random torque
 _HERE = 6  # iterations at one random torque, at the most
 
@@ -193,7 +195,7 @@ def _iterated(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None
     step is halved (backtracking; Nocedal and Wright, Numerical Optimization, 2006, ch. 3).
     """
     prior, every = log_prior_intensity(INTENSITIES), np.arange(len(INTENSITIES))
-    evidences, rise, back = np.full(len(INTENSITIES), -np.inf), math.inf, None
+    evidences, rise, back, halved = np.full(len(INTENSITIES), -np.inf), math.inf, None, 0
     for turn in range(_ITERATIONS):
         last, linear = turn == _ITERATIONS - 1, scene.linearised(t)
         first = min(max(level - 1, 0), len(INTENSITIES) - _NEAR)
@@ -204,10 +206,11 @@ def _iterated(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None
             likeliest = int(np.argmax(known + prior))
         fall = float(evidences.max()) - float(known.max())
         if not fall < _SETTLED and back is not None:
-            if last:
+            if last or halved == _HALVED or fall < _ROUGH:
                 evidences = _evidences(scene, back, scene.linearised(back), every)
                 yield _State(t, evidences, rise, True)
             t = dataclasses.replace(t, u=(t.u + back.u) / 2, path=(t.path + back.path) / 2)
+            halved += 1
             yield _State(t, evidences, rise)
             continue
         if not np.isfinite(known).any():
@@ -220,7 +223,7 @@ def _iterated(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None
         if moved is None:
             break
         rise = float(known.max()) - float(evidences.max())
-        t, back, evidences = moved, t, known
+        t, back, evidences, halved = moved, t, known, 0
         yield _State(t, evidences, rise, done)
     yield None
 
