@@ -17,7 +17,7 @@ explore: .venv/.explore
 	$(BIN)/residyn explore demo
 
 # With one order of sets a program is traced alike in each process, and found where another one has
-# compiled it.
+# compiled it. More threads of BLAS would wait in turns for the other worker's core.
 test: lint
 	OPENBLAS_NUM_THREADS=1 PYTHONHASHSEED=0 $(RUN) -m pytest -n 2 --dist loadfile --durations=25
 

@@ -27,7 +27,7 @@ _WIDE = 31  # lines of a periodogram that are averaged, at least, ...
 _SHARE = 0.05  # ... and to either side this share of a line's own frequency ...
 _SURE = 2.6  # ... of which noise alone exceeds so many times its mean once in 10^6
 _ENOUGH = 4096  # instants: fewer are not averaged at all
-_UNSURE = 0.02  # of the torques that move links: inertias are known to per cents
+_INERTIA_ERROR = 0.02  # relative: inertias are known to per cents
 
 
 class Grid(NamedTuple):
@@ -120,14 +120,14 @@ class Spectrum(NamedTuple):
         may be off by: beside a fast mode the spring's is a small difference of large ones. What is
         `driven` may have no spring: there, the rms of that torque over the rms of the angle."""
         kept = np.where((self.signal > 0) & (self.pace <= self.fastest), self.lines, 0.0)
-        bend = self.pace**2 * kept
-        torque = inertia @ bend
+        acceleration = self.pace**2 * kept  # but for its sign, as the torque's
+        torque = inertia @ acceleration
         power = np.maximum(np.sum(np.abs(self.lines) ** 2, axis=1), 1e-300)
         if driven:
             return np.sqrt(np.sum(np.abs(torque) ** 2, axis=1) / power)
         slope = np.abs(np.real(torque * self.lines.conj()).sum(axis=1)) / power
-        unsure = _UNSURE * np.sqrt(inertia**2 @ np.sum(np.abs(bend) ** 2, axis=1) / power)
-        return np.maximum(slope, unsure)
+        squares = inertia**2 @ np.sum(np.abs(acceleration) ** 2, axis=1)
+        return np.maximum(slope, _INERTIA_ERROR * np.sqrt(squares / power))
 
 
 def _bridged(time: np.ndarray, angle: np.ndarray, at: np.ndarray) -> np.ndarray:
