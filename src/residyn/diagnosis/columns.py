@@ -430,12 +430,18 @@ class Screen:
         return gains_of(self.grams, self.weights, which, signs)
 
     def pairs(self, most: int) -> list[tuple[float, Column, Column]]:
-        """Every two of the best candidates, the best pair first."""
-        each = list(itertools.combinations(self.ranked[:most], 2))
+        """Every two of the best candidates that may be in one model, the best pair first."""
+        every = itertools.combinations(self.ranked[:most], 2)
+        each = [(a, b) for a, b in every if not nested(a.effect, b.effect)]
         gains = [gain for gain, _ in self._gains(each)]
         return sorted(
             ((g, a, b) for g, (a, b) in zip(gains, each, strict=True)), key=lambda f: -f[0]
         )
+
+
+def nested(a: AbstractEffect, b: AbstractEffect) -> bool:
+    """Whether one of two effects is at the other's place and contains its law."""
+    return a.place == b.place and (a.extends == b.name or b.extends == a.name)
 
 
 def known_signs(row: Column) -> list[bool]:

@@ -32,7 +32,7 @@ from ..physics.modal import modes
 from ..recordings.experiment import Experiment
 from ..runtime.json import finite
 from ..runtime.presentation import Result
-from .columns import Column, Columns, candidates, known_signs, strengths
+from .columns import Column, Columns, candidates, known_signs, nested, strengths
 from .evidence import (
     INDISTINGUISHABLE,
     INTENSITIES,
@@ -45,7 +45,7 @@ from .evidence import (
     width_of,
 )
 from .missing_torque import scene_of
-from .search import nested, tried_alone
+from .search import tried_alone
 
 DRAWS = 200
 """Of recordings: the half of them is then known to 4 %."""

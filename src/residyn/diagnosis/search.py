@@ -32,6 +32,7 @@ from .columns import (
     Screen,
     candidates,
     extended,
+    nested,
     spectral_lines,
     strengths,
     without,
@@ -454,6 +455,8 @@ class Search:
                         continue
                     best = found[0]
                 self.extend(self.tried[best])
+                if frozenset(self.best.added) == best and len(best) + 2 <= most:
+                    self.extend_by_two(self.tried[best])
                 extended.add(best)
                 self.reduce()
                 self._simulate()
@@ -570,25 +573,52 @@ class Search:
         chosen = {s.effect.label: s for s in (*ranked[:CONTENDERS], *pairs)}
         if parent.complete > 0.5:
             # What is left is small, and the first order right: by it most have no part.
-            n, m = len(self.candidates), len(parent.added)
-            prior = log_prior_model(m + 1, n)
-            worth = log_prior_model(m, n) - prior + math.log(IN_PLAY)
+            prior, worth = self._price(parent, 1)
             chosen = {k: s for k, s in chosen.items() if s.gain > worth}
             for s in (s for s in ranked if s.gain <= worth):
                 added = (*parent.added, s.effect.label)
                 passed = Tried(added, parent.evidences + s.gain, parent.best, prior)
                 self.passed[frozenset(added)] = passed
-        if not chosen:
-            return
-        self.say(f"weighing {len(chosen)} candidates")
         # A law that contains another's begins where that one has ended.
         later = {k: s for k, s in chosen.items() if s.effect.extends}
         for some in ({k: s for k, s in chosen.items() if k not in later}, later):
-            starts = [self._start(parent, trajectory, s) for s in some.values()]
-            results = settle(self.scene, starts, intensity, self.in_time)
-            for label, found in zip(some, results, strict=True):
-                if found is not None:
-                    self._keep((*parent.added, label), *found)
+            starts = {(k,): self._start(parent, trajectory, s) for k, s in some.items()}
+            self._join(parent, intensity, starts)
+
+    def extend_by_two(self, parent: Tried) -> None:
+        """Try a model with the likeliest pairs of effects. Where each alone leaves as much as
+        before (two laws of damping in a recording that is hardly damped), both may leave nothing.
+        """
+        trajectory, intensity = self.screening_motion(parent)
+        screen, (_, worth) = self.screen(parent), self._price(parent, 2)
+        starts = {}
+        for gain, *pair in screen.pairs(len(screen.ranked))[:CONTENDERS]:
+            if gain > worth:
+                t, (_, u) = trajectory, screen.gain(pair)
+                ends = np.cumsum([len(s.which) for s in pair])
+                for s, own in zip(pair, np.split(u, ends[:-1]), strict=True):
+                    t = extended(self.scene, t, s._replace(regressors=own))
+                starts[tuple(s.effect.label for s in pair)] = self.scene.consistent(t)
+        self._join(parent, intensity, starts)
+
+    def _price(self, parent: Tried, more: int) -> tuple[float, float]:
+        """Log prior of a model with some more effects, and what they must raise the log evidence
+        by, nats, for it to be in play beside its parent."""
+        n, m = len(self.candidates), len(parent.added)
+        prior = log_prior_model(m + more, n)
+        return prior, log_prior_model(m, n) - prior + math.log(IN_PLAY)
+
+    def _join(
+        self, parent: Tried, intensity: float, starts: dict[tuple[str, ...], Trajectory]
+    ) -> None:
+        """Iterate a model with some more effects, from where it begins with each of them."""
+        if not starts:
+            return
+        self.say(f"weighing {len(starts)} candidates")
+        results = settle(self.scene, list(starts.values()), intensity, self.in_time)
+        for labels, found in zip(starts, results, strict=True):
+            if found is not None:
+                self._keep((*parent.added, *labels), *found)
 
     def _start(self, parent: Tried, trajectory: Trajectory, found: Column) -> Trajectory:
         """Where the iteration of a model with one more effect begins: as the screen has it, or, if
@@ -683,8 +713,3 @@ def bayes_factor(t: Trajectory, effect: AbstractEffect, less: AbstractEffect | N
     which = [first + i for i, n in enumerate(numbers_of(effect)) if n in gone]
     covariance = t.covariance[np.ix_(which, which)]
     return savage_dickey(t.u[which], covariance, [signed(n) for n in gone])
-
-
-def nested(a: AbstractEffect, b: AbstractEffect) -> bool:
-    """Whether one of two effects is at the other's place and contains its law."""
-    return a.place == b.place and (a.extends == b.name or b.extends == a.name)

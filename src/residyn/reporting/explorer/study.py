@@ -16,14 +16,14 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from ...diagnosis.columns import Columns, extended
+from ...diagnosis.columns import Columns, extended, nested
 from ...diagnosis.diagnose import MOST_EFFECTS, Fits, diagnosed
 from ...diagnosis.evidence import INTENSITIES
 from ...diagnosis.forecast import HeldOut, held_out
 from ...diagnosis.linearised_fit import LinearisedFit, evaluated, polish
 from ...diagnosis.missing_torque import scene_of
 from ...diagnosis.result import Diagnosis
-from ...diagnosis.search import Search, Tried, nested, settle, tried_alone
+from ...diagnosis.search import Search, Tried, settle, tried_alone
 from ...effects import AbstractEffect
 from ...filtering.trajectory import Prior, Scene, Trajectory
 from ...fitting import DEFAULT_STARTS
