@@ -49,9 +49,10 @@ NO_RANDOM_TORQUE = 0.5
 FURTHER = 0.5
 """Prior probability of one more effect, given that there are m: the number of effects is geometric,
 one on average; which ones they are is uniform over kinds and places."""
-NEGLIGIBLE = 1e-3
-"""Random torque up to which a model is called complete: a thousandth of the spring's torque changes
-no stiffness by more than 0.1 %."""
+NEGLIGIBLE = 1e-4
+"""Random torque up to which a model is called complete: a ten-thousandth of the spring's torque
+changes no stiffness by more than 0.01 % and no damping ratio by more than 5e-5, a hundredth of a
+lightly damped joint's."""
 OUTSIDE = 1 / 5
 """Prior probability that what a joint lacks is of no effect in the catalogue: Laplace's rule of
 succession after three measured rigs (carts, EMPS, a double pendulum), whose authors' explanations
