@@ -2,12 +2,10 @@
 
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from .. import reporting
 from ..errors import InputError
 from . import _options
-from ._shell import INTERRUPTED, NoNumbers, complain
+from ._shell import INTERRUPTED, NoNumbers
 from ._work import Work, computing, title
 
 if TYPE_CHECKING:
@@ -66,6 +64,6 @@ def race(
         )
     out.give(found, lambda path: reporting.write_page(path, found, title(experiment)))
     if found.interrupted:
-        raise typer.Exit(complain("interrupted", INTERRUPTED))
+        raise NoNumbers("interrupted", INTERRUPTED)
     if found.best is None:
         raise NoNumbers("no method led to finite numbers")
