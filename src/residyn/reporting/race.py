@@ -100,8 +100,7 @@ def latex(race: Race) -> str:
 def csv(race: Race) -> str:
     """A line for each run of each method."""
     head = ["method", "seed", "objective", "simulations", "seconds"]
-    head += ["simulations_10_percent", "seconds_10_percent"]
-    head += ["simulations_1_percent", "seconds_1_percent"]
+    head += [f"{x}_{within}_percent" for within in (10, 1) for x in ("simulations", "seconds")]
     rows = []
     for run in (run for each in race.methods for run in each.runs):
         spent = []

@@ -231,7 +231,7 @@ def _scatter(x, tau) -> float:
 
 def _against_amplitude(ax: Axes, amplitude, tau, own) -> None:
     edges = np.quantile(amplitude, np.linspace(0, 1, _BINS + 1))
-    which = np.clip(np.digitize(amplitude, edges[1:-1]), 0, _BINS - 1)
+    which = np.digitize(amplitude, edges[1:-1])
     bins = [which == b for b in range(_BINS) if np.sum(which == b) > 5]
 
     def rms(x):
