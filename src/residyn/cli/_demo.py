@@ -1,6 +1,5 @@
 """`residyn demo`."""
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from .. import reporting
@@ -40,7 +39,7 @@ def demo(
         "1 mrad of noise: one to fit, one held out. A simulator that is no part of this package "
         "made them, with something hidden in the arm that is neither a spring nor a damper."
     )
-    _lines(words, [*filled(intro), ""])
+    words.print("\n".join(filled(intro)), end="\n\n", soft_wrap=True)
 
     words.print("1. Springs and dampers alone, the model of the paper\n", style="bold")
     with computing() as say:
@@ -56,16 +55,16 @@ def demo(
         from ..diagnosis import diagnose
 
         found = diagnose(experiment, starts=_options.STARTS, progress=say)
-    _lines(words, [*filled(" ".join(found.words)), ""])
-    for part in text.candidates, text.lookalikes, text.next_experiment:
-        _lines(words, part(found))
+    told = [*filled(" ".join(found.words)), "", *text.candidates(found)]
+    told += [*text.lookalikes(found), *text.next_experiment(found)]
+    words.print("\n".join(told), soft_wrap=True)
 
     if found.added:
         words.print(f"\n3. With {' and '.join(found.added)}\n", style="bold")
         words.print(str(found.fit), soft_wrap=True)
 
     words.print("\n4. The error falling\n", style="bold")
-    _lines(words, text.models(found))
+    words.print("\n".join(text.models(found)), soft_wrap=True)
     # Nothing above has looked at what was hidden.
     named, hidden = " and ".join(found.added) or "nothing", shipped.HIDDEN
     right = " Right." * (found.added == (hidden,))
@@ -73,11 +72,6 @@ def demo(
     out.write(found, lambda path: reporting.write_report(path, models(found), diagnosis=found))
     if not found.fit.converged:
         raise NoNumbers("the demo's fit did not settle")
-
-
-def _lines(words: "Console", lines: Sequence[str]) -> None:
-    for line in lines:
-        words.print(line, soft_wrap=True)
 
 
 def _windows(words: "Console", fit: "Fit") -> None:

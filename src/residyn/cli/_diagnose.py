@@ -2,11 +2,9 @@
 
 from typing import Annotated
 
-import typer
-
 from .. import reporting
 from . import _options
-from ._shell import INTERRUPTED, NoNumbers, complain
+from ._shell import INTERRUPTED, NoNumbers
 from ._work import Work, computing, models, title
 
 
@@ -58,7 +56,7 @@ def diagnose(
     fits = models(found, title(experiment))
     out.give(found, lambda path: reporting.write_report(path, fits, diagnosis=found))
     if found.budget.stopped == "interrupted":
-        raise typer.Exit(complain("interrupted: the best so far is above", INTERRUPTED))
+        raise NoNumbers("interrupted: the best so far is above", INTERRUPTED)
     if not found.fit.converged:
         raise NoNumbers(found.fit.reason)
 
@@ -86,4 +84,4 @@ def plan(
         result = planned(found, tests=tests, progress=say)
     out.give(result)
     if found.budget.stopped == "interrupted":
-        raise typer.Exit(complain("interrupted: planned from the best so far", INTERRUPTED))
+        raise NoNumbers("interrupted: planned from the best so far", INTERRUPTED)

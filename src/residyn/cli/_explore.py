@@ -12,8 +12,6 @@ from . import _options
 from ._shell import DONE, NoNumbers, console, progress, set_up_jax
 from ._work import bring, one_complaint
 
-DEMO = "demo"
-
 
 def explore(
     experiment: Annotated[
@@ -42,7 +40,7 @@ def explore(
         except ModuleNotFoundError as error:
             raise NoNumbers(f"explore needs {error.name}: pip install 'residyn[explore]'") from None
         path = Path(experiment)
-        if experiment == DEMO and not path.exists():
+        if experiment == "demo" and not path.exists():
             from ..demo import experiment_file
 
             path = stack.enter_context(experiment_file())
@@ -61,8 +59,7 @@ def explore(
         if not no_browser:
             webbrowser.open(address)
 
-    name = "demo" if experiment == DEMO else experiment
-    serve(Explorer(files.experiment, tuple(effects or ()), name, files), port, opened)
+    serve(Explorer(files.experiment, tuple(effects or ()), experiment, files), port, opened)
     # A thread may be in the middle of a compilation, which nothing can interrupt.
     sys.stdout.flush()
     os._exit(DONE)

@@ -141,10 +141,8 @@ def _fit_each(
         from ..fitting import fit_many
 
         interruptible()
-        to = None if to_terminal else json
-        for each in fit_many(
-            files, effects=effects, starts=starts, out=to, progress=say, executor=executor
-        ):
+        how = {"effects": effects, "starts": starts, "progress": say, "executor": executor}
+        for each in fit_many(files, out=None if to_terminal else json, **how):
             out.words.print(_line(each), soft_wrap=True)
             if to_terminal:
                 print(json_.dumps(finite(each.told), allow_nan=False), flush=True)

@@ -42,12 +42,10 @@ def number(
 
 
 def seconds(usage: str, words: str) -> Any:
-    """An option that is a time."""
     return number(usage, words, float, math.ulp(0.0), right="a number of seconds above 0")
 
 
 def argument(metavar: str, words: str) -> Any:
-    """An argument as `--help` shows it."""
     return typer.Argument(metavar=metavar, help=words, show_default=False)
 
 

@@ -1,17 +1,12 @@
 """`residyn race`."""
 
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import Annotated
 
 from .. import reporting
 from ..errors import InputError
 from . import _options
-from ._shell import INTERRUPTED, NoNumbers, complain
+from ._shell import INTERRUPTED, NoNumbers
 from ._work import Work, computing, title
-
-if TYPE_CHECKING:
-    from ..fitting.history import Watch
 
 _METHODS = _options.option(
     "--methods LIST",
@@ -50,7 +45,7 @@ def race(
     with computing() as say:
         from ..fitting import race as run
 
-        def news(name: str, seed: int, watch: "Watch") -> None:
+        def news(name, seed, watch):
             who = name if seed == 0 else f"{name}, seed {seed}"
             say(f"{who}: objective {watch.best:.5g} after {watch.simulations:.0f} simulations")
 
@@ -66,6 +61,6 @@ def race(
         )
     out.give(found, lambda path: reporting.write_page(path, found, title(experiment)))
     if found.interrupted:
-        raise typer.Exit(complain("interrupted", INTERRUPTED))
+        raise NoNumbers("interrupted", INTERRUPTED)
     if found.best is None:
         raise NoNumbers("no method led to finite numbers")

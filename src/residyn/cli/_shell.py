@@ -34,6 +34,10 @@ UsageError: Any = typer.BadParameter.__bases__[0]
 class NoNumbers(Exception):
     """The input was fine, and still the numbers could not be had: one line that says why."""
 
+    def __init__(self, line: str, status: int = NO_NUMBERS):
+        super().__init__(line)
+        self.status = status
+
 
 def run(app: typer.Typer, args: Sequence[str] | None) -> int:
     """Run a command line; every way it can end is one exit status and at most one line."""
@@ -52,7 +56,7 @@ def run(app: typer.Typer, args: Sequence[str] | None) -> int:
         except typer.Exit as end:
             status = end.exit_code
         except NoNumbers as error:
-            status = complain(str(error), NO_NUMBERS)
+            status = complain(str(error), error.status)
         sys.stdout.flush()
         return status
     except (KeyboardInterrupt, typer.Abort):

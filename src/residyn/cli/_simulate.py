@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from ..errors import InputError, inside
 from ..files import make_folder
 from . import _options
-from ._shell import DONE, NO_NUMBERS, NoNumbers, complain, console
+from ._shell import NoNumbers, console
 from ._work import Work, computing, float_of, floats_of, input_files
 
 if TYPE_CHECKING:
@@ -70,7 +68,7 @@ def simulate(
     if not shown:
         raise InputError(f"{experiment}: has no recording of braked motion to simulate")
     paths = _paths(Path(out), shown, input_files(experiment, loaded))
-    words, status, predicted = console(stderr=True), DONE, []
+    words, problem, predicted = console(stderr=True), None, []
     if numbers:
         with computing() as say:
             model = _model_with(loaded, effects or [], numbers)
@@ -88,8 +86,7 @@ def simulate(
         with computing() as say:
             result = fit(loaded, effects=effects or [], starts=starts, progress=say)
         words.print(str(result), soft_wrap=True)
-        if not result.stands:
-            status = complain(result.reason, NO_NUMBERS)
+        problem = None if result.stands else result.reason
         with computing() as say:
             # Warned of, a recording is another object: they are told by their times.
             beside = {id(f.recording.time): f for f in result.whole}
@@ -109,7 +106,8 @@ def simulate(
             angle = angle + noise * random.standard_normal(angle.shape)
         write_csv(path, r.time, angle, r.drive)
         print(f"{path}: {len(r.time)} samples, at the times of {r.name}")
-    raise typer.Exit(status)
+    if problem is not None:
+        raise NoNumbers(problem)
 
 
 def _model_with(
@@ -152,8 +150,7 @@ def _first_angles(here: "Model", recording: "Recording", rates: "np.ndarray") ->
         seen = np.flatnonzero(np.isfinite(recording.angle[:, joint]))
         use = seen[: max(5, int(np.searchsorted(time[seen], window)))]
         t, q = time[use], recording.angle[use, joint] - rate * time[use]
-        columns = np.stack([np.ones_like(t), (t / (t[-1] or 1.0)) ** 2], axis=1)
-        angles.append(np.linalg.lstsq(columns, q, rcond=None)[0][0])
+        angles.append(np.polynomial.polynomial.polyfit(t / (t[-1] or 1.0), q, [0, 2])[0])
     return np.array(angles)
 
 

@@ -40,7 +40,6 @@ _WORSE = 1.15  # of what three standard errors of the prediction allow
 
 
 def sentences(found: Comparison) -> tuple[str, ...]:
-    """The verdict in a few sentences."""
     chi2, at, left, p_values = found.fit.reduced_chi2, found.where, _left(found), _p_values(found)
     if found.p >= NOISE and chi2 > _LARGER:
         words = [
@@ -83,7 +82,6 @@ def _left(found: Comparison) -> str:
 
 
 def _p_values(found: Comparison) -> str:
-    """The p-value of the whiteness test at each joint, and what it is compared with."""
     each = [white.p for white in found.where.white.values() if math.isfinite(white.p)]
     if not each:
         return "too few readings to tell"
@@ -92,7 +90,6 @@ def _p_values(found: Comparison) -> str:
 
 
 def _worst(at: Where) -> int:
-    """The joint with most of what exceeds the noise."""
     return max(range(len(at.joint)), key=lambda j: _excess(at.joint[j]))
 
 
@@ -281,7 +278,6 @@ def _horizon(found: Comparison) -> list[str]:
 
 
 def pairs(missing: Sequence[Missing]) -> list[tuple[Missing, int]]:
-    """Each missing torque with each joint."""
     return [(found, joint) for found in missing for joint in range(len(found.joints))]
 
 
@@ -299,7 +295,6 @@ def clearest(each: Sequence[tuple[Missing, int]]) -> list[tuple[Missing, int]]:
 def draw_torque(
     experiment: Experiment, found: Missing, joint: int, *, narrow: bool = False
 ) -> "Figure":
-    """The picture of a missing torque at one joint."""
     return plot.missing_torque(
         found.torque,
         joint,
@@ -312,7 +307,6 @@ def draw_torque(
 
 
 def torque_words(found: Missing, joint: int) -> str:
-    """What to say beside the picture of a missing torque at one joint."""
     part = float(found.torque.share_of_spring[joint])
     words = f"{found.recording}, {found.joints[joint]}: "
     words += f"{plain(float(found.torque.rms[joint]))} {found.units[joint]} rms is missing"

@@ -16,10 +16,8 @@ import numpy as np
 from ..diagnosis.missing_torque import Curve, Missing
 from ..diagnosis.result import (
     Candidate,
-    ChannelError,
     Diagnosis,
     Family,
-    ModelState,
     RandomTorque,
     Value,
 )
@@ -65,27 +63,15 @@ _FAMILIES, _SHOWN = 5, 0.005  # families on a page, and the probability from whi
 
 def sentences(found: Diagnosis) -> tuple[str, ...]:
     """The verdict in a few sentences, the surest first."""
-    return tuple(_sentences(found))
-
-
-def _sentences(found: Diagnosis) -> Iterator[str]:
-    yield from _stopped(found)
     if found.channels is not None:
-        yield from _channels(found.channels)
-        return
-    yield from _unphysical(found)
-    if found.explains_nothing:
-        yield from _nothing_explained(found)
-        return
-    if _stand_in(found):
-        yield from _standing_in(found)
+        parts = [_channels]
+    elif found.explains_nothing:
+        parts = [_unphysical, _nothing_explained]
     else:
-        yield from _families(found)
-        if not found.added:
-            yield _none_named(found)
-        yield from _laws(found)
-    for told in (laws.sentences, _others, _fall, _left):
-        yield from told(found)
+        named = [_families, _laws] if found.added else [_families, _none_named]
+        named = [_none_named, _standing_in] if _stand_in(found) else named
+        parts = [_unphysical, *named, laws.sentences, _others, _fall, _left]
+    return tuple(words for part in (_stopped, *parts) for words in part(found))
 
 
 def _stopped(found: Diagnosis) -> Iterator[str]:
@@ -114,7 +100,9 @@ def _unphysical(found: Diagnosis) -> Iterator[str]:
         yield f"Springs and dampers alone cannot be right: {listed(first)}."
 
 
-def _channels(error: ChannelError) -> Iterator[str]:
+def _channels(found: Diagnosis) -> Iterator[str]:
+    error = found.channels
+    assert error is not None
     so = (
         "explain all readings to within the noise, and as they stand they do not"
         if error.complete
@@ -185,7 +173,6 @@ def _stand_in(found: Diagnosis) -> bool:
 
 def _standing_in(found: Diagnosis) -> Iterator[str]:
     own = accepted(found)
-    yield _none_named(found)
     yield (
         f"{upper(listed([_family(f, found) for f in own]))} "
         f"{'takes' if len(found.added) == 1 else 'take'} up a part of it, but cannot be its cause "
@@ -216,20 +203,20 @@ def told_first(found: Diagnosis) -> list[Family]:
     return [*more, *own]
 
 
-def _none_named(found: Diagnosis) -> str:
+def _none_named(found: Diagnosis) -> Iterator[str]:
     sure = f"({percent(found.verdict_probability)})"
-    if found.verdict == "adequate":
-        if found.verdict_probability >= SURE:
-            return f"Nothing is missing that these recordings could show {sure}."
-        return f"Probably nothing is missing {sure}."
-    verb = modal(found.verdict_probability)
-    if untried(found):
-        return f"Something {verb} missing {sure}; no effect was tried yet."
-    return f"Something {verb} missing that {unnamed(found)} explains {sure}."
+    something = f"Something {modal(found.verdict_probability)} missing"
+    if found.verdict == "adequate" and found.verdict_probability >= SURE:
+        yield f"Nothing is missing that these recordings could show {sure}."
+    elif found.verdict == "adequate":
+        yield f"Probably nothing is missing {sure}."
+    elif untried(found):
+        yield f"{something} {sure}; no effect was tried yet."
+    else:
+        yield f"{something} that {unnamed(found)} explains {sure}."
 
 
 def _laws(found: Diagnosis) -> Iterator[str]:
-    """What the recordings say of the law within each family."""
     for family in accepted(found):
         members = dict(family.members)
         for label in (x for x in found.added if x in members):
@@ -314,8 +301,8 @@ def _others(found: Diagnosis) -> Iterator[str]:
     for group in found.lookalikes:
         rivals = [x for x in group[1:] if not any(x in dict(f.members) for f in own)]
         if rivals:
-            first, *names = (lower(at_place(x, found.fit.joints)) for x in (group[0], *rivals))
-            yield f"These recordings cannot tell {first} from {listed(names)}."
+            one, others = (named(x, found.fit.joints) for x in (group[:1], rivals))
+            yield f"These recordings cannot tell {one} from {others}."
 
 
 def _fall(found: Diagnosis) -> Iterator[str]:
@@ -362,9 +349,9 @@ def _left(found: Diagnosis) -> Iterator[str]:
     sure = found.verdict_probability
     if found.verdict == "unexplained" and not _instead(found):
         sizes = listed([_size(r, found) for r in known]) if known else "unknown size"
-        more = f"Something more {modal(sure)} missing that {unnamed(found)} explains"
-        words = f"{more} ({percent(sure)})" if found.added else "What is missing is"
-        yield f"{words}{': ' if found.added else ' '}a torque of {sizes}."
+        beyond = f"missing that {unnamed(found)} explains ({percent(sure)}):"
+        first = f"Something more {modal(sure)} {beyond}" if found.added else "What is missing is"
+        yield f"{first} a torque of {sizes}."
         yield from _matters(found)
         return
     if _instead(found):
@@ -430,7 +417,6 @@ def _damper(found: Diagnosis, joint: int) -> float:
 
 
 def text(found: Diagnosis) -> str:
-    """The whole printout."""
     parts = models, candidates, laws.text, lookalikes, next_experiment
     lines = [line for part in parts for line in part(found)]
     return "\n".join([*filled(" ".join(found.words)), "", *lines, "", str(found.fit)])
@@ -444,7 +430,11 @@ def models(found: Diagnosis) -> list[str]:
     of = [f"{j if k == 'fitted' else ''}\n{k}" for j in joints for k in kinds]
     columns = ["\nmodel", *of] if beside else ["model", "joint", *kinds]
     rows = []
-    for name, cells, chi2 in _models(found, lambda joint, rmse, ratio: _x(ratio)):
+
+    def cell(joint: int, rmse: float, ratio: float | None) -> str:
+        return "-" if ratio is None else f"{times(ratio)} x"
+
+    for name, cells, chi2 in _models(found, cell):
         if beside:
             rows.append([name, *itertools.chain(*cells), chi2])
         else:
@@ -455,14 +445,12 @@ def models(found: Diagnosis) -> list[str]:
 
 
 def held_out(found: Diagnosis) -> str | None:
-    """Which readings were held out."""
     each = [r.held_out for r in found.ladder]
     what = next((held.what for held in each if held is not None), None)
     return what and when_held_out(what) + ("; -: that fit did not settle" if None in each else "")
 
 
 def _kinds(found: Diagnosis) -> list[str]:
-    """Where errors are known."""
     return ["fitted", HELD_OUT] if held_out(found) else ["fitted"]
 
 
@@ -473,16 +461,14 @@ def _models(
     the `_kinds`; and its chi-square."""
     kinds = _kinds(found)
     for step in found.ladder:
-        sizes = zip(step.fit.rmse, _rms_held_out(step), times_noise(step), strict=True)
+        held = step.held_out
+        rms = np.full(len(step.fit.joints), np.nan) if held is None else held.held_out.rmse
+        sizes = zip(step.fit.rmse, rms, times_noise(step), strict=True)
         cells = [
-            [cell(j, float(x), r) for x, r, _ in zip(rms, ratio, kinds, strict=False)]
-            for j, (*rms, ratio) in enumerate(sizes)
+            [cell(j, float(x), r) for x, r, _ in zip(each, ratio, kinds, strict=False)]
+            for j, (*each, ratio) in enumerate(sizes)
         ]
         yield model_name(step, comma=True), cells, plain(step.fit.reduced_chi2)
-
-
-def _x(ratio: float | None) -> str:
-    return "-" if ratio is None else f"{times(ratio)} x"
 
 
 def candidates(found: Diagnosis) -> list[str]:
@@ -514,15 +500,14 @@ def lookalikes(found: Diagnosis) -> list[str]:
 
 def alike(found: Diagnosis) -> Iterator[str]:
     """A sentence for each group of look-alikes."""
+    joints = found.fit.joints
     for group in found.lookalikes:
         if len(group) > 1:
-            first, *others = (at_place(x, found.fit.joints) for x in group)
-            rivals = listed([lower(x) for x in others])
-            yield f"{first} cannot be told from {rivals} by these recordings."
+            rivals = named(group[1:], joints)
+            yield f"{at_place(group[0], joints)} cannot be told from {rivals} by these recordings."
 
 
 def next_experiment(found: Diagnosis) -> list[str]:
-    """What to record to tell look-alikes apart."""
     advice = found.next_experiment
     return [] if advice is None else ["[[Next experiment]]", *filled(advice.words, "    ")]
 
@@ -574,7 +559,6 @@ def torques_first_lacked(found: Diagnosis) -> list[tuple[Missing, int]]:
 
 
 def models_table(found: Diagnosis) -> Table:
-    """The error of each model on the way."""
 
     def cell(joint: int, rmse: float, ratio: float | None) -> str:
         size = amount(rmse, found.fit.units[joint])
@@ -598,7 +582,6 @@ def families_table(found: Diagnosis) -> Table:
 
 
 def candidates_table(found: Diagnosis) -> Table:
-    """The candidates that are worth a line."""
     rows, shown = [], worth_showing(found)
     for c in shown:
         name = at_place(c.effect, found.fit.joints, comma=True)
@@ -678,7 +661,8 @@ def csv(found: Diagnosis) -> str:
             if name != "check_rmse":
                 rows.append((*own, f"{name}:{joint}", x, None, u))
         if step.held_out is not None:
-            each = zip(found.fit.joints, _rms_held_out(step), found.fit.units, strict=True)
+            sizes = step.held_out.held_out.rmse
+            each = zip(found.fit.joints, sizes, found.fit.units, strict=True)
             rows += [(*own, f"check_rmse:{joint}", x, None, u) for joint, x, u in each]
         rows.append((*own, "reduced_chi2", step.fit.reduced_chi2, None, "1"))
         rows.append((*own, "log_evidence", step.log_evidence, None, "1"))
@@ -688,8 +672,3 @@ def csv(found: Diagnosis) -> str:
         rows.append((*own, "log_evidence", c.log_evidence, None, "1"))
         rows += [(*own, name, v.value, v.std, v.unit) for name, v in c.parameters.items()]
     return separated(("table", "model", "name", "value", "std", "unit"), rows)
-
-
-def _rms_held_out(step: ModelState) -> np.ndarray:
-    held = step.held_out
-    return np.full(len(step.fit.joints), np.nan) if held is None else held.held_out.rmse

@@ -14,11 +14,10 @@ import numpy as np
 from ..effects.inertia import InertiaError
 from ..fitting.integration import TENTH
 from ..fitting.result import NEGATIVE, STRONG, STRUCTURE, Fit, RecordingFit
-from ..physics.effect import AbstractEffect
 from ..recordings.segments import by_recording
 from . import latex as tex
 from .layout import Table, filled, section, separated, tabular, warned
-from .names import HELD_OUT, at_place, base_name, listed, lower
+from .names import HELD_OUT, at_place, base_name, listed, lower, named
 from .numbers import amount, plain, prefixed, share, times, with_error
 
 _OVERSTATED = 0.85  # reduced chi-square below which the noise must have been overstated
@@ -64,7 +63,6 @@ def explained(fit: Fit) -> bool:
 
 
 def verdict(fit: Fit) -> tuple[str, ...]:
-    """How good the fit is, in a sentence or two."""
     errors, good = joint_errors(fit), explained(fit)
     left = []
     for error in errors:
@@ -78,7 +76,6 @@ def verdict(fit: Fit) -> tuple[str, ...]:
 
 
 def chi2_words(chi2: float) -> str:
-    """What a reduced chi-square says."""
     if not np.isfinite(chi2):
         return "it could not be computed"
     if chi2 < _OVERSTATED:
@@ -228,7 +225,6 @@ def _search(fit: Fit) -> Iterator[str]:
 
 
 def text(fit: Fit) -> str:
-    """The report, for a terminal of 80 columns."""
     lines = [
         *filled(base_name(fit, comma=True), "[[Model]]  "),
         "[[Fit]]",
@@ -301,13 +297,7 @@ def _inertias(fit: Fit) -> Iterator[str]:
 # -- on a page -------------------------------------------------------------------------------
 
 
-def term(effect: AbstractEffect, fit: Fit) -> str:
-    """What one of a model's effects is called."""
-    return lower(at_place(effect.label, fit.joints))
-
-
 def errors_table(fit: Fit) -> Table:
-    """Per joint the residual, absolute and relative to noise and motion."""
     errors = joint_errors(fit)
     head = ["joint", "error (rms)", "noise of a reading", "error / noise", "error / motion"]
     if errors[0].check is not None:
@@ -322,7 +312,6 @@ def errors_table(fit: Fit) -> Table:
 
 
 def numbers_table(fit: Fit) -> Table:
-    """The fitted numbers with their errors."""
     head = ["number", "value", "standard error", "error in %", "start", "unit", "meaning"]
     rows = []
     for n in fit.numbers:
@@ -335,7 +324,6 @@ def numbers_table(fit: Fit) -> Table:
 
 
 def modes_table(fit: Fit) -> Table:
-    """The modes of the fitted model."""
     head = ["", "frequency (Hz)", "standard error (Hz)", "period (s)", "damping ratio (%)"]
     rows = []
     for i, m in enumerate(fit.modes, 1):
@@ -351,10 +339,11 @@ def fall(first: Fit, last: Fit) -> str:
     before, after = joint_errors(first), joint_errors(last)
     worst = max(range(len(before)), key=lambda i: before[i].ratio)
     new = [x for x in last.model.labels if x not in first.model.labels]
-    added = [lower(at_place(x, last.joints)) for x in new]
     a, b = before[worst], after[worst]
-    words = f"the error at the {a.joint} goes from {times(a.ratio)} times the noise to "
-    return f"With {listed(added) if added else 'the last'}, {words}{times(b.ratio)} times."
+    return (
+        f"With {named(new, last.joints) if new else 'the last'}, the error at the {a.joint} goes "
+        f"from {times(a.ratio)} times the noise to {times(b.ratio)} times."
+    )
 
 
 # -- for a paper -----------------------------------------------------------------------------

@@ -138,7 +138,6 @@ def _percent(number: Number) -> str:
 
 
 def agreement(result: InertiaResult) -> str:
-    """Whether more tests than unknowns agree."""
     return (
         f"{len(result.tests)} tests for three unknowns: chi-square "
         f"{plain(result.reduced_chi2 or 0.0, 3)} per degree of freedom (1: they agree within "
@@ -195,7 +194,6 @@ def apart_words(result: InertiaResult) -> str:
 
 
 def inertias_table(found: InertiaResult) -> Table:
-    """The inertias with their errors, beside the paper's least squares."""
     rows = [
         [name, _pm(number), _percent(number), plain(x, 5), number.unit]
         for name, number, x in _inertias(found)
@@ -205,7 +203,6 @@ def inertias_table(found: InertiaResult) -> Table:
 
 
 def verdict(found: InertiaResult) -> str:
-    """What was found, in a sentence."""
     if found.problem is not None:
         return f"Not physical: {found.problem}."
     each = [f"{name} {_pm(number)} {number.unit}" for name, number, _ in _inertias(found)]
@@ -217,7 +214,6 @@ def _pm(number: Number) -> str:
 
 
 def tests_table(found: InertiaResult) -> Table:
-    """What each test says."""
     rows = []
     for t in found.tests:
         friction = ["not told apart" if n is None else _pm(n) for n in t.friction.values()][:2]

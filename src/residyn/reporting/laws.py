@@ -61,7 +61,6 @@ def _held_out(found: Diagnosis, law: Law) -> str:
 
 
 def text(found: Diagnosis) -> list[str]:
-    """The part of the printout."""
     if not found.laws:
         return []
     rows = []
@@ -84,7 +83,6 @@ def text(found: Diagnosis) -> list[str]:
 
 
 def table(found: Diagnosis) -> Table:
-    """The laws on a page."""
     rows = [
         [what(x, found.fit.joints), percent(x.probability), nats(x.log_evidence), formula(x)]
         for x in found.laws

@@ -104,11 +104,11 @@ def times_noise(step: ModelState) -> list[tuple[float, float | None]]:
     return list(zip(map(float, step.times_noise), each, strict=True))
 
 
-def worth_showing(found: Diagnosis, most: int = _MOST) -> tuple[Candidate, ...]:
+def worth_showing(found: Diagnosis) -> tuple[Candidate, ...]:
     """The candidates that deserve a line: the likely ones, and the best of the rest."""
     told = [c for c in found.candidates if c.probability >= _LINE or c.effect in found.added]
     rest = [c for c in found.candidates if c not in told and math.isfinite(c.log_evidence)]
-    return (*told, *rest[: max(0, len(found.added) + _FEWEST - len(told))])[:most]
+    return (*told, *rest[: max(0, len(found.added) + _FEWEST - len(told))])[:_MOST]
 
 
 def unnamed(found: Diagnosis) -> str:

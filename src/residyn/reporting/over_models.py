@@ -11,7 +11,6 @@ _NAMES = {"frequency_hz": ("frequency", "Hz"), "damping_ratio": ("damping ratio"
 
 
 def text(found: OverModels) -> str:
-    """In 80 columns."""
     out = ["[[In orbit, over all models]]", *printed(models_table(found))]
     out += filled(drag_words(found), "    ")
     for theta2, table in modes_tables(found):
@@ -20,7 +19,6 @@ def text(found: OverModels) -> str:
 
 
 def models_table(found: OverModels) -> Table:
-    """The models in play."""
     rows = [[named(m.added, found.joints), percent(m.probability)] for m in found.models]
     return Table(["model", "probability"], rows)
 

@@ -54,7 +54,6 @@ def _angle(value: float, unit: str) -> str:
 
 
 def sentence(test: Test) -> str:
-    """One test, and what it is expected to tell."""
     joints = tuple(test.release)
     one, other = (named(x, joints) for x in test.between)
     aim = f"tell {one} from {other}"
@@ -74,7 +73,6 @@ def sentence(test: Test) -> str:
 
 
 def outcomes(test: Test) -> Table:
-    """What each outcome of a test would mean."""
     joints = tuple(test.release)
     unit = test.units[joints.index(test.joint)]
     what = f"angle of the {test.joint} after {plain(test.time, 3)} s"
@@ -86,7 +84,6 @@ def outcomes(test: Test) -> Table:
 
 
 def text(found: Plan | Test) -> str:
-    """The whole plan, or one test in a sentence."""
     return "\n".join(filled(sentence(found)) if isinstance(found, Test) else _plan(found))
 
 

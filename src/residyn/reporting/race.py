@@ -19,7 +19,6 @@ MEANING = (
 
 
 def text(race: Race) -> str:
-    """The table in 80 columns, and what each method was given."""
     if not race.methods:
         return "the race was ended before any method was done"
     out = [*section("Race", f"{' + '.join(race.model)}; budget: {race.budget}")]
@@ -34,7 +33,7 @@ def text(race: Race) -> str:
     for each in race.methods:
         out += [line for e in errors(each) for line in filled(f"{each.name}: {e}")]
     out.append("given beforehand:")
-    for some, words in given(race):
+    for words, some in given(race).items():
         out += filled(words, f"  {', '.join(each.name for each in some)}: ", 6)
     if race.interrupted:
         out.append(f"interrupted while {race.interrupted} was running, which is left out")
@@ -42,16 +41,15 @@ def text(race: Race) -> str:
 
 
 def table(race: Race) -> Table:
-    """A line for each method."""
     return Table(_HEAD, [[each.title, *_cells(race, each)] for each in race.methods])
 
 
-def given(race: Race) -> list[tuple[list[Raced], str]]:
-    """What was given to which methods, in words."""
+def given(race: Race) -> dict[str, list[Raced]]:
+    """What was given, in words, and to which methods."""
     found: dict[str, list[Raced]] = {}
     for each in race.methods:
         found.setdefault(each.given, []).append(each)
-    return [(some, words) for words, some in found.items()]
+    return found
 
 
 def errors(each: Raced) -> list[str]:
@@ -82,7 +80,6 @@ def _short(x: float, digits: int = 4) -> str:
 
 
 def drawn(race: Race) -> list[Raced]:
-    """The methods that have a curve."""
     return [each for each in race.methods if len(each.median.history.objective)]
 
 
@@ -95,7 +92,6 @@ def curves(methods: Sequence[Raced], against: str) -> str:
 
 
 def latex(race: Race) -> str:
-    """The table with booktabs."""
     rows = [[*map(tex.escaped, row)] for row in table(race).rows]
     head = ["Method", "Objective / best", r"to 10\,\%", r"to 1\,\%"]
     return tabular("lrrrrr", [*head, r"$k$, std.\ errors off", r"$c$, std.\ errors off"], [rows])
@@ -104,8 +100,7 @@ def latex(race: Race) -> str:
 def csv(race: Race) -> str:
     """A line for each run of each method."""
     head = ["method", "seed", "objective", "simulations", "seconds"]
-    head += ["simulations_10_percent", "seconds_10_percent"]
-    head += ["simulations_1_percent", "seconds_1_percent"]
+    head += [f"{x}_{within}_percent" for within in (10, 1) for x in ("simulations", "seconds")]
     rows = []
     for run in (run for each in race.methods for run in each.runs):
         spent = []

@@ -80,5 +80,4 @@ class SideBySide:
 
 
 def headings(found: SideBySide) -> list[tuple[str, Fit]]:
-    """The two fits with what a report calls them."""
     return [(upper(base_name(fit)), fit) for fit in (found.one, found.other)]

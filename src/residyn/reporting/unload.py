@@ -193,7 +193,6 @@ def _damping(mode: Mode) -> str:
 
 
 def modes_table(pose: Pose) -> Table:
-    """The modes at one elbow angle, on its bearings and in orbit."""
     rows, sides = [], (pose.with_bearings, pose.without_bearings)
     if pose.leaves_with or pose.leaves_without:
         each = (pose.leaves_with, pose.leaves_without)
@@ -217,7 +216,6 @@ def inertias_table(found: Unloading) -> Table:
 
 
 def taken_off(found: Unloading) -> str:
-    """What left with the bearings."""
     bearings = found.fit.experiment.bearings
     mass, many = sum(b.mass for b in bearings), "s" * (len(bearings) > 1)
     what = "the model names no drag or friction of theirs"
@@ -242,7 +240,6 @@ def exact_words(found: Unloading) -> str:
 
 
 def text(found: Unloading) -> str:
-    """Everything beside the fit's own report, in 80 columns."""
     lines = ["[[Taken off]]", *filled(taken_off(found), "    "), *printed(inertias_table(found))]
     for pose in found.poses:
         lines.append(f"[[Modes]]  elbow at {plain(pose.theta2, 4)} rad")
@@ -308,7 +305,6 @@ def verdict(found: Unloading) -> str:
 
 
 def band(found: Unloading, sides: tuple[RingDown, RingDown]) -> str:
-    """How wide the bands are."""
     words, units = [], found.fit.experiment.units
     for side, where in zip(sides, ("on the bearings", "without them"), strict=True):
         if side.low is None or side.high is None:

@@ -28,7 +28,6 @@ _IMPORT = re.compile(r'(from\s+|import\s+)"\./([a-z_]+\.js)"')
 
 
 def static(name: str) -> str:
-    """The text of one of the `FILES`."""
     return (_STATIC / name).read_text(encoding="utf-8")
 
 

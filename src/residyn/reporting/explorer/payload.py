@@ -87,10 +87,10 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
     **Arguments:** `live`: whether a server answers it; `name`: what the experiment is called on a
     command line; `toml`: the text of its file.
     """
-    experiment, search = study.experiment, study.search
+    experiment, search, screen = study.experiment, study.search, study.screen
     units = experiment.units or ("rad",) * len(experiment.joints)
     if not live:
-        for tried in study.search.tried:
+        for tried in search.tried:
             study.predicted(sorted(tried))
     held = "check recordings" if experiment.check_recordings else "last third"
     first = study.first_order()
@@ -105,9 +105,14 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
         "with": [e if isinstance(e, str) else e.label for e in study.effects],
         "held_out": held,
         "recordings": [_recording(r) for r in _shown(study)],
-        "candidates": [_candidate(study, s) for s in study.screen.ranked],
+        "candidates": [_candidate(study, s) for s in screen.ranked],
         "prior": {"further": FURTHER, "candidates": len(search.candidates)},
-        "screen": _screen(study),
+        "screen": {
+            "weights": list(map(float, screen.weights)),
+            "grams": [_upper(g) for g in screen.grams],
+            "size": len(screen.grams[0]),
+            "likeliest_base_means": list(screen.base_means),
+        },
         "first": None if first is None else _first(study, first),
         "missing": _missing(study),
         **searched(study),
@@ -260,16 +265,6 @@ def _candidate(study: Study, s: Column):
             }
             for n in strengths(effect)
         ],
-    }
-
-
-def _screen(study: Study):
-    screen = study.screen
-    return {
-        "weights": list(map(float, screen.weights)),
-        "grams": [_upper(g) for g in screen.grams],
-        "size": len(screen.grams[0]),
-        "likeliest_base_means": list(screen.base_means),
     }
 
 

@@ -70,7 +70,6 @@ class Explorer:
         self.random = np.random.default_rng()
 
     def app(self, port: int) -> Starlette:
-        """The ASGI application at a port."""
         base = f"/{self.token}"
         routes = [
             Route(f"{base}/", self._page),
@@ -89,7 +88,6 @@ class Explorer:
         )
 
     def stop(self) -> None:
-        """End all that is under way."""
         for each in self.studies.values():
             each.stop()
 
@@ -175,7 +173,6 @@ class Explorer:
 
 
 def _there(x: T | None) -> T:
-    """What was asked for, if there is such a thing."""
     if x is None:
         raise HTTPException(404, "there is no such study (any more): load the page again")
     return x
@@ -202,7 +199,6 @@ class Guard(BaseHTTPMiddleware):
         self.hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
 
     async def dispatch(self, request: Request, call_next: RequestResponseEndpoint) -> Response:
-        """An answer with the headers of this server's page, or why there is none."""
         refused = self._refused(request.method, request.headers)
         found = await call_next(request) if refused is None else PlainTextResponse(refused, 403)
         found.headers.update(_HEADERS)

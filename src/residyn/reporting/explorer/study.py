@@ -99,7 +99,6 @@ class Study:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Candidates, by name."""
         return tuple(s.effect.label for s in self.screen.ranked)
 
     def neighbours(self, added: Sequence[str], more: Sequence[str]) -> list[frozenset[str]]:
@@ -318,7 +317,6 @@ class Study:
         self.found = found
 
     def stop(self) -> None:
-        """End a search that runs."""
         self.search.deadline = 0.0
 
 

@@ -165,7 +165,6 @@ class Workbench:
                 self.looked_at, self.shown = seen, shown
 
     def stop(self) -> None:
-        """End what is under way, at its next step."""
         self.stopped = True
         if self.study is not None:
             self.study.stop()

@@ -47,8 +47,8 @@ def where(compared: Comparison, *, narrow: bool = False) -> Figure:
     time.tick_params(axis="x", labelrotation=45, labelsize=8)
     band.tick_params(axis="x", labelrotation=90, labelsize=8)
     swing.xaxis.set_major_locator(MaxNLocator(5))
-    handles, labels = time.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
+    keys = time.get_legend_handles_labels()
+    figure.legend(*keys, loc="outside upper left", ncols=len(at.joints))
     return figure
 
 
@@ -107,8 +107,7 @@ def horizon(compared: Comparison, *, narrow: bool = False) -> Figure:
     else:
         ax.set_ylim(0, 1.08 * ax.get_ylim()[1])
     ax.set_xlim(left=0)
-    handles, labels = ax.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
+    figure.legend(loc="outside upper left", ncols=len(compared.fit.joints))
     return figure
 
 
@@ -232,7 +231,7 @@ def _scatter(x, tau) -> float:
 
 def _against_amplitude(ax: Axes, amplitude, tau, own) -> None:
     edges = np.quantile(amplitude, np.linspace(0, 1, _BINS + 1))
-    which = np.clip(np.digitize(amplitude, edges[1:-1]), 0, _BINS - 1)
+    which = np.digitize(amplitude, edges[1:-1])
     bins = [which == b for b in range(_BINS) if np.sum(which == b) > 5]
 
     def rms(x):

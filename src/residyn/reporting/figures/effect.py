@@ -42,7 +42,7 @@ def signature(name: str, *, narrow: bool = False) -> Figure:
     **Raises:** `ValueError` for an effect that does not exist.
     """
     with jax.enable_x64(True):
-        t, with_it, without, angle, rate, torque = _motions(name)
+        t, angle, without, rate, torque = _motions(name)
     joint = int(np.argmax(np.sqrt(np.mean(torque**2, axis=0))))
     where = ("shoulder", "elbow")[joint]
     q, v, tau = angle[:, joint], rate[:, joint], torque[:, joint]
@@ -51,7 +51,7 @@ def signature(name: str, *, narrow: bool = False) -> Figure:
     figure = blank(narrow, 9.0 if narrow else 5.2)
     (top, *rest) = figure.subplots(*((4, 1) if narrow else (2, 2))).ravel()
     top.plot(t, without[:, joint], color=MEASURED, lw=2.2, label="without")
-    top.plot(t, with_it[:, joint], color=MODEL, lw=0.9, label="with")
+    top.plot(t, q, color=MODEL, lw=0.9, label="with")
     top.set(
         xlabel="time (s)", ylabel="reading (rad)", title=f"{title(name)}: reading at the {where}"
     )
@@ -69,7 +69,7 @@ def signature(name: str, *, narrow: bool = False) -> Figure:
 
 
 def _motions(name: str):
-    """(t, readings with, readings without, and of the former angle, rate and missing torque)."""
+    """(t, readings with, readings without, and of the former the rate and the missing torque)."""
     arm = PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.3, bearings=[1, 1], load=1.5)
     base = model_for(arm)
     springs = {n.name: 16.67 if n.name.startswith("spring") else 0.05 for n in base.fitted}
@@ -87,17 +87,15 @@ def _motions(name: str):
 
     def missing(t, q, v, a):
         motion = Motion.at(t, q, v)
-        rows = [sum(z * x for z, x in zip(row, a, strict=True)) for row in arm.mass_matrix(q)]
-        f, known = arm.inertia_torque(motion.q, motion.v), base.torque(motion)
-        return -stack(tuple(r + x + y for r, x, y in zip(rows, f, known, strict=True)))
+        inertial = jnp.asarray(arm.mass_matrix(q)) @ a + stack(arm.inertia_torque(q, v))
+        return -inertial - stack(base.torque(motion))
 
     tau = np.asarray(jax.vmap(missing)(*map(jnp.asarray, (t, with_it, v, a))))
     inner = slice(_EDGE, -_EDGE)
-    return t[inner], with_it[inner], without[inner], with_it[inner], v[inner], tau[inner]
+    return tuple(x[inner] for x in (t, with_it, without, v, tau))
 
 
 def _sized(effect: AbstractEffect) -> AbstractEffect:
-    """The effect strong enough to see."""
     strength = _STRONG.get(effect.name, _STRENGTH)
     values = {}
     for p in parameters_of(effect):

@@ -16,7 +16,6 @@ from ..numbers import nats, percent
 from .style import BAND, DASHED, HELD_OUT, INK, MODEL, RESIDUAL, blank, styled
 
 _ROW, _MARGIN = 0.36, 0.85  # inches
-_MOST = 8
 _LINEAR = 3.0  # nats up to which the scale is linear
 _ROOM = 2.0  # of the longest bar, beyond its end, for its number
 
@@ -29,7 +28,7 @@ def candidates(found: Diagnosis, *, narrow: bool = False) -> Figure:
     the best model of all (of the base model without any, in the last row). Up to the dashed line
     two models cannot be told apart. What was added is orange.
     """
-    shown = worth_showing(found, _MOST)
+    shown = worth_showing(found)
     joints, base = found.fit.joints, found.ladder[0]
     names = [at_place(c.effect, joints, comma=True) for c in shown]
     rows = len(shown) + 1

@@ -20,7 +20,7 @@ def image(draw: Callable[..., Figure], *args: Any, **named: Any) -> str:
 def svg(figure: Figure) -> str:
     """A figure as SVG that looks the same everywhere: letters are drawn, not named."""
     buffer = io.StringIO()
-    with mpl.rc_context({"svg.fonttype": "path", "svg.hashsalt": "residyn"}):
+    with mpl.rc_context({"svg.hashsalt": "residyn"}):
         nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
         figure.savefig(buffer, format="svg", metadata=nothing)
     text = re.sub(r"<!--.*?-->|\s*\n\s*(?=<)", "", buffer.getvalue(), flags=re.S)

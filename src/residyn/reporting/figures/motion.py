@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from ...fitting.result import Fit, Mode, RecordingFit
 from ..names import HELD_OUT
@@ -211,11 +211,10 @@ def spectrum(fit: Fit, *, narrow: bool = False) -> Figure:
         ax.set_ylabel(f"{name}\namplitude ({label})" if label else name)
         for axis in (ax.xaxis, ax.yaxis):
             axis.set_major_locator(LogLocator(numticks=8))
-            axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+            axis.set_major_formatter(lambda x, _: f"{x:g}")
             axis.set_minor_formatter(NullFormatter())
     axes[-1].set_xlabel("frequency (Hz)")
-    handles, _ = axes[0].get_legend_handles_labels()
-    handles += _marked(axes, fit.modes)
+    handles = [*axes[0].get_legend_handles_labels()[0], *_marked(axes, fit.modes)]
     figure.legend(handles=handles, loc="outside upper left", ncols=1 if narrow else 3)
     figure.align_ylabels()
     return figure
