@@ -146,6 +146,7 @@ class Study:
         wild = outliers_among(here)
         other = Scene(here.recordings, here.mechanisms, wild)
         other.scales, other.torque = scene.scales, scene.torque
+        other.catalogued = scene.catalogued  # also what only bearings have
         best = tried_alone(other, tuple(self.loud.effects)).best
         led = other.smoothed(best, other.linearised(best), self.intensity)
         return other, led or best, np.ones(other.K, bool)
