@@ -62,17 +62,17 @@ class FoundLaw(NamedTuple):
         return f"{self.name}:{self.joint}"
 
     def text(self, file: str = "found_effects.py") -> str:
-        """The file."""
         made = "".join(w.capitalize() for w in self.name.split("_"))
         x = {"angle": "motion.q", "rate": "motion.v", "time": "motion.t"}[self.variable]
         by = {"angle": "motion.q * ", "rate": "motion.v * ", "direction": "motion.direction * "}
         sums = f"({self.torque})" if self.factor and " + " in self.torque else self.torque
+        plain = re.sub(r'["\\\n]', " ", self.joint)  # as it may stand inside quotes
         lines = [
             f"class {made}(JointEffect):",
             f'    """{self.equation}; {self.source}."""',
             "",
             f'    name = "{self.name}"',
-            f'    title = "Law of the {self.variable} at the {_plain(self.joint)}"',
+            f'    title = "Law of the {self.variable} at the {plain}"',
             f'    equation = "{self.equation}"',
             f'    source = "{self.source}"',
             *(["    dry = True"] if self.factor == "direction" else []),
@@ -87,17 +87,11 @@ class FoundLaw(NamedTuple):
         return "\n".join([_HEAD.format(file=file), "", *lines, ""])
 
     def kind(self) -> type[AbstractEffect]:
-        """The class."""
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "found_effects.py"
             path.write_text(self.text(), encoding="utf-8")
             (kind,) = read_effects(path)
         return kind
-
-
-def _plain(words: str) -> str:
-    """What may stand inside quotes."""
-    return re.sub(r'["\\\n]', " ", words)
 
 
 def _declared(n: FoundNumber) -> str:
