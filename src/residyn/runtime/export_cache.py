@@ -98,10 +98,8 @@ def kept(like: Any, *, seldom: bool = False) -> Callable[[Callable], "Kept"]:
     `seldom`, a few times a process, is compiled without LLVM's optimisations, which take longer
     than they then save.
     """
-    return lambda function: Kept(function, like, _UNOPTIMISED if seldom else {})
-
-
-_UNOPTIMISED = {"xla_backend_optimization_level": 0}
+    options = {"xla_backend_optimization_level": 0} if seldom else {}
+    return lambda function: Kept(function, like, options)
 
 
 _MOST = 24
@@ -134,10 +132,9 @@ class Kept:
         leaves, structure = jax.tree.flatten(args)
         if any(isinstance(x, Tracer) for x in leaves):
             return self._within(*args)
-        if _cache is None:
-            return self._plain(*args)
         arrays = [x for x in leaves if eqx.is_array(x)]
-        if any(isinstance(x, jax.Array) and len(x.devices()) > 1 for x in arrays):
+        spread = any(isinstance(x, jax.Array) and len(x.devices()) > 1 for x in arrays)
+        if _cache is None or spread:
             return self._plain(*args)
         told = _key(leaves, structure)
         key = self, told, _devices(arrays)
