@@ -1,7 +1,6 @@
 """An experiment: the inertia of what moved, and its recordings; `load` reads one from its files.
 
 The TOML file says what free motion cannot tell, and names the recordings, whatever their format.
-Everything wrong with a file raises `InputError` with one clear line that names it.
 """
 
 import dataclasses
@@ -174,13 +173,13 @@ def from_text(text: str, folder: Path, where: str, path: str = "") -> Experiment
 
     **Raises:** as `load`.
     """
-    contents = parse(text, where)
+    fields, entries = parse(text, where)
     with inside(where):
         recordings = []
-        for i, entry in enumerate(contents.recordings):
+        for i, entry in enumerate(entries):
             with inside(f"[[recordings]] {i + 1}"):
-                recordings.append(_read(folder, contents.inertia, **entry))
-        return Experiment(**contents._replace(recordings=tuple(recordings))._asdict(), path=path)
+                recordings.append(_read(folder, fields["inertia"], **entry))
+        return Experiment(**fields, recordings=tuple(recordings), path=path)
 
 
 def _read(
