@@ -27,11 +27,9 @@ class FoundNumber(NamedTuple):
 
     field: str
     words: str
-    dimension: str
-    """As `residyn.parameter` calls it."""
+    dimension: str  # as `residyn.parameter` calls it
     value: float
-    strength: bool
-    """Whether the law is silent where it is 0; else it is a shape."""
+    strength: bool  # whether the law is silent where it is 0; else it is a shape
 
 
 class FoundLaw(NamedTuple):
@@ -39,14 +37,11 @@ class FoundLaw(NamedTuple):
 
     joint: str
     variable: str
-    factor: str
-    """As of `diagnosis.free_curves.Kind`."""
+    factor: str  # both as of `diagnosis.free_curves.Kind`
     equation: str
-    source: str
-    """Where and when it was found."""
+    source: str  # where and when it was found
     numbers: tuple[FoundNumber, ...]
-    torque: str
-    """The torque over its factor, an expression of x and the numbers."""
+    torque: str  # the torque over its factor, an expression of x and the numbers
 
     @property
     def name(self) -> str:
