@@ -92,19 +92,13 @@ def number(
         result = math.nan
     if LARGEST < abs(result) < math.inf:
         what += f", {LARGEST:g} at most"
-    if isinstance(value, str) and _reads_as_number(value.replace(",", ".")):
-        what += f", without quotes{', with a decimal point' * (',' in value)}"
+    with contextlib.suppress(ValueError):
+        if isinstance(value, str) and math.isfinite(float(value.replace(",", "."))):
+            what += f", without quotes{', with a decimal point' * (',' in value)}"
     low = (above is not None and result <= above) or (least is not None and result < least)
     if low or not abs(result) <= LARGEST:
         raise InputError(f"{key} = {quote(value)}: must be {what}") from None
     return result
-
-
-def _reads_as_number(words: str) -> bool:
-    try:
-        return math.isfinite(float(words))
-    except ValueError:
-        return False
 
 
 def flag(key: str, value: Any) -> bool:

@@ -7,6 +7,7 @@ import pytest
 
 from residyn import demo
 from residyn.errors import InputError
+from residyn.recordings.columns import Table
 from residyn.recordings.csv import read_csv, write_csv
 from residyn.recordings.experiment import load
 from residyn.recordings.recording import Recording
@@ -21,7 +22,9 @@ UNITS = ("rad", "rad")
 
 
 def doubted(recording, units=UNITS, said=(), **keys):
-    return not_free(recording, units, said, keys, np.arange(len(recording.time)))
+    lines = np.arange(len(recording.time))
+    table = Table(recording.time, recording.angle, None, lines, frozenset(said))
+    return not_free(recording, units, table, keys)
 
 
 def seen(time, angle, units=UNITS, said=(), **keys):

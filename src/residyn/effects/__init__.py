@@ -4,11 +4,10 @@ To add an effect: write its class in a file here, and import it below. It is the
 and the tests of the catalogue apply to it.
 """
 
-import difflib
 import functools
 from pathlib import Path
 
-from ..errors import InputError, quote
+from ..errors import InputError, did_you_mean, quote
 from ..physics.effect import AbstractEffect as AbstractEffect
 from ..physics.effect import JointEffect as JointEffect
 from ..physics.inertia import AbstractInertia
@@ -58,10 +57,9 @@ def _order(kind: type[AbstractEffect]) -> int:
 CATALOGUE: dict[str, type[AbstractEffect]] = {
     kind.name: kind
     for kind in sorted(
-        (k for k in list(vars().values()) if isinstance(k, type) and hasattr(k, "equation")),
+        (k for k in list(vars().values()) if hasattr(k, "equation") and hasattr(k, "name")),
         key=_order,
     )
-    if hasattr(kind, "name")
 }
 
 
@@ -144,5 +142,4 @@ def effects_named(words: str, mechanism: AbstractInertia) -> tuple[AbstractEffec
 
 
 def _nearest(word: str, known) -> str:
-    close = difflib.get_close_matches(word, known, n=1)
-    return f'; did you mean "{close[0]}"?' if close else "; `residyn effects` lists them"
+    return "; " + (did_you_mean(word, known) or "`residyn effects` lists them")

@@ -9,8 +9,7 @@ import math
 
 import jax.numpy as jnp
 
-from ..physics.effect import AbstractEffect
-from ..physics.mechanism import arm_of
+from ..physics.mechanism import ArmEffect, arm_of
 from ..physics.motion import Scalar
 from ..physics.parameter import Dimension, param
 
@@ -21,7 +20,7 @@ _POINTS = tuple(0.5 + 0.5 * x for x in (-math.sqrt(0.6), 0.0, math.sqrt(0.6)))
 _WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
 
 
-class AirDrag(AbstractEffect):
+class AirDrag(ArmEffect):
     """Quadratic drag of the air on both links, strips of equal width: on a piece ds that moves
     across the link at u acts c u |u| ds, with c = density x drag coefficient x width / 2.
 
@@ -38,11 +37,6 @@ class AirDrag(AbstractEffect):
     dissipates = True
 
     coefficient: Scalar = param("drag of a metre of link at 1 m/s", PER_LENGTH, sign="positive")
-
-    @classmethod
-    def places(cls, mechanism):
-        arm_of(mechanism, cls.name)
-        return ()
 
     def torque(self, motion, mechanism):
         arm = arm_of(mechanism, self.name)

@@ -27,11 +27,9 @@ class FoundNumber(NamedTuple):
 
     field: str
     words: str
-    dimension: str
-    """As `residyn.parameter` calls it."""
+    dimension: str  # as `residyn.parameter` calls it
     value: float
-    strength: bool
-    """Whether the law is silent where it is 0; else it is a shape."""
+    strength: bool  # whether the law is silent where it is 0; else it is a shape
 
 
 class FoundLaw(NamedTuple):
@@ -39,14 +37,11 @@ class FoundLaw(NamedTuple):
 
     joint: str
     variable: str
-    factor: str
-    """As of `diagnosis.free_curves.Kind`."""
+    factor: str  # both as of `diagnosis.free_curves.Kind`
     equation: str
-    source: str
-    """Where and when it was found."""
+    source: str  # where and when it was found
     numbers: tuple[FoundNumber, ...]
-    torque: str
-    """The torque over its factor, an expression of x and the numbers."""
+    torque: str  # the torque over its factor, an expression of x and the numbers
 
     @property
     def name(self) -> str:
@@ -62,17 +57,17 @@ class FoundLaw(NamedTuple):
         return f"{self.name}:{self.joint}"
 
     def text(self, file: str = "found_effects.py") -> str:
-        """The file."""
         made = "".join(w.capitalize() for w in self.name.split("_"))
         x = {"angle": "motion.q", "rate": "motion.v", "time": "motion.t"}[self.variable]
         by = {"angle": "motion.q * ", "rate": "motion.v * ", "direction": "motion.direction * "}
         sums = f"({self.torque})" if self.factor and " + " in self.torque else self.torque
+        plain = re.sub(r'["\\\n]', " ", self.joint)  # as it may stand inside quotes
         lines = [
             f"class {made}(JointEffect):",
             f'    """{self.equation}; {self.source}."""',
             "",
             f'    name = "{self.name}"',
-            f'    title = "Law of the {self.variable} at the {_plain(self.joint)}"',
+            f'    title = "Law of the {self.variable} at the {plain}"',
             f'    equation = "{self.equation}"',
             f'    source = "{self.source}"',
             *(["    dry = True"] if self.factor == "direction" else []),
@@ -87,17 +82,11 @@ class FoundLaw(NamedTuple):
         return "\n".join([_HEAD.format(file=file), "", *lines, ""])
 
     def kind(self) -> type[AbstractEffect]:
-        """The class."""
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "found_effects.py"
             path.write_text(self.text(), encoding="utf-8")
             (kind,) = read_effects(path)
         return kind
-
-
-def _plain(words: str) -> str:
-    """What may stand inside quotes."""
-    return re.sub(r'["\\\n]', " ", words)
 
 
 def _declared(n: FoundNumber) -> str:

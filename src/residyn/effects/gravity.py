@@ -51,9 +51,8 @@ class Pendulum(_Weight):
         return ()
 
     def torque(self, motion, mechanism):
-        angles = mechanism.link_angles(motion.q)
-        parts = (self.moment1, self.moment2)
-        return _carried(tuple(m * jnp.sin(x) for m, x in zip(parts, angles, strict=False)))
+        links = zip((self.moment1, self.moment2), mechanism.link_angles(motion.q), strict=False)
+        return _carried(tuple(m * jnp.sin(x) for m, x in links))
 
 
 class Gravity(_Weight):
@@ -82,14 +81,9 @@ class Gravity(_Weight):
         return ()
 
     def torque(self, motion, mechanism):
-        parts = ((self.moment1, self.lateral1), (self.moment2, self.lateral2))
-        angles = mechanism.link_angles(motion.q)
-        return _carried(
-            tuple(
-                moment * jnp.sin(angle) + lateral * jnp.cos(angle)
-                for (moment, lateral), angle in zip(parts, angles, strict=False)
-            )
-        )
+        moments, laterals = (self.moment1, self.moment2), (self.lateral1, self.lateral2)
+        links = zip(moments, laterals, mechanism.link_angles(motion.q), strict=False)
+        return _carried(tuple(m * jnp.sin(x) + lat * jnp.cos(x) for m, lat, x in links))
 
 
 def _carried(pull: Joints) -> Joints:

@@ -4,12 +4,12 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from ..physics.effect import AbstractEffect
-from ..physics.mechanism import arm_of
+from ..physics.mechanism import ArmEffect, arm_of
 from ..physics.motion import Scalar
 from ..physics.parameter import RATIO, param
 
 
-class PrintedInertiaTorque(AbstractEffect):
+class PrintedInertiaTorque(ArmEffect):
     """Eq. 3 as printed, minus the energy-conserving form: turns the one into the other.
 
     The printed f^w = [l1 h (q2'^2 - q1'^2) sin th, -l1 h q1'^2 sin th] has the opposite sign and
@@ -23,11 +23,6 @@ class PrintedInertiaTorque(AbstractEffect):
     source = "paper, Eq. 3"
 
     share: Scalar = param("share of the printed form", RATIO, default=1.0, silent=0.0, fitted=False)
-
-    @classmethod
-    def places(cls, mechanism):
-        arm_of(mechanism, cls.name)
-        return ()
 
     def torque(self, motion, mechanism):
         arm, v = arm_of(mechanism, self.name), motion.v

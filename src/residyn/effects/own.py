@@ -161,7 +161,8 @@ def check_law(kind: type[AbstractEffect]) -> None:
         return torque, rates, effect.reading((motion.q[0][None], motion.q[1][None]), arm)
 
     try:
-        value, rates, _ = _evaluated(law, own, motion, arm)
+        # Shapes of arrays, and anything else as it is.
+        value, rates, _ = eqx.filter_eval_shape(law, own, motion, arm)
     except InputError:
         raise
     except Exception as error:  # whatever the user's law does
@@ -170,27 +171,12 @@ def check_law(kind: type[AbstractEffect]) -> None:
     if method == "torque":
         good = isinstance(value, tuple) and len(value) == 2 and all(map(_is_number, value))
     if not good:
-        raise InputError(
-            f"{_line_of(kind, method)}{method} returns {_words(value)}: must be {right}"
-        )
+        raise InputError(f"{_where(kind, method)}{method} returns {_words(value)}: must be {right}")
     if len(rates) != len(kind.memory):
         raise InputError(
-            f"{_line_of(kind, 'joint_rate')}it has {len(kind.memory)} internal states and "
+            f"{_where(kind, 'joint_rate')}it has {len(kind.memory)} internal states and "
             f"{len(rates)} rates of them: must be as many"
         )
-
-
-def _evaluated(law, *given):
-    """What a law returns: shapes of arrays, and anything else as it is."""
-    found: list[Any] = []
-
-    def traced(*given):
-        returned = law(*given)
-        found.append(jax.tree.map(lambda x: None if eqx.is_array(x) else x, returned))
-        return eqx.filter(returned, eqx.is_array)
-
-    arrays = jax.eval_shape(traced, *given)
-    return eqx.combine(arrays, found[0])
 
 
 def _is_number(value: Any) -> bool:
@@ -215,16 +201,13 @@ def _why(error: Exception) -> str:
     return words
 
 
-def _where(kind: type, error: Exception) -> str:
+def _where(kind: type, cause: Exception | str) -> str:
+    """The line that an error came through, or that a method begins with; else the class."""
     try:
-        line = _line_in(error, inspect.getsourcefile(kind))
+        if isinstance(cause, str):
+            line = inspect.getsourcelines(getattr(kind, cause))[1]
+        else:
+            line = _line_in(cause, inspect.getsourcefile(kind))
     except (OSError, TypeError):
         line = None
     return f"{kind.__name__}: " if line is None else f"line {line}: "
-
-
-def _line_of(kind: type, method: str) -> str:
-    try:
-        return f"line {inspect.getsourcelines(getattr(kind, method))[1]}: "
-    except (OSError, TypeError):
-        return f"{kind.__name__}: "

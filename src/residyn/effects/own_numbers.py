@@ -8,6 +8,7 @@ run it is, the mechanism says (`run`).
 
 import dataclasses
 import functools
+import inspect
 from collections.abc import Sequence
 
 import jax.numpy as jnp
@@ -17,20 +18,11 @@ from ..physics.effect import AbstractEffect
 from ..physics.inertia import AbstractInertia
 from ..physics.parameter import param, parameters_of
 
-_BY_MECHANISM = (
-    "bodies",
-    "torque",
-    "begin",
-    "rate",
-    "follow",
-    "jumps",
-    "lost_speed",
-    "speed_spread",
-    "crawls",
-    "holds",
-    "reading",
-    "delays",
-)
+_BY_MECHANISM = [
+    name
+    for name, method in inspect.getmembers(AbstractEffect, inspect.isfunction)
+    if list(inspect.signature(method).parameters)[-1] == "mechanism"
+]
 """Methods of an effect that know the mechanism, which is their last argument."""
 
 
@@ -49,12 +41,12 @@ def _kind(kind: type[AbstractEffect], runs: tuple[tuple[int, str], ...]) -> type
     if not fitted:
         raise InputError(f"own: {kind.name} has no number that a recording could have for itself")
     # By its class a kept program knows what it is of.
-    body: dict = {"__module__": kind.__module__, "__doc__": kind.__doc__, "__annotations__": {}}
-    body["own_runs"] = runs
+    body: dict = {"__module__": kind.__module__, "__doc__": kind.__doc__, "own_runs": runs}
+    body["__annotations__"] = {}
     declared = {f.name: f.default for f in dataclasses.fields(kind)}
     for run, name in runs:
         for p in fitted:
-            field = _field(p.field, run)
+            field = f"{p.field}_{run}"
             body["__annotations__"][field] = object
             body[field] = param(
                 f"{p.words}, in {name}",
@@ -71,7 +63,7 @@ def _kind(kind: type[AbstractEffect], runs: tuple[tuple[int, str], ...]) -> type
         for run, _ in runs:
             now = mechanism.run == run  # pyright: ignore[reportAttributeAccessIssue]
             for p in fitted:
-                own = getattr(self, _field(p.field, run))
+                own = getattr(self, f"{p.field}_{run}")
                 values[p.field] = jnp.where(now, own, values[p.field])
         return kind(**values)
 
@@ -85,7 +77,3 @@ def _kind(kind: type[AbstractEffect], runs: tuple[tuple[int, str], ...]) -> type
         body[method] = called
     numbers = "_".join(str(run) for run, _ in runs)
     return type(kind)(f"{kind.__name__}_{numbers}", (kind,), body)  # pyright: ignore
-
-
-def _field(field: str, run: int) -> str:
-    return f"{field}_{run}"

@@ -10,13 +10,12 @@ import math
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..physics.effect import AbstractEffect
-from ..physics.mechanism import arm_of
+from ..physics.mechanism import ArmEffect, arm_of
 from ..physics.motion import Scalar
 from ..physics.parameter import ANGLE, FREQUENCY, INERTIA, RATE, RATIO, Memory, param
 
 
-class WristFlexibility(AbstractEffect):
+class WristFlexibility(ArmEffect):
     """A hand on a flexible wrist J3, its centre of mass on the wrist's axis.
 
     Its internal states are its deflection d against link 2 and its absolute rate; with w = 2 pi f,
@@ -46,11 +45,6 @@ class WristFlexibility(AbstractEffect):
         silent=None,
         default=0.02,
     )
-
-    @classmethod
-    def places(cls, mechanism):
-        arm_of(mechanism, cls.name)
-        return ()
 
     def bodies(self, mechanism):
         arm = arm_of(mechanism, self.name)

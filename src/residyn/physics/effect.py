@@ -136,16 +136,13 @@ class AbstractEffect(eqx.Module):
     def jumps(self, motion: Motion, mechanism: AbstractInertia) -> tuple[Scalar | None, ...]:
         """Of a dry effect, for each joint, half the jump of its torque where the joint's direction
         flips, N m; None where there is none."""
-        now, found = motion.direction, []
-        for joint in range(len(now)):
-            up, down = (
-                self.torque(
-                    motion._replace(direction=(*now[:joint], s, *now[joint + 1 :])), mechanism
-                )[joint]
-                for s in (1.0, -1.0)
-            )
-            found.append(0.5 * (up - down))
-        return tuple(found)
+        now = motion.direction
+
+        def torque(joint: int, way: float) -> Scalar:
+            turned = motion._replace(direction=(*now[:joint], way, *now[joint + 1 :]))
+            return self.torque(turned, mechanism)[joint]
+
+        return tuple(0.5 * (torque(j, 1.0) - torque(j, -1.0)) for j in range(len(now)))
 
     def lost_speed(self, motion: Motion, mechanism: AbstractInertia) -> Scalar:
         """Speed, m/s, that friction of a point takes from it in one `motion.grain`; below it the

@@ -14,11 +14,7 @@ from .motion import Joints, Scalar
 
 
 class AbstractInertia(eqx.Module):
-    """Masses that move along n coordinates: `joints`, `units` and `mass_matrix`.
-
-    `inertia_torque` follows from the mass matrix by automatic differentiation (Lagrange), and so
-    conserves energy; a closed form is only faster.
-    """
+    """Masses that move along n coordinates: `joints`, `units` and `mass_matrix`."""
 
     joints: eqx.AbstractVar[tuple[str, ...]]
     units: eqx.AbstractVar[tuple[str, ...] | None]

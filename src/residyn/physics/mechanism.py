@@ -112,6 +112,15 @@ def arm_of(mechanism: AbstractInertia, name: str) -> PlanarArm:
     return mechanism
 
 
+class ArmEffect(AbstractEffect):
+    """An effect of the whole arm of Eq. 2, and of no other mechanism."""
+
+    @classmethod
+    def places(cls, mechanism):
+        arm_of(mechanism, cls.name)
+        return ()
+
+
 class ConstantInertia(AbstractMechanism):
     """Any number of joints with a mass matrix that does not depend on their positions.
 

@@ -46,15 +46,13 @@ def state_matrix(model: Model, q: Float[Array, " n"] | None = None) -> Float[Arr
     """d(q', q'', z')/d(q, q', z) of the model at rest in `q`, s = 2n and as many as it has internal
     states; dry friction, which has no slope, is off."""
     q = equilibrium(model) if q is None else q
-    n, still = q.shape[0], jnp.zeros(len(model.memory))
+    n = q.shape[0]
 
     def slopes(y):
         motion = _still(y[:n], y[n : 2 * n], y[2 * n :])
-        return jnp.concatenate(
-            [y[n : 2 * n], stack(model.acceleration(motion)), _array(model.memory_rate(motion))]
-        )
+        return stack((*motion.v, *model.acceleration(motion), *model.memory_rate(motion)))
 
-    return jax.jacfwd(slopes)(jnp.concatenate([q, jnp.zeros(n), still]))
+    return jax.jacfwd(slopes)(jnp.concatenate([q, jnp.zeros(n + len(model.memory))]))
 
 
 def fastest(model: Model) -> float:
@@ -171,10 +169,8 @@ def _modes(model: Model) -> Modes:
 def modes_of(values: Complex[Array | np.ndarray, "*k 2n"]) -> Modes:
     """Modes from the eigenvalues of a state matrix, or of several."""
     # NumPy where nothing is traced: JAX would compile each of these operations by itself.
-    concrete = isinstance(values, np.ndarray)
-    here = np if concrete else jnp
-    sort = partial(np.argsort, kind="stable") if concrete else jnp.argsort
-    along = partial(here.take_along_axis, axis=-1)
+    here = np if isinstance(values, np.ndarray) else jnp
+    sort, along = partial(here.argsort, stable=True), partial(here.take_along_axis, axis=-1)
     size = here.abs(values)
     # One of each conjugate pair: the upper half plane first, real values by size after it.
     order = -here.sign(here.imag(values)) - 1e-9 * size / here.max(size, axis=-1, keepdims=True)
@@ -191,7 +187,3 @@ def _pull(model: Model, q) -> Float[Array, " n"]:
 
 def _still(q, v, z) -> Motion:
     return Motion(0.0, split(q), split(v), (0.0,) * len(q), split(z))
-
-
-def _array(x) -> Float[Array, " m"]:
-    return stack(x) if x else jnp.zeros(0)

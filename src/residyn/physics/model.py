@@ -8,7 +8,7 @@ that JAX differentiates, vmaps and fits.
 import dataclasses
 import functools
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple, Self, TypeVar
+from typing import Generic, NamedTuple, Self, TypeVar
 
 import equinox as eqx
 import jax
@@ -24,22 +24,15 @@ from .parameter import Memory, Parameter, floating, parameters_of
 
 _Module = TypeVar("_Module", bound=eqx.Module)
 _Model = TypeVar("_Model", bound="Model")
+_Meaning = TypeVar("_Meaning", Parameter, Memory)
 
 
-class Number(NamedTuple):
-    """One number of a model: its public name, its meaning, its joint (None: of no one joint)."""
-
-    name: str
-    meaning: Parameter
-    effect: int
-    joint: int | None
-
-
-class Remembered(NamedTuple):
-    """One internal state of a model: its public name, its meaning, its effect, its joint."""
+class Number(NamedTuple, Generic[_Meaning]):
+    """One number, or internal state, of a model: its public name, its meaning, its effect, its
+    joint (None: of no one joint)."""
 
     name: str
-    meaning: Memory
+    meaning: _Meaning
     effect: int
     joint: int | None
 
@@ -156,11 +149,11 @@ class Model(eqx.Module):
     # -- memory ------------------------------------------------------------------------------
 
     @property
-    def memory(self) -> tuple[Remembered, ...]:
+    def memory(self) -> tuple[Number[Memory], ...]:
         """The internal states of all effects, in order."""
         joints = self.mechanism.joints
         return tuple(
-            Remembered(f"{effect.label}.{each.name}", each, index, _joint(effect.label, joints))
+            Number(f"{effect.label}.{each.name}", each, index, _joint(effect.label, joints))
             for index, effect in enumerate(self.effects)
             for each in effect.memory
         )
@@ -193,11 +186,10 @@ class Model(eqx.Module):
     def upright(self, memory: Joints) -> tuple[Self, Joints]:
         """The same model with every number of the sign that people write, and what `memory` is in
         it (which stays what effects begin with, and beyond)."""
-        effects, states, first = [], (), 0
-        for effect in self.effects:
-            last = first + len(effect.memory)
-            kept, own = effect.upright(memory[first:last])
-            effects, states, first = [*effects, kept], (*states, *own), last
+        effects, states = [], ()
+        for effect, own in self.each(Motion(0.0, (), (), (), memory)):
+            kept, here = effect.upright(own.memory)
+            effects, states = [*effects, kept], (*states, *here)
         return dataclasses.replace(self, effects=tuple(effects)), states
 
     def each(self, motion: Motion) -> Iterator[tuple[AbstractEffect, Motion]]:
@@ -240,12 +232,12 @@ class Model(eqx.Module):
     # -- numbers -----------------------------------------------------------------------------
 
     @property
-    def numbers(self) -> tuple[Number, ...]:
+    def numbers(self) -> tuple[Number[Parameter], ...]:
         """Every declared number of every effect, in order."""
         return _numbers(*_named(self))
 
     @property
-    def fitted(self) -> tuple[Number, ...]:
+    def fitted(self) -> tuple[Number[Parameter], ...]:
         """The numbers that a fit moves."""
         return _fitted(*_named(self))
 
@@ -320,7 +312,7 @@ def _numbers(effects: tuple[tuple[type[AbstractEffect], str], ...], joints: tupl
 
 
 @functools.cache
-def _fitted(effects, joints) -> tuple[Number, ...]:
+def _fitted(effects, joints) -> tuple[Number[Parameter], ...]:
     return tuple(number for number in _numbers(effects, joints) if number.meaning.fitted)
 
 

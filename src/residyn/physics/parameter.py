@@ -188,8 +188,8 @@ def parameters_of(effect: Any) -> tuple[Parameter, ...]:
 
 @functools.cache  # a fit asks some hundred times
 def _declared_by(kind: Any) -> tuple[Parameter, ...]:
-    fields = {f.name: f.metadata[_KEY] for f in dataclasses.fields(kind) if _KEY in f.metadata}
     return tuple(
-        dataclasses.replace(meaning, field=field, name=meaning.name or field)
-        for field, meaning in fields.items()
+        dataclasses.replace(meaning, field=f.name, name=meaning.name or f.name)
+        for f in dataclasses.fields(kind)
+        if (meaning := f.metadata.get(_KEY))
     )

@@ -287,7 +287,7 @@ class Table(NamedTuple):
 def is_unit_row(cells: Sequence[str]) -> bool:
     """Whether a row below the header has units and nothing else: `s`, `[deg]`, or empty cells."""
     words = [_bare_unit(cell) for cell in cells if cell.strip()]
-    known = [word for word in words if any(_known(word, kind) for kind in _UNITS)]
+    known = [word for word in words if _known(word, *_UNITS)]
     return bool(known) and len(known) * 2 > len(words)
 
 
@@ -302,16 +302,12 @@ def guessed(
     time = next((i for i in plain if bare[i] in _TIMES), plain[0])
     rest = [i for i in plain if i != time]
     called = [i for i in rest if re.fullmatch("q[1-9][0-9]*", bare[i])]
-    sized = [i for i in rest if any(_known(words[i], kind) for kind in ("rad", "m"))]
+    sized = [i for i in rest if _known(words[i], "rad", "m")]
     angles = called or sized or rest
     order = _named_order([bare[i] for i in angles])
     at = {"t": time} | {f"q{j + 1}": angles[i] for j, i in enumerate(order or range(len(angles)))}
-    units = {}
-    for name, i in at.items():
-        for kind in ("s",) if name == "t" else ("rad", "m"):
-            if (unit := _known(words[i], kind)) is not None:
-                units[name] = unit
-    return at, units, bool(order)
+    said = {q: _known(words[i], *(["s"] if q == "t" else ["rad", "m"])) for q, i in at.items()}
+    return at, {name: unit for name, unit in said.items() if unit}, bool(order)
 
 
 def _named_order(names: Sequence[str]) -> list[int]:
@@ -349,8 +345,8 @@ def _unit(
         if unit is not None:
             return unit, _UNITS[kind][unit][0], True
     if name[0] == "q" and own is None:
-        for order, reads in enumerate(READS):
-            if any(_known(word, base + PER_TIME[order]) for base in ("rad", "m")):
+        for reads, per_time in zip(READS, PER_TIME, strict=True):
+            if _known(word, "rad" + per_time, "m" + per_time):
                 raise InputError(
                     f"{where}: must be {allowed}, or reads = {quote(reads)} says what it is"
                 )
@@ -358,16 +354,17 @@ def _unit(
     raise InputError(f"{where}: must be {allowed}{hint}")
 
 
-def _known(word: str, kind: str) -> str | None:
-    """The unit of a quantity that a word means, or None."""
-    if word in _UNITS[kind]:
-        return word
+def _known(word: str, *kinds: str) -> str | None:
+    """The unit of one of these quantities that a word means, or None."""
     plain = word.casefold()
     for pattern, instead in _SPELLED:
         plain = pattern.sub(instead, plain)
-    for unit, (_, others) in _UNITS[kind].items():
-        if plain in (*others.split(), unit.casefold().replace(" ", "")):
-            return unit
+    for kind in kinds:
+        if word in _UNITS[kind]:
+            return word
+        for unit, (_, others) in _UNITS[kind].items():
+            if plain in (*others.split(), unit.casefold().replace(" ", "")):
+                return unit
     return None
 
 
@@ -382,6 +379,6 @@ def _parts(cell: str) -> tuple[str, str]:
     if found and found[1]:
         return found[1].strip(), found[2]
     found = _TAILS.fullmatch(cell)
-    if found and any(_known(found[2], kind) for kind in _UNITS):
+    if found and _known(found[2], *_UNITS):
         return found[1].strip(), found[2]
     return cell, ""

@@ -1,7 +1,6 @@
 """An experiment: the inertia of what moved, and its recordings; `load` reads one from its files.
 
 The TOML file says what free motion cannot tell, and names the recordings, whatever their format.
-Everything wrong with a file raises `InputError` with one clear line that names it.
 """
 
 import dataclasses
@@ -174,13 +173,13 @@ def from_text(text: str, folder: Path, where: str, path: str = "") -> Experiment
 
     **Raises:** as `load`.
     """
-    contents = parse(text, where)
+    fields, entries = parse(text, where)
     with inside(where):
         recordings = []
-        for i, entry in enumerate(contents.recordings):
+        for i, entry in enumerate(entries):
             with inside(f"[[recordings]] {i + 1}"):
-                recordings.append(_read(folder, contents.inertia, **entry))
-        return Experiment(**contents._replace(recordings=tuple(recordings))._asdict(), path=path)
+                recordings.append(_read(folder, fields["inertia"], **entry))
+        return Experiment(**fields, recordings=tuple(recordings), path=path)
 
 
 def _read(
@@ -194,7 +193,12 @@ def _read(
         for key, value in (given | {key: options.get(key) for key in ("rest", "reads")}).items():
             if value is not None:
                 raise InputError(f"{file}: {key} does not go with markers; leave it out")
-        recording = _from_markers(path, inertia, name=file, **options)
+        if "m" in (inertia.units or ()):
+            raise InputError(f"{file}: markers give angles, but a joint is in m")
+        normal, lengths = options.pop("normal", None), getattr(inertia, "link_lengths", None)
+        markers = options.pop("markers", None)
+        seen = read_markers(path, markers, normal=normal, link_lengths=lengths)
+        recording = seen.recording(name=file, **options)
     else:
         for key in ("markers", "normal"):
             if key in options:
@@ -211,8 +215,7 @@ def _read(
         recording = Recording.from_arrays(table.time, angle, drive=drive, name=file, **options)
         said = "; ".join(filter(None, [table.understood, recording.understood]))
         recording = dataclasses.replace(recording, understood=said)
-        units, lines = reading_units(inertia.units, orders), table.lines_at(recording.time)
-        odd = not_free(recording, units, table.stated, options, lines)
+        odd = not_free(recording, reading_units(inertia.units, orders), table, options)
         if odd is not None and recording.role != "inertia":
             raise InputError(f"{file}: {odd.words}")
         still = drive is None and not (np.nanmax(angle, 0) > np.nanmin(angle, 0)).any()
@@ -225,22 +228,6 @@ def _read(
         doubt = "theta2, the elbow's angle at rest, is not given; 0 rad is taken, stretched out"
         recording = recording.saying([doubt])
     return recording
-
-
-def _from_markers(
-    path: Path,
-    inertia: ArmTable | InertiaTable,
-    *,
-    markers: Any = None,
-    normal: Any = None,
-    **options: Any,
-) -> Recording:
-    """The recording in a file of markers; what was repaired in it is among its warnings."""
-    if "m" in (inertia.units or ()):
-        raise InputError(f"{options['name']}: markers give angles, but a joint is in m")
-    lengths = inertia.link_lengths if isinstance(inertia, ArmTable) else None
-    seen = read_markers(path, markers, normal=normal, link_lengths=lengths)
-    return seen.recording(**options)
 
 
 def _in_degrees(experiment: Experiment) -> list[str]:

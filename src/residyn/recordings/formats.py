@@ -79,7 +79,6 @@ def _mat(path: str) -> Mapping[str, Any]:
 
 
 def _parquet(path: str) -> Mapping[str, Any]:
-    """The columns of a Parquet file."""
     try:
         import pyarrow as arrow
         from pyarrow import parquet
@@ -110,7 +109,6 @@ _READERS: dict[str, Callable[[str], Mapping[str, Any]]] = {
 
 
 def _table(content: Mapping[str, Any], joints: Joints, layout: Layout) -> Table:
-    """The recording in these columns."""
     header, values = [name.strip() for name in content], list(content.values())
     columns = columns_of(header, joints, layout)
     found: dict[str, np.ndarray] = {}

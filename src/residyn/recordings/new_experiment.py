@@ -16,6 +16,7 @@ from .columns import Joints, Layout
 from .csv import guessed_columns, read_lab_csv
 from .recording import Recording
 from .sanity import not_free
+from .tables import ArmTable
 
 _ARM = """\
 [arm]                     # two links, with the bearings on: `residyn inertia`
@@ -24,7 +25,6 @@ shoulder = "?"            # I1 about the shoulder + m2 l1^2, kg m^2
 elbow = "?"               # I2 about the elbow, kg m^2
 coupling = "?"            # m2 rho2, kg m; rho2: from the elbow to link 2's centre of mass
 """
-_ARMS_KINDS = ("rad", "rad")
 _AS_THEY_ARE = "no name says which column is which joint; the order is the file's"
 _INERTIA = """\
 [inertia]                 # a constant mass matrix
@@ -54,7 +54,7 @@ def experiment_text(files: Sequence[Path], folder: Path) -> str:
         units=toml_value(list(kinds)),
         matrix=toml_value([["?"] * n] * n),
     )
-    return "\n".join([_ARM if kinds == _ARMS_KINDS else head, *tables])
+    return "\n".join([_ARM if kinds == ArmTable.units else head, *tables])
 
 
 def _entry(file: Path, folder: Path) -> tuple[str, tuple[str, ...]]:
@@ -72,15 +72,9 @@ def _entry(file: Path, folder: Path) -> tuple[str, tuple[str, ...]]:
     for _ in range(6):
         table = read_lab_csv(file, joints, Layout(keys.get("columns"), keys.get("units")))
         understood = table.understood
-        recording = Recording.from_arrays(
-            table.time,
-            table.angle,
-            name=str(file),
-            start=keys.get("start"),
-            rest=keys.get("rest"),
-        )
-        lines = table.lines_at(recording.time)
-        found = not_free(recording, joints.units, table.stated, keys, lines)
+        cut: dict[str, Any] = {key: keys.get(key) for key in ("start", "rest")}
+        recording = Recording.from_arrays(table.time, table.angle, name=str(file), **cut)
+        found = not_free(recording, joints.units, table, keys)
         if found is None:
             break
         if not found.key:  # nothing but the recording itself settles it
@@ -95,7 +89,7 @@ def _entry(file: Path, folder: Path) -> tuple[str, tuple[str, ...]]:
         if key in said:
             lines += _comment(f"seen: {said[key]}")
         lines.append(f"{key} = {toml_value(value)}")
-    if kinds == _ARMS_KINDS:
+    if kinds == ArmTable.units:
         lines.append('theta2 = "?"              # elbow angle at rest, rad; 0: stretched out')
     return "\n".join([*lines, ""]), kinds
 

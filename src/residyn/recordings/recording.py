@@ -30,12 +30,9 @@ leaves dozens for each period of anything that swings less than a thousand times
 class Extent(NamedTuple):
     """How far and how fast each joint moves, (n,) rad or m, and per second."""
 
-    rms: np.ndarray
-    """About the middle of its range of values."""
-    largest: np.ndarray
-    """Distance from that middle which one reading in a hundred exceeds."""
-    rate: np.ndarray
-    """Highest sustained rate, from differences above the noise."""
+    rms: np.ndarray  # about the middle of its range of values
+    largest: np.ndarray  # distance from that middle which one reading in a hundred exceeds
+    rate: np.ndarray  # highest sustained rate, from differences above the noise
 
 
 @dataclass(frozen=True, eq=False)

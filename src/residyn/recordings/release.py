@@ -27,7 +27,7 @@ def window(time: np.ndarray, angle: np.ndarray, start: Any, stop: Any) -> slice:
     # A stop of 20 s belongs to 2000 samples at 100 Hz, the last of which is at 19.99 s.
     room, hair = 2 * step, 1e-6 * step
     within = f"must be within the recording, {time[0]:g} to {time[-1]:g} s on its own clock"
-    low, high = 0, len(time)
+    high = len(time)
     if stop is not None:
         stop = number("stop", stop, "s")
         if not time[0] <= stop <= time[-1] + room:
@@ -38,15 +38,13 @@ def window(time: np.ndarray, angle: np.ndarray, start: Any, stop: Any) -> slice:
             raise InputError(f'start = {quote(start)}: must be a number (s) or "release"')
         check_enough(angle[:high], part=True)
         start = release_time(time[:high], angle[:high])
-        low = int(np.searchsorted(time, start - hair))
     elif start is not None:
         start = number("start", start, "s")
         if not time[0] - room <= start <= time[-1]:
             raise InputError(f"start = {start:g} s: {within}")
         if stop is not None and start >= stop:
             raise InputError(f"start = {start:g} s: must be before stop = {stop:g} s")
-        low = int(np.searchsorted(time, start - hair))
-    return slice(low, high)
+    return slice(0 if start is None else int(np.searchsorted(time, start - hair)), high)
 
 
 def release_time(time: np.ndarray, angle: np.ndarray) -> float:

@@ -50,11 +50,11 @@ def moving_means(x: np.ndarray, width: int) -> np.ndarray:
     return (total[width:] - total[:-width]) / width
 
 
-def block_means(x: np.ndarray, many: int, most_missing: float = 0.5) -> np.ndarray:
-    """Means of so many rows after each other of x (N,) or (N, n); NaN where more than that share of
-    them is missing. A rest of fewer rows is left out."""
+def block_means(x: np.ndarray, many: int) -> np.ndarray:
+    """Means of so many rows after each other of x (N,) or (N, n); NaN where more than half of them
+    are missing. A rest of fewer rows is left out."""
     blocks = x[: len(x) // many * many].reshape(-1, many, *x.shape[1:])
     seen = np.isfinite(blocks)
     total = np.where(seen, blocks, 0.0).sum(axis=1)
-    enough = seen.mean(axis=1) >= 1 - most_missing
-    return np.where(enough, total / np.maximum(seen.sum(axis=1), 1), np.nan)
+    count = seen.sum(axis=1)
+    return np.where(2 * count >= many, total / np.maximum(count, 1), np.nan)

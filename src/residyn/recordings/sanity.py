@@ -11,12 +11,13 @@ swings on, a rest is within 0.28 of the amplitude (a slipping brake apart), and 
 go leaves `_STILL` within 0.10 of a period. Limits are 0.5 and 0.2.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .arrays import clock_warnings
+from .columns import Table
 from .recording import Recording
 from .resampling import decimated, evenly_sampled, moving_means, slowest_period
 from .rest import rest_angles
@@ -41,18 +42,14 @@ class Finding(NamedTuple):
 
 
 def not_free(
-    recording: Recording,
-    units: tuple[str, ...] | None,
-    said: Collection[str],
-    keys: Mapping[str, Any],
-    lines: np.ndarray,
+    recording: Recording, units: tuple[str, ...] | None, table: Table, keys: Mapping[str, Any]
 ) -> Finding | None:
     """What is not as the free motion of an arm; None if nothing is.
 
-    **Arguments:** `units` of the joints; `said`: the columns whose unit the file states; `keys`:
-    those of its `[[recordings]]` table, which settle things; `lines` (N,) of its file.
+    **Arguments:** `units` of the joints; `table`: the recording as its file has it; `keys`: those
+    of its `[[recordings]]` table, which settle things.
     """
-    time, angle = recording.time, recording.angle
+    time, angle, said = recording.time, recording.angle, table.stated
     if abs(recording.theta2) > 2 * np.pi:
         words = f"theta2 = {recording.theta2:g}: in degrees? it must be in rad"
         return Finding(words, "theta2", float(np.radians(recording.theta2)))
@@ -68,7 +65,7 @@ def not_free(
             return Finding(words, "units", {f"q{j + 1}": "deg"})
     if recording.drive is not None or not (np.nanmax(angle, 0) > np.nanmin(angle, 0)).any():
         return None
-    if units and (wild := _no_angle(recording, units, lines)) is not None:
+    if units and (wild := _no_angle(recording, units, table)) is not None:
         return wild
     clock, motion = evenly_sampled(time, angle, recording.outliers)
     step = clock[1] - clock[0]
@@ -91,9 +88,10 @@ def not_free(
     return None
 
 
-def _no_angle(recording: Recording, units: tuple[str, ...], lines: np.ndarray) -> Finding | None:
+def _no_angle(recording: Recording, units: tuple[str, ...], table: Table) -> Finding | None:
     """Readings that are `_TURN` from the others and from the one beside them, if there are any;
     what a fit sets aside as outliers is not looked at."""
+    lines = table.lines_at(recording.time)
     for j, unit in enumerate(units):
         seen = np.flatnonzero(np.isfinite(recording.angle[:, j]) & ~recording.outliers[:, j])
         angle = recording.angle[seen, j]

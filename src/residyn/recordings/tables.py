@@ -30,25 +30,22 @@ class ArmTable:
     coupling: float | None = None
     joints: ClassVar[tuple[str, ...]] = ("shoulder", "elbow")
     units: ClassVar[tuple[str, ...]] = ("rad", "rad")
+    _inertias: ClassVar = {"shoulder": "kg m^2", "elbow": "kg m^2", "coupling": "kg m"}
 
     def __post_init__(self):
         lengths = entries("link_lengths", self.link_lengths, "two lengths in m, [l1, l2]", 2)
         lengths = tuple(number("link_lengths", x, "m", above=0) for x in lengths)
         object.__setattr__(self, "link_lengths", lengths)
-        for name, unit, above in (
-            ("shoulder", "kg m^2", 0.0),
-            ("elbow", "kg m^2", 0.0),
-            ("coupling", "kg m", None),
-        ):
-            value = getattr(self, name)
-            if value is not None:
+        for name, unit in self._inertias.items():
+            if (value := getattr(self, name)) is not None:
+                above = None if name == "coupling" else 0.0
                 object.__setattr__(self, name, number(name, value, unit, above=above))
         check_bearings(self, ())
 
     @property
     def missing(self) -> tuple[str, ...]:
         """The inertias that are not given."""
-        return tuple(n for n in ("shoulder", "elbow", "coupling") if getattr(self, n) is None)
+        return tuple(name for name in self._inertias if getattr(self, name) is None)
 
 
 @dataclass(frozen=True)

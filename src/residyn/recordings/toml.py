@@ -11,7 +11,7 @@ import json
 import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from ..errors import InputError, did_you_mean, flag, inside, quote
 from ..simulation.integrator import Integrator
@@ -30,18 +30,9 @@ _INERTIAS = (
 )
 
 
-class Contents(NamedTuple):
-    """What the file says; of each `[[recordings]]` the keys, most of their values unchecked yet."""
-
-    inertia: ArmTable | InertiaTable
-    bearings: tuple[Bearing, ...]
-    recordings: tuple[dict[str, Any], ...]
-    integrator: Integrator | None = None
-    limits: Limits | None = None
-
-
-def parse(text: str, where: str) -> Contents:
-    """Read the text of an experiment file; `where` is its name."""
+def parse(text: str, where: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The fields of an `Experiment` that its file's text says, `where` being its name; and the keys
+    of each `[[recordings]]`, most of their values unchecked yet."""
     with inside(where):
         tables = _tables(text)
         _check_keys("the file", tables, _TABLES)
@@ -81,7 +72,8 @@ def parse(text: str, where: str) -> Contents:
             with inside("[limits]"):
                 limits.check(inertia.joints, "arm" in tables, bool(bearings))
         integrator = _one(tables, "integrator", _integrator, ("solver", "rtol", "atol"))
-        return Contents(inertia, tuple(bearings), tuple(recordings), integrator, limits)
+        fields = {"inertia": inertia, "bearings": bearings, "limits": limits}
+        return fields | {"integrator": integrator}, recordings
 
 
 def _tables(text: str) -> dict[str, Any]:

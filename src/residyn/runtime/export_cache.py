@@ -98,10 +98,8 @@ def kept(like: Any, *, seldom: bool = False) -> Callable[[Callable], "Kept"]:
     `seldom`, a few times a process, is compiled without LLVM's optimisations, which take longer
     than they then save.
     """
-    return lambda function: Kept(function, like, _UNOPTIMISED if seldom else {})
-
-
-_UNOPTIMISED = {"xla_backend_optimization_level": 0}
+    options = {"xla_backend_optimization_level": 0} if seldom else {}
+    return lambda function: Kept(function, like, options)
 
 
 _MOST = 24
@@ -134,10 +132,9 @@ class Kept:
         leaves, structure = jax.tree.flatten(args)
         if any(isinstance(x, Tracer) for x in leaves):
             return self._within(*args)
-        if _cache is None:
-            return self._plain(*args)
         arrays = [x for x in leaves if eqx.is_array(x)]
-        if any(isinstance(x, jax.Array) and len(x.devices()) > 1 for x in arrays):
+        spread = any(isinstance(x, jax.Array) and len(x.devices()) > 1 for x in arrays)
+        if _cache is None or spread:
             return self._plain(*args)
         told = _key(leaves, structure)
         key = self, told, _devices(arrays)
@@ -158,8 +155,9 @@ class Kept:
 
     def _found(self, cache: Cache, args, arrays, key) -> Any:
         """The program for these inputs, as it was kept, or traced and kept now."""
-        words = _words(key[0], [x for x in key[1] if not isinstance(x, tuple)])
-        if words is None:
+        structure, leaves = key[:2]
+        words = _words(structure)
+        if words is None or not all(type(x) in (tuple, *_TOLD) for x in leaves):
             return jax.jit(self._flat(args))
         name = "\n".join([self._name, made_of(), words, repr(key[1:])])
         try:
@@ -209,10 +207,8 @@ def _devices(arrays) -> frozenset:
     return frozenset(device for x in bound for device in x.devices()) or frozenset([default])
 
 
-def _words(structure, others) -> str | None:
+def _words(structure) -> str | None:
     """All of the inputs' structure, in words; None if words cannot tell all of it."""
-    if not all(type(x) in _TOLD for x in others):
-        return None
     node = structure.node_data()
     if node is None:
         return "*" if structure.num_leaves else "-"
@@ -221,7 +217,7 @@ def _words(structure, others) -> str | None:
     # "<" begins what has no text of its own; "..." is an array cut short.
     if home.partition(".")[0] not in ("residyn", "builtins") or "<" in told or "..." in told:
         return None
-    parts = [_words(child, ()) for child in structure.children()]
+    parts = [_words(child) for child in structure.children()]
     if any(part is None for part in parts):
         return None
     return f"{home}.{kind.__qualname__}{told}({','.join(parts)})"  # pyright: ignore

@@ -137,8 +137,7 @@ def _solve(
         assigned = labels.assign(markers, chain)
     joints = assigned.apply(markers)
     noise = float(min(chain.sigmas)) / 2**0.5
-    given = None if normal is None else _direction(normal)
-    table = plane.fit(joints, noise) if given is None else plane.frame_of(given)
+    table = plane.fit(joints, noise) if normal is None else plane.frame_of(_direction(normal))
     warnings = _length_warnings(names, chain, lengths)
     warnings += [
         f"{quote(names[j])} changes its label with another marker, and the arm moves too little to "
