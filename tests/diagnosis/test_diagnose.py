@@ -454,6 +454,36 @@ def test_a_pendulum_in_air_lacks_gravity_and_drag_and_needs_no_spring():
     assert abs(value - 3e-3) < 4 * std
 
 
+def test_two_laws_of_damping_are_found_together_where_each_alone_leaves_as_much():
+    # A joint that rings two hundred times before it is still: all that damps it is a tenth of a
+    # thousandth of the spring's torque, or ten of them, and a damper takes most of it up.
+    inertia, stiffness, friction, drag, damping = 0.05, 1.94, 3e-3, 6e-4, 1e-3
+    h, v, angle = 1 / 16_000, 0.0, [0.7]
+    while len(angle) < 1000:  # at 40 Hz; dry friction exactly, once a step (Moreau 1988)
+        q = angle[-1]
+        for _ in range(400):
+            q += 0.5 * h * v
+            v -= h * (stiffness * q + damping * v + drag * abs(v) * v) / inertia
+            v -= math.copysign(min(abs(v), h * friction / inertia), v)
+            q += 0.5 * h * v
+        angle.append(q)
+    noisy = np.array(angle) + 5e-4 * np.random.default_rng(1).standard_normal(len(angle))
+    seen = residyn.Recording.from_arrays(np.arange(1000) / 40, noisy[:, None])
+    found = residyn.diagnose(
+        residyn.Experiment(InertiaTable(("axis",), ((inertia,),), ("rad",)), (seen,))
+    )
+    assert found.verdict == "missing"
+    assert set(found.added) == {"coulomb_friction:axis", "quadratic_drag:axis"}
+    assert all(family.probability > 0.9 for family in found.families[:2])
+    for name, truth in (
+        ("damper:axis.damping", damping),
+        ("coulomb_friction:axis.torque", friction),
+        ("quadratic_drag:axis.coefficient", drag),
+    ):
+        value, std = parameter(found, name)
+        assert abs(value - truth) < 4 * std
+
+
 # -- recordings of other kinds --------------------------------------------------------------------
 
 

@@ -9,6 +9,7 @@ import sys
 import tomllib
 import urllib.error
 import urllib.request
+from importlib.resources import files
 
 import jax
 import numpy as np
@@ -286,6 +287,19 @@ def test_a_refit_ends_at_its_next_step_where_nobody_waits_for_it_any_more(study)
         study.refit(["gravity"], lambda: next(steps))
     assert frozenset(["gravity"]) not in study.refits
     assert study.refit(["gravity"]) is not None
+
+
+def test_what_is_held_out_without_bearings_has_their_effects_and_feels_none():
+    whole = residyn.load(files("residyn") / "data" / "bearings" / "bearings.toml")
+    cut = [dataclasses.replace(r, time=r.time[:150], angle=r.angle[:150]) for r in whole.recordings]
+    own = Study(dataclasses.replace(whole, recordings=(cut[0], cut[2])), ["bearing_drag"])
+    first, (there, path, _) = own.first_order(), own.beside
+    assert first.held_out.solve.shape == first.fitted.solve.shape
+    column = own.labels.index("bearing_friction")
+    for columns, feels in ((own.columns, True), (own.columns_along(there, path), False)):
+        torque, reading = columns.inputs
+        assert torque[..., column].any() == feels
+        assert not reading[..., column].any()
 
 
 def test_what_is_hidden_shows_and_is_not_told(study):

@@ -102,7 +102,7 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
         "joints": list(experiment.joints),
         "units": list(units),
         "base": list(search.fixed),
-        "with": [e if isinstance(e, str) else e.label for e in study.effects],
+        "with": [e.label for e in study.effects],
         "held_out": held,
         "recordings": [_recording(r) for r in _shown(study)],
         "candidates": [_candidate(study, s) for s in screen.ranked],

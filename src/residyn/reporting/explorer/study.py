@@ -66,7 +66,7 @@ class Study:
         """
         if not experiment.fit_recordings:
             raise ValueError('no recording has role = "fit": there is nothing to fit to')
-        self.experiment, self.effects, self.say = experiment, tuple(effects), say
+        self.experiment, self.say = experiment, say
         scene, base, wild = scene_of(experiment, effects)
         whole = experiment.owning([e.label for e in base])
         self._keep(Search(scene, base, say=say), Fits(whole, scene, wild, DEFAULT_STARTS))
@@ -79,9 +79,6 @@ class Study:
         assert found.search is not None
         self = cls.__new__(cls)
         self.experiment, self.say = found.fits.whole, lambda words: None
-        self.effects = tuple(
-            e for e in found.base.model.effects if e.name not in ("spring", "damper")
-        )
         self._keep(found.search, found.fits)
         self._learn(found)
         return self
@@ -95,6 +92,8 @@ class Study:
         self.predictions: dict[frozenset[str], np.ndarray | None] = {}
         self.screen = search.screen(search.base)
         self.loud, self.intensity = search.screening_motion(search.base)
+        self.effects = [e for e in self.loud.effects if e.name not in ("spring", "damper")]
+        """Of the base model. Of the bearings' effects recordings without any know no name."""
         self.shapes = {s.effect.label: s.shape for s in self.screen.ranked}
 
     @property
