@@ -26,15 +26,7 @@ from ..fitting.result import Fit
 from ..physics.motion import JointMotion
 from ..runtime.json import number
 from .columns import with_effects
-from .evidence import (
-    CONTENDERS,
-    FURTHER,
-    HOPELESS,
-    IN_PLAY,
-    INTENSITIES,
-    OUTSIDE,
-    over_intensities,
-)
+from .evidence import CONTENDERS, FURTHER, HOPELESS, IN_PLAY, INTENSITIES, OUTSIDE, over_intensities
 from .forecast import HeldOut, held_out
 from .formula import FACTORS, SYMBOLS, likeliest, unit_of, written
 from .free_curves import (

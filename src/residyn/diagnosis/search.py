@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import softmax
 
 from ..effects import AbstractEffect
 from ..filtering.kalman import Evidences, System
@@ -37,13 +38,13 @@ from .columns import (
     without,
 )
 from .evidence import (
+    COMPLETE,
     CONTENDERS,
     EXPLAINS_NOTHING,
     HOPELESS,
     IN_PLAY,
     INDISTINGUISHABLE,
     INTENSITIES,
-    NEGLIGIBLE,
     READINGS_LEAD,
     STRENGTHS,
     WIDTH,
@@ -54,7 +55,6 @@ from .evidence import (
     prior_of,
     right_signs,
     savage_dickey,
-    shares,
     signed,
 )
 from .simulated import Simulated
@@ -93,12 +93,12 @@ class Tried:
     @functools.cached_property
     def weights(self) -> np.ndarray:
         """(I,) posterior of the random torque's intensity, given the model."""
-        return shares(self.evidences + log_prior_intensity(INTENSITIES))
+        return softmax(self.evidences + log_prior_intensity(INTENSITIES))
 
     @property
     def complete(self) -> float:
         """Probability, given the model, that it needs no random torque that matters."""
-        return float(self.weights[np.array(INTENSITIES) <= NEGLIGIBLE].sum())
+        return float(self.weights[COMPLETE].sum())
 
     @property
     def intensity(self) -> float:
