@@ -497,7 +497,7 @@ class Posterior:
             groups.setdefault((effect.kind(), effect.place), []).append(effect)
         found = []
         for (name, place), effects in groups.items():
-            labels, kind = {e.label for e in effects}, (name, place)
+            labels, kind = [e.label for e in effects], (name, place)
             members = sorted(((x, self.of([x])) for x in labels), key=lambda m: -m[1])
             known = self.of(labels, kind), tuple(members), self.of((), kind)
             found.append(Family(name, place, *known))

@@ -207,7 +207,7 @@ def over_widths(
     return log_sum(logs), mean + slope * (middle - m), covariance + wider * np.outer(slope, slope)
 
 
-def log_prior_intensity(intensities: Sequence[float]) -> np.ndarray:
+def log_prior_intensity(intensities: Sequence[float] | np.ndarray) -> np.ndarray:
     """(I,) log prior of each intensity, of which 0 is one."""
     others = (1 - NO_RANDOM_TORQUE) / (len(INTENSITIES) - 1)
     return np.log(np.where(np.equal(intensities, 0), NO_RANDOM_TORQUE, others))

@@ -182,7 +182,7 @@ class Sum(NamedTuple):
         gains, means, _ = subset(rests, np.arange(columns.shape[1]))
         evidences = totals + bases + gains + signs(along, grams)
         evidences = np.where(np.isfinite(evidences), evidences, -np.inf)
-        mean = means[int(np.argmax(evidences + log_prior_intensity(list(intensities))))]
+        mean = means[int(np.argmax(evidences + log_prior_intensity(intensities)))]
         moved = self.moved(np.clip(SHAPE * mean[count:], -_FURTHEST, _FURTHEST))
         return moved._replace(strengths=width * mean[:count], evidences=evidences)
 
@@ -248,7 +248,7 @@ class Every:
         at = np.array(INTENSITIES)[order]
         totals, self.grams = along.gram([model.place], [np.eye(HEIGHTS)], at, model.held)
         bases, self.rests = conditional(self.grams, len(along.trajectory.u))
-        self.bases = totals + bases + log_prior_intensity(at.tolist())
+        self.bases = totals + bases + log_prior_intensity(at)
         """(I,) the likeliest random torque first."""
 
 

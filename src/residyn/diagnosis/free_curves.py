@@ -223,6 +223,15 @@ class Place(NamedTuple):
             return np.ones_like(x)
         return x if not self.kind.factor and self.kind.variable in ("angle", "rate") else None
 
+    def beyond(self, values: np.ndarray, x: np.ndarray, visits: Any = 1.0) -> np.ndarray:
+        """Values (G, ...) of curves at x (G,), less what springs and dampers are already, in the
+        mean over the visits (G,) of each point."""
+        taken = self.taken(x)
+        if taken is None:
+            return values
+        share = (visits * taken) @ values / np.sum(visits * taken**2)
+        return values - np.multiply.outer(taken, share)
+
     def effect(self, scene: Scene, heights: np.ndarray) -> FreeCurve:
         """The curve with these heights (HEIGHTS,)."""
         made = FreeFriction if self.kind.factor == "direction" else FreeCurve
@@ -437,7 +446,5 @@ def settled_curve(
 
 def _share(along: Along, place: Place, heights: np.ndarray) -> float:
     x, factor = along.visited(place)
-    value, taken = splines(x, place.low, place.high) @ heights, place.taken(x)
-    if taken is not None:
-        value = value - taken * (taken @ value) / (taken @ taken)
+    value = place.beyond(splines(x, place.low, place.high) @ heights, x)
     return float(np.sqrt(np.mean((factor * value) ** 2)) / along.scene.torque[place.joint])
