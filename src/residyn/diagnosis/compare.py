@@ -138,10 +138,8 @@ def _missing(experiment: Experiment, own, say: Callable[[str], None]) -> tuple[M
     search = Search(scene, effects, say=say)
     if search.base.intensity > 0:
         search.extend(search.base)
-    singles = [t for t in search.tried.values() if len(t.added) == 1]
-    singles = [t for t in singles if t.log_posterior > search.base.log_posterior]
-    singles.sort(key=lambda t: -t.log_posterior)
-    return missing_of(scene, search.base, [(t, t.added[0]) for t in singles[:CURVES]])
+    better = [t for t in search.singles if t.log_posterior > search.base.log_posterior]
+    return missing_of(scene, search.base, [(t, t.added[0]) for t in better[:CURVES]])
 
 
 def summary(found: tuple[Missing, ...]) -> dict[str, Any] | None:

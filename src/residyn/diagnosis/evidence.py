@@ -282,7 +282,7 @@ def conditional(gram: np.ndarray, base: int) -> tuple[np.ndarray, np.ndarray]:
     keep, own = np.r_[0, 1 + base : gram.shape[-1]], gram[..., 1 : 1 + base, :]
     factor = gram_factor(own[..., 1 : 1 + base] + np.eye(base))
     across = np.linalg.solve(factor, own[..., keep])
-    rest = gram[..., keep[:, None], keep] - np.swapaxes(across, -1, -2) @ across
+    rest = gram[..., keep[:, None], keep] - across.mT @ across
     logs = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
     return -0.5 * rest[..., 0, 0] - logs, rest
 
@@ -306,7 +306,7 @@ def subset(gram: np.ndarray, columns) -> tuple[np.ndarray, np.ndarray, np.ndarra
     factor = gram_factor(inner)
     x = np.linalg.solve(factor, -gram[..., i, 0][..., None])
     logs = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
-    mean = np.linalg.solve(np.swapaxes(factor, -1, -2), x)[..., 0]
+    mean = np.linalg.solve(factor.mT, x)[..., 0]
     return 0.5 * np.sum(x[..., 0] ** 2, -1) - logs, mean, np.linalg.inv(inner)
 
 

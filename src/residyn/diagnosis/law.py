@@ -236,9 +236,8 @@ def _named(search: Search, law: Law) -> tuple[tuple[str, np.ndarray], ...]:
     """Named laws of the curve's variable at its joint, each alone, the likeliest first."""
     if law.factor or law.variable == "time":
         return ()
-    alone = [m for m in search.tried.values() if len(m.added) == 1]
     found = []
-    for model in sorted(alone, key=lambda m: -m.log_posterior):
+    for model in search.singles:
         t = model.best
         effect = t.valued()[t.labels.index(model.added[0])]
         if not of_one_joint(effect) or effect.joint != law.joint or effect.memory:

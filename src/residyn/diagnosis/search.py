@@ -406,6 +406,12 @@ class Search:
         """The model with the highest posterior."""
         return max(self.tried.values(), key=lambda t: t.log_posterior)
 
+    @property
+    def singles(self) -> list[Tried]:
+        """The models with one effect, the likeliest first."""
+        found = (t for t in self.tried.values() if len(t.added) == 1)
+        return sorted(found, key=lambda t: -t.log_posterior)
+
     def _keep(self, added: Sequence[str], evidences: np.ndarray, best: Trajectory) -> None:
         prior = log_prior_model(len(added), len(self.candidates))
         found = Tried(tuple(added), evidences, best, prior)
