@@ -27,7 +27,7 @@ _FELT = 2e-3  # of the spring's rms torque: a joint that feels less is innocent
 
 def scores(case: rig.HiddenCase) -> list[tuple[float, float]]:
     """(correlation, coverage) of every joint that feels the hidden torque."""
-    scene, effects, _ = scene_of(experiment_of(case), [])
+    scene, effects = scene_of(experiment_of(case), [])
     model = tried_alone(scene, effects)
     (found,) = torques_of(scene, model)
     pairs = [

@@ -100,9 +100,9 @@ def measured(case, name: str, **where) -> residyn.Recording:
 def weighed(experiment: residyn.Experiment, most: int = 1, effects=()) -> Posterior:
     """The models that a search tries, and their probabilities; all have springs, dampers and
     `effects`."""
-    scene, base, wild = scene_of(experiment, effects)
+    scene, base = scene_of(experiment, effects)
     search = Search(scene, base)
-    search.exact = Fits(experiment, scene, wild, starts=1).simulated
+    search.exact = Fits(experiment, scene, starts=1).simulated
     search.run(most)
     return Posterior(search)
 

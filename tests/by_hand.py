@@ -165,10 +165,10 @@ def a_candidate(effect, probability, log_evidence, iterated=True):
     return Candidate(effect, probability, log_evidence, iterated, values)
 
 
-def a_model(fit, added=None, dropped=(), held=(46.0, 24.0), log_evidence=0.0):
+def a_model(fit, added=None, held=(46.0, 24.0), log_evidence=0.0):
     """A model on the way with these held-out errors, in times the noise."""
     check = HeldOut("check recordings", an_error(*held), an_error(7.1, 11.0))
-    return ModelState(added, tuple(dropped), fit, check, log_evidence)
+    return ModelState(added, fit, check, log_evidence)
 
 
 def torques(size, band=0.5):
@@ -274,13 +274,13 @@ def adequate(**changed):
 
 
 def unexplained(**changed):
-    """Something is left, whatever was tried; one effect left again when a better one had joined."""
+    """Something is left, whatever was tried."""
     labels = "quadratic_drag:elbow", "asymmetric_stiffness:shoulder"
     fits = a_fit(), a_fit(labels[:1]), a_fit(labels[1:], 0.5 * SLIP, 4.1)
     ladder = (
         a_model(fits[0], log_evidence=-900.0),
         a_model(fits[1], labels[0], held=(20.0, 12.0), log_evidence=-300.0),
-        a_model(fits[2], labels[1], labels[:1], held=(15.0, 2.0)),
+        a_model(fits[2], labels[1], held=(15.0, 2.0)),
     )
     family = Family("spring shape", "shoulder", 0.97, ((labels[1], 0.97),))
     settings = {

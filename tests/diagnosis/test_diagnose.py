@@ -174,7 +174,7 @@ def test_what_the_model_still_lacks_is_small_beside_the_spring(friction):
 def test_the_right_effect_draws_the_curve_of_the_torque_that_is_missing():
     case = release((COULOMB[0], {"torque": 0.15}), q0=(0.25, -0.2))
     with jax.enable_x64(True):
-        scene, base, _ = scene_of(experiment(of(case)), ())
+        scene, base = scene_of(experiment(of(case)), ())
         search = Search(scene, base)
         search.extend(search.base)
         model = search.tried[frozenset([COULOMB[0]])]
@@ -226,7 +226,7 @@ def test_a_brake_without_stiffness_does_not_stand_for_a_constant_torque():
     # To first order about none, one that slipped beforehand is a constant torque.
     case = release(("constant_torque:elbow", {"torque": 0.1}))
     with jax.enable_x64(True):
-        scene, base, _ = scene_of(experiment(of(case)), ())
+        scene, base = scene_of(experiment(of(case)), ())
         search = Search(scene, base)
         search.extend(search.base)
     assert search.best.added == ("constant_torque:elbow",)
@@ -237,7 +237,7 @@ def test_a_hand_that_rings_at_its_own_frequency_is_found_at_it():
     hand = {"inertia": 0.02 * ARM.elbow, "frequency": 1.35, "damping_ratio": 0.01}
     case = release(("wrist_flexibility", hand))
     with jax.enable_x64(True):
-        scene, base, _ = scene_of(experiment(of(case)), ())
+        scene, base = scene_of(experiment(of(case)), ())
         search = Search(scene, base)
         search.extend(search.base)
     assert search.best.added == ("wrist_flexibility",)
@@ -248,7 +248,7 @@ def test_a_hand_that_rings_at_its_own_frequency_is_found_at_it():
 def test_a_model_whose_motion_runs_away_when_smoothed_again_has_the_one_it_was_iterated_to():
     case = release(COULOMB)
     with jax.enable_x64(True):
-        scene, base, _ = scene_of(experiment(of(case)), ())
+        scene, base = scene_of(experiment(of(case)), ())
         tried = Search(scene, base).base
         lost = SimpleNamespace(linearised=scene.linearised, smoothed=lambda *given: None)
         assert tried.over_torques(lost) == [(1.0, tried.best)]
@@ -291,7 +291,7 @@ def test_what_sticks_is_found_from_afar_as_from_its_own_numbers(made):
     assert case.motion is not None
     table = ArmTable((arm.l1, arm.l2), arm.shoulder, arm.elbow, arm.coupling)
     seen = residyn.Recording.from_arrays(case.t, case.q, noise=case.noise, theta2=arm.theta2)
-    scene, base, _ = scene_of(residyn.Experiment(table, (seen,)), ())
+    scene, base = scene_of(residyn.Experiment(table, (seen,)), ())
     with jax.enable_x64(True):
         search = Search(scene, base)
         search.extend(search.base)
@@ -557,7 +557,7 @@ def test_noise_alone_has_the_evidence_of_noise():
     angle = noise * np.random.default_rng(0).standard_normal((len(time), 2))
     seen = residyn.Recording.from_arrays(time, angle, noise=noise, theta2=ARM.theta2)
     with jax.enable_x64(True):
-        scene, base, _ = scene_of(experiment(seen), ())
+        scene, base = scene_of(experiment(seen), ())
         found = tried_alone(scene, base).log_evidence
     alone = norm.logpdf(angle, scale=noise).sum()
     assert alone - 50.0 < found < alone + 5.0  # less what numbers and first states cost
@@ -644,7 +644,7 @@ def test_ctrl_c_keeps_what_was_found(phase, turn):
 def test_a_fixed_number_of_effects_is_not_exceeded():
     """Two are hidden; that something is then left is unexplained, as with `outside` above."""
     with jax.enable_x64(True):
-        scene, base, _ = scene_of(experiment(of(release(COULOMB, CUBIC))), ())
+        scene, base = scene_of(experiment(of(release(COULOMB, CUBIC))), ())
         search = Search(scene, base)
         search.run(1)
     assert len(search.best.added) == 1

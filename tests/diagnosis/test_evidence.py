@@ -444,7 +444,7 @@ def test_unknowns_that_rounding_cannot_tell_apart_leave_a_fit_compressed():
     some = np.zeros((1, 5, 1))
     slope = np.append(np.full(12, 1e11), 0.0)[None]
     end = Unknowns(np.zeros(11), np.zeros((1, 2)))
-    found = Minimum(end, some, np.zeros((1, 5, 1, 13)), some, 0.0, 1, True, square, slope)
+    found = Minimum(end, some, some, 0.0, 1, True, square, slope)
     factor = np.asarray(found.compressed()[1])
     assert factor.transpose(0, 2, 1) @ factor == pytest.approx(
         square + np.diag([0.0] * 12 + [1.0]), rel=1e-12
@@ -467,8 +467,9 @@ evidences = st.lists(
 
 # A motion without numbers, none of which has a wrong sign.
 NOWHERE = Trajectory(
-    (), Prior(np.zeros(0), np.zeros(0), np.zeros(0, bool)), np.zeros(0), *np.zeros((3, 1, 1))
-)
+    (), Prior(np.zeros(0), np.zeros(0), np.zeros(0, bool)), np.zeros(0), *np.zeros((3, 1, 1)),
+    -math.inf, *np.zeros((3, 0, 0)),
+)  # fmt: skip
 
 
 # A motion with a damper below zero by five standard errors.

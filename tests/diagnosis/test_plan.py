@@ -43,7 +43,7 @@ def ringing(size, *more, seed=0, seconds=6.0, **where):
 
 def models_of(experiment, *added):
     """The base model, and with each effect, iterated to their evidence."""
-    scene, base, _ = scene_of(experiment, ())
+    scene, base = scene_of(experiment, ())
     each = [(), *((x,) for x in added)]
     starts = [scene.start((*base, *x), prior_of(scene, (*base, *x))) for x in each]
     found = settle(scene, starts, 1.0)
@@ -175,7 +175,7 @@ def test_every_test_is_within_the_limits():
     experiment = arm(
         angle=[0.3, 0.0], theta2=[-0.5, 0.5], air_bearings=True, duration=12.0, drive=[0.0, 2.0]
     )
-    scene, base, _ = scene_of(experiment, ())
+    scene, base = scene_of(experiment, ())
     model = residyn.Model(scene.mechanisms[0], tuple(e for e in base))
     model = model.with_vector(jnp.array([20.0, 10.0, 0.1, 0.1]))
     settings = settings_of(experiment, scene, model)

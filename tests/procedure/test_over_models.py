@@ -56,7 +56,7 @@ def two():
     made = residyn.Recording.from_arrays(time, q, noise=NOISE, theta2=1.0)
     made = dataclasses.replace(made, theta2=0.0)
     experiment = residyn.Experiment(ARM, (made,), BEARINGS)
-    scene, base, _ = scene_of(experiment, ())
+    scene, base = scene_of(experiment, ())
     both = (*base, BearingDrag())
     (found,) = settle(scene, [scene.start(both, prior_of(scene, both))], 1.0)
     assert found is not None
@@ -108,7 +108,7 @@ def test_drag_of_the_bearings_is_as_likely_as_not_before_the_recordings(two):
     q = np.asarray(residyn.simulate(little, time, [0.2, -0.15]).q)
     q = q + NOISE * np.random.default_rng(0).standard_normal(q.shape)
     made = residyn.Recording.from_arrays(time, q, noise=NOISE)
-    scene, base, _ = scene_of(dataclasses.replace(experiment, recordings=(made,)), ())
+    scene, base = scene_of(dataclasses.replace(experiment, recordings=(made,)), ())
     search = Search(scene, base)
     assert [m.added for m in search.tried.values()] == [()]
     models, p, left_out = with_and_without_drag(search)
@@ -129,7 +129,7 @@ def test_drag_of_the_bearings_is_as_likely_as_not_before_the_recordings(two):
 
 def test_an_arm_without_bearings_has_no_drag_of_theirs(two):
     experiment, *_ = two
-    scene, base, _ = scene_of(dataclasses.replace(experiment, bearings=()), ())
+    scene, base = scene_of(dataclasses.replace(experiment, bearings=()), ())
     models, p, _ = with_and_without_drag(Search(scene, base))
     assert [m.added for m in models] == [()]
     assert p == pytest.approx([1.0])

@@ -88,7 +88,7 @@ def reassigned(
         read = dataclasses.replace(experiment, recordings=recordings)
         with contextlib.suppress(FitError):
             # What is linear in the readings is no faster than they are.
-            seen, members, _ = scene_of(read, effects, scene.grid.fast)
+            seen, members = scene_of(read, effects, scene.grid.fast)
             volume = seen.length * float(np.linalg.slogdet(M)[1]) / len(M)
             tried = tried_alone(seen, members, base.log_evidence - volume)
             tried = dataclasses.replace(tried, evidences=tried.evidences + volume)

@@ -397,12 +397,12 @@ class Screen:
     def __init__(self, columns: Columns, intensities: Sequence[float]):
         totals, every = columns.gram(intensities)
         P, rows = len(columns.trajectory.u), columns.rows
-        bases, rests = zip(*(conditional(square, P) for square in every), strict=True)
-        known = totals + np.array(bases) + log_prior_intensity(intensities)
-        self.rows, self.grams = rows, np.stack(rests)
+        bases, self.grams = conditional(every, P)
+        known = totals + bases + log_prior_intensity(intensities)
+        self.rows = rows
         self.weights = known - log_sum(known)
         """(I,) log posterior of each random torque without candidates."""
-        self.base_means = [means_of_base(square, P) for square in every]
+        self.base_means = means_of_base(every, P)
         gains = self._gains([[row] for row in rows])
         each = (r._replace(gain=g, regressors=u) for r, (g, u) in zip(rows, gains, strict=True))
         self.ranked: list[Column] = []

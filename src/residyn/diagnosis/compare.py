@@ -16,7 +16,7 @@ from ..runtime.presentation import Result
 from .evidence import NOISE
 from .forecast import HeldOut, Horizon, held_out, horizon
 from .linearised_fit import LinearisedFit
-from .missing_torque import Missing, missing_of, scene_of
+from .missing_torque import CURVES, Missing, missing_of, scene_of
 from .residuals import Where, where
 from .runs import OwnNumbers, own_numbers
 from .search import Search
@@ -52,7 +52,7 @@ class Comparison(Result):
     @property
     def words(self) -> tuple[str, ...]:
         """The verdict: where the model fails, or that it does not, in a few sentences."""
-        return (*self._presented("sentences"), *map(str, self.runs))
+        return self._presented("sentences")
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of `residyn compare`: that of `fit`, and
@@ -131,20 +131,15 @@ def compare_fit(
         return Comparison(fitted, found, *ahead, missing, own_numbers(fitted.experiment, own))
 
 
-_CURVES = 2  # drawn beside a missing torque
-
-
 def _missing(experiment: Experiment, own, say: Callable[[str], None]) -> tuple[Missing, ...]:
     """The torque that a model with effects of its `own` lacks, and what the likeliest single ones
     more would draw."""
-    scene, effects, _ = scene_of(experiment, own)
+    scene, effects = scene_of(experiment, own)
     search = Search(scene, effects, say=say)
     if search.base.intensity > 0:
         search.extend(search.base)
-    singles = [t for t in search.tried.values() if len(t.added) == 1]
-    singles = [t for t in singles if t.log_posterior > search.base.log_posterior]
-    singles.sort(key=lambda t: -t.log_posterior)
-    return missing_of(scene, search.base, [(t, t.added[0]) for t in singles[:_CURVES]])
+    better = [t for t in search.singles if t.log_posterior > search.base.log_posterior]
+    return missing_of(scene, search.base, [(t, t.added[0]) for t in better[:CURVES]])
 
 
 def summary(found: tuple[Missing, ...]) -> dict[str, Any] | None:

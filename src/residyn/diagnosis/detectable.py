@@ -34,9 +34,9 @@ from ..runtime.json import finite
 from ..runtime.presentation import Result
 from .columns import Column, Columns, candidates, known_signs, nested, strengths
 from .evidence import (
+    COMPLETE,
     INDISTINGUISHABLE,
     INTENSITIES,
-    NEGLIGIBLE,
     at_work,
     conditional,
     half_normal,
@@ -120,7 +120,7 @@ def detectable(experiment: Experiment, *, effects: Sequence[str | AbstractEffect
     if not experiment.fit_recordings:
         raise ValueError('no recording has role = "fit": there is no motion to look at')
     with jax.enable_x64(True):
-        scene, base, _ = scene_of(experiment, effects)
+        scene, base = scene_of(experiment, effects)
         model = tried_alone(scene, base)
         ringing = np.asarray(modes(scene.model(model.best)).frequency_hz)
         known = candidates(scene, tuple(e.label for e in base))
@@ -145,9 +145,8 @@ def _grams(columns: Columns) -> tuple[np.ndarray, np.ndarray]:
     noise = np.sqrt(columns.scene.readings.variance)[..., None]
     noise = noise * np.random.default_rng(0).standard_normal((*noise.shape[:-1], DRAWS))
     totals, each = columns.gram(INTENSITIES, noise)
-    bases, rests = zip(*(conditional(g, len(columns.trajectory.u)) for g in each), strict=True)
-    rests = np.stack(rests)
-    return totals + np.array(bases) + 0.5 * rests[:, 0, 0], rests[:, 1:, 1:]
+    bases, rests = conditional(each, len(columns.trajectory.u))
+    return totals + bases + 0.5 * rests[:, 0, 0], rests[:, 1:, 1:]
 
 
 class Rivals:
@@ -163,10 +162,16 @@ class Rivals:
         self._across = np.swapaxes(grams[:, C:, :C], 0, 1)  # (D, I, C)
         square = np.diagonal(grams[:, C:, C:], axis1=1, axis2=2).T  # (D, I)
         self._base = logs + log_prior_intensity(INTENSITIES) - 0.5 * square
-        # Rows of as many columns at once.
-        sizes = sorted({len(row.which) for row in rows})
-        own = [[i for i, row in enumerate(rows) if len(row.which) == k] for k in sizes]
-        self._alike = [(i, _Posteriors.of([rows[x] for x in i], self.gram)) for i in own]
+        # Rows of as many columns at once, and their posteriors whatever the readings.
+        self._alike = []
+        for size in {len(row.which) for row in rows}:
+            own = [i for i, row in enumerate(rows) if len(row.which) == size]
+            which = np.array([rows[i].which for i in own])  # (R, k)
+            inner = self.gram[:, which[:, :, None], which[:, None, :]]
+            covariance = np.linalg.inv(np.eye(size) + inner)  # (I, R, k, k)
+            half = 0.5 * np.linalg.slogdet(covariance)[1]
+            sided = np.array([known_signs(rows[i]) for i in own])  # (R, k)
+            self._alike.append((own, which, covariance, half, sided))
         labels = [row.effect.label for row in rows]
         self._begins = [labels.index(x) for x in self.labels]
         counts = np.diff([*self._begins, len(rows)])
@@ -190,8 +195,14 @@ class Rivals:
         x = self._across + shift
         base = self._base - self._across @ made - 0.5 * (shift @ made)
         gains = np.empty((len(self.rows), *base.shape))
-        for rows, posteriors in self._alike:
-            gains[rows] = posteriors.gains(x)
+        for rows, which, covariance, half, sided in self._alike:
+            own = x[..., which]
+            mean = np.einsum("dirk,irkl->dirl", own, covariance)
+            gain = 0.5 * np.sum(own * mean, -1) + half
+            for k, known in enumerate(sided.T):
+                ratio = mean[:, :, known, k] / np.sqrt(covariance[:, known, k, k])
+                gain[:, :, known] += half_normal(ratio)
+            gains[rows] = np.moveaxis(gain, 2, 0)
         return base, base + np.logaddexp.reduceat(gains, self._begins) - self._log_shapes
 
     def counted(self, made: np.ndarray, own: int, others: Sequence[int]):
@@ -201,9 +212,8 @@ class Rivals:
         known = np.concatenate([base[None] + self._prior[0], each + self._prior[1]])
         p = np.exp(known - known.max(axis=(0, 2), keepdims=True))
         p /= p.sum(axis=(0, 2), keepdims=True)
-        none = np.array(INTENSITIES) <= NEGLIGIBLE
-        adequate = p[0][:, none].sum(-1)
-        missing = (p[1:] * at_work())[..., none].sum((0, 2))
+        adequate = p[0][:, COMPLETE].sum(-1)
+        missing = (p[1:] * at_work())[..., COMPLETE].sum((0, 2))
         named = (missing > adequate) & (missing > 1.0 - missing - adequate)
         logs = np.logaddexp.reduce(each, axis=-1)
         mine, rest = logs[own], logs[list(others)]
@@ -211,38 +221,6 @@ class Rivals:
         leads = named & (mine > rest.max(axis=0, initial=-np.inf) + INDISTINGUISHABLE)
         best = others[int(np.argmax(rest.mean(axis=1)))] if others else None
         return float(named.mean()), float(leads.mean()), best
-
-
-@dataclass(frozen=True)
-class _Posteriors:
-    """Posteriors of R rows of k columns each, under each random torque, whatever the readings."""
-
-    which: np.ndarray
-    """(R, k) their columns."""
-    covariance: np.ndarray
-    """(I, R, k, k)"""
-    half: np.ndarray
-    """(I, R) half its log determinant."""
-    sided: np.ndarray
-    """(R, k) whether the sign of a strength is known."""
-
-    @classmethod
-    def of(cls, rows: Sequence[Column], gram: np.ndarray) -> "_Posteriors":
-        which = np.array([row.which for row in rows])
-        inner = gram[:, which[:, :, None], which[:, None, :]]
-        covariance = np.linalg.inv(np.eye(which.shape[1]) + inner)
-        sided = np.array([known_signs(row) for row in rows])
-        return cls(which, covariance, 0.5 * np.linalg.slogdet(covariance)[1], sided)
-
-    def gains(self, x: np.ndarray) -> np.ndarray:
-        """(R, D, I) log evidence over the base model, of projections (D, I, C)."""
-        own = x[..., self.which]
-        mean = np.einsum("dirk,irkl->dirl", own, self.covariance)
-        gain = 0.5 * np.sum(own * mean, -1) + self.half
-        for k, sided in enumerate(self.sided.T):
-            ratio = mean[:, :, sided, k] / np.sqrt(self.covariance[:, sided, k, k])
-            gain[:, :, sided] += half_normal(ratio)
-        return np.moveaxis(gain, 2, 0)
 
 
 def _one(scene: Scene, rivals: Rivals, effect: AbstractEffect) -> Detectable:

@@ -17,9 +17,10 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.special import softmax
 
 from ..effects import AbstractEffect
-from ..filtering.law import number_slices, numbers_of, state_slices
+from ..filtering.law import each_number, state_slices
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import DEFAULT_STARTS, FitError, fit
 from ..fitting.conclusion import finish, with_held_out
@@ -31,19 +32,11 @@ from ..recordings.experiment import Experiment, must_be_experiment
 from ..runtime.memory import give_back
 from .candidate_tests import best_tests
 from .channels import reassigned
-from .evidence import (
-    EXPLAINS_NOTHING,
-    HOPELESS,
-    INDISTINGUISHABLE,
-    INTENSITIES,
-    NEGLIGIBLE,
-    at_work,
-    shares,
-)
+from .evidence import COMPLETE, EXPLAINS_NOTHING, HOPELESS, INDISTINGUISHABLE, INTENSITIES, at_work
 from .forecast import held_out
 from .law import CurveModel, curve_models, laws_of
 from .linearised_fit import Hopeless, LinearisedFit, evaluated, polish
-from .missing_torque import missing_of, restoring_torque, scene_of
+from .missing_torque import CURVES, missing_of, restoring_torque, scene_of
 from .result import (
     Budget,
     Candidate,
@@ -60,7 +53,6 @@ from .simulated import Simulated, simulated
 
 MOST_EFFECTS = 3
 """How many effects are added unless it is told otherwise."""
-_CURVES = 2  # rivals whose curves are drawn beside the missing torque
 
 
 def diagnose(
@@ -104,10 +96,10 @@ def diagnose(
     began, say = time.perf_counter(), progress or (lambda words: None)
     with jax.enable_x64(True):
         deadline = math.inf if budget is None else time.perf_counter() + budget
-        scene, base, wild = scene_of(experiment, effects)
+        scene, base = scene_of(experiment, effects)
         # What is found is of all runs; whether one has it for itself, `compare` asks afterwards.
         experiment = experiment.owning([e.label for e in base])
-        fits = Fits(experiment, scene, wild, starts)
+        fits = Fits(experiment, scene, starts)
         search = Search(scene, base, deadline=deadline, say=say)
         return diagnosed(search, fits, effects, max_effects, began)
 
@@ -140,9 +132,9 @@ class Fits:
     steps: what is left to do is an exact simulation and a few steps from there.
     """
 
-    def __init__(self, experiment: Experiment, scene: Scene, wild, starts: int):
+    def __init__(self, experiment: Experiment, scene: Scene, starts: int):
         self.scene, self.starts, self.whole = scene, starts, experiment
-        self.experiment, self.wild, self.cut = experiment, wild, False
+        self.experiment, self.cut = experiment, False
         self.lock, self._pool = threading.Lock(), ThreadPoolExecutor(2)
         self._begun: dict[Trajectory, Future[Fit]] = {}
         self.known: list[Fit] = []
@@ -178,7 +170,7 @@ class Fits:
     def _enough(self, tried: Tried) -> float:
         """The squared whitened residuals from which a model's evidence without a random torque is
         hopelessly less than with one, for all that its priors may add."""
-        pairs = zip(self.scene.recordings, self.wild, strict=True)
+        pairs = zip(self.scene.recordings, self.scene.wild, strict=True)
         readings = sum(int((np.isfinite(r.angle) & ~wild).sum()) for r, wild in pairs)
         raised = len(tried.best.prior.mean) * math.log(2.0)
         # Readings scatter about their averages, by twice the noise's square at the most.
@@ -269,10 +261,9 @@ class Fits:
         """Numbers and initial states (s,) of a model at the minimum of one that it contains: what
         else it has does nothing."""
         values = {n.name: float(n.value) for n in best.numbers}
-        each = ((f"{e.label}.{n.name}", n.silent) for e in t.effects for n in numbers_of(e))
         numbers = [
-            values.get(name, x if silent is None else silent)
-            for (name, silent), x in zip(each, t.numbers, strict=True)
+            values.get(f"{e.label}.{n.name}", x if n.silent is None else n.silent)
+            for (e, n), x in zip(each_number(t.effects), t.numbers, strict=True)
         ]
         n, inner = 2 * self.scene.n, state_slices(best.model.effects)
         known = dict(zip(best.model.labels, inner, strict=True))
@@ -300,7 +291,7 @@ class Fits:
         for r in recordings:
             run, _ = self._index(r)
             first = int(np.searchsorted(self.scene.recordings[run].time, r.time[0]))
-            found.append(self.wild[run][first : first + len(r.time)])
+            found.append(self.scene.wild[run][first : first + len(r.time)])
         return found
 
     def _state(self, t: Trajectory, recording) -> np.ndarray:
@@ -337,8 +328,11 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
         for x in group[1:]
         if frozenset([x]) in search.tried
     ]
-    missing = missing_of(scene, search.base, [*shown, *others[:_CURVES]])
-    still = missing_of(scene, best) if best.added else missing
+    pairs = best.over_torques(scene)
+    missing = missing_of(
+        scene, search.base, [*shown, *others[:CURVES]], () if best.added else pairs
+    )
+    still = missing_of(scene, best, pairs=pairs) if best.added else missing
     verdict, probability = posterior.verdict()
     return Diagnosis(
         verdict=verdict,
@@ -351,7 +345,7 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
         missing=missing,
         still_missing=still,
         laws=laws,
-        random_torque=_random_torque(scene, best),
+        random_torque=_random_torque(scene, best, pairs),
         parameters=values_of(scene, best.best),
         channels=other
         and ChannelError(other.channels.words, posterior.of_reassigned, other.tried.complete > 0.5),
@@ -375,7 +369,7 @@ def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...
         result, joined = fits.of(model), labels[len(model.added) - 1] if model.added else None
         held = held_out(LinearisedFit.of(result))
         relative = model.log_evidence - best.log_evidence
-        found.append(ModelState(joined, (), result, held, relative))
+        found.append(ModelState(joined, result, held, relative))
     give_back()
     return tuple(found)
 
@@ -385,13 +379,11 @@ def values_of(scene: Scene, t: Trajectory) -> dict[str, Value]:
     those that do nothing at all, as the second link's where there is one."""
     slopes = t.prior.slopes(t.u)
     spread = np.sqrt(np.maximum(np.diag(t.covariance)[: len(slopes)], 0.0)) * np.abs(slopes)
-    found = {}
-    for effect, own in zip(t.effects, number_slices(t.effects), strict=True):
-        for n, x, s in zip(numbers_of(effect), t.numbers[own], spread[own], strict=True):
-            if x == n.silent:  # exactly where its prior has it
-                continue
-            found[f"{effect.label}.{n.name}"] = Value(float(x), float(s), scene.unit(effect, n))
-    return found
+    return {
+        f"{e.label}.{n.name}": Value(float(x), float(s), scene.unit(e, n))
+        for (e, n), x, s in zip(each_number(t.effects), t.numbers, spread, strict=True)
+        if x != n.silent  # exactly where its prior has it
+    }
 
 
 class Posterior:
@@ -406,7 +398,7 @@ class Posterior:
         other = search.reassigned
         logs = [m.log_posterior for m in [*self.named, *self.curves]]
         logs += [other.tried.log_posterior] if other else []
-        each = shares(np.array(logs))
+        each = softmax(np.array(logs))
         ends = np.cumsum([len(self.named), len(self.curves)])
         self.each, self.of_curves, of_other = np.split(each, ends)
         """Probability of each model with names only, of each with a free curve, and of the base
@@ -457,7 +449,7 @@ class Posterior:
         """Probability, given a model, that it needs no random torque that matters and that its
         names, if it has any, are at work."""
         work = self._at_work(model) if model.added else 1.0
-        return float((work * model.weights)[np.array(INTENSITIES) <= NEGLIGIBLE].sum())
+        return float((work * model.weights)[COMPLETE].sum())
 
     def verdict(self) -> tuple[Verdict, float]:
         """The likeliest of the three, and its probability."""
@@ -505,7 +497,7 @@ class Posterior:
             groups.setdefault((effect.kind(), effect.place), []).append(effect)
         found = []
         for (name, place), effects in groups.items():
-            labels, kind = {e.label for e in effects}, (name, place)
+            labels, kind = [e.label for e in effects], (name, place)
             members = sorted(((x, self.of([x])) for x in labels), key=lambda m: -m[1])
             known = self.of(labels, kind), tuple(members), self.of((), kind)
             found.append(Family(name, place, *known))
@@ -559,10 +551,11 @@ class Posterior:
         return tuple(found)
 
 
-def _random_torque(scene: Scene, model: Tried) -> tuple[RandomTorque, ...]:
-    """Per joint, what the model still lacks: its rms over the recordings, summed over
-    intensities."""
-    pairs = model.over_torques(scene)
+def _random_torque(
+    scene: Scene, model: Tried, pairs: Sequence[tuple[float, Trajectory]]
+) -> tuple[RandomTorque, ...]:
+    """Per joint, what the model still lacks: its rms over the recordings, summed over intensities
+    (`pairs`, from `over_torques`)."""
     sizes = np.array([np.sqrt(np.mean((t.torque**2 + t.torque_variance)[scene.real], axis=0))
                       for _, t in pairs])  # fmt: skip
     weights = np.array([w for w, _ in pairs])

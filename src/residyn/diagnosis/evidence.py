@@ -17,7 +17,7 @@ from scipy.special import erf, log_ndtr, softmax
 
 from ..effects import AbstractEffect
 from ..filtering.kalman import Evidences
-from ..filtering.law import number_slices, numbers_of
+from ..filtering.law import each_number
 from ..filtering.trajectory import Prior, Scene
 from ..physics.parameter import Parameter
 
@@ -53,6 +53,8 @@ NEGLIGIBLE = 1e-4
 """Random torque up to which a model is called complete: a ten-thousandth of the spring's torque
 changes no stiffness by more than 0.01 % and no damping ratio by more than 5e-5, a hundredth of a
 lightly damped joint's."""
+COMPLETE = np.array(INTENSITIES) <= NEGLIGIBLE
+"""(I,) which random torques these are."""
 OUTSIDE = 1 / 5
 """Prior probability that what a joint lacks is of no effect in the catalogue: Laplace's rule of
 succession after three measured rigs (carts, EMPS, a double pendulum), whose authors' explanations
@@ -105,16 +107,15 @@ def prior_of(scene: Scene, effects: Sequence[AbstractEffect]) -> Prior:
     shape within an e-fold of the middle of its grid, or of its value if it has none.
     """
     rows = []
-    for effect in effects:
-        for number in numbers_of(effect):
-            size = scene.size(effect, number)
-            if effect.name == "spring":
-                rows.append((size, size, False))
-            elif number.silent is None:
-                known = [g * size for g in number.grid] or [float(getattr(effect, number.field))]
-                rows.append((math.exp(np.mean(np.log(known))), SHAPE, True))
-            else:
-                rows.append((number.silent, width_of(scene, effect, number), False))
+    for effect, number in each_number(effects):
+        size = scene.size(effect, number)
+        if effect.name == "spring":
+            rows.append((size, size, False))
+        elif number.silent is None:
+            known = [g * size for g in number.grid] or [float(getattr(effect, number.field))]
+            rows.append((math.exp(np.mean(np.log(known))), SHAPE, True))
+        else:
+            rows.append((number.silent, width_of(scene, effect, number), False))
     mean, width, log = zip(*rows, strict=True)
     return Prior(np.array(mean, float), np.array(width, float), np.array(log, bool))
 
@@ -141,11 +142,10 @@ def signed(number: Parameter) -> bool:
 def _signed(effects: Sequence[AbstractEffect], prior: Prior, found: Evidences):
     """Each number whose sign is known: its effect, and (I,) by how much it is on the right side of
     where it is silent, and its standard deviation, in prior widths."""
-    for effect, own in zip(effects, number_slices(effects), strict=True):
-        for number, i in zip(numbers_of(effect), range(own.start, own.stop), strict=True):
-            if signed(number):
-                silent = (number.silent - prior.mean[i]) / prior.width[i]
-                yield effect, found.regressors[:, i] - silent, found.std[:, i]
+    for i, (effect, number) in enumerate(each_number(effects)):
+        if signed(number):
+            silent = (number.silent - prior.mean[i]) / prior.width[i]
+            yield effect, found.regressors[:, i] - silent, found.std[:, i]
 
 
 def half_normals(effects: Sequence[AbstractEffect], prior: Prior, found: Evidences) -> np.ndarray:
@@ -202,13 +202,13 @@ def over_widths(
     means = m / v * new
     logs = 0.5 * (np.log(new / v) + means**2 / new - m**2 / v) - np.log(widths * len(widths))
     logs += half_normal(means / np.sqrt(new)) - half_normal(m / math.sqrt(v))
-    p, slope = shares(logs), covariance[:, i] / v
+    p, slope = softmax(logs), covariance[:, i] / v
     middle = p @ means
     wider = p @ (new + means**2) - middle**2 - v
     return log_sum(logs), mean + slope * (middle - m), covariance + wider * np.outer(slope, slope)
 
 
-def log_prior_intensity(intensities: Sequence[float]) -> np.ndarray:
+def log_prior_intensity(intensities: Sequence[float] | np.ndarray) -> np.ndarray:
     """(I,) log prior of each intensity, of which 0 is one."""
     others = (1 - NO_RANDOM_TORQUE) / (len(INTENSITIES) - 1)
     return np.log(np.where(np.equal(intensities, 0), NO_RANDOM_TORQUE, others))
@@ -236,8 +236,8 @@ def at_work(signs: Any = 1.0) -> np.ndarray:
     """
     outside = OUTSIDE * np.append(prior_sizes(INTENSITIES[:-1]), 0.0)
     work = (1.0 - OUTSIDE) * np.exp(log_prior_intensity(INTENSITIES))
-    none = np.array(INTENSITIES) <= NEGLIGIBLE  # as good as none: no cells of their own
-    outside[none], work[none] = outside[none].sum(), work[none].sum()
+    # As good as none: no cells of their own.
+    outside[COMPLETE], work[COMPLETE] = outside[COMPLETE].sum(), work[COMPLETE].sum()
     # More that is left makes no name surer, though few effects are as large as the whole spring.
     share = np.minimum.accumulate((work / (work + outside))[::-1])[::-1]
     return signs * share / (signs * share + 1.0 - share)
@@ -246,11 +246,6 @@ def at_work(signs: Any = 1.0) -> np.ndarray:
 def log_sum(logs) -> float:
     """Log of the sum of what some logarithms are of."""
     return float(np.logaddexp.reduce(logs))
-
-
-def shares(logs: np.ndarray, axis: int | None = None) -> np.ndarray:
-    """What some logarithms are of, normalised to 1."""
-    return softmax(logs, axis=axis)
 
 
 def over_intensities(evidences: np.ndarray) -> float:
@@ -278,27 +273,27 @@ def gram_factor(square: np.ndarray) -> np.ndarray:
     return np.linalg.cholesky(unit) * size[..., :, None]
 
 
-def conditional(gram: np.ndarray, base: int) -> tuple[float, np.ndarray]:
-    """A Gram matrix (1 + base + C)^2 of whitened innovations, with the first `base` regressors
-    integrated out: their log evidence, and the (1 + C)^2 Gram matrix of what is left.
+def conditional(gram: np.ndarray, base: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gram matrices (..., 1 + base + C, 1 + base + C) of whitened innovations, with the first
+    `base` regressors integrated out: (...,) their log evidence, and the Gram matrices (..., 1 + C,
+    1 + C) of what is left.
 
-    With unit normal priors the evidence of any further subset is then `subset` of that matrix.
+    With unit normal priors the evidence of any further subset is then `subset` of those.
     """
-    inner = gram[1 : 1 + base, 1 : 1 + base] + np.eye(base)
-    keep = np.r_[0, 1 + base : len(gram)]
-    factor = gram_factor(inner)
-    across = np.linalg.solve(factor, gram[1 : 1 + base][:, keep])
-    rest = gram[np.ix_(keep, keep)] - across.T @ across
-    return -0.5 * rest[0, 0] - float(np.log(np.diag(factor)).sum()), rest
+    keep, own = np.r_[0, 1 + base : gram.shape[-1]], gram[..., 1 : 1 + base, :]
+    factor = gram_factor(own[..., 1 : 1 + base] + np.eye(base))
+    across = np.linalg.solve(factor, own[..., keep])
+    rest = gram[..., keep[:, None], keep] - across.mT @ across
+    logs = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
+    return -0.5 * rest[..., 0, 0] - logs, rest
 
 
 def means_of_base(gram: np.ndarray, base: int) -> np.ndarray:
-    """(base, 1 + C) what the first `base` regressors of a Gram matrix (1 + base + C)^2 are without
-    further columns, and how they change with each: their posterior mean beside columns at s is
-    this times (1, s)."""
-    keep = np.r_[0, 1 + base : len(gram)]
-    inner = gram[1 : 1 + base, 1 : 1 + base] + np.eye(base)
-    return -np.linalg.solve(inner, gram[1 : 1 + base][:, keep])
+    """(..., base, 1 + C) what the first `base` regressors of Gram matrices (..., 1 + base + C, 1 +
+    base + C) are without further columns, and how they change with each: their posterior mean
+    beside columns at s is this times (1, s)."""
+    keep, own = np.r_[0, 1 + base : gram.shape[-1]], gram[..., 1 : 1 + base, :]
+    return -np.linalg.solve(own[..., 1 : 1 + base] + np.eye(base), own[..., keep])
 
 
 def subset(gram: np.ndarray, columns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -312,7 +307,7 @@ def subset(gram: np.ndarray, columns) -> tuple[np.ndarray, np.ndarray, np.ndarra
     factor = gram_factor(inner)
     x = np.linalg.solve(factor, -gram[..., i, 0][..., None])
     logs = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
-    mean = np.linalg.solve(np.swapaxes(factor, -1, -2), x)[..., 0]
+    mean = np.linalg.solve(factor.mT, x)[..., 0]
     return 0.5 * np.sum(x[..., 0] ** 2, -1) - logs, mean, np.linalg.inv(inner)
 
 

@@ -29,9 +29,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
-from scipy.special import entr
+from scipy.special import entr, softmax
 
-from .evidence import gram_factor, shares
+from .evidence import gram_factor
 
 DRAWS = 400
 """Of the readings, for each model: the expected entropy of two models is then known to 0.02."""
@@ -137,7 +137,7 @@ def worth(
                 values[k] = quantity.mean[k] + by @ t
                 spreads[k] = by @ by + quantity.rest[k]
         weighted = logs + prior
-        after = shares(weighted, axis=0)
+        after = softmax(weighted, axis=0)
         told = 0.0
         if len(p) > 1 and p[m] < 1:
             others = np.logaddexp.reduce(np.delete(weighted, m, axis=0), axis=0)

@@ -80,35 +80,27 @@ class Horizon(NamedTuple):
 
 
 class _Run(NamedTuple):
-    """A fit of the first part of each recording, run on to its end; all N instants of all."""
+    """A fit of the first part of each recording, run on to its end; all N instants of all. NaN is
+    where nothing counts."""
 
     since: np.ndarray  # (N,) s since the last fitted instant; not positive where fitted
-    left: np.ndarray  # (N, n) measured less predicted; NaN where nothing counts
+    left: np.ndarray  # (N, n) measured less predicted
     ratio: np.ndarray  # (N, n) the same in times the noise
     spread: np.ndarray  # (N, n) standard errors of the predictions, in times the noise
-
-    @classmethod
-    def of(cls, fits: Sequence[RecordingFit], since, left, spreads) -> "_Run":
-        """From the columns of each recording."""
-        each = [
-            (s, x, x / r.recording.noise, e / r.recording.noise)
-            for r, s, x, e in zip(fits, since, left, spreads, strict=True)
-        ]
-        return cls(*map(np.concatenate, zip(*each, strict=True)))
 
     def error(self, low: float, high: float) -> Error:
         """Over the instants after `low` and up to `high`."""
         chosen = (self.since > low) & (self.since <= high)
-        seen = np.isfinite(self.left[chosen])
-        count = seen.sum(axis=0)
-
-        def mean_square(x: np.ndarray) -> np.ndarray:
-            total = np.where(seen, x[chosen] ** 2, 0.0).sum(axis=0)
-            return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-        rmse, ratio = (np.sqrt(mean_square(x)) for x in (self.left, self.ratio))
+        rmse, ratio, spread = (_rms(x[chosen]) for x in (self.left, self.ratio, self.spread))
         # Within the fitted part the noise and its effect are not independent.
-        return Error(rmse, ratio, np.sqrt(1 + mean_square(self.spread)) if low >= 0 else None)
+        return Error(rmse, ratio, np.sqrt(1 + spread**2) if low >= 0 else None)
+
+
+def _rms(x: np.ndarray) -> np.ndarray:
+    """(n,) of the finite ones of (N, n); NaN where there is none."""
+    seen = np.isfinite(x)
+    count = np.where(seen.any(axis=0), seen.sum(axis=0), np.nan)
+    return np.sqrt(np.where(seen, x**2, 0.0).sum(axis=0) / count)
 
 
 def _run(near: LinearisedFit, share: float) -> _Run | None:
@@ -125,12 +117,11 @@ def _run(near: LinearisedFit, share: float) -> _Run | None:
     weights = [
         np.where((s <= 0)[:, None], w, 0.0) for s, w in zip(since, near.weights(), strict=True)
     ]
-    left = [
-        np.where(r.used, r.recording.angle - p, np.nan)
-        for r, p in zip(near.fitted, predicted, strict=True)
-    ]
-    spreads = spread(slopes, weights, near.numbers, near.memories())
-    return _Run.of(near.fitted, since, left, spreads)
+    spreads, columns = spread(slopes, weights, near.numbers, near.memories()), []
+    for r, s, p, e in zip(near.fitted, since, predicted, spreads, strict=True):
+        left, error = (np.where(r.used, x, np.nan) for x in (r.recording.angle - p, e))
+        columns.append((s, left, left / r.recording.noise, error / r.recording.noise))
+    return _Run(*map(np.concatenate, zip(*columns, strict=True)))
 
 
 def held_out(near: LinearisedFit) -> HeldOut | None:
@@ -146,7 +137,8 @@ def held_out(near: LinearisedFit) -> HeldOut | None:
 
 def _beside(fits: Sequence[RecordingFit]) -> Error:
     left = [np.where(r.used, r.residual, np.nan) for r in fits]
-    return _Run.of(fits, [np.zeros(len(x)) for x in left], left, left).error(-1.0, 0.0)
+    ratio = [x / r.recording.noise for x, r in zip(left, fits, strict=True)]
+    return Error(_rms(np.concatenate(left)), _rms(np.concatenate(ratio)), None)
 
 
 def horizon(near: LinearisedFit) -> Horizon | None:

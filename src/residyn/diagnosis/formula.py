@@ -178,15 +178,11 @@ class Sum(NamedTuple):
         width = _widths(along, place, strong)
         columns = np.concatenate([width * strong, _bends(self)], axis=1)
         totals, grams = along.gram([place], [columns], intensities, self.heights)
-        P, every, evidences, means = len(along.trajectory.u), np.arange(columns.shape[1]), [], []
-        for total, square in zip(totals, grams, strict=True):
-            base, rest = conditional(square, P)
-            gain, mean, _ = subset(rest, every)
-            evidences.append(total + base + gain + signs(along, square))
-            means.append(mean)
-        evidences = np.array(evidences)
+        bases, rests = conditional(grams, len(along.trajectory.u))
+        gains, means, _ = subset(rests, np.arange(columns.shape[1]))
+        evidences = totals + bases + gains + signs(along, grams)
         evidences = np.where(np.isfinite(evidences), evidences, -np.inf)
-        mean = means[int(np.argmax(evidences + log_prior_intensity(list(intensities))))]
+        mean = means[int(np.argmax(evidences + log_prior_intensity(intensities)))]
         moved = self.moved(np.clip(SHAPE * mean[count:], -_FURTHEST, _FURTHEST))
         return moved._replace(strengths=width * mean[:count], evidences=evidences)
 
@@ -251,14 +247,9 @@ class Every:
         order = order[logs[order] > logs[order[0]] - HOPELESS]
         at = np.array(INTENSITIES)[order]
         totals, self.grams = along.gram([model.place], [np.eye(HEIGHTS)], at, model.held)
-        each = [conditional(square, len(along.trajectory.u)) for square in self.grams]
-        self.bases = totals + [b for b, _ in each] + log_prior_intensity(at.tolist())
+        bases, self.rests = conditional(self.grams, len(along.trajectory.u))
+        self.bases = totals + bases + log_prior_intensity(at)
         """(I,) the likeliest random torque first."""
-        self.rests = np.stack([rest for _, rest in each])
-
-    def signs(self, columns: np.ndarray) -> float:
-        """`free_curves.signs` beside functions, under the likeliest random torque."""
-        return signs(self.along, _among(self.grams[0], columns))
 
 
 def _among(square: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -366,8 +357,8 @@ def _weighed(every: Every, found: Sum) -> Sum:
     """The sum with the evidence that an effect has, each shape known to an e-fold."""
     sums = Sums(every, found.columns, _bends(found), None)
     gain, _, _ = subset(sums.rests, np.arange(sums.functions.shape[1]))
-    total = log_sum(gain + sums.bases) + found.log_prior + every.signs(sums.functions)
-    return found._replace(log_evidence=total)
+    (sign,) = signs(every.along, _among(every.grams[:1], sums.functions))
+    return found._replace(log_evidence=log_sum(gain + sums.bases) + found.log_prior + sign)
 
 
 _LETTERS = "abcdefg"

@@ -19,7 +19,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import BSpline
+from scipy.linalg import block_diag
 from scipy.sparse import csr_array
+from scipy.special import softmax
 
 from ..filtering.free_curve import HEIGHTS, FreeCurve, FreeFriction
 from ..filtering.kalman import Evidences, Torques, gram
@@ -37,7 +39,6 @@ from .evidence import (
     log_prior_intensity,
     log_sum,
     prior_sizes,
-    shares,
 )
 from .search import Tried
 
@@ -88,12 +89,6 @@ def splines(x: np.ndarray, low: float, high: float, count: int = SPLINES) -> csr
     """(N, count) values at x (N,) of cubic B-splines that cover low to high, four of them not 0."""
     at = np.clip((x - low) / (high - low), 0.0, 1.0) * (count - 3)
     return BSpline.design_matrix(at, np.arange(-3.0, count + 1.0), 3)
-
-
-def knots(low: float, high: float) -> np.ndarray:
-    """(SPLINES,) where each is highest: a line's values there are its heights."""
-    step = (high - low) / (SPLINES - 3)
-    return low + step * np.arange(-1, SPLINES - 1)
 
 
 @functools.cache
@@ -228,6 +223,15 @@ class Place(NamedTuple):
             return np.ones_like(x)
         return x if not self.kind.factor and self.kind.variable in ("angle", "rate") else None
 
+    def beyond(self, values: np.ndarray, x: np.ndarray, visits: Any = 1.0) -> np.ndarray:
+        """Values (G, ...) of curves at x (G,), less what springs and dampers are already, in the
+        mean over the visits (G,) of each point."""
+        taken = self.taken(x)
+        if taken is None:
+            return values
+        share = (visits * taken) @ values / np.sum(visits * taken**2)
+        return values - np.multiply.outer(taken, share)
+
     def effect(self, scene: Scene, heights: np.ndarray) -> FreeCurve:
         """The curve with these heights (HEIGHTS,)."""
         made = FreeFriction if self.kind.factor == "direction" else FreeCurve
@@ -241,7 +245,9 @@ class Place(NamedTuple):
 def _priors(along: Along, place: Place) -> np.ndarray:
     """(H, SPLINES, SPLINES) square roots of the covariance of heights for each size, length and
     parity, less what springs and dampers have of a curve already."""
-    at, found = knots(place.low, place.high), []
+    # Where each spline is highest: a line's values there are its heights.
+    step, found = (place.high - place.low) / (SPLINES - 3), []
+    at = place.low + step * np.arange(-1, SPLINES - 1)
     for length in CURVE_LENGTHS:
         width = length * (place.high - place.low)
         near, far = (np.exp(-0.5 * ((at[:, None] - s * at) / width) ** 2) for s in (1, -1))
@@ -290,38 +296,39 @@ def _posterior(along: Along, place: Place, intensities, totals, grams) -> Poster
     P, roots = len(along.trajectory.u), _priors(along, place)
     each_of = len(roots) // len(CURVE_AMPLITUDES)
     prior = np.repeat(np.log(prior_sizes(CURVE_AMPLITUDES) / each_of), each_of)
+    bases, rests = conditional(grams, P)
     evidences, each = [], []
-    for total, square in zip(totals, grams, strict=True):
-        base, rest = conditional(square, P)
-        inner = np.swapaxes(roots, 1, 2) @ rest[1:, 1:] @ roots + np.eye(SPLINES)
+    for known, square, rest in zip(totals + bases, grams, rests, strict=True):
+        inner = roots.mT @ rest[1:, 1:] @ roots + np.eye(SPLINES)
         inverse = np.linalg.inv(inner)
-        slope = np.swapaxes(roots, 1, 2) @ rest[1:, 0]
+        slope = roots.mT @ rest[1:, 0]
         z = -(inverse @ slope[..., None])[..., 0]
         gains = prior - 0.5 * np.sum(slope * z, -1) - 0.5 * np.linalg.slogdet(inner)[1]
-        weights = shares(gains)
+        weights = softmax(gains)
         keep = weights > _LIGHT
         heights = (roots[keep] @ z[keep][..., None])[..., 0]
-        spread = roots[keep] @ inverse[keep] @ np.swapaxes(roots[keep], 1, 2)
+        spread = roots[keep] @ inverse[keep] @ roots[keep].mT
         mean, covariance = _mixed(weights[keep] / weights[keep].sum(), heights, spread)
-        scale = np.eye(len(square))
-        scale[1 + P :, 1 + P :] = roots[np.argmax(gains)]
-        evidences.append(total + base + log_sum(gains) + signs(along, scale.T @ square @ scale))
+        scale = np.asarray(block_diag(np.eye(1 + P), roots[np.argmax(gains)]))
+        (sign,) = signs(along, (scale.T @ square @ scale)[None])
+        evidences.append(known + log_sum(gains) + sign)
         each.append((mean, covariance))
     evidences = along.scene.possible(np.array(evidences))
-    weights = shares(evidences + log_prior_intensity(intensities))
+    weights = softmax(evidences + log_prior_intensity(intensities))
     means, covariances = (np.stack(x) for x in zip(*each, strict=True))
     return Posterior(evidences, *_mixed(weights, means, covariances))
 
 
-def signs(along: Along, square: np.ndarray) -> float:
-    """What the half-normal priors of the model's own numbers add to the log evidence, beside some
-    columns at their prior's width; `square` is the Gram matrix of both."""
+def signs(along: Along, grams: np.ndarray) -> np.ndarray:
+    """(I,) what the half-normal priors of the model's own numbers add to the log evidence, beside
+    some columns at their prior's width; `grams` (I, 1 + P + C, 1 + P + C) are of both."""
     P = len(along.trajectory.u)
-    inverse = np.linalg.inv(square[1:, 1:] + np.eye(len(square) - 1))
+    inverse = np.linalg.inv(grams[:, 1:, 1:] + np.eye(grams.shape[-1] - 1))
     with np.errstate(invalid="ignore"):  # of what rounding has spoilt nothing is finite
-        mean, std = -inverse @ square[1:, 0], np.sqrt(np.diag(inverse))
-    found = Evidences(np.zeros(1), mean[None, :P], std[None, :P])
-    return float(half_normals(along.trajectory.effects, along.trajectory.prior, found)[0])
+        mean = -(inverse @ grams[:, 1:, :1])[..., 0]
+        std = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
+    found = Evidences(None, mean[:, :P], std[:, :P])
+    return half_normals(along.trajectory.effects, along.trajectory.prior, found)
 
 
 class Screened(NamedTuple):
@@ -439,7 +446,5 @@ def settled_curve(
 
 def _share(along: Along, place: Place, heights: np.ndarray) -> float:
     x, factor = along.visited(place)
-    value, taken = splines(x, place.low, place.high) @ heights, place.taken(x)
-    if taken is not None:
-        value = value - taken * (taken @ value) / (taken @ taken)
+    value = place.beyond(splines(x, place.low, place.high) @ heights, x)
     return float(np.sqrt(np.mean((factor * value) ** 2)) / along.scene.torque[place.joint])

@@ -26,15 +26,7 @@ from ..fitting.result import Fit
 from ..physics.motion import JointMotion
 from ..runtime.json import number
 from .columns import with_effects
-from .evidence import (
-    CONTENDERS,
-    FURTHER,
-    HOPELESS,
-    IN_PLAY,
-    INTENSITIES,
-    OUTSIDE,
-    over_intensities,
-)
+from .evidence import CONTENDERS, FURTHER, HOPELESS, IN_PLAY, INTENSITIES, OUTSIDE, over_intensities
 from .forecast import HeldOut, held_out
 from .formula import FACTORS, SYMBOLS, likeliest, unit_of, written
 from .free_curves import (
@@ -67,9 +59,8 @@ def curve_models(search: Search) -> list[CurveModel]:
     **Raises:** `search.OutOfTime` after the search's deadline.
     """
     scene, best = search.scene, search.best
-    wanted = {frozenset(), frozenset(best.added)}
-    wanted |= {frozenset(best.added) - {x} for x in best.added}
-    few = []
+    own, few = frozenset(best.added), []
+    wanted = dict.fromkeys([frozenset(), own, *(own - {x} for x in best.added)])
     for parent in (search.tried[s] for s in wanted if s in search.tried):
         search.in_time()
         trajectory, intensity = search.screening_motion(parent)
@@ -95,15 +86,6 @@ def curve_models(search: Search) -> list[CurveModel]:
             formulas = tuple(likeliest(Along(scene, model.best), model))
             models.append(dataclasses.replace(model, formulas=formulas))
     return models
-
-
-def _beyond(taken: np.ndarray | None, visits: np.ndarray) -> np.ndarray:
-    """(G, G) takes what springs and dampers are away, in the mean over the visits (G,) of each
-    point."""
-    eye = np.eye(len(visits))
-    if taken is None:
-        return eye
-    return eye - np.outer(taken, taken * visits) / np.sum(taken**2 * visits)
 
 
 class Formula(NamedTuple):
@@ -197,7 +179,7 @@ class Law:
     def on_grid(self, values: np.ndarray) -> np.ndarray:
         """(G,) values of f less what springs and dampers take up, as `mean` is."""
         place = Place(Kind(self.variable, self.factor), 0, self.grid[0], self.grid[-1])
-        return _beyond(place.taken(self.grid), self.visits) @ values
+        return place.beyond(values, self.grid, self.visits)
 
 
 def laws_of(
@@ -228,8 +210,7 @@ def _law(search: Search, model: CurveModel, probability: float, best: float) -> 
     grid = np.linspace(place.low, place.high, GRID)
     nearest = np.clip(np.rint((x - place.low) / (grid[1] - grid[0])).astype(int), 0, GRID - 1)
     visits = np.bincount(nearest, minlength=GRID) / len(nearest)
-    rows = _beyond(place.taken(grid), visits)
-    rows = rows @ splines(grid, place.low, place.high)
+    rows = place.beyond(splines(grid, place.low, place.high).toarray(), grid, visits)
     variance = np.einsum("gi,ij,gj->g", rows, model.covariance, rows)
     kind = scene.units[place.joint]
     by = {"angle": f"/{kind}", "rate": f" s/{kind}"}.get(place.kind.factor, "")
@@ -255,9 +236,8 @@ def _named(search: Search, law: Law) -> tuple[tuple[str, np.ndarray], ...]:
     """Named laws of the curve's variable at its joint, each alone, the likeliest first."""
     if law.factor or law.variable == "time":
         return ()
-    alone = [m for m in search.tried.values() if len(m.added) == 1]
     found = []
-    for model in sorted(alone, key=lambda m: -m.log_posterior):
+    for model in search.singles:
         t = model.best
         effect = t.valued()[t.labels.index(model.added[0])]
         if not of_one_joint(effect) or effect.joint != law.joint or effect.memory:

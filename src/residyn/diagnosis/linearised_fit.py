@@ -40,15 +40,14 @@ class Minimum(NamedTuple):
 
     at: Unknowns
     predicted: np.ndarray  # (R, N, n) rad or m
-    slopes: np.ndarray
-    """(R, N, n, L) in each recording's L unknowns: the shared numbers, then its own initial state,
-    in the problem's scales."""
     residual: np.ndarray  # (R, N, n) whitened
     cost: float
     """Sum of squared whitened residuals, what is known beforehand of internal states included."""
     steps: int
     converged: bool
-    square: np.ndarray  # (R, L, L) J'J of the whitened readings, and of what is known beforehand
+    square: np.ndarray
+    """(R, L, L) J'J of the whitened readings, and of what is known beforehand, in each recording's
+    L unknowns: the shared numbers, then its own initial state, in the problem's scales."""
     slope: np.ndarray  # (R, L) J'r
 
     def compressed(self) -> Compressed:
@@ -97,7 +96,7 @@ def minimum(
         cost = float(np.sum(residual**2) + np.sum((known[P:] * own) ** 2))
         sane = np.isfinite(cost) and np.abs(residual).max() < RUNAWAY and np.abs(J).max() < _STEEP
         cost = cost if sane else np.inf
-        return Minimum(at, predicted, slopes, residual, cost, steps, False, square, slope)
+        return Minimum(at, predicted, residual, cost, steps, False, square, slope)
 
     here = evaluated(Unknowns(np.asarray(at.numbers, float), np.asarray(at.states, float)), 0)
     if here.cost == np.inf:

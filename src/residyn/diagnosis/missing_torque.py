@@ -28,6 +28,9 @@ from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
 from .search import Tried, tried_alone
 
+CURVES = 2
+"""Of rivals, drawn beside a missing torque."""
+
 
 class Curve(NamedTuple):
     """What an effect would draw over the missing torque."""
@@ -123,7 +126,7 @@ def missing_torque(
 
 
 def torques_of(
-    scene: Scene, model: Tried, pairs: Sequence[tuple[float, Trajectory]] | None = None
+    scene: Scene, model: Tried, pairs: Sequence[tuple[float, Trajectory]] = ()
 ) -> list[MissingTorque]:
     """The missing torque of each recording of a scene: averaged over the random torque's
     intensities, each by its posterior (`pairs`, if `model.over_torques` is known)."""
@@ -188,10 +191,14 @@ def curve(scene: Scene, before: np.ndarray, missing: np.ndarray, model: Tried, l
 
 
 def missing_of(
-    scene: Scene, base: Tried, models: Sequence[tuple[Tried, str]] = ()
+    scene: Scene,
+    base: Tried,
+    models: Sequence[tuple[Tried, str]] = (),
+    pairs: Sequence[tuple[float, Trajectory]] = (),
 ) -> tuple[Missing, ...]:
-    """The missing torque of every recording of a scene, with the curves of some models' effects."""
-    pairs, curves = base.over_torques(scene), []
+    """The missing torque of every recording of a scene, with the curves of some models' effects;
+    `pairs` as in `torques_of`."""
+    pairs, curves = pairs or base.over_torques(scene), []
     if models:
         missing = -np.sum([w * t.torque for w, t in pairs], axis=0)
         before = np.sum([*scene.torques(base.best).values()], axis=0)
@@ -212,10 +219,8 @@ def missing_of(
 
 def scene_of(
     experiment: Experiment, effects: Sequence[str | AbstractEffect], fast: float | None = None
-):
+) -> tuple[Scene, tuple[AbstractEffect, ...]]:
     """The fitted recordings of an experiment as a scene, and the base model with some effects;
     `fast` as in `Scene`."""
     here = ready(experiment, experiment.fit_recordings, effects)
-    wild = outliers_among(here)
-    scene = Scene(here.recordings, here.mechanisms, wild, fast)
-    return scene, here.model.effects, wild
+    return Scene(here.recordings, here.mechanisms, outliers_among(here), fast), here.model.effects

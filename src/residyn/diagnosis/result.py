@@ -94,8 +94,6 @@ class ModelState:
 
     added: str | None
     """The effect that joined it here; None for the base model."""
-    dropped: tuple[str, ...]
-    """Effects that left with it."""
     fit: Fit
     held_out: HeldOut | None
     """Its errors where it was not fitted; None if they could not be had."""
@@ -255,9 +253,7 @@ class Diagnosis(TableResult):
             "candidates": [c.to_dict() for c in self.candidates],
             "families": [f.to_dict() for f in self.families],
             "lookalikes": [list(group) for group in self.lookalikes],
-            "next_experiment": None
-            if self.next_experiment is None
-            else self.next_experiment.to_dict(),
+            "next_experiment": self.next_experiment and self.next_experiment.to_dict(),
             "channels": self.channels and dict(vars(self.channels)),
             "laws": [law.to_dict() for law in self.laws],
             "missing_torque": summary(self.missing),

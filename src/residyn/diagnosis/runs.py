@@ -8,11 +8,11 @@ ch. 28), and a model that is wrong in other ways does not make every difference 
 """
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
+from scipy.special import expit
 
 from ..effects import AbstractEffect
 from ..recordings.experiment import Experiment
@@ -32,18 +32,7 @@ class OwnNumbers(NamedTuple):
     @property
     def probability(self) -> float:
         """That they differ."""
-        return 1.0 / (1.0 + math.exp(-max(min(self.log_odds, 700.0), -700.0)))
-
-    def __str__(self) -> str:
-        """One sentence."""
-        sure = max(self.probability, 1.0 - self.probability)
-        share = "> 99 %" if sure > 0.99 else f"{100 * sure:.0f} %"
-        if self.probability > 0.5:
-            return f"{self.effect} differs in {self.recording} from the other recordings ({share})."
-        return (
-            f"{self.effect} is the same in {self.recording} as in the other recordings ({share}): "
-            "it needs no own numbers."
-        )
+        return float(expit(self.log_odds))
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -64,16 +53,15 @@ def own_numbers(
     if not experiment.own:
         return ()
     with jax.enable_x64(True):
-        scene, members, _ = scene_of(experiment, effects)
+        scene, members = scene_of(experiment, effects)
         with_all = tried_alone(scene, members).log_evidence
         found = []
         for label, recording in [
             (e.label, name) for e in members for _, name in getattr(type(e), "own_runs", ())
         ]:
             beside = [e.label for e in members if e.label != label and e.name in label]
-            fewer = _sharing(experiment, label, recording, beside)
-            scene, shared, _ = scene_of(fewer, effects)
-            log_odds = with_all - tried_alone(scene, shared).log_evidence
+            shared = scene_of(_sharing(experiment, label, recording, beside), effects)
+            log_odds = with_all - tried_alone(*shared).log_evidence
             found.append(OwnNumbers(label, recording, log_odds))
     return tuple(found)
 

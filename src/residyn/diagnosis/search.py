@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import softmax
 
 from ..effects import AbstractEffect
 from ..filtering.kalman import Evidences, System
@@ -38,13 +39,13 @@ from .columns import (
     without,
 )
 from .evidence import (
+    COMPLETE,
     CONTENDERS,
     EXPLAINS_NOTHING,
     HOPELESS,
     IN_PLAY,
     INDISTINGUISHABLE,
     INTENSITIES,
-    NEGLIGIBLE,
     READINGS_LEAD,
     STRENGTHS,
     WIDTH,
@@ -55,7 +56,6 @@ from .evidence import (
     prior_of,
     right_signs,
     savage_dickey,
-    shares,
     signed,
 )
 from .simulated import Simulated
@@ -94,12 +94,12 @@ class Tried:
     @functools.cached_property
     def weights(self) -> np.ndarray:
         """(I,) posterior of the random torque's intensity, given the model."""
-        return shares(self.evidences + log_prior_intensity(INTENSITIES))
+        return softmax(self.evidences + log_prior_intensity(INTENSITIES))
 
     @property
     def complete(self) -> float:
         """Probability, given the model, that it needs no random torque that matters."""
-        return float(self.weights[np.array(INTENSITIES) <= NEGLIGIBLE].sum())
+        return float(self.weights[COMPLETE].sum())
 
     @property
     def intensity(self) -> float:
@@ -406,6 +406,12 @@ class Search:
     def best(self) -> Tried:
         """The model with the highest posterior."""
         return max(self.tried.values(), key=lambda t: t.log_posterior)
+
+    @property
+    def singles(self) -> list[Tried]:
+        """The models with one effect, the likeliest first."""
+        found = (t for t in self.tried.values() if len(t.added) == 1)
+        return sorted(found, key=lambda t: -t.log_posterior)
 
     def _keep(self, added: Sequence[str], evidences: np.ndarray, best: Trajectory) -> None:
         prior = log_prior_model(len(added), len(self.candidates))

@@ -36,12 +36,6 @@ class Spectrum(NamedTuple):
     energy: float  # of the whole whitened residual
     freedom: float  # its expectation: readings less unknowns
 
-    def covariance(self, group: np.ndarray) -> np.ndarray:
-        """Of the products of a group, were the residual white noise less its part along the
-        tangent."""
-        along = self.along[:, group]
-        return self.overlap[np.ix_(group, group)] - along.T @ along
-
     def columns(self, start: float, stop: float) -> np.ndarray:
         """Indices of the cosines from `start` to below `stop`, Hz."""
         first, end = (int(np.ceil(2 * self.duration * f - 1e-9)) for f in (start, stop))
@@ -130,7 +124,10 @@ def energies(one: Spectrum, groups: Sequence[np.ndarray]) -> tuple[np.ndarray, n
 
 def whitened(one: Spectrum, group: np.ndarray) -> np.ndarray:
     """Independent combinations of a group's products: each of variance 1 if only noise is left."""
-    return _whitening(one.covariance(group)) @ one.products[group]
+    along = one.along[:, group]
+    # Of the products, were the residual white noise less its part along the tangent.
+    covariance = one.overlap[np.ix_(group, group)] - along.T @ along
+    return _whitening(covariance) @ one.products[group]
 
 
 def _whitening(square: np.ndarray) -> np.ndarray:

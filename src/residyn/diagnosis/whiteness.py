@@ -121,8 +121,7 @@ def _without_rounding(
         r = near.fitted[i]
         weights[i][hangs(r.recording.time, r.predicted[:, j], grid, period), j] = 0.0
     tangent = Tangent.of(slopes, weights, near.numbers)
-    moved = [np.zeros_like(x) for x in left]
-    units = [x * w for x, w in zip(left, weights, strict=True)]
+    moved, units = [np.zeros_like(x) for x in left], left
     for _ in range(_ROUNDS):
         units = [(x - m) * w for x, m, w in zip(left, moved, weights, strict=True)]
         for (i, j), grid in grids.items():

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from ..fitting.layout import bucket
 from ..recordings.recording import Recording
 
 STEP = 0.3
@@ -22,7 +23,7 @@ STEP = 0.3
 LONGEST = 0.45
 """... steps are divided from this one on: the phase of a fourth-order step is good to 3e-4."""
 _MINOR = 1e-2  # of the power of the acceleration, and of the angles: less needs no step of its own
-_LEAST = 512
+_LENGTHS = 512, 768  # and twice that, and so on: few lengths to compile for
 _WIDE = 31  # lines of a periodogram that are averaged, at least, ...
 _SHARE = 0.05  # ... and to either side this share of a line's own frequency ...
 _SURE = 2.6  # ... of which noise alone exceeds so many times its mean once in 10^6
@@ -58,14 +59,6 @@ class Grid(NamedTuple):
             count = len(values) // size
             return values[: count * size].reshape(count, size, -1).mean(axis=1)
         return np.stack([np.interp(self.time[own], time - time[0], x) for x in values.T], axis=1)
-
-
-def bucket(count: int) -> int:
-    """The next of 512, 768, 1024, 1536, ...: few lengths to compile for."""
-    size = _LEAST
-    while size < count:
-        size = size * 3 // 2 if size & (size - 1) == 0 else size * 4 // 3
-    return size
 
 
 class Spectrum(NamedTuple):
@@ -166,7 +159,7 @@ def lay_out(
     last[ends[:-1] - 1] = True
     run = np.repeat(np.arange(len(parts)), np.diff(ends, prepend=0))
     columns = [*map(np.concatenate, zip(*parts, strict=True)), run, last]
-    more = bucket(real) - real
+    more = min(bucket(real, least=length) for length in _LENGTHS) - real
     filled = [np.pad(x, [(0, more), *[(0, 0)] * (x.ndim - 1)], mode="edge") for x in columns]
     grid = Grid(*filled, real=real, fast=fast)
     grid.seen[real:], grid.angle[real:] = False, 0.0

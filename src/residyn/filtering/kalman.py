@@ -67,12 +67,6 @@ def _times(A, B) -> Any:
     return sum(A[:, k, None] * B[None, k, :] for k in columns)
 
 
-def _extended(A, T, decay):
-    n = T.shape[-1]
-    below = jnp.concatenate([jnp.zeros((n, A.shape[-1])), jnp.diag(decay)], 1)
-    return jnp.concatenate([jnp.concatenate([A, T], 1), below])
-
-
 class Filtered(NamedTuple):
     """What one pass of the filter leaves at each instant; columns: of the readings, then of each
     regressor (with a minus)."""
@@ -109,7 +103,7 @@ def _filter(system: System, readings: Readings, noise: Noise) -> tuple[Any, Filt
             sizes.append(S)
             L = L - 0.5 * jnp.where(r.seen[j], jnp.log(2 * jnp.pi * S), 0.0)
         V = 0.5 * (V + V.T)
-        F = _extended(s.A, s.T, decay)
+        F = jnp.block([[s.A, s.T], [jnp.zeros((n, X)), jnp.diag(decay)]])
         push = jnp.concatenate([jnp.concatenate([s.c[:, None], s.B], 1), jnp.zeros((n, 1 + P))])
         out = Filtered(jnp.stack(white), M, V, jnp.stack(steps), jnp.stack(sizes), F)
         V = _times(_times(F, V), F.T) + jnp.diag(growth)
@@ -222,17 +216,18 @@ def evidences(system: System, readings: Readings, noise: Noise, intensities) -> 
 
     def at(intensity):
         L, out = _filter(system, readings, noise.at(intensity))
-        white = out.white.reshape(-1, out.white.shape[-1])
-        evidence, u, factor = _integrated(L, white.T @ white)
+        evidence, u, factor = _integrated(L, out.white)
         inverse = jax.scipy.linalg.solve_triangular(factor, jnp.eye(len(u)), lower=True)
         return Evidences(evidence, u, jnp.sqrt(jnp.sum(inverse**2, axis=0)))
 
     return jax.vmap(at)(intensities)
 
 
-def _integrated(L, gram):
+def _integrated(L, white):
     """Log evidence with the regressors integrated out, their posterior mean, and the Cholesky
-    factor of their posterior precision; `gram` (1 + P)^2 of the whitened innovations."""
+    factor of their posterior precision, from whitened innovations (K, n, 1 + P)."""
+    white = white.reshape(-1, white.shape[-1])
+    gram = white.T @ white
     factor = jnp.linalg.cholesky(gram[1:, 1:] + jnp.eye(len(gram) - 1))
     x = jax.scipy.linalg.solve_triangular(factor, -gram[1:, 0], lower=True)
     u = jax.scipy.linalg.solve_triangular(factor.T, x, lower=False)
@@ -256,8 +251,7 @@ def smooth(system: System, readings: Readings, noise: Noise, intensity) -> Smoot
     """The filter, the regressors' posterior, and Bryson and Frazier's smoother at their mean, under
     a random torque of one intensity."""
     L, out = _filter(system, readings, noise.at(intensity))
-    white = out.white.reshape(-1, out.white.shape[-1])
-    evidence, u, factor = _integrated(L, white.T @ white)
+    evidence, u, factor = _integrated(L, out.white)
     n, D = readings.y.shape[1], out.F.shape[-1]
     H = jnp.concatenate([system.Hx, system.Ht], -1)
     known = jnp.concatenate([jnp.ones(1), u])

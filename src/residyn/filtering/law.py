@@ -46,6 +46,11 @@ def numbers_of(effect: AbstractEffect) -> list[Parameter]:
     return [each for each in parameters_of(effect) if each.fitted]
 
 
+def each_number(effects: Iterable[AbstractEffect]) -> list[tuple[AbstractEffect, Parameter]]:
+    """The numbers of a model in their order, each with its effect."""
+    return [(effect, number) for effect in effects for number in numbers_of(effect)]
+
+
 def with_numbers(effect: _Effect, values) -> _Effect:
     """The effect with its p fitted numbers replaced."""
     fields = [each.field for each in numbers_of(effect)]
@@ -58,7 +63,7 @@ def _slices(counts: Iterable[int]) -> list[slice]:
 
 
 def number_slices(effects: Sequence[AbstractEffect]) -> list[slice]:
-    """Where each effect's numbers stand among a model's."""
+    """Where each effect's numbers stand in `each_number`."""
     return _slices(len(numbers_of(e)) for e in effects)
 
 

@@ -396,7 +396,10 @@ def _linearised(laws: Laws, table: Table, instants: Instants, at: Nodes, bodies,
     const = f.f - jnp.sum(f.by_x * x[None], axis=1)
     field = jnp.concatenate([f.by_x, const[:, None], f.by_torque, f.by_u], 1)
     phi = here(transition(h, here(field), X))
-    phi = _followed(laws, table, at, h, bodies, instants.run, phi, X + 1 + n)
+    for known, slots, of_own in _groups(laws, table):
+        if any(e.follows for e in known):
+            early = at_nodes(bodies, instants.run, 1)
+            phi = _followed(known, slots, of_own, at, h, early, phi, X + 1 + n)
     A, c, T, B = phi[:, :X], phi[:, X], phi[:, X + 1 : X + 1 + n], phi[:, X + 1 + n :]
     Hx, Ht, Hu, seen = _readings(laws, table, instants, at, f, point)
     hc = seen - jnp.sum(Hx * x[None, :, :K], 1) - jnp.sum(Hu * point.u[:, None], 1)
@@ -442,18 +445,9 @@ def _of_bodies(laws: Laws, table: Table, instants: Instants, at: Nodes, accelera
     return jax.lax.cond(jnp.any(own), with_bodies, lambda x: x, torque_u)
 
 
-def _followed(laws: Laws, table: Table, at: Nodes, h, bodies, run, phi, inputs: int):
-    """The step phi (X, W, K) with the internal states that follow the motion instead of having a
-    rate: z+ = f(z, q+)."""
-    mechanism = at_nodes(bodies, run, 1)
-    for known, slots, of_own in _groups(laws, table):
-        if any(e.follows for e in known):
-            phi = _followed_by(known, slots, of_own, at, h, mechanism, phi, inputs)
-    return phi
-
-
-def _followed_by(known, slots: Slots, of_own, at: Nodes, h, mechanism, phi, inputs: int):
-    """The same for the effects of one group."""
+def _followed(known, slots: Slots, of_own, at: Nodes, h, mechanism, phi, inputs: int):
+    """The step phi (X, W, K) with the internal states of one group of effects that follow the
+    motion instead of having a rate: z+ = f(z, q+)."""
     n, (X, W, K) = at.q.shape[0], phi.shape
     q, v, time = at.q[:, 2 * K :], at.v[:, 2 * K :], at.time[2 * K :]
     far = beyond(at.v[:, :K], v, h)

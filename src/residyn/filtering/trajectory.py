@@ -31,20 +31,16 @@ from .law import (
     Table,
     catalogue_on,
     curves_of,
+    each_number,
     group_of,
     laws_for,
     number_slices,
-    numbers_of,
     stacked_mechanisms,
     state_slices,
     tabulated,
     with_numbers,
 )
 from .linearised import Instants, Linear, Point, followed, linearise
-
-
-def _not_yet() -> np.ndarray:
-    return np.zeros((0, 0))
 
 
 class Prior(NamedTuple):
@@ -81,12 +77,11 @@ class Trajectory:
     path: np.ndarray  # (K, 2n + M) smoothed angles, rates and internal states
     spread: np.ndarray  # (K, n) standard deviation of the rates
     first: np.ndarray  # (M,) internal states where a recording begins, as known beforehand
-    log_evidence: float = -math.inf
-    # Empty until the model is smoothed:
-    covariance: np.ndarray = dataclasses.field(default_factory=_not_yet)  # (P, P) of u
-    # (K, n) the random torque, on the drive's side of Eq. 1, and its variance
-    torque: np.ndarray = dataclasses.field(default_factory=_not_yet)
-    torque_variance: np.ndarray = dataclasses.field(default_factory=_not_yet)
+    log_evidence: float
+    # Until the model is smoothed of size 0:
+    covariance: np.ndarray  # (P, P) of u
+    torque: np.ndarray  # (K, n) the random torque, on the drive's side of Eq. 1
+    torque_variance: np.ndarray
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -115,8 +110,9 @@ class Scene:
         wild: Sequence[np.ndarray],
         fast: float | None = None,
     ):
-        """`fast`: rad/s of the fastest motion, if that is known."""
-        self.recordings, self.mechanisms = tuple(recordings), tuple(mechanisms)
+        """`wild` (N, n) of each recording marks readings that do not count; `fast`: rad/s of the
+        fastest motion, if that is known."""
+        self.recordings, self.mechanisms, self.wild = tuple(recordings), tuple(mechanisms), wild
         self.joints = mechanisms[0].joints
         n = len(self.joints)
         self.units = mechanisms[0].units or ("rad",) * n
@@ -205,13 +201,13 @@ class Scene:
         room = self.room(effects)
         path = np.concatenate([self.q, self.v, np.zeros((self.K, room))], axis=1)
         spread = np.tile([0.1 * s.amplitude * s.frequency for s in self.scales], (self.K, 1))
-        u = np.zeros(self.regressors(effects))
-        return Trajectory(tuple(effects), prior, u, path, spread, np.zeros(room))
+        u, none = np.zeros(self.regressors(effects)), np.zeros((0, 0))
+        begin = path, spread, np.zeros(room)
+        return Trajectory(tuple(effects), prior, u, *begin, -math.inf, none, none, none)
 
     def regressors(self, effects: Sequence[AbstractEffect]) -> int:
         """Room for a model's numbers."""
-        count = sum(len(numbers_of(e)) for e in effects)
-        return REGRESSORS * math.ceil(count / REGRESSORS)
+        return REGRESSORS * math.ceil(len(each_number(effects)) / REGRESSORS)
 
     @staticmethod
     def room(effects: Sequence[AbstractEffect]) -> int:

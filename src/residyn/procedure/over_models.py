@@ -22,19 +22,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import brentq
+from scipy.special import softmax
 from scipy.stats import norm
 
 from ..diagnosis.candidate_tests import Rival, Test, best_tests, in_play, posterior_of
 from ..diagnosis.columns import Columns
 from ..diagnosis.diagnose import Posterior
-from ..diagnosis.evidence import (
-    DECADES,
-    log_prior_model,
-    means_of_base,
-    over_widths,
-    shares,
-    width_of,
-)
+from ..diagnosis.evidence import DECADES, log_prior_model, means_of_base, over_widths, width_of
 from ..diagnosis.experiment_design import Quantity
 from ..diagnosis.plan import InPlay
 from ..diagnosis.search import Search, Tried
@@ -198,7 +192,7 @@ def with_and_without_drag(search: Search) -> tuple[list[Tried], np.ndarray, floa
     scene, count = search.scene, len(search.candidates)
     if BearingDrag.name not in (e.label for e in search.candidates):
         models = [at_any_width(scene, m, BearingDrag.name) for m in models]
-        return models, shares(np.array([m.log_posterior for m in models])), left_out
+        return models, softmax(np.array([m.log_posterior for m in models])), left_out
     laws = [e.label for e in search.candidates if e.kind() == BearingDrag.kind() and not e.place]
     found = {frozenset(m.added): m for m in models}
     for rest in dict.fromkeys(key.difference(laws) for key in tuple(found)):
@@ -212,7 +206,7 @@ def with_and_without_drag(search: Search) -> tuple[list[Tried], np.ndarray, floa
                 model = at_any_width(scene, model, law)
                 found[rest | {law}] = replace(model, log_prior=prior - math.log(len(laws)))
     every = list(found.values())
-    kept, p, _ = in_play(every, shares(np.array([m.log_posterior for m in every])))
+    kept, p, _ = in_play(every, softmax(np.array([m.log_posterior for m in every])))
     return kept, p, left_out
 
 

@@ -15,6 +15,7 @@ from ..diagnosis.compare import Comparison
 from ..diagnosis.evidence import NOISE
 from ..diagnosis.missing_torque import Missing
 from ..diagnosis.residuals import Cell, Part, Where
+from ..diagnosis.runs import OwnNumbers
 from ..recordings.experiment import Experiment
 from . import figures as plot
 from .layout import Table, filled, printed, section
@@ -58,7 +59,7 @@ def sentences(found: Comparison) -> tuple[str, ...]:
         if chi2 > _LARGER:
             first = f"The model misses something: it leaves {left}, and that is not white"
         words = [f"{first} ({p_values}).", _when(at), _swing(at), _frequency(found)]
-    return tuple(filter(None, [*words, *_held_out(found)]))
+    return tuple(filter(None, [*words, *_held_out(found), *map(_own, found.runs)]))
 
 
 def _excess(cell: Cell) -> float:
@@ -189,6 +190,17 @@ def _held_out(found: Comparison) -> list[str]:
         fitted = listed([times(x) for x in held.fitted.ratio if math.isfinite(x)])
         return [f"{words}: worse than where it was fitted ({fitted} times)."]
     return [f"{words}{', as it should be' if found.p >= NOISE else ''}."]
+
+
+def _own(each: OwnNumbers) -> str:
+    sure = max(each.probability, 1.0 - each.probability)
+    odds = "> 99 %" if sure > 0.99 else f"{100 * sure:.0f} %"
+    if each.probability > 0.5:
+        return f"{each.effect} differs in {each.recording} from the other recordings ({odds})."
+    return (
+        f"{each.effect} is the same in {each.recording} as in the other recordings ({odds}): "
+        "it needs no own numbers."
+    )
 
 
 # -- in a terminal ---------------------------------------------------------------------------

@@ -93,8 +93,7 @@ def model_name(step: ModelState, comma: bool = False) -> str:
     """What joined the model on the way: "+ gravity"; of the base model, all that it has."""
     if step.added is None:
         return base_name(step.fit, comma)
-    added, *gone = (lower(at_place(x, step.fit.joints, comma)) for x in (step.added, *step.dropped))
-    return f"+ {added}" + (f"{'' if comma else ','} without {listed(gone)}" if gone else "")
+    return f"+ {lower(at_place(step.added, step.fit.joints, comma))}"
 
 
 def times_noise(step: ModelState) -> list[tuple[float, float | None]]:

@@ -67,9 +67,9 @@ class Study:
         if not experiment.fit_recordings:
             raise ValueError('no recording has role = "fit": there is nothing to fit to')
         self.experiment, self.say = experiment, say
-        scene, base, wild = scene_of(experiment, effects)
+        scene, base = scene_of(experiment, effects)
         whole = experiment.owning([e.label for e in base])
-        self._keep(Search(scene, base, say=say), Fits(whole, scene, wild, DEFAULT_STARTS))
+        self._keep(Search(scene, base, say=say), Fits(whole, scene, DEFAULT_STARTS))
         say("fitting springs and dampers")
         self.predict(())
 
@@ -142,8 +142,7 @@ class Study:
             return other, None, late
         self.say("smoothing the recordings that are held out")
         here = ready(self.experiment, held, self.effects)
-        wild = outliers_among(here)
-        other = Scene(here.recordings, here.mechanisms, wild)
+        other = Scene(here.recordings, here.mechanisms, outliers_among(here))
         other.scales, other.torque = scene.scales, scene.torque
         other.catalogued = scene.catalogued  # also what only bearings have
         best = tried_alone(other, tuple(self.loud.effects)).best
