@@ -203,6 +203,11 @@ class Ready(NamedTuple):
         return [posed(model or self.model, m) for m in self.mechanisms]
 
     @property
+    def outliers(self) -> list[np.ndarray]:
+        """(N, n) readings of each recording that are far off their neighbours."""
+        return [r.outliers for r in self.recordings]
+
+    @property
     def adapts(self) -> bool:
         """Whether what integrates chooses its steps."""
         return self.integrator is not None and self.integrator.adapts

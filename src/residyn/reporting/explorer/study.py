@@ -28,7 +28,7 @@ from ...effects import AbstractEffect
 from ...filtering.trajectory import Prior, Scene, Trajectory
 from ...fitting import DEFAULT_STARTS
 from ...fitting.conclusion import finish
-from ...fitting.multistart import Descent, outliers_among
+from ...fitting.multistart import Descent
 from ...fitting.problem import Unknowns, ready
 from ...fitting.result import Fit, FitError
 from ...recordings.experiment import Experiment
@@ -144,8 +144,7 @@ class Study:
             return other, None, late
         self.say("smoothing the recordings that are held out")
         here = ready(self.experiment, held, self.effects)
-        wild = outliers_among(here)
-        other = Scene(here.recordings, here.mechanisms, wild)
+        other = Scene(here.recordings, here.mechanisms, here.outliers)
         other.scales, other.torque = scene.scales, scene.torque
         best = tried_alone(other, tuple(self.loud.effects)).best
         led = other.smoothed(best, other.linearised(best), self.intensity)
