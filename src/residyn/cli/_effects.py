@@ -128,7 +128,7 @@ def tabulate(out: "Console", kinds: "list[type[AbstractEffect]]") -> None:
 
 
 def _one(out: "Console", kind: "type[AbstractEffect]") -> None:
-    from ..effects import JointEffect
+    from ..effects import BASE, JointEffect
     from ..physics.parameter import parameters_of
 
     numbers = []
@@ -160,7 +160,7 @@ def _one(out: "Console", kind: "type[AbstractEffect]") -> None:
         out.print(head, style="bold")
         for words in paragraphs:
             indented(out, words)
-    if kind.name in ("spring", "damper"):
+    if kind.name in BASE:
         out.print("in every model already")
     else:
         place = "[:JOINT]" if issubclass(kind, JointEffect) else ""

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..effects import AbstractEffect
+from ..effects import BASE, AbstractEffect
 from ..filtering.kalman import Torques, gram
 from ..filtering.law import (
     Laws,
@@ -82,7 +82,7 @@ def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
             or (scale and scene.n == 1)
         )
 
-    free = [e for e in scene.catalogued if e.name not in ("spring", "damper") and numbers_of(e)]
+    free = [e for e in scene.catalogued if e.name not in BASE and numbers_of(e)]
     return [e for e in free if e.label not in present and shown(e)]
 
 
@@ -295,7 +295,7 @@ class Columns:
         self._count = 0
         wanted = {e.label: e for e in effects}
         known = [e for e in scene.catalogued if usual(e) and strengths(e)]
-        known = [e for e in known if e.name not in ("spring", "damper")]
+        known = [e for e in known if e.name not in BASE]
         parts = []
         for group in (known, [e for e in effects if not usual(e)]):
             if any(e.label in wanted for e in group):

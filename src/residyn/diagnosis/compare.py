@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..effects import AbstractEffect
+from ..effects import BASE, AbstractEffect
 from ..fitting import DEFAULT_STARTS, fit
 from ..fitting.result import Fit
 from ..recordings.experiment import Experiment
@@ -124,7 +124,7 @@ def compare_fit(
         found = where(near, slopes)
         say("predicting what was held out")
         ahead = held_out(near), horizon(near)
-        own = [e for e in fitted.model.effects if e.name not in ("spring", "damper")]
+        own = [e for e in fitted.model.effects if e.name not in BASE]
         if missing is None:
             say("smoothing the missing torque")
             missing = _missing(fitted.experiment, own, say)

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..effects import AbstractEffect
+from ..effects import BASE, AbstractEffect
 from ..filtering.law import number_slices, numbers_of, state_slices
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import DEFAULT_STARTS, FitError, fit
@@ -210,7 +210,7 @@ class Fits:
         began = time.perf_counter()
         motions = tried.starts(self.scene)
         t = motions[0]
-        own = [e for e in t.valued() if e.name not in ("spring", "damper")]
+        own = [e for e in t.valued() if e.name not in BASE]
         with self.lock:
             if not self.cut:  # what drives a joint that nothing pulls back is fitted in segments
                 here = ready(self.whole, self.whole.fit_recordings, own)

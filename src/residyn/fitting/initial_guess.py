@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..effects import BASE
 from ..physics.modal import paces
 from ..physics.model import Model
 from ..physics.motion import Motion, split, stack
@@ -112,9 +113,8 @@ def resolving(here: Ready, numbers: np.ndarray) -> Model:
 def _turned(model: Model, numbers: np.ndarray) -> np.ndarray:
     """Starts (S, P) of which no effect's number has a sign that physics does not allow: an inertia
     below zero, however small, runs away. Springs and dampers stay: gravity may hold a joint."""
-    base = ("spring", "damper")
     positive = [
-        n.meaning.sign == "positive" and model.effects[n.effect].name not in base
+        n.meaning.sign == "positive" and model.effects[n.effect].name not in BASE
         for n in model.fitted
     ]
     return np.where(positive, np.abs(numbers), numbers)

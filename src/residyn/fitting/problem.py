@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..effects import AbstractEffect, effects_named
+from ..effects import BASE, AbstractEffect, effects_named
 from ..effects.own_numbers import with_own
 from ..errors import InputError, inside, quote
 from ..physics.bearings import AirBearing, without_bearings
@@ -97,7 +97,7 @@ class Problem(eqx.Module):
         return Unknowns(numbers / self.scale.numbers, states / self.scale.states)
 
 
-def posed(model: Model, mechanism: AbstractMechanism) -> Model:
+def posed(model: Model, mechanism: AbstractInertia) -> Model:
     """The model on another mechanism: another pose of the arm, or with its bearings off."""
     return changed(model, mechanism=mechanism)
 
@@ -141,7 +141,7 @@ def model_for(mechanism: AbstractMechanism, effects: Sequence[str | AbstractEffe
     if isinstance(effects, str):
         raise ValueError(f'effects = "{effects}": must be a list, as ["{effects}"]')
     model = Model(mechanism)
-    for effect in ("spring", "damper", *effects):
+    for effect in (*BASE, *effects):
         named = (
             (effect,) if isinstance(effect, AbstractEffect) else effects_named(effect, mechanism)
         )

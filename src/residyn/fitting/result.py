@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..effects import BASE
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
@@ -197,7 +198,7 @@ class Fit(TableResult):
         return tuple(
             n
             for n in self.numbers
-            if n.name.startswith(("spring", "damper"))
+            if n.name.startswith(BASE)
             and n.sign == "positive"
             and n.determined
             and -n.value > NEGATIVE * n.std * grown
@@ -206,12 +207,12 @@ class Fit(TableResult):
     @property
     def rmse(self) -> np.ndarray:
         """(n,) rms residual of the fitted recordings per joint, wild readings apart."""
-        return _rms(self.fitted)
+        return rms_of(self.fitted)
 
     @property
     def check_rmse(self) -> np.ndarray | None:
         """(n,) rms residual of the held-out recordings; None if there are none."""
-        return _rms(self.held_out) if self.held_out else None
+        return rms_of(self.held_out) if self.held_out else None
 
     @property
     def objective(self) -> float:
@@ -280,6 +281,7 @@ class Fit(TableResult):
         return to_arviz(self.numbers, self.covariance, draws, seed)
 
 
-def _rms(fits: Sequence[RecordingFit]) -> np.ndarray:
+def rms_of(fits: Sequence[RecordingFit]) -> np.ndarray:
+    """(n,) rms residual of the readings that count."""
     total = sum((np.where(f.used, f.residual, 0.0) ** 2).sum(axis=0) for f in fits)
     return np.sqrt(total / sum(f.used.sum(axis=0) for f in fits))

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from ..diagnosis import Diagnosis
-from ..effects import AbstractEffect
+from ..effects import BASE, AbstractEffect
 from ..errors import InputError
 from ..fitting import DEFAULT_STARTS, Fit, FitError, RecordingFit, fit, mechanism_of, model_for
 from ..physics.model import Model
@@ -26,8 +26,6 @@ from .inertia import inertia
 from .over_models import bare, over_models
 from .result import InertiaResult
 from .unloaded import BareCheck, Pose, Unloading
-
-_BASE = ("spring", "damper")
 
 
 def unload(
@@ -124,7 +122,7 @@ def _own(model: Model) -> list[AbstractEffect]:
 
     **Raises:** `InputError` if one does not say whether it leaves with the bearings.
     """
-    own = [e for e in model.effects if e.name not in _BASE]
+    own = [e for e in model.effects if e.name not in BASE]
     for each in own:
         kind = type(each)
         if kind.of_bearings is None:

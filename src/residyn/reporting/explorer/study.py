@@ -24,7 +24,7 @@ from ...diagnosis.linearised_fit import LinearisedFit, evaluated, polish
 from ...diagnosis.missing_torque import scene_of
 from ...diagnosis.result import Diagnosis
 from ...diagnosis.search import Search, Tried, nested, settle, tried_alone
-from ...effects import AbstractEffect
+from ...effects import BASE, AbstractEffect
 from ...filtering.trajectory import Prior, Scene, Trajectory
 from ...fitting import DEFAULT_STARTS
 from ...fitting.conclusion import finish
@@ -79,9 +79,7 @@ class Study:
         assert found.search is not None
         self = cls.__new__(cls)
         self.experiment, self.say = found.fits.whole, lambda words: None
-        self.effects = tuple(
-            e for e in found.base.model.effects if e.name not in ("spring", "damper")
-        )
+        self.effects = tuple(e for e in found.base.model.effects if e.name not in BASE)
         self._keep(found.search, found.fits)
         self._learn(found)
         return self
