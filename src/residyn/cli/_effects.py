@@ -128,7 +128,8 @@ def tabulate(out: "Console", kinds: "list[type[AbstractEffect]]") -> None:
 
 
 def _one(out: "Console", kind: "type[AbstractEffect]") -> None:
-    from ..effects import BASE, JointEffect
+    from ..effects import JointEffect
+    from ..physics.effect import BASE
     from ..physics.parameter import parameters_of
 
     numbers = []

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..effects import BASE, AbstractEffect
+from ..effects import AbstractEffect
 from ..filtering.kalman import Torques, gram
 from ..filtering.law import (
     Laws,
@@ -48,6 +48,7 @@ from ..filtering.linearised import (
     transition,
 )
 from ..filtering.trajectory import Scene, Trajectory
+from ..physics.effect import BASE
 from ..physics.motion import Motion, split, stack
 from ..physics.parameter import FREQUENCY
 from ..runtime.export_cache import kept

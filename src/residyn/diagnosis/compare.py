@@ -7,9 +7,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..effects import BASE, AbstractEffect
+from ..effects import AbstractEffect
 from ..fitting import DEFAULT_STARTS, fit
 from ..fitting.result import Fit
+from ..physics.effect import BASE
 from ..recordings.experiment import Experiment
 from ..runtime.json import finite
 from ..runtime.presentation import Result

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..effects import BASE, AbstractEffect
+from ..effects import AbstractEffect
 from ..filtering.law import number_slices, numbers_of, state_slices
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import DEFAULT_STARTS, FitError, fit
@@ -26,6 +26,7 @@ from ..fitting.conclusion import finish, with_held_out
 from ..fitting.multistart import descend, without_drift
 from ..fitting.problem import ready
 from ..fitting.result import Fit
+from ..physics.effect import BASE
 from ..physics.motion import Motion
 from ..recordings.experiment import Experiment, must_be_experiment
 from ..runtime.memory import give_back

@@ -9,7 +9,6 @@ import functools
 from pathlib import Path
 
 from ..errors import InputError, quote
-from ..physics.effect import BASE as BASE
 from ..physics.effect import AbstractEffect as AbstractEffect
 from ..physics.effect import JointEffect as JointEffect
 from ..physics.inertia import AbstractInertia

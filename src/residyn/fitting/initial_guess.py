@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..effects import BASE
+from ..physics.effect import BASE
 from ..physics.modal import paces
 from ..physics.model import Model
 from ..physics.motion import Motion, split, stack

@@ -15,10 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..effects import BASE, AbstractEffect, effects_named
+from ..effects import AbstractEffect, effects_named
 from ..effects.own_numbers import with_own
 from ..errors import InputError, inside, quote
 from ..physics.bearings import AirBearing, without_bearings
+from ..physics.effect import BASE
 from ..physics.inertia import AbstractInertia
 from ..physics.mechanism import AbstractMechanism, ConstantInertia, PlanarArm
 from ..physics.modal import fastest, ringing

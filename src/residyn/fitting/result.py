@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..effects import BASE
+from ..physics.effect import BASE
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording

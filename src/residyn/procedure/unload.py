@@ -14,9 +14,10 @@ import jax
 import numpy as np
 
 from ..diagnosis import Diagnosis
-from ..effects import BASE, AbstractEffect
+from ..effects import AbstractEffect
 from ..errors import InputError
 from ..fitting import DEFAULT_STARTS, Fit, FitError, RecordingFit, fit, mechanism_of, model_for
+from ..physics.effect import BASE
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording

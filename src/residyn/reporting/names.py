@@ -6,8 +6,9 @@ import re
 from collections.abc import Sequence
 
 from ..diagnosis.result import Candidate, Diagnosis, ModelState
-from ..effects import BASE, catalogue
+from ..effects import catalogue
 from ..fitting.result import Fit
+from ..physics.effect import BASE
 
 PLAIN = "springs and dampers"
 HELD_OUT = "held out"

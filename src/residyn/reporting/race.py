@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..effects import BASE
 from ..fitting.race import ONE, TEN, Race, Raced
+from ..physics.effect import BASE
 from . import figures as plot
 from . import latex as tex
 from .layout import Table, filled, printed, section, separated, tabular

@@ -24,13 +24,14 @@ from ...diagnosis.linearised_fit import LinearisedFit, evaluated, polish
 from ...diagnosis.missing_torque import scene_of
 from ...diagnosis.result import Diagnosis
 from ...diagnosis.search import Search, Tried, nested, settle, tried_alone
-from ...effects import BASE, AbstractEffect
+from ...effects import AbstractEffect
 from ...filtering.trajectory import Prior, Scene, Trajectory
 from ...fitting import DEFAULT_STARTS
 from ...fitting.conclusion import finish
 from ...fitting.multistart import Descent
 from ...fitting.problem import Unknowns, ready
 from ...fitting.result import Fit, FitError
+from ...physics.effect import BASE
 from ...recordings.experiment import Experiment
 from .first_order import FirstOrder, first_order
 
