@@ -402,23 +402,19 @@ def lines(torque: np.ndarray, spacing: np.ndarray) -> list[tuple[float, np.ndarr
     frequencies = frequencies[frequencies < 0.25 / dt]
     # One window for all: without it a strong slow line would drown the others in its skirts.
     window = np.hanning(length)
-    best = None
-    for kernel in torque:
-        waves = []
-        for r in range(recordings):
-            turn = np.exp(-2j * np.pi * np.outer(frequencies, np.arange(length) * spacing[r]))
-            waves.append(turn @ (window * kernel[r]))
-        power = np.sum([np.abs(w) ** 2 for w in waves], axis=0)
-        contrast = power.max() / max(np.median(power), 1e-300)
-        if best is None or contrast > best[0]:
-            best = (contrast, power, waves)
-    assert best is not None
-    _, power, waves = best
-    found = []
+    waves = []
+    for r in range(recordings):
+        turns = np.exp(-2j * np.pi * np.outer(np.arange(length) * spacing[r], frequencies))
+        waves.append(window * torque[:, r] @ turns)
+    waves = np.stack(waves, axis=1)  # (K, R, F)
+    power = np.sum(np.abs(waves) ** 2, axis=1)
+    contrast = power.max(axis=1) / np.maximum(np.median(power, axis=1), 1e-300)
+    best = np.argmax(np.nan_to_num(contrast))
+    power, waves, found = power[best], waves[best], []
     for _ in range(_LINES):
         top = int(np.argmax(power))
         # A sin(x + phase) has the transform (A/2i) exp(i phase).
-        found.append((frequencies[top], np.array([np.angle(1j * w[top]) for w in waves])))
+        found.append((frequencies[top], np.angle(1j * waves[:, top])))
         power = np.where(np.abs(frequencies - frequencies[top]) < 2 / (length * dt), 0.0, power)
     return found
 
