@@ -228,7 +228,6 @@ def drawn(here: Ready, starts: int, seed: int) -> np.ndarray:
 
 
 def run(look: Search, how: Genetic, progress: Callable[[str], None] = lambda words: None) -> Found:
-    """Search."""
     watch, key = watching() or Watch(), jax.random.key(how.seed)
     settings = tuple(sorted(how.settings.items()))
     strategy = traced_algorithm(how.strategy, how.population, how.generations, look.size, settings)
@@ -268,8 +267,6 @@ def objective_of(look: Search, genes: Any):
 
 @eqx.filter_jit
 def _values(objective: Callable, look: Search, genes: Float[Array, "N G"]) -> Float[Array, " N"]:
-    """Objective of every individual."""
-
     def one(individual):
         value = objective(look, individual)
         return jnp.where(jnp.isfinite(value), jnp.minimum(value, _HOPELESS), _HOPELESS)

@@ -116,7 +116,7 @@ def multistart(
     """
     begin = resolving(here, numbers)
     found: list[Descent] = []
-    failed: FitError | None = None
+    failed = None
     try:
         found.append((yield from descending(here, begin, numbers, here.outliers, progress, memory)))
     except FitError as error:
@@ -186,10 +186,8 @@ def descending(
     y = Unknowns(numbers / problem.scale.numbers, first / problem.scale.states)
     shares = horizons(here, frequency) if near is None or growing else [1.0]
 
-    def polished(problem: Problem, y: Unknowns, shares: Sequence[float]):
-        if search is not None:
-            return search(problem, y, shares)
-        return (yield from polishing(problem, y, shares))
+    def polished(*given) -> Fitting[Polished]:
+        return (yield from polishing(*given)) if search is None else search(*given)
 
     out = yield from polished(problem, y, shares)
     if len(shares) > 1 and not _sane(out, here.recordings):

@@ -76,10 +76,10 @@ class Problem(eqx.Module):
     steps: Int[AnyArray, ""]  # M, of every recording
     tighter: Float[AnyArray, ""]  # what the tolerances of an integrator are divided by
     room: int = eqx.field(static=True)  # at least M
+    # Whether M is `room`, compiled in: what reverse mode asks for.
     fixed: bool = eqx.field(static=True, default=False)
-    """Whether M is `room`, compiled in: what reverse mode asks for."""
+    # What integrates instead of fixed steps; M are then the nodes that it leaves behind.
     integrator: Integrator | None = eqx.field(static=True, default=None)
-    """What integrates instead of fixed steps; M are then the nodes that it leaves behind."""
 
     def numbers(self, y: Unknowns) -> Float[AnyArray, " P"]:
         """The model's numbers, in their own units, at scaled unknowns."""
@@ -194,10 +194,8 @@ class Ready(NamedTuple):
     model: Model
     recordings: tuple[Recording, ...]
     mechanisms: tuple[AbstractMechanism, ...]
-    integrator: Integrator | None = None
-    """What integrates instead of fixed steps."""
-    finer: int = 1
-    """How many times as many steps are taken as usual."""
+    integrator: Integrator | None = None  # what integrates instead of fixed steps
+    finer: int = 1  # how many times as many steps are taken as usual
 
     def posed(self, model: Model | None = None) -> list[Model]:
         """The model as each recording saw it."""
@@ -238,13 +236,9 @@ class Ready(NamedTuple):
         if like is not None:
             room, instants = max(room, like.room), max(instants, like.recorded.row.shape[-1])
         recorded = lay_out(self.recordings, self.mechanisms, outliers, steps, room, instants)
-        memory = np.zeros(len(begin.memory))
-        states = np.stack(
-            [
-                np.concatenate([_first_state(r, bad, frequency), memory])
-                for r, bad in zip(self.recordings, outliers, strict=True)
-            ]
-        )
+        pairs = zip(self.recordings, outliers, strict=True)
+        states = np.stack([_first_state(r, bad, frequency) for r, bad in pairs])
+        states = np.pad(states, ((0, 0), (0, len(begin.memory))))
         # A number's size is never zero: its value, or a part of what is typical of its dimension.
         values = np.nan_to_num(np.abs(begin.vector()), posinf=0.0)
         size = self.amplitude

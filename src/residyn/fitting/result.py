@@ -236,11 +236,9 @@ class Fit(TableResult):
 
     def strong_correlations(self) -> list[tuple[str, str, float]]:
         """Pairs of numbers that this data hardly tells apart."""
-        found = []
-        for i, j in zip(*np.triu_indices(len(self.numbers), 1), strict=True):
-            r = self.correlation[i, j]
-            if abs(r) > STRONG:
-                found.append((self.numbers[i].name, self.numbers[j].name, float(r)))
+        names, r = [n.name for n in self.numbers], self.correlation
+        pairs = np.argwhere(np.triu(np.abs(r) > STRONG, 1))
+        found = [(names[i], names[j], float(r[i, j])) for i, j in pairs]
         return sorted(found, key=lambda row: -abs(row[2]))
 
     def to_dict(self) -> dict[str, Any]:
