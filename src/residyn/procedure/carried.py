@@ -73,9 +73,8 @@ def carried(fit: Fit, inertia: np.ndarray | None) -> Carried:
 def _information(fit: Fit) -> np.ndarray:
     """(P + 3, P + 3) J'J at the best fit, of the numbers and the inertias, with the recordings'
     initial states taken out."""
-    fitted = [f for f in fit.recordings if f.recording.role == "fit"]
     problem, numbers, factors = fit.problem, fit.model.vector(), []
-    for i, beside in enumerate(fitted):
+    for i, beside in enumerate(fit.fitted):
         one = jax.tree.map(lambda x, i=i: x[i], problem.recorded)
         slopes = np.asarray(_slopes(problem, one, numbers, jnp.asarray(beside.state)))
         # Memory at the first sample is known to its typical size: a reading like any other.

@@ -83,8 +83,8 @@ def unload(
         search = diagnosis and diagnosis.search
         over = search and over_models(search, experiment, covariance, at, say)
         checks = []
-        for beside in fitted.recordings:
-            if beside.recording.role == "check" and not beside.recording.air_bearings:
+        for beside in fitted.held_out:
+            if not beside.recording.air_bearings:
                 say(f"fitting {beside.recording.name} alone, to compare")
                 checks.append(_check_against(fitted, beside, errors, starts))
     return Unloading(
