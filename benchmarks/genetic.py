@@ -30,7 +30,6 @@ import numpy as np
 import residyn
 from residyn.fitting.genetic import Genetic, Search, run, search_of
 from residyn.fitting.history import History, Watch, relative_error, watched
-from residyn.fitting.multistart import outliers_among
 from residyn.fitting.problem import Ready, ready
 from residyn.reporting.figures import convergence
 from tests import rig
@@ -89,7 +88,6 @@ class Case(NamedTuple):
     arm: rig.Case
     experiment: residyn.Experiment
     here: Ready
-    wild: list[np.ndarray]
     floor: float
 
     def look(self, each: Way) -> Search:
@@ -99,7 +97,7 @@ class Case(NamedTuple):
             rows = zip(self.here.model.fitted, truth_of(self.arm), strict=True)
             bounds = {n.name: (x / each.within, x * each.within) for n, x in rows}
             how = dataclasses.replace(how, bounds=bounds)
-        look = search_of(self.here, self.wild, how)
+        look = search_of(self.here, how)
         if each.release_told:
             look = look._replace(states=released(self.arm))
         return look
@@ -135,10 +133,9 @@ def cases(rng: np.random.Generator, count: int, **recorded: float) -> Iterator[C
     for arm in rig.clean_cases(rng, count, **recorded):
         experiment = experiment_of(arm, arm.noise)
         here = ready(experiment, experiment.fit_recordings, ())
-        wild = outliers_among(here)
-        look = search_of(here, wild, Genetic())
+        look = search_of(here, Genetic())
         y = look.problem.scaled(jnp.asarray(truth_of(arm)), jnp.asarray(released(arm)))
-        yield Case(arm, experiment, here, wild, float(relative_error(look.problem, y)))
+        yield Case(arm, experiment, here, float(relative_error(look.problem, y)))
 
 
 def evolved(case: Case, each: Way) -> Outcome:

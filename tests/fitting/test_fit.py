@@ -367,8 +367,7 @@ def test_a_start_stays_where_numbers_can_be(seed):
     made = experiment(case, noise=5e-3)
     here = ready(made, made.fit_recordings, ["gravity"])
     with jax.enable_x64(True):
-        wild = [np.zeros(r.angle.shape, bool) for r in here.recordings]
-        numbers, _ = initial_guess.first_guess(here, wild, 6)
+        numbers, _ = initial_guess.first_guess(here, 6)
         assert np.all(np.abs(numbers) < 50 * here.typical())
 
 

@@ -15,7 +15,6 @@ from residyn.cli import main
 from residyn.fitting import Genetic, History, MissingExtra, evolution, levenberg_history, methods
 from residyn.fitting.genetic import Part, box, search_of
 from residyn.fitting.history import relative_error
-from residyn.fitting.multistart import outliers_among
 from residyn.fitting.problem import ready
 from residyn.recordings.tables import ArmTable
 from residyn.reporting.figures import convergence
@@ -95,7 +94,7 @@ def test_lost_readings_are_in_neither_norm(experiment):
     )
     with jax.enable_x64(True):
         here = ready(holed, holed.fit_recordings, ())
-        look = search_of(here, outliers_among(here), Genetic())
+        look = search_of(here, Genetic())
         y = look.unknowns(jnp.full(8, 0.5))
         found = float(relative_error(look.problem, y))
         bare = residyn.simulate(

@@ -129,6 +129,7 @@ def tabulate(out: "Console", kinds: "list[type[AbstractEffect]]") -> None:
 
 def _one(out: "Console", kind: "type[AbstractEffect]") -> None:
     from ..effects import JointEffect
+    from ..physics.effect import BASE
     from ..physics.parameter import parameters_of
 
     numbers = []
@@ -160,7 +161,7 @@ def _one(out: "Console", kind: "type[AbstractEffect]") -> None:
         out.print(head, style="bold")
         for words in paragraphs:
             indented(out, words)
-    if kind.name in ("spring", "damper"):
+    if kind.name in BASE:
         out.print("in every model already")
     else:
         place = "[:JOINT]" if issubclass(kind, JointEffect) else ""

@@ -48,6 +48,7 @@ from ..filtering.linearised import (
     transition,
 )
 from ..filtering.trajectory import Scene, Trajectory
+from ..physics.effect import BASE
 from ..physics.motion import Motion, split, stack
 from ..physics.parameter import FREQUENCY
 from ..runtime.export_cache import kept
@@ -82,7 +83,7 @@ def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
             or (scale and scene.n == 1)
         )
 
-    free = [e for e in scene.catalogued if e.name not in ("spring", "damper") and numbers_of(e)]
+    free = [e for e in scene.catalogued if e.name not in BASE and numbers_of(e)]
     return [e for e in free if e.label not in present and shown(e)]
 
 
@@ -295,7 +296,7 @@ class Columns:
         self._count = 0
         wanted = {e.label: e for e in effects}
         known = [e for e in scene.catalogued if usual(e) and strengths(e)]
-        known = [e for e in known if e.name not in ("spring", "damper")]
+        known = [e for e in known if e.name not in BASE]
         parts = []
         for group in (known, [e for e in effects if not usual(e)]):
             if any(e.label in wanted for e in group):

@@ -10,6 +10,7 @@ import numpy as np
 from ..effects import AbstractEffect
 from ..fitting import DEFAULT_STARTS, fit
 from ..fitting.result import Fit
+from ..physics.effect import BASE
 from ..recordings.experiment import Experiment
 from ..runtime.json import finite
 from ..runtime.presentation import Result
@@ -124,7 +125,7 @@ def compare_fit(
         found = where(near, slopes)
         say("predicting what was held out")
         ahead = held_out(near), horizon(near)
-        own = [e for e in fitted.model.effects if e.name not in ("spring", "damper")]
+        own = [e for e in fitted.model.effects if e.name not in BASE]
         if missing is None:
             say("smoothing the missing torque")
             missing = _missing(fitted.experiment, own, say)

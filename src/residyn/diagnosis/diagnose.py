@@ -27,6 +27,7 @@ from ..fitting.conclusion import finish, with_held_out
 from ..fitting.multistart import descend, without_drift
 from ..fitting.problem import ready
 from ..fitting.result import Fit
+from ..physics.effect import BASE
 from ..physics.motion import Motion
 from ..recordings.experiment import Experiment, must_be_experiment
 from ..runtime.memory import give_back
@@ -202,7 +203,7 @@ class Fits:
         began = time.perf_counter()
         motions = tried.starts(self.scene)
         t = motions[0]
-        own = [e for e in t.valued() if e.name not in ("spring", "damper")]
+        own = [e for e in t.valued() if e.name not in BASE]
         with self.lock:
             if not self.cut:  # what drives a joint that nothing pulls back is fitted in segments
                 here = ready(self.whole, self.whole.fit_recordings, own)

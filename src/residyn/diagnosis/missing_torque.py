@@ -20,7 +20,6 @@ from ..effects import AbstractEffect
 from ..filtering.grid import local_amplitude
 from ..filtering.law import number_slices, numbers_of
 from ..filtering.trajectory import Scene, Trajectory
-from ..fitting.multistart import outliers_among
 from ..fitting.problem import ready
 from ..physics.model import Model
 from ..physics.parameter import parameters_of
@@ -223,4 +222,4 @@ def scene_of(
     """The fitted recordings of an experiment as a scene, and the base model with some effects;
     `fast` as in `Scene`."""
     here = ready(experiment, experiment.fit_recordings, effects)
-    return Scene(here.recordings, here.mechanisms, outliers_among(here), fast), here.model.effects
+    return Scene(here.recordings, here.mechanisms, here.outliers, fast), here.model.effects

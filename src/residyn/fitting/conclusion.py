@@ -20,7 +20,7 @@ from .integration import at_twice_the_steps, corrected
 from .lanes import Fitting, alone, evaluating
 from .least_squares import Compressed, compressed
 from .linalg import BLIND, damped_step
-from .multistart import Descent, descending, outliers_among
+from .multistart import Descent, descending
 from .problem import Problem, Ready, Unknowns, mechanism_of, posed
 from .result import Fit, FitError, RecordingFit
 
@@ -104,7 +104,6 @@ class Found(NamedTuple):
 def searched(
     experiment: Experiment,
     here: Ready,
-    outliers: list[np.ndarray],
     found: Found,
     reason: str,
     began: float,
@@ -112,13 +111,13 @@ def searched(
     """The fit of what a search has found, which did not end in a least-squares minimum."""
     model = here.model.with_vector(jnp.asarray(found.numbers))
     # Once more with the step that these numbers ask for.
-    problem, _ = here.problem(model, outliers)
+    problem, _ = here.problem(model, here.outliers)
     at = jax.device_get(problem.scaled(jnp.asarray(found.numbers), jnp.asarray(found.states)))
     there = jax.device_get(compressed(problem, at))
     cost = float(there.cost)
     if not np.isfinite(cost):
         raise FitError("no individual led to finite numbers: is this the arm that was recorded?")
-    end = Descent(here, problem, outliers, at, there, cost, found.steps, found.settled)
+    end = Descent(here, problem, here.outliers, at, there, cost, found.steps, found.settled)
     fit = finish(experiment, found.first, end, began, evaluate=compressed, correct=False)
     far = _far(fit, there, np.asarray(problem.scale.numbers))
     return dataclasses.replace(fit, reason=reason, history=found.history, short_of_minimum=far)
@@ -161,7 +160,6 @@ def _held_out(
         # The same effects, also where bare recordings know none of bearings.
         begin = posed(model, mechanisms[0])
         here = fitted._replace(model=begin, recordings=tuple(filled), mechanisms=mechanisms)
-        outliers = outliers_among(here)
-        end = yield from descending(here, begin, numbers, outliers, like=like, search=search)
+        end = yield from descending(here, begin, numbers, here.outliers, like=like, search=search)
         found += end.beside(filled)[: len(some)]
     return found

@@ -44,23 +44,20 @@ def spread_of(factors: np.ndarray, sizes: np.ndarray, inflation: float) -> Sprea
 def numbers_of(model: Model, start: np.ndarray, spread: Spread) -> tuple[Number, ...]:
     """The fitted numbers with their errors."""
     values, units = np.asarray(model.vector()), model.mechanism.units
-    found = []
-    for i, number in enumerate(model.fitted):
-        # A number of no one joint (gravity's moment, say) takes the unit of the first.
-        unit = units[number.joint or 0] if units else None
-        found.append(
-            Number(
-                name=number.name,
-                words=number.meaning.words,
-                value=float(values[i]),
-                std=float(spread.std[i]),
-                start=float(start[i]),
-                unit=number.meaning.dimension.unit(unit),
-                sign=number.meaning.sign,
-                determined=bool(np.isfinite(spread.std[i])),
-            )
+    return tuple(
+        Number(
+            name=number.name,
+            words=number.meaning.words,
+            value=float(values[i]),
+            std=float(spread.std[i]),
+            start=float(start[i]),
+            # A number of no one joint (gravity's moment, say) takes the unit of the first.
+            unit=number.meaning.dimension.unit(units[number.joint or 0] if units else None),
+            sign=number.meaning.sign,
+            determined=bool(np.isfinite(spread.std[i])),
         )
-    return tuple(found)
+        for i, number in enumerate(model.fitted)
+    )
 
 
 def modes_of(model: Model, covariance: np.ndarray) -> tuple[Mode, ...]:

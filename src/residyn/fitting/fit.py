@@ -22,14 +22,7 @@ from .integration import TENTH, checked, refined, stable
 from .lanes import Fitting, alone
 from .methods import GENETIC, LEVENBERG, RANDOM, named
 from .minimise import fit_minimised
-from .multistart import (
-    DEFAULT_STARTS,
-    Descent,
-    descending,
-    multistart,
-    outliers_among,
-    without_drift,
-)
+from .multistart import DEFAULT_STARTS, Descent, descending, multistart, without_drift
 from .problem import ready
 from .result import Fit, FitError
 
@@ -112,19 +105,17 @@ def fitting(
     if not isinstance(starts, Integral) or starts < 1:
         raise ValueError(f"starts = {starts!r}: must be a whole number, at least one")
     here = ready(experiment, experiment.fit_recordings, effects)
-    outliers = outliers_among(here)
-
     if seed is None:
         progress("finding a start in closed form")
-        numbers, memory = first_guess(here, outliers, starts)
+        numbers, memory = first_guess(here, starts)
         whole = experiment
         experiment = without_drift(whole, here.model.with_vector(numbers[0]))
         if experiment is not whole:
             here = ready(experiment, experiment.fit_recordings, effects)
-            outliers, memory = outliers_among(here), here.memory(starts)
+            memory = here.memory(starts)
         progress(f"fitting from {starts} start{'s' * (starts > 1)}")
         base = functools.partial(ready, experiment, here.recordings, ()) if effects else None
-        begun = base, outliers, starts, progress, numbers, memory
+        begun = base, starts, progress, numbers, memory
         try:
             descent = yield from multistart(here, *begun)
         except FitError:
@@ -135,10 +126,10 @@ def fitting(
             descent = yield from multistart(finer, *begun)
     else:
         progress("drawing starts")
-        numbers = drawn(here, outliers, starts, seed)
+        numbers = drawn(here, starts, seed)
         progress(f"fitting from {starts} of them")
         begin = here.model.with_vector(numbers[0])
-        descent = yield from descending(here, begin, numbers, outliers, progress)
+        descent = yield from descending(here, begin, numbers, here.outliers, progress)
     progress("errors, modes and held-out recordings")
     found = yield from finishing(experiment, numbers[0], descent, began)
     if found.integration_error > TENTH and not here.adapts:

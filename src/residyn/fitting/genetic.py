@@ -26,7 +26,7 @@ from .conclusion import Found, searched
 from .evolution import Strategy, fold, traced_algorithm
 from .history import History, Part, Watch, relative_error, watching
 from .initial_guess import first_guess, resolving
-from .multistart import DEFAULT_STARTS, outliers_among
+from .multistart import DEFAULT_STARTS
 from .problem import Problem, Ready, Unknowns, ready
 from .result import Fit
 
@@ -192,23 +192,22 @@ def fit_genetic(
     """
     began = time.perf_counter()
     here = ready(experiment, experiment.fit_recordings, effects)
-    outliers = outliers_among(here)
-    found = run(search_of(here, outliers, how), how, progress)
+    found = run(search_of(here, how), how, progress)
     progress("errors, modes and held-out recordings")
     words = (
         f"{found.steps} generations of {how.population} individuals ({how.strategy}); "
         f"objective of Eq. 17: {found.history.objective[-1]:.4g}, "
         + ("settled" if found.settled else "still falling")
     )
-    return searched(experiment, here, outliers, found, words, began)
+    return searched(experiment, here, found, words, began)
 
 
-def search_of(here: Ready, outliers: Sequence[np.ndarray], how: Genetic) -> Search:
+def search_of(here: Ready, how: Genetic) -> Search:
     """The search of an experiment: the model, the step and the readings that
     Levenberg-Marquardt would have, so that both simulate alike; but not its start."""
-    begin = resolving(here, first_guess(here, outliers, DEFAULT_STARTS)[0])
+    begin = resolving(here, first_guess(here, DEFAULT_STARTS)[0])
     bounds = box(here.model.fitted, here.typical(), how.bounds)
-    problem, states = here.problem(begin, outliers)
+    problem, states = here.problem(begin, here.outliers)
     noise, scale = np.max([r.noise for r in here.recordings], axis=0), problem.scale.states[0]
     share = _SHARE_OF_STATE + _SIGMAS * noise / scale[: len(noise)]
     memory = np.full(len(scale) - 2 * len(noise), _MEMORY)
@@ -216,10 +215,10 @@ def search_of(here: Ready, outliers: Sequence[np.ndarray], how: Genetic) -> Sear
     return Search(problem, bounds, states, reach, how.initial == GENES)
 
 
-def drawn(here: Ready, outliers: list[np.ndarray], starts: int, seed: int) -> np.ndarray:
+def drawn(here: Ready, starts: int, seed: int) -> np.ndarray:
     """(S, P) numbers of the best of a hundred individuals, drawn as the first generation is: starts
     that know nothing of the closed form, which shows what that is worth."""
-    look = search_of(here, outliers, Genetic())
+    look = search_of(here, Genetic())
     genes = jnp.asarray(np.random.default_rng(seed).uniform(size=(_DRAWN, look.size)))
     values = np.asarray(_values(objective_of, look, genes))
     order = np.argsort(values)[:starts]
@@ -229,7 +228,6 @@ def drawn(here: Ready, outliers: list[np.ndarray], starts: int, seed: int) -> np
 
 
 def run(look: Search, how: Genetic, progress: Callable[[str], None] = lambda words: None) -> Found:
-    """Search."""
     watch, key = watching() or Watch(), jax.random.key(how.seed)
     settings = tuple(sorted(how.settings.items()))
     strategy = traced_algorithm(how.strategy, how.population, how.generations, look.size, settings)
@@ -269,8 +267,6 @@ def objective_of(look: Search, genes: Any):
 
 @eqx.filter_jit
 def _values(objective: Callable, look: Search, genes: Float[Array, "N G"]) -> Float[Array, " N"]:
-    """Objective of every individual."""
-
     def one(individual):
         value = objective(look, individual)
         return jnp.where(jnp.isfinite(value), jnp.minimum(value, _HOPELESS), _HOPELESS)

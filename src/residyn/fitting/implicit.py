@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
+from ..physics.effect import BASE
 from ..physics.mechanism import AbstractMechanism
 from ..physics.model import Model
 from ..physics.parameter import all_floating, stacked
@@ -126,7 +127,7 @@ class Embedded(eqx.Module):
             numbers=numbers,
             states=jnp.asarray(self.problem.states(y)),
             chi2=squeezed.cost,
-            covariance=_covariance(self.problem, squeezed),
+            covariance=_covariance(self.problem, squeezed)[: len(numbers), : len(numbers)],
             converged=done,
             steps=steps,
             predicted=squeezed.predicted,
@@ -154,16 +155,7 @@ class Embedded(eqx.Module):
         It is (J'J)^-1 at this point; its first P rows and columns at the minimum are
         `Solution.covariance`. `states` None are those of the start.
         """
-        problem, y = self.problem, self._at(numbers, states)
-        squeezed = compressed(problem, y)
-        (count, each), p = y.states.shape, y.numbers.shape[0]
-        total = jnp.zeros((p + count * each, p + count * each))
-        for i, factor in enumerate(squeezed.factor):
-            # Each recording knows of the numbers and of its own state.
-            seen = np.r_[:p, p + i * each : p + (i + 1) * each]
-            total = total.at[np.ix_(seen, seen)].add(factor.T @ factor)
-        size = jnp.concatenate([problem.scale.numbers, problem.scale.states.reshape(-1)])
-        return jnp.linalg.inv(total) * size * size[:, None]
+        return _covariance(self.problem, compressed(self.problem, self._at(numbers, states)))
 
     def readings(self, predicted: Float[Array, "R N n"]) -> list[Float[Array, "N n"]]:
         """`Solution.predicted`, recording by recording, each of its own length."""
@@ -197,7 +189,7 @@ def embed(fit: Fit, *, integrator: Any = None) -> Embedded:
 def embedded(fit: Fit, integrator: Any = None, fixed: bool = True) -> Embedded:
     """`embed`, in float64. Without `fixed` steps, which reverse mode asks for, it is quicker."""
     fitted = fit.fitted
-    effects = [e for e in fit.model.effects if e.name not in ("spring", "damper")]
+    effects = [e for e in fit.model.effects if e.name not in BASE]
     experiment = fit.experiment
     if integrator is not None:
         experiment = dataclasses.replace(experiment, integrator=integrator)
@@ -253,15 +245,14 @@ def _gradient(problem: Problem, y: Unknowns) -> Unknowns:
     return Unknowns(jnp.sum(local[:, :p], axis=0), local[:, p:])
 
 
-def _covariance(problem: Problem, squeezed: Compressed) -> Float[Array, "P P"]:
-    """(J'J)^-1, its block of the numbers: each recording's states are taken out first."""
-    size = problem.scale.numbers
-    p = size.shape[0]
-
-    def one(factor):
-        square = factor.T @ factor
-        inner = jnp.linalg.solve(square[p:, p:], square[p:, :p])
-        return square[:p, :p] - square[:p, p:] @ inner
-
-    information = jnp.sum(jax.vmap(one)(squeezed.factor), axis=0)
-    return jnp.linalg.inv(information) * size * size[:, None]
+def _covariance(problem: Problem, squeezed: Compressed) -> Float[Array, "U U"]:
+    """(J'J)^-1 of the numbers and, after them, all initial states."""
+    scale, p = problem.scale, problem.scale.numbers.shape[0]
+    count, each = scale.states.shape
+    total = jnp.zeros((p + count * each, p + count * each))
+    for i, factor in enumerate(squeezed.factor):
+        # Each recording knows of the numbers and of its own state.
+        seen = np.r_[:p, p + i * each : p + (i + 1) * each]
+        total = total.at[np.ix_(seen, seen)].add(factor.T @ factor)
+    size = jnp.concatenate([scale.numbers, scale.states.reshape(-1)])
+    return jnp.linalg.inv(total) * size * size[:, None]

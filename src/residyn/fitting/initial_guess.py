@@ -27,11 +27,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..physics.effect import BASE
 from ..physics.modal import paces
 from ..physics.model import Model
 from ..physics.motion import Motion, split, stack
 from ..physics.parameter import stacked
-from ..recordings.recording import Recording
 from ..runtime.export_cache import kept
 from .layout import AnyArray, bucket
 from .problem import Ready
@@ -58,11 +58,9 @@ _ABSURD = 1e12  # rad/s
 _SLOWER = 0.75  # share of the starts that are no faster than the one that sets the step
 
 
-def first_guess(
-    here: Ready, outliers: Sequence[np.ndarray], starts: int
-) -> tuple[np.ndarray, np.ndarray]:
+def first_guess(here: Ready, starts: int) -> tuple[np.ndarray, np.ndarray]:
     """Where the starts begin, the best one first: numbers (S, P), internal states (S, R, m)."""
-    found = closed_form(here.posed(), here.recordings, outliers, here.typical())
+    found = closed_form(here, here.typical())
     some = various(here, found.numbers)[:starts] if starts > 1 else [0][: len(found.numbers)]
     if not some:
         found, some = Trials(here.typical()[None], here.memory(1)), [0]
@@ -115,9 +113,8 @@ def resolving(here: Ready, numbers: np.ndarray) -> Model:
 def _turned(model: Model, numbers: np.ndarray) -> np.ndarray:
     """Starts (S, P) of which no effect's number has a sign that physics does not allow: an inertia
     below zero, however small, runs away. Springs and dampers stay: gravity may hold a joint."""
-    base = ("spring", "damper")
     positive = [
-        n.meaning.sign == "positive" and model.effects[n.effect].name not in base
+        n.meaning.sign == "positive" and model.effects[n.effect].name not in BASE
         for n in model.fitted
     ]
     return np.where(positive, np.abs(numbers), numbers)
@@ -130,31 +127,30 @@ class Trials(NamedTuple):
     memory: np.ndarray
 
 
-def closed_form(
-    models: Sequence[Model],
-    recordings: Sequence[Recording],
-    outliers: Sequence[np.ndarray],
-    sizes: np.ndarray,
-) -> Trials:
-    """Candidate numbers for a model from its recordings (one model per recording's pose).
+def closed_form(here: Ready, sizes: np.ndarray) -> Trials:
+    """Candidate numbers for a model from its recordings.
 
     `sizes` (P,) are the numbers' typical ones, in which their grids are given.
 
     **Returns:** the candidates, the least uncertain first, hopeless ones left out; empty if the
     model has no numbers.
     """
-    if len(recordings) > _ENOUGH and not models[0].memory:
+    model, recordings = here.model, here.recordings
+    if len(recordings) > _ENOUGH and not model.memory:
         some = np.linspace(0, len(recordings) - 1, _ENOUGH).round().astype(int)
-        few = lambda each: [each[i] for i in some]  # noqa: E731
-        found = closed_form(few(models), few(recordings), few(outliers), sizes)
-        return found._replace(memory=np.zeros((len(found.numbers), len(recordings), 0)))
-    grids = [uniform(r, w) for r, w in zip(recordings, outliers, strict=True)]
+        few = here._replace(
+            recordings=tuple(recordings[i] for i in some),
+            mechanisms=tuple(here.mechanisms[i] for i in some),
+        )
+        found = closed_form(few, sizes)
+        return found._replace(memory=here.memory(len(found.numbers)))
+    grids = [uniform(r, r.outliers) for r in recordings]
     shortest = min(len(g.q) for g in grids)
     # What passed a kernel varies from sample to sample as slowly as the kernel does; a memory is
     # run along the motion, and wants all of it.
-    stride = _STRIDE if shortest >= _LONG and not models[0].memory else 1
+    stride = _STRIDE if shortest >= _LONG and not model.memory else 1
     longest = max(len(g.q[::stride]) for g in grids)
-    longest = bucket(longest) if models[0].memory else bucket(longest, *_INSTANTS)
+    longest = bucket(longest) if model.memory else bucket(longest, *_INSTANTS)
     halves = np.array([round(_NARROWEST * 1.5**i) for i in range(_LADDER)])
     fits = halves <= max(_NARROWEST, shortest // 8)
     used = np.where(fits, halves, _NARROWEST)  # always as many: one compiled program
@@ -162,7 +158,7 @@ def closed_form(
         smooth(g, used, r.as_angles.noise, stride) for g, r in zip(grids, recordings, strict=True)
     ]
     data = tuple(_side_by_side(parts, longest) for parts in zip(*each, strict=True))
-    posed = stacked(models)
+    posed = stacked(here.posed())
     spacing = np.array([g.dt * stride for g in grids])
 
     chunks = np.asarray(-(-max(q.shape[1] for q, *_ in each) // min(_CHUNK, longest)))
@@ -171,12 +167,12 @@ def closed_form(
         equations = jax.device_get(_equations(posed, trials, spacing, data, chunks))
         return _solved(equations, np.asarray(trials.numbers), sizes, used // stride)
 
-    trials = plain(models[0], sizes, len(grids))
-    if any(effect.oscillates for effect in models[0].effects):
+    trials = plain(model, sizes, len(grids))
+    if any(effect.oscillates for effect in model.effects):
         first = jax.tree.map(lambda x: x[0], trials)
         found = solved(trials)[0][:, 0, 0]
         missing = jax.device_get(_missing(posed, first, found, spacing, data))
-        trials = tuned(models[0], trials, missing, spacing, fits)
+        trials = tuned(model, trials, missing, spacing, fits)
     numbers, spread = solved(trials)
     # Without and with a constant torque, (K, 2, B): taken as further trials, unless there are
     # several already, which tell more.
@@ -406,23 +402,19 @@ def lines(torque: np.ndarray, spacing: np.ndarray) -> list[tuple[float, np.ndarr
     frequencies = frequencies[frequencies < 0.25 / dt]
     # One window for all: without it a strong slow line would drown the others in its skirts.
     window = np.hanning(length)
-    best = None
-    for kernel in torque:
-        waves = []
-        for r in range(recordings):
-            turn = np.exp(-2j * np.pi * np.outer(frequencies, np.arange(length) * spacing[r]))
-            waves.append(turn @ (window * kernel[r]))
-        power = np.sum([np.abs(w) ** 2 for w in waves], axis=0)
-        contrast = power.max() / max(np.median(power), 1e-300)
-        if best is None or contrast > best[0]:
-            best = (contrast, power, waves)
-    assert best is not None
-    _, power, waves = best
-    found = []
+    waves = []
+    for r in range(recordings):
+        turns = np.exp(-2j * np.pi * np.outer(np.arange(length) * spacing[r], frequencies))
+        waves.append(window * torque[:, r] @ turns)
+    waves = np.stack(waves, axis=1)  # (K, R, F)
+    power = np.sum(np.abs(waves) ** 2, axis=1)
+    contrast = power.max(axis=1) / np.maximum(np.median(power, axis=1), 1e-300)
+    best = np.argmax(np.nan_to_num(contrast))
+    power, waves, found = power[best], waves[best], []
     for _ in range(_LINES):
         top = int(np.argmax(power))
         # A sin(x + phase) has the transform (A/2i) exp(i phase).
-        found.append((frequencies[top], np.array([np.angle(1j * w[top]) for w in waves])))
+        found.append((frequencies[top], np.angle(1j * waves[:, top])))
         power = np.where(np.abs(frequencies - frequencies[top]) < 2 / (length * dt), 0.0, power)
     return found
 
@@ -454,7 +446,6 @@ def memory_along(
 
 def memory_along_readings(
     here: Ready,
-    outliers: Sequence[np.ndarray],
     numbers: np.ndarray,
     memory: np.ndarray,
     at: Sequence[tuple[int, float]],
@@ -464,10 +455,9 @@ def memory_along_readings(
     times, s."""
     from scipy.signal import savgol_filter
 
-    pairs = zip(here.posed(), here.recordings, outliers, strict=True)
     paths, grids = [], []
-    for r, (model, recording, own) in enumerate(pairs):
-        grid = uniform(recording, own)
+    for r, (model, recording) in enumerate(zip(here.posed(), here.recordings, strict=True)):
+        grid = uniform(recording, recording.outliers)
         size = bucket(len(grid.q), *_INSTANTS)
         q, v = (
             np.asarray(savgol_filter(grid.q, 9, 3, deriv=k, delta=grid.dt, axis=0, mode="interp"))

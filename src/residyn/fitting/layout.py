@@ -96,13 +96,15 @@ def drives(recordings: Sequence[Recording], steps: int, room: int) -> Piecewise 
     """
     if all(r.drive is None for r in recordings):
         return None
+    from scipy.interpolate import make_interp_spline
+
     found = []
     for r in recordings:
         ends = np.linspace(r.time[0], r.time[-1], steps + 1)
         h = ends[1] - ends[0]
-        once, twice = _integrals(
-            r.time, np.zeros_like(r.angle) if r.drive is None else r.drive, ends
-        )
+        torque = np.zeros_like(r.angle) if r.drive is None else r.drive
+        line = make_interp_spline(r.time, torque, k=1)
+        once, twice = (line.antiderivative(order)(ends) for order in (1, 2))
         mean = np.diff(once, axis=0) / h
         # Second integral over the step, beyond that of its mean: a slope s gives -s h^3 / 12.
         slope = -12 * (np.diff(twice, axis=0) - h * once[:-1] - mean * h**2 / 2) / h**3
@@ -110,18 +112,3 @@ def drives(recordings: Sequence[Recording], steps: int, room: int) -> Piecewise 
         sides = (np.pad(side, ((0, room - steps), (0, 0))) for side in (left, right))
         found.append(Piecewise(0.0, h, *sides))
     return stacked(found)
-
-
-def _integrals(time: np.ndarray, x: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First and second integral (M, n), from time[0], of straight lines through (time, x)."""
-    gap = np.diff(time)[:, None]
-    slope, none = np.diff(x, axis=0) / gap, np.zeros((1, x.shape[1]))
-    once = np.vstack([none, np.cumsum(gap * (x[:-1] + slope * gap / 2), axis=0)])
-    rise = gap * (once[:-1] + gap * (x[:-1] / 2 + slope * gap / 6))
-    twice = np.vstack([none, np.cumsum(rise, axis=0)])
-    i = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(gap) - 1)
-    s = (at - time[i])[:, None]
-    return (
-        once[i] + s * (x[i] + slope[i] * s / 2),
-        twice[i] + s * (once[i] + s * (x[i] / 2 + slope[i] * s / 6)),
-    )

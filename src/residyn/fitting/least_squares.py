@@ -216,9 +216,7 @@ def look(problem: Problem, y: Unknowns):
             return predicted, predicted
 
         z = jnp.concatenate([y.numbers, state])
-        slopes, predicted = jax.vmap(
-            lambda e: jax.jvp(local, (z,), (e,), has_aux=True)[1:], out_axes=(-1, None)
-        )(jnp.eye(len(z)))
+        slopes, predicted = jax.jacfwd(local, has_aux=True)(z)
         slopes = jnp.where(jnp.isfinite(slopes), slopes, 0.0)
         return predicted, slopes, whiten(recorded, predicted)
 
@@ -250,8 +248,7 @@ class Polished(NamedTuple):
     cost: float  # sum of squared whitened residuals
     steps: int
     converged: bool
-    agreeing: int = 1
-    """How many starts ended here."""
+    agreeing: int = 1  # how many starts ended here
 
 
 class Horizon(NamedTuple):
@@ -259,8 +256,7 @@ class Horizon(NamedTuple):
 
     problem: Problem
     only: Int[Array, ""] | None = None
-    size: Float[Array, ""] | float = 1.0
-    """What the optimiser takes for one sigma, in sigma."""
+    size: Float[Array, ""] | float = 1.0  # what the optimiser takes for one sigma, in sigma
 
     @classmethod
     def of(cls, problem: Problem, share) -> "Horizon":
@@ -329,10 +325,8 @@ class _Tried(NamedTuple):
     cost: Float[Array, ""]
     here: Compressed
     step: Unknowns
-    trust: Float[Array, ""]
-    """The reciprocal of the damping, a trust region's size."""
-    small: Bool[Array, ""]
-    """Whether the step is too small to be worth a look."""
+    trust: Float[Array, ""]  # the reciprocal of the damping, a trust region's size
+    small: Bool[Array, ""]  # whether the step is too small to be worth a look
 
 
 class CompressedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):

@@ -26,7 +26,6 @@ from .conclusion import Found, searched
 from .history import Part, Watch, objective_of, relative_error, watching
 from .initial_guess import first_guess, resolving
 from .least_squares import Horizon, rows
-from .multistart import outliers_among
 from .problem import Problem, Unknowns, ready
 from .result import Fit, FitError
 
@@ -83,9 +82,8 @@ def fit_minimised(
     began = time.perf_counter()
     name, made = minimiser(method)
     here = ready(experiment, experiment.fit_recordings, effects)
-    outliers = outliers_among(here)
-    numbers, memory = first_guess(here, outliers, 1)
-    problem, states = here.problem(resolving(here, numbers), outliers)
+    numbers, memory = first_guess(here, 1)
+    problem, states = here.problem(resolving(here, numbers), here.outliers)
     states[:, states.shape[-1] - memory.shape[-1] :] = memory[0]
     y = problem.scaled(jnp.asarray(numbers[0]), jnp.asarray(states))
     problem = jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_array_like(x) else x, problem)
@@ -124,7 +122,7 @@ def fit_minimised(
     words = f"{step} steps of {name}; objective of Eq. 17: {least:.4g}, "
     words += "converged" if done else "not yet converged"
     progress("errors, modes and held-out recordings")
-    return searched(experiment, here, outliers, found, words, began)
+    return searched(experiment, here, found, words, began)
 
 
 @eqx.filter_custom_vjp
@@ -139,10 +137,11 @@ def _objective_fwd(perturbed, y: Unknowns, problem: Problem, ran: Callable[[int]
     flat, back = jax.flatten_util.ravel_pytree(y)
     _count(ran, 1 + flat.size)
 
-    def along(direction):
-        return jax.jvp(lambda x: relative_error(problem, back(x)), (flat,), (direction,))
+    def at(flat):
+        value = relative_error(problem, back(flat))
+        return value, value
 
-    value, slope = jax.vmap(along, out_axes=(None, 0))(jnp.eye(flat.size))
+    slope, value = jax.jacfwd(at, has_aux=True)(flat)
     return value, back(slope)
 
 

@@ -102,7 +102,6 @@ class Descent(NamedTuple):
 def multistart(
     here: Ready,
     base: Callable[[], Ready] | None,
-    outliers: list[np.ndarray],
     starts: int,
     progress: Callable[[str], None],
     numbers: np.ndarray,
@@ -117,20 +116,20 @@ def multistart(
     """
     begin = resolving(here, numbers)
     found: list[Descent] = []
-    failed: FitError | None = None
+    failed = None
     try:
-        found.append((yield from descending(here, begin, numbers, outliers, progress, memory)))
+        found.append((yield from descending(here, begin, numbers, here.outliers, progress, memory)))
     except FitError as error:
         failed = error
     if found and not _perhaps_local(found[0]):
         return found[0]
     progress("multiple shooting: segments with initial states of their own")
     with contextlib.suppress(FitError):
-        shot = yield from _shooting(here, begin, numbers, memory, outliers, progress)
+        shot = yield from _shooting(here, begin, numbers, memory, progress)
         found += [] if shot is None else [shot]
     if base is not None and starts > 1 and all(d.above_noise for d in found):
         progress("fitting springs and dampers alone, to begin again from there")
-        found += yield from _from_the_base(here, base(), numbers, memory, outliers, progress)
+        found += yield from _from_the_base(here, base(), numbers, memory, progress)
     if not found:
         assert failed is not None
         raise failed
@@ -187,10 +186,8 @@ def descending(
     y = Unknowns(numbers / problem.scale.numbers, first / problem.scale.states)
     shares = horizons(here, frequency) if near is None or growing else [1.0]
 
-    def polished(problem: Problem, y: Unknowns, shares: Sequence[float]):
-        if search is not None:
-            return search(problem, y, shares)
-        return (yield from polishing(problem, y, shares))
+    def polished(*given) -> Fitting[Polished]:
+        return (yield from polishing(*given)) if search is None else search(*given)
 
     out = yield from polished(problem, y, shares)
     if len(shares) > 1 and not _sane(out, here.recordings):
@@ -206,7 +203,7 @@ def descending(
             raise FitError("no start led to a motion that could be: is this the arm recorded?")
         predicted = _predictions(out.compressed, here.recordings)
         pairs = zip(here.recordings, predicted, strict=True)
-        found = outliers_among(here, [r.angle - p for r, p in pairs])
+        found = [_outliers_beside(r, r.angle - p) for r, p in pairs]
         found = [new | old for new, old in zip(found, outliers, strict=True)]
         settled = all((f == w).all() for f, w in zip(found, outliers, strict=True))
         if settled or round_ == _ROUNDS or any(f.mean() > _MOST_OUTLIERS for f in found):
@@ -329,19 +326,14 @@ def _upright(problem: Problem, at: Unknowns) -> Unknowns | None:
     return problem.scaled(found.vector(), jnp.asarray(states))
 
 
-def outliers_among(here: Ready, residuals: Sequence[np.ndarray] | None = None) -> list[np.ndarray]:
-    """Readings far off their neighbours; beside a model, of which these are the `residuals`, also
-    far off the usual residual."""
-    if residuals is None:
-        return [r.outliers for r in here.recordings]
-    found = []
-    for recording, x in zip(here.recordings, residuals, strict=True):
-        # Where the model misses something, the residual has corners of its own.
-        usual = _USUAL * 1.4826 * np.nanmedian(np.abs(x), axis=0)
-        noise = np.maximum(recording.noise, usual)
-        far = np.any(np.abs(x) > _FAR * noise)
-        found.append(outlier_mask(recording.time, x, noise) if far else np.zeros(x.shape, bool))
-    return found
+def _outliers_beside(recording: Recording, residual: np.ndarray) -> np.ndarray:
+    """Readings whose residual is far off its neighbours, and off what is usual."""
+    # Where the model misses something, the residual has corners of its own.
+    usual = _USUAL * 1.4826 * np.nanmedian(np.abs(residual), axis=0)
+    noise = np.maximum(recording.noise, usual)
+    if not np.any(np.abs(residual) > _FAR * noise):
+        return np.zeros(residual.shape, bool)
+    return outlier_mask(recording.time, residual, noise)
 
 
 def _single(y: Unknowns) -> Unknowns:
@@ -362,7 +354,6 @@ def _shooting(
     begin: Model,
     numbers: np.ndarray,
     memory: np.ndarray,
-    outliers: list[np.ndarray],
     progress: Callable[[str], None],
 ) -> Fitting[Descent | None]:
     """Where starts lead by multiple shooting; None if the recordings are no longer than a segment.
@@ -376,7 +367,7 @@ def _shooting(
     cut: list[Recording] = []
     bad: list[np.ndarray] = []
     which: list[int] = []
-    for i, (r, own) in enumerate(zip(here.recordings, outliers, strict=True)):
+    for i, (r, own) in enumerate(zip(here.recordings, here.outliers, strict=True)):
         parts = segments_of(r, r.duration / min(most, max(1, round(r.duration / cycle / _CYCLES))))
         cut += parts
         bad += np.split(own, np.cumsum([len(p.time) for p in parts])[:-1])
@@ -395,7 +386,7 @@ def _shooting(
     each = np.tile(states, (len(numbers), 1, 1))
     if here.model.memory:
         at = [(r, part.time[0]) for r, part in zip(which, cut, strict=True)]
-        found = memory_along_readings(here, outliers, numbers, memory, at)
+        found = memory_along_readings(here, numbers, memory, at)
         each[..., -found.shape[-1] :] = found
     y = Unknowns(numbers / problem.scale.numbers, each / problem.scale.states)
     ends = distinct((yield from _further(problem, _begun(y), [1.0], calls=1)))[:2]
@@ -405,7 +396,7 @@ def _shooting(
     numbers = np.asarray(problem.numbers(end.unknowns))
     first = np.searchsorted(which, range(len(here.recordings)))
     joined = np.asarray(problem.states(end.unknowns))[None, first]
-    begun = here, here.model.with_vector(numbers), numbers[None], outliers, progress
+    begun = here, here.model.with_vector(numbers), numbers[None], here.outliers, progress
     found = yield from _one_by_one(
         descending(*begun, near=joined, growing=growing) for growing in (False, True)
     )
@@ -437,7 +428,6 @@ def _from_the_base(
     base: Ready,
     guess: np.ndarray,
     memory: np.ndarray,
-    outliers: list[np.ndarray],
     progress: Callable[[str], None],
 ) -> Fitting[list[Descent]]:
     """Fits of a model from where springs and dampers alone end, which is found more surely: with
@@ -446,10 +436,10 @@ def _from_the_base(
     The frequency of an oscillation has as many minima as its recording has cycles. What springs and
     dampers leave is linear in it, so that its spectrum is the likelihood of all of them.
     """
-    numbers, states = first_guess(base, outliers, len(guess))
+    numbers, states = first_guess(base, len(guess))
     begin = resolving(base, numbers)
     try:
-        end = yield from descending(base, begin, numbers, outliers, progress, states)
+        end = yield from descending(base, begin, numbers, base.outliers, progress, states)
     except FitError:
         return []
     rows = [(_typically(here, share), None, None) for share in _STRENGTHS]
@@ -459,7 +449,7 @@ def _from_the_base(
     def from_here(row, memory, near) -> Fitting[Descent]:
         numbers = np.concatenate([end.numbers, row[len(end.numbers) :]])
         begin = here.model.with_vector(numbers)
-        return descending(here, begin, numbers[None], outliers, progress, memory, near=near)
+        return descending(here, begin, numbers[None], here.outliers, progress, memory, near=near)
 
     # Each by itself: of several, those that are behind after the first cycles would be left.
     return (yield from _one_by_one(from_here(*each) for each in rows))

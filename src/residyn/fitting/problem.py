@@ -19,6 +19,7 @@ from ..effects import AbstractEffect, effects_named
 from ..effects.own_numbers import with_own
 from ..errors import InputError, inside, quote
 from ..physics.bearings import AirBearing, without_bearings
+from ..physics.effect import BASE
 from ..physics.inertia import AbstractInertia
 from ..physics.mechanism import AbstractMechanism, ConstantInertia, PlanarArm
 from ..physics.modal import fastest, ringing
@@ -75,10 +76,10 @@ class Problem(eqx.Module):
     steps: Int[AnyArray, ""]  # M, of every recording
     tighter: Float[AnyArray, ""]  # what the tolerances of an integrator are divided by
     room: int = eqx.field(static=True)  # at least M
+    # Whether M is `room`, compiled in: what reverse mode asks for.
     fixed: bool = eqx.field(static=True, default=False)
-    """Whether M is `room`, compiled in: what reverse mode asks for."""
+    # What integrates instead of fixed steps; M are then the nodes that it leaves behind.
     integrator: Integrator | None = eqx.field(static=True, default=None)
-    """What integrates instead of fixed steps; M are then the nodes that it leaves behind."""
 
     def numbers(self, y: Unknowns) -> Float[AnyArray, " P"]:
         """The model's numbers, in their own units, at scaled unknowns."""
@@ -97,7 +98,7 @@ class Problem(eqx.Module):
         return Unknowns(numbers / self.scale.numbers, states / self.scale.states)
 
 
-def posed(model: Model, mechanism: AbstractMechanism) -> Model:
+def posed(model: Model, mechanism: AbstractInertia) -> Model:
     """The model on another mechanism: another pose of the arm, or with its bearings off."""
     return changed(model, mechanism=mechanism)
 
@@ -141,7 +142,7 @@ def model_for(mechanism: AbstractMechanism, effects: Sequence[str | AbstractEffe
     if isinstance(effects, str):
         raise ValueError(f'effects = "{effects}": must be a list, as ["{effects}"]')
     model = Model(mechanism)
-    for effect in ("spring", "damper", *effects):
+    for effect in (*BASE, *effects):
         named = (
             (effect,) if isinstance(effect, AbstractEffect) else effects_named(effect, mechanism)
         )
@@ -193,14 +194,17 @@ class Ready(NamedTuple):
     model: Model
     recordings: tuple[Recording, ...]
     mechanisms: tuple[AbstractMechanism, ...]
-    integrator: Integrator | None = None
-    """What integrates instead of fixed steps."""
-    finer: int = 1
-    """How many times as many steps are taken as usual."""
+    integrator: Integrator | None = None  # what integrates instead of fixed steps
+    finer: int = 1  # how many times as many steps are taken as usual
 
     def posed(self, model: Model | None = None) -> list[Model]:
         """The model as each recording saw it."""
         return [posed(model or self.model, m) for m in self.mechanisms]
+
+    @property
+    def outliers(self) -> list[np.ndarray]:
+        """(N, n) readings of each recording that are far off their neighbours."""
+        return [r.outliers for r in self.recordings]
 
     @property
     def adapts(self) -> bool:
@@ -232,13 +236,9 @@ class Ready(NamedTuple):
         if like is not None:
             room, instants = max(room, like.room), max(instants, like.recorded.row.shape[-1])
         recorded = lay_out(self.recordings, self.mechanisms, outliers, steps, room, instants)
-        memory = np.zeros(len(begin.memory))
-        states = np.stack(
-            [
-                np.concatenate([_first_state(r, bad, frequency), memory])
-                for r, bad in zip(self.recordings, outliers, strict=True)
-            ]
-        )
+        pairs = zip(self.recordings, outliers, strict=True)
+        states = np.stack([_first_state(r, bad, frequency) for r, bad in pairs])
+        states = np.pad(states, ((0, 0), (0, len(begin.memory))))
         # A number's size is never zero: its value, or a part of what is typical of its dimension.
         values = np.nan_to_num(np.abs(begin.vector()), posinf=0.0)
         size = self.amplitude

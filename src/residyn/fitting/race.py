@@ -215,10 +215,7 @@ def race(
         experiment = dataclasses.replace(experiment, integrator=integrator)
     # Initial states of check recordings are fitted when a search is over: they take no part in it.
     fitted = dataclasses.replace(experiment, recordings=experiment.fit_recordings)
-    most = (
-        math.inf if simulations is None else simulations,
-        math.inf if seconds is None else seconds,
-    )
+    most = [math.inf if x is None else x for x in (simulations, seconds)]
     say, hear = progress or (lambda words: None), news or (lambda name, seed, watch: None)
     raced: list[Raced] = []
     interrupted, known = "", ()

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..physics.effect import BASE
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
@@ -197,7 +198,7 @@ class Fit(TableResult):
         return tuple(
             n
             for n in self.numbers
-            if n.name.startswith(("spring", "damper"))
+            if n.name.startswith(BASE)
             and n.sign == "positive"
             and n.determined
             and -n.value > NEGATIVE * n.std * grown
@@ -206,12 +207,12 @@ class Fit(TableResult):
     @property
     def rmse(self) -> np.ndarray:
         """(n,) rms residual of the fitted recordings per joint, wild readings apart."""
-        return _rms(self.fitted)
+        return rms_of(self.fitted)
 
     @property
     def check_rmse(self) -> np.ndarray | None:
         """(n,) rms residual of the held-out recordings; None if there are none."""
-        return _rms(self.held_out) if self.held_out else None
+        return rms_of(self.held_out) if self.held_out else None
 
     @property
     def objective(self) -> float:
@@ -235,11 +236,9 @@ class Fit(TableResult):
 
     def strong_correlations(self) -> list[tuple[str, str, float]]:
         """Pairs of numbers that this data hardly tells apart."""
-        found = []
-        for i, j in zip(*np.triu_indices(len(self.numbers), 1), strict=True):
-            r = self.correlation[i, j]
-            if abs(r) > STRONG:
-                found.append((self.numbers[i].name, self.numbers[j].name, float(r)))
+        names, r = [n.name for n in self.numbers], self.correlation
+        pairs = np.argwhere(np.triu(np.abs(r) > STRONG, 1))
+        found = [(names[i], names[j], float(r[i, j])) for i, j in pairs]
         return sorted(found, key=lambda row: -abs(row[2]))
 
     def to_dict(self) -> dict[str, Any]:
@@ -280,6 +279,7 @@ class Fit(TableResult):
         return to_arviz(self.numbers, self.covariance, draws, seed)
 
 
-def _rms(fits: Sequence[RecordingFit]) -> np.ndarray:
+def rms_of(fits: Sequence[RecordingFit]) -> np.ndarray:
+    """(n,) rms residual of the readings that count."""
     total = sum((np.where(f.used, f.residual, 0.0) ** 2).sum(axis=0) for f in fits)
     return np.sqrt(total / sum(f.used.sum(axis=0) for f in fits))

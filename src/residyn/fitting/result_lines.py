@@ -148,22 +148,18 @@ class ResultLines:
         """Open the file and lock it; again, if it was replaced in between."""
         while True:
             file = self._held.enter_context(open(self.path, "ab", buffering=0))  # noqa: SIM115
-            self._lock(file)
+            try:
+                if sys.platform != "win32":
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InputError(
+                    f"{self.path}: another run writes into it; wait until it is done, or choose "
+                    "another file"
+                ) from None
+            except OSError:  # a file system without locks
+                pass
             if os.path.samestat(os.fstat(file.fileno()), os.stat(self.path)):
                 return file
-
-    def _lock(self, file: IO[bytes]) -> None:
-        if sys.platform == "win32":
-            return
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(
-                f"{self.path}: another run writes into it; wait until it is done, or choose "
-                "another file"
-            ) from None
-        except OSError:  # a file system without locks
-            return
 
     def _take_out(self, digests: Mapping[str, str]) -> None:
         """Read what is done; write the file anew without lines that are cut, errors, or of

@@ -19,6 +19,9 @@ from .inertia import AbstractInertia
 from .motion import JointMotion, Joints, Motion, Scalar
 from .parameter import Memory, parameters_of
 
+BASE = "spring", "damper"
+"""Names of the effects that every model has, at every joint (Eq. 4)."""
+
 
 class AbstractEffect(eqx.Module):
     """A physical effect. Its numbers are declared with `residyn.param`; its words sit on the class.

@@ -6,8 +6,8 @@ them in proportion, if the inertias are wrong in proportion). The implicit funct
 how much: at the best fit J'r = 0, so with A = J'J, d(numbers)/d(inertias) = -A_nn^-1 A_nI.
 """
 
+import dataclasses
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -19,7 +19,7 @@ from ..fitting import Fit, Mode
 from ..fitting.layout import Recorded
 from ..fitting.least_squares import predict, whiten
 from ..fitting.linalg import PART, information, inverse_of
-from ..fitting.problem import Problem
+from ..fitting.problem import Problem, posed
 from ..physics.inertia import AbstractInertia
 from ..physics.mechanism import PlanarArm
 from ..physics.modal import modes, state_matrix
@@ -73,9 +73,8 @@ def carried(fit: Fit, inertia: np.ndarray | None) -> Carried:
 def _information(fit: Fit) -> np.ndarray:
     """(P + 3, P + 3) J'J at the best fit, of the numbers and the inertias, with the recordings'
     initial states taken out."""
-    fitted = [f for f in fit.recordings if f.recording.role == "fit"]
     problem, numbers, factors = fit.problem, fit.model.vector(), []
-    for i, beside in enumerate(fitted):
+    for i, beside in enumerate(fit.fitted):
         one = jax.tree.map(lambda x, i=i: x[i], problem.recorded)
         slopes = np.asarray(_slopes(problem, one, numbers, jnp.asarray(beside.state)))
         # Memory at the first sample is known to its typical size: a reading like any other.
@@ -93,13 +92,13 @@ def _slopes(problem: Problem, one: Recorded, numbers, state):
 
     def residual(z):
         count = len(numbers)
-        mechanism = with_inertias(one.mechanism, lambda was: was + z[count : count + 3])
-        moved = eqx.tree_at(lambda r: r.mechanism, one, mechanism)
+        mechanism = with_inertias(one.mechanism, z[count : count + 3])
+        moved = dataclasses.replace(one, mechanism=mechanism)
         predicted = predict(problem, moved, z[:count], z[count + 3 :])
         return whiten(one, predicted).reshape(-1)
 
     z = jnp.concatenate([numbers, jnp.zeros(3), state])
-    return jax.vmap(lambda e: jax.jvp(residual, (z,), (e,))[1], out_axes=1)(jnp.eye(len(z)))
+    return jax.jacfwd(residual)(z)
 
 
 def inertias(mechanism: AbstractInertia) -> jax.Array:
@@ -108,10 +107,15 @@ def inertias(mechanism: AbstractInertia) -> jax.Array:
     return jnp.stack([mechanism.shoulder, mechanism.elbow, mechanism.coupling])
 
 
-def with_inertias(mechanism: AbstractInertia, change: Callable) -> AbstractInertia:
-    """The arm with its three inertias (3,) changed."""
-    now = change(inertias(mechanism))
+def with_inertias(mechanism: AbstractInertia, added) -> AbstractInertia:
+    """The arm with these (3,) added to its inertias."""
+    now = inertias(mechanism) + added
     return eqx.tree_at(lambda a: (a.shoulder, a.elbow, a.coupling), mechanism, tuple(now))
+
+
+def moved(model: Model, numbers, added) -> Model:
+    """The model with these numbers (P,), and these (3,) added to its inertias."""
+    return posed(model.with_vector(numbers), with_inertias(model.mechanism, added))
 
 
 class Rings(NamedTuple):
@@ -176,9 +180,7 @@ def _modes_and_slopes(model: Model):
     (2, n, 3)."""
 
     def rings(numbers, added):
-        mechanism = with_inertias(model.mechanism, lambda was: was + added)
-        moved = eqx.tree_at(lambda m: m.mechanism, model.with_vector(numbers), mechanism)
-        return jnp.stack(modes(moved))
+        return jnp.stack(modes(moved(model, numbers, added)))
 
     numbers, added = model.vector(), jnp.zeros(3)
     slopes = jax.jacfwd(rings, argnums=(0, 1))(numbers, added)

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from ..physics.model import Model
 from ..simulation.interpolation import Trajectory
 from ..simulation.simulate import simulate, steps_for
-from .carried import Carried, with_inertias
+from .carried import Carried, moved
 
 DRAWS = 200
 _EDGES = (2.5, 97.5)  # percentiles between which 95 % lie
@@ -72,10 +72,9 @@ def band_of(path: Trajectory, found: np.ndarray) -> RingDown:
 def _simulated(model: Model, numbers, inertia, times, q0, steps: int):
     """(draws, N, n) angles of the model with its numbers and inertias moved."""
 
-    def one(moved):
-        by, added = moved
-        mechanism = with_inertias(model.mechanism, lambda was: was + added)
-        here = eqx.tree_at(lambda m: m.mechanism, model.with_vector(model.vector() + by), mechanism)
+    def one(draw):
+        by, added = draw
+        here = moved(model, model.vector() + by, added)
         return simulate(here, times, q0, steps=steps).q
 
     # One after the other: dry friction costs only where a joint stops or turns.

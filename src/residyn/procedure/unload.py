@@ -17,6 +17,7 @@ from ..diagnosis import Diagnosis
 from ..effects import AbstractEffect
 from ..errors import InputError
 from ..fitting import DEFAULT_STARTS, Fit, FitError, RecordingFit, fit, mechanism_of, model_for
+from ..physics.effect import BASE
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
@@ -26,8 +27,6 @@ from .inertia import inertia
 from .over_models import bare, over_models
 from .result import InertiaResult
 from .unloaded import BareCheck, Pose, Unloading
-
-_BASE = ("spring", "damper")
 
 
 def unload(
@@ -84,8 +83,8 @@ def unload(
         search = diagnosis and diagnosis.search
         over = search and over_models(search, experiment, covariance, at, say)
         checks = []
-        for beside in fitted.recordings:
-            if beside.recording.role == "check" and not beside.recording.air_bearings:
+        for beside in fitted.held_out:
+            if not beside.recording.air_bearings:
                 say(f"fitting {beside.recording.name} alone, to compare")
                 checks.append(_check_against(fitted, beside, errors, starts))
     return Unloading(
@@ -124,7 +123,7 @@ def _own(model: Model) -> list[AbstractEffect]:
 
     **Raises:** `InputError` if one does not say whether it leaves with the bearings.
     """
-    own = [e for e in model.effects if e.name not in _BASE]
+    own = [e for e in model.effects if e.name not in BASE]
     for each in own:
         kind = type(each)
         if kind.of_bearings is None:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..fitting import Fit, Mode, RecordingFit
+from ..fitting.result import rms_of
 from ..physics.model import Model
 from ..runtime.json import finite
 from ..runtime.presentation import Result
@@ -70,9 +71,7 @@ class BareCheck:
     def rmse(self) -> np.ndarray:
         """(n,) rms of measured minus predicted; of the recording only its initial state was
         fitted."""
-        used = self.beside.used
-        total = (np.where(used, self.beside.residual, 0.0) ** 2).sum(axis=0)
-        return np.sqrt(total / used.sum(axis=0))
+        return rms_of([self.beside])
 
     @property
     def measured(self) -> tuple[Mode, ...]:

@@ -71,18 +71,15 @@ def ordinary(test: DrivenTest) -> tuple[np.ndarray, np.ndarray]:
 
 
 class Rows(NamedTuple):
-    """One driven test through kernels at K places, and how noise enters."""
+    """One driven test through kernels at K places, and how noise enters. The inertias are shoulder,
+    elbow and coupling."""
 
-    torque: np.ndarray
-    """(K,) N m."""
+    torque: np.ndarray  # (K,) N m
+    # (K, P) of composite inertia, Coulomb, viscous and, if it can be told apart, offset
     columns: np.ndarray
-    """(K, P) of composite inertia, Coulomb, viscous and, if it can be told apart, offset."""
-    given: np.ndarray
-    """(K, 3) of shoulder, elbow, coupling: what the braked joint's give adds to the torque."""
-    between: np.ndarray
-    """(K, 3) of shoulder, elbow, coupling: the inertia between the joints, Z12 of Eq. 2."""
-    covariance: np.ndarray
-    """(3, 6, K) of white noise through K, K', K'': its diagonal and those below."""
+    given: np.ndarray  # (K, 3) of the inertias: what the braked joint's give adds to the torque
+    between: np.ndarray  # (K, 3) of the inertias: that between the joints, Z12 of Eq. 2
+    covariance: np.ndarray  # (3, 6, K) of noise through K, K', K'': its diagonal and those below
 
 
 class Solved(NamedTuple):

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from ..diagnosis.result import Candidate, Diagnosis, ModelState
 from ..effects import catalogue
 from ..fitting.result import Fit
+from ..physics.effect import BASE
 
 PLAIN = "springs and dampers"
 HELD_OUT = "held out"
@@ -84,7 +85,7 @@ def named(labels: Sequence[str], joints: Sequence[str]) -> str:
 
 def base_name(fit: Fit, comma: bool = False) -> str:
     """ "springs and dampers", and what else is in the model."""
-    usual = {f"{kind}:{joint}" for kind in ("spring", "damper") for joint in fit.joints}
+    usual = {f"{kind}:{joint}" for kind in BASE for joint in fit.joints}
     more = [lower(at_place(x, fit.joints, comma)) for x in fit.model.labels if x not in usual]
     return " + ".join([PLAIN, *more])
 

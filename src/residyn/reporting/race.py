@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..fitting.race import ONE, TEN, Race, Raced
+from ..physics.effect import BASE
 from . import figures as plot
 from . import latex as tex
 from .layout import Table, filled, printed, section, separated, tabular
@@ -69,7 +70,7 @@ def _cells(race: Race, each: Raced) -> list[str]:
         found.append(f"{spent.simulations:.0f}, {spent.seconds:.2g} s" if known else "--")
     numbers = () if run.fit is None else run.fit.numbers
     far = list(zip(race.off(run), numbers, strict=True))
-    for kind in ("spring", "damper"):
+    for kind in BASE:
         own = [x for x, n in far if n.name.startswith(kind) and np.isfinite(x)]
         found.append(_short(max(own), 2) if own else "--")
     return found

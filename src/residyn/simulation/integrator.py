@@ -26,7 +26,7 @@ from jaxtyping import Array, Float
 
 from ..errors import InputError, number, quote
 from ..physics.model import Model
-from ..physics.motion import Joints, split, stack
+from ..physics.motion import split, stack
 from .equation import Args, Piecewise, rates
 from .stepping import State, dry_step, smooth_step
 
@@ -58,6 +58,7 @@ class UnrolledTsit5(diffrax.AbstractSolver):
 
     term_structure: ClassVar = diffrax.AbstractTerm
     interpolation_cls: ClassVar = diffrax.LocalLinearInterpolation
+    advance: ClassVar = staticmethod(smooth_step)
 
     def order(self, terms):
         return 5
@@ -73,16 +74,11 @@ class UnrolledTsit5(diffrax.AbstractSolver):
         y1 = arrays_of(self.advance(args, t0, t1 - t0, tuples_of(y0))[0])
         return y1, None, {"y0": y0, "y1": y1}, None, diffrax.RESULTS.successful
 
-    def advance(self, args, t, h, y: State) -> tuple[State, Joints]:
-        """One step: its end, and the acceleration at its beginning."""
-        return smooth_step(args, t, h, y)
-
 
 class StickSlip(UnrolledTsit5):
     """`UnrolledTsit5` for joints with dry friction: see `stepping`."""
 
-    def advance(self, args, t, h, y):
-        return dry_step(args, t, h, y)
+    advance: ClassVar = staticmethod(dry_step)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,8 +128,8 @@ class Integrator:
                 f"solver = {self.name}: it estimates no error, so nothing can choose its steps; "
                 "take one that does, such as Tsit5"
             )
-        for key in ("rtol", "atol"):
-            number(key, getattr(self, key), "relative" if key == "rtol" else "absolute", above=0.0)
+        number("rtol", self.rtol, "relative", above=0.0)
+        number("atol", self.atol, "absolute", above=0.0)
         adaptive = diffrax.AbstractAdaptiveStepSizeController
         if self.controller is not None and not isinstance(self.controller, adaptive):
             raise InputError(

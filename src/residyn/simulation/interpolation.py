@@ -48,11 +48,7 @@ def read(
     curve, s = _curve(nodes, row), (place - row)[:, None]
     q = _polynomial(curve, s)
     rate = _polynomial([k * c for k, c in enumerate(curve)][1:], s) / nodes.h
-    if model.late:
-        seen = _late(nodes, place, model.delays, orders)
-    else:
-        seen = _derivatives(curve, s, nodes.h, orders)
-    return Trajectory(times, q, rate, model.reading(seen))
+    return Trajectory(times, q, rate, read_rows(model, nodes, row, place - row, orders))
 
 
 def read_rows(

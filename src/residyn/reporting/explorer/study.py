@@ -28,9 +28,10 @@ from ...effects import AbstractEffect
 from ...filtering.trajectory import Prior, Scene, Trajectory
 from ...fitting import DEFAULT_STARTS
 from ...fitting.conclusion import finish
-from ...fitting.multistart import Descent, outliers_among
+from ...fitting.multistart import Descent
 from ...fitting.problem import Unknowns, ready
 from ...fitting.result import Fit, FitError
+from ...physics.effect import BASE
 from ...recordings.experiment import Experiment
 from .first_order import FirstOrder, first_order
 
@@ -92,7 +93,7 @@ class Study:
         self.predictions: dict[frozenset[str], np.ndarray | None] = {}
         self.screen = search.screen(search.base)
         self.loud, self.intensity = search.screening_motion(search.base)
-        self.effects = [e for e in self.loud.effects if e.name not in ("spring", "damper")]
+        self.effects = [e for e in self.loud.effects if e.name not in BASE]
         """Of the base model. Of the bearings' effects recordings without any know no name."""
         self.shapes = {s.effect.label: s.shape for s in self.screen.ranked}
 
@@ -142,7 +143,7 @@ class Study:
             return other, None, late
         self.say("smoothing the recordings that are held out")
         here = ready(self.experiment, held, self.effects)
-        other = Scene(here.recordings, here.mechanisms, outliers_among(here))
+        other = Scene(here.recordings, here.mechanisms, here.outliers)
         other.scales, other.torque = scene.scales, scene.torque
         other.catalogued = scene.catalogued  # also what only bearings have
         best = tried_alone(other, tuple(self.loud.effects)).best
