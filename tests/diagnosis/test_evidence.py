@@ -293,7 +293,7 @@ def test_evidence_of_spring_and_damper_is_the_integral_over_their_numbers(ringin
     ]
     cell = np.log(std * (offsets[1] - offsets[0])).sum()
     assert found == pytest.approx(logsumexp(grid) + cell, abs=0.01)
-    assert model.complete > 0.9
+    assert model.complete > 0.8
 
 
 def test_an_effect_that_is_not_there_pays_for_its_prior(ringing):
@@ -410,18 +410,24 @@ def test_the_prior_of_an_effects_size_is_that_of_a_strength(sizes):
     assert prior_sizes(sizes).sum() == pytest.approx(1.0)
 
 
-def test_a_name_is_sure_where_little_is_left_beside_it():
-    """What a torque of no catalogue leaves is of the size that effects have; what effects at work
-    leave has any size."""
-    assert np.all(at_work(0.1) < at_work())  # and least where signs are wrong
-    found = dict(zip(INTENSITIES, at_work(), strict=True))
-    assert np.all(np.diff(at_work()) >= 0)  # intensities fall along it
+def test_a_name_is_sure_where_it_leaves_little_of_what_was_missing():
+    """Of a torque of no catalogue any share may be left; beside effects at work any size is."""
+    each = {x: at_work(one) for x, one in zip(INTENSITIES, np.eye(len(INTENSITIES)), strict=True)}
+    assert np.all(at_work(np.eye(len(INTENSITIES))[2], 0.1) < each[0.1])  # least with wrong signs
+    for share in each.values():
+        assert np.all(np.diff(share) >= 0)  # intensities fall along it
+    for more, less in itertools.pairwise(INTENSITIES):
+        assert np.all(each[more] >= each[less])
+    found = dict(zip(INTENSITIES, each[0.1], strict=True))
     assert found[0.0] == found[NEGLIGIBLE] > 0.99
-    assert found[1.0] < 0.5
+    assert found[0.1] < 0.5
+    assert each[0.0][-1] == pytest.approx(1 - OUTSIDE)  # where nothing can be told
     low, high = math.sqrt(0.003 * 0.01), math.sqrt(0.01 * 0.03)
-    outside = OUTSIDE * 2 * (norm.cdf(high / WIDTH) - norm.cdf(low / WIDTH))
-    work = (1 - OUTSIDE) * 0.5 / 8
+    # Of the grid's random torques two are louder than what was missing before.
+    outside, work = OUTSIDE * (high - low) / 0.1, (1 - OUTSIDE) * 0.5 / 8 / (1 - 2 * 0.5 / 8)
     assert found[0.01] == pytest.approx(work / (work + outside), rel=1e-6)
+    mixed = at_work((np.eye(len(INTENSITIES))[2] + np.eye(len(INTENSITIES))[3]) / 2)
+    assert np.allclose(mixed, (each[0.1] + each[0.03]) / 2)
 
 
 @pytest.mark.parametrize(("least", "shift"), [(-1.0, -30.0), (-300.0, 0.0), (-np.inf, 0.0)])
@@ -506,11 +512,18 @@ def in_a_complete_model(found, label):
 def test_evidence_against_the_catalogue_never_makes_a_name_likelier(each, raised):
     """Whichever models the readings then give a random torque to, and how much of it."""
     before = posterior(each)
-    after = posterior([np.array(e) + r * LOUD for e, r in zip(each, raised, strict=True)])
+
+    def with_more(which):
+        rows = zip(each, raised, which, strict=True)
+        return posterior([np.array(e) + r * LOUD * x for e, r, x in rows])
+
+    after = with_more(np.ones(len(SETS)))
     for label in LABELS:
         assert in_a_complete_model(after, label) <= in_a_complete_model(before, label) + 1e-12
+    # What simpler models need is evidence for the names that they lack.
+    richest = with_more([not any(set(one) < set(other) for other in SETS) for one in SETS])
     verdict, probability = before.verdict()
-    new, its = after.verdict()
+    new, its = richest.verdict()
     if verdict == "unexplained":
         assert new == "unexplained"
         assert its >= probability - 1e-12
@@ -522,11 +535,13 @@ def test_evidence_against_the_catalogue_never_makes_a_name_likelier(each, raised
 def test_the_three_verdicts_share_all_probability(each):
     found = posterior(each)
     assert sum(found.each) == pytest.approx(1.0)
+    of = {frozenset(m.added): m.weights for m in found.models}
     missing = sum(
-        p * np.dot(m.weights, at_work() * ~LOUD)
+        p * np.dot(m.weights, ~LOUD * np.min([at_work(of[frozenset(m.added) - {x}])
+                                               for x in m.added], axis=0))
         for m, p in zip(found.models, found.each, strict=True)
         if m.added
-    )
+    )  # fmt: skip
     adequate = found.each[0] * found.models[0].complete
     shares = {"adequate": adequate, "missing": missing, "unexplained": 1 - adequate - missing}
     verdict, probability = found.verdict()
@@ -550,10 +565,11 @@ def test_the_kind_of_law_is_told_before_the_law():
 @pytest.mark.parametrize("most", [LABELS[0], LABELS[2]])
 def test_of_kinds_in_the_same_models_the_first_is_what_explains_most_alone(most):
     each = np.full((len(SETS), len(INTENSITIES)), -40.0)
+    each[:, 0] = -30.0  # but for the pair all is missing
     each[SETS.index((LABELS[0], LABELS[2])), -1] = 0.0
-    each[SETS.index((most,)), -1] = -20.0
+    each[SETS.index((most,)), 0] = -20.0
     first, second = posterior(each).families()[:2]
-    assert first.probability == pytest.approx(second.probability, abs=1e-6)
+    assert first.probability == pytest.approx(second.probability, abs=1e-3)
     assert most in dict(first.members)
 
 
@@ -593,7 +609,7 @@ def test_a_friction_without_a_name_is_dry_friction():
     for variable in ("time", "angle"):
         found = posterior(each, curves=[a_curve(base, Kind(variable, "direction"))])
         kind = next(f for f in found.families() if f.name == "dry friction")
-        loud = float(base.weights @ at_work())
+        loud = float(base.weights @ at_work(found.models[0].weights))
         assert kind.probability == pytest.approx(0.75 * loud, abs=1e-6)
         assert kind.unnamed == pytest.approx(kind.probability, abs=1e-6)
         assert all(f.probability < 1e-6 for f in found.families() if f != kind)

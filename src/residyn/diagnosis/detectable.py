@@ -213,7 +213,8 @@ class Rivals:
         p = np.exp(known - known.max(axis=(0, 2), keepdims=True))
         p /= p.sum(axis=(0, 2), keepdims=True)
         adequate = p[0][:, COMPLETE].sum(-1)
-        missing = (p[1:] * at_work())[..., COMPLETE].sum((0, 2))
+        without = p[0] / p[0].sum(axis=-1, keepdims=True)
+        missing = (p[1:] * at_work(without))[..., COMPLETE].sum((0, 2))
         named = (missing > adequate) & (missing > 1.0 - missing - adequate)
         logs = np.logaddexp.reduce(each, axis=-1)
         mine, rest = logs[own], logs[list(others)]

@@ -427,11 +427,14 @@ class Posterior:
         is at work: that of all models which have one, less what may be of a torque of no catalogue
         that they only take up a part of."""
         wanted = set(labels)
-        return float(sum(
-            p * np.dot(model.weights, self._at_work(model))
-            for model, p in self.weighed
-            if wanted & set(model.added) or (kind is not None and self._kind_of(model) == kind)
-        ))  # fmt: skip
+        total = 0.0
+        for model, p in self.weighed:
+            each: list[str | None] = [x for x in model.added if x in wanted]
+            if kind is not None and self._kind_of(model) == kind:
+                each.append(None)
+            of_each = (np.dot(model.weights, self._at_work(model, x)) for x in each)
+            total += p * max(of_each, default=0.0)
+        return float(total)
 
     def _kind_of(self, model: Tried | CurveModel) -> tuple[str, str] | None:
         """Kind of law and place of a model's free curve."""
@@ -439,17 +442,20 @@ class Posterior:
             return None
         return model.place.kind.family, self.search.scene.joints[model.place.joint]
 
-    def _at_work(self, model: Tried | CurveModel) -> np.ndarray:
-        """(I,) `at_work` of a model. Beside a free curve which may hold a spring or a damper of
-        either sign, the signs are those without it; a friction holds neither."""
+    def _at_work(self, model: Tried | CurveModel, label: str | None) -> np.ndarray:
+        """(I,) `at_work` of one effect in a model, or of its free curve. Beside a curve which may
+        hold a spring or a damper of either sign, the signs are those without it; a friction holds
+        neither."""
+        signs, tried = model, self.search.tried
         if isinstance(model, CurveModel) and model.place.kind.factor != "direction":
-            model = self.search.tried.get(frozenset(model.added), model)
-        return at_work(signs_of(model.best))
+            signs = tried.get(frozenset(model.added), model)
+        without = tried.get(frozenset(model.added) - {label}, self.search.base)
+        return at_work(without.weights, signs_of(signs.best))
 
     def _explains(self, model: Tried | CurveModel) -> float:
         """Probability, given a model, that it needs no random torque that matters and that its
         names, if it has any, are at work."""
-        work = self._at_work(model) if model.added else 1.0
+        work = np.min([self._at_work(model, x) for x in model.added] or 1.0, axis=0)
         return float((work * model.weights)[COMPLETE].sum())
 
     def verdict(self) -> tuple[Verdict, float]:

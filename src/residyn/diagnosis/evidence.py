@@ -222,25 +222,40 @@ def prior_sizes(sizes: Sequence[float]) -> np.ndarray:
     return -np.diff(erf(edges / WIDTH / math.sqrt(2)))
 
 
-def at_work(signs: Any = 1.0) -> np.ndarray:
-    """(I,) probability that the effects of a model are at work, for each random torque that the
-    model still needs.
+def at_work(before: np.ndarray, signs: Any = 1.0) -> np.ndarray:
+    """(..., I) probability that an effect of a model is at work, for each random torque that the
+    model still needs; `before` (..., I) is the posterior of the one that it needs without it.
 
-    The alternative is a torque of no effect in the catalogue, of which the model's effects only
-    take up a part. What they leave is then of the size that effects have (half-normal, `WIDTH`),
-    while beside effects that are at work it is another torque, of any size
-    (`log_prior_intensity`). So a name is sure where little is left beside it, and doubtful where as
-    much is left as effects are expected to be, whatever the number of readings. What stands in for
-    another torque may have either sign: `signs`, of each, is the probability that springs, dampers
-    and all effects have theirs (`right_signs`).
+    The alternative is a torque of no effect in the catalogue, of which the effect only takes up a
+    part: then any share of what was missing before is as likely to be left. Beside an effect that
+    is at work it is another torque, of any size (`log_prior_intensity`) up to what was missing. So
+    a name is sure where it leaves next to nothing of that, and doubtful where it leaves much of it,
+    whatever the number of readings. What stands in for another torque may have either sign: `signs`
+    (I,) is the probability that springs, dampers and all effects have theirs (`right_signs`).
     """
-    outside = OUTSIDE * np.append(prior_sizes(INTENSITIES[:-1]), 0.0)
-    work = (1.0 - OUTSIDE) * np.exp(log_prior_intensity(INTENSITIES))
-    # As good as none: no cells of their own.
-    outside[COMPLETE], work[COMPLETE] = outside[COMPLETE].sum(), work[COMPLETE].sum()
-    # More that is left makes no name surer, though few effects are as large as the whole spring.
-    share = np.minimum.accumulate((work / (work + outside))[::-1])[::-1]
-    return signs * share / (signs * share + 1.0 - share)
+    return before @ (signs * _SHARES / (signs * _SHARES + 1.0 - _SHARES))
+
+
+def _at_work_of() -> np.ndarray:
+    """(I, I) the same for each random torque before, if all signs are as they should be."""
+    sizes, prior = np.array(INTENSITIES), np.exp(log_prior_intensity(INTENSITIES))
+    loud = int(np.count_nonzero(~COMPLETE))  # one cell for each, and one for as good as none
+    prior = np.append(prior[:loud], prior[loud:].sum())
+    edges = np.concatenate([[np.inf], np.sqrt(sizes[:loud] * sizes[1 : loud + 1]), [0.0]])
+    share = np.full((loud + 1, loud + 1), 1.0 - OUTSIDE)
+    for k, size in enumerate(sizes[:loud]):
+        outside = OUTSIDE * -np.diff(np.minimum(edges, size))[k:] / size
+        work = (1.0 - OUTSIDE) * prior[k:] / prior[k:].sum()
+        share[k, k:] = work / (work + outside)
+        share[k, :k] = share[k, k]
+    # More that was missing makes no name less sure, nor more that is left a surer one.
+    share = np.minimum.accumulate(share)
+    share = np.minimum.accumulate(share[:, ::-1], axis=1)[:, ::-1]
+    cell = np.minimum(np.arange(len(sizes)), loud)
+    return share[np.ix_(cell, cell)]
+
+
+_SHARES = _at_work_of()
 
 
 def log_sum(logs) -> float:
