@@ -132,8 +132,9 @@ def test_the_next_experiment_is_for_two_explanations_that_cannot_be_told_apart(f
             for added, x in logs.items()
         }
         search = SimpleNamespace(
-            candidates=known, tried=tried, passed={}, curves=[], reassigned=None
-        )
+            candidates=known, tried=tried, passed={}, curves=[], reassigned=None,
+            base=tried[frozenset()],
+        )  # fmt: skip
         models, p = Posterior(search).rivals()  # pyright: ignore
         return [m.added for m in models], p
 
@@ -217,7 +218,7 @@ def test_a_brake_that_slips_in_every_swing_is_told_from_a_smooth_loop():
     # Its corners need the motion's own slip, and the turning points between two readings.
     found = diagnosed(("brake_slip:elbow", {"stiffness": 15.0, "angle": 0.08}), max_effects=1)
     assert (found.verdict, found.added) == ("missing", ("brake_slip:elbow",))
-    assert found.verdict_probability > 0.99
+    assert found.families[0].probability > 0.99
     value, std = parameter(found, "brake_slip:elbow.angle")
     assert abs(value - 0.08) < 4 * std
 
@@ -395,7 +396,7 @@ def test_friction_that_holds_the_arm_leaves_nothing():
     seen = recording(case.t[:240], case.q[:240])
     found = residyn.diagnose(residyn.Experiment(TABLE, (seen,), on), max_effects=1)
     assert (found.verdict, found.added) == ("missing", (label,))
-    assert found.verdict_probability > 0.99
+    assert found.verdict_probability > 0.95
     value, std = parameter(found, f"{label}.force")
     assert abs(value - 0.3) < 4 * std
 
@@ -412,7 +413,8 @@ def test_two_effects_are_found_one_after_the_other():
 
 
 def test_a_joint_whose_springs_slacken_in_its_few_swings_lacks_friction_and_a_spring_shape():
-    """A quarter of what pulls back is left: no reason to look for a wrong unit."""
+    """A quarter of what pulls back is left: no reason to look for a wrong unit. And the names that
+    come nearest, of which one is not quite right, leave a third of what was missing."""
     time = np.arange(0, 2, 0.01)
 
     def rates(_, x):
@@ -428,7 +430,8 @@ def test_a_joint_whose_springs_slacken_in_its_few_swings_lacks_friction_and_a_sp
     )
     assert not found.explains_nothing
     assert {f.name for f in found.families[:2]} == {"dry friction", "spring shape"}
-    assert all(f.probability > 0.5 for f in found.families[:2])
+    assert all(0.3 < f.probability < 0.6 for f in found.families[:2])
+    assert all(f.probability < 0.1 for f in found.families[2:])
 
 
 def test_a_pendulum_in_air_lacks_gravity_and_drag_and_needs_no_spring():
