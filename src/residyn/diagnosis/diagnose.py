@@ -392,6 +392,7 @@ class Posterior:
 
     def __init__(self, search: Search):
         self.search = search
+        self._needs = functools.cache(lambda model: model.needs(search.scene))
         self.models, self.curves = list(search.tried.values()), search.curves
         passed = [m for added, m in search.passed.items() if added not in search.tried]
         self.named = [*self.models, *passed]
@@ -450,7 +451,7 @@ class Posterior:
         if isinstance(model, CurveModel) and model.place.kind.factor != "direction":
             signs = tried.get(frozenset(model.added), model)
         without = tried.get(frozenset(model.added) - {label}, self.search.base)
-        return at_work(without.weights, signs_of(signs.best))
+        return at_work(self._needs(without), signs_of(signs.best))
 
     def _explains(self, model: Tried | CurveModel) -> float:
         """Probability, given a model, that it needs no random torque that matters and that its

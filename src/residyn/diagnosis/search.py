@@ -96,6 +96,17 @@ class Tried:
         """(I,) posterior of the random torque's intensity, given the model."""
         return softmax(self.evidences + log_prior_intensity(INTENSITIES))
 
+    def needs(self, scene: Scene) -> np.ndarray:
+        """(I,) posterior of the random torque that the model needs: of louder ones, too, than it
+        was iterated under."""
+        known = np.isfinite(self.evidences)
+        if known.all():
+            return self.weights
+        every = np.arange(len(INTENSITIES))
+        each = _evidences(scene, self.best, scene.linearised(self.best), every)
+        each = np.where(known, self.evidences, each)
+        return softmax(each + log_prior_intensity(INTENSITIES))
+
     @property
     def complete(self) -> float:
         """Probability, given the model, that it needs no random torque that matters."""
