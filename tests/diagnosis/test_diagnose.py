@@ -133,7 +133,7 @@ def test_the_next_experiment_is_for_two_explanations_that_cannot_be_told_apart(f
         }
         search = SimpleNamespace(
             candidates=known, tried=tried, passed={}, curves=[], reassigned=None,
-            base=tried[frozenset()],
+            base=tried[frozenset()], scene=friction.search.scene,
         )  # fmt: skip
         models, p = Posterior(search).rivals()  # pyright: ignore
         return [m.added for m in models], p

@@ -451,7 +451,9 @@ class Posterior:
         if isinstance(model, CurveModel) and model.place.kind.factor != "direction":
             signs = tried.get(frozenset(model.added), model)
         without = tried.get(frozenset(model.added) - {label}, self.search.base)
-        return at_work(self._needs(without), signs_of(signs.best))
+        # With more effects a model needs no more than without any.
+        each = self._needs(without), self._needs(self.search.base)
+        return at_work(min(each, key=lambda w: w @ np.array(INTENSITIES)), signs_of(signs.best))
 
     def _explains(self, model: Tried | CurveModel) -> float:
         """Probability, given a model, that it needs no random torque that matters and that its
@@ -511,11 +513,11 @@ class Posterior:
             found.append(Family(name, place, *known))
 
         def order(f: Family):
-            # As probable to a per cent is what is in the same models: what has a name is first, and
-            # of those what explains most by itself.
+            # As probable to a tenth is what is in the same models: what has a name is first, and of
+            # those what explains most by itself.
             unnamed = max(p for _, p in f.members) < 0.5 * f.probability
             most = max(self._alone(x) for x, _ in f.members)
-            return -round(f.probability, 2), unnamed, -most
+            return -round(f.probability, 1), unnamed, -most
 
         return tuple(sorted(found, key=order))
 
