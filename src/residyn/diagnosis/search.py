@@ -472,7 +472,9 @@ class Search:
                         continue
                     best = found[0]
                 self.extend(self.tried[best])
-                if frozenset(self.best.added) == best and len(best) + 2 <= most:
+                none = frozenset(self.best.added) == best
+                # Of pairs there is the first order alone, which is right where little is left.
+                if none and len(best) + 2 <= most and self.best.intensity < READINGS_LEAD:
                     self.extend_by_two(self.tried[best])
                 extended.add(best)
                 self.reduce()
