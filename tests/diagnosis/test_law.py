@@ -202,19 +202,19 @@ def test_what_is_held_is_taken_away_again():
 # -- arms from MuJoCo ------------------------------------------------------------------------------
 
 
-def diagnosed(*hidden, seed=0):
+def diagnosed(*hidden, seed=0, **how):
     each = [rig.Hidden(label, values) for label, values in hidden]
     rng = np.random.default_rng(seed)
     case = rig.record(rng, ARM, (0.3, -0.25), each, seconds=6.0, rate=80.0, noise=NOISE)
     recording = residyn.Recording.from_arrays(
         case.t, case.q, name="release.csv", noise=NOISE, theta2=ARM.theta2
     )
-    return residyn.diagnose(residyn.Experiment(TABLE, (recording,)))
+    return residyn.diagnose(residyn.Experiment(TABLE, (recording,)), **how)
 
 
 @pytest.fixture(scope="module")
 def quintic():
-    return diagnosed(("fifth_power_drag:elbow", {"coefficient": 0.02}))
+    return diagnosed(("fifth_power_drag:elbow", {"coefficient": 0.02}), max_effects=1)
 
 
 def test_a_law_of_no_catalogue_is_found_at_its_joint_with_its_formula(quintic):
