@@ -458,8 +458,8 @@ def test_a_pendulum_in_air_lacks_gravity_and_drag_and_needs_no_spring():
 
 
 def test_two_laws_of_damping_are_found_together_where_each_alone_leaves_as_much():
-    # A joint that rings two hundred times before it is still: all that damps it is a tenth of a
-    # thousandth of the spring's torque, or ten of them, and a damper takes most of it up.
+    # At the largest swing friction is 0.2 % of the spring's torque, drag 0.8 %, the damper 0.3 %: a
+    # larger damper takes most of the other two up.
     inertia, stiffness, friction, drag, damping = 0.05, 1.94, 3e-3, 6e-4, 1e-3
     h, v, angle = 1 / 16_000, 0.0, [0.7]
     while len(angle) < 1000:  # at 40 Hz; dry friction exactly, once a step (Moreau 1988)
