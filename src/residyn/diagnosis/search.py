@@ -472,9 +472,10 @@ class Search:
                         continue
                     best = found[0]
                 self.extend(self.tried[best])
-                none = frozenset(self.best.added) == best
+                likelier = frozenset(self.best.added) != best
                 # Of pairs there is the first order alone, which is right where little is left.
-                if none and len(best) + 2 <= most and self.best.intensity < READINGS_LEAD:
+                little = self.best.intensity < READINGS_LEAD
+                if not likelier and little and len(best) + 2 <= most:
                     self.extend_by_two(self.tried[best])
                 extended.add(best)
                 self.reduce()
