@@ -33,7 +33,15 @@ from ..recordings.experiment import Experiment, must_be_experiment
 from ..runtime.memory import give_back
 from .candidate_tests import best_tests
 from .channels import reassigned
-from .evidence import COMPLETE, EXPLAINS_NOTHING, HOPELESS, INDISTINGUISHABLE, INTENSITIES, at_work
+from .columns import without
+from .evidence import (
+    COMPLETE,
+    EXPLAINS_NOTHING,
+    HOPELESS,
+    INDISTINGUISHABLE,
+    INTENSITIES,
+    at_work,
+)
 from .forecast import held_out
 from .law import CurveModel, curve_models, laws_of
 from .linearised_fit import Hopeless, LinearisedFit, evaluated, polish
@@ -393,6 +401,7 @@ class Posterior:
     def __init__(self, search: Search):
         self.search = search
         self._needs = functools.cache(lambda model: model.needs(search.scene))
+        self._along: dict[tuple[Trajectory, str], np.ndarray] = {}
         self.models, self.curves = list(search.tried.values()), search.curves
         passed = [m for added, m in search.passed.items() if added not in search.tried]
         self.named = [*self.models, *passed]
@@ -447,13 +456,24 @@ class Posterior:
         """(I,) `at_work` of one effect in a model, or of its free curve. Beside a curve which may
         hold a spring or a damper of either sign, the signs are those without it; a friction holds
         neither."""
-        signs, tried = model, self.search.tried
+        signs = model
         if isinstance(model, CurveModel) and model.place.kind.factor != "direction":
-            signs = tried.get(frozenset(model.added), model)
-        without = tried.get(frozenset(model.added) - {label}, self.search.base)
-        # With more effects a model needs no more than without any.
-        each = self._needs(without), self._needs(self.search.base)
-        return at_work(min(each, key=lambda w: w @ np.array(INTENSITIES)), signs_of(signs.best))
+            signs = self.search.tried.get(frozenset(model.added), model)
+        return at_work(self._needed_without(model, label), signs_of(signs.best))
+
+    def _needed_without(self, model: Tried | CurveModel, label: str | None) -> np.ndarray:
+        """(I,) posterior of the random torque that a model needs without one of its effects, or
+        without its free curve: along the motion with it, where the readings lead, if the model
+        without it was not tried."""
+        less = self.search.tried.get(frozenset(model.added) - {label})
+        if less is not None or label is None:
+            return self._needs(less or self.search.base)
+        if (model.best, label) not in self._along:
+            t, _ = self.search.screening_motion(model)
+            unknown = np.full(len(INTENSITIES), -np.inf)
+            less = Tried((), unknown, without(self.search.scene, t, label), 0.0)
+            self._along[model.best, label] = less.needs(self.search.scene)
+        return self._along[model.best, label]
 
     def _explains(self, model: Tried | CurveModel) -> float:
         """Probability, given a model, that it needs no random torque that matters and that its
@@ -513,8 +533,8 @@ class Posterior:
             found.append(Family(name, place, *known))
 
         def order(f: Family):
-            # As probable to a tenth is what is in the same models: what has a name is first, and of
-            # those what explains most by itself.
+            # `OUTSIDE`, known from three rigs, leaves a name's probability open by about a tenth.
+            # As probable to that: what has a name is first, then what explains most by itself.
             unnamed = max(p for _, p in f.members) < 0.5 * f.probability
             most = max(self._alone(x) for x, _ in f.members)
             return -round(f.probability, 1), unnamed, -most
