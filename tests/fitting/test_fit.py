@@ -510,6 +510,9 @@ def test_a_base_that_no_arm_has_is_said_first():
     assert "grows: not physical" in str(grows)
     falls = fitted(0.1 * np.exp(-0.2 * t) * np.cos(5 * t))
     assert falls.unphysical == ()
+    damper = next(n for n in grows.numbers if n.name == "damper:cart.damping")
+    other = dataclasses.replace(damper, name="damper_of_mine:cart.damping")
+    assert dataclasses.replace(grows, numbers=(other,)).unphysical == ()  # a user's own effect
     undamped = fitted(0.1 * np.cos(5 * t))  # its sign is chance
     assert undamped.unphysical == ()
 

@@ -198,7 +198,7 @@ class Fit(TableResult):
         return tuple(
             n
             for n in self.numbers
-            if n.name.startswith(BASE)
+            if n.name.partition(":")[0] in BASE
             and n.sign == "positive"
             and n.determined
             and -n.value > NEGATIVE * n.std * grown

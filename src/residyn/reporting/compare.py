@@ -20,7 +20,7 @@ from ..recordings.experiment import Experiment
 from . import figures as plot
 from .layout import Table, filled, printed, section
 from .names import at_place, listed, lower, when_held_out
-from .numbers import amount, p_value, plain, prefixed, share, times
+from .numbers import amount, p_value, percent, plain, prefixed, share, times
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -194,7 +194,7 @@ def _held_out(found: Comparison) -> list[str]:
 
 def _own(each: OwnNumbers) -> str:
     sure = max(each.probability, 1.0 - each.probability)
-    odds = "> 99 %" if sure > 0.99 else f"{100 * sure:.0f} %"
+    odds = percent(sure)
     if each.probability > 0.5:
         return f"{each.effect} differs in {each.recording} from the other recordings ({odds})."
     return (
