@@ -459,7 +459,9 @@ class Posterior:
         signs = model
         if isinstance(model, CurveModel) and model.place.kind.factor != "direction":
             signs = self.search.tried.get(frozenset(model.added), model)
-        return at_work(self._needed_without(model, label), signs_of(signs.best))
+        # With more effects a model needs no more than without any.
+        each = self._needed_without(model, label), self._needs(self.search.base)
+        return at_work(min(each, key=lambda w: w @ np.array(INTENSITIES)), signs_of(signs.best))
 
     def _needed_without(self, model: Tried | CurveModel, label: str | None) -> np.ndarray:
         """(I,) posterior of the random torque that a model needs without one of its effects, or
