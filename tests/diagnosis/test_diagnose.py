@@ -434,6 +434,33 @@ def test_a_joint_whose_springs_slacken_in_its_few_swings_lacks_friction_and_a_sp
     assert all(f.probability < 0.1 for f in found.families[2:])
 
 
+def test_a_name_is_no_surer_because_the_model_without_it_was_not_tried():
+    """A hardening spring beside friction and a random torque takes up a part of what friction
+    leaves, and next to nothing of what springs and dampers leave."""
+    rng, h = np.random.default_rng(3), 1e-3
+    q, v, push, angle = 0.2, 0.0, 0.0, []
+    for i in range(4000):
+        if i % 10 == 0:
+            angle.append(q)
+        push += 0.06 * math.sqrt(20 * h) * rng.standard_normal() - 10 * h * push
+        q += 0.5 * h * v
+        free = v + h * (push - 100 * q - 80 * q**3 - 0.4 * v)
+        v = math.copysign(max(abs(free) - 2 * h, 0.0), free)
+        q += 0.5 * h * v
+    seen = np.array(angle) + 1e-4 * rng.standard_normal(400)
+    table = InertiaTable(("axis",), ((1.0,),), ("rad",))
+    one = residyn.Recording.from_arrays(0.01 * np.arange(400), seen[:, None])
+    friction, cubic = "coulomb_friction:axis", "cubic_stiffness:axis"
+    with jax.enable_x64(True):
+        search = Search(*scene_of(residyn.Experiment(table, (one,)), ()))
+        search.beside(search.beside(search.base, friction), cubic)
+        tried = Posterior(search).of([cubic])
+        del search.tried[frozenset([friction])]
+        untried = Posterior(search).of([cubic])
+    assert 0.2 < tried < 0.5
+    assert abs(untried - tried) < 0.2
+
+
 def test_a_pendulum_in_air_lacks_gravity_and_drag_and_needs_no_spring():
     # At such angles the sine is a cubic spring but for 0.5 % of the torque.
     time, moment = np.arange(0, 31, 1 / 16), 1.5
