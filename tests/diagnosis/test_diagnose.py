@@ -434,31 +434,56 @@ def test_a_joint_whose_springs_slacken_in_its_few_swings_lacks_friction_and_a_sp
     assert all(f.probability < 0.1 for f in found.families[2:])
 
 
+def rubbing(seed, begin, resists, friction, torque, pace, step, every, count, noise, rest=0.0):
+    """A search on a joint of 1 kg m^2 that rubs, by Moreau's time stepping: `count` readings,
+    `every` so many steps. `torque` (N m, rms) and `pace` (rad/s) are a random torque's."""
+    rng, angle = np.random.default_rng(seed), []
+    q, v, push = begin, 0.0, 0.0
+    for i in range(count * every):
+        if i % every == 0:
+            angle.append(q)
+        push += torque * math.sqrt(2 * pace * step) * rng.standard_normal() - pace * step * push
+        q += 0.5 * step * v
+        free = v + step * (push - resists(q, v))
+        v = math.copysign(max(abs(free) - friction * step, 0.0), free)
+        q += 0.5 * step * v
+    seen = rest + np.array(angle) + noise * rng.standard_normal(count)
+    one = residyn.Recording.from_arrays(step * every * np.arange(count), seen[:, None])
+    table = InertiaTable(("axis",), ((1.0,),), ("rad",))
+    return Search(*scene_of(residyn.Experiment(table, (one,)), ()))
+
+
 def test_a_name_is_no_surer_because_the_model_without_it_was_not_tried():
     """A hardening spring beside friction and a random torque takes up a part of what friction
     leaves, and next to nothing of what springs and dampers leave."""
-    rng, h = np.random.default_rng(3), 1e-3
-    q, v, push, angle = 0.2, 0.0, 0.0, []
-    for i in range(4000):
-        if i % 10 == 0:
-            angle.append(q)
-        push += 0.06 * math.sqrt(20 * h) * rng.standard_normal() - 10 * h * push
-        q += 0.5 * h * v
-        free = v + h * (push - 100 * q - 80 * q**3 - 0.4 * v)
-        v = math.copysign(max(abs(free) - 2 * h, 0.0), free)
-        q += 0.5 * h * v
-    seen = np.array(angle) + 1e-4 * rng.standard_normal(400)
-    table = InertiaTable(("axis",), ((1.0,),), ("rad",))
-    one = residyn.Recording.from_arrays(0.01 * np.arange(400), seen[:, None])
     friction, cubic = "coulomb_friction:axis", "cubic_stiffness:axis"
     with jax.enable_x64(True):
-        search = Search(*scene_of(residyn.Experiment(table, (one,)), ()))
+        search = rubbing(
+            3, 0.2, lambda q, v: 100 * q + 80 * q**3 + 0.4 * v, friction=2.0, torque=0.06,
+            pace=10.0, step=1e-3, every=10, count=400, noise=1e-4,
+        )  # fmt: skip
         search.beside(search.beside(search.base, friction), cubic)
         tried = Posterior(search).of([cubic])
         del search.tried[frozenset([friction])]
         untried = Posterior(search).of([cubic])
     assert 0.2 < tried < 0.5
     assert abs(untried - tried) < 0.2
+
+
+def test_a_model_that_sticks_has_its_evidence_along_the_motion_that_it_keeps():
+    """A brake that holds throughout is a shifted zero, and its angle of slip is not seen; where it
+    slips there is no shift."""
+    with jax.enable_x64(True):
+        search = rubbing(
+            1, 1.0, lambda q, v: 8 * q + 0.024 * v, friction=0.08, torque=0.016, pace=2.5,
+            step=2e-3, every=20, count=1000, noise=1e-3, rest=0.015,
+        )  # fmt: skip
+        model = search.beside(
+            search.beside(search.base, "coulomb_friction:axis"), "brake_slip:axis"
+        )
+        linear = search.scene.linearised(model.best)
+        (again,) = search.scene.evidences(model.best, linear, [model.intensity]).log_evidence
+    assert again == pytest.approx(model.evidences.max(), abs=5.0)
 
 
 def test_a_pendulum_in_air_lacks_gravity_and_drag_and_needs_no_spring():

@@ -537,9 +537,9 @@ class Posterior:
         def order(f: Family):
             # `OUTSIDE`, known from three rigs, leaves a name's probability open by about a tenth.
             # As probable to that: what has a name is first, then what explains most by itself.
-            unnamed = max(p for _, p in f.members) < 0.5 * f.probability
-            most = max(self._alone(x) for x, _ in f.members)
-            return -round(f.probability, 1), unnamed, -most
+            label, probability = f.members[0]
+            unnamed = probability < 0.5 * f.probability
+            return -round(f.probability, 1), unnamed, -self._alone(label)
 
         return tuple(sorted(found, key=order))
 
