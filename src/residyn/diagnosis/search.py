@@ -279,20 +279,22 @@ def _descended(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | Non
         yield _State(t, evidences)
     level = int(np.argmax(evidences + log_prior_intensity(INTENSITIES)))
     end = best[level]
-    yield end and _State(_end(scene, end, level, evidences[level]) or end, evidences, done=True)
+    yield end and _State(_end(scene, end, level, evidences[level]), evidences, done=True)
 
 
-def _end(scene: Scene, t: Trajectory, level: int, known: float) -> Trajectory | None:
-    """A last Gauss-Newton step of a model, of as much as keeps its evidence `known`: a brake that
-    holds along the motion says nothing of where it slips, and with a whole step may slip."""
-    linear = scene.linearised(t)
-    for share in (*(0.5**i for i in range(_HALVED)), 0.0):
-        moved = scene.smoothed(t, linear, INTENSITIES[level], share)
-        if moved is None or share == 0.0:
-            return moved
+def _end(scene: Scene, t: Trajectory, level: int, known: float) -> Trajectory:
+    """A model after a last Gauss-Newton step, of as much as keeps its evidence `known`: a brake
+    that holds along the motion says nothing of where it slips, and after a whole step may slip."""
+    moved = scene.smoothed(t, scene.linearised(t), INTENSITIES[level])
+    if moved is None:
+        return t
+    for _ in range(_HALVED):
         here = _evidences(scene, moved, scene.linearised(moved), np.array([level]))[level]
         if here > known - _ROUGH:
             return moved
+        half = dataclasses.replace(moved, u=(t.u + moved.u) / 2, path=(t.path + moved.path) / 2)
+        moved = scene.consistent(half)
+    return dataclasses.replace(moved, u=t.u, path=t.path)
 
 
 def _evidences(scene: Scene, t: Trajectory, linear: Linear, levels: np.ndarray) -> np.ndarray:
