@@ -17,7 +17,13 @@ import residyn
 from residyn import effects
 from residyn.diagnosis.candidate_tests import Rival
 from residyn.diagnosis.diagnose import Posterior
-from residyn.diagnosis.evidence import IN_PLAY, INTENSITIES, half_normals, over_intensities
+from residyn.diagnosis.evidence import (
+    EXPLAINS_NOTHING,
+    IN_PLAY,
+    INTENSITIES,
+    half_normals,
+    over_intensities,
+)
 from residyn.diagnosis.linearised_fit import Hopeless, LinearisedFit, minimum
 from residyn.diagnosis.missing_torque import missing_of, scene_of
 from residyn.diagnosis.search import Search, Tried, settle, tried_alone
@@ -425,13 +431,15 @@ def test_a_joint_whose_springs_slacken_in_its_few_swings_lacks_friction_and_a_sp
     angle = solve_ivp(rates, (0, 2), (0.126, 0.0), t_eval=time, rtol=1e-8, max_step=2e-3).y[0]
     angle = 2e-3 * np.round((angle + 2e-4 * np.random.default_rng(1).standard_normal(200)) / 2e-3)
     seen = residyn.Recording.from_arrays(time, angle[:, None])
-    found = residyn.diagnose(
-        residyn.Experiment(InertiaTable(("axis",), ((0.8,),), ("rad",)), (seen,)), max_effects=2
-    )
-    assert not found.explains_nothing
-    assert {f.name for f in found.families[:2]} == {"dry friction", "spring shape"}
-    assert all(0.3 < f.probability < 0.6 for f in found.families[:2])
-    assert all(f.probability < 0.1 for f in found.families[2:])
+    table = InertiaTable(("axis",), ((0.8,),), ("rad",))
+    with jax.enable_x64(True):
+        search = Search(*scene_of(residyn.Experiment(table, (seen,)), ()))
+        search.run(2)
+        found = Posterior(search).families()
+    assert search.best.intensity < EXPLAINS_NOTHING
+    assert {f.name for f in found[:2]} == {"dry friction", "spring shape"}
+    assert all(0.3 < f.probability < 0.6 for f in found[:2])
+    assert all(f.probability < 0.1 for f in found[2:])
 
 
 def rubbing(seed, begin, resists, friction, torque, pace, step, every, count, noise, rest=0.0):
@@ -453,21 +461,50 @@ def rubbing(seed, begin, resists, friction, torque, pace, step, every, count, no
     return Search(*scene_of(residyn.Experiment(table, (one,)), ()))
 
 
-def test_a_name_is_no_surer_because_the_model_without_it_was_not_tried():
-    """A hardening spring beside friction and a random torque takes up a part of what friction
-    leaves, and next to nothing of what springs and dampers leave."""
-    friction, cubic = "coulomb_friction:axis", "cubic_stiffness:axis"
+def test_an_effect_is_asked_beside_the_best_model_without_it(friction):
+    """A third effect takes away next to nothing of what two leave; of what none leaves nearly all
+    goes, with whichever of them."""
+
+    known = effects.CoulombFriction("elbow"), effects.CubicStiffness("elbow"), effects.AirDrag()
+    labels = tuple(e.label for e in known)
+    one, two, needed = labels[:1], labels[:2], {(): 0.1}  # each with one needs less
+
+    def probability(*which):
+        tried = {
+            frozenset(x): dataclasses.replace(
+                friction.search.base, added=x, best=friction.search.best.best,
+                evidences=np.where(np.array(INTENSITIES) == needed.get(x, 1e-3), 0.0, -100.0),
+                    log_prior=0.0 if x == labels else -50.0,
+            )
+            for x in which
+        }  # fmt: skip
+        search = SimpleNamespace(
+            candidates=known, tried=tried, passed={}, curves=[], reassigned=None,
+            base=tried[frozenset()], scene=friction.search.scene,
+        )  # fmt: skip
+        return Posterior(search).of(labels[2:])  # pyright: ignore
+
+    asked = probability((), two, labels)
+    assert asked == pytest.approx(probability((), one, two, labels))
+    assert asked == pytest.approx(probability((), one, labels))
+    assert asked < 0.5 < probability((), labels)
+
+
+def test_models_in_play_are_tried_without_each_of_their_effects():
+    """Whether a hardening spring beside friction and a random torque is at work, and friction
+    beside the spring, shows beside the models without them."""
     with jax.enable_x64(True):
         search = rubbing(
-            3, 0.2, lambda q, v: 100 * q + 80 * q**3 + 0.4 * v, friction=2.0, torque=0.06,
-            pace=10.0, step=1e-3, every=10, count=400, noise=1e-4,
+            1, 0.2, lambda q, v: 100 * q + 80 * q**3 + 0.4 * v, friction=2.0, torque=0.06,
+            pace=10.0, step=1e-3, every=10, count=340, noise=1e-4,
         )  # fmt: skip
-        search.beside(search.beside(search.base, friction), cubic)
-        tried = Posterior(search).of([cubic])
-        del search.tried[frozenset([friction])]
-        untried = Posterior(search).of([cubic])
-    assert 0.2 < tried < 0.5
-    assert abs(untried - tried) < 0.2
+        search.run(2)
+    lowest = search.best.log_posterior + math.log(IN_PLAY)
+    in_play = [m for m in search.tried.values() if m.log_posterior > lowest]
+    assert max(len(m.added) for m in in_play) == 2
+    for model in in_play:
+        for label in model.added:
+            assert frozenset(model.added) - {label} in search.tried, (model.added, label)
 
 
 def test_a_model_that_sticks_has_its_evidence_along_the_motion_that_it_keeps():

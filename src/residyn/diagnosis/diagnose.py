@@ -33,7 +33,6 @@ from ..recordings.experiment import Experiment, must_be_experiment
 from ..runtime.memory import give_back
 from .candidate_tests import best_tests
 from .channels import reassigned
-from .columns import without
 from .evidence import (
     COMPLETE,
     EXPLAINS_NOTHING,
@@ -401,7 +400,6 @@ class Posterior:
     def __init__(self, search: Search):
         self.search = search
         self._needs = functools.cache(lambda model: model.needs(search.scene))
-        self._along: dict[tuple[Trajectory, str], np.ndarray] = {}
         self.models, self.curves = list(search.tried.values()), search.curves
         passed = [m for added, m in search.passed.items() if added not in search.tried]
         self.named = [*self.models, *passed]
@@ -459,23 +457,15 @@ class Posterior:
         signs = model
         if isinstance(model, CurveModel) and model.place.kind.factor != "direction":
             signs = self.search.tried.get(frozenset(model.added), model)
-        # With more effects a model needs no more than without any.
-        each = self._needed_without(model, label), self._needs(self.search.base)
-        return at_work(min(each, key=lambda w: w @ np.array(INTENSITIES)), signs_of(signs.best))
+        return at_work(self._needed_without(model, label), signs_of(signs.best))
 
     def _needed_without(self, model: Tried | CurveModel, label: str | None) -> np.ndarray:
         """(I,) posterior of the random torque that a model needs without one of its effects, or
-        without its free curve: along the motion with it, where the readings lead, if the model
-        without it was not tried."""
-        less = self.search.tried.get(frozenset(model.added) - {label})
-        if less is not None or label is None:
-            return self._needs(less or self.search.base)
-        if (model.best, label) not in self._along:
-            t, _ = self.search.screening_motion(model)
-            unknown = np.full(len(INTENSITIES), -np.inf)
-            less = Tried((), unknown, without(self.search.scene, t, label), 0.0)
-            self._along[model.best, label] = less.needs(self.search.scene)
-        return self._along[model.best, label]
+        without its free curve: the least that any model needs which was tried and has no effect
+        beyond those. With more effects a model needs no more."""
+        rest = frozenset(model.added) - {label}
+        each = (self._needs(m) for added, m in self.search.tried.items() if added <= rest)
+        return min(each, key=lambda weights: weights @ np.array(INTENSITIES))
 
     def _explains(self, model: Tried | CurveModel) -> float:
         """Probability, given a model, that it needs no random torque that matters and that its

@@ -494,6 +494,7 @@ class Search:
                 extended.add(best)
                 self.reduce()
                 self._simulate()
+            self._take_each_away()
             if self.best.intensity >= EXPLAINS_NOTHING:  # then no name says anything
                 self.tried, self.passed = {frozenset(): self.base}, {}
 
@@ -710,6 +711,24 @@ class Search:
                     if rest and hoped > max(lowest, above) and (model, rest) not in self._reduced:
                         todo.append((model, label, less))
         self._simplify(todo)
+
+    def _take_each_away(self) -> None:
+        """Try the models in play without each of their effects: whether one is at work shows beside
+        the model without it."""
+
+        def left() -> list[tuple[Tried, str, None]]:
+            lowest = self.best.log_posterior + math.log(IN_PLAY)
+            return [
+                (model, x, None)
+                for model in self.tried.values() if model.log_posterior > lowest
+                for x in model.added
+                if frozenset(model.added) - {x} not in self.tried
+                and (model, _replaced(model.added, x, None)) not in self._reduced
+            ]  # fmt: skip
+
+        while todo := left():
+            self._simplify(todo)
+            self._simulate()
 
     def _simplify(self, todo: Sequence[tuple[Tried, str, AbstractEffect | None]]) -> None:
         """Try models without an effect, or with a law that it contains in its place."""
