@@ -1,7 +1,7 @@
 """The notebooks of `notebooks/`: read, run without Jupyter, and turned into pages.
 
 In the repository they have no outputs. The site's build (`hooks.py`) runs them to show what they
-print and draw; `tests/test_notebooks.py` runs them, so that no cell fails a reader.
+print and draw; `tests/test_demo_and_notebooks.py` runs them, so that no cell fails a reader.
 """
 
 import ast

@@ -545,36 +545,6 @@ def test_a_long_line_of_progress_keeps_its_spinner_and_its_clock(monkeypatch):
     assert "⠋" in line.split("messung")[0]
 
 
-# -- demo ------------------------------------------------------------------------------------
-
-
-def test_demo_from_end_to_end(command, folder, monkeypatch):
-    from residyn.cli import _options
-    from residyn.demo import HIDDEN
-
-    monkeypatch.setattr(_options, "STARTS", 2)  # more find the same numbers, later
-    end = command("demo", "--json", "demo.json")
-    assert end.status == 0, end.err
-    assert "residyn-demo.html" in end.out
-    assert (folder / "residyn-demo.html").stat().st_size > 100_000
-    result = json.loads((folder / "demo.json").read_text())
-    assert (result["verdict"], result["added"]) == ("missing", [HIDDEN])
-    found = result["fit"]["parameters"][f"{HIDDEN}.torque"]["value"]
-    assert found == pytest.approx(0.2, rel=0.02)
-    assert result["ladder"][-1]["reduced_chi2"] < 1.2
-    first = "Dry friction at the elbow is missing (> 99 %)."
-    for said in (
-        first,
-        "11 x",
-        "1.0 x",
-        "held out",
-        "17.5-20.0 s",
-        f"Hidden was: {HIDDEN}. Right.",
-    ):
-        assert said in end.out
-    assert first in (Path(__file__).parents[2] / "README.md").read_text()
-
-
 def test_the_defaults_are_pythons_own():
     import inspect
 

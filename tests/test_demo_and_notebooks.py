@@ -1,11 +1,17 @@
-"""Every cell of every notebook runs, and none has outputs in the repository."""
+"""The demo says what is hidden; every cell of every notebook runs, and none has outputs in the
+repository. In one file, so in one process: the second notebook has the demo's programs."""
 
 import importlib.util
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+
+from residyn.cli import _options, main
+from residyn.demo import HIDDEN, by_window
 
 ROOT = Path(__file__).parents[1]
 
@@ -23,6 +29,46 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+def test_demo_from_end_to_end(folder, monkeypatch, capsys):
+    monkeypatch.setattr(_options, "STARTS", 2)  # more find the same numbers, later
+    status = main(["demo", "--json", "demo.json", "--no-cache"])
+    out, err = capsys.readouterr()
+    assert status == 0, err
+    assert "residyn-demo.html" in out
+    assert (folder / "residyn-demo.html").stat().st_size > 100_000
+    result = json.loads((folder / "demo.json").read_text())
+    assert (result["verdict"], result["added"]) == ("missing", [HIDDEN])
+    found = result["fit"]["parameters"][f"{HIDDEN}.torque"]["value"]
+    assert found == pytest.approx(0.2, rel=0.02)
+    assert result["ladder"][-1]["reduced_chi2"] < 1.2
+    first = "Dry friction at the elbow is missing (> 99 %)."
+    for said in (
+        first,
+        "11 x",
+        "1.0 x",
+        "held out",
+        "17.5-20.0 s",
+        f"Hidden was: {HIDDEN}. Right.",
+    ):
+        assert said in out
+    assert first in (ROOT / "README.md").read_text()
+
+
+def test_residual_by_window():
+    time = np.arange(100) / 10
+    residual = np.ones((100, 2))
+    residual[50:] = 3.0
+    used = np.ones((100, 2), bool)
+    used[:25, 1] = False
+    noise = np.array([1.0, 0.5])
+    beside = SimpleNamespace(
+        recording=SimpleNamespace(time=time, noise=noise), residual=residual, used=used
+    )
+    edges, sizes = by_window(beside, 4)  # pyright: ignore[reportArgumentType]
+    assert (edges[0], edges[-1]) == (0.0, 9.9)
+    np.testing.assert_allclose(sizes, [[1, np.nan], [1, 2], [3, 6], [3, 6]])
 
 
 @pytest.mark.parametrize("path", ALL, ids=lambda path: path.stem)
