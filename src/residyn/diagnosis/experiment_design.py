@@ -110,7 +110,8 @@ def worth(
     Exact for models that are linear in their numbers, but for the finite number of draws; these are
     the same for all tests.
     """
-    test, p = reduced(test), np.asarray(probability, float) / np.sum(probability)
+    test, p = reduced(test), np.asarray(probability, float)
+    p = p / p.sum()
     rng, D = np.random.default_rng(0), len(test[0].mean)
     columns = [np.column_stack([x.numbers, x.release]) for x in test]
     inner = [np.eye(u.shape[1]) + u.T @ u for u in columns]

@@ -510,7 +510,7 @@ def segment_length(model: Model, recording: Recording) -> float | None:
     rings = (frequency * recording.duration > _RINGS) & (np.abs(damping) < 1 - 1e-9)
     if rings.all():
         return None
-    fades = -values.real[np.abs(values.imag) < 1e-9 * np.abs(values)]
+    fades = -np.real(values)[np.abs(np.imag(values)) < 1e-9 * np.abs(values)]
     if not fades.size or fades.max() <= 0:
         return None
     # Slower modes of other joints must be seen to ring in a segment, too.

@@ -65,7 +65,7 @@ def ringing(model: Model) -> float:
     (concrete numbers only). What only fades, however fast, is left out: a solver that chooses its
     steps follows it where it must."""
     values = np.linalg.eigvals(_finite(at_rest(model)[1]))
-    rings = np.abs(values.imag) > 1e-9 * np.abs(values)
+    rings = np.abs(np.imag(values)) > 1e-9 * np.abs(values)
     return float(np.abs(values[rings]).max(initial=0.0))
 
 

@@ -170,7 +170,7 @@ def modes_with_errors(model: Model, fitted: Model, errors: Carried) -> Rings:
         found.append(Mode(*frequency, *damping))
     roots = np.linalg.eigvals(matrix)
     size = np.abs(roots)
-    away = (np.abs(roots.imag) < _REAL * size) & (roots.real > _AWAY * size.max())
+    away = (np.abs(np.imag(roots)) < _REAL * size) & (np.real(roots) > _AWAY * size.max())
     return Rings(tuple(found), bool(away.any()))
 
 
