@@ -1,6 +1,6 @@
 """Measured rigs: the tables that the field keeps, and what this package makes of the same data.
 
-    python -m benchmarks.measured TABLE [--data FOLDER]
+    python -m benchmarks.measured TABLE --data FOLDER
 
 - `carts`: a cart on a spring; each run alone, springs and dampers, then with a friction
 - `loads`: bare carts predicted, by what loaded ones of the same spring and both of the other tell
@@ -9,8 +9,9 @@
 - `horizon`: how long a prediction of that pendulum holds, beside its authors' model
 - `bouc_wen`: the hysteretic benchmark's equations, simulated here (needs no FOLDER)
 
-FOLDER holds `carts/`, `emps/` and `double_pendulum/` (the docs say where they come from); none is
-part of this repository. A table whose data is not there says so and is left out.
+FOLDER holds `carts/`, `emps/` and `double_pendulum/` (`docs/real-recordings.md` says where they
+come from); none is part of this repository. A table whose data is not there says so and is left
+out.
 """
 
 import argparse
@@ -274,8 +275,11 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("tables", nargs="+", choices=TABLES, metavar="TABLE")
-    parser.add_argument("--data", type=Path, default=Path("../shared/data"), metavar="FOLDER")
+    parser.add_argument("--data", type=Path, metavar="FOLDER")
     options = parser.parse_args()
+    measured = [name for name in options.tables if TABLES[name][1] is not None]
+    if measured and options.data is None:
+        parser.error(f"{', '.join(measured)}: --data FOLDER is needed")
     residyn.set_up()
     for name in options.tables:
         table, part = TABLES[name]

@@ -4,8 +4,9 @@ The site's build (`hooks.py`) runs a page to show what its code prints and draws
 `tests/test_docs.py` runs every page, so that no reader meets a command that fails. What is run:
 
 - `python` blocks, which share their names over a page;
-- `sh` blocks (and blocks without a language whose lines all begin with `residyn`): each line that
-  begins with `residyn` goes through the command's own entry point, which must return 0;
+- `sh` blocks (and blocks without a language whose lines all begin with `residyn` or `cd`): each
+  line that begins with `residyn` goes through the command's own entry point, which must return 0;
+  what follows `cd FOLDER` runs in that folder;
 - `toml` and `python` blocks with a `title`: files, written before what follows. Where there is no
   title, the line above the block may name the file: "... a file, say `my_effects.py`:";
 - `toml` blocks without: read, as an experiment if they are a whole one, and left alone. What
@@ -70,7 +71,7 @@ def blocks(page: str) -> list[Block]:
             line.removeprefix(match["indent"]) for line in match["text"].splitlines(keepends=True)
         )
         lines = [line for line in text.splitlines() if line.strip()]
-        if not language and lines and all(line.startswith("residyn ") for line in lines):
+        if not language and lines and all(line.startswith(("residyn ", "cd ")) for line in lines):
             language = "sh"
         if language not in ("python", "sh", "toml"):
             continue
@@ -167,6 +168,9 @@ def _command(words: list[str], line: str) -> None:
     from residyn.cli import main
 
     if not words:
+        return
+    if words[0] == "cd":
+        os.chdir(words[1])
         return
     if words[0] != "residyn":
         raise ValueError(f"only the command residyn is run here, not {line!r}; say why not to run")

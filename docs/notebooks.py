@@ -111,9 +111,9 @@ def page(path: Path, folder: Path | None) -> str:
     parts, number = [], 0
     for kind, source in cells(path):
         if kind == "markdown":
-            text = _TO_DOCS.sub(r"](../\1", source).replace(
-                "../CONTRIBUTING.md", "../contributing.md"
-            )
+            text = _TO_DOCS.sub(r"](../\1", source)
+            text = text.replace("../CONTRIBUTING.md", "../contributing.md")
+            text = text.replace("../benchmarks/README.md", "../benchmarks.md")
             parts.append(_TO_NOTEBOOK.sub(r"](\1.md)", text))
             continue
         number += 1

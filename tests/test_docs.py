@@ -108,6 +108,12 @@ not code
     assert (plain.language, plain.not_run) == ("sh", None)
 
 
+def test_what_follows_cd_runs_in_that_folder(tmp_path, one_cache):
+    page = "```\nresidyn example rig\ncd rig\nresidyn new first.toml release.csv\n```\n"
+    blocks.run(page, "page.md", tmp_path)
+    assert (tmp_path / "rig" / "first.toml").exists()
+
+
 @pytest.mark.parametrize(
     ("page", "says"),
     [

@@ -121,7 +121,7 @@ def test_wild_readings_are_found_set_aside_and_counted(case):
     assert relative_errors(fit, case)[:2].max() < 0.005
     assert 0.9 < fit.reduced_chi2 < 1.1
     assert fit.recordings[0].wild.sum() == pytest.approx(12, abs=2)
-    assert any("wild" in w for w in fit.warnings)
+    assert any("outlier" in w for w in fit.warnings)
 
 
 def test_lost_and_uneven_samples(case):

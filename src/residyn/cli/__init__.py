@@ -41,6 +41,9 @@ def residyn(
 
 
 for _command in (
+    _example.new,
+    _example.example,
+    _demo.demo,
     _fit.fit,
     _diagnose.compare,
     _diagnose.diagnose,
@@ -51,9 +54,6 @@ for _command in (
     _race.race,
     _simulate.simulate,
     _effects.effects,
-    _demo.demo,
-    _example.example,
-    _example.new,
 ):
     app.command(_command.__name__)(_command)
 

@@ -24,7 +24,7 @@ def explore(
     ],
     effects: _options.With = None,
     own: _options.Effects = None,
-    port: Annotated[int, _options.number("--port N", "0 takes one that is free.", most=65535)] = 0,
+    port: Annotated[int, _options.number("--port N", "Port; 0: any free one.", most=65535)] = 0,
     no_browser: Annotated[
         bool, _options.option("--no-browser", "Only print the address; open no browser.")
     ] = False,

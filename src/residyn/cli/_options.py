@@ -123,20 +123,21 @@ Method = Annotated[
         f"How to search: {', '.join(METHODS)}, or a minimiser such as optimistix.BFGS.",
     ),
 ]
-Seed = Annotated[int, number("--seed N", "Of a --method that draws: which draw.")]
+Seed = Annotated[int, number("--seed N", "Random seed of a method that uses random numbers.")]
 Integrator = Annotated[
     str | None,
     option(
         "--integrator NAME",
-        "What integrates: fixed steps, or a solver of diffrax such as Tsit5, Dopri8 or, for "
-        "a stiff effect, Kvaerno5; before [integrator] in the file.",
+        "`fixed` (default) or a diffrax solver such as Tsit5, Dopri8 or, for a stiff effect, "
+        "Kvaerno5; overrides [integrator] of the file.",
     ),
 ]
 CheckIntegration = Annotated[
     bool,
     option(
         "--check-integration",
-        "Integrate the fitted motion again with Dopri8 at rtol = 1e-10, and state the error.",
+        "Integrate the fitted motion again with Dopri8 at rtol = 1e-10 (with dry friction or a "
+        "slipping brake: with 16 times as many steps), and state the error.",
     ),
 ]
 Json = Annotated[

@@ -13,7 +13,7 @@ _METHODS = _options.option(
     f"Which methods, separated by commas: {', '.join(_options.METHODS)}, or any minimiser "
     "such as optimistix.BFGS or optax.adam. Without it, the first seven.",
 )
-_REPEATS = _options.number("--repeats N", "Seeds that each method runs with.", least=1)
+_REPEATS = _options.number("--repeats N", "Number of random seeds for each method.", least=1)
 _SECONDS = _options.seconds("--seconds S", "The most that one run of a method may take.")
 _SIMULATIONS = _options.number(
     "--simulations N",

@@ -208,7 +208,7 @@ def descending(
         settled = all((f == w).all() for f, w in zip(found, outliers, strict=True))
         if settled or round_ == _ROUNDS or any(f.mean() > _MOST_OUTLIERS for f in found):
             break
-        progress("fitting again without wild readings")
+        progress("fitting again without outliers")
         outliers = found
         problem = reweighted(problem, outliers)
         out = yield from polished(problem, _single(out.unknowns), [1.0])

@@ -144,7 +144,7 @@ def _outliers(fit: Fit) -> Iterator[str]:
             more = f" and {len(rows) - _NAMED} more" if len(rows) > _NAMED else ""
             count = int(beside.wild.sum())
             yield (
-                f"{beside.recording.name}: {count} wild reading{'s' * (count > 1)} set aside "
+                f"{beside.recording.name}: {count} outlier{'s' * (count > 1)} set aside "
                 f"(at {at} s{more})"
             )
 

@@ -87,9 +87,9 @@ class Integrator:
 
     **Arguments:**
 
-    - `solver`: a name (`"Tsit5"`, `"Dopri8"`, `"Kvaerno5"`, ...: `residyn.integrators.ADAPTIVE`, or
-      `"StickSlip"`, residyn's own step) or an instance, such as `diffrax.Tsit5()`. `"fixed"` is
-      residyn's loop of fixed steps.
+    - `solver`: a name (`"Tsit5"`, `"Dopri8"`, `"Kvaerno5"`, ...: all are in
+      `residyn.simulation.integrator.ADAPTIVE`; or `"StickSlip"`, residyn's own step) or an
+      instance, such as `diffrax.Tsit5()`. `"fixed"` is residyn's loop of fixed steps.
     - `rtol`, `atol`: relative and absolute tolerance of one step (absolute: rad, rad/s; m, m/s).
     - `controller`: a step-size controller of diffrax that adapts; None is `PIDController(rtol,
       atol)`.

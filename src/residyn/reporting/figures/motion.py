@@ -44,7 +44,7 @@ def overlay(
 
     A wide figure has a second column with the end of the record on its own scale, where an error of
     frequency or damping has had the most time to grow. Lost samples are gaps; readings that the fit
-    set aside as wild are marked, at the edge of a panel if they lie beyond it.
+    set aside as outliers are marked, at the edge of a panel if they lie beyond it.
 
     **Arguments:** `recordings`: which of `fit.whole` to draw; all if not given.
     """
@@ -81,7 +81,7 @@ def overlay(
     keys: list[Artist] = [Line2D([], [], color=c, lw=lw, label=words) for words, c, lw in lines]
     keys.append(Patch(color=BAND, label="±2σ of noise"))
     if any(each.wild.any() for each in shown):
-        keys.append(Line2D([], [], color=WILD, marker="x", ls="", mew=1.4, label="wild reading"))
+        keys.append(Line2D([], [], color=WILD, marker="x", ls="", mew=1.4, label="outlier"))
     figure.legend(handles=keys, loc="outside upper left", ncols=2 if narrow else 5)
     return figure
 

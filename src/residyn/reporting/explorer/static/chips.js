@@ -43,7 +43,7 @@ export class Chips {
     const own = this.candidates.get(label);
     const known = weighed(exact);
     let said = probability === null ? "not known" : percent(probability);
-    if (!known) said = "being weighed";
+    if (!known) said = "not evaluated yet";
     const order = probability === null ? "" : "probability to first order";
     const words = [own.equation, own.looks_like, exact ? "" : order];
     const found = element(

@@ -82,9 +82,9 @@ export function lay(root, page, hide) {
       "Friction is a step against the rate, a stiffening spring an S against the angle, " +
         "hysteresis a loop.",
       legend({
-        measured: "what the motion asks for",
+        measured: "estimated from the motion",
         band: "95\u00a0% band",
-        model: "what the added effects make of it",
+        model: "torque of the added effects",
         mark: "in the chosen stretch",
       }),
       page.joints.place,

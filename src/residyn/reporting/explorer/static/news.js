@@ -85,7 +85,7 @@ export class News {
     const tell = async () => {
       const { hidden } = await this.server.post("reveal", {});
       const right = this.page.chosen().includes(hidden);
-      answer.textContent = ` It was ${this.page.name(hidden)}.${right ? " You have it." : ""}`;
+      answer.textContent = ` It was ${this.page.name(hidden)}.${right ? " Correct." : ""}`;
     };
     return element(
       "span",
