@@ -12,7 +12,9 @@ from pathlib import Path
 import jax
 import pytest
 
+import residyn
 from residyn.cli import _shell
+from residyn.errors import InputError
 from residyn.fitting import methods
 
 ROOT = Path(__file__).parents[1]
@@ -128,6 +130,55 @@ def test_what_the_site_takes_from_the_package_is_there():
             exec(ast.unparse(node), {})
         elif isinstance(node, ast.Constant) and re.fullmatch(r"residyn(\.\w+)+", str(node.value)):
             assert importlib.util.find_spec(node.value) is not None, node.value
+
+
+# -- pages of reference ----------------------------------------------------------------------
+
+
+def first_cells(page):
+    """By heading, what stands in backticks in the first cells of the tables below it."""
+    found = {}
+    for section in re.split(r"^## ", page, flags=re.MULTILINE):
+        heading, _, text = section.partition("\n")
+        rows = re.findall(r"^\| (`.*?) \|", text, flags=re.MULTILINE)
+        found[heading.strip("`[]")] = [x for row in rows for x in re.findall("`([^`]+)`", row)]
+    return found
+
+
+EXPERIMENT_FILE = ROOT / "docs" / "experiment-file.md"
+TABLES = {
+    "arm": "[arm]\nlink_lengths = [0.4, 0.4]\nshoulder = 1.0\nelbow = 0.5\ncoupling = 1.0\n",
+    "inertia": '[inertia]\njoints = ["cart"]\nmatrix = [[1.0]]\n',
+    "air_bearings": '[[air_bearings]]\njoint = "elbow"\nmass = 0.1\ninertia = 0.01\n',
+    "recordings": '[[recordings]]\nfile = "release.csv"\n',
+    "limits": "[limits]\n",
+    "integrator": '[integrator]\nsolver = "Tsit5"\n',
+}
+
+
+@pytest.mark.parametrize("table", ["", *TABLES])
+def test_the_page_of_the_experiment_file_has_the_keys_that_are_read(table, tmp_path):
+    """They are what the line that refuses an unknown key says that there are."""
+    told = {name: keys for name, keys in first_cells(EXPERIMENT_FILE.read_text()).items() if keys}
+    overview, *sections = told
+    assert sections == list(TABLES)
+    without = "arm" if table == "inertia" else "inertia"
+    unknown = {table: "zzz = 0\n"}
+    texts = [text + unknown.get(name, "") for name, text in TABLES.items() if name != without]
+    path = tmp_path / "experiment.toml"
+    path.write_text(unknown.get("", "") + "".join(texts))
+    with pytest.raises(InputError, match='unknown key "zzz": ') as refused:
+        residyn.load(path)
+    known = str(refused.value).rpartition(" has ")[2].split(", ")
+    assert sorted(told[table or overview]) == sorted(known)
+
+
+def test_the_examples_of_the_experiment_file_are_read(tmp_path):
+    page = EXPERIMENT_FILE.read_text()
+    assert sum(b.language == "toml" for b in blocks.blocks(page)) == 2
+    blocks.run(page, "experiment-file.md", tmp_path)
+    (cart,) = residyn.load(tmp_path / "cart.toml").recordings
+    assert (cart.time[0], cart.time[-1]) == (2.5, 18.0)
 
 
 def test_the_site_builds_strict(tmp_path):
