@@ -3,6 +3,7 @@
 import ast
 import dataclasses
 import importlib.util
+import json
 import os
 import re
 import subprocess
@@ -10,10 +11,27 @@ import sys
 from pathlib import Path
 
 import jax
+import numpy as np
 import pytest
 
+import residyn
+from residyn import demo
 from residyn.cli import _shell
-from residyn.fitting import methods
+from residyn.diagnosis.candidate_tests import Sweep
+from residyn.diagnosis.detectable import Atlas, Detectable
+from residyn.diagnosis.law import Formula
+from residyn.diagnosis.plan import InPlay, Plan
+from residyn.diagnosis.result import ChannelError
+from residyn.diagnosis.runs import OwnNumbers
+from residyn.errors import InputError
+from residyn.fitting import batch, methods
+from residyn.fitting.history import History
+from residyn.fitting.race import Race, Raced, Run
+from residyn.procedure.over_models import ModeOver, OverModels, Spread
+from residyn.procedure.unloaded import BareCheck, Pose, Unloading
+from residyn.reporting.side_by_side import SideBySide
+from residyn.runtime.json import finite
+from tests import by_hand
 
 ROOT = Path(__file__).parents[1]
 
@@ -134,6 +152,179 @@ def test_what_the_site_takes_from_the_package_is_there():
             exec(ast.unparse(node), {})
         elif isinstance(node, ast.Constant) and re.fullmatch(r"residyn(\.\w+)+", str(node.value)):
             assert importlib.util.find_spec(node.value) is not None, node.value
+
+
+# -- pages of reference ----------------------------------------------------------------------
+
+
+def first_cells(page):
+    """By heading, what stands in backticks in the first cells of the tables below it."""
+    found = {}
+    for section in re.split(r"^## ", page, flags=re.MULTILINE):
+        heading, _, text = section.partition("\n")
+        rows = re.findall(r"^\| (`.*?) \|", text, flags=re.MULTILINE)
+        found[heading.strip("`[]")] = [x for row in rows for x in re.findall("`([^`]+)`", row)]
+    return found
+
+
+EXPERIMENT_FILE = ROOT / "docs" / "experiment-file.md"
+TABLES = {
+    "arm": "[arm]\nlink_lengths = [0.4, 0.4]\nshoulder = 1.0\nelbow = 0.5\ncoupling = 1.0\n",
+    "inertia": '[inertia]\njoints = ["cart"]\nmatrix = [[1.0]]\n',
+    "air_bearings": '[[air_bearings]]\njoint = "elbow"\nmass = 0.1\ninertia = 0.01\n',
+    "recordings": '[[recordings]]\nfile = "release.csv"\n',
+    "limits": "[limits]\n",
+    "integrator": '[integrator]\nsolver = "Tsit5"\n',
+}
+
+
+@pytest.mark.parametrize("table", ["", *TABLES])
+def test_the_page_of_the_experiment_file_has_the_keys_that_are_read(table, tmp_path):
+    """They are what the line that refuses an unknown key says that there are."""
+    told = {name: keys for name, keys in first_cells(EXPERIMENT_FILE.read_text()).items() if keys}
+    overview, *sections = told
+    assert sections == list(TABLES)
+    without = "arm" if table == "inertia" else "inertia"
+    unknown = {table: "zzz = 0\n"}
+    texts = [text + unknown.get(name, "") for name, text in TABLES.items() if name != without]
+    path = tmp_path / "experiment.toml"
+    path.write_text(unknown.get("", "") + "".join(texts))
+    with pytest.raises(InputError, match='unknown key "zzz": ') as refused:
+        residyn.load(path)
+    known = str(refused.value).rpartition(" has ")[2].split(", ")
+    assert sorted(told[table or overview]) == sorted(known)
+
+
+def test_the_examples_of_the_experiment_file_are_read(tmp_path):
+    page = EXPERIMENT_FILE.read_text()
+    assert sum(b.language == "toml" for b in blocks.blocks(page)) == 2
+    blocks.run(page, "experiment-file.md", tmp_path)
+    (cart,) = residyn.load(tmp_path / "cart.toml").recordings
+    assert (cart.time[0], cart.time[-1]) == (2.5, 18.0)
+
+
+JSON = first_cells((ROOT / "docs" / "json.md").read_text())
+
+
+def keys_of_json(command):
+    """Paths of the keys of a command's JSON, as docs/json.md has them."""
+    found = []
+    for key in JSON[command]:
+        # One that begins with a dot stands beside the one before it.
+        beside = found[-1][:-1] if key.startswith(".") else ()
+        found.append((*beside, *key.removeprefix(".").split(".")))
+    return found
+
+
+def paths(told, at=()):
+    """The same of a JSON, each with whether it is null or empty."""
+    if isinstance(told, dict) and told:
+        for key, value in told.items():
+            yield from paths(value, (*at, key))
+    elif isinstance(told, list) and told and isinstance(told[0], dict):
+        for each in told:
+            yield from paths(each, (*at[:-1], at[-1] + "[]"))
+    else:
+        yield at, told in (None, [], {})
+
+
+def described(path, empty, key):
+    """Whether a key of the page is this path, or is part of what is null or empty here."""
+    if not all(a == b or b.isupper() or b == "*" for a, b in zip(path, key, strict=False)):
+        return False
+    longer = len(path) - len(key)
+    return longer == 0 or (longer > 0 and key[-1] == "*") or (longer < 0 and empty)
+
+
+def two_lines(out):
+    """What --each writes of an experiment with a fit and of one without, put together."""
+    fit = by_hand.a_fit()
+
+    def fitting(*given):
+        return fit
+        yield
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batch, "fitting", fitting)
+        assert len(list(batch.fit_many([fit.experiment, "not_there.toml"], out=out))) == 2
+    one, other = map(json.loads, out.read_text().splitlines())
+    return one | other
+
+
+def an_unloading():
+    fit, known = by_hand.a_fit(), Spread(0.5, 0.49, 0.51, 0.005, 0.2, 0.5, 0.3)
+    mode = ModeOver(known, known, 1.0)
+    models, poses = (InPlay((), 1.0),), ((0.3, (mode,)),)
+    over = OverModels(models, 0.0, poses, by_hand.NEXT, "damping_ratio", (), by_hand.JOINTS)
+    pose = Pose(0.3, fit.model, fit.model, fit.modes, fit.modes)
+    check = BareCheck(fit.recordings[1], fit.modes, fit)
+    errors, step_1 = None, None  # of which nothing is written
+    return Unloading(fit, (pose,), (), (check,), np.eye(3), errors, step_1, 1.0, over)
+
+
+def a_race():
+    fit, history = by_hand.a_fit(), History.of([(1.0, 0.1, 2.0), (9.0, 0.2, 0.01)])
+    each = Raced("levenberg", "Levenberg-Marquardt", "a start", (Run("x", 0, fit, history, 0.2),))
+    return Race(fit.experiment, fit.model.labels, (each,), 1, "each method's own")
+
+
+def a_diagnosis():
+    number = {"a": (0.2, 0.01, "N m")}
+    law = dataclasses.replace(by_hand.a_law(), formula=Formula("a x^3", ("power",), number, 3.0))
+    return by_hand.missing(laws=(law,), channels=ChannelError("q1 and q2 exchanged", 0.9, True))
+
+
+def a_plan():
+    models = InPlay((by_hand.FOUND,), 0.7), InPlay((by_hand.RIVAL,), 0.3)
+    test = dataclasses.replace(by_hand.NEXT, drive=Sweep("elbow", 2.0, 0.3, 4.5))
+    return Plan(models, 0.02, 0.61, (test,), 144, False, 0.1, None, by_hand.JOINTS)
+
+
+def an_atlas():
+    size = 0.1, 0.02, 0.2, 0.04
+    one = Detectable("backlash:elbow", "stiffness", "N m/rad", {"gap": 0.01}, *size, by_hand.FOUND)
+    return Atlas((one,), by_hand.JOINTS, ("rad", "rad"), (1e-3, 1e-3), 20.0)
+
+
+def a_comparison():
+    found = by_hand.a_comparison(by_hand.a_fit(), 6.0, 1e-13)
+    return dataclasses.replace(found, runs=(OwnNumbers(by_hand.FOUND, "a.csv", 2.0),))
+
+
+def inertias():
+    with demo.experiment_file() as shipped:
+        return residyn.inertia(residyn.load(shipped.parents[1] / "driven" / "driven.toml"))
+
+
+WRITTEN_AS_JSON = {
+    "fit": by_hand.a_fit,
+    "fit --against": lambda: SideBySide(by_hand.a_fit(), by_hand.a_fit()),
+    "fit --each": None,
+    "compare": a_comparison,
+    "diagnose": a_diagnosis,
+    "plan": a_plan,
+    "inertia": inertias,
+    "unload": an_unloading,
+    "race": a_race,
+    "effects --detectable": an_atlas,
+}
+
+
+def test_the_page_of_the_json_has_a_table_for_each():
+    assert [command for command, keys in JSON.items() if keys] == list(WRITTEN_AS_JSON)
+
+
+@pytest.mark.parametrize("command", WRITTEN_AS_JSON)
+def test_the_page_of_the_json_has_the_keys_that_are_written(command, tmp_path):
+    make = WRITTEN_AS_JSON[command]
+    told = two_lines(tmp_path / "two.jsonl") if make is None else finite(make().to_dict())
+    keys = keys_of_json(command)
+    if command in ("fit --each", "compare"):
+        keys += keys_of_json("fit")
+    found = list(paths(told))
+    unknown = [p for p, empty in found if not any(described(p, empty, key) for key in keys)]
+    gone = [key for key in keys if not any(described(p, empty, key) for p, empty in found)]
+    assert (unknown, gone) == ([], [])
 
 
 def test_the_site_builds_strict(tmp_path):

@@ -56,20 +56,7 @@ class Comparison(Result):
         return self._presented("sentences")
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON of `residyn compare`: that of `fit`, and
-
-        - `words`: the verdict, a sentence each;
-        - `where`: see `Where.to_dict`; `white` in it has the p-value of each joint;
-        - `held_out`: null, or `what` ("check recordings" or "last third"), and under `joints` and
-          `fitted` the errors of each joint there and in the fitted part: `rmse` (rad or m), `ratio`
-          (in times the noise), `expected` (the ratio that a right model would leave, or null);
-        - `horizon`: null, or `seconds` (of the fitted third), `fitted`, and `ahead`, a list of
-          `start`, `stop` (s after the last fitted reading) and `joints`, with errors as above;
-        - `runs`: for each `effect` and `recording` that has numbers of its own, the `log_odds`,
-          nats, and the `probability` that they differ from those of the other recordings;
-        - `missing_torque`: per joint its `rms` (in `unit`) and `share_of_spring`, the share of the
-          spring torque's rms.
-        """
+        """The JSON of `residyn compare`: that of `fit`, and more (docs/json.md)."""
         joints = self.fit.joints
         return {
             **self.fit.to_dict(),
