@@ -171,14 +171,18 @@ def arm(**limits):
     return residyn.Experiment(ARM, (recording,), bearings, limits=Limits(**limits))
 
 
+def settings_within(experiment):
+    """Every test that is compared for springs and dampers."""
+    scene, _ = scene_of(experiment, ())
+    model = residyn.fitting.model_for(scene.mechanisms[0])
+    return settings_of(experiment, scene, model.with_vector(jnp.array([20.0, 10.0, 0.1, 0.1])))
+
+
 def test_every_test_is_within_the_limits():
     experiment = arm(
         angle=[0.3, 0.0], theta2=[-0.5, 0.5], air_bearings=True, duration=12.0, drive=[0.0, 2.0]
     )
-    scene, base = scene_of(experiment, ())
-    model = residyn.Model(scene.mechanisms[0], tuple(e for e in base))
-    model = model.with_vector(jnp.array([20.0, 10.0, 0.1, 0.1]))
-    settings = settings_of(experiment, scene, model)
+    settings = settings_within(experiment)
     assert {abs(s.release[1]) for s in settings} == {0.0}
     assert max(abs(s.release[0]) for s in settings) == pytest.approx(0.3)
     assert all(-0.5 <= s.recording.theta2 <= 0.5 for s in settings)
@@ -189,6 +193,42 @@ def test_every_test_is_within_the_limits():
     assert {s.joint for s in swept} == {"elbow"}
     assert max(s.torque for s in swept) == 2.0
     assert all(not s.release.any() for s in still)
+
+
+@pytest.mark.parametrize("angle", [[0.3, 0.0], [0.0, 0.3], [0.3, 0.3]])
+def test_every_release_is_compared_once(angle):
+    """Also where a joint may not be released."""
+    settings = settings_within(arm(angle=angle, theta2=[0.1, 0.1], air_bearings=True))
+    releases = [tuple(s.release) for s in settings]
+    assert len(releases) == len(set(releases))
+    assert len(releases) == (3 if 0.0 in angle else 12)
+
+
+def test_without_limits_each_joint_goes_twice_as_far_as_it_did():
+    """A metre is no radian: how far one joint goes says nothing of another one."""
+    table = InertiaTable(("cart", "pendulum"), ((2.0, 0.1), (0.1, 0.5)), ("m", "rad"))
+    time = np.arange(400) / 50
+    q = np.stack([0.002 * np.cos(9 * time), 0.5 * np.cos(5 * time)], axis=1)
+    recording = residyn.Recording.from_arrays(time, q, noise=1e-5)
+    settings = settings_within(residyn.Experiment(table, (recording,)))
+    largest = np.max(np.abs([s.release for s in settings]), axis=0)
+    np.testing.assert_allclose(largest, [0.004, 1.0], rtol=0.1)
+
+
+def test_a_test_has_the_numbers_that_runs_share():
+    """Those that one run has for itself are not known of a run to come."""
+    first, longer = (
+        residyn.Recording.from_arrays(
+            (time := np.arange(count) / 50),
+            np.stack([0.2 * np.cos(9 * time), -0.1 * np.cos(15 * time)], axis=1),
+            noise=1e-3, name=name, own=own,
+        )
+        for name, count, own in (("first", 200, ()), ("longer", 300, ("spring:elbow",)))
+    )  # fmt: skip
+    experiment = residyn.Experiment(ARM, (first, longer))
+    assert experiment.run_of(longer) == 1
+    settings = settings_within(experiment)
+    assert {experiment.run_of(s.recording) for s in settings} == {0}
 
 
 WRONG = {

@@ -185,13 +185,13 @@ def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Sett
     like = max(experiment.fit_recordings, key=lambda r: r.duration)
     n = len(experiment.joints)
     swing = np.array([s.amplitude for s in scene.scales])
-    most = limits.each("angle", n)
-    angle = np.array(most) if most else _TWICE * np.maximum(swing, 0.3 * swing.max())
+    angle = np.array(limits.each("angle", n) or _TWICE * swing)
     duration = limits.duration or like.duration
-    signs = [[1, 1], [1, -1], [1, 0], [0, 1]] if n == 2 else [[1] * n]
+    both = n == 2 and angle.all()
+    signs = [[1, 1], [1, -1], [1, 0], [0, 1]] if both else [[1] * n]
     each = itertools.product(_SHARES[1:], signs)
     releases = [size * np.array(sign) * angle for size, sign in each]
-    motions: list[tuple[np.ndarray, Sweep | None]] = [(r, None) for r in releases if np.any(r)]
+    motions: list[tuple[np.ndarray, Sweep | None]] = [(r, None) for r in releases]
     torques = limits.each("drive", n) or (0.0,) * n
     frequencies = modes_of(np.linalg.eigvals(at_rest(model)[1])).frequency_hz
     rings = frequencies[np.isfinite(frequencies) & (frequencies > 0)]
@@ -199,7 +199,9 @@ def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Sett
         for share in _DRIVES if torque and len(rings) else ():
             sweep = Sweep(joint, share * torque, 0.5 * float(min(rings)), 1.5 * float(max(rings)))
             motions.append((np.zeros(n), sweep))
-    longest = dataclasses.replace(like, time=np.array([0.0, duration]), drive=None)
+    # Of a run to come, for which there are only the numbers that all runs share.
+    run = dataclasses.replace(like, name="planned", own=(), segment_of=None)
+    longest = dataclasses.replace(run, time=np.array([0.0, duration]), drive=None)
     return [
         Setting(dataclasses.replace(longest, **change), release, drive)
         for change in _changes(experiment, like, limits)
