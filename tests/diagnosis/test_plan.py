@@ -329,6 +329,10 @@ def test_json_of_a_plan():
     (test,) = found["tests"]
     assert {"between", "release", "theta2", "air_bearings", "extra_mass", "words"} <= set(test)
     assert test["outcomes"][0]["added"] == list(FOUND)
+    assert test["difference_over_noise"] == NEXT.difference
+    assert test["difference_over_noise_now"] == NEXT.now
+    assert test["reading"] == {"joint": NEXT.joint, "time": NEXT.time}
+    assert not {"difference", "now", "joint", "time"} & set(test)  # each is said once
     assert found["helps"] is True
 
 

@@ -130,14 +130,14 @@ class Test(Result):
     def to_dict(self) -> dict[str, Any]:
         """The JSON of one test, and of `next_experiment`."""
         told = dataclasses.asdict(self)
-        return finite({
-            **told,
+        named = {
             "between": ["+".join(labels) or "nothing" for labels in self.between],
             "difference_over_noise": told.pop("difference"),
             "difference_over_noise_now": told.pop("now"),
             "reading": {key: told.pop(key) for key in ("joint", "time")},
             "words": self.words,
-        })  # fmt: skip
+        }
+        return finite(told | named)
 
 
 class Setting(NamedTuple):
