@@ -19,6 +19,7 @@ from residyn.diagnosis.search import Tried, settle
 from residyn.effects import CubicStiffness, Damper, Spring
 from residyn.recordings.limits import Limits
 from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
+from residyn.reporting.plan import outcomes
 from tests.by_hand import NEXT
 
 MASS, NOISE = 2.0, 1e-3
@@ -135,6 +136,26 @@ def test_outcomes_are_what_the_models_do(cubic):
     one, other = test.outcomes
     apart = abs(one.reading - other.reading) / math.hypot(one.std, other.std)
     assert apart > 1
+
+
+def test_a_gyroscope_s_readings_are_predicted_as_rates(cubic):
+    """Weighed by its noise, and said in its unit."""
+    (angles,), models, noise = cubic[0].recordings, cubic[2], 2e-3
+    rates = np.gradient(angles.angle[:, 0], angles.time)[:, None]
+    recording = residyn.Recording.from_arrays(angles.time, rates, noise=noise, reads="rate")
+    limits = Limits(angle=0.05, extra_mass=(0.0, 0.0))
+    experiment = residyn.Experiment(CART, (recording,), limits=limits)
+    scene, _ = scene_of(experiment, ())
+    (test,) = best_tests(experiment, scene, models, np.array([0.5, 0.5])).tests
+    for outcome, model in zip(test.outcomes, models, strict=True):
+        moved = scene.model(model.best), [0.0, test.time], [test.release["cart"]]
+        rate = residyn.simulate(*moved, orders=(1,)).readings
+        assert outcome.reading == pytest.approx(float(rate[-1, 0]), abs=1e-4)
+        assert outcome.std >= noise
+    assert (test.reads, test.unit) == ("rate", "m/s")
+    table = outcomes(test)
+    assert table.head[1].startswith("rate of the cart after")
+    assert all(row[1].endswith(" m/s") for row in table.rows)
 
 
 def test_a_quantity_is_narrowed_by_what_measures_it(cubic):
@@ -331,7 +352,7 @@ def test_json_of_a_plan():
     assert test["outcomes"][0]["added"] == list(FOUND)
     assert test["difference_over_noise"] == NEXT.difference
     assert test["difference_over_noise_now"] == NEXT.now
-    assert test["reading"] == {"joint": NEXT.joint, "time": NEXT.time}
+    assert test["reading"] == {"joint": "elbow", "reads": "angle", "unit": "rad", "time": 3.2}
     assert not {"difference", "now", "joint", "time"} & set(test)  # each is said once
     assert found["helps"] is True
 

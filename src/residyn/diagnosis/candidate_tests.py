@@ -24,6 +24,7 @@ from ..physics.modal import at_rest, fastest, modes_of
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.limits import Limits
+from ..recordings.reads import READS
 from ..recordings.recording import Recording
 from ..recordings.tables import ArmTable, InertiaTable
 from ..runtime.export_cache import kept
@@ -71,7 +72,7 @@ class Outcome:
 
     added: tuple[str, ...]
     reading: float
-    """Of the joint and instant that the test names, rad or m."""
+    """Of the joint and instant that the test names, in the test's `unit`."""
     std: float
     """What the recordings leave open of it, and the noise of a reading."""
     probability: float
@@ -113,6 +114,10 @@ class Test(Result):
     """The same for the recordings that there are."""
     joint: str
     """Where the two are told apart most clearly by one reading,"""
+    reads: str
+    """what is read there: "angle", "rate" or "acceleration","""
+    unit: str
+    """in which unit ("" where not known),"""
     time: float
     """and when, s after the beginning."""
     outcomes: tuple[Outcome, ...]
@@ -134,7 +139,7 @@ class Test(Result):
             "between": ["+".join(labels) or "nothing" for labels in self.between],
             "difference_over_noise": told.pop("difference"),
             "difference_over_noise_now": told.pop("now"),
-            "reading": {key: told.pop(key) for key in ("joint", "time")},
+            "reading": {key: told.pop(key) for key in ("joint", "reads", "unit", "time")},
             "words": self.words,
         }
         return finite(told | named)
@@ -260,11 +265,11 @@ class Predictions:
         stacked = jax.tree.map(lambda *x: np.stack(x), *mechanisms)
         releases = np.stack([s.release for s in self.settings])
         drives = self._drives(steps)
-        given = stacked, releases, drives, self.time, steps
+        given = stacked, releases, drives, self.time, steps, scene.orders
         told = [jax.device_get(_predict(r.model, *given)) for r in rivals]
         self.readings, self.slopes = zip(*told, strict=True)
-        """(S, T, n) of each model, and (S, T, n, P + 2n + M) in its numbers, and in the angles,
-        rates and internal states at release."""
+        """(S, T, n) of each model, of what the sensors read; and (S, T, n, P + 2n + M) in its
+        numbers, and in the angles, rates and internal states at release."""
 
     def _drives(self, steps: int) -> Drive | None:
         if not any(s.drive for s in self.settings):
@@ -326,7 +331,9 @@ class Predictions:
 
 
 @kept(like=(0, 0))
-def _predict(model: Model, mechanisms, releases, drives, times, steps: int):
+def _predict(
+    model: Model, mechanisms, releases, drives, times, steps: int, orders: tuple[int, ...]
+):
     """Readings of each test, and their slopes in numbers and state at release."""
     numbers, n, M = model.vector(), releases.shape[1], len(model.memory)
     P = len(numbers)
@@ -340,7 +347,7 @@ def _predict(model: Model, mechanisms, releases, drives, times, steps: int):
             nodes = march(
                 moved, times[0], times[-1], release + q, v, steps=steps, z0=memory, drive=drive
             )
-            found = read(moved, nodes, times).readings
+            found = read(moved, nodes, times, orders).readings
             return found, found
 
         z = jnp.concatenate([numbers, jnp.zeros(2 * n + M)])
@@ -438,6 +445,8 @@ def _test(
         difference=separation(made[-1]),
         now=math.sqrt(2 * abs(first.log_evidence - second.log_evidence)),
         joint=experiment.joints[j],
+        reads=READS[s.recording.orders[j]],
+        unit=experiment.reading_units[j],
         time=float(all_of_them.time[k]),
         outcomes=tuple(
             Outcome(m.added, reading, std, float(e))
