@@ -177,8 +177,24 @@ def test_a_sweep_of_the_motor_is_a_test(cubic):
     (test,) = best_tests(limits, scene, models, np.array([0.5, 0.5])).tests
     assert test.drive is not None
     assert test.drive.torque == pytest.approx(1.0)
-    assert test.drive.low < math.sqrt(80.0 / MASS) / (2 * math.pi) < test.drive.high
+    rings = math.sqrt(80.0 / (MASS + test.extra_mass)) / (2 * math.pi)  # Hz
+    assert test.drive.low < rings < test.drive.high
     assert "drive the cart with 1.00 N" in test.words
+
+
+def test_of_a_shorter_sweep_the_beginning_is_made(cubic):
+    """The motor's torque as the test states it gives the readings that it predicts."""
+    experiment, scene, models = cubic
+    limits = limited(experiment, angle=1e-3, drive=20.0, extra_mass=(0.0, 0.0))
+    (test,) = best_tests(limits, scene, models, np.array([0.5, 0.5])).tests
+    assert test.drive is not None
+    assert test.duration < experiment.recordings[0].duration
+    time = np.linspace(0.0, test.duration, 500)
+    torque = test.drive.at(time, test.duration)[:, None]
+    drive = residyn.Drive(0.0, time[1], torque)  # pyright: ignore[reportArgumentType]
+    for outcome, model in zip(test.outcomes, models, strict=True):
+        q = residyn.simulate(scene.model(model.best), [0.0, test.time], [0.0], drive=drive).q
+        assert outcome.reading == pytest.approx(float(q[-1, 0]), abs=NOISE)
 
 
 # -- limits ------------------------------------------------------------------------------------

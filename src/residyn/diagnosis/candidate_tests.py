@@ -65,6 +65,10 @@ class Sweep:
         rise = (self.high - self.low) / duration
         return self.torque * np.sin(2 * np.pi * (self.low * time + 0.5 * rise * time**2))
 
+    def beginning(self, share: float) -> "Sweep":
+        """What a share of the duration sees of it: the frequency rises in proportion to time."""
+        return dataclasses.replace(self, high=self.low + share * (self.high - self.low))
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -437,7 +441,7 @@ def _test(
         air_bearings=s.recording.air_bearings if arm and experiment.bearings else None,
         extra_mass=float(s.recording.extra_mass) if table else None,
         load=float(s.recording.load) if loaded else None,
-        drive=s.drive,
+        drive=s.drive and s.drive.beginning(share),
         duration=share * all_of_them.duration,
         entropy=told.entropy,
         probability_right=told.right,
