@@ -70,8 +70,7 @@ def limited(experiment, **limits):
 @pytest.mark.parametrize("largest", [0.02, 0.05])
 def test_a_cubic_spring_is_told_by_the_largest_release(cubic, largest):
     experiment, scene, models = cubic
-    found = best_tests(limited(experiment, angle=largest), scene, models, np.array([0.5, 0.5]))
-    (test,) = found.tests
+    (test,), _ = best_tests(limited(experiment, angle=largest), scene, models, np.array([0.5, 0.5]))
     assert test.release == {"cart": pytest.approx(largest)}
     assert test.entropy < math.log(2)
     assert test.helps
@@ -80,7 +79,7 @@ def test_a_cubic_spring_is_told_by_the_largest_release(cubic, largest):
 def test_a_larger_limit_tells_more(cubic):
     experiment, scene, models = cubic
     small, large = (
-        best_tests(limited(experiment, angle=x), scene, models, np.array([0.5, 0.5])).tests[0]
+        best_tests(limited(experiment, angle=x), scene, models, np.array([0.5, 0.5]))[0][0]
         for x in (0.02, 0.1)
     )
     assert large.entropy < small.entropy
@@ -90,8 +89,7 @@ def test_a_larger_limit_tells_more(cubic):
 
 def test_where_the_models_cannot_part_nothing_helps(cubic):
     experiment, scene, models = cubic
-    found = best_tests(limited(experiment, angle=1e-4), scene, models, np.array([0.5, 0.5]))
-    (test,) = found.tests
+    (test,), _ = best_tests(limited(experiment, angle=1e-4), scene, models, np.array([0.5, 0.5]))
     assert not test.helps
     assert test.entropy == pytest.approx(math.log(2), abs=0.05)
     words = "Nothing would help: no test within the limits would see whether cubic stiffness is"
@@ -101,7 +99,7 @@ def test_where_the_models_cannot_part_nothing_helps(cubic):
 def test_a_second_test_adds_to_the_first(cubic):
     experiment, scene, models = cubic
     limits = limited(experiment, angle=0.02, duration=3.0)
-    first, second = best_tests(limits, scene, models, np.array([0.5, 0.5]), tests=2).tests
+    (first, second), _ = best_tests(limits, scene, models, np.array([0.5, 0.5]), tests=2)
     assert second.entropy < first.entropy
 
 
@@ -110,7 +108,7 @@ def test_what_the_recording_then_says_is_what_was_expected(cubic):
     as was promised, and by about the nats that were promised."""
     experiment, scene, models = cubic
     p = np.array([0.5, 0.5])
-    test = best_tests(limited(experiment, angle=0.03), scene, models, p).tests[0]
+    test = best_tests(limited(experiment, angle=0.03), scene, models, p)[0][0]
     size = test.release["cart"]
     strength = models[1].best.valued()[-1].coefficient
     right = []
@@ -128,7 +126,7 @@ def test_what_the_recording_then_says_is_what_was_expected(cubic):
 def test_outcomes_are_what_the_models_do(cubic):
     experiment, scene, models = cubic
     bare = limited(experiment, angle=0.05, extra_mass=(0.0, 0.0))
-    test = best_tests(bare, scene, models, np.array([0.5, 0.5])).tests[0]
+    test = best_tests(bare, scene, models, np.array([0.5, 0.5]))[0][0]
     for outcome, model in zip(test.outcomes, models, strict=True):
         q = residyn.simulate(scene.model(model.best), [0.0, test.time], [test.release["cart"]]).q
         assert outcome.reading == pytest.approx(float(q[-1, 0]), abs=1e-5)
@@ -146,7 +144,7 @@ def test_a_gyroscope_s_readings_are_predicted_as_rates(cubic):
     limits = Limits(angle=0.05, extra_mass=(0.0, 0.0))
     experiment = residyn.Experiment(CART, (recording,), limits=limits)
     scene, _ = scene_of(experiment, ())
-    (test,) = best_tests(experiment, scene, models, np.array([0.5, 0.5])).tests
+    (test,), _ = best_tests(experiment, scene, models, np.array([0.5, 0.5]))
     for outcome, model in zip(test.outcomes, models, strict=True):
         moved = scene.model(model.best), [0.0, test.time], [test.release["cart"]]
         rate = residyn.simulate(*moved, orders=(1,)).readings
@@ -164,8 +162,7 @@ def test_a_quantity_is_narrowed_by_what_measures_it(cubic):
     slopes = [np.eye(len(m.best.prior.mean))[1] for m in models]
     wanted = Quantity(np.array([m.best.numbers[1] for m in models]), slopes, np.zeros(2))
     p = np.array([0.9, 0.1])
-    found = best_tests(limited(experiment, angle=0.03), scene, models, p, quantity=wanted)
-    (test,) = found.tests
+    (test,), _ = best_tests(limited(experiment, angle=0.03), scene, models, p, quantity=wanted)
     std = math.sqrt(models[0].best.covariance[1, 1]) * models[0].best.prior.width[1]
     assert test.release["cart"] == pytest.approx(0.03)
     assert test.band < 1.96 * std
@@ -174,7 +171,7 @@ def test_a_quantity_is_narrowed_by_what_measures_it(cubic):
 def test_a_sweep_of_the_motor_is_a_test(cubic):
     experiment, scene, models = cubic
     limits = limited(experiment, angle=1e-3, drive=1.0)
-    (test,) = best_tests(limits, scene, models, np.array([0.5, 0.5])).tests
+    (test,), _ = best_tests(limits, scene, models, np.array([0.5, 0.5]))
     assert test.drive is not None
     assert test.drive.torque == pytest.approx(1.0)
     rings = math.sqrt(80.0 / (MASS + test.extra_mass)) / (2 * math.pi)  # Hz
@@ -186,7 +183,7 @@ def test_of_a_shorter_sweep_the_beginning_is_made(cubic):
     """The motor's torque as the test states it gives the readings that it predicts."""
     experiment, scene, models = cubic
     limits = limited(experiment, angle=1e-3, drive=20.0, extra_mass=(0.0, 0.0))
-    (test,) = best_tests(limits, scene, models, np.array([0.5, 0.5])).tests
+    (test,), _ = best_tests(limits, scene, models, np.array([0.5, 0.5]))
     assert test.drive is not None
     assert test.duration < experiment.recordings[0].duration
     time = np.linspace(0.0, test.duration, 500)

@@ -361,23 +361,17 @@ def _predict(
     return jax.lax.map(one, (mechanisms, releases, drives))
 
 
-class Ranking(NamedTuple):
-    """Tests, and how they were found."""
-
-    tests: tuple[Test, ...]
-    tried: int
-
-
 def best_tests(
     experiment: Experiment,
     scene: Scene,
     models: Sequence[Tried],
     probability: np.ndarray,
     tests: int = 1,
-    quantity: "Quantity | None" = None,
-) -> Ranking:
+    quantity: Quantity | None = None,
+) -> tuple[tuple[Test, ...], int]:
     """The tests that are expected to tell these models apart best, each beside those before it; or
-    to narrow a quantity most, whose slopes are in the models' numbers."""
+    to narrow a quantity most, whose slopes are in the models' numbers. And how many were compared.
+    """
     p = np.asarray(probability, float) / np.sum(probability)
     rivals = [Rival.of(scene, m) for m in models]
     all_of_them = Predictions(experiment, scene, rivals)
@@ -400,31 +394,28 @@ def best_tests(
 
     while len(found) < min(tests, len(known)):
         told = {i: after(x) for i, x in known.items()}
-        best, share = min(told, key=lambda i: rank(told[i])), 1.0
+        best = min(told, key=lambda i: rank(told[i]))
+        chosen = 1.0, known[best], told[best]
         if wanted is None:
             enough = before - _NEARLY * (before - told[best].entropy)
-            each = ((s, after(all_of_them.of(best, s)).entropy) for s in _SHARES[:-1])
-            share = next((s for s, left in each if left <= enough), 1.0)
-        made.append(all_of_them.of(best, share))
-        found.append(_test(all_of_them, best, share, made, p, before, wanted))
-        before = found[-1].entropy
-        if not found[-1].helps:
+            shorter = ((s, x := all_of_them.of(best, s), after(x)) for s in _SHARES[:-1])
+            chosen = next((x for x in shorter if x[2].entropy <= enough), chosen)
+        share, test, left = chosen
+        helps = wanted is not None or before - left.entropy > WORTHWHILE * float(entropy(p))
+        made.append(test)
+        found.append(_test(all_of_them, best, share, separation(test), left, helps))
+        before = left.entropy
+        if not helps:
             break
-    return Ranking(tuple(found), len(known))
+    return tuple(found), len(known)
 
 
 def _test(
-    all_of_them: Predictions,
-    index: int,
-    share: float,
-    made: list[list[Predicted]],
-    p: np.ndarray,
-    before: float,
-    wanted: "Quantity | None",
+    all_of_them: Predictions, index: int, share: float, apart: float, told: Worth, helps: bool
 ) -> Test:
+    """One of them, or its beginning, and what it tells beside those before it."""
     s, experiment = all_of_them.settings[index], all_of_them.experiment
     models = [r.tried for r in all_of_them.rivals]
-    told = worth(together(made), p, wanted)
     arm = isinstance(experiment.inertia, ArmTable)
     table = isinstance(experiment.inertia, InertiaTable)
     loaded = any(x.recording.load for x in all_of_them.settings)
@@ -433,7 +424,6 @@ def _test(
     one, other = (
         tuple(x for x in m.added if x not in n.added) for m, n in ((first, second), (second, first))
     )
-    fall = before - told.entropy
     return Test(
         release=dict(zip(experiment.joints, map(float, s.release), strict=True)),
         units=experiment.units or ("",) * len(experiment.joints),
@@ -446,7 +436,7 @@ def _test(
         entropy=told.entropy,
         probability_right=told.right,
         between=(one, other),
-        difference=separation(made[-1]),
+        difference=apart,
         now=math.sqrt(2 * abs(first.log_evidence - second.log_evidence)),
         joint=experiment.joints[j],
         reads=READS[s.recording.orders[j]],
@@ -456,8 +446,8 @@ def _test(
             Outcome(m.added, reading, std, float(e))
             for m, (reading, std), e in zip(models, readings, told.each, strict=True)
         ),
-        helps=fall > WORTHWHILE * float(entropy(p)) if wanted is None else True,
-        band=None if wanted is None else 1.96 * math.sqrt(max(told.variance, 0.0)),
+        helps=helps,
+        band=None if math.isnan(told.variance) else 1.96 * math.sqrt(max(told.variance, 0.0)),
     )
 
 

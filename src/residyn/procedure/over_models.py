@@ -152,7 +152,7 @@ def over_models(
         say("looking for the test that narrows it most")
         lowest = [slopes_of_modes(b.model, b.fitted)[0] for b in free[0]]
         wanted = _quantity(lowest, errors, QUANTITIES.index(narrows))
-        test = next(iter(best_tests(experiment, scene, models, p, quantity=wanted).tests), None)
+        test = next(iter(best_tests(experiment, scene, models, p, quantity=wanted)[0]), None)
     return OverModels(
         models=tuple(InPlay(m.added, float(x)) for m, x in zip(models, p, strict=True)),
         left_out=left_out,
