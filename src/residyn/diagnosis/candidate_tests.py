@@ -167,7 +167,7 @@ class Rival(NamedTuple):
     @classmethod
     def of(cls, scene: Scene, tried: Tried) -> "Rival":
         """A tried model."""
-        t = posterior_of(scene, tried)
+        t = posterior_of(tried)
         slopes = t.prior.slopes(t.u)
         own = t.covariance[: len(slopes), : len(slopes)] * np.outer(slopes, slopes)
         size = np.sqrt(np.maximum(np.diag(own), 1e-300))
@@ -176,15 +176,13 @@ class Rival(NamedTuple):
         return cls(tried, scene.model(t), root)
 
 
-def posterior_of(scene: Scene, tried: Tried) -> Trajectory:
+def posterior_of(tried: Tried) -> Trajectory:
     """A tried model with the posterior of its numbers: without a random torque as simulated
-    exactly, where it was; else as smoothed, once more if its covariance was not kept."""
+    exactly, where it was; else as smoothed."""
     t, known = tried.best, tried.simulated
     if known is not None and tried.intensity == 0:
         u = np.append(known.u, t.u[len(known.u) :])
         return dataclasses.replace(t, u=u, covariance=known.covariance)
-    if not t.covariance.size:
-        return scene.smoothed(t, scene.linearised(t), tried.intensity) or t
     return t
 
 
