@@ -206,6 +206,8 @@ NEXT = Test(
     difference=12.3,
     now=2.0,
     joint="elbow",
+    reads="angle",
+    unit="rad",
     time=3.2,
     outcomes=(
         Outcome((FOUND,), 0.1, 0.001, 0.998),

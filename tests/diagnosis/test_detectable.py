@@ -105,6 +105,15 @@ def test_it_reads_in_80_columns_and_as_json(atlases):
     assert shares == sorted(shares)
 
 
+def test_noise_is_in_the_unit_of_what_is_read():
+    time = np.arange(0.0, 4.0, 0.02)
+    rate = (0.6 * np.exp(-0.2 * time) * np.sin(6.0 * time))[:, None]
+    recording = residyn.Recording.from_arrays(time, rate, noise=2e-4, reads="rate")
+    atlas = detectable(residyn.Experiment(CART, (recording,)))
+    assert atlas.units == ("m/s",)
+    assert "(noise: cart 0.20 mm/s)" in " ".join(str(atlas).split())
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

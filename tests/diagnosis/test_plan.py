@@ -19,6 +19,7 @@ from residyn.diagnosis.search import Tried, settle
 from residyn.effects import CubicStiffness, Damper, Spring
 from residyn.recordings.limits import Limits
 from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
+from residyn.reporting.plan import outcomes
 from tests.by_hand import NEXT
 
 MASS, NOISE = 2.0, 1e-3
@@ -69,8 +70,7 @@ def limited(experiment, **limits):
 @pytest.mark.parametrize("largest", [0.02, 0.05])
 def test_a_cubic_spring_is_told_by_the_largest_release(cubic, largest):
     experiment, scene, models = cubic
-    found = best_tests(limited(experiment, angle=largest), scene, models, np.array([0.5, 0.5]))
-    (test,) = found.tests
+    (test,), _ = best_tests(limited(experiment, angle=largest), scene, models, np.array([0.5, 0.5]))
     assert test.release == {"cart": pytest.approx(largest)}
     assert test.entropy < math.log(2)
     assert test.helps
@@ -79,7 +79,7 @@ def test_a_cubic_spring_is_told_by_the_largest_release(cubic, largest):
 def test_a_larger_limit_tells_more(cubic):
     experiment, scene, models = cubic
     small, large = (
-        best_tests(limited(experiment, angle=x), scene, models, np.array([0.5, 0.5])).tests[0]
+        best_tests(limited(experiment, angle=x), scene, models, np.array([0.5, 0.5]))[0][0]
         for x in (0.02, 0.1)
     )
     assert large.entropy < small.entropy
@@ -89,8 +89,7 @@ def test_a_larger_limit_tells_more(cubic):
 
 def test_where_the_models_cannot_part_nothing_helps(cubic):
     experiment, scene, models = cubic
-    found = best_tests(limited(experiment, angle=1e-4), scene, models, np.array([0.5, 0.5]))
-    (test,) = found.tests
+    (test,), _ = best_tests(limited(experiment, angle=1e-4), scene, models, np.array([0.5, 0.5]))
     assert not test.helps
     assert test.entropy == pytest.approx(math.log(2), abs=0.05)
     words = "Nothing would help: no test within the limits would see whether cubic stiffness is"
@@ -100,7 +99,7 @@ def test_where_the_models_cannot_part_nothing_helps(cubic):
 def test_a_second_test_adds_to_the_first(cubic):
     experiment, scene, models = cubic
     limits = limited(experiment, angle=0.02, duration=3.0)
-    first, second = best_tests(limits, scene, models, np.array([0.5, 0.5]), tests=2).tests
+    (first, second), _ = best_tests(limits, scene, models, np.array([0.5, 0.5]), tests=2)
     assert second.entropy < first.entropy
 
 
@@ -109,7 +108,7 @@ def test_what_the_recording_then_says_is_what_was_expected(cubic):
     as was promised, and by about the nats that were promised."""
     experiment, scene, models = cubic
     p = np.array([0.5, 0.5])
-    test = best_tests(limited(experiment, angle=0.03), scene, models, p).tests[0]
+    test = best_tests(limited(experiment, angle=0.03), scene, models, p)[0][0]
     size = test.release["cart"]
     strength = models[1].best.valued()[-1].coefficient
     right = []
@@ -127,7 +126,7 @@ def test_what_the_recording_then_says_is_what_was_expected(cubic):
 def test_outcomes_are_what_the_models_do(cubic):
     experiment, scene, models = cubic
     bare = limited(experiment, angle=0.05, extra_mass=(0.0, 0.0))
-    test = best_tests(bare, scene, models, np.array([0.5, 0.5])).tests[0]
+    test = best_tests(bare, scene, models, np.array([0.5, 0.5]))[0][0]
     for outcome, model in zip(test.outcomes, models, strict=True):
         q = residyn.simulate(scene.model(model.best), [0.0, test.time], [test.release["cart"]]).q
         assert outcome.reading == pytest.approx(float(q[-1, 0]), abs=1e-5)
@@ -137,14 +136,33 @@ def test_outcomes_are_what_the_models_do(cubic):
     assert apart > 1
 
 
+def test_a_gyroscope_s_readings_are_predicted_as_rates(cubic):
+    """Weighed by its noise, and said in its unit."""
+    (angles,), models, noise = cubic[0].recordings, cubic[2], 2e-3
+    rates = np.gradient(angles.angle[:, 0], angles.time)[:, None]
+    recording = residyn.Recording.from_arrays(angles.time, rates, noise=noise, reads="rate")
+    limits = Limits(angle=0.05, extra_mass=(0.0, 0.0))
+    experiment = residyn.Experiment(CART, (recording,), limits=limits)
+    scene, _ = scene_of(experiment, ())
+    (test,), _ = best_tests(experiment, scene, models, np.array([0.5, 0.5]))
+    for outcome, model in zip(test.outcomes, models, strict=True):
+        moved = scene.model(model.best), [0.0, test.time], [test.release["cart"]]
+        rate = residyn.simulate(*moved, orders=(1,)).readings
+        assert outcome.reading == pytest.approx(float(rate[-1, 0]), abs=1e-4)
+        assert outcome.std >= noise
+    assert (test.reads, test.unit) == ("rate", "m/s")
+    table = outcomes(test)
+    assert table.head[1].startswith("rate of the cart after")
+    assert all(row[1].endswith(" m/s") for row in table.rows)
+
+
 def test_a_quantity_is_narrowed_by_what_measures_it(cubic):
     """The damping: the longer and larger the swing, the better."""
     experiment, scene, models = cubic
     slopes = [np.eye(len(m.best.prior.mean))[1] for m in models]
     wanted = Quantity(np.array([m.best.numbers[1] for m in models]), slopes, np.zeros(2))
     p = np.array([0.9, 0.1])
-    found = best_tests(limited(experiment, angle=0.03), scene, models, p, quantity=wanted)
-    (test,) = found.tests
+    (test,), _ = best_tests(limited(experiment, angle=0.03), scene, models, p, quantity=wanted)
     std = math.sqrt(models[0].best.covariance[1, 1]) * models[0].best.prior.width[1]
     assert test.release["cart"] == pytest.approx(0.03)
     assert test.band < 1.96 * std
@@ -153,11 +171,27 @@ def test_a_quantity_is_narrowed_by_what_measures_it(cubic):
 def test_a_sweep_of_the_motor_is_a_test(cubic):
     experiment, scene, models = cubic
     limits = limited(experiment, angle=1e-3, drive=1.0)
-    (test,) = best_tests(limits, scene, models, np.array([0.5, 0.5])).tests
+    (test,), _ = best_tests(limits, scene, models, np.array([0.5, 0.5]))
     assert test.drive is not None
     assert test.drive.torque == pytest.approx(1.0)
-    assert test.drive.low < math.sqrt(80.0 / MASS) / (2 * math.pi) < test.drive.high
+    rings = math.sqrt(80.0 / (MASS + test.extra_mass)) / (2 * math.pi)  # Hz
+    assert test.drive.low < rings < test.drive.high
     assert "drive the cart with 1.00 N" in test.words
+
+
+def test_of_a_shorter_sweep_the_beginning_is_made(cubic):
+    """The motor's torque as the test states it gives the readings that it predicts."""
+    experiment, scene, models = cubic
+    limits = limited(experiment, angle=1e-3, drive=20.0, extra_mass=(0.0, 0.0))
+    (test,), _ = best_tests(limits, scene, models, np.array([0.5, 0.5]))
+    assert test.drive is not None
+    assert test.duration < experiment.recordings[0].duration
+    time = np.linspace(0.0, test.duration, 500)
+    torque = test.drive.at(time, test.duration)[:, None]
+    drive = residyn.Drive(0.0, time[1], torque)  # pyright: ignore[reportArgumentType]
+    for outcome, model in zip(test.outcomes, models, strict=True):
+        q = residyn.simulate(scene.model(model.best), [0.0, test.time], [0.0], drive=drive).q
+        assert outcome.reading == pytest.approx(float(q[-1, 0]), abs=NOISE)
 
 
 # -- limits ------------------------------------------------------------------------------------
@@ -171,14 +205,18 @@ def arm(**limits):
     return residyn.Experiment(ARM, (recording,), bearings, limits=Limits(**limits))
 
 
+def settings_within(experiment):
+    """Every test that is compared for springs and dampers."""
+    scene, _ = scene_of(experiment, ())
+    model = residyn.fitting.model_for(scene.mechanisms[0])
+    return settings_of(experiment, scene, model.with_vector(jnp.array([20.0, 10.0, 0.1, 0.1])))
+
+
 def test_every_test_is_within_the_limits():
     experiment = arm(
         angle=[0.3, 0.0], theta2=[-0.5, 0.5], air_bearings=True, duration=12.0, drive=[0.0, 2.0]
     )
-    scene, base = scene_of(experiment, ())
-    model = residyn.Model(scene.mechanisms[0], tuple(e for e in base))
-    model = model.with_vector(jnp.array([20.0, 10.0, 0.1, 0.1]))
-    settings = settings_of(experiment, scene, model)
+    settings = settings_within(experiment)
     assert {abs(s.release[1]) for s in settings} == {0.0}
     assert max(abs(s.release[0]) for s in settings) == pytest.approx(0.3)
     assert all(-0.5 <= s.recording.theta2 <= 0.5 for s in settings)
@@ -189,6 +227,42 @@ def test_every_test_is_within_the_limits():
     assert {s.joint for s in swept} == {"elbow"}
     assert max(s.torque for s in swept) == 2.0
     assert all(not s.release.any() for s in still)
+
+
+@pytest.mark.parametrize("angle", [[0.3, 0.0], [0.0, 0.3], [0.3, 0.3]])
+def test_every_release_is_compared_once(angle):
+    """Also where a joint may not be released."""
+    settings = settings_within(arm(angle=angle, theta2=[0.1, 0.1], air_bearings=True))
+    releases = [tuple(s.release) for s in settings]
+    assert len(releases) == len(set(releases))
+    assert len(releases) == (3 if 0.0 in angle else 12)
+
+
+def test_without_limits_each_joint_goes_twice_as_far_as_it_did():
+    """A metre is no radian: how far one joint goes says nothing of another one."""
+    table = InertiaTable(("cart", "pendulum"), ((2.0, 0.1), (0.1, 0.5)), ("m", "rad"))
+    time = np.arange(400) / 50
+    q = np.stack([0.002 * np.cos(9 * time), 0.5 * np.cos(5 * time)], axis=1)
+    recording = residyn.Recording.from_arrays(time, q, noise=1e-5)
+    settings = settings_within(residyn.Experiment(table, (recording,)))
+    largest = np.max(np.abs([s.release for s in settings]), axis=0)
+    np.testing.assert_allclose(largest, [0.004, 1.0], rtol=0.1)
+
+
+def test_a_test_has_the_numbers_that_runs_share():
+    """Those that one run has for itself are not known of a run to come."""
+    first, longer = (
+        residyn.Recording.from_arrays(
+            (time := np.arange(count) / 50),
+            np.stack([0.2 * np.cos(9 * time), -0.1 * np.cos(15 * time)], axis=1),
+            noise=1e-3, name=name, own=own,
+        )
+        for name, count, own in (("first", 200, ()), ("longer", 300, ("spring:elbow",)))
+    )  # fmt: skip
+    experiment = residyn.Experiment(ARM, (first, longer))
+    assert experiment.run_of(longer) == 1
+    settings = settings_within(experiment)
+    assert {experiment.run_of(s.recording) for s in settings} == {0}
 
 
 WRONG = {
@@ -289,6 +363,10 @@ def test_json_of_a_plan():
     (test,) = found["tests"]
     assert {"between", "release", "theta2", "air_bearings", "extra_mass", "words"} <= set(test)
     assert test["outcomes"][0]["added"] == list(FOUND)
+    assert test["difference_over_noise"] == NEXT.difference
+    assert test["difference_over_noise_now"] == NEXT.now
+    assert test["reading"] == {"joint": "elbow", "reads": "angle", "unit": "rad", "time": 3.2}
+    assert not {"difference", "now", "joint", "time"} & set(test)  # each is said once
     assert found["helps"] is True
 
 

@@ -89,8 +89,9 @@ class Atlas(Result):
     """The weakest that shows first."""
     joints: tuple[str, ...]
     units: tuple[str, ...]
+    """Of readings: "rad", "m/s", ...; "" where not known."""
     noise: tuple[float, ...]
-    """Of one reading, rad or m."""
+    """Of one reading, in `units`."""
     duration: float
     """Of all recordings together, s."""
 
@@ -133,7 +134,7 @@ def detectable(experiment: Experiment, *, effects: Sequence[str | AbstractEffect
     return Atlas(
         tuple(order),
         experiment.joints,
-        experiment.units or ("",) * scene.n,
+        experiment.reading_units,
         tuple(map(float, recordings[0].noise)),
         float(sum(r.duration for r in recordings)),
     )

@@ -325,7 +325,7 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
     rivals, p = posterior.rivals()
     if len(rivals) > 1:
         search.say("looking for the experiment that would tell the models apart")
-        advice = next(iter(best_tests(fits.whole, scene, rivals, p).tests), None)
+        advice = next(iter(best_tests(fits.whole, scene, rivals, p)[0]), None)
     if search.curves:
         search.say("looking for its formula")
     laws = laws_of(search, posterior.of_curves.tolist(), best.log_evidence, fits)

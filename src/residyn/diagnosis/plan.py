@@ -12,7 +12,7 @@ from ..recordings.experiment import Experiment
 from ..recordings.limits import Limits
 from ..runtime.json import finite
 from ..runtime.presentation import Result
-from .candidate_tests import Ranking, Test, best_tests, in_play, settled
+from .candidate_tests import Test, best_tests, in_play, settled
 from .diagnose import Posterior, diagnose
 from .experiment_design import entropy
 from .result import Diagnosis
@@ -104,16 +104,16 @@ def plan(
         models, p, left_out = in_play(posterior.models, posterior.of_tried)
         say(f"comparing tests for {len(models)} models")
         done = settled(posterior.of_tried)
-        ranking = Ranking((), 0)
+        planned, tried = (), 0
         if not done:
-            ranking = best_tests(found.fits.whole, found.search.scene, models, p, tests)
+            planned, tried = best_tests(found.fits.whole, found.search.scene, models, p, tests)
     complete = float(p @ np.array([m.complete for m in models]))
     return Plan(
         models=tuple(InPlay(m.added, float(x)) for m, x in zip(models, p, strict=True)),
         left_out=left_out,
         entropy=float(entropy(p)),
-        tests=ranking.tests,
-        tried=ranking.tried,
+        tests=planned,
+        tried=tried,
         settled=done,
         unexplained=1.0 - complete,
         limits=found.fits.whole.limits,

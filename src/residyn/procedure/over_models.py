@@ -152,7 +152,7 @@ def over_models(
         say("looking for the test that narrows it most")
         lowest = [slopes_of_modes(b.model, b.fitted)[0] for b in free[0]]
         wanted = _quantity(lowest, errors, QUANTITIES.index(narrows))
-        test = next(iter(best_tests(experiment, scene, models, p, quantity=wanted).tests), None)
+        test = next(iter(best_tests(experiment, scene, models, p, quantity=wanted)[0]), None)
     return OverModels(
         models=tuple(InPlay(m.added, float(x)) for m, x in zip(models, p, strict=True)),
         left_out=left_out,
@@ -189,9 +189,9 @@ def with_and_without_drag(search: Search) -> tuple[list[Tried], np.ndarray, floa
     """
     posterior = Posterior(search)
     models, p, left_out = in_play(posterior.models, posterior.of_tried)
-    scene, count = search.scene, len(search.candidates)
+    count = len(search.candidates)
     if BearingDrag.name not in (e.label for e in search.candidates):
-        models = [at_any_width(scene, m, BearingDrag.name) for m in models]
+        models = [at_any_width(m, BearingDrag.name) for m in models]
         return models, softmax(np.array([m.log_posterior for m in models])), left_out
     laws = [e.label for e in search.candidates if e.kind() == BearingDrag.kind() and not e.place]
     found = {frozenset(m.added): m for m in models}
@@ -203,20 +203,20 @@ def with_and_without_drag(search: Search) -> tuple[list[Tried], np.ndarray, floa
         for law in laws:
             model = search.beside(without, law)
             if model is not None:
-                model = at_any_width(scene, model, law)
+                model = at_any_width(model, law)
                 found[rest | {law}] = replace(model, log_prior=prior - math.log(len(laws)))
     every = list(found.values())
     kept, p, _ = in_play(every, softmax(np.array([m.log_posterior for m in every])))
     return kept, p, left_out
 
 
-def at_any_width(scene: Scene, model: Tried, label: str) -> Tried:
+def at_any_width(model: Tried, label: str) -> Tried:
     """A model, the strength of its effect `label` of any prior width of `DECADES`."""
     slices = zip(model.best.effects, number_slices(model.best.effects), strict=True)
     i = next((own.start for e, own in slices if e.label == label), None)
     if i is None:
         return model
-    t = posterior_of(scene, model)
+    t = posterior_of(model)
     count = len(t.covariance)
     gain, mean, covariance = over_widths(t.u[:count], t.covariance, i, DECADES)
     best = replace(t, u=np.append(mean, t.u[count:]), covariance=covariance)

@@ -74,10 +74,13 @@ def sentence(test: Test) -> str:
 
 def outcomes(test: Test) -> Table:
     joints = tuple(test.release)
-    unit = test.units[joints.index(test.joint)]
-    what = f"angle of the {test.joint} after {plain(test.time, 3)} s"
+    what = f"{test.reads} of the {test.joint} after {plain(test.time, 3)} s"
     rows = [
-        [upper(named(x.added, joints)), measured(x.reading, x.std, unit), percent(x.probability)]
+        [
+            upper(named(x.added, joints)),
+            measured(x.reading, x.std, test.unit),
+            percent(x.probability),
+        ]
         for x in test.outcomes
     ]
     return Table(["if the model is", what, "probability then"], rows)
