@@ -324,7 +324,10 @@ def test_without_a_random_torque_the_filter_has_the_evidence_of_exact_simulation
         with jax.enable_x64(True):
             t, _ = tried.starts(scene)
             found = scene.evidences(t, scene.linearised(t), [0.0] * 4)
-            filtered = found.log_evidence[0] + half_normals(t.effects, t.prior, found)[0]
+            filtered = (
+                found.log_evidence[0]
+                + half_normals(t.effects, t.prior, found.regressors, found.std)[0]
+            )
             exact = simulated(scene, t, friction.fits.of(tried)).log_evidence
         assert exact == pytest.approx(filtered, abs=within)
 

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from ..filtering.kalman import Evidences
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting.problem import Problem, Unknowns
 from ..fitting.result import Fit, FitError
@@ -118,6 +117,5 @@ def simulated(scene: Scene, t: Trajectory, fit: Fit) -> Simulated | None:
     x, P = mode.x, len(u)
     log = scene.highest - 0.5 * (off + x @ x) - np.log(np.diag(factor[0])).sum()
     covariance = cho_solve(factor, np.eye(len(x)))[:P, :P]
-    means, std = x[None, :P], np.sqrt(np.diag(covariance))[None]
-    log += half_normals(t.effects, t.prior, Evidences(None, means, std))[0]
+    log += half_normals(t.effects, t.prior, x[:P], np.sqrt(np.diag(covariance)))
     return Simulated(float(log), x[:P], covariance)
