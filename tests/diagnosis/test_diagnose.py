@@ -129,7 +129,7 @@ def test_the_next_experiment_is_for_two_explanations_that_cannot_be_told_apart(f
     ]
     friction_, excess, cubic = (e.label for e in known)
 
-    def rivals(nats):
+    def rivals(nats, curve=-math.inf):
         logs = {(friction_,): 0.0, (excess,): -1.0, (cubic,): nats, (): -10.0}
         tried = {
             frozenset(added): Tried(
@@ -137,8 +137,10 @@ def test_the_next_experiment_is_for_two_explanations_that_cannot_be_told_apart(f
             )
             for added, x in logs.items()
         }
+        flat = np.full(len(INTENSITIES), curve)
+        curves = [dataclasses.replace(tried[frozenset()], evidences=flat)]
         search = SimpleNamespace(
-            candidates=known, tried=tried, passed={}, curves=[], reassigned=None,
+            candidates=known, tried=tried, passed={}, curves=curves, reassigned=None,
             base=tried[frozenset()], scene=friction.search.scene,
         )  # fmt: skip
         models, p = Posterior(search).rivals()  # pyright: ignore
@@ -148,6 +150,10 @@ def test_the_next_experiment_is_for_two_explanations_that_cannot_be_told_apart(f
     assert models == [(friction_,), (cubic,)]
     np.testing.assert_allclose(p[1] / p[0], np.exp(-2.0) / (1 + np.exp(-1.0)))
     assert rivals(-4.0)[0] == [(friction_,)]
+    # Also where a free curve is so much likelier that theirs are no numbers above 0.
+    beside = rivals(-2.0, curve=2000.0)
+    assert beside[0] == models
+    np.testing.assert_allclose(beside[1], p)
 
 
 def test_a_model_fits_no_worse_than_one_that_it_contains(friction, monkeypatch):
