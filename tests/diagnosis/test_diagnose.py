@@ -129,7 +129,7 @@ def test_the_next_experiment_is_for_two_explanations_that_cannot_be_told_apart(f
     ]
     friction_, excess, cubic = (e.label for e in known)
 
-    def rivals(nats, curve=-math.inf):
+    def rivals(nats, curve=-50.0):
         logs = {(friction_,): 0.0, (excess,): -1.0, (cubic,): nats, (): -10.0}
         tried = {
             frozenset(added): Tried(
