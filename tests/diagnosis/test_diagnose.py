@@ -24,7 +24,7 @@ from residyn.diagnosis.evidence import (
     half_normals,
     over_intensities,
 )
-from residyn.diagnosis.linearised_fit import Hopeless, LinearisedFit, minimum
+from residyn.diagnosis.linearised_fit import Hopeless, minimum
 from residyn.diagnosis.missing_torque import missing_of, scene_of
 from residyn.diagnosis.search import Search, Tried, settle, tried_alone
 from residyn.diagnosis.simulated import simulated
@@ -355,8 +355,8 @@ def test_slopes_too_steep_for_arithmetic_leave_no_evidence_of_exact_simulation(
 
 
 def test_a_descent_that_would_end_too_high_ends_early(friction):
-    near = LinearisedFit.of(friction.fits.of(friction.search.base))
-    off = Unknowns(1.01 * np.asarray(near.at.numbers), np.asarray(near.at.states))
+    near = friction.fits.of(friction.search.base)
+    off = Unknowns(1.01 * np.asarray(near.unknowns.numbers), np.asarray(near.unknowns.states))
     with jax.enable_x64(True):
         whole = minimum(near.problem, off)
         allowed = minimum(near.problem, off, enough=1.5 * whole.cost)
@@ -367,9 +367,9 @@ def test_a_descent_that_would_end_too_high_ends_early(friction):
 
 
 def test_an_unknown_that_all_but_moves_no_reading_leaves_a_gram_matrix_positive(friction):
-    near = LinearisedFit.of(friction.fits.of(friction.search.base))
+    near = friction.fits.of(friction.search.base)
     with jax.enable_x64(True):
-        found = minimum(near.problem, near.at, most=0)
+        found = minimum(near.problem, near.unknowns, most=0)
     # All move the readings alike, one of them less than arithmetic holds all digits of.
     size = np.ones(found.square.shape[-1])
     size[1] = 2e-157

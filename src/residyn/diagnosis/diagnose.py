@@ -44,7 +44,7 @@ from .evidence import (
 )
 from .forecast import held_out
 from .law import CurveModel, curve_models, laws_of
-from .linearised_fit import Hopeless, LinearisedFit, evaluated, polish
+from .linearised_fit import Hopeless, evaluated, polish
 from .missing_torque import CURVES, missing_of, restoring_torque, scene_of
 from .result import (
     Budget,
@@ -379,7 +379,7 @@ def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...
         fits.begin(model)
     for model in models:
         result, joined = fits.of(model), labels[len(model.added) - 1] if model.added else None
-        held = held_out(LinearisedFit.of(result))
+        held = held_out(result)
         relative = model.log_evidence - best.log_evidence
         found.append(ModelState(joined, result, held, relative))
     give_back()
