@@ -18,7 +18,7 @@ import numpy as np
 from scipy.stats import kstest
 
 import residyn
-from residyn.diagnosis.linearised_fit import LinearisedFit
+from residyn.diagnosis.linearised_fit import predictions
 from residyn.diagnosis.residuals import where
 from residyn.recordings.tables import ArmTable
 from tests import rig
@@ -73,9 +73,8 @@ def chances(experiment: residyn.Experiment) -> tuple[list[float], float]:
     """The p-value of each joint, and of both together."""
     fit = residyn.fit(experiment, starts=2)
     with jax.enable_x64(True):
-        near = LinearisedFit.of(fit)
-        found = where(near, near.look(near.at)[1])
-    each = [w.p for w in found.white.values()]
+        found = where(fit, predictions(fit, fit.unknowns)[1])
+    each = list(found.white.values())
     return each, 1 - (1 - np.nanmin(each)) ** len(each)
 
 

@@ -17,7 +17,6 @@ from residyn.diagnosis.result import (
     RandomTorque,
     Value,
 )
-from residyn.diagnosis.whiteness import White
 from residyn.effects.found import FoundLaw, FoundNumber
 from residyn.fitting import Fit, Mode, Number, RecordingFit, mechanism_of, model_for
 from residyn.recordings.experiment import Experiment
@@ -133,7 +132,7 @@ def a_comparison(fit, times, p):
     where = Where(
         joints=JOINTS,
         units=("rad", "rad"),
-        white={joint: White(p, 0.3, 0.4) for joint in JOINTS},
+        white=dict.fromkeys(JOINTS, p),
         joint=(Cell(800 * times**2, 800.0),) * 2,
         time=tuple(part("", 2.5 * i, 2.5 * (i + 1)) for i in range(4)),
         amplitude=tuple(tuple(part("", a / 2, a, 1) for a in (0.2, 0.1, 0.05)) for _ in JOINTS),

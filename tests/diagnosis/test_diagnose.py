@@ -24,7 +24,7 @@ from residyn.diagnosis.evidence import (
     half_normals,
     over_intensities,
 )
-from residyn.diagnosis.linearised_fit import Hopeless, LinearisedFit, minimum
+from residyn.diagnosis.linearised_fit import Hopeless, minimum
 from residyn.diagnosis.missing_torque import missing_of, scene_of
 from residyn.diagnosis.search import Search, Tried, settle, tried_alone
 from residyn.diagnosis.simulated import simulated
@@ -129,7 +129,7 @@ def test_the_next_experiment_is_for_two_explanations_that_cannot_be_told_apart(f
     ]
     friction_, excess, cubic = (e.label for e in known)
 
-    def rivals(nats):
+    def rivals(nats, curve=-50.0):
         logs = {(friction_,): 0.0, (excess,): -1.0, (cubic,): nats, (): -10.0}
         tried = {
             frozenset(added): Tried(
@@ -137,8 +137,10 @@ def test_the_next_experiment_is_for_two_explanations_that_cannot_be_told_apart(f
             )
             for added, x in logs.items()
         }
+        flat = np.full(len(INTENSITIES), curve)
+        curves = [dataclasses.replace(tried[frozenset()], evidences=flat)]
         search = SimpleNamespace(
-            candidates=known, tried=tried, passed={}, curves=[], reassigned=None,
+            candidates=known, tried=tried, passed={}, curves=curves, reassigned=None,
             base=tried[frozenset()], scene=friction.search.scene,
         )  # fmt: skip
         models, p = Posterior(search).rivals()  # pyright: ignore
@@ -148,6 +150,10 @@ def test_the_next_experiment_is_for_two_explanations_that_cannot_be_told_apart(f
     assert models == [(friction_,), (cubic,)]
     np.testing.assert_allclose(p[1] / p[0], np.exp(-2.0) / (1 + np.exp(-1.0)))
     assert rivals(-4.0)[0] == [(friction_,)]
+    # Also where a free curve is so much likelier that theirs are no numbers above 0.
+    beside = rivals(-2.0, curve=2000.0)
+    assert beside[0] == models
+    np.testing.assert_allclose(beside[1], p)
 
 
 def test_a_model_fits_no_worse_than_one_that_it_contains(friction, monkeypatch):
@@ -324,7 +330,10 @@ def test_without_a_random_torque_the_filter_has_the_evidence_of_exact_simulation
         with jax.enable_x64(True):
             t, _ = tried.starts(scene)
             found = scene.evidences(t, scene.linearised(t), [0.0] * 4)
-            filtered = found.log_evidence[0] + half_normals(t.effects, t.prior, found)[0]
+            filtered = (
+                found.log_evidence[0]
+                + half_normals(t.effects, t.prior, found.regressors, found.std)[0]
+            )
             exact = simulated(scene, t, friction.fits.of(tried)).log_evidence
         assert exact == pytest.approx(filtered, abs=within)
 
@@ -346,8 +355,8 @@ def test_slopes_too_steep_for_arithmetic_leave_no_evidence_of_exact_simulation(
 
 
 def test_a_descent_that_would_end_too_high_ends_early(friction):
-    near = LinearisedFit.of(friction.fits.of(friction.search.base))
-    off = Unknowns(1.01 * np.asarray(near.at.numbers), np.asarray(near.at.states))
+    near = friction.fits.of(friction.search.base)
+    off = Unknowns(1.01 * np.asarray(near.unknowns.numbers), np.asarray(near.unknowns.states))
     with jax.enable_x64(True):
         whole = minimum(near.problem, off)
         allowed = minimum(near.problem, off, enough=1.5 * whole.cost)
@@ -358,9 +367,9 @@ def test_a_descent_that_would_end_too_high_ends_early(friction):
 
 
 def test_an_unknown_that_all_but_moves_no_reading_leaves_a_gram_matrix_positive(friction):
-    near = LinearisedFit.of(friction.fits.of(friction.search.base))
+    near = friction.fits.of(friction.search.base)
     with jax.enable_x64(True):
-        found = minimum(near.problem, near.at, most=0)
+        found = minimum(near.problem, near.unknowns, most=0)
     # All move the readings alike, one of them less than arithmetic holds all digits of.
     size = np.ones(found.square.shape[-1])
     size[1] = 2e-157

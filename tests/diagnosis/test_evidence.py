@@ -54,7 +54,6 @@ from residyn.effects import (
     SensorOffset,
     Spring,
 )
-from residyn.filtering.kalman import Evidences
 from residyn.filtering.trajectory import Prior, Scene, Trajectory
 from residyn.fitting.problem import Unknowns
 from residyn.physics.effect import JointEffect
@@ -322,12 +321,12 @@ def test_no_spring_has_less_than_nothing(reading, noise):
     prior = Prior(np.array([size]), np.array([size]), np.array([False]))
     std = 1 / math.sqrt(1 + (size / noise) ** 2)  # of u, the stiffness read as size (1 + u)
     mean = std**2 * size * (reading - size) / noise**2
-    found = Evidences(np.zeros(1), np.array([[mean]]), np.array([[std]]))
+    found = np.array([mean]), np.array([std])
     positive = norm.sf(0.0, loc=size * (1 + mean), scale=size * std)
     expected = math.log(2.0) + math.log(max(positive, 1e-300))
-    (added,) = half_normals([Spring("cart", 1.0)], prior, found)
+    added = half_normals([Spring("cart", 1.0)], prior, *found)
     assert added == pytest.approx(expected, rel=1e-6) or positive < 1e-290
-    (right,) = right_signs([Spring("cart", 1.0)], prior, found)
+    right = right_signs([Spring("cart", 1.0)], prior, *found)
     assert right == pytest.approx(positive, rel=1e-6, abs=1e-290)
 
 
@@ -336,9 +335,9 @@ def test_what_is_left_may_be_why_a_number_has_the_wrong_sign(mean, std, left):
     """A torque left beside the model, along a spring, is a normal error of its stiffness."""
     size = 3.0
     prior = Prior(np.array([size]), np.array([size]), np.array([False]))
-    found = Evidences(np.zeros(1), np.array([[mean / size - 1.0]]), np.array([[std / size]]))
+    found = np.array([mean / size - 1.0]), np.array([std / size])
     wide = math.hypot(std, size * left) if mean < 0 else std
-    (right,) = right_signs([Spring("cart", 1.0)], prior, found, np.array([left]))
+    right = right_signs([Spring("cart", 1.0)], prior, *found, left)
     assert right == pytest.approx(norm.cdf(mean / wide), rel=1e-6, abs=1e-290)
 
 

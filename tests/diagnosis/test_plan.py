@@ -372,13 +372,18 @@ def test_json_of_a_plan():
 
 def test_models_in_play():
     names = ["a", "b", "c"]
-    models, p, rest = in_play(names, np.array([0.2, 0.795, 0.005]))  # pyright: ignore
+    models, p, rest = in_play(names, np.log([0.2, 0.795, 0.005]))  # pyright: ignore
     assert models == ["b", "a"]
     assert p.sum() == pytest.approx(1.0)
     assert rest == pytest.approx(0.005)
-    many = np.array([0.9, *np.full(20, 0.005)])  # none of the others is likely by itself
+    # Also where a law without a name is so much likelier that theirs are no numbers above 0.
+    models, p, rest = in_play(names, np.log([0.2, 0.795, 0.005]) - 2000)  # pyright: ignore
+    assert models == ["b", "a"]
+    np.testing.assert_allclose(p, [0.795 / 0.995, 0.2 / 0.995])
+    assert rest == 1.0
+    many = np.log([0.9, *np.full(20, 0.005)])  # none of the others is likely by itself
     assert len(in_play([*range(21)], many)[0]) == 2  # pyright: ignore
-    assert len(in_play(names, np.array([0.99, 0.006, 0.004]))[0]) == 1  # pyright: ignore
-    assert settled(np.array([0.96, 0.04]))
-    assert not settled(np.array([0.9, 0.1]))
+    assert len(in_play(names, np.log([0.99, 0.006, 0.004]))[0]) == 1  # pyright: ignore
+    assert settled(np.log([0.96, 0.04]))
+    assert not settled(np.log([0.9, 0.1]))
     assert float(entropy(np.array([1.0, 0.0]))) == 0.0

@@ -16,7 +16,7 @@ from ..runtime.json import finite
 from ..runtime.presentation import Result
 from .evidence import NOISE
 from .forecast import HeldOut, Horizon, held_out, horizon
-from .linearised_fit import LinearisedFit
+from .linearised_fit import predictions
 from .missing_torque import CURVES, Missing, missing_of, scene_of
 from .residuals import Where, where
 from .runs import OwnNumbers, own_numbers
@@ -43,7 +43,7 @@ class Comparison(Result):
     def p(self) -> float:
         """Probability that noise alone leaves a residual so far from white, all joints together;
         1 where no joint has enough readings to tell."""
-        return of_the_least([w.p for w in self.where.white.values() if np.isfinite(w.p)])
+        return of_the_least([p for p in self.where.white.values() if np.isfinite(p)])
 
     @property
     def explained(self) -> bool:
@@ -107,11 +107,9 @@ def compare_fit(
     say = progress or (lambda words: None)
     with jax.enable_x64(True):
         say("looking where the residual is")
-        near = LinearisedFit.of(fitted)
-        _, slopes = near.look(near.at)
-        found = where(near, slopes)
+        found = where(fitted, predictions(fitted, fitted.unknowns)[1])
         say("predicting what was held out")
-        ahead = held_out(near), horizon(near)
+        ahead = held_out(fitted), horizon(fitted)
         own = [e for e in fitted.model.effects if e.name not in BASE]
         if missing is None:
             say("smoothing the missing torque")

@@ -17,7 +17,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import softmax
+from scipy.special import log_softmax, softmax
 
 from ..effects import AbstractEffect
 from ..filtering.law import each_number, state_slices
@@ -40,10 +40,11 @@ from .evidence import (
     INDISTINGUISHABLE,
     INTENSITIES,
     at_work,
+    log_sum,
 )
 from .forecast import held_out
 from .law import CurveModel, curve_models, laws_of
-from .linearised_fit import Hopeless, LinearisedFit, evaluated, polish
+from .linearised_fit import Hopeless, evaluated, polish
 from .missing_torque import CURVES, missing_of, restoring_torque, scene_of
 from .result import (
     Budget,
@@ -150,9 +151,13 @@ class Fits:
 
     def begin(self, tried: Tried, enough: float = math.inf) -> "Future[Fit]":
         """Fit one model, in another thread; `enough` as in `fitted`."""
-        if tried.best not in self._begun:
-            self._begun[tried.best] = self._pool.submit(self._of, tried, enough)
-        return self._begun[tried.best]
+        with self.lock:  # none waits for one that is begun after it
+            if tried.best not in self._begun:
+                parts = [
+                    f for t, f in self._begun.items() if set(t.labels) < set(tried.best.labels)
+                ]
+                self._begun[tried.best] = self._pool.submit(self._of, tried, enough, parts)
+            return self._begun[tried.best]
 
     def of(self, tried: Tried) -> Fit:
         """The fit of one model.
@@ -185,9 +190,8 @@ class Fits:
         scatter = 2 * (readings - self.scene.length)
         return scatter + 2 * (self.scene.highest + raised + HOPELESS - tried.log_evidence)
 
-    def _of(self, tried: Tried, enough: float) -> Fit:
-        before = list(self._begun.items())
-        wait([f for t, f in before if set(t.labels) < set(tried.best.labels)])
+    def _of(self, tried: Tried, enough: float, parts: "Sequence[Future[Fit]]") -> Fit:
+        wait(parts)
         with jax.enable_x64(True):  # JAX's settings are each thread's own
             return self.with_held_out(self.fitted(tried, enough=enough))
 
@@ -375,7 +379,7 @@ def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...
         fits.begin(model)
     for model in models:
         result, joined = fits.of(model), labels[len(model.added) - 1] if model.added else None
-        held = held_out(LinearisedFit.of(result))
+        held = held_out(result)
         relative = model.log_evidence - best.log_evidence
         found.append(ModelState(joined, result, held, relative))
     give_back()
@@ -407,16 +411,17 @@ class Posterior:
         other = search.reassigned
         logs = [m.log_posterior for m in [*self.named, *self.curves]]
         logs += [other.tried.log_posterior] if other else []
-        each = softmax(np.array(logs))
+        each = log_softmax(np.array(logs))
+        self.log_tried = each[: len(self.models)]
+        """Log probability of each model that was tried: of a rare one the probability may be 0."""
         ends = np.cumsum([len(self.named), len(self.curves)])
-        self.each, self.of_curves, of_other = np.split(each, ends)
+        self.each, self.of_curves, of_other = np.split(np.exp(each), ends)
         """Probability of each model with names only, of each with a free curve, and of the base
         model with the columns read otherwise."""
         self.weighed = [
             *zip(self.named, self.each, strict=True), *zip(self.curves, self.of_curves, strict=True)
         ]  # fmt: skip
         self.of_reassigned = float(of_other.sum())
-        self.of_tried = self.each[: len(self.models)]
         verdict = self.verdict()[0]
         chosen = {"adequate": False, "missing": True}.get(verdict)
         first = next(
@@ -538,10 +543,10 @@ class Posterior:
         likeliest first: several laws of one kind share its probability."""
         kinds = {e.label: (e.kind(), e.place) for e in self.search.candidates}
         groups: dict[frozenset, list[int]] = {}
-        for i in np.argsort(-self.of_tried, kind="stable").tolist():
+        for i in np.argsort(-self.log_tried, kind="stable").tolist():
             added = self.models[i].added
             groups.setdefault(frozenset(kinds[x] for x in added), []).append(i)
-        return sorted(groups.values(), key=lambda own: -self.of_tried[own].sum())
+        return sorted(groups.values(), key=lambda own: -log_sum(self.log_tried[own]))
 
     def rivals(self) -> tuple[list[Tried], np.ndarray]:
         """The likeliest explanation (kinds of law and their places) and the next one, if the two
@@ -550,7 +555,7 @@ class Posterior:
         if self.of_reassigned:
             return [], np.zeros(0)
         sums = self._explanations()[:2]
-        p = np.array([self.each[own].sum() for own in sums])
+        p = softmax([log_sum(self.log_tried[own]) for own in sums])
         close = p >= p[0] * math.exp(-INDISTINGUISHABLE)
         models = [self.models[own[0]] for own in sums]
         return [m for m, x in zip(models, close, strict=True) if x], p[close] / p[close].sum()

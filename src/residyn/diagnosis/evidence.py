@@ -16,7 +16,6 @@ import numpy as np
 from scipy.special import erf, log_ndtr, softmax
 
 from ..effects import AbstractEffect
-from ..filtering.kalman import Evidences
 from ..filtering.law import each_number
 from ..filtering.trajectory import Prior, Scene
 from ..physics.parameter import Parameter
@@ -139,35 +138,39 @@ def signed(number: Parameter) -> bool:
     return number.sign == "positive" and number.silent is not None
 
 
-def _signed(effects: Sequence[AbstractEffect], prior: Prior, found: Evidences):
-    """Each number whose sign is known: its effect, and (I,) by how much it is on the right side of
-    where it is silent, and its standard deviation, in prior widths."""
+def _signed(effects: Sequence[AbstractEffect], prior: Prior, u: np.ndarray, std: np.ndarray):
+    """Each number whose sign is known: by how much (...,) it is on the right side of where it is
+    silent, and its standard deviation, both in prior widths, and how many of these make the typical
+    size of its dimension."""
     for i, (effect, number) in enumerate(each_number(effects)):
         if signed(number):
             silent = (number.silent - prior.mean[i]) / prior.width[i]
-            yield effect, found.regressors[:, i] - silent, found.std[:, i]
+            wide = effect.name == "spring" or number.as_spring
+            yield u[..., i] - silent, std[..., i], 1.0 if wide else 1.0 / WIDTH
 
 
-def half_normals(effects: Sequence[AbstractEffect], prior: Prior, found: Evidences) -> np.ndarray:
-    """(I,) what the half-normal priors of a model add to its log evidence: log 2 Phi of each number
-    whose sign is known, in standard deviations from where it is silent."""
-    each = (half_normal(off / std) for _, off, std in _signed(effects, prior, found))
-    return sum(each, np.zeros(len(found.regressors)))
+def half_normals(
+    effects: Sequence[AbstractEffect], prior: Prior, u: np.ndarray, std: np.ndarray
+) -> np.ndarray:
+    """(...,) what the half-normal priors of a model add to its log evidence: log 2 Phi of each
+    number whose sign is known, in standard deviations from where it is silent. `u`, `std` (..., P)
+    are posterior means and standard deviations of the regressors."""
+    each = (half_normal(off / s) for off, s, _ in _signed(effects, prior, u, std))
+    return sum(each, np.zeros(u.shape[:-1]))
 
 
 def right_signs(
-    effects: Sequence[AbstractEffect], prior: Prior, found: Evidences, left: Any = 0.0
+    effects: Sequence[AbstractEffect], prior: Prior, u: np.ndarray, std: np.ndarray, left: Any = 0.0
 ) -> np.ndarray:
-    """(I,) how probable it is that the numbers of a model have the signs that physics gives them,
-    if their priors leave that open.
+    """How probable it is that the numbers of a model have the signs that physics gives them, if
+    their priors leave that open; `u`, `std` as in `half_normals`.
 
     `left` (I,) is the torque that is left beside the model, in typical torques. It may be along
     any number: what came out on the wrong side may be there by as much.
     """
-    total = np.zeros(len(found.regressors))
-    for effect, off, std in _signed(effects, prior, found):
-        by = left * (1.0 if effect.name == "spring" else 1.0 / WIDTH)  # in prior widths
-        total += log_ndtr(off / np.where(off < 0, np.hypot(std, by), std))
+    total = np.zeros(u.shape[:-1])
+    for off, s, size in _signed(effects, prior, u, std):
+        total = total + log_ndtr(off / np.where(off < 0, np.hypot(s, left * size), s))
     return np.exp(total)
 
 

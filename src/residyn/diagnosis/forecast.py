@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..fitting.result import RecordingFit
+from ..fitting.result import Fit, RecordingFit
 from ..runtime.json import finite
-from .linearised_fit import LinearisedFit, spread
+from .linearised_fit import predictions, refitted, spread
 
 _HORIZONS = 8
 LEAST = 20  # readings of each joint to fit to
@@ -103,33 +103,32 @@ def _rms(x: np.ndarray) -> np.ndarray:
     return np.sqrt(np.where(seen, x**2, 0.0).sum(axis=0) / count)
 
 
-def _run(near: LinearisedFit, share: float) -> _Run | None:
+def _run(fit: Fit, share: float) -> _Run | None:
     """Fit the first `share` of each recording and run on; None if that is not possible."""
-    ends = [r.recording.time[0] + share * r.recording.duration for r in near.fitted]
-    since = [r.recording.time - end for r, end in zip(near.fitted, ends, strict=True)]
-    for r, s in zip(near.fitted, since, strict=True):
+    fitted = fit.fitted
+    ends = [r.recording.time[0] + share * r.recording.duration for r in fitted]
+    since = [r.recording.time - end for r, end in zip(fitted, ends, strict=True)]
+    for r, s in zip(fitted, since, strict=True):
         if r.used[s <= 0].sum(axis=0).min() < LEAST:
             return None
-    at, settled = near.refitted([s <= 0 for s in since])
-    predicted, slopes = near.look(at)
+    at, settled = refitted(fit, [s <= 0 for s in since])
+    predicted, slopes = predictions(fit, at)
     if not settled or not all(np.isfinite(p).all() for p in predicted):
         return None
-    weights = [
-        np.where((s <= 0)[:, None], w, 0.0) for s, w in zip(since, near.weights(), strict=True)
-    ]
-    spreads, columns = spread(slopes, weights, near.numbers, near.memories()), []
-    for r, s, p, e in zip(near.fitted, since, predicted, spreads, strict=True):
+    weights = [r.weight * (s <= 0)[:, None] for r, s in zip(fitted, since, strict=True)]
+    memories = len(fitted[0].state) - 2 * len(fit.joints)
+    spreads, columns = spread(slopes, weights, len(fit.numbers), memories), []
+    for r, s, p, e in zip(fitted, since, predicted, spreads, strict=True):
         left, error = (np.where(r.used, x, np.nan) for x in (r.recording.angle - p, e))
         columns.append((s, left, left / r.recording.noise, error / r.recording.noise))
     return _Run(*map(np.concatenate, zip(*columns, strict=True)))
 
 
-def held_out(near: LinearisedFit) -> HeldOut | None:
+def held_out(fit: Fit) -> HeldOut | None:
     """Errors on the check recordings, or on the last third; None if that fit did not settle."""
-    check = [r for r in near.fit.recordings if r.recording.role == "check"]
-    if check:
-        return HeldOut("check recordings", _beside(check), _beside(near.fitted))
-    run = _run(near, 2 / 3)
+    if fit.held_out:
+        return HeldOut("check recordings", _beside(fit.held_out), _beside(fit.fitted))
+    run = _run(fit, 2 / 3)
     if run is None:
         return None
     return HeldOut("last third", run.error(0.0, np.inf), run.error(-np.inf, 0.0))
@@ -141,12 +140,12 @@ def _beside(fits: Sequence[RecordingFit]) -> Error:
     return Error(_rms(np.concatenate(left)), _rms(np.concatenate(ratio)), None)
 
 
-def horizon(near: LinearisedFit) -> Horizon | None:
+def horizon(fit: Fit) -> Horizon | None:
     """Growth of the error after the first third; None if its fit did not settle."""
-    run = _run(near, 1 / 3)
+    run = _run(fit, 1 / 3)
     if run is None:
         return None
     edges = np.linspace(0.0, run.since.max(), _HORIZONS + 1).tolist()
     rows = [Ahead(a, b, run.error(a, b)) for a, b in itertools.pairwise(edges)]
-    seconds = max(r.recording.duration for r in near.fitted) / 3
+    seconds = max(r.recording.duration for r in fit.fitted) / 3
     return Horizon(seconds, run.error(-np.inf, 0.0), tuple(rows))

@@ -24,7 +24,7 @@ from scipy.sparse import csr_array
 from scipy.special import softmax
 
 from ..filtering.free_curve import HEIGHTS, FreeCurve, FreeFriction
-from ..filtering.kalman import Evidences, Torques, gram
+from ..filtering.kalman import Torques, gram
 from ..filtering.linearised import Instants, nodes
 from ..filtering.trajectory import Scene, Trajectory
 from ..runtime.export_cache import kept
@@ -327,8 +327,8 @@ def signs(along: Along, grams: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore"):  # of what rounding has spoilt nothing is finite
         mean = -(inverse @ grams[:, 1:, :1])[..., 0]
         std = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
-    found = Evidences(None, mean[:, :P], std[:, :P])
-    return half_normals(along.trajectory.effects, along.trajectory.prior, found)
+    t = along.trajectory
+    return half_normals(t.effects, t.prior, mean[:, :P], std[:, :P])
 
 
 class Screened(NamedTuple):

@@ -43,7 +43,6 @@ from .free_curves import (
     splines,
     with_curve,
 )
-from .linearised_fit import LinearisedFit
 from .search import Search, Tried, silenced
 
 GRID = 101
@@ -316,7 +315,7 @@ def _fitted(fits: Any, tried: Tried) -> tuple[Fit | None, HeldOut | None]:
         fit = fits.of(tried)
     except FitError:
         return None, None
-    return fit, held_out(LinearisedFit.of(fit))
+    return fit, held_out(fit)
 
 
 def _predicts(with_it: HeldOut | None, without: HeldOut | None) -> bool:

@@ -19,7 +19,7 @@ import numpy as np
 from ..fitting.least_squares import RUNAWAY, Compressed, Polished, look
 from ..fitting.linalg import damped_step
 from ..fitting.problem import Problem, Unknowns, reweighted, tight
-from ..fitting.result import Fit, FitError, RecordingFit
+from ..fitting.result import Fit, FitError
 from .evidence import gram_factor
 
 # A direction of the tangent this much shorter than the longest is rounding, or undetermined.
@@ -139,61 +139,31 @@ def polish(
     return Polished(at, found.compressed(), found.cost, steps, found.converged)
 
 
-class LinearisedFit(NamedTuple):
-    """A fit's problem again, with the shapes that the fit had: its compiled programs serve."""
+def refitted(fit: Fit, kept: Sequence[np.ndarray]) -> tuple[Unknowns, bool]:
+    """The unknowns that fit only the `kept` (N,) instants of each fitted recording.
 
-    fit: Fit
-    fitted: tuple[RecordingFit, ...]
-    problem: Problem
-    at: Unknowns
+    **Returns:** they, and whether the search for them, from the whole fit's, settled.
+    """
+    dropped = [
+        ~(np.isfinite(r.recording.angle) & k[:, None])
+        for k, r in zip(kept, fit.fitted, strict=True)
+    ]
+    size = max(1.0, float(np.sqrt(fit.reduced_chi2)))
+    try:
+        found = minimum(reweighted(fit.problem, dropped), fit.unknowns, size)
+    except FitError:
+        return fit.unknowns, False
+    return found.at, found.converged
 
-    @classmethod
-    def of(cls, fit: Fit) -> "LinearisedFit":
-        """Around the end of a fit. Call its methods in float64."""
-        fitted = tuple(r for r in fit.recordings if r.recording.role != "check")
-        return cls(fit, fitted, fit.problem, fit.unknowns)
 
-    @property
-    def numbers(self) -> int:
-        """How many of the unknowns are numbers of the model."""
-        return len(self.fit.numbers)
-
-    def refitted(self, kept: Sequence[np.ndarray]) -> tuple[Unknowns, bool]:
-        """The unknowns that fit only the `kept` (N,) instants of each recording.
-
-        **Returns:** they, and whether the search for them, from the whole fit's, settled.
-        """
-        dropped = [
-            ~(np.isfinite(r.recording.angle) & k[:, None])
-            for k, r in zip(kept, self.fitted, strict=True)
-        ]
-        size = max(1.0, float(np.sqrt(self.fit.reduced_chi2)))
-        try:
-            found = minimum(reweighted(self.problem, dropped), self.at, size)
-        except FitError:
-            return self.at, False
-        return found.at, found.converged
-
-    def look(self, at: Unknowns) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Predictions (N, n), rad or m, and their slopes (N, n, L) in each recording's L unknowns:
-        the shared numbers, then its own initial state, in the problem's scales."""
-        predicted, slopes = (
-            [x[: len(f.recording.time)] for f, x in zip(self.fitted, each, strict=True)]
-            for each in jax.device_get(look(tight(self.problem), at)[:2])
-        )
-        return predicted, slopes
-
-    def weights(self) -> list[np.ndarray]:
-        """1/sigma of each reading (N, n) of each recording, 0 where it does not count."""
-        return [np.where(r.used, 1.0 / r.recording.noise, 0.0) for r in self.fitted]
-
-    def left(self) -> list[np.ndarray]:
-        """Measured minus predicted (N, n), rad or m, of each recording; 0 where nothing counts."""
-        return [np.where(r.used, r.residual, 0.0) for r in self.fitted]
-
-    def memories(self) -> int:
-        """How many unknowns of a recording are internal states of effects."""
-        return len(self.fitted[0].state) - 2 * len(self.fit.joints)
+def predictions(fit: Fit, at: Unknowns) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Predicted readings (N, n) of each fitted recording, and their slopes (N, n, L) in its L
+    unknowns: the shared numbers, then its own initial state, in the problem's scales."""
+    predicted, slopes = (
+        [x[: len(f.recording.time)] for f, x in zip(fit.fitted, each, strict=True)]
+        for each in jax.device_get(look(tight(fit.problem), at)[:2])
+    )
+    return predicted, slopes
 
 
 def evaluated(problem: Problem, y: Unknowns) -> Compressed:

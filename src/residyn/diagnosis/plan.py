@@ -101,9 +101,9 @@ def plan(
         raise ValueError("this diagnosis has not kept its search: diagnose again to plan tests")
     with jax.enable_x64(True):
         posterior = Posterior(found.search)
-        models, p, left_out = in_play(posterior.models, posterior.of_tried)
+        models, p, left_out = in_play(posterior.models, posterior.log_tried)
         say(f"comparing tests for {len(models)} models")
-        done = settled(posterior.of_tried)
+        done = settled(posterior.log_tried)
         planned, tried = (), 0
         if not done:
             planned, tried = best_tests(found.fits.whole, found.search.scene, models, p, tests)

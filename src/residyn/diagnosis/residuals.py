@@ -17,9 +17,9 @@ import numpy as np
 from ..fitting.result import Fit, RecordingFit
 from ..runtime.json import number
 from .bands import Band, bands
-from .linearised_fit import LinearisedFit, Tangent
+from .linearised_fit import Tangent
 from .spectrum import Spectrum, energies, strips
-from .whiteness import White, spectrum_of, white
+from .whiteness import spectrum_of, white
 
 WINDOWS = 8
 _HALVINGS = 3  # amplitudes: above 1/2, 1/4, 1/8 of the largest, and the rest
@@ -67,7 +67,8 @@ class Where:
 
     joints: tuple[str, ...]
     units: tuple[str, ...]
-    white: Mapping[str, White]
+    white: Mapping[str, float]
+    """Of each joint, p of `whiteness.white`."""
     joint: tuple[Cell, ...]
     """One cell per joint."""
     time: tuple[Part, ...]
@@ -98,7 +99,7 @@ class Where:
             return {**named, **edges, **cell(p.whole), "joints": each}
 
         return {
-            "white": {joint: number(w.p) for joint, w in self.white.items()},
+            "white": {joint: number(p) for joint, p in self.white.items()},
             "joint": {j: cell(c) for j, c in zip(self.joints, self.joint, strict=True)},
             "time": [part(p) for p in self.time],
             "amplitude": [
@@ -110,11 +111,11 @@ class Where:
         }
 
 
-def where(near: LinearisedFit, slopes: Sequence[np.ndarray]) -> Where:
-    """Divide up the residual of a fit; `slopes` (N, n, L) per recording from `near.look`."""
-    weights = near.weights()
-    tangent = Tangent.of(slopes, weights, near.numbers)
-    units = [x * w for x, w in zip(near.left(), weights, strict=True)]
+def where(fit: Fit, slopes: Sequence[np.ndarray]) -> Where:
+    """Divide up the residual of a fit; `slopes` (N, n, L) per recording from `predictions`."""
+    weights = [r.weight for r in fit.fitted]
+    tangent = Tangent.of(slopes, weights, len(fit.numbers))
+    units = [r.left * r.weight for r in fit.fitted]
     energy = [u**2 for u in units]
     # What noise alone leaves of each squared reading: 1 less what the fit has swallowed.
     freedom = [(w > 0) - (c**2).sum(axis=-1) for w, c in zip(weights, tangent.columns, strict=True)]
@@ -126,18 +127,18 @@ def where(near: LinearisedFit, slopes: Sequence[np.ndarray]) -> Where:
         ]
         return tuple(Cell(*each) for each in zip(*sums, strict=True))
 
-    cut = bands(near.fit.modes, near.fitted)
+    cut = bands(fit.modes, fit.fitted)
     spectra = [
         [spectrum_of(strip, cut[-1].start) for strip in row]
-        for row in strips(near.fitted, units, tangent, weights)
+        for row in strips(fit.fitted, units, tangent, weights)
     ]
     return Where(
-        joints=near.fit.joints,
-        units=tuple(near.fit.experiment.units or ("",) * len(near.fit.joints)),
-        white=white(near, slopes, cut, spectra),
+        joints=fit.joints,
+        units=fit.units,
+        white=white(fit, slopes, cut, spectra),
         joint=cells([np.ones(len(u), bool) for u in units]),
-        time=tuple(_by_time(near.fitted, cells)),
-        amplitude=tuple(_by_amplitude(near.fit, near.fitted, cells)),
+        time=tuple(_by_time(fit.fitted, cells)),
+        amplitude=tuple(_by_amplitude(fit, fit.fitted, cells)),
         frequency=_by_frequency(spectra, cut),
     )
 

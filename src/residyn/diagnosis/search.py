@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import softmax
 
 from ..effects import AbstractEffect
-from ..filtering.kalman import Evidences, System
+from ..filtering.kalman import System
 from ..filtering.law import number_slices, numbers_of
 from ..filtering.linearised import Linear
 from ..filtering.trajectory import Scene, Trajectory
@@ -303,7 +303,7 @@ def _evidences(scene: Scene, t: Trajectory, linear: Linear, levels: np.ndarray) 
     for i in range(0, len(levels), _NEAR):  # one program for few and for all
         some = levels[np.minimum(np.arange(i, i + _NEAR), len(levels) - 1)]
         each = scene.evidences(t, linear, np.array(INTENSITIES)[some])
-        known = each.log_evidence + half_normals(t.effects, t.prior, each)
+        known = each.log_evidence + half_normals(t.effects, t.prior, each.regressors, each.std)
         found[some] = scene.possible(known)
     return found
 
@@ -315,10 +315,8 @@ def _sticks(t: Trajectory) -> bool:
 
 def signs_of(t: Trajectory) -> np.ndarray:
     """(I,) `right_signs` of a smoothed model, for each random torque that it still needs."""
-    shape = len(INTENSITIES), len(t.u)
     std = np.sqrt(np.maximum(np.diag(t.covariance), 1e-300))
-    found = Evidences(None, np.broadcast_to(t.u, shape), np.broadcast_to(std, shape))
-    return right_signs(t.effects, t.prior, found, np.array(INTENSITIES))
+    return right_signs(t.effects, t.prior, t.u, std, np.array(INTENSITIES))
 
 
 def silenced(scene: Scene, t: Trajectory, intensity: float) -> Trajectory:

@@ -14,12 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from ..filtering.kalman import Evidences
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting.problem import Problem, Unknowns
 from ..fitting.result import Fit, FitError
 from .evidence import half_normals
-from .linearised_fit import LinearisedFit, Minimum, minimum
+from .linearised_fit import Minimum, minimum
 
 _STEPS = 30  # of Levenberg and Marquardt, at the most
 _SETTLED = 0.1  # of the posterior's chi-square: a step that gains less is the last one
@@ -96,17 +95,17 @@ def simulated(scene: Scene, t: Trajectory, fit: Fit) -> Simulated | None:
 
     **Raises:** `FitError` where no motion goes with the fit's numbers.
     """
-    near, n = LinearisedFit.of(fit), scene.n
-    if any(r.recording.segment_of is not None for r in near.fitted):
+    n = scene.n
+    if any(r.recording.segment_of is not None for r in fit.fitted):
         return None
-    states = np.asarray(near.problem.states(near.at))
+    states = np.asarray(fit.problem.states(fit.unknowns))
     width = np.sqrt(scene.noise(t).variance[: states.shape[1]])
     mean = np.zeros_like(states)
     mean[:, :n] = scene.q[scene.begins]
-    u = t.prior.regressors(np.asarray(near.problem.numbers(near.at)))
+    u = t.prior.regressors(np.asarray(fit.problem.numbers(fit.unknowns)))
     begin = np.append(u, ((states - mean) / width).ravel())
     try:
-        mode = _mode(near.problem, t, mean, width, begin)
+        mode = _mode(fit.problem, t, mean, width, begin)
         factor = cho_factor(mode.square, lower=True)
     except np.linalg.LinAlgError:
         return None
@@ -118,6 +117,5 @@ def simulated(scene: Scene, t: Trajectory, fit: Fit) -> Simulated | None:
     x, P = mode.x, len(u)
     log = scene.highest - 0.5 * (off + x @ x) - np.log(np.diag(factor[0])).sum()
     covariance = cho_solve(factor, np.eye(len(x)))[:P, :P]
-    means, std = x[None, :P], np.sqrt(np.diag(covariance))[None]
-    log += half_normals(t.effects, t.prior, Evidences(None, means, std))[0]
+    log += half_normals(t.effects, t.prior, x[:P], np.sqrt(np.diag(covariance)))
     return Simulated(float(log), x[:P], covariance)

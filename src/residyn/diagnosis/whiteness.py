@@ -10,13 +10,13 @@ number, is the test's: p is below 0.01 in one of a hundred joints of which the m
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import betainc
 
+from ..fitting.result import Fit
 from .bands import Band
-from .linearised_fit import LinearisedFit, Tangent
+from .linearised_fit import Tangent
 from .rounding import Grid, hangs
 from .spectrum import Spectrum, Strip, spectrum, strips, whitened
 
@@ -26,35 +26,25 @@ _ROUNDS = 6
 _LEAST = 20  # readings, of each joint: fewer say nothing
 
 
-class White(NamedTuple):
-    """How likely noise alone leaves a residual with so much of its energy in one narrow band."""
-
-    p: float
-    """Probability, corrected for the number of bands; NaN if there were too few readings."""
-    start: float
-    stop: float
-    """The least likely band, Hz."""
-
-
 def white(
-    near: LinearisedFit,
+    fit: Fit,
     slopes: Sequence[np.ndarray],
     cells: Sequence[Band],
     spectra: Sequence[Sequence[Spectrum | None]],
-) -> Mapping[str, White]:
-    """The test for each joint, over all fitted recordings.
+) -> Mapping[str, float]:
+    """The test for each joint, over all fitted recordings: its p, NaN with too few readings.
 
-    **Arguments:** `slopes` (N, n, L) per recording from `near.look`; `cells` from `bands.bands`;
+    **Arguments:** `slopes` (N, n, L) per recording from `predictions`; `cells` from `bands.bands`;
     `spectra` of the residual as it is, per joint and recording.
     """
-    narrow = narrow_bands(cells, max(r.recording.duration for r in near.fitted))
-    grids = _grids(near)
+    narrow = narrow_bands(cells, max(r.recording.duration for r in fit.fitted))
+    grids = _grids(fit)
     if grids:
-        rounded = _without_rounding(near, slopes, grids)
+        rounded = _without_rounding(fit, slopes, grids)
         spectra = [[spectrum_of(s, narrow[-1].stop) for s in row] for row in rounded]
     return {
         joint: whiteness_of([s for s in row if s is not None], narrow)
-        for joint, row in zip(near.fit.joints, spectra, strict=True)
+        for joint, row in zip(fit.joints, spectra, strict=True)
     }
 
 
@@ -63,7 +53,9 @@ def spectrum_of(strip: Strip, top: float) -> Spectrum | None:
     return spectrum(strip, top) if strip.used.sum() >= _LEAST else None
 
 
-def whiteness_of(parts: Sequence[Spectrum], narrow: Sequence[Band]) -> White:
+def whiteness_of(parts: Sequence[Spectrum], narrow: Sequence[Band]) -> float:
+    """Probability that noise alone leaves a residual with so much of its energy in one narrow band,
+    corrected for the number of bands."""
     total, freedom = sum(p.energy for p in parts), sum(p.freedom for p in parts)
     found = []
     for band in narrow:
@@ -71,11 +63,8 @@ def whiteness_of(parts: Sequence[Spectrum], narrow: Sequence[Band]) -> White:
         energy, count = sum(float(x @ x) for x in z), sum(len(x) for x in z)
         if 0 < count < freedom - 1 and total > 0:
             p = betainc((freedom - count) / 2, count / 2, max(0.0, 1 - energy / total))
-            found.append((float(p), band))
-    if not found:
-        return White(float("nan"), float("nan"), float("nan"))
-    _, band = min(found)
-    return White(of_the_least([p for p, _ in found]), band.start, band.stop)
+            found.append(float(p))
+    return of_the_least(found) if found else float("nan")
 
 
 def of_the_least(p: Sequence[float]) -> float:
@@ -98,42 +87,41 @@ def narrow_bands(cells: Sequence[Band], duration: float) -> list[Band]:
     return found
 
 
-def _grids(near: LinearisedFit) -> dict[tuple[int, int], Grid]:
+def _grids(fit: Fit) -> dict[tuple[int, int], Grid]:
     """The encoder's grid by recording and joint, where the residual must have its pattern."""
     found = {}
-    for i, (r, left) in enumerate(zip(near.fitted, near.left(), strict=True)):
-        for j in range(len(near.fit.joints)):
+    for i, r in enumerate(fit.fitted):
+        for j in range(len(fit.joints)):
             use = r.used[:, j]
             if use.sum() >= _LEAST:
                 grid = Grid.of(r.recording.angle[use, j])
-                if grid.matters(left[use, j]):
+                if grid.matters(r.left[use, j]):
                     found[i, j] = grid
     return found
 
 
 def _without_rounding(
-    near: LinearisedFit, slopes: Sequence[np.ndarray], grids: Mapping[tuple[int, int], Grid]
+    fit: Fit, slopes: Sequence[np.ndarray], grids: Mapping[tuple[int, int], Grid]
 ) -> list[list[Strip]]:
     """The residual with the pattern of the encoder's steps taken out, per joint and recording."""
-    weights, left = near.weights(), near.left()
-    period = 1 / near.fit.modes[0].frequency_hz if near.fit.modes else 0.0
+    fitted = fit.fitted
+    weights, left = [r.weight for r in fitted], [r.left for r in fitted]
+    period = 1 / fit.modes[0].frequency_hz if fit.modes else 0.0
     for (i, j), grid in grids.items():
-        r = near.fitted[i]
+        r = fitted[i]
         weights[i][hangs(r.recording.time, r.predicted[:, j], grid, period), j] = 0.0
-    tangent = Tangent.of(slopes, weights, near.numbers)
+    tangent = Tangent.of(slopes, weights, len(fit.numbers))
     moved, units = [np.zeros_like(x) for x in left], left
     for _ in range(_ROUNDS):
         units = [(x - m) * w for x, m, w in zip(left, moved, weights, strict=True)]
         for (i, j), grid in grids.items():
             use = weights[i][:, j] > 0
             if use.any():
-                at = (near.fitted[i].predicted + moved[i])[use, j]
+                at = (fitted[i].predicted + moved[i])[use, j]
                 error = grid.error(at, (left[i] - moved[i])[use, j])
                 units[i][use, j] -= error * weights[i][use, j]
         # The fit took rounding for noise. To first order, this is the fit with the rounding known.
         part = tangent.part(units)
         units = [u - p for u, p in zip(units, part, strict=True)]
-        moved = [
-            m + p * r.recording.noise for m, p, r in zip(moved, part, near.fitted, strict=True)
-        ]
-    return strips(near.fitted, units, tangent, weights)
+        moved = [m + p * r.recording.noise for m, p, r in zip(moved, part, fitted, strict=True)]
+    return strips(fitted, units, tangent, weights)

@@ -61,15 +61,15 @@ class FoundLaw(NamedTuple):
         x = {"angle": "motion.q", "rate": "motion.v", "time": "motion.t"}[self.variable]
         by = {"angle": "motion.q * ", "rate": "motion.v * ", "direction": "motion.direction * "}
         sums = f"({self.torque})" if self.factor and " + " in self.torque else self.torque
-        plain = re.sub(r'["\\\n]', " ", self.joint)  # as it may stand inside quotes
+        joint, source = (re.sub(r'["\\\n]', " ", x) for x in (self.joint, self.source))  # in quotes
         lines = [
             f"class {made}(JointEffect):",
-            f'    """{self.equation}; {self.source}."""',
+            f'    """{self.equation}; {source}."""',
             "",
             f'    name = "{self.name}"',
-            f'    title = "Law of the {self.variable} at the {plain}"',
+            f'    title = "Law of the {self.variable} at the {joint}"',
             f'    equation = "{self.equation}"',
-            f'    source = "{self.source}"',
+            f'    source = "{source}"',
             *(["    dry = True"] if self.factor == "direction" else []),
             "    of_bearings = None  # residyn unload asks: True if it leaves with them, or False",
             "",

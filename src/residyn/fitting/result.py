@@ -84,6 +84,16 @@ class RecordingFit:
         """Readings that count."""
         return np.isfinite(self.recording.angle) & ~self.wild
 
+    @property
+    def left(self) -> np.ndarray:
+        """`residual`, 0 where nothing counts."""
+        return np.where(self.used, self.residual, 0.0)
+
+    @property
+    def weight(self) -> np.ndarray:
+        """1/sigma of each reading, 0 where it does not count."""
+        return np.where(self.used, 1.0 / self.recording.noise, 0.0)
+
 
 @dataclass(frozen=True, eq=False)
 class Fit(TableResult):
@@ -220,7 +230,7 @@ class Fit(TableResult):
         series of readings, one recording after the other, summed over the joints."""
         angles = [np.where(r.used, r.recording.angle, 0.0) for r in self.fitted]
         size = sum((x**2).sum(axis=0) for x in angles)
-        off = sum((np.where(r.used, r.residual, 0.0) ** 2).sum(axis=0) for r in self.fitted)
+        off = sum((r.left**2).sum(axis=0) for r in self.fitted)
         return float(np.sum(np.sqrt(off / np.where(size > 0, size, 1.0))))
 
     @property
@@ -281,5 +291,5 @@ class Fit(TableResult):
 
 def rms_of(fits: Sequence[RecordingFit]) -> np.ndarray:
     """(n,) rms residual of the readings that count."""
-    total = sum((np.where(f.used, f.residual, 0.0) ** 2).sum(axis=0) for f in fits)
+    total = sum((f.left**2).sum(axis=0) for f in fits)
     return np.sqrt(total / sum(f.used.sum(axis=0) for f in fits))

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import softmax
+from scipy.special import log_softmax, softmax
 from scipy.stats import norm
 
 from ..diagnosis.candidate_tests import Rival, Test, best_tests, in_play, posterior_of
@@ -188,7 +188,7 @@ def with_and_without_drag(search: Search) -> tuple[list[Tried], np.ndarray, floa
     much the same; without bearings they stay.
     """
     posterior = Posterior(search)
-    models, p, left_out = in_play(posterior.models, posterior.of_tried)
+    models, p, left_out = in_play(posterior.models, posterior.log_tried)
     count = len(search.candidates)
     if BearingDrag.name not in (e.label for e in search.candidates):
         models = [at_any_width(m, BearingDrag.name) for m in models]
@@ -206,7 +206,7 @@ def with_and_without_drag(search: Search) -> tuple[list[Tried], np.ndarray, floa
                 model = at_any_width(model, law)
                 found[rest | {law}] = replace(model, log_prior=prior - math.log(len(laws)))
     every = list(found.values())
-    kept, p, _ = in_play(every, softmax(np.array([m.log_posterior for m in every])))
+    kept, p, _ = in_play(every, log_softmax([m.log_posterior for m in every]))
     return kept, p, left_out
 
 

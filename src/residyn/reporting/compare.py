@@ -83,7 +83,7 @@ def _left(found: Comparison) -> str:
 
 
 def _p_values(found: Comparison) -> str:
-    each = [white.p for white in found.where.white.values() if math.isfinite(white.p)]
+    each = [p for p in found.where.white.values() if math.isfinite(p)]
     if not each:
         return "too few readings to tell"
     least = "" if len(each) == 1 else ", the least of the joints"
@@ -234,7 +234,7 @@ def _where(found: Comparison) -> list[str]:
         ]
 
     out = section("Where", "share of the squared residual, and rms in times the noise")
-    p_values = ["-" if math.isnan(w.p) else f"{w.p:.1g}" for w in at.white.values()]
+    p_values = ["-" if math.isnan(p) else f"{p:.1g}" for p in at.white.values()]
     white = (f"p of whiteness test ({NOISE:g})", p_values)
     out += _by_joint("", at.joints, [("all", cells(at.joint)), white])
     out += _by_joint("time since the start, s", at.joints, rows(at.time))

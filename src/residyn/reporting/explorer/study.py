@@ -20,7 +20,7 @@ from ...diagnosis.columns import Columns, extended, nested
 from ...diagnosis.diagnose import MOST_EFFECTS, Fits, diagnosed
 from ...diagnosis.evidence import INTENSITIES
 from ...diagnosis.forecast import HeldOut, held_out
-from ...diagnosis.linearised_fit import LinearisedFit, evaluated, polish
+from ...diagnosis.linearised_fit import evaluated, polish
 from ...diagnosis.missing_torque import scene_of
 from ...diagnosis.result import Diagnosis
 from ...diagnosis.search import Search, Tried, settle, tried_alone
@@ -255,7 +255,7 @@ class Study:
                 if not held:
                     self.fits[key] = found
         elif not held and key not in self._held:
-            self._held[key] = held_out(LinearisedFit.of(found))
+            self._held[key] = held_out(found)
         return found
 
     def _near(self, added: Sequence[str]) -> Tried:
