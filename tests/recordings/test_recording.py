@@ -146,7 +146,7 @@ def test_tolerates(tmp_path, text):
         ("t;q1\n0;1,5\n1;1.5\n2;1,5\n", 1, ["line 2", "1,5", "decimal sign is", "decimal says"]),
         ("t,q1\n0,0,1,5\n", 1, ["line 2", "4 cells", "decimal commas need another separator"]),
         ("t [h],q1\n0,1\n", 1, ["line 1", '"t [h]"', '"h"', "must be s, ms, us, ns"]),
-        ("t,q1 (turns)\n0,1\n", 1, ["line 1", '"turns"', 'units = { q1 = "rad" }']),
+        ("t,q1 (turns)\n0,1\n", 1, ["line 1", '"turns"', 'units = { q1 = "..." } says which']),
         ("t,q1,q1\n0,1,2\n", 1, ["line 1", '"q1"', "twice"]),
         ("t,q1,q2\n0,1,2\n", 1, ["line 1", "2 q columns", "1 joint"]),
         ("t,q1\n0,1\n", 2, ["line 1", "no column q2"]),

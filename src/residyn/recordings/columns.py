@@ -50,18 +50,20 @@ for _base in ("rad", "m"):
             unit + _per: (size, " ".join(word + _per for word in words.split()))
             for unit, (size, words) in _UNITS[_base].items()
         }
-_UNITS["rad/s"] |= {"rad/s": (1.0, "radian/s 1/s")}
-_UNITS["rad/s"] |= {"deg/s": (_DEGREE, "°/s º/s dps"), "rpm": (6 * _DEGREE, "1/min rev/min")}
+_UNITS["rad/s"]["rpm"] = (6 * _DEGREE, "1/min rev/min")
 _UNITS["m/s^2"]["g"] = (9.80665, "")
 _SPELLED = (
     (re.compile(r"/sec\b"), "/s"),
     (re.compile(r"/s(?:²|\*\*2|2|/s)$"), "/s^2"),
     (re.compile(r"[\s*·-]"), ""),  # N*m, N·m, N-m
+    (re.compile(r"^1(?=/s)"), "rad"),
+    (re.compile(r"^dps$"), "deg/s"),
 )
 
 _JOINTS_OWN = re.compile(r"([qu])[1-9][0-9]*")
-_BRACKETS = re.compile(r"(.*?)[\s,_]*[\[({<]\s*([^\[\](){}<>]*?)\s*[\])}>]\s*")
-_TAILS = re.compile(r"(.*\S)(?:\s+in\s+|\s*/\s*|_|,\s*)(\S+)", re.I)
+_BRACKETS = re.compile(r"(.*?)[\s,_/]*[\[({<]\s*([^\[\](){}<>]*?)\s*[\])}>]\s*")
+_BETWEEN = re.compile(r",?\s+in\s+|\s*/\s*|_|,\s*", re.I)  # name and unit, without brackets
+_LONGEST = 24  # letters of a unit that stands without brackets, with what stands before it
 
 
 @dataclass(frozen=True)
@@ -350,7 +352,7 @@ def _unit(
                 raise InputError(
                     f"{where}: must be {allowed}, or reads = {quote(reads)} says what it is"
                 )
-    hint = f', or units = {{ {name} = "{allowed.split(",")[0]}" }} says it' * (own is None)
+    hint = f'; if it is one of these, units = {{ {name} = "..." }} says which' * (own is None)
     raise InputError(f"{where}: must be {allowed}{hint}")
 
 
@@ -378,7 +380,7 @@ def _parts(cell: str) -> tuple[str, str]:
     found = _BRACKETS.fullmatch(cell)
     if found and found[1]:
         return found[1].strip(), found[2]
-    found = _TAILS.fullmatch(cell)
-    if found and _known(found[2], *_UNITS):
-        return found[1].strip(), found[2]
+    for mark in _BETWEEN.finditer(cell, max(1, len(cell) - _LONGEST)):
+        if _known(unit := cell[mark.end() :], *_UNITS):
+            return cell[: mark.start()], unit
     return cell, ""
