@@ -302,7 +302,7 @@ def guessed(
     bare = [_parts(cell)[0].casefold() for cell in header]
     plain = [i for i, ok in enumerate(numeric) if ok]
     time = next((i for i in plain if bare[i] in _TIMES), plain[0])
-    rest = [i for i in plain if i != time]
+    rest = [i for i in plain if i != time and not re.fullmatch("u[1-9][0-9]*", bare[i])]
     called = [i for i in rest if re.fullmatch("q[1-9][0-9]*", bare[i])]
     sized = [i for i in rest if _known(words[i], "rad", "m")]
     angles = called or sized or rest

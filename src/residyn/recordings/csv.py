@@ -101,8 +101,11 @@ def guessed_columns(path: str | os.PathLike[str]) -> tuple[dict[str, str], dict[
             if len(header) < 2 or any(map(_is_number, header)):
                 continue
             first = below[0] if below else []
-            ok = [_is_number(cell) or bool(cell and _LOST.fullmatch(cell)) for cell in first]
-            if len(ok) == len(header) and sum(ok) > 1 and any(map(_is_number, first)):
+            ok = [
+                bool(name and cell) and bool(_is_number(cell) or _LOST.fullmatch(cell))
+                for name, cell in zip(header, first, strict=False)
+            ]
+            if len(first) == len(header) and sum(ok) > 1 and any(map(_is_number, first)):
                 above_numbers.append((line, header, units, ok))
             elif "t" in matched(header, Joints(()), Layout()):
                 with_t.append((line, header, units, [bool(cell) for cell in header]))
