@@ -94,6 +94,11 @@ DIALECTS = {
         table("t,q1,q2,comment", T, Q, more=lambda i: ['"one, two"']),
         "",
     ),
+    "a very long note in quotes": (
+        table("t,q1,q2,comment", T, Q, more=lambda i: [f'"one, {"o" * 140_000 * (i == 9)}"']),
+        "",
+    ),
+    "a quote in quotes": (table("t,q1,q2,comment", T, Q, more=lambda i: ['"a ""b"", c"']), ""),
     "a separator at each end": (table("t,q1,q2,", T, Q, more=lambda i: [""]), ""),
     "units by key": (table("t,q1,q2", MS, DEG), 'units = { t = "ms", q1 = "deg", q2 = "deg" }'),
     "key before header": (table("t [s],q1 [rad],q2", T, DEG), 'units = { q1 = "deg", q2 = "deg" }'),

@@ -251,10 +251,12 @@ class Table(NamedTuple):
     angle: np.ndarray  # (N, n) rad or m, NaN where one is missing
     drive: np.ndarray | None
     """(N, n) N m or N, zero for a joint without its own column; None if no joint has one."""
-    line: np.ndarray  # (N,) the line number of each sample
+    line: np.ndarray  # (N,) the line number of each sample, or its own number (`counted`)
     stated: frozenset[str]  # the columns whose unit is stated, by a key or the file itself
     understood: str = ""
     """What was made of the header, in one line; empty if there is nothing to say."""
+    counted: str = "line"
+    """What `line` counts: "line", or "sample" from 0 on where a file has no lines."""
 
     def lines_at(self, time: np.ndarray) -> np.ndarray:
         """(N,) lines of these instants, or of the next ones that have one."""
@@ -269,6 +271,7 @@ class Table(NamedTuple):
         header: Sequence[str],
         joints: Joints,
         more: Sequence[str] = (),
+        counted: str = "line",
     ) -> "Table":
         """From the columns' values (N,), in their own units; `more` is said of the file."""
         found = {c.name: x * c.factor for c, x in zip(columns, values, strict=True)}
@@ -283,6 +286,7 @@ class Table(NamedTuple):
             line,
             frozenset(column.name for column in columns if column.stated),
             understood(columns, header, more),
+            counted,
         )
 
 

@@ -159,10 +159,10 @@ def load(path: str | os.PathLike[str]) -> Experiment:
     else:
         where, folder = os.fspath(path), Path(path).parent
         if is_named_as_recording(path) and Path(path).is_file():
-            raise InputError(
-                f"{where}: is a recording and no experiment; `residyn new experiment.toml {where}` "
-                "writes an experiment file for it"
-            )
+            what = f'name it in an experiment file, as file = "{Path(path).name}"'
+            if Path(path).suffix.lower() == ".csv" and not has_markers(path):
+                what = f"`residyn new experiment.toml {where}` writes an experiment file for it"
+            raise InputError(f"{where}: is a recording and no experiment; {what}")
         text = read_text(path, "TOML file")
     return from_text(text, folder, where, os.fspath(path))
 

@@ -101,9 +101,9 @@ def _no_angle(recording: Recording, units: tuple[str, ...], table: Table) -> Fin
         if not len(far):
             continue
         value, count = float(recording.angle[far[0], j]), len(far)
-        where = f"line {lines[far[0]]}"
+        where = f"{table.counted} {lines[far[0]]}"
         if count > 1:
-            where = f"lines {lines[far[0]]} to {lines[far[-1]]} ({count} readings)"
+            where = f"{table.counted}s {lines[far[0]]} to {lines[far[-1]]} ({count} readings)"
         words = (
             f"q{j + 1} = {value:.4g} rad ({np.degrees(value):.4g} deg), {where}, more than "
             f"{_TURN:g} rad from the readings beside it, as no braked joint turns: a lost sample "
