@@ -349,6 +349,19 @@ def test_reads_standard_input(folder, monkeypatch):
         ([ARM, entry("start = 5", "stop = 5")], ["start = 5", "before stop = 5"]),
         ([ARM, entry("start = 19.9")], ["10 samples", "between start and stop", "20"]),
         ([ARM, entry("air_bearings = 1")], ["air_bearings = 1", "true or false"]),
+        (
+            [
+                ARM,
+                entry('own = ["coulomb_friction:elbow"]', "stop = 9"),
+                entry("start = 9.5", 'own = ["spring:elbow"]'),
+            ],
+            ["two.csv: own is", "coulomb_friction:elbow", "spring:elbow", "in another", "one set"],
+        ),
+        (
+            [ARM, entry('own = ["coulomb_friction:elbow"]', "stop = 9"), entry("start = 9.5")],
+            ["two.csv: own is [] in one recording of this name"],
+        ),
+        ([ARM, entry('own = "coulomb_friction:elbow"')], ["own = ", "must be a list of effects"]),
         ([ARM, entry("extra_mass = 1")], ["extra_mass", "[inertia] only"]),
         ([CART, entry("extra_mass = -1", file="one.csv")], ["extra_mass = -1"]),
     ],
@@ -393,6 +406,16 @@ def test_says_when_a_check_is_none(folder):
     assert "two.csv: 500 of its samples" in warning
     fitted = entry("theta2 = 0", "stop = 14.99")
     assert experiment(folder, ARM, fitted, held).warnings == ()
+
+
+def test_windows_of_one_file_are_one_run(folder):
+    """A check on a part of a run has the numbers of that run."""
+    own = 'own = ["coulomb_friction:elbow"]'
+    parts = [entry(own, "theta2 = 0", words) for words in ("stop = 5", "start = 5.5\nstop = 9")]
+    held = entry("theta2 = 0", 'role = "check"', "start = 9.5")
+    here = experiment(folder, ARM, *parts, held, entry("theta2 = 0", file="other.csv"))
+    assert here.own == {"coulomb_friction:elbow": ((1, "two.csv"),)}
+    assert [here.run_of(r) for r in here.recordings] == [1, 1, 1, 0]
 
 
 def test_says_when_readings_are_fitted_twice(folder):

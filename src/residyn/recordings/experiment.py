@@ -51,11 +51,19 @@ class Experiment:
         if self.limits is not None:
             arm = isinstance(self.inertia, ArmTable)
             self.limits.check(self.joints, arm, bool(self.bearings))
+        runs = self._runs
         for recording in self.recordings:
             if recording.joints != len(self.joints):
                 raise InputError(
                     f"{recording.name}: angle has {recording.joints} joints, the experiment has "
                     f"{len(self.joints)}: {', '.join(self.joints)}"
+                )
+            own = runs.get((recording.segment_of or recording).name, ())
+            if recording.role == "fit" and set(recording.own) != set(own):
+                raise InputError(
+                    f"{recording.name}: own is {quote(list(recording.own))} in one recording of "
+                    f"this name and {quote(list(own))} in another, but a run has one set of "
+                    "numbers: give both the same, or put a run of its own into a file of its own"
                 )
             first = self._braked[0] if self._braked else recording
             if recording.role != "inertia" and recording.orders != first.orders:

@@ -6,7 +6,7 @@ line; whatever is merely doubtful is a warning.
 
 import dataclasses
 import functools
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -88,7 +88,7 @@ class Recording:
         air_bearings: bool = True,
         extra_mass: float = 0.0,
         load: float = 0.0,
-        own: Iterable[str] = (),
+        own: Sequence[str] = (),
         rest: Any = None,
         reads: Any = "angle",
     ) -> "Recording":
