@@ -557,6 +557,26 @@ def test_refuses_degrees_and_warns_of_them_in_python(folder):
     assert experiment(folder, CART, entry(file="mm.csv")).warnings == ()
 
 
+@pytest.mark.parametrize("role", ["fit", "inertia"])
+def test_a_unit_that_is_stated_is_not_doubted(folder, role):
+    t = np.arange(200.0)
+    angle = 7.0 * np.stack([np.cos(0.2 * t), np.cos(0.3 * t)], axis=1)
+    write_csv(folder / "slow.csv", t, angle, np.ones((200, 2)))
+    keys = f'role = "{role}"', "theta2 = 0", "noise = 0.01"
+    for unit, doubt in (("t", "t goes up by 1:"), ("q1", "q1 reaches 7"), ("q2", "q2 reaches 7")):
+        left = {"t": "s", "q1": "rad", "q2": "rad"}
+        del left[unit]
+        units = ", ".join(f'{key} = "{value}"' for key, value in left.items())
+        given = ARM, entry(*keys, f"units = {{ {units} }}", file="slow.csv")
+        if role == "fit":
+            assert doubt in refusal(folder, *given)
+        else:
+            (warning,) = experiment(folder, *given).warnings
+            assert doubt in warning
+    units = 'units = { t = "s", q1 = "rad", q2 = "rad" }'
+    assert experiment(folder, ARM, entry(*keys, units, file="slow.csv")).warnings == ()
+
+
 # Noise
 
 

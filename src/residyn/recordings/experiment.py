@@ -220,7 +220,9 @@ def _read(
         orders = tuple(map(READS.index, kinds))
         table = read_table(path, Joints(inertia.joints, inertia.units, orders), layout)
         angle, drive = table.angle, table.drive
-        recording = Recording.from_arrays(table.time, angle, drive=drive, name=file, **options)
+        recording = Recording.from_arrays(
+            table.time, angle, drive=drive, name=file, stated=table.stated, **options
+        )
         said = "; ".join(filter(None, [table.understood, recording.understood]))
         recording = dataclasses.replace(recording, understood=said)
         odd = not_free(recording, reading_units(inertia.units, orders), table, options)
@@ -245,7 +247,7 @@ def _in_degrees(experiment: Experiment) -> list[str]:
     for recording, _ in by_recording(experiment.recordings):
         sizes = np.nanquantile(np.abs(recording.angle), 0.99, axis=0)
         for j, (size, unit) in enumerate(zip(sizes, experiment.reading_units, strict=True)):
-            if unit == "rad" and size > 5:
+            if unit == "rad" and f"q{j + 1}" not in recording.stated and size > 5:
                 large.append(f"{recording.name}: q{j + 1} reaches {size:.3g}")
         if abs(recording.theta2) > np.pi:
             large.append(f"{recording.name}: theta2 = {recording.theta2:g}")

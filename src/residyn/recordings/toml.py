@@ -139,7 +139,7 @@ def _keys_of(kind: Any) -> list[str]:
 
 
 _OPTIONS = set(inspect.signature(Recording.from_arrays).parameters)
-_OPTIONS -= {"time", "angle", "drive", "name"}  # which the file itself has
+_OPTIONS -= {"time", "angle", "drive", "name", "stated"}  # which the file itself has
 _RECORDING = ("file", *_keys_of(Layout), *sorted(_OPTIONS), "markers", "normal")
 
 
