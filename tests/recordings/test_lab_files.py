@@ -81,6 +81,14 @@ def test_reads_what_nexus_and_others_write(tmp_path, options):
     assert found.frame[0] == options.get("first", 1)
 
 
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-16"])
+def test_a_marker_file_is_text_as_any_table_is(tmp_path, encoding):
+    here, _, _ = positions()
+    trial(tmp_path, vicon(here, NAMES, subject="Prüfling:").encode(encoding))
+    (seen,) = experiment(tmp_path, 'markers = ["Prüfling:Shoulder", "Elbow", "Wrist"]').recordings
+    assert seen.joints == 2
+
+
 def test_frames_that_are_not_there_leave_a_gap_in_time(tmp_path):
     lines = vicon(positions()[0], NAMES).split("\n")
     del lines[50:60]

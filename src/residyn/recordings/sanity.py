@@ -135,7 +135,7 @@ def _held_until(motion: np.ndarray, period: float) -> float | None:
 
 
 def _off_rest(motion: np.ndarray, units: tuple[str, ...] | None) -> Finding | None:
-    """That angles (N, n) are not counted from rest, if so."""
+    """That readings (N, n) are not 0 at rest, if so."""
     rest = rest_angles(decimated(motion))
     size = np.abs(motion - rest).max(axis=0)
     off = np.abs(rest) > _OFF * size
@@ -148,6 +148,6 @@ def _off_rest(motion: np.ndarray, units: tuple[str, ...] | None) -> Finding | No
     none = ", ".join(["0"] * len(rest))
     words = (
         f"q{j + 1} rings about {rest[j]:.4g}{unit}, not about 0 (amplitude {size[j]:.2g}{unit}): "
-        f'angles are counted from rest; rest = "estimate" takes it off, rest = [{none}] leaves it'
+        f'at rest it must read 0; rest = "estimate" takes it off, rest = [{none}] leaves it'
     )
     return Finding(words, "rest", "estimate")
