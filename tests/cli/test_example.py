@@ -84,6 +84,8 @@ SPOILT = {
         [HEADER.replace(";", ","), "0,0,4,0000,-2,9940", "10,0,3,9688,-2,9435"],
         "x.csv, line 2: has 6 cells; the header names 3 columns; a comma between cells cannot be",
     ),
+    "t alone": (["t,", "0,1", "1,2"], 'x.csv: has no column of angles beside "t"'),
+    "a drive alone": (["t,u1", "0,1", "1,2"], 'x.csv: has no column of angles beside "t"'),
     "a name twice": (
         [HEADER.replace("Ellbogen", "Schulter"), "0,0;4,0;-2,9", "10,0;3,9;-2,8"],
         'x.csv, line 1: two columns are called "Schulter (Grad)"',
@@ -114,6 +116,31 @@ def test_new_says_what_it_has_seen(tmp_path):
     np.testing.assert_allclose(
         np.nanmax(np.abs(experiment.recordings[0].angle), axis=0), [0.2, 0.1], rtol=0.1
     )
+
+
+def test_new_from_driven_recordings_takes_no_rest_off(tmp_path):
+    assert main(["example", str(tmp_path), "driven"]) == 0
+    text, experiment = made(tmp_path, *sorted(tmp_path.glob("*.csv")))
+    assert "rest =" not in text
+    assert len(experiment.recordings) == 3
+    assert all(r.drive is not None and r.drive.any() for r in experiment.recordings)
+
+
+def test_new_takes_a_drive_for_no_angle(tmp_path):
+    content = table("Time,ch1,ch2,u1", T, Q, more=lambda i: [str(i)])
+    (tmp_path / "x.csv").write_text(content)
+    text, experiment = made(tmp_path, tmp_path / "x.csv")
+    assert 'columns = { t = "Time", q1 = "ch1", q2 = "ch2" }' in text
+    assert experiment.recordings[0].drive[:, 0].tolist() == list(range(len(T)))
+
+
+def test_new_refuses_files_of_different_mechanisms(tmp_path, capsys):
+    (tmp_path / "arm.csv").write_text(table("t,q1 (deg),q2 (deg)", T, np.degrees(Q)))
+    (tmp_path / "carts.csv").write_text(table("t,q1 (cm),q2 (cm)", T, 100 * Q))
+    files = str(tmp_path / "arm.csv"), str(tmp_path / "carts.csv")
+    assert main(["new", str(tmp_path / "x.toml"), *files]) == 2
+    line = capsys.readouterr().err
+    assert f"carts.csv: has 2 columns of angles (m, m), {files[0]} has 2 (rad, rad)" in line
 
 
 def test_new_for_one_sliding_joint_and_for_what_is_no_table(tmp_path, capsys):

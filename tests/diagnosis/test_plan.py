@@ -276,6 +276,7 @@ WRONG = {
     "air_bearings = false": "there is no [[air_bearings]] table",
     "duration = 0": "must be a number above 0",
     "drive = [1, 2, 3]": "one for each joint",
+    "drive = []": "must be one number, or 2, one for each joint (shoulder, elbow)",
     "angles = 0.3": 'did you mean "angle"?',
 }
 

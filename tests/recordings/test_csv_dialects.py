@@ -94,6 +94,11 @@ DIALECTS = {
         table("t,q1,q2,comment", T, Q, more=lambda i: ['"one, two"']),
         "",
     ),
+    "a very long note in quotes": (
+        table("t,q1,q2,comment", T, Q, more=lambda i: [f'"one, {"o" * 140_000 * (i == 9)}"']),
+        "",
+    ),
+    "a quote in quotes": (table("t,q1,q2,comment", T, Q, more=lambda i: ['"a ""b"", c"']), ""),
     "a separator at each end": (table("t,q1,q2,", T, Q, more=lambda i: [""]), ""),
     "units by key": (table("t,q1,q2", MS, DEG), 'units = { t = "ms", q1 = "deg", q2 = "deg" }'),
     "key before header": (table("t [s],q1 [rad],q2", T, DEG), 'units = { q1 = "deg", q2 = "deg" }'),
@@ -158,6 +163,44 @@ def test_reads_to_the_same_numbers(tmp_path, content, keys):
     recording = read(tmp_path, content, keys)
     np.testing.assert_allclose(recording.time, T, rtol=0, atol=1e-12)
     np.testing.assert_allclose(recording.angle, Q, rtol=0, atol=1e-12)
+
+
+DRIVES = {
+    "u1, N m": 1.0,
+    "u1 in mN m": 1e-3,
+    "u1_N m": 1.0,
+    "u1 / N m": 1.0,
+    "u1, in N·m": 1.0,
+}
+
+
+@pytest.mark.parametrize(("header", "size"), DRIVES.items(), ids=DRIVES)
+def test_a_drive_whose_unit_has_a_blank(tmp_path, header, size):
+    content = table(f"t;q1;q2;{header}", T, Q, sep=";", more=lambda i: [str(i)])
+    drive = read(tmp_path, content).drive
+    assert drive is not None
+    np.testing.assert_allclose(drive[:, 0], size * np.arange(N))
+
+
+RATES = {
+    "{}_rad/s": 1.0,
+    "{}, deg/s": np.pi / 180,
+    "{} in deg/s": np.pi / 180,
+    "{}/(deg/s)": np.pi / 180,
+    "{} [degrees/s]": np.pi / 180,
+    "{} [degree/s]": np.pi / 180,
+    "{} [dps]": np.pi / 180,
+    "{} [radians/s]": 1.0,
+    "{} in 1/s": 1.0,
+    "{}, 1/min": 2 * np.pi / 60,
+}
+
+
+@pytest.mark.parametrize(("header", "size"), RATES.items(), ids=RATES)
+def test_rates_in_units_with_a_slash(tmp_path, header, size):
+    names = ";".join(["t", header.format("q1"), header.format("q2")])
+    recording = read(tmp_path, table(names, T, Q / size, sep=";"), 'reads = "rate"')
+    np.testing.assert_allclose(recording.angle, Q, rtol=0, atol=1e-9)
 
 
 def test_lost_samples_however_they_are_written(tmp_path):

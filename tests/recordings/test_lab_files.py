@@ -81,6 +81,14 @@ def test_reads_what_nexus_and_others_write(tmp_path, options):
     assert found.frame[0] == options.get("first", 1)
 
 
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-16"])
+def test_a_marker_file_is_text_as_any_table_is(tmp_path, encoding):
+    here, _, _ = positions()
+    trial(tmp_path, vicon(here, NAMES, subject="Prüfling:").encode(encoding))
+    (seen,) = experiment(tmp_path, 'markers = ["Prüfling:Shoulder", "Elbow", "Wrist"]').recordings
+    assert seen.joints == 2
+
+
 def test_frames_that_are_not_there_leave_a_gap_in_time(tmp_path):
     lines = vicon(positions()[0], NAMES).split("\n")
     del lines[50:60]
@@ -302,6 +310,49 @@ def test_refuses_matlab(tmp_path, change, words):
     columns = {k: v for k, v in (table() | change).items() if v is not None}
     savemat(tmp_path / "trial.mat", columns)
     assert words in refusal(tmp_path, file="trial.mat")
+
+
+def test_a_name_twice_in_a_file_matters_where_it_is_needed(tmp_path):
+    arrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    columns = table()
+    for name, words in (("note", ""), ("q1", 'column "q1" appears twice')):
+        names = [*columns, "note", name]
+        cells = [arrow.array(column) for column in (*columns.values(), columns["t"], columns["t"])]
+        parquet.write_table(arrow.table(cells, names=names), tmp_path / "trial.parquet")
+        if words:
+            assert words in refusal(tmp_path, file="trial.parquet")
+        else:
+            assert experiment(tmp_path, "theta2 = 0", file="trial.parquet").recordings
+    savemat(tmp_path / "trial.mat", columns | {"q": np.zeros((100, 2))})
+    assert 'column "q1" appears twice' in refusal(tmp_path, file="trial.mat")
+
+
+def test_a_reading_is_named_by_its_sample_where_a_file_has_no_lines(tmp_path):
+    t = np.arange(200) / 50
+    angle = 0.2 * np.stack([np.cos(9 * t), np.cos(15 * t)], axis=1)
+    angle[50:71, 1] = 17.44
+    savemat(tmp_path / "trial.mat", {"t": t, "q": angle})
+    said = refusal(tmp_path, "theta2 = 0", 'units = { q2 = "rad" }', file="trial.mat")
+    assert "samples 50 to 70 (21 readings)" in said
+
+
+@pytest.mark.parametrize("file", ["x.mat", "x.c3d", "x.pq", "x.csv"])
+def test_a_recording_in_the_place_of_an_experiment_is_sent_to_what_reads_it(tmp_path, file):
+    trial(tmp_path, vicon(positions()[0], NAMES), file)
+    with pytest.raises(InputError, match="is a recording and no experiment") as caught:
+        load(tmp_path / file)
+    assert f'name it in an experiment file, as file = "{file}"' in str(caught.value)
+    assert "residyn new" not in str(caught.value)
+
+
+def test_a_damaged_matlab_file_is_refused(tmp_path):
+    savemat(tmp_path / "trial.mat", table(), do_compression=True)
+    content = bytearray((tmp_path / "trial.mat").read_bytes())
+    content[200:260] = bytes(60)
+    trial(tmp_path, bytes(content), "trial.mat")
+    assert "is no MATLAB file that can be read" in refusal(tmp_path, file="trial.mat")
 
 
 def test_refuses_what_is_neither(tmp_path):

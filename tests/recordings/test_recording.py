@@ -146,7 +146,7 @@ def test_tolerates(tmp_path, text):
         ("t;q1\n0;1,5\n1;1.5\n2;1,5\n", 1, ["line 2", "1,5", "decimal sign is", "decimal says"]),
         ("t,q1\n0,0,1,5\n", 1, ["line 2", "4 cells", "decimal commas need another separator"]),
         ("t [h],q1\n0,1\n", 1, ["line 1", '"t [h]"', '"h"', "must be s, ms, us, ns"]),
-        ("t,q1 (turns)\n0,1\n", 1, ["line 1", '"turns"', 'units = { q1 = "rad" }']),
+        ("t,q1 (turns)\n0,1\n", 1, ["line 1", '"turns"', 'units = { q1 = "..." } says which']),
         ("t,q1,q1\n0,1,2\n", 1, ["line 1", '"q1"', "twice"]),
         ("t,q1,q2\n0,1,2\n", 1, ["line 1", "2 q columns", "1 joint"]),
         ("t,q1\n0,1\n", 2, ["line 1", "no column q2"]),
@@ -349,6 +349,19 @@ def test_reads_standard_input(folder, monkeypatch):
         ([ARM, entry("start = 5", "stop = 5")], ["start = 5", "before stop = 5"]),
         ([ARM, entry("start = 19.9")], ["10 samples", "between start and stop", "20"]),
         ([ARM, entry("air_bearings = 1")], ["air_bearings = 1", "true or false"]),
+        (
+            [
+                ARM,
+                entry('own = ["coulomb_friction:elbow"]', "stop = 9"),
+                entry("start = 9.5", 'own = ["spring:elbow"]'),
+            ],
+            ["two.csv: own is", "coulomb_friction:elbow", "spring:elbow", "in another", "one set"],
+        ),
+        (
+            [ARM, entry('own = ["coulomb_friction:elbow"]', "stop = 9"), entry("start = 9.5")],
+            ["two.csv: own is [] in one recording of this name"],
+        ),
+        ([ARM, entry('own = "coulomb_friction:elbow"')], ["own = ", "must be a list of effects"]),
         ([ARM, entry("extra_mass = 1")], ["extra_mass", "[inertia] only"]),
         ([CART, entry("extra_mass = -1", file="one.csv")], ["extra_mass = -1"]),
     ],
@@ -393,6 +406,16 @@ def test_says_when_a_check_is_none(folder):
     assert "two.csv: 500 of its samples" in warning
     fitted = entry("theta2 = 0", "stop = 14.99")
     assert experiment(folder, ARM, fitted, held).warnings == ()
+
+
+def test_windows_of_one_file_are_one_run(folder):
+    """A check on a part of a run has the numbers of that run."""
+    own = 'own = ["coulomb_friction:elbow"]'
+    parts = [entry(own, "theta2 = 0", words) for words in ("stop = 5", "start = 5.5\nstop = 9")]
+    held = entry("theta2 = 0", 'role = "check"', "start = 9.5")
+    here = experiment(folder, ARM, *parts, held, entry("theta2 = 0", file="other.csv"))
+    assert here.own == {"coulomb_friction:elbow": ((1, "two.csv"),)}
+    assert [here.run_of(r) for r in here.recordings] == [1, 1, 1, 0]
 
 
 def test_says_when_readings_are_fitted_twice(folder):
@@ -532,6 +555,26 @@ def test_refuses_degrees_and_warns_of_them_in_python(folder):
     # The same numbers may be millimetres where nothing says they are angles.
     write_csv(folder / "mm.csv", t, table[0])
     assert experiment(folder, CART, entry(file="mm.csv")).warnings == ()
+
+
+@pytest.mark.parametrize("role", ["fit", "inertia"])
+def test_a_unit_that_is_stated_is_not_doubted(folder, role):
+    t = np.arange(200.0)
+    angle = 7.0 * np.stack([np.cos(0.2 * t), np.cos(0.3 * t)], axis=1)
+    write_csv(folder / "slow.csv", t, angle, np.ones((200, 2)))
+    keys = f'role = "{role}"', "theta2 = 0", "noise = 0.01"
+    for unit, doubt in (("t", "t goes up by 1:"), ("q1", "q1 reaches 7"), ("q2", "q2 reaches 7")):
+        left = {"t": "s", "q1": "rad", "q2": "rad"}
+        del left[unit]
+        units = ", ".join(f'{key} = "{value}"' for key, value in left.items())
+        given = ARM, entry(*keys, f"units = {{ {units} }}", file="slow.csv")
+        if role == "fit":
+            assert doubt in refusal(folder, *given)
+        else:
+            (warning,) = experiment(folder, *given).warnings
+            assert doubt in warning
+    units = 'units = { t = "s", q1 = "rad", q2 = "rad" }'
+    assert experiment(folder, ARM, entry(*keys, units, file="slow.csv")).warnings == ()
 
 
 # Noise

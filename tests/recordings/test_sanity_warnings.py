@@ -82,6 +82,15 @@ def test_angles_of_an_encoder_with_its_own_zero(good):
         np.testing.assert_allclose(found.angle, angle, atol=2e-3)
 
 
+def test_a_gyroscope_with_a_zero_of_its_own_is_told_of_its_readings(good):
+    time, angle = good
+    rates = Recording.from_arrays(time, angle + 0.9, reads="rate", noise=1e-3)
+    found = doubted(rates, ("rad/s", "rad/s"))
+    assert found.key == "rest"
+    assert "rad/s): at rest it must read 0; " in found.words
+    assert "angle" not in found.words
+
+
 def test_a_joint_that_stands_still_away_from_zero_is_not_counted_from_rest(good):
     time, angle = good
     line = seen(time, np.column_stack([angle[:, 0], 0.5 + 1e-3 * np.sin(50 * time)]))

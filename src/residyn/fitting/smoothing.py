@@ -12,6 +12,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from ..recordings.recording import Recording
+from ..recordings.resampling import even_step
 
 _POWER = 5  # (1 - s^2)^5 is smooth enough at its ends for two derivatives
 _EVEN = 1e-6  # of the spacing
@@ -27,9 +28,9 @@ class Uniform(NamedTuple):
 
 
 def uniform(recording: Recording, outliers: np.ndarray) -> Uniform:
-    """Resample to the median spacing, leaving out missing readings and outliers."""
+    """Resample to equal steps, leaving out missing readings and outliers."""
     time, angle = recording.time, recording.as_angles.angle
-    dt = float(np.median(np.diff(time)))
+    dt = even_step(time)
     grid = np.arange(time[0], time[-1] + 1e-9 * dt, dt)
     q = np.empty((len(grid), angle.shape[1]))
     good = np.ones(len(grid), bool)

@@ -50,18 +50,20 @@ for _base in ("rad", "m"):
             unit + _per: (size, " ".join(word + _per for word in words.split()))
             for unit, (size, words) in _UNITS[_base].items()
         }
-_UNITS["rad/s"] |= {"rad/s": (1.0, "radian/s 1/s")}
-_UNITS["rad/s"] |= {"deg/s": (_DEGREE, "°/s º/s dps"), "rpm": (6 * _DEGREE, "1/min rev/min")}
+_UNITS["rad/s"]["rpm"] = (6 * _DEGREE, "1/min rev/min")
 _UNITS["m/s^2"]["g"] = (9.80665, "")
 _SPELLED = (
     (re.compile(r"/sec\b"), "/s"),
     (re.compile(r"/s(?:²|\*\*2|2|/s)$"), "/s^2"),
     (re.compile(r"[\s*·-]"), ""),  # N*m, N·m, N-m
+    (re.compile(r"^1(?=/s)"), "rad"),
+    (re.compile(r"^dps$"), "deg/s"),
 )
 
 _JOINTS_OWN = re.compile(r"([qu])[1-9][0-9]*")
-_BRACKETS = re.compile(r"(.*?)[\s,_]*[\[({<]\s*([^\[\](){}<>]*?)\s*[\])}>]\s*")
-_TAILS = re.compile(r"(.*\S)(?:\s+in\s+|\s*/\s*|_|,\s*)(\S+)", re.I)
+_BRACKETS = re.compile(r"(.*?)[\s,_/]*[\[({<]\s*([^\[\](){}<>]*?)\s*[\])}>]\s*")
+_BETWEEN = re.compile(r",?\s+in\s+|\s*/\s*|_|,\s*", re.I)  # name and unit, without brackets
+_LONGEST = 24  # letters of a unit that stands without brackets, with what stands before it
 
 
 @dataclass(frozen=True)
@@ -249,10 +251,12 @@ class Table(NamedTuple):
     angle: np.ndarray  # (N, n) rad or m, NaN where one is missing
     drive: np.ndarray | None
     """(N, n) N m or N, zero for a joint without its own column; None if no joint has one."""
-    line: np.ndarray  # (N,) the line number of each sample
+    line: np.ndarray  # (N,) the line number of each sample, or its own number (`counted`)
     stated: frozenset[str]  # the columns whose unit is stated, by a key or the file itself
     understood: str = ""
     """What was made of the header, in one line; empty if there is nothing to say."""
+    counted: str = "line"
+    """What `line` counts: "line", or "sample" from 0 on where a file has no lines."""
 
     def lines_at(self, time: np.ndarray) -> np.ndarray:
         """(N,) lines of these instants, or of the next ones that have one."""
@@ -267,6 +271,7 @@ class Table(NamedTuple):
         header: Sequence[str],
         joints: Joints,
         more: Sequence[str] = (),
+        counted: str = "line",
     ) -> "Table":
         """From the columns' values (N,), in their own units; `more` is said of the file."""
         found = {c.name: x * c.factor for c, x in zip(columns, values, strict=True)}
@@ -281,6 +286,7 @@ class Table(NamedTuple):
             line,
             frozenset(column.name for column in columns if column.stated),
             understood(columns, header, more),
+            counted,
         )
 
 
@@ -300,7 +306,7 @@ def guessed(
     bare = [_parts(cell)[0].casefold() for cell in header]
     plain = [i for i, ok in enumerate(numeric) if ok]
     time = next((i for i in plain if bare[i] in _TIMES), plain[0])
-    rest = [i for i in plain if i != time]
+    rest = [i for i in plain if i != time and not re.fullmatch("u[1-9][0-9]*", bare[i])]
     called = [i for i in rest if re.fullmatch("q[1-9][0-9]*", bare[i])]
     sized = [i for i in rest if _known(words[i], "rad", "m")]
     angles = called or sized or rest
@@ -350,7 +356,7 @@ def _unit(
                 raise InputError(
                     f"{where}: must be {allowed}, or reads = {quote(reads)} says what it is"
                 )
-    hint = f', or units = {{ {name} = "{allowed.split(",")[0]}" }} says it' * (own is None)
+    hint = f'; if it is one of these, units = {{ {name} = "..." }} says which' * (own is None)
     raise InputError(f"{where}: must be {allowed}{hint}")
 
 
@@ -378,7 +384,7 @@ def _parts(cell: str) -> tuple[str, str]:
     found = _BRACKETS.fullmatch(cell)
     if found and found[1]:
         return found[1].strip(), found[2]
-    found = _TAILS.fullmatch(cell)
-    if found and _known(found[2], *_UNITS):
-        return found[1].strip(), found[2]
+    for mark in _BETWEEN.finditer(cell, max(1, len(cell) - _LONGEST)):
+        if _known(unit := cell[mark.end() :], *_UNITS):
+            return cell[: mark.start()], unit
     return cell, ""

@@ -2,7 +2,7 @@
 
 One header line names the columns: `t` (s), `q1`, `q2`, ... (rad or m) and, for a driven recording,
 `u1`, `u2`, ... (N m or N), in any order. Every further line is one sample; a sensor that missed it
-leaves an empty cell or `nan`. Files of a lab's own have other names and units (`_columns`), lines
+leaves an empty cell or `nan`. Files of a lab's own have other names and units (`columns`), lines
 above the header, semicolons, tabs or blanks between cells, decimal commas, quoted cells, and text
 that is not UTF-8; those are recognised, and what was understood is told in one line.
 
@@ -12,7 +12,6 @@ of a whole command; reading 2000 lines one by one, a fiftieth of that.
 """
 
 import contextlib
-import csv
 import math
 import os
 import re
@@ -101,8 +100,11 @@ def guessed_columns(path: str | os.PathLike[str]) -> tuple[dict[str, str], dict[
             if len(header) < 2 or any(map(_is_number, header)):
                 continue
             first = below[0] if below else []
-            ok = [_is_number(cell) or bool(cell and _LOST.fullmatch(cell)) for cell in first]
-            if len(ok) == len(header) and sum(ok) > 1 and any(map(_is_number, first)):
+            ok = [
+                bool(name and cell) and bool(_is_number(cell) or _LOST.fullmatch(cell))
+                for name, cell in zip(header, first, strict=False)
+            ]
+            if len(first) == len(header) and sum(ok) > 1 and any(map(_is_number, first)):
                 above_numbers.append((line, header, units, ok))
             elif "t" in matched(header, Joints(()), Layout()):
                 with_t.append((line, header, units, [bool(cell) for cell in header]))
@@ -194,7 +196,9 @@ def _cells(row: str, separator: str) -> list[str]:
         return row.split()
     if '"' not in row:
         return [cell.strip() for cell in row.split(separator)]
-    return [cell.strip() for cell in next(csv.reader([row], delimiter=separator), [])]
+    mark = re.escape(separator)
+    cells = re.findall(rf'{mark}(?:"([^"]*(?:""[^"]*)*)(?:"|$))?([^{mark}]*)', separator + row)
+    return [(quoted.replace('""', '"') + rest).strip() for quoted, rest in cells]
 
 
 def _decimal(rows: Sequence[str], separator: str, columns: Sequence[Column]) -> str:

@@ -51,11 +51,19 @@ class Experiment:
         if self.limits is not None:
             arm = isinstance(self.inertia, ArmTable)
             self.limits.check(self.joints, arm, bool(self.bearings))
+        runs = self._runs
         for recording in self.recordings:
             if recording.joints != len(self.joints):
                 raise InputError(
                     f"{recording.name}: angle has {recording.joints} joints, the experiment has "
                     f"{len(self.joints)}: {', '.join(self.joints)}"
+                )
+            own = runs.get((recording.segment_of or recording).name, ())
+            if recording.role == "fit" and set(recording.own) != set(own):
+                raise InputError(
+                    f"{recording.name}: own is {quote(list(recording.own))} in one recording of "
+                    f"this name and {quote(list(own))} in another, but a run has one set of "
+                    "numbers: give both the same, or put a run of its own into a file of its own"
                 )
             first = self._braked[0] if self._braked else recording
             if recording.role != "inertia" and recording.orders != first.orders:
@@ -159,10 +167,10 @@ def load(path: str | os.PathLike[str]) -> Experiment:
     else:
         where, folder = os.fspath(path), Path(path).parent
         if is_named_as_recording(path) and Path(path).is_file():
-            raise InputError(
-                f"{where}: is a recording and no experiment; `residyn new experiment.toml {where}` "
-                "writes an experiment file for it"
-            )
+            what = f'name it in an experiment file, as file = "{Path(path).name}"'
+            if Path(path).suffix.lower() == ".csv" and not has_markers(path):
+                what = f"`residyn new experiment.toml {where}` writes an experiment file for it"
+            raise InputError(f"{where}: is a recording and no experiment; {what}")
         text = read_text(path, "TOML file")
     return from_text(text, folder, where, os.fspath(path))
 
@@ -212,7 +220,9 @@ def _read(
         orders = tuple(map(READS.index, kinds))
         table = read_table(path, Joints(inertia.joints, inertia.units, orders), layout)
         angle, drive = table.angle, table.drive
-        recording = Recording.from_arrays(table.time, angle, drive=drive, name=file, **options)
+        recording = Recording.from_arrays(
+            table.time, angle, drive=drive, name=file, stated=table.stated, **options
+        )
         said = "; ".join(filter(None, [table.understood, recording.understood]))
         recording = dataclasses.replace(recording, understood=said)
         odd = not_free(recording, reading_units(inertia.units, orders), table, options)
@@ -237,7 +247,7 @@ def _in_degrees(experiment: Experiment) -> list[str]:
     for recording, _ in by_recording(experiment.recordings):
         sizes = np.nanquantile(np.abs(recording.angle), 0.99, axis=0)
         for j, (size, unit) in enumerate(zip(sizes, experiment.reading_units, strict=True)):
-            if unit == "rad" and size > 5:
+            if unit == "rad" and f"q{j + 1}" not in recording.stated and size > 5:
                 large.append(f"{recording.name}: q{j + 1} reaches {size:.3g}")
         if abs(recording.theta2) > np.pi:
             large.append(f"{recording.name}: theta2 = {recording.theta2:g}")

@@ -7,7 +7,7 @@ a column per joint.
 
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,8 @@ from ..files import check_ordinary, read_table_text
 from .columns import Joints, Layout, Table, columns_of
 from .csv import read_lab_csv
 from .motion_capture.trajectories import is_vicon
+
+_Columns = list[tuple[str, Any]]  # names and values, in the order of the file
 
 
 def is_named_as_recording(path: str | os.PathLike[str]) -> bool:
@@ -48,10 +50,9 @@ def read_table(path: str | os.PathLike[str], joints: Joints, layout: Layout) -> 
         return _table(reader(where), joints, layout)
 
 
-def _mat(path: str) -> Mapping[str, Any]:
+def _mat(path: str) -> _Columns:
     """The variables of a MATLAB file, or the fields of its struct."""
     from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
 
     try:
         found = loadmat(path, simplify_cells=True)
@@ -59,26 +60,29 @@ def _mat(path: str) -> Mapping[str, Any]:
         raise InputError(
             "is a MATLAB file of version 7.3, which is not read: save it with '-v7'"
         ) from None
-    except (MatReadError, OSError, ValueError, TypeError, KeyError, IndexError) as error:
-        raise InputError(f"is no MATLAB file that can be read: {error}") from None
+    except Exception as error:  # SciPy checks little: damaged bytes end in errors of any kind
+        why = str(error) or type(error).__name__
+        raise InputError(f"is no MATLAB file that can be read: {why}") from None
     found = {name: value for name, value in found.items() if not name.startswith("__")}
     structs = [name for name, value in found.items() if isinstance(value, dict) and "t" in value]
     if "t" not in found and len(structs) > 1:
         raise InputError(
             f"has several structs with a field t ({', '.join(structs)}): keep one recording a file"
         )
-    columns = dict(found if "t" in found or not structs else found[structs[0]])
-    wide: dict[str, Any] = {}
-    for name in columns.keys() & {"q", "u"}:
-        matrix = np.asarray(columns.pop(name))
+    columns: _Columns = []
+    for name, value in (found if "t" in found or not structs else found[structs[0]]).items():
+        if name not in ("q", "u"):
+            columns.append((name, value))
+            continue
+        matrix = np.asarray(value)
         matrix = matrix[:, None] if matrix.ndim == 1 else matrix
         if matrix.ndim != 2:
             raise InputError(f"{name} has shape {matrix.shape}: must be a row per time")
-        wide |= {f"{name}{j + 1}": column for j, column in enumerate(matrix.T)}
-    return wide | columns
+        columns += [(f"{name}{j + 1}", column) for j, column in enumerate(matrix.T)]
+    return columns
 
 
-def _parquet(path: str) -> Mapping[str, Any]:
+def _parquet(path: str) -> _Columns:
     try:
         import pyarrow as arrow
         from pyarrow import parquet
@@ -88,28 +92,29 @@ def _parquet(path: str) -> Mapping[str, Any]:
         ) from None
     try:
         table = parquet.ParquetFile(path).read()
-    except (arrow.ArrowException, OSError) as error:
+        found = list(zip(table.column_names, table.columns, strict=True))
+    except (arrow.ArrowException, OSError, ValueError) as error:
         raise InputError(f"is no Parquet file that can be read: {error}") from None
-    columns: dict[str, Any] = {}
-    for name in table.column_names:
+    columns: _Columns = []
+    for name, column in found:
         if re.fullmatch("__.*__", name):
             continue  # an index that pandas wrote
         try:
-            columns[name] = table.column(name).cast(arrow.float64()).to_numpy()
+            columns.append((name, column.cast(arrow.float64()).to_numpy()))
         except arrow.ArrowException:
-            columns[name] = None
+            columns.append((name, None))
     return columns
 
 
-_READERS: dict[str, Callable[[str], Mapping[str, Any]]] = {
+_READERS: dict[str, Callable[[str], _Columns]] = {
     ".mat": _mat,
     ".parquet": _parquet,
     ".pq": _parquet,
 }
 
 
-def _table(content: Mapping[str, Any], joints: Joints, layout: Layout) -> Table:
-    header, values = [name.strip() for name in content], list(content.values())
+def _table(content: _Columns, joints: Joints, layout: Layout) -> Table:
+    header, values = [name.strip() for name, _ in content], [value for _, value in content]
     columns = columns_of(header, joints, layout)
     found: dict[str, np.ndarray] = {}
     for column in columns:
@@ -127,4 +132,4 @@ def _table(content: Mapping[str, Any], joints: Joints, layout: Layout) -> Table:
     # What a workspace has besides is nothing to speak of.
     used = {column.at for column in columns}
     header = [name if i in used else "" for i, name in enumerate(header)]
-    return Table.of(found.values(), np.arange(1, count + 1), columns, header, joints)
+    return Table.of(found.values(), np.arange(count), columns, header, joints, counted="sample")

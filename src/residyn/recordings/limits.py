@@ -77,7 +77,7 @@ def _checked(key: str, given: Any) -> Any:
     each = tuple(given) if several else (given,)
     if key in _SIZES:
         each = tuple(number(key, x, _SIZES[key], least=0) for x in each)
-        if not each or (key == "angle" and not any(each)):
+        if key == "angle" and not any(each):
             raise InputError(f"{key} = {quote(given)}: must be above 0 somewhere ({_SIZES[key]})")
         return each if several else each[0]
     if not each or not all(isinstance(x, bool) for x in each):

@@ -5,13 +5,12 @@ A "?" is a string where a number must stand, so that whoever forgets one is told
 
 import json
 import os
-import re
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError
+from ..errors import InputError, quote
 from .columns import Joints, Layout
 from .csv import guessed_columns, read_lab_csv
 from .recording import Recording
@@ -42,9 +41,10 @@ def experiment_text(files: Sequence[Path], folder: Path) -> str:
     tables, kinds = [], ()
     for file in files:
         table, found = _entry(file, folder)
-        if tables and len(found) != len(kinds):
+        if tables and found != kinds:
             raise InputError(
-                f"{file}: has {len(found)} columns of angles, {files[0]} has {len(kinds)}"
+                f"{file}: has {len(found)} columns of angles ({', '.join(found)}), {files[0]} has "
+                f"{len(kinds)} ({', '.join(kinds)}): an experiment is of one mechanism"
             )
         tables.append(table)
         kinds = found
@@ -62,6 +62,8 @@ def _entry(file: Path, folder: Path) -> tuple[str, tuple[str, ...]]:
     joints' units."""
     columns, units, ordered = guessed_columns(file)
     angles = list(columns)[1:]
+    if not angles:
+        raise InputError(f"{file}: has no column of angles beside {quote(columns['t'])}")
     kinds = tuple("m" if units.get(q) in ("m", "cm", "mm") else "rad" for q in angles)
     joints = Joints(tuple(columns[q] for q in angles), kinds)
     keys: dict[str, Any] = {}
@@ -73,7 +75,9 @@ def _entry(file: Path, folder: Path) -> tuple[str, tuple[str, ...]]:
         table = read_lab_csv(file, joints, Layout(keys.get("columns"), keys.get("units")))
         understood = table.understood
         cut: dict[str, Any] = {key: keys.get(key) for key in ("start", "rest")}
-        recording = Recording.from_arrays(table.time, table.angle, name=str(file), **cut)
+        recording = Recording.from_arrays(
+            table.time, table.angle, drive=table.drive, name=str(file), **cut
+        )
         found = not_free(recording, joints.units, table, keys)
         if found is None:
             break
@@ -101,11 +105,9 @@ def _comment(words: str) -> list[str]:
 
 
 def toml_value(value: Any) -> str:
-    """A value as TOML writes it: a table or a list of what JSON writes alike."""
+    """A value as TOML writes it: a table, its keys words, or a list of what JSON writes alike."""
     if isinstance(value, dict):
-        keys = [k if re.fullmatch("[A-Za-z0-9_-]+", k) else toml_value(k) for k in value]
-        each = (f"{k} = {toml_value(x)}" for k, x in zip(keys, value.values(), strict=True))
-        return "{ " + ", ".join(each) + " }"
+        return "{ " + ", ".join(f"{k} = {toml_value(x)}" for k, x in value.items()) + " }"
     if isinstance(value, list):
         return "[" + ", ".join(map(toml_value, value)) + "]"
     return json.dumps(value, ensure_ascii=False)

@@ -6,7 +6,7 @@ line; whatever is merely doubtful is a warning.
 
 import dataclasses
 import functools
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -71,6 +71,8 @@ class Recording:
     """What this is a segment of, if it is one."""
     understood: str = ""
     """What was made of a file that is not written as this package writes it, in one line."""
+    stated: frozenset[str] = frozenset()
+    """Columns, "t", "q1", ..., whose unit is stated and not to be doubted."""
 
     @classmethod
     def from_arrays(
@@ -88,9 +90,10 @@ class Recording:
         air_bearings: bool = True,
         extra_mass: float = 0.0,
         load: float = 0.0,
-        own: Iterable[str] = (),
+        own: Sequence[str] = (),
         rest: Any = None,
         reads: Any = "angle",
+        stated: Collection[str] = (),
     ) -> "Recording":
         """Check a recording, cut it from `start` to `stop`, estimate its noise if not given.
 
@@ -119,7 +122,7 @@ class Recording:
             time, angle = time[part], angle[part]
             force = None if force is None else force[part]
             check_enough(angle, part=start is not None or stop is not None)
-            warnings += clock_warnings(time)
+            warnings += [] if "t" in stated else clock_warnings(time)
             many = -(-len(time) // MOST)
             if many > 1:
                 warnings.append(
@@ -165,6 +168,7 @@ class Recording:
                 reads=kinds,
                 warnings=tuple(f"{name}: {warning}" for warning in [*warnings, *more]),
                 understood=understood,
+                stated=frozenset(stated),
             )
 
     def saying(self, warnings: Iterable[str]) -> "Recording":

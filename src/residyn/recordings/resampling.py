@@ -9,14 +9,18 @@ from scipy.fft import next_fast_len
 from .outliers import outlier_mask
 
 
+def even_step(time: np.ndarray) -> float:
+    """The median step of `time` (N,), s, or as long a one that equal steps are 10 N at most: a long
+    pause of the logger must not make an even clock endless."""
+    return max(float(np.median(np.diff(time))), float(time[-1] - time[0]) / (10 * len(time)))
+
+
 def evenly_sampled(
     time: np.ndarray, angle: np.ndarray, outliers: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """The recording at equal steps, missing readings and outliers (N, n) filled in, which are
     looked for if they are not known."""
-    step = float(np.median(np.diff(time)))
-    # A long pause of the logger must not make the even clock endless.
-    step = max(step, (time[-1] - time[0]) / (10 * len(time)))
+    step = even_step(time)
     clock = time[0] + step * np.arange(math.floor((time[-1] - time[0]) / step + 1e-6) + 1)
     outliers = outlier_mask(time, angle) if outliers is None else outliers
     good = np.isfinite(angle) & ~outliers

@@ -101,9 +101,9 @@ def _no_angle(recording: Recording, units: tuple[str, ...], table: Table) -> Fin
         if not len(far):
             continue
         value, count = float(recording.angle[far[0], j]), len(far)
-        where = f"line {lines[far[0]]}"
+        where = f"{table.counted} {lines[far[0]]}"
         if count > 1:
-            where = f"lines {lines[far[0]]} to {lines[far[-1]]} ({count} readings)"
+            where = f"{table.counted}s {lines[far[0]]} to {lines[far[-1]]} ({count} readings)"
         words = (
             f"q{j + 1} = {value:.4g} rad ({np.degrees(value):.4g} deg), {where}, more than "
             f"{_TURN:g} rad from the readings beside it, as no braked joint turns: a lost sample "
@@ -135,7 +135,7 @@ def _held_until(motion: np.ndarray, period: float) -> float | None:
 
 
 def _off_rest(motion: np.ndarray, units: tuple[str, ...] | None) -> Finding | None:
-    """That angles (N, n) are not counted from rest, if so."""
+    """That readings (N, n) are not 0 at rest, if so."""
     rest = rest_angles(decimated(motion))
     size = np.abs(motion - rest).max(axis=0)
     off = np.abs(rest) > _OFF * size
@@ -148,6 +148,6 @@ def _off_rest(motion: np.ndarray, units: tuple[str, ...] | None) -> Finding | No
     none = ", ".join(["0"] * len(rest))
     words = (
         f"q{j + 1} rings about {rest[j]:.4g}{unit}, not about 0 (amplitude {size[j]:.2g}{unit}): "
-        f'angles are counted from rest; rest = "estimate" takes it off, rest = [{none}] leaves it'
+        f'at rest it must read 0; rest = "estimate" takes it off, rest = [{none}] leaves it'
     )
     return Finding(words, "rest", "estimate")

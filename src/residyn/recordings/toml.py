@@ -18,7 +18,7 @@ from ..simulation.integrator import Integrator
 from .columns import Layout
 from .limits import Limits
 from .recording import Recording, check_role
-from .tables import ArmTable, Bearing, InertiaTable, check_bearings
+from .tables import ArmTable, Bearing, InertiaTable
 
 _TABLES = ("arm", "inertia", "air_bearings", "recordings", "integrator", "limits")
 _MANY = ("air_bearings", "recordings")
@@ -66,7 +66,6 @@ def parse(text: str, where: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
         for i, entry in enumerate(_many(tables, "air_bearings", _keys_of(Bearing))):
             with inside(f"[[air_bearings]] {i + 1}"):
                 bearings.append(_made(Bearing, entry))
-        check_bearings(inertia, bearings)
         limits = _one(tables, "limits", Limits)
         if limits is not None:
             with inside("[limits]"):
@@ -139,7 +138,7 @@ def _keys_of(kind: Any) -> list[str]:
 
 
 _OPTIONS = set(inspect.signature(Recording.from_arrays).parameters)
-_OPTIONS -= {"time", "angle", "drive", "name"}  # which the file itself has
+_OPTIONS -= {"time", "angle", "drive", "name", "stated"}  # which the file itself has
 _RECORDING = ("file", *_keys_of(Layout), *sorted(_OPTIONS), "markers", "normal")
 
 

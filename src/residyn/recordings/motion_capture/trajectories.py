@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import InputError, did_you_mean, inside, quote
-from ...files import read_bytes, read_text
+from ...files import read_bytes, read_table_text
 from ..csv import number_in
 
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
@@ -55,7 +55,7 @@ def read_trajectories(path: str | os.PathLike[str]) -> Trajectories:
     """
     if os.fspath(path).lower().endswith(".c3d"):
         return _read_c3d(path)
-    text = read_text(path, "CSV file of marker trajectories")
+    text = read_table_text(path)
     with inside(os.fspath(path)):
         return _parse_vicon(text)
 

@@ -1,0 +1,18 @@
+"""Recordings at equal steps, from which initial guesses begin."""
+
+import numpy as np
+
+from residyn.fitting.smoothing import uniform
+from residyn.recordings.recording import Recording
+
+
+def test_a_long_pause_of_the_logger_makes_no_endless_grid():
+    t = np.arange(200) / 100
+    angle = np.cos(3 * t)
+    whole = uniform(Recording.from_arrays(t, angle, noise=1e-3), np.zeros((200, 1), bool))
+    np.testing.assert_array_equal(whole.q[:, 0], angle)
+    paused = Recording.from_arrays(t + 1e5 * (t >= 1), angle, noise=1e-3)
+    grid = uniform(paused, np.zeros((200, 1), bool))
+    assert len(grid.q) <= 10 * 200 + 1
+    assert grid.dt * (len(grid.q) - 1) > 0.99 * paused.duration
+    assert grid.good.sum() < 10  # nothing was read in the pause
