@@ -12,6 +12,7 @@ of a whole command; reading 2000 lines one by one, a fiftieth of that.
 """
 
 import contextlib
+import csv
 import math
 import os
 import re
@@ -196,9 +197,8 @@ def _cells(row: str, separator: str) -> list[str]:
         return row.split()
     if '"' not in row:
         return [cell.strip() for cell in row.split(separator)]
-    mark = re.escape(separator)
-    cells = re.findall(rf'{mark}(?:"([^"]*(?:""[^"]*)*)(?:"|$))?([^{mark}]*)', separator + row)
-    return [(quoted.replace('""', '"') + rest).strip() for quoted, rest in cells]
+    csv.field_size_limit(max(csv.field_size_limit(), len(row)))  # a cell may be as long as its row
+    return [cell.strip() for cell in next(csv.reader([row], delimiter=separator), [])]
 
 
 def _decimal(rows: Sequence[str], separator: str, columns: Sequence[Column]) -> str:
