@@ -44,7 +44,7 @@ from .evidence import (
 from .forecast import held_out
 from .law import CurveModel, curve_models, laws_of
 from .linearised_fit import Hopeless, LinearisedFit, evaluated, polish
-from .missing_torque import CURVES, missing_of, restoring_torque, scene_of
+from .missing_torque import CURVES, missing_of, of_base, restoring_torque, scene_of
 from .result import (
     Budget,
     Candidate,
@@ -104,9 +104,9 @@ def diagnose(
     began, say = time.perf_counter(), progress or (lambda words: None)
     with jax.enable_x64(True):
         deadline = math.inf if budget is None else time.perf_counter() + budget
-        scene, base = scene_of(experiment, effects)
         # What is found is of all runs; whether one has it for itself, `compare` asks afterwards.
-        experiment = experiment.owning([e.label for e in base])
+        experiment = of_base(experiment, effects)
+        scene, base = scene_of(experiment, effects)
         fits = Fits(experiment, scene, starts)
         search = Search(scene, base, deadline=deadline, say=say)
         return diagnosed(search, fits, effects, max_effects, began)

@@ -216,6 +216,11 @@ def missing_of(
     return tuple(found)
 
 
+def of_base(experiment: Experiment, effects: Sequence[str | AbstractEffect]) -> Experiment:
+    """The experiment, but that only numbers of the base model with some effects are a run's own."""
+    return experiment.owning(ready(experiment, experiment.fit_recordings, effects).model.labels)
+
+
 def scene_of(
     experiment: Experiment, effects: Sequence[str | AbstractEffect], fast: float | None = None
 ) -> tuple[Scene, tuple[AbstractEffect, ...]]:
