@@ -591,6 +591,19 @@ def test_lost_and_wild_readings_change_no_name():
     assert abs(value - 60.0) < 4 * std
 
 
+def test_recordings_of_one_name_and_clock_have_their_own_outliers_and_starts():
+    time = np.arange(401) / RATE
+    q = np.array([0.1, -0.05])[:, None] * np.exp(-0.2 * time) * np.cos(8.0 * time)
+    q = q + NOISE * np.random.default_rng(0).standard_normal(q.shape)
+    q[0, [60, 200, 330]] += 0.1
+    runs = [residyn.Recording.from_arrays(time, x, noise=NOISE) for x in q]
+    table = InertiaTable(("cart",), ((1.0,),), ("m",))
+    found = residyn.diagnose(residyn.Experiment(table, tuple(runs)), max_effects=0)
+    assert [int(r.wild.sum()) for r in found.fit.recordings] == [3, 0]
+    starts = [r.state[0] for r in found.fit.recordings]
+    np.testing.assert_allclose(starts, [0.1, -0.05], atol=1e-3)
+
+
 def test_a_driven_arm_tells_its_friction():
     time = np.arange(round(SECONDS * RATE) + 1) / RATE
     pushed = lambda t: 0.4 * np.sin(4.0 * t)  # noqa: E731

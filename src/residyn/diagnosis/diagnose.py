@@ -285,10 +285,8 @@ class Fits:
     def _index(self, recording) -> tuple[int, int]:
         """Which recording of the scene one (or a segment) is of, and where it begins there."""
         whole = recording.segment_of or recording
-        run = next(
-            i for i, r in enumerate(self.scene.recordings) if r is whole or (r.name == whole.name
-            and np.array_equal(r.time, whole.time))
-        )  # fmt: skip
+        # Whatever else is said of it, its readings stay the same array.
+        run = next(i for i, r in enumerate(self.scene.recordings) if r.angle is whole.angle)
         g = self.scene.grid
         own = g.of(run)
         since = recording.time[0] - self.scene.recordings[run].time[0]
