@@ -16,6 +16,7 @@ from scipy.stats import norm
 import residyn
 from residyn import effects
 from residyn.diagnosis.candidate_tests import Rival
+from residyn.diagnosis.channels import reassigned
 from residyn.diagnosis.diagnose import Posterior
 from residyn.diagnosis.evidence import (
     EXPLAINS_NOTHING,
@@ -651,6 +652,34 @@ def test_columns_that_are_not_what_the_file_says_are_told_and_no_effect_is_named
     assert found.channels.complete is not bool(hidden)
     assert max((c.probability for c in found.candidates), default=0.0) < 0.01
     assert words in " ".join(found.words)
+
+
+def test_columns_are_told_from_the_readings_that_there_are():
+    """One column lost in every third row, with a far reading: exchanged, the evidence is that of
+    the right columns; of sums, that the others are missing there says nothing."""
+    case = release()
+    q = np.array(case.q[:240])
+    q[50, 0] += 0.1
+
+    def told(columns):
+        with jax.enable_x64(True):
+            read = experiment(recording(case.t[:240], columns))
+            scene, effects = scene_of(read, ())
+            base = tried_alone(scene, effects)
+            each = reassigned(read, (), scene, base, len(scene.catalogued))
+        return base.log_evidence, {r.channels.words: r.tried.log_evidence for r in each}
+
+    to_table = np.cumsum(q, axis=1)
+    q[::3, 0] = to_table[::3, 0] = np.nan
+    right, _ = told(q)
+    _, each = told(q[:, ::-1])
+    exchanged = "the columns of shoulder and elbow are exchanged"
+    assert each[exchanged] == pytest.approx(right, abs=1.0)
+    assert max(each, key=lambda words: each[words]) == exchanged
+    base, each = told(to_table)
+    likeliest = max(each, key=lambda words: each[words])
+    assert likeliest.startswith("elbow's column is its link's angle to the table")
+    assert each[likeliest] > base + 500
 
 
 def test_noise_alone_has_the_evidence_of_noise():

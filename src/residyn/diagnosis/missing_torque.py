@@ -222,9 +222,8 @@ def of_base(experiment: Experiment, effects: Sequence[str | AbstractEffect]) -> 
 
 
 def scene_of(
-    experiment: Experiment, effects: Sequence[str | AbstractEffect], fast: float | None = None
+    experiment: Experiment, effects: Sequence[str | AbstractEffect]
 ) -> tuple[Scene, tuple[AbstractEffect, ...]]:
-    """The fitted recordings of an experiment as a scene, and the base model with some effects;
-    `fast` as in `Scene`."""
+    """The fitted recordings of an experiment as a scene, and the base model with some effects."""
     here = ready(experiment, experiment.fit_recordings, effects)
-    return Scene(here.recordings, here.mechanisms, here.outliers, fast), here.model.effects
+    return Scene(here.recordings, here.mechanisms, here.outliers), here.model.effects
