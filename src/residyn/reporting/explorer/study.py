@@ -195,11 +195,12 @@ class Study:
     def _predicted(self, path: Trajectory, go_on: Callable[[], None]) -> np.ndarray | None:
         other, begin, counts = self.beside
         if begin is not None:
-            numbers, room = path.numbers, len(path.first)
+            numbers, room = path.numbers, path.first.shape[1]
             known = Prior(numbers, np.full(len(numbers), 1e-9), np.zeros(len(numbers), bool))
             n = 2 * other.n
             path = dataclasses.replace(
                 path, prior=known, u=np.zeros_like(path.u), spread=begin.spread,
+                first=np.zeros((len(other.recordings), room)),
                 path=np.concatenate([begin.path[:, :n], np.zeros((other.K, room))], axis=1),
             )  # fmt: skip
             if any(e.memory for e in path.effects):  # of which nothing is known there
