@@ -16,6 +16,7 @@ from scipy.stats import norm
 import residyn
 from residyn import effects
 from residyn.diagnosis.candidate_tests import Rival
+from residyn.diagnosis.channels import reassigned
 from residyn.diagnosis.diagnose import Posterior
 from residyn.diagnosis.evidence import (
     EXPLAINS_NOTHING,
@@ -600,6 +601,19 @@ def test_lost_and_wild_readings_change_no_name():
     assert abs(value - 60.0) < 4 * std
 
 
+def test_recordings_of_one_name_and_clock_have_their_own_outliers_and_starts():
+    time = np.arange(401) / RATE
+    q = np.array([0.1, -0.05])[:, None] * np.exp(-0.2 * time) * np.cos(8.0 * time)
+    q = q + NOISE * np.random.default_rng(0).standard_normal(q.shape)
+    q[0, [60, 200, 330]] += 0.1
+    runs = [residyn.Recording.from_arrays(time, x, noise=NOISE) for x in q]
+    table = InertiaTable(("cart",), ((1.0,),), ("m",))
+    found = residyn.diagnose(residyn.Experiment(table, tuple(runs)), max_effects=0)
+    assert [int(r.wild.sum()) for r in found.fit.recordings] == [3, 0]
+    starts = [r.state[0] for r in found.fit.recordings]
+    np.testing.assert_allclose(starts, [0.1, -0.05], atol=1e-3)
+
+
 def test_a_driven_arm_tells_its_friction():
     time = np.arange(round(SECONDS * RATE) + 1) / RATE
     pushed = lambda t: 0.4 * np.sin(4.0 * t)  # noqa: E731
@@ -647,6 +661,34 @@ def test_columns_that_are_not_what_the_file_says_are_told_and_no_effect_is_named
     assert found.channels.complete is not bool(hidden)
     assert max((c.probability for c in found.candidates), default=0.0) < 0.01
     assert words in " ".join(found.words)
+
+
+def test_columns_are_told_from_the_readings_that_there_are():
+    """One column lost in every third row, with a far reading: exchanged, the evidence is that of
+    the right columns; of sums, that the others are missing there says nothing."""
+    case = release()
+    q = np.array(case.q[:240])
+    q[50, 0] += 0.1
+
+    def told(columns):
+        with jax.enable_x64(True):
+            read = experiment(recording(case.t[:240], columns))
+            scene, effects = scene_of(read, ())
+            base = tried_alone(scene, effects)
+            each = reassigned(read, (), scene, base, len(scene.catalogued))
+        return base.log_evidence, {r.channels.words: r.tried.log_evidence for r in each}
+
+    to_table = np.cumsum(q, axis=1)
+    q[::3, 0] = to_table[::3, 0] = np.nan
+    right, _ = told(q)
+    _, each = told(q[:, ::-1])
+    exchanged = "the columns of shoulder and elbow are exchanged"
+    assert each[exchanged] == pytest.approx(right, abs=1.0)
+    assert max(each, key=lambda words: each[words]) == exchanged
+    base, each = told(to_table)
+    likeliest = max(each, key=lambda words: each[words])
+    assert likeliest.startswith("elbow's column is its link's angle to the table")
+    assert each[likeliest] > base + 500
 
 
 def test_noise_alone_has_the_evidence_of_noise():

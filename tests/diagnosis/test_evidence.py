@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 
 import residyn
-from residyn.diagnosis.columns import Columns, Screen, candidates
+from residyn.diagnosis.columns import Columns, Screen, candidates, extended
 from residyn.diagnosis.diagnose import Posterior
 from residyn.diagnosis.evidence import (
     CURVE_AMPLITUDES,
@@ -51,6 +51,7 @@ from residyn.effects import (
     Damper,
     DeadZone,
     Gravity,
+    Hysteresis,
     SensorOffset,
     Spring,
 )
@@ -352,6 +353,25 @@ def test_friction_in_proportion_to_a_load_needs_two_loads(loads, told):
     found = candidates(Scene(runs, carts, [np.zeros((len(time), 1), bool)] * 2), ())
     assert ("load_friction" in {e.name for e in found}) is told
     assert "coulomb_friction" in {e.name for e in found}
+
+
+def test_a_memory_begins_in_each_recording_as_its_own_motion_does():
+    """A cart with hysteresis, let go on either side: the sign of its angles in one recording is a
+    matter of words."""
+    time = np.arange(0.0, 2.0, 0.02)
+    model = CART + Spring("cart", 200.0) + Damper("cart", 0.5) + Hysteresis("cart", 1.0, 0.02, 1.0)
+    q = np.stack([residyn.simulate(model, time, [x], steps=1000).q for x in (0.1, 0.08)])
+    q = q + 1e-4 * np.random.default_rng(0).standard_normal(q.shape)
+    found = []
+    for sign in (1.0, -1.0):
+        runs = [residyn.Recording.from_arrays(time, x, noise=1e-4) for x in (q[0], sign * q[1])]
+        scene = Scene(runs, [CART, CART], [np.zeros((len(time), 1), bool)] * 2)
+        base = tried_alone(scene, [Spring("cart"), Damper("cart")]).best
+        screen = Screen(Columns(scene, base, [Hysteresis("cart")], []), INTENSITIES)
+        (other,) = settle(scene, [extended(scene, base, screen.ranked[0])], INTENSITIES[0])
+        assert other is not None
+        found.append((screen.ranked[0].gain, other[0].max()))
+    assert found[0] == pytest.approx(found[1], abs=0.1)
 
 
 def test_what_links_feel_is_measured_by_their_own_joint_and_length():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import residyn
+from residyn.diagnosis.runs import own_numbers
 from residyn.errors import InputError
 from residyn.physics.mechanism import ConstantInertia
 from residyn.recordings.recording import Recording
@@ -203,6 +204,48 @@ def test_whether_runs_are_the_same_is_told_by_evidence(friction, differs):
     assert found.to_dict()["runs"][0]["probability"] == run.probability
     words = "differs in run2 from" if differs else "is the same in run2 as in"
     assert any(f"coulomb_friction:cart {words} the other recordings" in w for w in found.words)
+
+
+@pytest.mark.parametrize("own", [["spring:far"], ["spring:near", "spring:far"]])
+def test_each_place_of_an_effect_is_asked_by_itself(own):
+    """Two carts in a row, let go twice alike: no spring needs numbers of its own."""
+    table = InertiaTable(("near", "far"), ((1.0, 0.2), (0.2, 0.8)), ("m", "m"))
+    carts = ConstantInertia(table.matrix, table.joints, table.units)
+    model = carts + residyn.Spring("near", 100.0) + residyn.Spring("far", 160.0)
+    model = model + residyn.Damper("near", 0.3) + residyn.Damper("far", 0.3)
+    t = np.arange(0.0, 2.0, 0.02)
+    q = np.asarray(residyn.simulate(model, t, [0.1, -0.05], steps=500).q)
+    read = q + NOISE * np.random.default_rng(0).standard_normal((2, *q.shape))
+    first = Recording.from_arrays(t, read[0], noise=NOISE, name="first")
+    second = Recording.from_arrays(t, read[1], noise=NOISE, name="second", own=own)
+    found = own_numbers(residyn.Experiment(table, (first, second)))
+    assert [(x.effect, x.recording) for x in found] == [(x, "second") for x in own]
+    assert all(x.log_odds < -3 for x in found)
+
+
+def test_effects_of_a_fit_have_own_numbers_where_the_experiment_says_so():
+    own = ["coulomb_friction:cart", "damper:cart"]
+    runs = release(seed=1), release(friction=0.35, seed=2, own=own)
+    experiment = residyn.Experiment(TABLE, runs)
+    (damper, friction) = own_numbers(experiment, ["coulomb_friction"])
+    fit = residyn.fit(experiment, effects=["coulomb_friction"])
+    assert own_numbers(experiment, fit.model.effects[2:]) == (damper, friction)
+    assert damper.log_odds < -3
+    assert friction.log_odds > 3
+
+
+def test_a_diagnosis_fits_each_run_s_own_numbers_also_beside_runs_that_have_others():
+    runs = (
+        release(seed=1),
+        release(seed=2, own=["hysteresis:cart"]),
+        release(friction=0.35, seed=3, own=["coulomb_friction:cart"]),
+    )
+    experiment = residyn.Experiment(TABLE, runs)
+    found = residyn.diagnose(experiment, effects=["coulomb_friction"], max_effects=0)
+    run3 = number(found.fit, "coulomb_friction:cart.torque (run3)")
+    assert run3.std < 0.01
+    assert abs(run3.value - 0.35) < 4 * run3.std
+    assert found.fit.reduced_chi2 < 1.1
 
 
 def test_a_diagnosis_of_runs_that_may_differ_names_what_they_share():

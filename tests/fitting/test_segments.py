@@ -1,10 +1,13 @@
 """Driven motion that nothing pulls back: fitted in segments, so that what is missing is a torque
 and not where it has led to."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import residyn
+from residyn.diagnosis import compare_fit
 from residyn.recordings.segments import segments_of
 from residyn.recordings.tables import InertiaTable
 
@@ -85,6 +88,17 @@ def test_friction_is_named():
     assert found.added == ("coulomb_friction:slide",)
     assert len(found.missing) == 1
     assert found.missing[0].recording == "slide.csv"
+
+
+def test_segments_without_a_reading_bound_no_spectrum():
+    whole = recorded(dry=0.0)
+    lost = (whole.time > 3.1) & (whole.time < 4.5)
+    angle = np.where(lost[:, None], np.nan, whole.angle)
+    fit = residyn.fit(experiment(dataclasses.replace(whole, angle=angle)), starts=1)
+    assert min(r.used.sum() for r in fit.recordings) == 0
+    found = compare_fit(fit, missing=())
+    assert np.isfinite(found.where.white["slide"].p)
+    assert sum(c["share"] for c in found.where.to_dict()["frequency"]) == pytest.approx(1)
 
 
 def test_over_a_gap_in_time_there_is_no_cut():

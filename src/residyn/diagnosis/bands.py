@@ -20,6 +20,8 @@ _LINES = 2.0  # half width of a mode's band, in lines of the spectrum (1/duratio
 _WIDTHS = 2.0  # ... or in half widths of its resonance, whichever is more
 _MOST = 1000  # columns of a spectrum (half a line each)
 _FULL = 0.45  # cycles per reading: beyond, lost and uneven samples leave nothing to see
+LEAST = 20
+"""Readings of a joint in a recording: fewer have no spectrum."""
 
 
 class Band(NamedTuple):
@@ -32,11 +34,11 @@ class Band(NamedTuple):
 
 
 def bands(modes: Sequence[Mode], fitted: Sequence[RecordingFit]) -> tuple[Band, ...]:
-    """Bands that cover all frequencies from 0 to the highest that the readings can show."""
+    """Bands that cover all frequencies from 0 to the highest that every spectrum can show."""
     line = max(1.0 / r.recording.duration for r in fitted)
-    counts = (min(_FULL * r.used.sum(axis=0).min(), _MOST / 2) for r in fitted)
-    top = min(n / r.recording.duration for n, r in zip(counts, fitted, strict=True))
     last = 0.5 / min(float(np.median(np.diff(r.recording.time))) for r in fitted)
+    counts = [(n, r.recording.duration) for r in fitted for n in r.used.sum(axis=0) if n >= LEAST]
+    top = min((min(_FULL * n, _MOST / 2) / seconds for n, seconds in counts), default=last)
     ringing = [m for m in modes if line < m.frequency_hz < 0.9 * top]
     if not ringing:
         edges = np.array([0.0, 1 / 64, 1 / 16, 1 / 4, 1.0]) * top

@@ -18,11 +18,11 @@ import numpy as np
 from ..effects import AbstractEffect
 from ..filtering.trajectory import Scene
 from ..fitting import FitError
+from ..fitting.problem import ready
 from ..recordings.experiment import Experiment
 from ..recordings.tables import ArmTable
 from ..runtime.parallel import side_by_side
 from .evidence import log_prior_model
-from .missing_torque import scene_of
 from .search import Tried, tried_alone
 
 
@@ -75,23 +75,37 @@ def reassigned(
 ) -> list[Reassigned]:  # fmt: skip
     """The base model with some effects under each assignment of the columns that it can move under,
     or until it falls hopelessly behind the columns as they stand (`scene` and `base`). Each is as
-    unlikely beforehand as one effect of all `candidates`."""
+    unlikely beforehand as one effect of all `candidates`.
+
+    A sum of columns is missing where one of them is. Both models are then compared on the readings
+    of which sums are left, as if the others told nothing of it.
+    """
+    recordings = experiment.fit_recordings
+    columns = [np.where(w, np.nan, r.angle) for r, w in zip(recordings, scene.wild, strict=True)]
+
+    def read_as(angles: Sequence[np.ndarray], M: np.ndarray):
+        """Scene and base model of readings (N, n) that are `M` times the columns."""
+        each = tuple(
+            dataclasses.replace(r, angle=x, noise=np.sqrt(np.asarray(r.noise) ** 2 @ (M**2).T))
+            for r, x in zip(recordings, angles, strict=True)
+        )
+        here = ready(dataclasses.replace(experiment, recordings=each), each, effects)
+        none = [np.zeros(x.shape, bool) for x in angles]
+        # What is linear in the readings is no faster than they are.
+        return Scene(here.recordings, here.mechanisms, none, scene.grid.fast), here.model.effects
 
     def under(channels: Channels) -> Reassigned | None:
         M = channels.matrix
-        recordings = tuple(
-            dataclasses.replace(
-                r, angle=r.angle @ M.T, noise=np.sqrt(np.asarray(r.noise) ** 2 @ (M**2).T)
-            )
-            for r in experiment.fit_recordings
-        )
-        read = dataclasses.replace(experiment, recordings=recordings)
+        angles = [_sums(x, M) for x in columns]
+        left = [_sums(x, np.linalg.inv(M)) for x in angles]
         with contextlib.suppress(FitError):
-            # What is linear in the readings is no faster than they are.
-            seen, members = scene_of(read, effects, scene.grid.fast)
-            volume = seen.length * float(np.linalg.slogdet(M)[1]) / len(M)
-            tried = tried_alone(seen, members, base.log_evidence - volume)
-            tried = dataclasses.replace(tried, evidences=tried.evidences + volume)
+            seen, members = read_as(angles, M)
+            more = seen.length * float(np.linalg.slogdet(M)[1]) / len(M)
+            if np.isnan(np.concatenate(left)).sum() > np.isnan(np.concatenate(columns)).sum():
+                alone = tried_alone(*read_as(left, np.eye(len(M))))
+                more += base.log_evidence - alone.log_evidence
+            tried = tried_alone(seen, members, base.log_evidence - more)
+            tried = dataclasses.replace(tried, evidences=tried.evidences + more)
             return Reassigned(channels, tried)
         return None
 
@@ -99,3 +113,8 @@ def reassigned(
     found = [r for r in each if r is not None]
     prior = log_prior_model(1, candidates + len(found))
     return [r._replace(tried=dataclasses.replace(r.tried, log_prior=prior)) for r in found]
+
+
+def _sums(columns: np.ndarray, M: np.ndarray) -> np.ndarray:
+    """(N, n) `M` times columns (N, n); NaN where one that it takes is missing."""
+    return np.where(np.isnan(columns) @ (M != 0).T, np.nan, np.nan_to_num(columns) @ M.T)

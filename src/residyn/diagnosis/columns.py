@@ -177,7 +177,7 @@ def columns(
         def of_phase(numbers, phase):
             z, begun = jnp.zeros((m, 3 * K)), jnp.zeros((m, K))
             if m:
-                z0 = stack(_begin(effect, j, numbers, at, first)) + phase
+                z0 = _begin(effect, j, numbers, at, early) + phase
                 args = three(q), three(v), at.time.reshape(3, K), instants.step
                 z = states_along(effect, numbers, early, *args, anew, z0)
                 begun, z = z[0], jnp.moveaxis(z, 0, 1).reshape(m, 3 * K)
@@ -241,11 +241,17 @@ def _places(laws: Laws, shaped: Sequence[Shaped], n: int):
 
 
 def _begin(effect, j: int, numbers, at, mechanism):
-    """Internal states at the first instant."""
+    """(m, K) internal states as they begin in the motion of each instant; `mechanism` with leaves
+    (K, ...)."""
     if group_of(effect) == "joint":
         effect = dataclasses.replace(effect, joint=mechanism.joints[j])
-    motion = Motion.at(0.0, split(at.q[:, 0]), split(at.v[:, 0]))
-    return with_numbers(effect, numbers).begin(motion, mechanism)
+    own = with_numbers(effect, numbers)
+
+    def begin(q, v, mechanism):
+        return stack(own.begin(Motion.at(0.0, split(q), split(v)), mechanism))
+
+    q, v = (x[:, : x.shape[1] // 3] for x in (at.q, at.v))
+    return jax.vmap(begin, in_axes=(-1, -1, 0), out_axes=-1)(q, v, mechanism)
 
 
 def _strengths(effect, unit, mechanism, q, v, at, z, numbers, direction):
@@ -488,9 +494,9 @@ def with_effects(
         return np.r_[(slice(0, 0), *(slices[i] for i in kept))].astype(int)
 
     numbers, states = known(number_slices(t.effects)), known(state_slices(t.effects))
-    u, first = np.zeros(scene.regressors(effects)), np.zeros(scene.room(effects))
-    path = np.zeros((scene.K, n + len(first)))
-    u[: len(numbers)], first[: len(states)] = t.u[numbers], t.first[states]
+    u, room = np.zeros(scene.regressors(effects)), scene.room(effects)
+    path, first = np.zeros((scene.K, n + room)), np.zeros((len(t.first), room))
+    u[: len(numbers)], first[:, : len(states)] = t.u[numbers], t.first[:, states]
     path[:, : n + len(states)] = t.path[:, np.r_[0:n, n + states]]
     prior = prior_of(scene, effects)
     return dataclasses.replace(t, effects=effects, prior=prior, u=u, path=path, first=first)
@@ -516,5 +522,5 @@ def extended(scene: Scene, t: Trajectory, found: Column) -> Trajectory:
         if number.silent is not None:
             t.u[i] = max(next(strong), least) if signed(number) else next(strong)
     t.path[:, 2 * scene.n :][:, states] = found.states + phase
-    t.first[states] = found.states[0] + phase
+    t.first[:, states] = found.states[scene.begins] + phase
     return t

@@ -45,7 +45,7 @@ from .evidence import (
 from .forecast import held_out
 from .law import CurveModel, curve_models, laws_of
 from .linearised_fit import Hopeless, evaluated, polish
-from .missing_torque import CURVES, missing_of, restoring_torque, scene_of
+from .missing_torque import CURVES, missing_of, of_base, restoring_torque, scene_of
 from .result import (
     Budget,
     Candidate,
@@ -105,9 +105,9 @@ def diagnose(
     began, say = time.perf_counter(), progress or (lambda words: None)
     with jax.enable_x64(True):
         deadline = math.inf if budget is None else time.perf_counter() + budget
-        scene, base = scene_of(experiment, effects)
         # What is found is of all runs; whether one has it for itself, `compare` asks afterwards.
-        experiment = experiment.owning([e.label for e in base])
+        experiment = of_base(experiment, effects)
+        scene, base = scene_of(experiment, effects)
         fits = Fits(experiment, scene, starts)
         search = Search(scene, base, deadline=deadline, say=say)
         return diagnosed(search, fits, effects, max_effects, began)
@@ -289,10 +289,8 @@ class Fits:
     def _index(self, recording) -> tuple[int, int]:
         """Which recording of the scene one (or a segment) is of, and where it begins there."""
         whole = recording.segment_of or recording
-        run = next(
-            i for i, r in enumerate(self.scene.recordings) if r is whole or (r.name == whole.name
-            and np.array_equal(r.time, whole.time))
-        )  # fmt: skip
+        # Whatever else is said of it, its readings stay the same array.
+        run = next(i for i, r in enumerate(self.scene.recordings) if r.angle is whole.angle)
         g = self.scene.grid
         own = g.of(run)
         since = recording.time[0] - self.scene.recordings[run].time[0]

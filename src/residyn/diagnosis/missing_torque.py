@@ -216,10 +216,14 @@ def missing_of(
     return tuple(found)
 
 
+def of_base(experiment: Experiment, effects: Sequence[str | AbstractEffect]) -> Experiment:
+    """The experiment, but that only numbers of the base model with some effects are a run's own."""
+    return experiment.owning(ready(experiment, experiment.fit_recordings, effects).model.labels)
+
+
 def scene_of(
-    experiment: Experiment, effects: Sequence[str | AbstractEffect], fast: float | None = None
+    experiment: Experiment, effects: Sequence[str | AbstractEffect]
 ) -> tuple[Scene, tuple[AbstractEffect, ...]]:
-    """The fitted recordings of an experiment as a scene, and the base model with some effects;
-    `fast` as in `Scene`."""
+    """The fitted recordings of an experiment as a scene, and the base model with some effects."""
     here = ready(experiment, experiment.fit_recordings, effects)
-    return Scene(here.recordings, here.mechanisms, here.outliers, fast), here.model.effects
+    return Scene(here.recordings, here.mechanisms, here.outliers), here.model.effects

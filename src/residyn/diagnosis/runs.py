@@ -16,7 +16,7 @@ from scipy.special import expit
 
 from ..effects import AbstractEffect
 from ..recordings.experiment import Experiment
-from .missing_torque import scene_of
+from .missing_torque import of_base, scene_of
 from .search import tried_alone
 
 
@@ -53,29 +53,23 @@ def own_numbers(
     if not experiment.own:
         return ()
     with jax.enable_x64(True):
-        scene, members = scene_of(experiment, effects)
-        with_all = tried_alone(scene, members).log_evidence
+        experiment = of_base(experiment, effects)
+        with_all = tried_alone(*scene_of(experiment, effects)).log_evidence
         found = []
-        for label, recording in [
-            (e.label, name) for e in members for _, name in getattr(type(e), "own_runs", ())
-        ]:
-            beside = [e.label for e in members if e.label != label and e.name in label]
-            shared = scene_of(_sharing(experiment, label, recording, beside), effects)
-            log_odds = with_all - tried_alone(*shared).log_evidence
-            found.append(OwnNumbers(label, recording, log_odds))
+        for label, runs in experiment.own.items():
+            for _, recording in runs:
+                shared = scene_of(_sharing(experiment, label, recording), effects)
+                log_odds = with_all - tried_alone(*shared).log_evidence
+                found.append(OwnNumbers(label, recording, log_odds))
     return tuple(found)
 
 
-def _sharing(
-    experiment: Experiment, label: str, recording: str, beside: Sequence[str]
-) -> Experiment:
-    """The experiment with one recording sharing one effect's numbers; `beside` are the same effect
-    at other joints."""
+def _sharing(experiment: Experiment, label: str, recording: str) -> Experiment:
+    """The experiment with one recording sharing one effect's numbers."""
 
     def shared(r):
         if (r.segment_of or r).name != recording:
             return r
-        own = [x for words in r.own for x in (beside if words in label else [words])]
-        return dataclasses.replace(r, own=tuple(own))
+        return dataclasses.replace(r, own=tuple(x for x in r.own if x != label))
 
     return dataclasses.replace(experiment, recordings=tuple(map(shared, experiment.recordings)))

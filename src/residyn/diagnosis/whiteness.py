@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import betainc
 
 from ..fitting.result import Fit
-from .bands import Band
+from .bands import LEAST, Band
 from .linearised_fit import Tangent
 from .rounding import Grid, hangs
 from .spectrum import Spectrum, Strip, spectrum, strips, whitened
@@ -23,7 +23,6 @@ from .spectrum import Spectrum, Strip, spectrum, strips, whitened
 _SLOWEST = 6  # half lines at the bottom that are a band of their own: offset, drift, creep
 _WIDEST = 16  # lines: a wider band is cut, lest a narrow line drown in it
 _ROUNDS = 6
-_LEAST = 20  # readings, of each joint: fewer say nothing
 
 
 def white(
@@ -50,7 +49,7 @@ def white(
 
 def spectrum_of(strip: Strip, top: float) -> Spectrum | None:
     """The spectrum; None if there are too few readings for one."""
-    return spectrum(strip, top) if strip.used.sum() >= _LEAST else None
+    return spectrum(strip, top) if strip.used.sum() >= LEAST else None
 
 
 def whiteness_of(parts: Sequence[Spectrum], narrow: Sequence[Band]) -> float:
@@ -93,7 +92,7 @@ def _grids(fit: Fit) -> dict[tuple[int, int], Grid]:
     for i, r in enumerate(fit.fitted):
         for j in range(len(fit.joints)):
             use = r.used[:, j]
-            if use.sum() >= _LEAST:
+            if use.sum() >= LEAST:
                 grid = Grid.of(r.recording.angle[use, j])
                 if grid.matters(r.left[use, j]):
                     found[i, j] = grid

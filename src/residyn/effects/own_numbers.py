@@ -28,15 +28,19 @@ _BY_MECHANISM = [
 
 def with_own(effect: AbstractEffect, runs: Sequence[tuple[int, str]]) -> AbstractEffect:
     """The effect with a set of numbers of its own for each of the `runs`, (number, name), all
-    silent; the effect itself if there are none."""
-    if not runs or hasattr(type(effect), "own_runs"):
+    silent, and for no other; the effect itself if it has just these."""
+    own = hasattr(type(effect), "own_runs")
+    plain: type[AbstractEffect] = type(effect).__mro__[own]  # pyright: ignore
+    kind = _kind(plain, tuple(runs))
+    if kind is type(effect):
         return effect
-    kind = _kind(type(effect), tuple(runs))
-    return kind(**{f.name: getattr(effect, f.name) for f in dataclasses.fields(effect)})
+    return kind(**{f.name: getattr(effect, f.name) for f in dataclasses.fields(plain)})
 
 
 @functools.cache
 def _kind(kind: type[AbstractEffect], runs: tuple[tuple[int, str], ...]) -> type[AbstractEffect]:
+    if not runs:
+        return kind
     fitted = [p for p in parameters_of(kind) if p.fitted]
     if not fitted:
         raise InputError(f"own: {kind.name} has no number that a recording could have for itself")

@@ -384,12 +384,12 @@ def states_along(effect: Any, numbers, mechanism, q, v, t, h, anew, z0):
     """Internal states (3, m, K) of an effect along a motion, at the nodes of each step.
 
     **Arguments:** `q`, `v` (3, r, K), `t` (3, K), `h` (K,) steps;
-    `anew` (K,) where the states begin anew at `z0` (m,); `mechanism` with leaves (K, ...).
+    `anew` (K,) where the states begin anew, at `z0` (m, K); `mechanism` with leaves (K, ...).
     """
     own: Any = with_numbers(effect, numbers)
 
     def step(z, at):
-        q, v, t, h, anew, mechanism = at
+        q, v, t, h, anew, z0, mechanism = at
         held, around = jnp.where(anew, z0, z), _around(effect, mechanism)
         if effect.follows:
             z = held
@@ -412,8 +412,8 @@ def states_along(effect: Any, numbers, mechanism, q, v, t, h, anew, z0):
     def first(x):  # (3, ..., K) to (K, 3, ...)
         return jnp.moveaxis(x, -1, 0)
 
-    each = first(q), first(v), first(t), h, anew, mechanism
-    return jnp.moveaxis(jax.lax.scan(step, z0, each)[1], 0, -1)
+    each = first(q), first(v), first(t), h, anew, z0.T, mechanism
+    return jnp.moveaxis(jax.lax.scan(step, z0[:, 0], each)[1], 0, -1)
 
 
 def stacked_mechanisms(mechanisms: Sequence[AbstractInertia]):

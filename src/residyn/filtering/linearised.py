@@ -62,7 +62,7 @@ class Point(NamedTuple):
     path: Any  # (K, X) angles, rates, internal states
     spread: Any  # (K, n) standard deviation of the rates
     u: Any  # (P,) regressors
-    first: Any  # (M,) internal states at the beginning of each recording
+    first: Any  # (R, M) internal states at the beginning of each recording
 
 
 class Nodes(NamedTuple):
@@ -406,7 +406,7 @@ def _linearised(laws: Laws, table: Table, instants: Instants, at: Nodes, bodies,
     last = instants.last
     A, B, T = (jnp.where(last, 0.0, each) for each in (A, B, T))
     anew = jnp.concatenate(
-        [instants.first_angle, jnp.zeros((n, K)), jnp.tile(point.first[:, None], (1, K))]
+        [instants.first_angle, jnp.zeros((n, K)), point.first[instants.run + 1].T]
     )
     c = jnp.where(last, anew, c) - jnp.sum(B * point.u[:, None], 1)
 

@@ -76,7 +76,7 @@ class Trajectory:
     u: np.ndarray  # (P,) regressors, filled up: 0 where the model has no number
     path: np.ndarray  # (K, 2n + M) smoothed angles, rates and internal states
     spread: np.ndarray  # (K, n) standard deviation of the rates
-    first: np.ndarray  # (M,) internal states where a recording begins, as known beforehand
+    first: np.ndarray  # (R, M) internal states where each recording begins, as known beforehand
     log_evidence: float
     # Until the model is smoothed of size 0:
     covariance: np.ndarray  # (P, P) of u
@@ -202,7 +202,7 @@ class Scene:
         path = np.concatenate([self.q, self.v, np.zeros((self.K, room))], axis=1)
         spread = np.tile([0.1 * s.amplitude * s.frequency for s in self.scales], (self.K, 1))
         u, none = np.zeros(self.regressors(effects)), np.zeros((0, 0))
-        begin = path, spread, np.zeros(room)
+        begin = path, spread, np.zeros((len(self.recordings), room))
         return Trajectory(tuple(effects), prior, u, *begin, -math.inf, none, none, none)
 
     def regressors(self, effects: Sequence[AbstractEffect]) -> int:
@@ -221,7 +221,7 @@ class Scene:
         self._laws[t.labels] = laws
         laws = laws._replace(curves=curves_of(t.effects))
         slopes = t.prior.slopes(t.u)
-        return laws, tabulated(laws, t.effects, self.joints, t.numbers, slopes, len(t.first))
+        return laws, tabulated(laws, t.effects, self.joints, t.numbers, slopes, t.first.shape[1])
 
     def linearised(self, t: Trajectory) -> Linear:
         """A model as a linear system along its own motion."""
@@ -254,11 +254,11 @@ class Scene:
         n, g = self.n, self.grid
         amplitude = np.array([s.amplitude for s in self.scales])
         pace = np.array([s.frequency for s in self.scales])
-        memory = np.zeros(len(t.first))
+        memory = np.zeros(t.first.shape[1])
         for effect, own in zip(t.effects, state_slices(t.effects), strict=True):
             scale = self.scales[self.joint_of(effect)]
             memory[own] = [float(each.dimension.size(scale)) for each in effect.memory]
-        mean = np.concatenate([self.q[self.begins[0]], np.zeros(n), t.first])
+        mean = np.concatenate([self.q[self.begins[0]], np.zeros(n), t.first[0]])
         variance = np.concatenate([amplitude, amplitude * pace, memory]) ** 2
         loud = self.torque**2
         decay = np.where(g.last[:, None], 0.0, np.exp(-g.step[:, None] * pace))

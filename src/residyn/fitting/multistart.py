@@ -329,8 +329,8 @@ def _upright(problem: Problem, at: Unknowns) -> Unknowns | None:
 def _outliers_beside(recording: Recording, residual: np.ndarray) -> np.ndarray:
     """Readings whose residual is far off its neighbours, and off what is usual."""
     # Where the model misses something, the residual has corners of its own.
-    usual = _USUAL * 1.4826 * np.nanmedian(np.abs(residual), axis=0)
-    noise = np.maximum(recording.noise, usual)
+    middle = np.ma.median(np.ma.masked_invalid(np.abs(residual)), axis=0).filled(0.0)
+    noise = np.maximum(recording.noise, _USUAL * 1.4826 * middle)
     if not np.any(np.abs(residual) > _FAR * noise):
         return np.zeros(residual.shape, bool)
     return outlier_mask(recording.time, residual, noise)

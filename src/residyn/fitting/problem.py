@@ -170,21 +170,20 @@ def with_own_numbers(
     **Raises:** `ValueError`, in one line, for an effect that does not exist, and where no fitted
     recording is left for the shared numbers.
     """
-    if not experiment.own:
-        return tuple(effects)
-    if isinstance(experiment.inertia, AbstractMechanism):
+    if experiment.own and isinstance(experiment.inertia, AbstractMechanism):
         raise InputError("own goes with [arm] or [inertia], not with a mechanism of your own")
     sharing = len(by_recording(experiment.fit_recordings))
-    runs: dict[str, list[tuple[int, str]]] = {}
+    runs: dict[str, tuple[tuple[int, str], ...]] = {}
     for words, each in experiment.own.items():
         with inside(f"{each[0][1]}: own"):
             for effect in effects_named(words, mechanism):
-                runs[effect.label] = [*runs.get(effect.label, []), *each]
-            if len(each) >= sharing:
-                raise InputError(
-                    f"{quote(words)} is in every fitted recording: leave it out of one, which the "
-                    "others are compared with"
-                )
+                own = tuple(dict.fromkeys([*runs.get(effect.label, ()), *each]))
+                if len(own) >= sharing:
+                    raise InputError(
+                        f"{quote(words)} is in every fitted recording: leave it out of one, which "
+                        "the others are compared with"
+                    )
+                runs[effect.label] = own
     return tuple(with_own(e, runs.get(e.label, ())) for e in effects)
 
 

@@ -121,7 +121,7 @@ class Experiment:
             return self
 
         def left(r: Recording) -> Recording:
-            own = [x for words in r.own for x in labels if x == words or x.startswith(words + ":")]
+            own = [x for x in labels if any(f"{x}:".startswith(f"{words}:") for words in r.own)]
             return dataclasses.replace(r, own=tuple(own))
 
         return dataclasses.replace(self, recordings=tuple(map(left, self.recordings)))

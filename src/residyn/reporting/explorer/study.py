@@ -21,7 +21,7 @@ from ...diagnosis.diagnose import MOST_EFFECTS, Fits, diagnosed
 from ...diagnosis.evidence import INTENSITIES
 from ...diagnosis.forecast import HeldOut, held_out
 from ...diagnosis.linearised_fit import evaluated, polish
-from ...diagnosis.missing_torque import scene_of
+from ...diagnosis.missing_torque import of_base, scene_of
 from ...diagnosis.result import Diagnosis
 from ...diagnosis.search import Search, Tried, settle, tried_alone
 from ...effects import AbstractEffect
@@ -68,8 +68,8 @@ class Study:
         if not experiment.fit_recordings:
             raise ValueError('no recording has role = "fit": there is nothing to fit to')
         self.experiment, self.say = experiment, say
-        scene, base = scene_of(experiment, effects)
-        whole = experiment.owning([e.label for e in base])
+        whole = of_base(experiment, effects)
+        scene, base = scene_of(whole, effects)
         self._keep(Search(scene, base, say=say), Fits(whole, scene, DEFAULT_STARTS))
         say("fitting springs and dampers")
         self.predict(())
@@ -195,11 +195,12 @@ class Study:
     def _predicted(self, path: Trajectory, go_on: Callable[[], None]) -> np.ndarray | None:
         other, begin, counts = self.beside
         if begin is not None:
-            numbers, room = path.numbers, len(path.first)
+            numbers, room = path.numbers, path.first.shape[1]
             known = Prior(numbers, np.full(len(numbers), 1e-9), np.zeros(len(numbers), bool))
             n = 2 * other.n
             path = dataclasses.replace(
                 path, prior=known, u=np.zeros_like(path.u), spread=begin.spread,
+                first=np.zeros((len(other.recordings), room)),
                 path=np.concatenate([begin.path[:, :n], np.zeros((other.K, room))], axis=1),
             )  # fmt: skip
             if any(e.memory for e in path.effects):  # of which nothing is known there
