@@ -67,6 +67,18 @@ def test_the_readmes_effect_is_fitted_from_its_file(own, experiment, capsys):
     assert found["reduced_chi2"] < 1.2
 
 
+@pytest.mark.parametrize(
+    ("command", "option"), [("fit", "--json"), ("fit --each", "--json"), ("diagnose", "--found")]
+)
+def test_it_is_not_written_over(own, experiment, capsys, command, option):
+    before = own.read_bytes()
+    what = experiment.parent if "--each" in command else experiment
+    words = [*command.split(), str(what), "--effects", str(own), option, str(own)]
+    assert main(words) == 2
+    assert f"{option} {own}: is an input" in capsys.readouterr().err
+    assert own.read_bytes() == before
+
+
 def test_it_is_listed_and_shown(own, capsys):
     assert main(["effects", "--effects", str(own)]) == 0
     assert "quintic_stiffness" in capsys.readouterr().out

@@ -134,7 +134,7 @@ def _fit_each(
     if not files:
         raise InputError(f"--each {folder}: no experiment in it; must hold files that end in .toml")
     out = Work(json)
-    out.spare([Path(file) for file in files])
+    out.spare([Path(file) for file in (*files, *(own or ()))])
     set_up_jax(not no_cache)
     to_terminal, bad = json == "-", 0
     with progress() as say, _workers(min(jobs, len(files)), own, not no_cache) as executor:

@@ -67,7 +67,7 @@ def simulate(
     shown = [r for r in loaded.recordings if r.role != "inertia"]
     if not shown:
         raise InputError(f"{experiment}: has no recording of braked motion to simulate")
-    paths = _paths(Path(out), shown, input_files(experiment, loaded))
+    paths = _paths(Path(out), shown, input_files(experiment, loaded, own))
     words, problem, predicted = console(stderr=True), None, []
     if numbers:
         with computing() as say:

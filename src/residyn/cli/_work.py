@@ -67,7 +67,7 @@ class Work:
 
             with inside("--integrator"):
                 experiment = dataclasses.replace(experiment, integrator=Integrator(integrator))
-        self.spare(input_files(path, experiment))
+        self.spare(input_files(path, experiment, own))
         return experiment
 
     def spare(self, inputs: Sequence[Path]) -> None:
@@ -163,10 +163,10 @@ def bring(files: Sequence[str] | None) -> None:
                 load_effects(file)
 
 
-def input_files(path: str, experiment: "Experiment") -> list[Path]:
+def input_files(path: str, experiment: "Experiment", own: Sequence[str] | None) -> list[Path]:
     """Every file that was read, so that none of them is written over."""
-    own = [] if path == "-" else [Path(path)]
-    return own + [Path(path).parent / r.name for r in experiment.recordings]
+    named = [Path(file) for file in (path, *(own or ())) if file != "-"]
+    return named + [Path(path).parent / r.name for r in experiment.recordings]
 
 
 def float_of(key: str, words: str, least: float | None = None) -> float:
