@@ -70,7 +70,7 @@ def demo(
     right = " Right." * (found.added == (hidden,))
     words.print(f"\nNamed: {named}. Hidden was: {hidden}.{right}\n")
     out.write(found, lambda path: reporting.write_report(path, models(found), diagnosis=found))
-    if not found.fit.converged:
+    if not found.fit.stands:
         raise NoNumbers("the demo's fit did not settle")
 
 
