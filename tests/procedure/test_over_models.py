@@ -179,6 +179,6 @@ def test_it_reads_in_80_columns():
     assert "0.4900 to 0.5100 Hz" in text
     assert "expected to narrow it to +/- 0.0040." in " ".join(text.split())
     assert list(found.to_dict()) == [
-        "models", "left_out", "poses", "narrows", "next_test",
+        "models", "left_out", "stopped", "poses", "narrows", "next_test",
     ]  # fmt: skip
     assert len(NAMES) == 3

@@ -98,6 +98,8 @@ class OverModels(Result):
     bare: tuple[Bare, ...]
     """Each model in play without bearings, in the first pose."""
     joints: tuple[str, ...]
+    stopped: str | None = None
+    """Why the search for models ended early, if it did: "interrupted" or "budget"."""
 
     def ring_down(
         self, times: np.ndarray, q0: np.ndarray, *, draws: int = DRAWS, seed: int = 0
@@ -116,6 +118,7 @@ class OverModels(Result):
         return {
             "models": [asdict(m) for m in self.models],
             "left_out": self.left_out,
+            "stopped": self.stopped,
             "poses": [
                 {"theta2": theta2, "without_bearings": {"modes": [asdict(m) for m in modes]}}
                 for theta2, modes in self.poses
@@ -161,6 +164,7 @@ def over_models(
         narrows=narrows,
         bare=free[0],
         joints=scene.joints,
+        stopped=search.stopped,
     )
 
 

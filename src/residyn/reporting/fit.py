@@ -354,7 +354,7 @@ def latex(fit: Fit) -> str:
     rows = []
     for n in fit.numbers:
         error = tex.measured(n.value, n.std) if n.determined else "not determined"
-        where = lower(at_place(n.name.rpartition(".")[0], fit.joints, comma=True))
+        where = lower(at_place(n.name.partition(".")[0], fit.joints, comma=True))
         rows.append([tex.escaped(where), tex.escaped(n.words), error, tex.unit(n.unit)])
     modes = []
     for i, m in enumerate(fit.modes, 1):
