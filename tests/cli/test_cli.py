@@ -364,14 +364,15 @@ def test_ctrl_c_is_not_lost_while_memory_is_freed(command, monkeypatch):
     assert (end.status, end.err) == (130, "residyn: interrupted\n")
 
 
-def test_a_bug_is_one_line_too(command, monkeypatch):
-    breaking_off(monkeypatch, KeyError("oops"))
+@pytest.mark.parametrize("error", [KeyError("oops"), np.linalg.LinAlgError("Singular matrix")])
+def test_a_bug_is_one_line_too(command, monkeypatch, error):
+    breaking_off(monkeypatch, error)
     end = command("fit", "cart.toml")
     assert end.status == 1
     assert end.err.count("\n") == 1
     assert "RESIDYN_TRACEBACK" in end.err
     monkeypatch.setenv("RESIDYN_TRACEBACK", "1")
-    with pytest.raises(KeyError):
+    with pytest.raises(type(error)):
         command("fit", "cart.toml")
 
 

@@ -5,6 +5,7 @@ import json
 import math
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 import residyn
 from residyn.cli import main
 from residyn.diagnosis.result import Budget
-from residyn.fitting import Mode, mechanism_of, model_for
+from residyn.fitting import FitError, Mode, mechanism_of, model_for
 from residyn.procedure import check_unload
 from residyn.procedure.carried import Carried, modes_with_errors
 from residyn.procedure.decay import decay_of
@@ -321,6 +322,14 @@ def test_a_negative_stiffness_moves_the_arm_away_from_its_rest():
     stiff = model.with_values({**STEP_2, "damper:elbow.damping": 500.0})
     found = modes_with_errors(stiff, stiff, nothing)
     assert (found.leaves, len(found.modes)) == (False, 1)
+
+
+def test_an_arm_without_modes_is_said(papers):
+    whole = papers.fit.experiment
+    steep = by_hand.a_model(dataclasses.replace(papers.fit, steep=("damper:elbow",)))
+    kept = {"search": object(), "fits": SimpleNamespace(whole=whole)}
+    with pytest.raises(FitError, match="slope of damper:elbow is infinite at rest"):
+        residyn.unload(whole, diagnosis=by_hand.a_diagnosis("adequate", [steep], **kept))
 
 
 def test_an_arm_that_leaves_its_rest_is_said(papers):

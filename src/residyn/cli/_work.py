@@ -130,6 +130,8 @@ def computing() -> Iterator[Callable[[str], None]]:
 def one_complaint() -> Iterator[None]:
     """What cannot be computed, as the one line that the user reads: numbers that cannot be had, or
     effects that do not exist or go with the experiment, or an extra that is not installed."""
+    from numpy.linalg import LinAlgError
+
     from ..fitting import FitError, MissingExtra
 
     interruptible()
@@ -137,6 +139,8 @@ def one_complaint() -> Iterator[None]:
         yield
     except FitError as error:
         raise NoNumbers(str(error)) from None
+    except LinAlgError:  # a ValueError that no input is to blame for
+        raise
     except (ValueError, MissingExtra) as error:
         raise InputError(str(error)) from None
 

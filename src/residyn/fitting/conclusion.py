@@ -14,7 +14,7 @@ import numpy as np
 
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
-from .covariance import modes_of, numbers_of, spread_of
+from .covariance import modes_of, numbers_of, spread_of, steep_of
 from .history import History
 from .integration import at_twice_the_steps, corrected
 from .lanes import Fitting, alone, evaluating
@@ -64,6 +64,7 @@ def finishing(
     # they grow with it.
     sizes = np.asarray(descent.problem.scale.numbers)
     spread = spread_of(np.asarray(descent.compressed.factor), sizes, max(1.0, chi2))
+    modes = modes_of(model, spread.covariance)
     held_out = yield from _held_out(experiment, model, descent.here, descent.problem, search)
     return Fit(
         experiment=experiment,
@@ -72,7 +73,8 @@ def finishing(
         covariance=spread.covariance,
         recordings=(*fitted, *held_out),
         reduced_chi2=chi2,
-        modes=modes_of(model, spread.covariance),
+        modes=modes,
+        steep=() if modes else steep_of(model),
         starts=descent.starts,
         agreeing_starts=descent.agreeing,
         converged=descent.converged,

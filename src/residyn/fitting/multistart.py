@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..physics.modal import at_rest, modes_of
+from ..physics.modal import at_rest, eigenvalues, modes_of
 from ..physics.model import Model
 from ..physics.motion import split
 from ..recordings.experiment import Experiment
@@ -505,7 +505,7 @@ def segment_length(model: Model, recording: Recording) -> float | None:
     driven = recording.drive is not None and bool(np.any(recording.drive))
     if not driven or recording.segment_of is not None:
         return None
-    values = np.linalg.eigvals(at_rest(model)[1])
+    values = eigenvalues(at_rest(model)[1])
     frequency, damping = (np.asarray(x) for x in modes_of(values))
     rings = (frequency * recording.duration > _RINGS) & (np.abs(damping) < 1 - 1e-9)
     if rings.all():

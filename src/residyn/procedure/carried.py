@@ -22,7 +22,7 @@ from ..fitting.linalg import PART, information, inverse_of
 from ..fitting.problem import Problem, posed
 from ..physics.inertia import AbstractInertia
 from ..physics.mechanism import PlanarArm
-from ..physics.modal import modes, state_matrix
+from ..physics.modal import eigenvalues, modes, state_matrix
 from ..physics.model import Model
 
 NAMES = ("shoulder", "elbow", "coupling")
@@ -168,7 +168,7 @@ def modes_with_errors(model: Model, fitted: Model, errors: Carried) -> Rings:
             for x, n, i in zip(m.values, m.by_number, m.by_inertia, strict=True)
         )
         found.append(Mode(*frequency, *damping))
-    roots = np.linalg.eigvals(matrix)
+    roots = eigenvalues(matrix)
     size = np.abs(roots)
     away = (np.abs(np.imag(roots)) < _REAL * size) & (np.real(roots) > _AWAY * size.max())
     return Rings(tuple(found), bool(away.any()))

@@ -71,6 +71,13 @@ def unload(
             fitted = fit(experiment, effects=effects, starts=starts, progress=say)
         else:
             fitted = diagnosis.fit
+        steep = [e.label for e in fitted.model.effects if not e.of_bearings]
+        steep = [label for label in steep if label in fitted.steep]
+        if steep:
+            raise FitError(
+                f"the slope of {', '.join(steep)} is infinite at rest: there are no modes, with "
+                "bearings or without"
+            )
         step_1 = None if given is not None else _step_1(experiment, say)
         covariance = step_1.covariance if isinstance(step_1, InertiaResult) else given
         say("carrying the errors over")

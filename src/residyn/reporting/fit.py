@@ -92,7 +92,7 @@ def chi2_words(chi2: float) -> str:
 
 def warnings(fit: Fit) -> tuple[str, ...]:
     """What a careful person would want to be told: the recordings' own warnings, then the fit's."""
-    checks = _open, _still, _outliers, _signs, _misfit, _integration, _search
+    checks = _open, _no_modes, _still, _outliers, _signs, _misfit, _integration, _search
     said = (words for check in checks for words in check(fit))
     return (*_unphysical(fit), *fit.experiment.warnings, *said)
 
@@ -124,6 +124,14 @@ def _open(fit: Fit) -> Iterator[str]:
                 f"these recordings determine only a combination of {', '.join(members)}: "
                 "changing them together leaves the motion unchanged"
             )
+
+
+def _no_modes(fit: Fit) -> Iterator[str]:
+    if fit.steep:
+        yield (
+            f"there are no modes: at rest the slope of {listed(fit.steep)} is infinite, so that "
+            "the model is not linear there, however small the swing"
+        )
 
 
 def _still(fit: Fit) -> Iterator[str]:
