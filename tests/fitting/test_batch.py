@@ -144,6 +144,30 @@ def test_one_broken_experiment_does_not_stop_the_rest(folder, capsys):
     assert printed.out.count("reduced chi2") == printed.out.count(" x noise; ") == 3
 
 
+def test_what_a_fit_ends_with_each_ends_with(folder, capsys):
+    """A fit that did not settle, one that is not physical, and what was understood of a file."""
+    (folder / "c.toml").unlink()
+    rows = (folder / "a.csv").read_text().splitlines()
+    (folder / "a.csv").write_text("\n".join(["Time [s],Cart [m]", *rows[1:], ""]))
+    grows = [f"{t:.3f},{q * np.exp(0.4 * t):.9f}" for t, q in zip(T, ringing(2), strict=True)]
+    (folder / "b.csv").write_text("\n".join(["t,q1", *grows, ""]))
+    out = folder / "all.jsonl"
+    words = ["fit", "--each", str(folder), "--starts", "1", "--json", str(out)]
+    assert cli.main(words) == 1
+    printed, told = capsys.readouterr(), lines_of(out)
+    assert [t["unphysical"] for t in told] == [[], ["damper:cart.damping"], []]
+    assert [t["stands"] for t in told] == [True, True, True]
+    assert "damper:cart.damping negative, which is not physical" in printed.out.splitlines()[1]
+    assert "1 of 3 experiments" in printed.err
+    assert told[0]["understood"] == ['a.csv: t from "Time [s]" in s, q1 from "Cart [m]" in m']
+    assert f"residyn: a.toml: {told[0]['understood'][0]}\n" in printed.err
+    (folder / "b.toml").unlink()
+    told[2] |= {"converged": False, "stands": False}  # as one that did not settle
+    out.write_text("".join(json.dumps(t) + "\n" for t in told))
+    assert cli.main(words) == 1
+    assert ", not settled (done before)" in capsys.readouterr().out.splitlines()[1]
+
+
 def test_a_mistake_of_ours_in_one_does_not_stop_the_rest(folder, monkeypatch):
     own = many.load
 

@@ -151,9 +151,8 @@ def load(path: str) -> "Experiment":
         from ..recordings.experiment import load as read_experiment
 
         loaded = read_experiment(path)
-    for each in loaded.recordings:
-        if each.understood:
-            tell(f"{each.name}: {each.understood}")
+    for line in loaded.understood:
+        tell(line)
     return loaded
 
 

@@ -40,7 +40,8 @@ class Each(NamedTuple):
     fit: Fit | None
     """None where there is none, where it was done before, or where another process did it."""
     told: dict[str, Any]
-    """`name`, `digest` of all it depends on, and the fit's `to_dict()` or, in one line, `error`."""
+    """`name`, `digest` of all it depends on, what was `understood` of a lab's own files (a line
+    each), and the fit's `to_dict()` or, in one line, `error`."""
     before: bool = False
     """Whether it was read from the file of an earlier run."""
 
@@ -174,6 +175,7 @@ def _fitted(
     found, told = None, {"name": name}
     try:
         experiment = one if isinstance(one, Experiment) else load(one)
+        told["understood"] = list(experiment.understood)
         found = yield from fitting(experiment, effects, starts, say)
         told |= found.to_dict()
     except (InputError, FitError, ValueError) as error:

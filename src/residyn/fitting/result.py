@@ -266,6 +266,8 @@ class Fit(TableResult):
             "starts": self.starts,
             "agreeing_starts": self.agreeing_starts,
             "converged": self.converged,
+            "stands": self.stands,
+            "unphysical": [n.name for n in self.unphysical],
             "seconds": number(self.seconds),
             "warnings": list(self.warnings),
         }
