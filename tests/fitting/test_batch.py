@@ -2,10 +2,11 @@
 killed run stopped."""
 
 import json
+import multiprocessing
 import os
 import subprocess
 import sys
-from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 
@@ -223,6 +224,20 @@ def test_any_executor_will_do(kind, folder, monkeypatch):
     bad = {Path(e.name).stem for e in found if "error" in e.told}
     assert bad == (set("acd") if kind == "dying" else {"c"})
     assert len(out.read_text().splitlines()) == 4
+
+
+def test_what_cannot_be_sent_to_a_worker_is_a_line(folder):
+    class Local(residyn.CoulombFriction):
+        """A class that a worker cannot import."""
+
+        name = "local"
+
+    files, spawn = [str(folder / f"{n}.toml") for n in "ab"], multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, spawn) as pool:
+        found = list(residyn.fit_many(files, effects=[Local("cart")], executor=pool))
+    assert sorted(Path(e.name).stem for e in found) == ["a", "b"]
+    assert all("cannot be sent to a worker, " in e.told["error"] for e in found)
+    assert all("Local" in e.told["error"] for e in found)
 
 
 class Dying(ThreadPoolExecutor):
