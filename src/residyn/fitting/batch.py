@@ -177,7 +177,7 @@ def _fitted(
     found, told = None, {"name": name}
     try:
         experiment = one if isinstance(one, Experiment) else load(one)
-        told["understood"] = list(experiment.understood)
+        told |= {"understood": list(experiment.understood)}
         found = yield from fitting(experiment, effects, starts, say)
         told |= found.to_dict()
     except (InputError, FitError, ValueError) as error:

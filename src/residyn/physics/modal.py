@@ -95,7 +95,7 @@ def _eigenvalue_sizes(model: Model, numbers: np.ndarray) -> np.ndarray:
 def eigenvalues(matrices: Float[np.ndarray, "*k s s"]) -> Complex[np.ndarray, "*k s"]:
     """Of state matrices; NaN where one is not finite, as at rest of a torque with an infinite
     slope: it has no modes."""
-    good = np.isfinite(matrices).all(axis=(-2, -1), keepdims=True)
+    good = np.asarray(np.isfinite(matrices).all(axis=(-2, -1), keepdims=True))
     return np.where(good[..., 0], np.linalg.eigvals(np.where(good, matrices, 0.0)), np.nan)
 
 
