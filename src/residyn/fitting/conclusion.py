@@ -29,11 +29,6 @@ _CONVERGED = "converged: the last step moved the fit by less than 1/100 of its e
 _STOPPED = "step limit reached before the numbers settled"
 
 
-def finish(*given, **more) -> Fit:
-    """`finishing`, at once."""
-    return alone(finishing(*given, **more))
-
-
 def finishing(
     experiment: Experiment,
     start: np.ndarray,
@@ -120,7 +115,8 @@ def searched(
     if not np.isfinite(cost):
         raise FitError("no individual led to finite numbers: is this the arm that was recorded?")
     end = Descent(here, problem, here.outliers, at, there, cost, found.steps, found.settled)
-    fit = finish(experiment, found.first, end, began, evaluate=compressed, correct=False)
+    how = {"evaluate": compressed, "correct": False}
+    fit = alone(finishing(experiment, found.first, end, began, **how))
     far = _far(fit, there, np.asarray(problem.scale.numbers))
     return dataclasses.replace(fit, reason=reason, history=found.history, short_of_minimum=far)
 

@@ -33,7 +33,7 @@ from ..recordings.recording import Recording
 from ..recordings.segments import segments_of
 from .history import watching
 from .initial_guess import first_guess, frequency_of, lines, memory_along_readings, resolving
-from .lanes import SHARES, Fitting, Wanted, alone
+from .lanes import SHARES, Fitting, Wanted
 from .layout import bucket
 from .least_squares import Compressed, Polished
 from .problem import Problem, Ready, Unknowns, reweighted
@@ -146,11 +146,6 @@ def _perhaps_local(descent: Descent) -> bool:
 
 
 # -- one problem, growing horizons ---------------------------------------------------------------
-
-
-def descend(*given, **more) -> Descent:
-    """`descending`, at once."""
-    return alone(descending(*given, **more))
 
 
 def descending(

@@ -153,7 +153,7 @@ def over_models(
         spreads = {k: getattr(modes[0][0], k) for k in QUANTITIES}
         narrows = max(QUANTITIES, key=lambda k: spreads[k].std / abs(spreads[k].mean))
         say("looking for the test that narrows it most")
-        lowest = [slopes_of_modes(b.model, b.fitted)[0] for b in free[0]]
+        lowest = [slopes_of_modes(b.model, b.fitted)[0][0] for b in free[0]]
         wanted = _quantity(lowest, errors, QUANTITIES.index(narrows))
         test = next(iter(best_tests(experiment, scene, models, p, quantity=wanted).tests), None)
     return OverModels(
@@ -245,7 +245,7 @@ def errors_of(scene: Scene, rival: Rival, inertia: np.ndarray | None) -> Carried
 
 def modes_over(bare: Sequence[Bare], p: np.ndarray) -> tuple[ModeOver, ...]:
     """The modes over models with these probabilities (M,), lowest first."""
-    known, found = [slopes_of_modes(b.model, b.fitted) for b in bare], []
+    known, found = [slopes_of_modes(b.model, b.fitted)[0] for b in bare], []
     for i in range(max(map(len, known))):
         own = [m for m, each in enumerate(known) if i < len(each)]
         modes, errors = [known[m][i] for m in own], [bare[m].errors for m in own]
