@@ -67,12 +67,12 @@ class Mode:
 
 @dataclass(frozen=True, eq=False)
 class RecordingFit:
-    """One recording beside the model: arrays (N, n) in rad or m."""
+    """One recording beside the model: arrays (N, n) in the units of its readings."""
 
     recording: Recording
     predicted: np.ndarray
     wild: np.ndarray  # readings set aside as wild
-    state: np.ndarray  # fitted (q0, v0)
+    state: np.ndarray  # fitted (q0, v0, z0)
 
     @property
     def residual(self) -> np.ndarray:
@@ -123,7 +123,7 @@ class Fit(TableResult):
     short_of_minimum: tuple[str, float] | None = None
     """The number that is farthest from its least-squares value, and by how many standard errors,
     where a search ended short of the minimum."""
-    history: History | None = None  # of a genetic algorithm: how Eq. 17 fell
+    history: History | None = None  # of a search on Eq. 17: how that fell
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -76,8 +76,6 @@ def verdict(fit: Fit) -> tuple[str, ...]:
 
 
 def chi2_words(chi2: float) -> str:
-    if not np.isfinite(chi2):
-        return "it could not be computed"
     if chi2 < _OVERSTATED:
         return "less is left than the stated noise would leave: the noise is overstated"
     if chi2 <= STRUCTURE:
@@ -198,8 +196,8 @@ def _integration(fit: Fit) -> Iterator[str]:
         what = "a recording that is cut shorter (stop) lets less of it add up"
     else:
         what = (
-            "--integrator Tsit5 chooses its steps itself, and Kvaerno5 those of an effect that is "
-            "much faster than the arm"
+            'solver = "Tsit5" under [integrator] chooses its steps itself, and "Kvaerno5" those of '
+            "an effect that is much faster than the arm"
         )
     yield (
         f"the integration is not exact enough: its error is {fit.integration_error:.2g} of the "
