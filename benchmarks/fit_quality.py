@@ -23,7 +23,8 @@ from scipy.optimize import least_squares
 import residyn
 from benchmarks._hidden_cases import specs
 from benchmarks.effects import experiment_of as on_bearings
-from residyn.fitting.multistart import descend
+from residyn.fitting.lanes import alone
+from residyn.fitting.multistart import descending
 from residyn.fitting.problem import ready
 from residyn.recordings.tables import ArmTable
 from tests import rig
@@ -143,7 +144,7 @@ def missing(seed: int, count: int, skip: int = 0) -> None:
         with jax.enable_x64(True):
             here = ready(experiment, experiment.fit_recordings, ())
             truth = here.model.with_vector(jnp.asarray(truth_of(case)))
-            nearby = descend(here, truth, truth_of(case)[None], wild)
+            nearby = alone(descending(here, truth, truth_of(case)[None], wild))
         total += 1
         if cost > (1 + LOWER) * nearby.cost:
             worse += 1

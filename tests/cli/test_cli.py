@@ -364,14 +364,15 @@ def test_ctrl_c_is_not_lost_while_memory_is_freed(command, monkeypatch):
     assert (end.status, end.err) == (130, "residyn: interrupted\n")
 
 
-def test_a_bug_is_one_line_too(command, monkeypatch):
-    breaking_off(monkeypatch, KeyError("oops"))
+@pytest.mark.parametrize("error", [KeyError("oops"), np.linalg.LinAlgError("Singular matrix")])
+def test_a_bug_is_one_line_too(command, monkeypatch, error):
+    breaking_off(monkeypatch, error)
     end = command("fit", "cart.toml")
     assert end.status == 1
     assert end.err.count("\n") == 1
     assert "RESIDYN_TRACEBACK" in end.err
     monkeypatch.setenv("RESIDYN_TRACEBACK", "1")
-    with pytest.raises(KeyError):
+    with pytest.raises(type(error)):
         command("fit", "cart.toml")
 
 
@@ -431,6 +432,24 @@ def test_simulate_begins_where_it_is_told_and_adds_noise(command, folder):
     assert np.std(a - still) == pytest.approx(1e-3, rel=0.2)
     assert (a == b).all()
     assert (a != c).all()
+
+
+def test_simulate_knows_what_a_recording_has_for_itself(command, folder):
+    """No load presses the first one; the second has a load, and no damping."""
+    loaded = 'load = 2.0\nown = ["damper:cart"]'
+    (folder / "runs.toml").write_text(TOML.replace('role = "check"', loaded))
+    more = ("damper:cart.damping (two.csv)=0", "load_friction:cart.coefficient=0.1")
+    words = ["simulate", "runs.toml", "--with", "load_friction", *SET, "--q0", "0.05", "--v0", "0"]
+    end = command(*words, "--out", "runs", *(x for each in more for x in ("--set", each)))
+    assert (end.status, end.err) == (0, "")
+    time, q = read(folder / "runs" / "one.csv")
+    np.testing.assert_allclose(q, ringing(time, 0.05, 0) - ringing(time, 0.0, 0), atol=1e-5)
+    # Dry friction alone takes 4 F / k from the amplitude of each cycle.
+    time, q = read(folder / "runs" / "two.csv")
+    assert np.interp(2 * np.pi / 10, time, q) == pytest.approx(0.05 - 4 * 0.2 / 100, abs=1e-4)
+    end = command(*words, "--out", "runs", "--set", more[1])
+    assert (end.status, end.err.count("\n")) == (2, 1)
+    assert "damper:cart.damping (two.csv) not set" in end.err
 
 
 def test_simulate_fits_first_when_nothing_is_set(command, folder, fitted):

@@ -9,6 +9,7 @@ from residyn import effects
 from residyn.effects.found import FoundLaw, FoundNumber
 from residyn.errors import InputError
 from residyn.physics.motion import JointMotion
+from residyn.procedure import check_unload
 from residyn.procedure.over_models import without_effects_of_bearings
 from residyn.recordings.experiment import Experiment
 from residyn.recordings.recording import Recording
@@ -50,8 +51,12 @@ def test_step_3_asks_whether_it_is_of_the_bearings_or_of_the_joint(loaded):
     still = Recording.from_arrays(t, np.zeros((100, 2)), noise=1e-3)
     arm = ArmTable((0.4, 0.4), 1.2, 0.6, 1.4)
     experiment = Experiment(arm, (still,), [Bearing("elbow", 0.1, 1e-3)])
-    with pytest.raises(InputError, match=r"bearings or of the joint.*found_effects\.py"):
+    asks = r"bearings or of the joint.*found_effects\.py"
+    with pytest.raises(InputError, match=asks):
         residyn.unload(experiment, effects=[LAW.label])
+    with pytest.raises(InputError, match=asks):  # in a diagnosis it may join
+        check_unload(experiment, diagnosed=True)
+    check_unload(experiment)
 
 
 @pytest.mark.parametrize("answer", [True, False])

@@ -12,6 +12,7 @@ import residyn
 from residyn import effects
 from residyn.cli import main
 
+ROOT = "self.coefficient * jnp.sign(motion.v) * jnp.sqrt(jnp.abs(motion.v))"
 README = Path(__file__).parents[2] / "README.md"
 
 
@@ -65,6 +66,31 @@ def test_the_readmes_effect_is_fitted_from_its_file(own, experiment, capsys):
     assert number["unit"] == "N/m^5"
     assert abs(number["value"] - 60.0) < 4 * number["std"] < 6.0
     assert found["reduced_chi2"] < 1.2
+
+
+@pytest.mark.parametrize(
+    ("command", "option"), [("fit", "--json"), ("fit --each", "--json"), ("diagnose", "--found")]
+)
+def test_it_is_not_written_over(own, experiment, capsys, command, option):
+    before = own.read_bytes()
+    what = experiment.parent if "--each" in command else experiment
+    words = [*command.split(), str(what), "--effects", str(own), option, str(own)]
+    assert main(words) == 2
+    assert f"{option} {own}: is an input" in capsys.readouterr().err
+    assert own.read_bytes() == before
+
+
+def test_one_with_an_infinite_slope_at_rest_leaves_no_modes_and_that_is_said(
+    own, experiment, capsys
+):
+    text = own.read_text().replace("self.coefficient * motion.q**5", ROOT)
+    own.write_text(f"import jax.numpy as jnp\n{text}")
+    words = ["--effects", str(own), "--with", "quintic_stiffness", "--json", "-"]
+    assert main(["fit", str(experiment), *words]) == 1  # nor is it what the cart has
+    found = json.loads(capsys.readouterr().out)
+    assert found["modes"] == []
+    said = "there are no modes: at rest the slope of quintic_stiffness:cart is infinite"
+    assert any(line.startswith(said) for line in found["warnings"])
 
 
 def test_it_is_listed_and_shown(own, capsys):

@@ -2,10 +2,11 @@
 killed run stopped."""
 
 import json
+import multiprocessing
 import os
 import subprocess
 import sys
-from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 
@@ -144,6 +145,30 @@ def test_one_broken_experiment_does_not_stop_the_rest(folder, capsys):
     assert printed.out.count("reduced chi2") == printed.out.count(" x noise; ") == 3
 
 
+def test_what_a_fit_ends_with_each_ends_with(folder, capsys):
+    """A fit that did not settle, one that is not physical, and what was understood of a file."""
+    (folder / "c.toml").unlink()
+    rows = (folder / "a.csv").read_text().splitlines()
+    (folder / "a.csv").write_text("\n".join(["Time [s],Cart [m]", *rows[1:], ""]))
+    grows = [f"{t:.3f},{q * np.exp(0.4 * t):.9f}" for t, q in zip(T, ringing(2), strict=True)]
+    (folder / "b.csv").write_text("\n".join(["t,q1", *grows, ""]))
+    out = folder / "all.jsonl"
+    words = ["fit", "--each", str(folder), "--starts", "1", "--json", str(out)]
+    assert cli.main(words) == 1
+    printed, told = capsys.readouterr(), lines_of(out)
+    assert [t["unphysical"] for t in told] == [[], ["damper:cart.damping"], []]
+    assert [t["stands"] for t in told] == [True, True, True]
+    assert "damper:cart.damping negative, which is not physical" in printed.out.splitlines()[1]
+    assert "1 of 3 experiments" in printed.err
+    assert told[0]["understood"] == ['a.csv: t from "Time [s]" in s, q1 from "Cart [m]" in m']
+    assert f"residyn: a.toml: {told[0]['understood'][0]}\n" in printed.err
+    (folder / "b.toml").unlink()
+    told[2] |= {"converged": False, "stands": False}  # as one that did not settle
+    out.write_text("".join(json.dumps(t) + "\n" for t in told))
+    assert cli.main(words) == 1
+    assert ", not settled (done before)" in capsys.readouterr().out.splitlines()[1]
+
+
 def test_a_mistake_of_ours_in_one_does_not_stop_the_rest(folder, monkeypatch):
     own = many.load
 
@@ -199,6 +224,20 @@ def test_any_executor_will_do(kind, folder, monkeypatch):
     bad = {Path(e.name).stem for e in found if "error" in e.told}
     assert bad == (set("acd") if kind == "dying" else {"c"})
     assert len(out.read_text().splitlines()) == 4
+
+
+def test_what_cannot_be_sent_to_a_worker_is_a_line(folder):
+    class Local(residyn.CoulombFriction):
+        """A class that a worker cannot import."""
+
+        name = "local"
+
+    files, spawn = [str(folder / f"{n}.toml") for n in "ab"], multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, spawn) as pool:
+        found = list(residyn.fit_many(files, effects=[Local("cart")], executor=pool))
+    assert sorted(Path(e.name).stem for e in found) == ["a", "b"]
+    assert all("cannot be sent to a worker, " in e.told["error"] for e in found)
+    assert all("Local" in e.told["error"] for e in found)
 
 
 class Dying(ThreadPoolExecutor):

@@ -91,7 +91,7 @@ def test_names_units_and_json_are_the_contract(fit):
     assert found["parameters"]["damper:elbow.damping"].keys() == {"value", "std", "unit"}
     keys = "model parameters rmse noise reduced_chi2 check_rmse modes starts agreeing_starts"
     keys += " integrator integration_error integration_error_checked objective"
-    assert set(found) == {*keys.split(), "converged", "seconds", "warnings"}
+    assert set(found) == {*keys.split(), "converged", "stands", "unphysical", "seconds", "warnings"}
     assert found["check_rmse"] is None
     assert set(found["rmse"]) == {"shoulder", "elbow"}
     assert found["modes"][0]["frequency_hz"] < found["modes"][1]["frequency_hz"]

@@ -87,7 +87,9 @@ def test_individuals_are_counted_as_they_are_simulated(experiment, monkeypatch):
         return objective(look, genes)
 
     monkeypatch.setattr(genetic, "objective_of", counted)
-    (each,) = residyn.race(experiment, methods=["cma_es"], simulations=100).methods
+    # Two recordings: of shapes that no other test has, so that the program is traced here.
+    two = dataclasses.replace(experiment, recordings=2 * experiment.recordings)
+    (each,) = residyn.race(two, methods=["cma_es"], simulations=100).methods
     jax.effects_barrier()
     assert each.median.simulations == 100
     # The first generation of 20 was run once before, to compile.

@@ -87,7 +87,7 @@ def test_damping_in_orbit_with_and_without_the_name(two):
     experiment, scene, models, truth = two
     recording = experiment.recordings[0]
     off = bare(experiment, truth, recording)
-    expected = slopes_of_modes(off, truth)[0].values[1]
+    expected = slopes_of_modes(off, truth)[0][0].values[1]
     rivals = [Rival.of(scene, m) for m in models]
     each = [
         Bare(bare(experiment, r.model, recording), r.model, errors_of(scene, r, None))
@@ -179,6 +179,6 @@ def test_it_reads_in_80_columns():
     assert "0.4900 to 0.5100 Hz" in text
     assert "expected to narrow it to +/- 0.0040." in " ".join(text.split())
     assert list(found.to_dict()) == [
-        "models", "left_out", "poses", "narrows", "next_test",
+        "models", "left_out", "stopped", "poses", "narrows", "next_test",
     ]  # fmt: skip
     assert len(NAMES) == 3

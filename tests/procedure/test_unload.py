@@ -5,6 +5,7 @@ import json
 import math
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -14,15 +15,18 @@ from hypothesis import strategies as st
 
 import residyn
 from residyn.cli import main
-from residyn.fitting import Mode, mechanism_of, model_for
+from residyn.diagnosis.result import Budget
+from residyn.fitting import FitError, Mode, mechanism_of, model_for
+from residyn.procedure import check_unload
 from residyn.procedure.carried import Carried, modes_with_errors
 from residyn.procedure.decay import decay_of
-from residyn.procedure.over_models import without_effects_of_bearings
+from residyn.procedure.over_models import OverModels, without_effects_of_bearings
 from residyn.recordings.csv import write_csv
 from residyn.recordings.experiment import Experiment
 from residyn.recordings.recording import Recording
 from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
 from residyn.reporting.unload import decay_words, what_would_tell
+from tests import by_hand
 from tests.rig.arm import paper_twin
 from tests.rig.driven import paper_tests
 from tests.rig.unloaded import INERTIA, MASS, Release, off_bearings, releases
@@ -320,6 +324,14 @@ def test_a_negative_stiffness_moves_the_arm_away_from_its_rest():
     assert (found.leaves, len(found.modes)) == (False, 1)
 
 
+def test_an_arm_without_modes_is_said(papers):
+    whole = papers.fit.experiment
+    steep = by_hand.a_model(dataclasses.replace(papers.fit, steep=("damper:elbow",)))
+    kept = {"search": object(), "fits": SimpleNamespace(whole=whole)}
+    with pytest.raises(FitError, match="slope of damper:elbow is infinite at rest"):
+        residyn.unload(whole, diagnosis=by_hand.a_diagnosis("adequate", [steep], **kept))
+
+
 def test_an_arm_that_leaves_its_rest_is_said(papers):
     pose = dataclasses.replace(papers.poses[0], leaves_without=True, without_bearings=())
     found = dataclasses.replace(papers, poses=(pose,))
@@ -602,6 +614,13 @@ def refusals():
     }
 
 
+def test_effects_go_with_an_experiment_if_they_go_with_any_fitted_recording():
+    recording = from_numbers(STEP_2, seconds=2.0)
+    bare = dataclasses.replace(recording, air_bearings=False)
+    runs = bare, recording, dataclasses.replace(recording, load=5.0)
+    assert check_unload(Experiment(PAPER, runs, BOTH), ["bearing_drag", "load_friction"]) is None
+
+
 @pytest.mark.parametrize("case", list(refusals()))
 def test_bad_input_is_one_line(case):
     experiment, options, words = refusals()[case]
@@ -662,15 +681,38 @@ def test_command_ends_with_1_where_a_mode_grows(command, tmp_path):
     assert "Traceback" not in err
 
 
+def test_command_says_that_the_search_was_stopped(command, papers, monkeypatch):
+    over = OverModels((), 0.0, (), None, None, (), ("shoulder", "elbow"), "interrupted")
+    made = dataclasses.replace(papers, over_models=over)
+    found = by_hand.missing(budget=Budget(4, 40, "interrupted"))
+    monkeypatch.setattr(residyn.diagnosis, "diagnose", lambda *_, **__: found, raising=False)
+    monkeypatch.setattr(residyn.procedure, "unload", lambda *_, **__: made)
+    status, out, err = command(TOML + BEARING_TABLES + RECORDING, "--diagnose", "--json", "-")
+    assert (status, err.splitlines()[-1][:21]) == (130, "residyn: interrupted:")
+    said = "the modes over all models count only the models that were tried"
+    assert said in " ".join(err.split())
+    assert any(said in line for line in json.loads(out)["warnings"])
+    assert json.loads(out)["over_models"]["stopped"] == "interrupted"
+
+
 @pytest.mark.parametrize(
     ("text", "words", "says"),
     [
         (TOML + RECORDING, [], ["arm.toml", "[[air_bearings]]", "mass"]),
         (TOML + BEARING_TABLES + RECORDING, ["--inertia-std", "1,2"], ["3 numbers"]),
         (TOML + BEARING_TABLES + RECORDING, ["--inertia-std", "1,2,x"], ["--inertia-std"]),
+        (TOML + BEARING_TABLES + RECORDING, ["--budget", "60"], ["--budget", "with --diagnose"]),
+        (TOML + BEARING_TABLES + RECORDING, ["--max-effects", "0"], ["go with --diagnose"]),
+        (TOML + RECORDING, ["--diagnose"], ["arm.toml", "[[air_bearings]]", "mass"]),
+        (
+            TOML + BEARING_TABLES + RECORDING,
+            ["--diagnose", "--with", "load_friction"],
+            ["no recording states a load"],
+        ),
     ],
 )
-def test_command_says_what_is_wrong_in_one_line(command, text, words, says):
+def test_command_says_what_is_wrong_in_one_line(command, monkeypatch, text, words, says):
+    monkeypatch.setattr(residyn.diagnosis, "diagnose", None, raising=False)  # comes later
     status, out, err = command(text, *words)
     assert (status, out) == (2, "")
     assert err.startswith("residyn: ")

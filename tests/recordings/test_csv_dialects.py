@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from residyn.cli import main
 from residyn.cli._work import load as cli_load
 from residyn.errors import InputError
 from residyn.recordings.experiment import load
@@ -232,6 +233,8 @@ def test_what_was_understood_is_said_in_one_line(tmp_path, capsys):
         out, err = capsys.readouterr()
         assert (out, err.count("\n")) == ("", lines)
         assert err.startswith("residyn: x.csv: t from" * lines)
+        assert main(["explore", str(tmp_path / "x.toml"), "--with", "nothing", "--no-cache"]) == 2
+        assert capsys.readouterr().err.count("residyn: x.csv: t from") == lines
 
 
 def test_matlab_has_names_and_units_too(tmp_path):

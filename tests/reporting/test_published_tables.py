@@ -12,6 +12,7 @@ import pytest
 from residyn.fitting import Number
 from residyn.reporting import figures as plot
 from residyn.reporting.latex import escaped, measured, scientific, unit
+from residyn.reporting.names import own_name
 from tests import by_hand
 
 NUMBER = re.compile(r"-?\d+(\.\d+)?")
@@ -127,6 +128,16 @@ def test_a_fit_in_csv(fit):
     assert float(found["check_rmse:elbow"]["value"]) == fit.check_rmse[1]
     assert found["rmse:elbow"]["unit"] == "rad"
     assert found["reduced_chi2"]["std"] == ""
+
+
+def test_a_number_that_a_recording_has_for_itself_stands_at_the_place_of_its_effect(fit):
+    name = f"{by_hand.FOUND}.torque (run2.csv)"
+    own = dataclasses.replace(fit.numbers[-1], name=name, words="torque, in run2.csv")
+    latex = dataclasses.replace(fit, numbers=(*fit.numbers, own)).to_latex()
+    well_formed(latex)
+    cells = [row[:2] for row in rows_of(latex)]
+    assert ["Coulomb friction, elbow", "torque, in run2.csv"] in cells
+    assert own_name(name) == "torque (run2.csv)"
 
 
 def test_what_is_not_determined_says_so(fit):

@@ -227,7 +227,6 @@ def test_verdict_names_the_misfit(fit):
         (1.0, "noise alone"),
         (1.5, "a little"),
         (9.0, "missing"),
-        (np.nan, "not"),
     ],
 )
 def test_chi_square_in_words(chi2, words):

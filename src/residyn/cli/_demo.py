@@ -70,24 +70,21 @@ def demo(
     right = " Right." * (found.added == (hidden,))
     words.print(f"\nNamed: {named}. Hidden was: {hidden}.{right}\n")
     out.write(found, lambda path: reporting.write_report(path, models(found), diagnosis=found))
-    if not found.fit.converged:
+    if not found.fit.stands:
         raise NoNumbers("the demo's fit did not settle")
 
 
 def _windows(words: "Console", fit: "Fit") -> None:
     """The residual of the first recording along time, in units of the noise."""
-    from rich.table import Table
-
     from ..demo import by_window
+    from ..reporting.layout import Table, printed
 
     edges, sizes = by_window(fit.recordings[0])
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("time", justify="right", no_wrap=True)
-    for joint in fit.experiment.joints:
-        table.add_column(f"{joint}: rms residual / noise", no_wrap=True)
+    head, rows = ["time", *(f"{joint}: rms residual / noise" for joint in fit.joints)], []
     unit = _BAR / sizes[sizes == sizes].max()
     for start, stop, row in zip(edges, edges[1:], sizes, strict=False):
         bars = (f"{times(size):>4} {'█' * max(1, round(size * unit))}" for size in row)
-        table.add_row(f"{start:.1f}-{stop:.1f} s", *bars)
-    words.print(table)
+        rows.append([f"{start:.1f}-{stop:.1f} s", *bars])
+    table = Table(head, rows, left=range(1, len(head)))
+    words.print("\n".join(printed(table, indent=0)), soft_wrap=True)
     words.print("\nNoise alone would leave 1.0 in every window.\n")

@@ -57,7 +57,7 @@ def diagnose(
     out.give(found, lambda path: reporting.write_report(path, fits, diagnosis=found))
     if found.budget.stopped == "interrupted":
         raise NoNumbers("interrupted: the best so far is above", INTERRUPTED)
-    if not found.fit.converged:
+    if not found.fit.stands:
         raise NoNumbers(found.fit.reason)
 
 

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from ..errors import InputError
 from . import _options
-from ._shell import DONE, NoNumbers, console, progress, set_up_jax
+from ._shell import DONE, NoNumbers, console, progress, set_up_jax, tell
 from ._work import bring, one_complaint
 
 
@@ -45,6 +45,8 @@ def explore(
 
             path = stack.enter_context(experiment_file())
         files = ExperimentFiles(path)
+        for line in files.experiment.understood:
+            tell(line)
         if not files.experiment.fit_recordings:
             raise InputError(f'{experiment}: no recording has role = "fit": nothing to fit to')
         with one_complaint():  # of a wrong effect, before any page opens

@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..reporting.numbers import plain, times, with_error
 from ..runtime.json import finite
 from . import _options
-from ._shell import NoNumbers, interruptible, progress, set_up_jax
+from ._shell import NoNumbers, interruptible, progress, set_up_jax, tell
 from ._work import Work, bring, computing, title
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def _fit_each(
     if not files:
         raise InputError(f"--each {folder}: no experiment in it; must hold files that end in .toml")
     out = Work(json)
-    out.spare([Path(file) for file in files])
+    out.spare([Path(file) for file in (*files, *(own or ()))])
     set_up_jax(not no_cache)
     to_terminal, bad = json == "-", 0
     with progress() as say, _workers(min(jobs, len(files)), own, not no_cache) as executor:
@@ -143,12 +143,17 @@ def _fit_each(
         interruptible()
         how = {"effects": effects, "starts": starts, "progress": say, "executor": executor}
         for each in fit_many(files, out=None if to_terminal else json, **how):
+            for line in each.told.get("understood", ()):
+                tell(f"{Path(each.name).name}: {line}")
             out.words.print(_line(each), soft_wrap=True)
             if to_terminal:
                 print(json_.dumps(finite(each.told), allow_nan=False), flush=True)
-            bad += "error" in each.told
+            bad += not each.told.get("stands") or bool(each.told["unphysical"])
     if bad:
-        raise NoNumbers(f"{bad} of {len(files)} experiments could not be fitted")
+        raise NoNumbers(
+            f"{bad} of {len(files)} experiments could not be fitted, did not settle or are not "
+            "physical"
+        )
 
 
 @contextlib.contextmanager
@@ -180,7 +185,8 @@ def _line(each: "Each") -> str:
         return f"{name}: {told['error']}"
     numbers = ", ".join(f"{k} = {_number(v)}" for k, v in told["parameters"].items())
     before = " (done before)" if each.before else ""
-    settled = "" if told["converged"] else ", not settled"
+    settled = "" if told["stands"] else ", not settled"
+    settled += "".join(f", {name} negative, which is not physical" for name in told["unphysical"])
     error = ", ".join(
         f"{joint} {times(rms / told['noise'][joint])} x noise"
         for joint, rms in told["rmse"].items()

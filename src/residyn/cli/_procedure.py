@@ -3,9 +3,9 @@
 from typing import Annotated
 
 from .. import reporting
-from ..errors import inside
+from ..errors import InputError, inside
 from . import _options
-from ._shell import NoNumbers
+from ._shell import INTERRUPTED, NoNumbers
 from ._work import Work, computing, floats_of, title
 
 
@@ -57,6 +57,8 @@ def unload(
     no_cache: _options.NoCache = False,
 ) -> None:
     """Take the air bearings off, drag and friction too: how the arm rings in orbit."""
+    if not diagnose and (most != _options.MAX_EFFECTS or budget is not None):
+        raise InputError("--max-effects and --budget go with --diagnose")
     out = Work(json, report)
     names = "shoulder (kg m^2)", "elbow (kg m^2)", "coupling (kg m)"
     std = None if inertia_std is None else floats_of("--inertia-std", inertia_std, names, least=0)
@@ -67,11 +69,14 @@ def unload(
 
         first = None
         if diagnose:
+            procedure.check_unload(loaded, effects or [], std, diagnosed=True)
             first = diagnosis.diagnose(loaded, **how, max_effects=most, budget=budget, progress=say)
         found = procedure.unload(loaded, **how, inertia_std=std, diagnosis=first, progress=say)
     out.words.print(str(found.fit), soft_wrap=True)
     out.give(found, lambda path: reporting.write_page(path, found, title(experiment)))
-    if not found.fit.converged:
+    if first is not None and first.budget.stopped == "interrupted":
+        raise NoNumbers("interrupted: over the models that were tried so far", INTERRUPTED)
+    if not found.fit.stands:
         raise NoNumbers(found.fit.reason)
     if not found.physical:
         raise NoNumbers(found.unphysical[0])

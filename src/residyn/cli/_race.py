@@ -11,7 +11,7 @@ from ._work import Work, computing, title
 _METHODS = _options.option(
     "--methods LIST",
     f"Which methods, separated by commas: {', '.join(_options.METHODS)}, or any minimiser "
-    "such as optimistix.BFGS or optax.adam. Without it, the first seven.",
+    "such as optimistix.BFGS or optax.adam. Without it, all of these seven.",
 )
 _REPEATS = _options.number("--repeats N", "Number of random seeds for each method.", least=1)
 _SECONDS = _options.seconds("--seconds S", "The most that one run of a method may take.")

@@ -48,7 +48,7 @@ def simulate(
     """Write predicted recordings, one CSV file each."""
     numbers: dict[str, float] = {}
     for each in values or []:
-        name, equals, value = (part.strip() for part in each.partition("="))
+        name, equals, value = (part.strip() for part in each.rpartition("="))
         if not equals or not name:
             raise InputError(f"--set {each}: must be NAME=VALUE, as spring:elbow.stiffness=16.7")
         if name in numbers:
@@ -67,11 +67,11 @@ def simulate(
     shown = [r for r in loaded.recordings if r.role != "inertia"]
     if not shown:
         raise InputError(f"{experiment}: has no recording of braked motion to simulate")
-    paths = _paths(Path(out), shown, input_files(experiment, loaded))
+    paths = _paths(Path(out), shown, input_files(experiment, loaded, own))
     words, problem, predicted = console(stderr=True), None, []
     if numbers:
         with computing() as say:
-            model = _model_with(loaded, effects or [], numbers)
+            model = _model_with(loaded, shown, effects or [], numbers)
             for r in shown:
                 say(f"simulating {r.name}")
                 here = posed(model, mechanism_of(loaded, r))
@@ -111,18 +111,19 @@ def simulate(
 
 
 def _model_with(
-    experiment: "Experiment", effects: Sequence[str], numbers: dict[str, float]
+    experiment: "Experiment",
+    shown: "Sequence[Recording]",
+    effects: Sequence[str],
+    numbers: dict[str, float],
 ) -> "Model":
-    """The springs, dampers and effects, with all their numbers as given."""
-    from ..fitting import mechanism_of, model_for
+    """The springs, dampers and effects of a fit, with all their numbers as given."""
+    from ..fitting.problem import ready
 
-    model = model_for(mechanism_of(experiment, experiment.recordings[0]), effects)
-    if experiment.integrator is not None:
-        experiment.integrator.check(model)
+    model = ready(experiment, shown, effects).model
     known = [n.name for n in model.numbers]
     for name in numbers:
         if name not in known:
-            effect = name.rpartition(".")[0]
+            effect = name.partition(".")[0]
             hint = f"; add --with {effect}?" if effect and effect not in model.labels else ""
             raise InputError(
                 f"--set {name}: the model has no such number{hint} (it has {', '.join(known)})"

@@ -67,7 +67,7 @@ class Work:
 
             with inside("--integrator"):
                 experiment = dataclasses.replace(experiment, integrator=Integrator(integrator))
-        self.spare(input_files(path, experiment))
+        self.spare(input_files(path, experiment, own))
         return experiment
 
     def spare(self, inputs: Sequence[Path]) -> None:
@@ -130,6 +130,8 @@ def computing() -> Iterator[Callable[[str], None]]:
 def one_complaint() -> Iterator[None]:
     """What cannot be computed, as the one line that the user reads: numbers that cannot be had, or
     effects that do not exist or go with the experiment, or an extra that is not installed."""
+    from numpy.linalg import LinAlgError
+
     from ..fitting import FitError, MissingExtra
 
     interruptible()
@@ -137,6 +139,8 @@ def one_complaint() -> Iterator[None]:
         yield
     except FitError as error:
         raise NoNumbers(str(error)) from None
+    except LinAlgError:  # a ValueError that no input is to blame for
+        raise
     except (ValueError, MissingExtra) as error:
         raise InputError(str(error)) from None
 
@@ -147,9 +151,8 @@ def load(path: str) -> "Experiment":
         from ..recordings.experiment import load as read_experiment
 
         loaded = read_experiment(path)
-    for each in loaded.recordings:
-        if each.understood:
-            tell(f"{each.name}: {each.understood}")
+    for line in loaded.understood:
+        tell(line)
     return loaded
 
 
@@ -163,10 +166,10 @@ def bring(files: Sequence[str] | None) -> None:
                 load_effects(file)
 
 
-def input_files(path: str, experiment: "Experiment") -> list[Path]:
+def input_files(path: str, experiment: "Experiment", own: Sequence[str] | None) -> list[Path]:
     """Every file that was read, so that none of them is written over."""
-    own = [] if path == "-" else [Path(path)]
-    return own + [Path(path).parent / r.name for r in experiment.recordings]
+    named = [Path(file) for file in (path, *(own or ())) if file != "-"]
+    return named + [Path(path).parent / r.name for r in experiment.recordings]
 
 
 def float_of(key: str, words: str, least: float | None = None) -> float:

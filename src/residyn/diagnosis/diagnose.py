@@ -23,8 +23,9 @@ from ..effects import AbstractEffect
 from ..filtering.law import each_number, state_slices
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import DEFAULT_STARTS, FitError, fit
-from ..fitting.conclusion import finish, with_held_out
-from ..fitting.multistart import descend, without_drift
+from ..fitting.conclusion import finishing, with_held_out
+from ..fitting.lanes import alone
+from ..fitting.multistart import descending, without_drift
 from ..fitting.problem import ready
 from ..fitting.result import Fit
 from ..physics.effect import BASE
@@ -234,9 +235,8 @@ class Fits:
                 # does so in order: the first ones first, then all.
                 for growing in (False, True) if begin.rough else (False,):
                     try:
-                        each = descend(
-                            *begun, near=np.array([states]), growing=growing, search=search
-                        )
+                        how = {"near": np.array([states]), "growing": growing, "search": search}
+                        each = alone(descending(*begun, **how))
                         found.append(each)
                         if not each.above_noise:
                             break
@@ -247,7 +247,7 @@ class Fits:
             if not found:
                 raise why
             lowest = min(found, key=lambda descent: descent.cost)
-            return finish(fitted, t.numbers, lowest, began, polish, evaluated)
+            return alone(finishing(fitted, t.numbers, lowest, began, polish, evaluated))
 
         with self.lock:
             within = [f for f in self.known if set(f.model.labels) < set(t.labels)]

@@ -40,7 +40,8 @@ class Each(NamedTuple):
     fit: Fit | None
     """None where there is none, where it was done before, or where another process did it."""
     told: dict[str, Any]
-    """`name`, `digest` of all it depends on, and the fit's `to_dict()` or, in one line, `error`."""
+    """`name`, `digest` of all it depends on, what was `understood` of a lab's own files (a line
+    each), and the fit's `to_dict()` or, in one line, `error`."""
     before: bool = False
     """Whether it was read from the file of an earlier run."""
 
@@ -142,15 +143,15 @@ def _by_executor(left, effects, starts: int, say: Callable[[str], None], executo
             name, one = todo.pop()
             try:
                 waiting[executor.submit(_told, name, one, effects, starts)] = name
-            except BrokenExecutor:
-                yield _lost(name)
+            except Exception as error:
+                yield _lost(name, error)
         for future in wait(waiting, return_when=FIRST_COMPLETED).done if waiting else ():
             name, count = waiting.pop(future), count + 1
             say(f"{count} of {len(left)} done: {name}")
             try:
                 yield future.result()
-            except BrokenExecutor:
-                yield _lost(name)
+            except Exception as error:
+                yield _lost(name, error)
 
 
 def _told(*given) -> Each:
@@ -159,9 +160,11 @@ def _told(*given) -> Each:
         return _alone(*given)._replace(fit=None)
 
 
-def _lost(name: str) -> Each:
-    error = "the process that was to fit it has died (memory?): run it again"
-    return Each(name, None, {"name": name, "error": error})
+def _lost(name: str, error: Exception) -> Each:
+    words = f"it cannot be sent to a worker, {type(error).__name__}: {error}"
+    if isinstance(error, BrokenExecutor):
+        words = "the process that was to fit it has died (memory?): run it again"
+    return Each(name, None, {"name": name, "error": words})
 
 
 def _fitted(
@@ -174,6 +177,7 @@ def _fitted(
     found, told = None, {"name": name}
     try:
         experiment = one if isinstance(one, Experiment) else load(one)
+        told |= {"understood": list(experiment.understood)}
         found = yield from fitting(experiment, effects, starts, say)
         told |= found.to_dict()
     except (InputError, FitError, ValueError) as error:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
-from .covariance import modes_of, numbers_of, spread_of
+from .covariance import modes_of, numbers_of, spread_of, steep_of
 from .history import History
 from .integration import at_twice_the_steps, corrected
 from .lanes import Fitting, alone, evaluating
@@ -27,11 +27,6 @@ from .result import Fit, FitError, RecordingFit
 _FAR = 1.0  # standard errors that least squares would still go
 _CONVERGED = "converged: the last step moved the fit by less than 1/100 of its error"
 _STOPPED = "step limit reached before the numbers settled"
-
-
-def finish(*given, **more) -> Fit:
-    """`finishing`, at once."""
-    return alone(finishing(*given, **more))
 
 
 def finishing(
@@ -64,6 +59,7 @@ def finishing(
     # they grow with it.
     sizes = np.asarray(descent.problem.scale.numbers)
     spread = spread_of(np.asarray(descent.compressed.factor), sizes, max(1.0, chi2))
+    modes = modes_of(model, spread.covariance)
     held_out = yield from _held_out(experiment, model, descent.here, descent.problem, search)
     return Fit(
         experiment=experiment,
@@ -72,7 +68,8 @@ def finishing(
         covariance=spread.covariance,
         recordings=(*fitted, *held_out),
         reduced_chi2=chi2,
-        modes=modes_of(model, spread.covariance),
+        modes=modes,
+        steep=() if modes else steep_of(model),
         starts=descent.starts,
         agreeing_starts=descent.agreeing,
         converged=descent.converged,
@@ -118,7 +115,8 @@ def searched(
     if not np.isfinite(cost):
         raise FitError("no individual led to finite numbers: is this the arm that was recorded?")
     end = Descent(here, problem, here.outliers, at, there, cost, found.steps, found.settled)
-    fit = finish(experiment, found.first, end, began, evaluate=compressed, correct=False)
+    how = {"evaluate": compressed, "correct": False}
+    fit = alone(finishing(experiment, found.first, end, began, **how))
     far = _far(fit, there, np.asarray(problem.scale.numbers))
     return dataclasses.replace(fit, reason=reason, history=found.history, short_of_minimum=far)
 

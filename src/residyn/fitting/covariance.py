@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..physics.modal import at_rest, eigenvalues, state_matrices
 from ..physics.modal import modes_of as rings_of
-from ..physics.modal import state_matrices
-from ..physics.model import Model
+from ..physics.model import Model, changed
 from .linalg import PART, information, inverse_of
 from .result import Mode, Number
 
@@ -66,8 +66,7 @@ def modes_of(model: Model, covariance: np.ndarray) -> tuple[Mode, ...]:
     steps = np.diag(1e-6 * np.maximum(np.abs(vector), 1e-6))
     beside = np.concatenate([vector[None], vector + steps, vector - steps])
     # All at once: one by one, these small matrices would take as long as the search.
-    matrices = state_matrices(model, beside)
-    rings = np.stack(rings_of(np.linalg.eigvals(np.asarray(matrices))))  # (2, 2 P + 1, n)
+    rings = np.stack(rings_of(eigenvalues(state_matrices(model, beside))))  # (2, 2 P + 1, n)
     best, (up, down) = rings[:, 0], np.split(rings[:, 1:], 2, axis=1)
     slopes = (up - down) / (2 * np.diag(steps)[:, None])
     found = []
@@ -76,6 +75,12 @@ def modes_of(model: Model, covariance: np.ndarray) -> tuple[Mode, ...]:
             spread = [_carried(slopes[j, :, i], covariance) for j in (0, 1)]
             found.append(Mode(float(frequency), spread[0], float(damping), spread[1]))
     return tuple(found)
+
+
+def steep_of(model: Model) -> tuple[str, ...]:
+    """Labels of effects whose torque has an infinite slope at rest: the model has no modes."""
+    alone = {e.label: changed(model, effects=(e,)) for e in model.effects}
+    return tuple(x for x, m in alone.items() if not np.isfinite(at_rest(m)[1]).all())
 
 
 def _carried(slope: np.ndarray, covariance: np.ndarray) -> float:

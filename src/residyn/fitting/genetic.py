@@ -220,7 +220,7 @@ def drawn(here: Ready, starts: int, seed: int) -> np.ndarray:
     that know nothing of the closed form, which shows what that is worth."""
     look = search_of(here, Genetic())
     genes = jnp.asarray(np.random.default_rng(seed).uniform(size=(_DRAWN, look.size)))
-    values = np.asarray(_values(objective_of, look, genes))
+    values = np.asarray(_values(look, genes))
     order = np.argsort(values)[:starts]
     if (watch := watching()) is not None:
         watch.add(_DRAWN, float(values[order[0]]))
@@ -231,7 +231,7 @@ def run(look: Search, how: Genetic, progress: Callable[[str], None] = lambda wor
     watch, key = watching() or Watch(), jax.random.key(how.seed)
     settings = tuple(sorted(how.settings.items()))
     strategy = traced_algorithm(how.strategy, how.population, how.generations, look.size, settings)
-    given = strategy, objective_of, look
+    given = strategy, look
     progress(Part("the first generation", 0.0))
     begun, first, least = _begin(*given, key)
     for _ in range(2):  # compiles; of its own output, whose types JAX may take for others
@@ -266,9 +266,9 @@ def objective_of(look: Search, genes: Any):
 
 
 @eqx.filter_jit
-def _values(objective: Callable, look: Search, genes: Float[Array, "N G"]) -> Float[Array, " N"]:
+def _values(look: Search, genes: Float[Array, "N G"]) -> Float[Array, " N"]:
     def one(individual):
-        value = objective(look, individual)
+        value = objective_of(look, individual)
         return jnp.where(jnp.isfinite(value), jnp.minimum(value, _HOPELESS), _HOPELESS)
 
     # Side by side, what dry friction seldom asks for would be computed always.
@@ -276,28 +276,28 @@ def _values(objective: Callable, look: Search, genes: Float[Array, "N G"]) -> Fl
 
 
 @eqx.filter_jit
-def _begin(strategy: Strategy, objective: Callable, look: Search, key):
+def _begin(strategy: Strategy, look: Search, key):
     """The first generation: where the strategy stands, its best genes and their objective."""
     key, draw, begin = jax.random.split(key, 3)
     if strategy.keeps_population:
         genes = jax.random.uniform(draw, (strategy.algorithm.population_size, look.size))
-        values = _values(objective, look, genes)
+        values = _values(look, genes)
         state = strategy.algorithm.init(begin, genes, values, strategy.params)
         best = jnp.argmin(values)
         return (key, state), genes[best], values[best]
     state = strategy.algorithm.init(begin, jnp.full(look.size, 0.5), strategy.params)
-    (key, state), least = _generation(strategy, objective, look, (key, state))
+    (key, state), least = _generation(strategy, look, (key, state))
     return (key, state), fold(state.best_solution), least
 
 
 @eqx.filter_jit
-def _go_on(strategy: Strategy, objective: Callable, look: Search, begun, count):
+def _go_on(strategy: Strategy, look: Search, begun, count):
     """The next `count` generations, at most a chunk: one program, however many they are."""
 
     def advance(carry, index):
         return jax.lax.cond(
             index < count,
-            lambda carry: _generation(strategy, objective, look, carry),
+            lambda carry: _generation(strategy, look, carry),
             lambda carry: (carry, carry[1].best_fitness),
             carry,
         )
@@ -305,12 +305,12 @@ def _go_on(strategy: Strategy, objective: Callable, look: Search, begun, count):
     return jax.lax.scan(advance, begun, jnp.arange(_CHUNK))
 
 
-def _generation(strategy: Strategy, objective: Callable, look: Search, carry):
+def _generation(strategy: Strategy, look: Search, carry):
     key, state = carry
     key, ask, tell = jax.random.split(key, 3)
     drawn, state = strategy.algorithm.ask(ask, state, strategy.params)
     genes = fold(drawn)
-    values = _values(objective, look, genes)
+    values = _values(look, genes)
     known = genes if strategy.keeps_population else drawn
     state, _ = strategy.algorithm.tell(tell, known, values, state, strategy.params)
     return (key, state), state.best_fitness

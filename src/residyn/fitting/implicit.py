@@ -44,7 +44,7 @@ class Solution(eqx.Module):
     converged: Bool[Array, ""]
     steps: Int[Array, ""]
     predicted: Float[Array, "R N n"]
-    """Predicted readings, rad or m; those of a shorter recording are filled up."""
+    """Predicted readings, in their units; those of a shorter recording are filled up."""
     model: Model
     """The fitted model, on the first recording's bodies."""
 

@@ -151,8 +151,8 @@ def stable(here: Ready, begin: Model) -> Ready | None:
     if times > _MOST:
         raise FitError(
             f"the integration steps, {step:.2g} s, are too coarse for this model, whose fastest "
-            f"time constant is {1 / rate:.2g} s: integrate it with --integrator Kvaerno5, which "
-            "is made for stiff effects"
+            f'time constant is {1 / rate:.2g} s: write solver = "Kvaerno5" under [integrator], '
+            "which is made for stiff effects"
         )
     return here._replace(finer=here.finer * times)
 

@@ -78,7 +78,7 @@ def whiten(one: Recorded, predicted) -> Float[Array, "N n"]:
 class Compressed(NamedTuple):
     """A least-squares problem at a point, one row per recording (L = P + s local unknowns)."""
 
-    predicted: Float[Array, "R N n"]  # readings, rad or m
+    predicted: Float[Array, "R N n"]  # readings, in their units
     factor: Float[Array, "R L L"]  # upper triangular, factor'factor = J'J
     along: Float[Array, "R L"]  # residual projected on J's columns
     beside: Float[Array, " R"]  # length of the rest of the residual

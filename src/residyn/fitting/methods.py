@@ -32,8 +32,8 @@ METHODS = {
     ),
     RANDOM: Method(
         "Levenberg-Marquardt, random starts",
-        "the best six of 100 individuals drawn in the genetic algorithm's bounds, which count; no "
-        "closed-form start",
+        "the best six of 100 individuals drawn in the genetic algorithm's bounds, of which the "
+        "simulations count; no closed-form start",
     ),
     "genetic": Method("genetic algorithm, 100 x 500", _GENES, Genetic()),
     "genetic_release_told": Method(

@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..physics.modal import at_rest, modes_of
+from ..physics.modal import at_rest, eigenvalues, modes_of
 from ..physics.model import Model
 from ..physics.motion import split
 from ..recordings.experiment import Experiment
@@ -33,7 +33,7 @@ from ..recordings.recording import Recording
 from ..recordings.segments import segments_of
 from .history import watching
 from .initial_guess import first_guess, frequency_of, lines, memory_along_readings, resolving
-from .lanes import SHARES, Fitting, Wanted, alone
+from .lanes import SHARES, Fitting, Wanted
 from .layout import bucket
 from .least_squares import Compressed, Polished
 from .problem import Problem, Ready, Unknowns, reweighted
@@ -146,11 +146,6 @@ def _perhaps_local(descent: Descent) -> bool:
 
 
 # -- one problem, growing horizons ---------------------------------------------------------------
-
-
-def descend(*given, **more) -> Descent:
-    """`descending`, at once."""
-    return alone(descending(*given, **more))
 
 
 def descending(
@@ -505,7 +500,7 @@ def segment_length(model: Model, recording: Recording) -> float | None:
     driven = recording.drive is not None and bool(np.any(recording.drive))
     if not driven or recording.segment_of is not None:
         return None
-    values = np.linalg.eigvals(at_rest(model)[1])
+    values = eigenvalues(at_rest(model)[1])
     frequency, damping = (np.asarray(x) for x in modes_of(values))
     rings = (frequency * recording.duration > _RINGS) & (np.abs(damping) < 1 - 1e-9)
     if rings.all():

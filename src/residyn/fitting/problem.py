@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from ..effects import AbstractEffect, effects_named
 from ..effects.own_numbers import with_own
 from ..errors import InputError, inside, quote
-from ..physics.bearings import AirBearing, without_bearings
+from ..physics.bearings import without_bearings
 from ..physics.effect import BASE
 from ..physics.inertia import AbstractInertia
 from ..physics.mechanism import AbstractMechanism, ConstantInertia, PlanarArm
@@ -123,8 +123,7 @@ def mechanism_of(experiment: Experiment, recording: Recording) -> AbstractMechan
             experiment.run_of(recording),
         )
         if not recording.air_bearings:
-            on = [AirBearing(b.joint, b.mass, b.inertia) for b in experiment.bearings]  # pyright: ignore
-            arm = without_bearings(arm, on)
+            arm = without_bearings(arm, experiment.bearings)  # pyright: ignore
         return all_floating(arm)
     if isinstance(table, AbstractMechanism):
         return all_floating(table)

@@ -67,12 +67,12 @@ class Mode:
 
 @dataclass(frozen=True, eq=False)
 class RecordingFit:
-    """One recording beside the model: arrays (N, n) in rad or m."""
+    """One recording beside the model: arrays (N, n) in the units of its readings."""
 
     recording: Recording
     predicted: np.ndarray
     wild: np.ndarray  # readings set aside as wild
-    state: np.ndarray  # fitted (q0, v0)
+    state: np.ndarray  # fitted (q0, v0, z0)
 
     @property
     def residual(self) -> np.ndarray:
@@ -121,6 +121,8 @@ class Fit(TableResult):
     """Its minimum."""
     open_groups: tuple[tuple[int, ...], ...] = ()
     """Indices of numbers of which the data determine only a combination."""
+    steep: tuple[str, ...] = ()
+    """Effects with an infinite slope at rest, where there are no modes then."""
     integration_error: float = float("nan")
     """Of the predicted readings, in times the noise: see `fitting.integration`."""
     integration_steps: int = 0
@@ -131,7 +133,7 @@ class Fit(TableResult):
     short_of_minimum: tuple[str, float] | None = None
     """The number that is farthest from its least-squares value, and by how many standard errors,
     where a search ended short of the minimum."""
-    history: History | None = None  # of a genetic algorithm: how Eq. 17 fell
+    history: History | None = None  # of a search on Eq. 17: how that fell
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -274,6 +276,8 @@ class Fit(TableResult):
             "starts": self.starts,
             "agreeing_starts": self.agreeing_starts,
             "converged": self.converged,
+            "stands": self.stands,
+            "unphysical": [n.name for n in self.unphysical],
             "seconds": number(self.seconds),
             "warnings": list(self.warnings),
         }

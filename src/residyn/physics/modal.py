@@ -87,11 +87,16 @@ def _eigenvalue_sizes(model: Model, numbers: np.ndarray) -> np.ndarray:
     for first in range(0, len(numbers), room):
         some = numbers[first : first + room]
         filled = np.concatenate([some, np.tile(some[-1:], (room - len(some), 1))])
-        matrices = np.asarray(state_matrices(model, filled))[: len(some)]
-        good = np.asarray(np.isfinite(matrices).all(axis=(1, 2), keepdims=True))
-        sizes = np.sort(np.abs(np.linalg.eigvals(np.where(good, matrices, 0.0))))
-        found.append(np.where(good[..., 0], sizes, np.inf))
+        sizes = np.abs(eigenvalues(state_matrices(model, filled)[: len(some)]))
+        found.append(np.sort(np.nan_to_num(sizes, nan=np.inf)))
     return np.concatenate(found)
+
+
+def eigenvalues(matrices: Float[np.ndarray, "*k s s"]) -> Complex[np.ndarray, "*k s"]:
+    """Of state matrices; NaN where one is not finite, as at rest of a torque with an infinite
+    slope: it has no modes."""
+    good = np.asarray(np.isfinite(matrices).all(axis=(-2, -1), keepdims=True))
+    return np.where(good[..., 0], np.linalg.eigvals(np.where(good, matrices, 0.0)), np.nan)
 
 
 def at_rest(model: Model) -> tuple[np.ndarray, np.ndarray]:

@@ -22,7 +22,7 @@ from ..fitting.linalg import PART, information, inverse_of
 from ..fitting.problem import Problem, posed
 from ..physics.inertia import AbstractInertia
 from ..physics.mechanism import PlanarArm
-from ..physics.modal import modes, state_matrix
+from ..physics.modal import eigenvalues, modes, state_matrix
 from ..physics.model import Model
 
 NAMES = ("shoulder", "elbow", "coupling")
@@ -133,14 +133,9 @@ class ModeSlopes(NamedTuple):
     by_inertia: np.ndarray  # (2, 3), numbers held
 
 
-def slopes_of_modes(model: Model, fitted: Model) -> list[ModeSlopes]:
+def slopes_of_modes(model: Model, fitted: Model) -> tuple[list[ModeSlopes], np.ndarray]:
     """The modes that ring, lowest first, with slopes in the numbers of the model `fitted`, of which
-    `model` may lack some effects."""
-    return _slopes_of_modes(model, fitted)[0]
-
-
-def _slopes_of_modes(model: Model, fitted: Model) -> tuple[list[ModeSlopes], np.ndarray]:
-    """They, and the state matrix."""
+    `model` may lack some effects; and the state matrix."""
     # Friction of a point in the plane is smoothed near rest: that slope is the integrator's.
     for label in [e.label for e in model.effects if e.grips]:
         model = model.without(label)
@@ -160,7 +155,7 @@ def _slopes_of_modes(model: Model, fitted: Model) -> tuple[list[ModeSlopes], np.
 def modes_with_errors(model: Model, fitted: Model, errors: Carried) -> Rings:
     """Modes and their errors; `errors` are those of the model `fitted`, of which `model` may lack
     some effects."""
-    each, matrix = _slopes_of_modes(model, fitted)
+    each, matrix = slopes_of_modes(model, fitted)
     found = []
     for m in each:
         frequency, damping = (
@@ -168,7 +163,7 @@ def modes_with_errors(model: Model, fitted: Model, errors: Carried) -> Rings:
             for x, n, i in zip(m.values, m.by_number, m.by_inertia, strict=True)
         )
         found.append(Mode(*frequency, *damping))
-    roots = np.linalg.eigvals(matrix)
+    roots = eigenvalues(matrix)
     size = np.abs(roots)
     away = (np.abs(np.imag(roots)) < _REAL * size) & (np.real(roots) > _AWAY * size.max())
     return Rings(tuple(found), bool(away.any()))

@@ -16,7 +16,7 @@ from scipy.special import chdtrc
 
 from ..errors import InputError
 from ..fitting import FitError
-from ..physics.bearings import AirBearing, with_bearings
+from ..physics.bearings import with_bearings
 from ..physics.mechanism import PlanarArm
 from ..recordings.experiment import Experiment
 from ..recordings.tables import ArmTable
@@ -133,9 +133,9 @@ def _bearings(experiment: Experiment) -> np.ndarray:
     """(3,) what the air bearings add to shoulder, elbow, coupling (Eq. 5)."""
     table = experiment.inertia
     assert isinstance(table, ArmTable)
-    on = [AirBearing(b.joint, b.mass, b.inertia) for b in experiment.bearings]  # pyright: ignore
     with jax.enable_x64(True):
-        arm = with_bearings(PlanarArm(table.link_lengths, 0.0, 0.0, 0.0), on)
+        bare = PlanarArm(table.link_lengths, 0.0, 0.0, 0.0)
+        arm = with_bearings(bare, experiment.bearings)  # pyright: ignore
         return np.array([float(x) for x in (arm.shoulder, arm.elbow, arm.coupling)])
 
 

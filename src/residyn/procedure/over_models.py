@@ -98,6 +98,8 @@ class OverModels(Result):
     bare: tuple[Bare, ...]
     """Each model in play without bearings, in the first pose."""
     joints: tuple[str, ...]
+    stopped: str | None = None
+    """Why the search for models ended early, if it did: "interrupted" or "budget"."""
 
     def ring_down(
         self, times: np.ndarray, q0: np.ndarray, *, draws: int = DRAWS, seed: int = 0
@@ -116,6 +118,7 @@ class OverModels(Result):
         return {
             "models": [asdict(m) for m in self.models],
             "left_out": self.left_out,
+            "stopped": self.stopped,
             "poses": [
                 {"theta2": theta2, "without_bearings": {"modes": [asdict(m) for m in modes]}}
                 for theta2, modes in self.poses
@@ -150,7 +153,7 @@ def over_models(
         spreads = {k: getattr(modes[0][0], k) for k in QUANTITIES}
         narrows = max(QUANTITIES, key=lambda k: spreads[k].std / abs(spreads[k].mean))
         say("looking for the test that narrows it most")
-        lowest = [slopes_of_modes(b.model, b.fitted)[0] for b in free[0]]
+        lowest = [slopes_of_modes(b.model, b.fitted)[0][0] for b in free[0]]
         wanted = _quantity(lowest, errors, QUANTITIES.index(narrows))
         test = next(iter(best_tests(experiment, scene, models, p, quantity=wanted)[0]), None)
     return OverModels(
@@ -161,6 +164,7 @@ def over_models(
         narrows=narrows,
         bare=free[0],
         joints=scene.joints,
+        stopped=search.stopped,
     )
 
 
@@ -241,7 +245,7 @@ def errors_of(scene: Scene, rival: Rival, inertia: np.ndarray | None) -> Carried
 
 def modes_over(bare: Sequence[Bare], p: np.ndarray) -> tuple[ModeOver, ...]:
     """The modes over models with these probabilities (M,), lowest first."""
-    known, found = [slopes_of_modes(b.model, b.fitted) for b in bare], []
+    known, found = [slopes_of_modes(b.model, b.fitted)[0] for b in bare], []
     for i in range(max(map(len, known))):
         own = [m for m, each in enumerate(known) if i < len(each)]
         modes, errors = [known[m][i] for m in own], [bare[m].errors for m in own]

@@ -14,9 +14,10 @@ import jax
 import numpy as np
 
 from ..diagnosis import Diagnosis
-from ..effects import AbstractEffect
+from ..effects import AbstractEffect, catalogue
 from ..errors import InputError
-from ..fitting import DEFAULT_STARTS, Fit, FitError, RecordingFit, fit, mechanism_of, model_for
+from ..fitting import DEFAULT_STARTS, Fit, FitError, RecordingFit, fit, mechanism_of
+from ..fitting.problem import ready
 from ..physics.effect import BASE
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
@@ -61,19 +62,22 @@ def unload(
     """
     began = time.perf_counter()
     say = progress or (lambda words: None)
-    _check(experiment)
+    own = effects if diagnosis is None else _own(diagnosis.fit.model)
+    given = check_unload(experiment, own, inertia_std, diagnosed=diagnosis is not None)
     if diagnosis is not None and (diagnosis.search is None or diagnosis.fits.whole != experiment):
         raise ValueError("this diagnosis is of another experiment, or has not kept its search")
-    given = None if inertia_std is None else _covariance(inertia_std)
     with jax.enable_x64(True):
         if diagnosis is None:
-            # Held-out recordings may all be without bearings.
-            on = next(r for r in experiment.fit_recordings if r.air_bearings)
-            own = _own(model_for(mechanism_of(experiment, on), effects))
-            fitted = fit(experiment, effects=own, starts=starts, progress=say)
+            fitted = fit(experiment, effects=effects, starts=starts, progress=say)
         else:
             fitted = diagnosis.fit
-            _own(fitted.model)
+        steep = [e.label for e in fitted.model.effects if not e.of_bearings]
+        steep = [label for label in steep if label in fitted.steep]
+        if steep:
+            raise FitError(
+                f"the slope of {', '.join(steep)} is infinite at rest: there are no modes, with "
+                "bearings or without"
+            )
         step_1 = None if given is not None else _step_1(experiment, say)
         covariance = step_1.covariance if isinstance(step_1, InertiaResult) else given
         say("carrying the errors over")
@@ -100,8 +104,35 @@ def unload(
     )
 
 
+def check_unload(
+    experiment: Experiment,
+    effects: Sequence[str | AbstractEffect] = (),
+    inertia_std: Sequence[float] | np.ndarray | None = None,
+    diagnosed: bool = False,
+) -> np.ndarray | None:
+    """What step 3 must be given, before the long work.
+
+    **Arguments:** as of `unload`; `diagnosed`: whether any effect of the catalogue may join.
+
+    **Returns:** the covariance (3, 3) of the inertias, if that is given.
+
+    **Raises:** `InputError`, one line, if there is nothing to take off, or an effect does not say
+    whether it leaves with the bearings; `ValueError` for one that does not go with the experiment.
+    """
+    _check(experiment)
+    with jax.enable_x64(True):
+        model = ready(experiment, experiment.fit_recordings, effects).model
+    for kind in [*map(type, model.effects), *(catalogue().values() if diagnosed else ())]:
+        if kind.of_bearings is None:
+            raise InputError(
+                f"{kind.name}: is it of the air bearings or of the joint? Write of_bearings = "
+                "True (it leaves with the bearings) or False (it stays) in class "
+                f"{kind.__name__}, {inspect.getsourcefile(kind)}"
+            )
+    return None if inertia_std is None else _covariance(inertia_std)
+
+
 def _check(experiment: Experiment) -> None:
-    """**Raises:** `InputError`, one line, if there is nothing to take off."""
     if not isinstance(experiment.inertia, ArmTable):
         raise InputError(
             "step 3 takes air bearings off an [arm]; the mass matrix of an [inertia] table has none"
@@ -119,20 +150,8 @@ def _check(experiment: Experiment) -> None:
 
 
 def _own(model: Model) -> list[AbstractEffect]:
-    """The effects beside springs and dampers.
-
-    **Raises:** `InputError` if one does not say whether it leaves with the bearings.
-    """
-    own = [e for e in model.effects if e.name not in BASE]
-    for each in own:
-        kind = type(each)
-        if kind.of_bearings is None:
-            raise InputError(
-                f"{each.label}: is it of the air bearings or of the joint? Write of_bearings = "
-                "True (it leaves with the bearings) or False (it stays) in class "
-                f"{kind.__name__}, {inspect.getsourcefile(kind)}"
-            )
-    return own
+    """The effects beside springs and dampers."""
+    return [e for e in model.effects if e.name not in BASE]
 
 
 def _covariance(std: Sequence[float] | np.ndarray) -> np.ndarray:

@@ -136,6 +136,11 @@ class Experiment:
         return {(r.segment_of or r).name: r.own for r in self.recordings if r.own}
 
     @property
+    def understood(self) -> tuple[str, ...]:
+        """What was made of a lab's own files, a line each."""
+        return tuple(f"{r.name}: {r.understood}" for r in self.recordings if r.understood)
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """What is doubtful in the recordings, and in their fitting together."""
         own = [line for recording in self.recordings for line in recording.warnings]

@@ -30,6 +30,7 @@ from .fit import residuals
 from .layout import Table, filled, printed, section, separated, tabular
 from .names import (
     HELD_OUT,
+    STOPPED,
     SURE,
     at,
     at_place,
@@ -75,11 +76,10 @@ def sentences(found: Diagnosis) -> tuple[str, ...]:
 
 
 def _stopped(found: Diagnosis) -> Iterator[str]:
-    why = {"interrupted": "was stopped by Ctrl-C", "budget": "ended when its budget was spent"}
     if found.budget.stopped is not None:
         count = found.budget.models
         yield (
-            f"The search {why[found.budget.stopped]}, after "
+            f"The search {STOPPED[found.budget.stopped]}, after "
             f"{'one model' if count == 1 else f'{count} models'}: what follows is the best so far, "
             "and its probabilities count only what was tried."
         )
@@ -247,7 +247,7 @@ def _numbers(found: Diagnosis, label: str) -> str:
     else as they are beside the torque that is."""
     fit = found.fit
     silent = {fit.numbers[group[0]].name for group in fit.open_groups if len(group) == 1}
-    own = [n for n in fit.numbers if n.name.rpartition(".")[0] == label and n.name not in silent]
+    own = [n for n in fit.numbers if n.name.partition(".")[0] == label and n.name not in silent]
     if found.verdict == "unexplained" and not _instead(found):
         beside = found.parameters
         return _values({n.name: beside[n.name] for n in own if n.name in beside})

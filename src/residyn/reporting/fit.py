@@ -76,8 +76,6 @@ def verdict(fit: Fit) -> tuple[str, ...]:
 
 
 def chi2_words(chi2: float) -> str:
-    if not np.isfinite(chi2):
-        return "it could not be computed"
     if chi2 < _OVERSTATED:
         return "less is left than the stated noise would leave: the noise is overstated"
     if chi2 <= STRUCTURE:
@@ -92,7 +90,7 @@ def chi2_words(chi2: float) -> str:
 
 def warnings(fit: Fit) -> tuple[str, ...]:
     """What a careful person would want to be told: the recordings' own warnings, then the fit's."""
-    checks = _open, _still, _outliers, _signs, _misfit, _integration, _search
+    checks = _open, _no_modes, _still, _outliers, _signs, _misfit, _integration, _search
     said = (words for check in checks for words in check(fit))
     return (*_unphysical(fit), *fit.experiment.warnings, *said)
 
@@ -124,6 +122,14 @@ def _open(fit: Fit) -> Iterator[str]:
                 f"these recordings determine only a combination of {', '.join(members)}: "
                 "changing them together leaves the motion unchanged"
             )
+
+
+def _no_modes(fit: Fit) -> Iterator[str]:
+    if fit.steep:
+        yield (
+            f"there are no modes: at rest the slope of {listed(fit.steep)} is infinite, so that "
+            "the model is not linear there, however small the swing"
+        )
 
 
 def _still(fit: Fit) -> Iterator[str]:
@@ -190,8 +196,8 @@ def _integration(fit: Fit) -> Iterator[str]:
         what = "a recording that is cut shorter (stop) lets less of it add up"
     else:
         what = (
-            "--integrator Tsit5 chooses its steps itself, and Kvaerno5 those of an effect that is "
-            "much faster than the arm"
+            'solver = "Tsit5" under [integrator] chooses its steps itself, and "Kvaerno5" those of '
+            "an effect that is much faster than the arm"
         )
     yield (
         f"the integration is not exact enough: its error is {fit.integration_error:.2g} of the "
@@ -354,7 +360,7 @@ def latex(fit: Fit) -> str:
     rows = []
     for n in fit.numbers:
         error = tex.measured(n.value, n.std) if n.determined else "not determined"
-        where = lower(at_place(n.name.rpartition(".")[0], fit.joints, comma=True))
+        where = lower(at_place(n.name.partition(".")[0], fit.joints, comma=True))
         rows.append([tex.escaped(where), tex.escaped(n.words), error, tex.unit(n.unit)])
     modes = []
     for i, m in enumerate(fit.modes, 1):

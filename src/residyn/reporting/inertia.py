@@ -9,7 +9,7 @@ from ..errors import InputError
 from ..procedure.carried import NAMES
 from ..procedure.result import InertiaResult, Number, TestResult
 from ..procedure.weak import CALIBRATED
-from ..recordings.tables import ArmTable, check_bearings
+from ..recordings.tables import check_bearings
 from .layout import Table, filled, printed, section, warned
 from .names import listed, unbroken
 from .numbers import measured, plain, times, with_error
@@ -89,8 +89,7 @@ def _bearings(result: InertiaResult) -> Iterable[str]:
     if not bearings or result.problem:
         return
     try:
-        table = ArmTable(result.link_lengths, *(float(x) for x in result.values))
-        check_bearings(table, bearings)
+        check_bearings(result.arm, bearings)
     except InputError as error:
         yield str(error)
 

@@ -13,6 +13,8 @@ from ..physics.effect import BASE
 PLAIN = "springs and dampers"
 HELD_OUT = "held out"
 """Recordings, or parts of them, that the numbers were not fitted to."""
+STOPPED = {"interrupted": "was stopped by Ctrl-C", "budget": "ended when its budget was spent"}
+"""How a search ended early, by `Budget.stopped`."""
 SURE = 0.9
 """Probability from which a sentence says "is"."""
 _PERSONS = ("Bouc-Wen", "Coulomb", "Dahl", "Stribeck")
@@ -124,7 +126,7 @@ def untried(found: Diagnosis) -> bool:
 
 def own_name(number: str) -> str:
     """`coulomb_friction:elbow.torque` is "torque"."""
-    return number.rpartition(".")[2]
+    return number.partition(".")[2]
 
 
 def when_held_out(what: str) -> str:

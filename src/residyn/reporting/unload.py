@@ -20,7 +20,7 @@ from ..procedure.ringdown import RingDown
 from ..procedure.unloaded import BareCheck, Pose, Unloading
 from .inertia import at_odds
 from .layout import Table, filled, printed, section, warned
-from .names import named, upper
+from .names import STOPPED, named, upper
 from .numbers import amount, measured, plain, times, with_error
 
 _POOR = 0.05  # relative error of a predicted damping ratio beyond which it is said to be poor
@@ -39,6 +39,7 @@ def warnings(found: Unloading) -> tuple[str, ...]:
     modes that no arm has first."""
     return (
         *unphysical(found),
+        *_stopped(found),
         *_step_1(found),
         *_unnamed(found),
         *_not_told_apart(found),
@@ -109,6 +110,15 @@ def what_would_tell(found: Unloading) -> str:
         f"{advice} (another elbow angle would not do: drag of a bearing on the elbow is exactly a "
         "damper at the shoulder)"
     )
+
+
+def _stopped(found: Unloading) -> Iterator[str]:
+    over = found.over_models
+    if over is not None and over.stopped is not None:
+        yield (
+            f"the search for models {STOPPED[over.stopped]}: the modes over all models count only "
+            "the models that were tried"
+        )
 
 
 def _step_1(found: Unloading) -> Iterable[str]:

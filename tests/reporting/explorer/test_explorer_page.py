@@ -1,5 +1,6 @@
 """The explorer's page: its numbers against Python's, and a real browser, live and from a file."""
 
+import copy
 import dataclasses
 import json
 import math
@@ -21,6 +22,7 @@ from residyn import demo
 from residyn.diagnosis.evidence import log_prior_model, subset
 from residyn.filtering.law import numbers_of
 from residyn.filtering.trajectory import number_slices
+from residyn.recordings.tables import InertiaTable
 from residyn.reporting.explorer import page
 from residyn.reporting.explorer.hidden import hide_one
 from residyn.reporting.explorer.payload import Drawn, packed, payload
@@ -310,6 +312,44 @@ def test_what_is_hidden_shows_and_is_not_told(study):
         assert effect.name not in hidden.name
         assert hidden.angle.shape == real.angle.shape
         assert np.isfinite(hidden.angle).all()
+
+
+@pytest.fixture(scope="module")
+def rates(study):
+    """The same of gyroscopes, under a load."""
+
+    def read(r):
+        angle = np.gradient(r.angle, r.time, axis=0)
+        return dataclasses.replace(r, angle=angle, reads=("rate", "rate"), load=2.0)
+
+    fit, found = study.fit(()), copy.copy(study)
+    runs = [dataclasses.replace(b, recording=read(b.recording)) for b in fit.recordings]
+    found.fits = {frozenset(): dataclasses.replace(fit, recordings=tuple(runs))}
+    recordings = tuple(b.recording for b in runs)
+    found.experiment = dataclasses.replace(study.experiment, recordings=recordings)
+    return found
+
+
+def test_of_gyroscopes_rates_are_made_under_the_same_load(rates):
+    with jax.enable_x64(True):
+        made, _ = hide_one(rates, np.random.default_rng(1))
+    for hidden, real in zip(made.recordings, rates.experiment.recordings, strict=True):
+        assert (hidden.reads, hidden.load) == (real.reads, real.load)
+        assert (hidden.noise == real.noise).all()
+        assert (np.abs(np.log(np.std(hidden.angle, axis=0) / np.std(real.angle, axis=0))) < 1).all()
+
+
+def test_axes_have_the_units_of_readings(data, rates, offline):
+    assert (data["reads"], data["reading_units"]) == (["angle"] * 2, ["rad"] * 2)
+    table = InertiaTable(("a", "b"), ((1.0, 0.0), (0.0, 1.0)))
+    unknown = copy.copy(rates)
+    unknown.experiment = dataclasses.replace(rates.experiment, inertia=table, bearings=())
+    for study, units, readings in ((rates, "rad", "rad/s"), (unknown, "", "")):
+        told = payload(study, live=True)
+        assert (told["units"], told["reads"]) == ([units] * 2, ["rate"] * 2)
+        assert told["reading_units"] == [readings] * 2
+    script = "return [m.inUnit('rate', 'rad', '/s'), m.inUnit('rate', '', '/s')];"
+    assert ask(offline, script) == ["rate, rad/s", "rate"]
 
 
 def test_a_live_search_says_what_a_diagnosis_does_and_the_page_what_to_check(study, offline):

@@ -4,6 +4,8 @@ Springs and dampers are as they were fitted, or less damped, for a fitted damper
 whatever else takes energy; the effect is drawn from the catalogue, with a strength that shows.
 """
 
+import dataclasses
+
 import numpy as np
 
 from ...diagnosis.evidence import signed
@@ -43,7 +45,7 @@ def hide_one(study: Study, random: np.random.Generator) -> tuple[Experiment, Abs
             ((a - b) / r.recording.noise).ravel()
             for a, b, r in zip(with_it, without, fit.recordings, strict=True)
         ])  # fmt: skip
-        size = [np.abs(r.recording.as_angles.angle).max() for r in fit.recordings]
+        size = [np.nanmax(np.abs(r.recording.angle)) for r in fit.recordings]
         sane = all(np.isfinite(a).all() and np.abs(a).max() < 3 * s
                    for a, s in zip(with_it, size, strict=True))  # fmt: skip
         if sane and np.sqrt(np.mean(moved**2)) > _SEEN:
@@ -51,8 +53,7 @@ def hide_one(study: Study, random: np.random.Generator) -> tuple[Experiment, Abs
                 _recording(beside.recording, angle, random)
                 for beside, angle in zip(fit.recordings, with_it, strict=True)
             ]
-            e = study.experiment
-            return Experiment(e.inertia, tuple(made), e.bearings), effect
+            return dataclasses.replace(study.experiment, recordings=tuple(made), path=""), effect
     raise ValueError("no effect of the catalogue would show in these recordings")
 
 
@@ -74,8 +75,8 @@ def _simulated(fit: Fit, model: Model) -> list[np.ndarray]:
     for beside in fit.recordings:
         r, state = beside.recording, beside.state
         here = posed(model, mechanism_of(fit.experiment, r))
-        motion = simulate(here, r.time - r.time[0], state[:n], state[n : 2 * n])
-        found.append(np.asarray(motion.q))
+        time, begin = r.time - r.time[0], (state[:n], state[n : 2 * n])
+        found.append(np.asarray(simulate(here, time, *begin, orders=r.orders).readings))
     return found
 
 
@@ -89,4 +90,6 @@ def _recording(like: Recording, angle: np.ndarray, random: np.random.Generator) 
         name=f"simulated {like.role} recording",
         air_bearings=like.air_bearings,
         extra_mass=like.extra_mass,
+        load=like.load,
+        reads=like.reads or "angle",
     )

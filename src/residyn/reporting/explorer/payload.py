@@ -20,6 +20,7 @@ from ...diagnosis.evidence import FURTHER, signed, width_of
 from ...diagnosis.missing_torque import missing_of
 from ...filtering.law import numbers_of
 from ...fitting.result import Fit
+from ...recordings.reads import READS
 from ...recordings.segments import by_recording
 from ..names import unbroken
 from .first_order import ErrorGram, FirstOrder
@@ -88,7 +89,6 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
     command line; `toml`: the text of its file.
     """
     experiment, search, screen = study.experiment, study.search, study.screen
-    units = experiment.units or ("rad",) * len(experiment.joints)
     if not live:
         for tried in search.tried:
             study.predicted(sorted(tried))
@@ -100,7 +100,9 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
         "name": name,
         "toml": toml,
         "joints": list(experiment.joints),
-        "units": list(units),
+        "units": list(experiment.units or ("",) * len(experiment.joints)),
+        "reads": [READS[k] for k in experiment.fit_recordings[0].orders],
+        "reading_units": list(experiment.reading_units),
         "base": list(search.fixed),
         "with": [e.label for e in study.effects],
         "held_out": held,

@@ -27,7 +27,8 @@ from ...diagnosis.search import Search, Tried, settle, tried_alone
 from ...effects import AbstractEffect
 from ...filtering.trajectory import Prior, Scene, Trajectory
 from ...fitting import DEFAULT_STARTS
-from ...fitting.conclusion import finish
+from ...fitting.conclusion import finishing
+from ...fitting.lanes import alone
 from ...fitting.multistart import Descent
 from ...fitting.problem import Unknowns, ready
 from ...fitting.result import Fit, FitError
@@ -299,7 +300,8 @@ class Study:
         outliers = [r.wild for r in found.recordings if r.recording.role != "check"]
         ends = out.unknowns, out.compressed, out.cost, out.steps, out.converged
         descent = Descent(found.ready, problem, outliers, *ends)
-        return finish(found.experiment, start, descent, began, polish, evaluated, correct=False)
+        given = found.experiment, start, descent, began, polish, evaluated
+        return alone(finishing(*given, correct=False))
 
     # -- the search ---------------------------------------------------------------------------
 

@@ -3,6 +3,7 @@
 import { drawn, rows } from "./arrays.js";
 import { TimeChart } from "./charts.js";
 import { element } from "./elements.js";
+import { inUnit } from "./words.js";
 
 export class Curves {
   constructor(data, { onStretch, colours }) {
@@ -12,12 +13,13 @@ export class Curves {
     this.place = element("div", { class: "curves" });
     const shared = { sync: "time", zoomed: true, onStretch, colours };
     this.pairs = data.joints.map((joint, j) => {
+      const unit = data.reading_units[j];
       const spots = [element("div", { class: "chart" }), element("div", { class: "chart" })];
       this.place.append(element("div", {}, element("h3", {}, joint), ...spots));
       const angle = new TimeChart(spots[0], {
         ...shared,
         height: 190,
-        label: `${data.units[j] === "m" ? "position" : "angle"}, ${data.units[j]}`,
+        label: inUnit(unit === "m" ? "position" : data.reads[j], unit),
         series: [
           { colour: "measured", width: 4 },
           { colour: "model", width: 1.5 },
@@ -26,7 +28,7 @@ export class Curves {
       const left = new TimeChart(spots[1], {
         ...shared,
         height: 130,
-        label: `left, ${data.units[j]}`,
+        label: inUnit("left", unit),
         series: [{ width: 0, band: true }, { width: 0 }, { colour: "residual", width: 1.2 }],
       });
       return [angle, left];

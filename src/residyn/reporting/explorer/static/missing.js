@@ -3,6 +3,7 @@
 import { drawn, rows } from "./arrays.js";
 import { CloudChart, TimeChart } from "./charts.js";
 import { element } from "./elements.js";
+import { inUnit } from "./words.js";
 
 const SIGMAS = 1.96;
 const LOUD = 100; // squared standard deviations from which on an instant says no more
@@ -22,10 +23,10 @@ export class Missing {
     const of =
       (words, after = "") =>
       () =>
-        `${words}, ${data.units[joint()]}${after}`;
+        inUnit(words, data.units[joint()], after);
     const torque = () => {
       const unit = data.missing[0].units[joint()];
-      return `${unit === "N" ? "force" : "torque"}, ${unit}`;
+      return inUnit(unit === "N" ? "force" : "torque", unit);
     };
     const spot = (title, wide) => {
       const place = element("div", { class: "chart" });

@@ -32,6 +32,11 @@ export function measured(value, std, unit) {
   return `${value.toFixed(places)} ± ${std.toFixed(places)}${short}`;
 }
 
+/** "rate, rad/s"; "rate" where the unit is not known. */
+export function inUnit(what, unit, after = "") {
+  return unit ? `${what}, ${unit}${after}` : what;
+}
+
 /** "a, b and c". */
 export function listed(words) {
   if (words.length < 2) return words.join("");
