@@ -311,7 +311,7 @@ def test_averages_are_of_all_readings_that_there_are(lost):
     angle, time, q = angle[rows], recording.time[rows], np.asarray(path.q)[rows]
     there = np.isfinite(angle)
     recording = Recording.from_arrays(time, angle, noise=1e-4)
-    scene = Scene([recording], [ARM], [np.zeros(angle.shape, bool)], fast=16.0)
+    scene = Scene([recording], [ARM], [np.zeros(angle.shape, bool)])
     grid, own = scene.grid, scene.grid.of(0)
     seen = grid.seen[own]
     assert grid.real < 5000
@@ -363,6 +363,18 @@ def test_lost_readings_make_no_motion_faster():
     )
     fast, slow = (Spectrum.of(r, np.zeros(r.angle.shape, bool)).fastest for r in (part, whole))
     assert fast < 2.5 * slow  # a line through a lost reading has corners of the Nyquist frequency
+
+
+def test_noise_of_fewer_readings_is_no_motion():
+    """Joints that are read in turn, fast: bridged, the noise of half of the readings has twice the
+    power of all of them at the frequencies of the motion."""
+    time, rng = np.arange(12000) / 1000, np.random.default_rng(5)
+    angle = 0.2 * np.exp(-0.2 * time) * np.sin(2 * np.pi * 0.8 * time)
+    angle = (angle + 2e-4 * rng.standard_normal(len(time)))[:, None]
+    half = np.where(np.arange(len(time))[:, None] % 2 == 0, angle, np.nan)
+    runs = [Recording.from_arrays(time, x, noise=2e-4) for x in (half, angle)]
+    fast, slow = (Spectrum.of(r, np.zeros(r.angle.shape, bool)).fastest for r in runs)
+    assert fast < 1.1 * slow
 
 
 def test_typical_stiffness_is_that_of_a_motion_that_is_soon_over():

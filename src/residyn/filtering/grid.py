@@ -88,7 +88,9 @@ class Spectrum(NamedTuple):
         x = np.concatenate([x[..., :0:-1], x], axis=-1) if mirrored else x
         window = np.hanning(x.shape[-1])
         found = np.fft.rfft((x - x.mean(axis=-1, keepdims=True)) * window)
-        unit = (recording.noise**2 * np.sum(window**2))[:, None]  # what noise leaves of a line
+        # What noise leaves of a line: the more, the fewer readings tell the angles at all instants.
+        fewer = np.maximum(1.0, len(even) / np.maximum(use.sum(axis=0), 1))
+        unit = (recording.noise**2 * fewer * np.sum(window**2))[:, None]
         # The lines of what is even are twice as close, and know half as much each.
         lines = _WIDE * (2 if mirrored else 1)
         power = np.min([[_averaged(p, lines) for p in way] for way in np.abs(found) ** 2], axis=0)
