@@ -689,6 +689,9 @@ def test_columns_are_told_from_the_readings_that_there_are():
     likeliest = max(each, key=lambda words: each[words])
     assert likeliest.startswith("elbow's column is its link's angle to the table")
     assert each[likeliest] > base + 500
+    q[::2, 0] = q[1::2, 1] = np.nan  # the joints in turn: no sum is left
+    _, each = told(q[:, ::-1])
+    assert max(each, key=lambda words: each[words]) == exchanged
 
 
 def test_noise_alone_has_the_evidence_of_noise():

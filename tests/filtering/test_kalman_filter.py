@@ -1,10 +1,13 @@
 """The Kalman filter under a random torque: its likelihood, its smoother, and the linear steps of a
 model, each held against a closed form or another way to the same number."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
 
 from residyn import ConstantInertia, PlanarArm, Recording, Spring
@@ -290,6 +293,40 @@ def test_fast_readings_are_averaged_and_lose_nothing():
     assert t.numbers[1] == pytest.approx(0.4, rel=2e-3)
 
 
+@pytest.mark.parametrize("lost", ["in turn", "readings", "rows", "few rows"])
+def test_averages_are_of_all_readings_that_there_are(lost):
+    """... with the noise of so many, and the model says the mean of its angles at their times."""
+    truth = ARM + Spring("shoulder", 17.0) + Spring("elbow", 12.0)
+    recording, path = a_recording(truth, seconds=12.0, rate=1000.0)
+    rng, angle = np.random.default_rng(4), np.array(recording.angle)
+    rows = np.arange(len(angle))
+    if lost == "in turn":
+        angle[rows[:, None] % 2 == [0, 1]] = np.nan
+    elif lost == "readings":
+        angle[rng.random(angle.shape) < 0.2] = np.nan
+    elif lost == "rows":
+        rows = np.delete(rows, rng.choice(rows, 2400, replace=False))
+    else:
+        rows = np.delete(rows, [500, 7000, 7001])
+    angle, time, q = angle[rows], recording.time[rows], np.asarray(path.q)[rows]
+    there = np.isfinite(angle)
+    recording = Recording.from_arrays(time, angle, noise=1e-4)
+    scene = Scene([recording], [ARM], [np.zeros(angle.shape, bool)])
+    grid, own = scene.grid, scene.grid.of(0)
+    seen = grid.seen[own]
+    assert grid.real < 5000
+    readings = np.where(seen, recording.noise**2 / grid.variance[own], 0.0)
+    np.testing.assert_allclose(readings.sum(axis=0), there.sum(axis=0))
+    means = grid.of_readings(0, angle, there)
+    np.testing.assert_array_equal(means[seen], grid.angle[own][seen])
+    values = np.asarray(truth.vector())
+    t = scene.start(truth.effects, Prior(values, values, np.zeros(len(values), bool)))
+    motion = CubicSpline(path.t, np.concatenate([path.q, path.v], axis=1))(grid.time)
+    t = dataclasses.replace(t, path=np.concatenate([motion, t.path[:, 4:]], axis=1))
+    said = np.asarray(scene.linearised(t).seen)[own]
+    np.testing.assert_allclose(said[seen], grid.of_readings(0, q, there)[seen], atol=1e-6)
+
+
 def test_lost_and_uneven_readings_keep_their_times():
     rng = np.random.default_rng(2)
     time = np.sort(rng.uniform(0, 10, 400))
@@ -326,6 +363,18 @@ def test_lost_readings_make_no_motion_faster():
     )
     fast, slow = (Spectrum.of(r, np.zeros(r.angle.shape, bool)).fastest for r in (part, whole))
     assert fast < 2.5 * slow  # a line through a lost reading has corners of the Nyquist frequency
+
+
+def test_noise_of_fewer_readings_is_no_motion():
+    """Joints that are read in turn, fast: bridged, the noise of half of the readings has twice the
+    power of all of them at the frequencies of the motion."""
+    time, rng = np.arange(12000) / 1000, np.random.default_rng(5)
+    angle = 0.2 * np.exp(-0.2 * time) * np.sin(2 * np.pi * 0.8 * time)
+    angle = (angle + 2e-4 * rng.standard_normal(len(time)))[:, None]
+    half = np.where(np.arange(len(time))[:, None] % 2 == 0, angle, np.nan)
+    runs = [Recording.from_arrays(time, x, noise=2e-4) for x in (half, angle)]
+    fast, slow = (Spectrum.of(r, np.zeros(r.angle.shape, bool)).fastest for r in runs)
+    assert fast < 1.1 * slow
 
 
 def test_typical_stiffness_is_that_of_a_motion_that_is_soon_over():

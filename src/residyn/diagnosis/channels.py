@@ -16,9 +16,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ..effects import AbstractEffect
+from ..errors import InputError
 from ..filtering.trajectory import Scene
 from ..fitting import FitError
 from ..fitting.problem import ready
+from ..recordings.arrays import check_enough
 from ..recordings.experiment import Experiment
 from ..recordings.tables import ArmTable
 from ..runtime.parallel import side_by_side
@@ -78,13 +80,15 @@ def reassigned(
     unlikely beforehand as one effect of all `candidates`.
 
     A sum of columns is missing where one of them is. Both models are then compared on the readings
-    of which sums are left, as if the others told nothing of it.
+    of which sums are left, as if the others told nothing of it; not at all where a joint has none.
     """
     recordings = experiment.fit_recordings
     columns = [np.where(w, np.nan, r.angle) for r, w in zip(recordings, scene.wild, strict=True)]
 
     def read_as(angles: Sequence[np.ndarray], M: np.ndarray):
         """Scene and base model of readings (N, n) that are `M` times the columns."""
+        for x in angles:
+            check_enough(x, part=False)
         each = tuple(
             dataclasses.replace(r, angle=x, noise=np.sqrt(np.asarray(r.noise) ** 2 @ (M**2).T))
             for r, x in zip(recordings, angles, strict=True)
@@ -98,7 +102,7 @@ def reassigned(
         M = channels.matrix
         angles = [_sums(x, M) for x in columns]
         left = [_sums(x, np.linalg.inv(M)) for x in angles]
-        with contextlib.suppress(FitError):
+        with contextlib.suppress(FitError, InputError):
             seen, members = read_as(angles, M)
             more = seen.length * float(np.linalg.slogdet(M)[1]) / len(M)
             if np.isnan(np.concatenate(left)).sum() > np.isnan(np.concatenate(columns)).sum():

@@ -1,9 +1,10 @@
 """Recordings as the instants that a filter visits.
 
 All recordings of an experiment stand one after the other on one grid; at the end of each the motion
-begins anew. Where readings come much faster than the motion changes, groups of them are averaged:
-the mean of readings over a short time w is the angle at its middle plus (w^2 / 24) q'', which the
-reading's row of the filter says exactly to this order. Where they are lost or far apart, instants
+begins anew. Where readings come much faster than the motion changes, groups of them are averaged,
+of each joint those that there are. The mean of q(t + d) over the times d of its readings is that of
+q + d q' + (d^2 / 2) q'', which the reading's row of the filter says exactly to this order: for each
+joint and instant, by the mean of d and its variance. Where readings are lost or far apart, instants
 without a reading lie between. The count of instants is filled up to one of a few lengths, so that
 one compiled program serves many recordings.
 """
@@ -39,11 +40,13 @@ class Grid(NamedTuple):
     drive: np.ndarray  # (K, 3, n) N m at the beginning, middle and end of each step
     angle: np.ndarray  # (K, n) mean reading, rad or m; 0 where there is none
     seen: np.ndarray  # (K, n) whether there is one
-    variance: np.ndarray  # (K, n) of it
-    spread: np.ndarray  # (K,) s^2, w^2 / 24 of averages (of k, h apart: (k^2 - 1) h^2 / 24)
-    group: np.ndarray  # (K,) how many readings are averaged
+    variance: np.ndarray  # (K, n) of it: the noise's, over how many readings it is the mean of
+    offset: np.ndarray  # (K, n) s, from the instant to the mean time of these readings
+    spread: np.ndarray  # (K, n) s^2, half the variance of their times
     run: np.ndarray  # (K,) which recording
     last: np.ndarray  # (K,) whether a recording ends here and another one follows
+    group: tuple[np.ndarray, ...]
+    """(N,) of each recording: at which of its own instants each sample is."""
     real: int  # how many instants are no filling
     fast: float  # rad/s, of the fastest motion that its steps are made for
 
@@ -51,14 +54,12 @@ class Grid(NamedTuple):
         """Indices of the instants of one recording."""
         return np.flatnonzero((self.run == recording) & (np.arange(len(self.run)) < self.real))
 
-    def of_readings(self, recording: int, time: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Values (N, n) at the instants (N,) of a recording, at its own instants here."""
-        own = self.of(recording)
-        size = int(self.group[own[0]])
-        if size > 1:
-            count = len(values) // size
-            return values[: count * size].reshape(count, size, -1).mean(axis=1)
-        return np.stack([np.interp(self.time[own], time - time[0], x) for x in values.T], axis=1)
+    def of_readings(self, recording: int, values: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """Values (N, n) at the samples of a recording, at its own instants here: averaged where its
+        readings are, over those that are `seen` (N, n)."""
+        group, count = self.group[recording], len(self.of(recording))
+        readings = np.maximum(_sums(seen, group, count), 1)
+        return _sums(np.where(seen, values, 0.0), group, count) / readings
 
 
 class Spectrum(NamedTuple):
@@ -87,7 +88,9 @@ class Spectrum(NamedTuple):
         x = np.concatenate([x[..., :0:-1], x], axis=-1) if mirrored else x
         window = np.hanning(x.shape[-1])
         found = np.fft.rfft((x - x.mean(axis=-1, keepdims=True)) * window)
-        unit = (recording.noise**2 * np.sum(window**2))[:, None]  # what noise leaves of a line
+        # What noise leaves of a line: the more, the fewer readings tell the angles at all instants.
+        fewer = np.maximum(1.0, len(even) / np.maximum(use.sum(axis=0), 1))
+        unit = (recording.noise**2 * fewer * np.sum(window**2))[:, None]
         # The lines of what is even are twice as close, and know half as much each.
         lines = _WIDE * (2 if mirrored else 1)
         power = np.min([[_averaged(p, lines) for p in way] for way in np.abs(found) ** 2], axis=0)
@@ -153,7 +156,8 @@ def lay_out(
         each = (Spectrum.of(r, w).fastest for r, w in zip(recordings, wild, strict=True))
         fast = max(least, *each)
     most = sum(len(r.time) for r in recordings) / _ENOUGH  # readings in an average
-    parts = [_one(r, w, fast, most) for r, w in zip(recordings, wild, strict=True)]
+    each = [_one(r, w, fast, most) for r, w in zip(recordings, wild, strict=True)]
+    group, parts = zip(*each, strict=True)
     ends = np.cumsum([len(p[0]) for p in parts])
     last, real = np.zeros(ends[-1], bool), int(ends[-1])
     last[ends[:-1] - 1] = True
@@ -161,45 +165,44 @@ def lay_out(
     columns = [*map(np.concatenate, zip(*parts, strict=True)), run, last]
     more = min(bucket(real, least=length) for length in _LENGTHS) - real
     filled = [np.pad(x, [(0, more), *[(0, 0)] * (x.ndim - 1)], mode="edge") for x in columns]
-    grid = Grid(*filled, real=real, fast=fast)
+    grid = Grid(*filled, group=group, real=real, fast=fast)
     grid.seen[real:], grid.angle[real:] = False, 0.0
     return grid
 
 
 def _one(recording: Recording, wild: np.ndarray, fast: float, most: float):
-    """What a `Grid` has of one recording, for motions up to `fast` rad/s: averages of `most`
-    readings, where their group is still short beside the motion."""
+    """At which instant (N,) each sample of one recording is, and what else a `Grid` has of it, for
+    motions up to `fast` rad/s. Samples within the time of `most` are at one instant, the mean of
+    their times, where that is still short beside the motion."""
     time = recording.time - recording.time[0]
-    seen = np.isfinite(recording.angle) & ~wild
-    angle, spread = np.where(seen, recording.angle, 0.0), np.zeros(len(time))
     gap = float(np.median(np.diff(time)))
-    drive = np.zeros_like(angle) if recording.drive is None else np.asarray(recording.drive)
     size = max(1, min(math.ceil(most), int(STEP / fast / gap)))
-    if np.ptp(np.diff(time)) >= 0.1 * gap:  # uneven
-        size = 1
-    if size > 1:
-        count = len(time) // size
-        cut = lambda x: x[: count * size].reshape(count, size, *x.shape[1:])  # noqa: E731
-        # A group with a reading missing is not centred: it counts as not seen.
-        seen = cut(seen).all(axis=1)
-        angle = np.where(seen, cut(angle).mean(axis=1), 0.0)
-        time, drive = cut(time).mean(axis=1), cut(drive).mean(axis=1)
-        spread = np.full(count, (size**2 - 1) * gap**2 / 24)
-    pieces = np.maximum(1, np.ceil(np.diff(time) * fast / LONGEST - 1e-6)).astype(int)
-    if pieces.max(initial=1) > 1:
-        at = np.concatenate([[0], np.cumsum(pieces)])
-        fine = np.interp(np.arange(at[-1] + 1), at, time)
-        drive = np.stack([np.interp(fine, time, u) for u in drive.T], axis=1)
-        known = angle, seen, spread
-        angle, seen, spread = (np.zeros((len(fine), *x.shape[1:]), x.dtype) for x in known)
-        angle[at], seen[at], spread[at] = known
-        time = fine
-    step = np.append(np.diff(time), 0.0)
+    clock = np.arange(len(time)) if size == 1 else (time / gap + 0.5) // size
+    _, group = np.unique(clock, return_inverse=True)
+    samples = np.bincount(group)
+    when = np.bincount(group, time) / samples
+    pieces = np.maximum(1, np.ceil(np.diff(when) * fast / LONGEST - 1e-6)).astype(int)
+    at = np.concatenate([[0], np.cumsum(pieces)])
+    fine = np.interp(np.arange(at[-1] + 1), at, when)
+    drive = np.zeros_like(recording.angle) if recording.drive is None else recording.drive
+    drive = _sums(drive, group, len(samples)) / samples[:, None]
+    drive = np.stack([np.interp(fine, when, u) for u in drive.T], axis=1)
     after = np.concatenate([drive[1:], drive[-1:]])
     three = np.stack([drive, 0.5 * (drive + after), after], axis=1)
-    variance = np.tile(recording.noise**2 / size, (len(time), 1))
-    group = np.full(len(time), size)
-    return time, step, three, angle, seen, variance, spread, group
+    group, seen = at[group], np.isfinite(recording.angle) & ~wild
+    since, readings = (time - fine[group])[:, None], _sums(seen, group, len(fine))
+    angle, offset, square = (
+        _sums(np.where(seen, x, 0.0), group, len(fine)) / np.maximum(readings, 1)
+        for x in (recording.angle, since, since**2)
+    )
+    step, variance = np.append(np.diff(fine), 0.0), recording.noise**2 / np.maximum(readings, 1)
+    spread = 0.5 * (square - offset**2)
+    return group, (fine, step, three, angle, readings > 0, variance, offset, spread)
+
+
+def _sums(x: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+    """(count, n) sums of x (N, n) over each group (N,)."""
+    return np.stack([np.bincount(group, column, count) for column in x.T], axis=1)
 
 
 def local_amplitude(time: np.ndarray, angle: np.ndarray, period: float) -> np.ndarray:

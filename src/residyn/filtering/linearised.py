@@ -49,7 +49,8 @@ class Instants(NamedTuple):
     usual: Any  # () their median
     time: Any  # (K,) s from the recording's first
     drive: Any  # (3, n, K) N m
-    spread: Any  # (K,) s^2, of averaged readings
+    offset: Any  # (n, K) s, from each instant to the mean time of the readings averaged there
+    spread: Any  # (n, K) s^2, half the variance of their times
     run: Any  # (K,) which recording
     last: Any  # (K,) whether it ends here and another one follows
     first_angle: Any  # (n, K) where the next one begins
@@ -578,10 +579,11 @@ def _readings(laws: Laws, table: Table, instants: Instants, at: Nodes, f: Field,
         delay, delay_u = jax.lax.fori_loop(0, slots.count, late, (delay, delay_u))
     # r(t - d), averaged: r - d r' + (d^2 / 2 + spread) r''.
     r, rate, bend = derivatives(at, f, laws.orders)
-    d, w = delay[:, None], 0.5 * delay[:, None] ** 2 + instants.spread
+    d = delay[:, None] - instants.offset
+    w = 0.5 * d**2 + instants.spread
     value = r.value - d * rate.value + w * bend.value
     Hx, Ht, Hu = (
-        here - d[..., None] * once + w[:, None] * twice
+        here - d[:, None] * once + w[:, None] * twice
         for here, once, twice in zip(r[1:], rate[1:], bend[1:], strict=True)
     )
     Hu = jnp.pad(Hu, ((0, 0), (0, p), (0, 0)))

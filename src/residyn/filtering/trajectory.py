@@ -138,7 +138,7 @@ class Scene:
         for i in range(len(recordings)):
             own = g.of(i)
             for j in range(n):
-                time, angle, use = g.time[own], g.angle[own, j], g.seen[own, j]
+                time, angle, use = g.time[own] + g.offset[own, j], g.angle[own, j], g.seen[own, j]
                 if self.orders and self.orders[j]:
                     r = recordings[i].as_angles
                     time, angle, use = r.time - r.time[0], r.angle[:, j], np.isfinite(r.angle[:, j])
@@ -148,7 +148,8 @@ class Scene:
         self.q, self.v = q, v
         each = map(g.of, range(len(recordings)))
         moves = np.concatenate([own[: moving(q[own])] for own in each])
-        noise = np.sqrt(g.variance[0]) * recordings[0].as_angles.noise / recordings[0].noise
+        noise = np.sqrt(np.median(g.variance[g.of(0)], axis=0))
+        noise = noise * recordings[0].as_angles.noise / recordings[0].noise
         amplitude = np.maximum(np.std(q[moves], axis=0), 3 * noise)
         duration = recordings[long].duration
         slowest = 2 * math.pi / duration
@@ -164,7 +165,8 @@ class Scene:
             usual=np.median(g.step[g.step > 0]),
             time=g.time,
             drive=np.moveaxis(g.drive, 0, -1),
-            spread=g.spread,
+            offset=g.offset.T,
+            spread=g.spread.T,
             run=g.run,
             last=g.last,
             first_angle=np.concatenate([q[1:], q[-1:]]).T,
