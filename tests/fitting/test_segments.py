@@ -97,7 +97,7 @@ def test_segments_without_a_reading_bound_no_spectrum():
     fit = residyn.fit(experiment(dataclasses.replace(whole, angle=angle)), starts=1)
     assert min(r.used.sum() for r in fit.recordings) == 0
     found = compare_fit(fit, missing=())
-    assert np.isfinite(found.where.white["slide"].p)
+    assert np.isfinite(found.where.white["slide"])
     assert sum(c["share"] for c in found.where.to_dict()["frequency"]) == pytest.approx(1)
 
 
