@@ -85,7 +85,7 @@ def test_what_a_spring_pulls_back_stays_whole():
 @pytest.mark.slow
 def test_friction_is_named():
     found = residyn.diagnose(experiment(recorded()), starts=1, max_effects=1)
-    assert found.added == ("coulomb_friction:slide",)
+    assert (found.families[0].name, found.families[0].place) == ("dry friction", "slide")
     assert len(found.missing) == 1
     assert found.missing[0].recording == "slide.csv"
 
