@@ -236,7 +236,7 @@ def test_what_cannot_be_sent_to_a_worker_is_a_line(folder):
     with ProcessPoolExecutor(1, spawn) as pool:
         found = list(residyn.fit_many(files, effects=[Local("cart")], executor=pool))
     assert sorted(Path(e.name).stem for e in found) == ["a", "b"]
-    assert all("cannot be sent to a worker, " in e.told["error"] for e in found)
+    assert all("no result came from the worker, " in e.told["error"] for e in found)
     assert all("Local" in e.told["error"] for e in found)
 
 

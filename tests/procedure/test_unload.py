@@ -326,7 +326,7 @@ def test_a_negative_stiffness_moves_the_arm_away_from_its_rest():
 
 def test_an_arm_without_modes_is_said(papers):
     whole = papers.fit.experiment
-    steep = by_hand.a_model(dataclasses.replace(papers.fit, steep=("damper:elbow",)))
+    steep = by_hand.a_model(dataclasses.replace(papers.fit, infinite_slopes=("damper:elbow",)))
     kept = {"search": object(), "fits": SimpleNamespace(whole=whole)}
     with pytest.raises(FitError, match="slope of damper:elbow is infinite at rest"):
         residyn.unload(whole, diagnosis=by_hand.a_diagnosis("adequate", [steep], **kept))

@@ -46,7 +46,7 @@ from .evidence import (
 from .forecast import held_out
 from .law import CurveModel, curve_models, laws_of
 from .linearised_fit import Hopeless, evaluated, polish
-from .missing_torque import CURVES, missing_of, of_base, restoring_torque, scene_of
+from .missing_torque import CURVES, missing_of, owning_base, restoring_torque, scene_of
 from .result import (
     Budget,
     Candidate,
@@ -107,7 +107,7 @@ def diagnose(
     with jax.enable_x64(True):
         deadline = math.inf if budget is None else time.perf_counter() + budget
         # What is found is of all runs; whether one has it for itself, `compare` asks afterwards.
-        experiment = of_base(experiment, effects)
+        experiment = owning_base(experiment, effects)
         scene, base = scene_of(experiment, effects)
         fits = Fits(experiment, scene, starts)
         search = Search(scene, base, deadline=deadline, say=say)

@@ -216,8 +216,10 @@ def missing_of(
     return tuple(found)
 
 
-def of_base(experiment: Experiment, effects: Sequence[str | AbstractEffect]) -> Experiment:
+def owning_base(experiment: Experiment, effects: Sequence[str | AbstractEffect]) -> Experiment:
     """The experiment, but that only numbers of the base model with some effects are a run's own."""
+    if not experiment.own:
+        return experiment
     return experiment.owning(ready(experiment, experiment.fit_recordings, effects).model.labels)
 
 

@@ -16,7 +16,7 @@ from scipy.special import expit
 
 from ..effects import AbstractEffect
 from ..recordings.experiment import Experiment
-from .missing_torque import of_base, scene_of
+from .missing_torque import owning_base, scene_of
 from .search import tried_alone
 
 
@@ -53,7 +53,7 @@ def own_numbers(
     if not experiment.own:
         return ()
     with jax.enable_x64(True):
-        experiment = of_base(experiment, effects)
+        experiment = owning_base(experiment, effects)
         with_all = tried_alone(*scene_of(experiment, effects)).log_evidence
         found = []
         for label, runs in experiment.own.items():

@@ -161,7 +161,7 @@ def _told(*given) -> Each:
 
 
 def _lost(name: str, error: Exception) -> Each:
-    words = f"it cannot be sent to a worker, {type(error).__name__}: {error}"
+    words = f"no result came from the worker, {type(error).__name__}: {error}"
     if isinstance(error, BrokenExecutor):
         words = "the process that was to fit it has died (memory?): run it again"
     return Each(name, None, {"name": name, "error": words})

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
-from .covariance import modes_of, numbers_of, spread_of, steep_of
+from .covariance import infinite_slopes_of, modes_of, numbers_of, spread_of
 from .history import History
 from .integration import at_twice_the_steps, corrected
 from .lanes import Fitting, alone, evaluating
@@ -69,7 +69,7 @@ def finishing(
         recordings=(*fitted, *held_out),
         reduced_chi2=chi2,
         modes=modes,
-        steep=() if modes else steep_of(model),
+        infinite_slopes=() if modes else infinite_slopes_of(model),
         starts=descent.starts,
         agreeing_starts=descent.agreeing,
         converged=descent.converged,

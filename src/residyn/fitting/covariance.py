@@ -77,7 +77,7 @@ def modes_of(model: Model, covariance: np.ndarray) -> tuple[Mode, ...]:
     return tuple(found)
 
 
-def steep_of(model: Model) -> tuple[str, ...]:
+def infinite_slopes_of(model: Model) -> tuple[str, ...]:
     """Labels of effects whose torque has an infinite slope at rest: the model has no modes."""
     alone = {e.label: changed(model, effects=(e,)) for e in model.effects}
     return tuple(x for x, m in alone.items() if not np.isfinite(at_rest(m)[1]).all())

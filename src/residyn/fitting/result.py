@@ -121,7 +121,7 @@ class Fit(TableResult):
     """Its minimum."""
     open_groups: tuple[tuple[int, ...], ...] = ()
     """Indices of numbers of which the data determine only a combination."""
-    steep: tuple[str, ...] = ()
+    infinite_slopes: tuple[str, ...] = ()
     """Effects with an infinite slope at rest, where there are no modes then."""
     integration_error: float = float("nan")
     """Of the predicted readings, in times the noise: see `fitting.integration`."""

@@ -71,9 +71,8 @@ def unload(
             fitted = fit(experiment, effects=effects, starts=starts, progress=say)
         else:
             fitted = diagnosis.fit
-        steep = [e.label for e in fitted.model.effects if not e.of_bearings]
-        steep = [label for label in steep if label in fitted.steep]
-        if steep:
+        left = [e.label for e in fitted.model.effects if not e.of_bearings]
+        if steep := [label for label in left if label in fitted.infinite_slopes]:
             raise FitError(
                 f"the slope of {', '.join(steep)} is infinite at rest: there are no modes, with "
                 "bearings or without"

@@ -21,7 +21,7 @@ from ...diagnosis.diagnose import MOST_EFFECTS, Fits, diagnosed
 from ...diagnosis.evidence import INTENSITIES
 from ...diagnosis.forecast import HeldOut, held_out
 from ...diagnosis.linearised_fit import evaluated, polish
-from ...diagnosis.missing_torque import of_base, scene_of
+from ...diagnosis.missing_torque import owning_base, scene_of
 from ...diagnosis.result import Diagnosis
 from ...diagnosis.search import Search, Tried, settle, tried_alone
 from ...effects import AbstractEffect
@@ -69,7 +69,7 @@ class Study:
         if not experiment.fit_recordings:
             raise ValueError('no recording has role = "fit": there is nothing to fit to')
         self.experiment, self.say = experiment, say
-        whole = of_base(experiment, effects)
+        whole = owning_base(experiment, effects)
         scene, base = scene_of(whole, effects)
         self._keep(Search(scene, base, say=say), Fits(whole, scene, DEFAULT_STARTS))
         say("fitting springs and dampers")
