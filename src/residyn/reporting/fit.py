@@ -127,8 +127,8 @@ def _open(fit: Fit) -> Iterator[str]:
 def _no_modes(fit: Fit) -> Iterator[str]:
     if fit.infinite_slopes:
         yield (
-            f"there are no modes: at rest the slope of {listed(fit.infinite_slopes)} is infinite, so that "
-            "the model is not linear there, however small the swing"
+            f"there are no modes: at rest the slope of {listed(fit.infinite_slopes)} is infinite, "
+            "so that the model is not linear there, however small the swing"
         )
 
 
