@@ -10,7 +10,7 @@ subset of them, to first order.
 import dataclasses
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -487,17 +487,23 @@ def with_effects(
     scene: Scene, t: Trajectory, kept: Sequence[int], more: Sequence[AbstractEffect] = ()
 ) -> Trajectory:
     """A model with some of its effects, as they are, and others, whose regressors and internal
-    states are zero."""
-    effects, n = (*(t.effects[i] for i in kept), *more), 2 * scene.n
+    states are zero. Beyond springs and dampers they stand by name, so that what joined in another
+    order is fitted by the same compiled program."""
+    each, n = [*((t.effects[i], i) for i in kept), *((e, None) for e in more)], 2 * scene.n
+    each.sort(key=lambda own: "" if own[0].name in BASE else own[0].label)
+    effects = tuple(effect for effect, _ in each)
 
-    def known(slices: Sequence[slice]) -> np.ndarray:
-        return np.r_[(slice(0, 0), *(slices[i] for i in kept))].astype(int)
+    def places(slices_of: Callable[..., list[slice]]) -> tuple[np.ndarray, np.ndarray]:
+        old, new = slices_of(t.effects), slices_of(effects)
+        both = [(old[i], own) for (_, i), own in zip(each, new, strict=True) if i is not None]
+        before, after = zip((slice(0, 0),) * 2, *both, strict=True)
+        return np.r_[before].astype(int), np.r_[after].astype(int)
 
-    numbers, states = known(number_slices(t.effects)), known(state_slices(t.effects))
+    (numbers, at), (states, held) = places(number_slices), places(state_slices)
     u, room = np.zeros(scene.regressors(effects)), scene.room(effects)
     path, first = np.zeros((scene.K, n + room)), np.zeros((len(t.first), room))
-    u[: len(numbers)], first[:, : len(states)] = t.u[numbers], t.first[:, states]
-    path[:, : n + len(states)] = t.path[:, np.r_[0:n, n + states]]
+    u[at], first[:, held] = t.u[numbers], t.first[:, states]
+    path[:, np.r_[0:n, n + held]] = t.path[:, np.r_[0:n, n + states]]
     prior = prior_of(scene, effects)
     return dataclasses.replace(t, effects=effects, prior=prior, u=u, path=path, first=first)
 
@@ -511,7 +517,8 @@ def extended(scene: Scene, t: Trajectory, found: Column) -> Trajectory:
     """A model with one more effect, from the screen's answer."""
     effect = with_numbers(found.effect, shaped_numbers(found.effect, found.shape))
     t = with_effects(scene, t, range(len(t.effects)), [effect])
-    own, states = number_slices(t.effects)[-1], state_slices(t.effects)[-1]
+    place = t.labels.index(effect.label)
+    own, states = number_slices(t.effects)[place], state_slices(t.effects)[place]
     values, phase, least = list(found.regressors), 0.0, 0.02
     if effect.oscillates:
         values, phase = [math.hypot(*values)], math.atan2(values[1], values[0])
@@ -522,5 +529,5 @@ def extended(scene: Scene, t: Trajectory, found: Column) -> Trajectory:
         if number.silent is not None:
             t.u[i] = max(next(strong), least) if signed(number) else next(strong)
     t.path[:, 2 * scene.n :][:, states] = found.states + phase
-    t.first[:, states] = found.states[scene.begins] + phase
+    t.first[: len(scene.begins), states] = found.states[scene.begins] + phase
     return t

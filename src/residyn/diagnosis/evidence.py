@@ -90,6 +90,11 @@ IN_PLAY = 0.01
 left to explain; whether it is simulated exactly; and whether the next test is planned for it. What
 all the rarer ones may add to an entropy is less than what the draws leave of it open. A plan is for
 `CONTENDERS` models at the most: each is integrated through every test."""
+SETTLED = 0.1
+"""Nats to which an evidence is iterated: odds of 1.1, less than any prior is known to."""
+FALL = 2
+"""Steps of `INTENSITIES`, a decade, that the random torque may fall by in one iteration: the motion
+is linearised about the one before."""
 RELEASE_ERROR = 0.1
 """Standard deviation of the state at release of a test that is planned, as a share of the angles:
 hands and stops are right to a tenth. It is far above the noise, so that only its order matters."""

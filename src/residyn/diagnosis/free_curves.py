@@ -32,8 +32,10 @@ from .columns import responses
 from .evidence import (
     CURVE_AMPLITUDES,
     CURVE_LENGTHS,
+    FALL,
     INTENSITIES,
     NEGLIGIBLE,
+    SETTLED,
     conditional,
     half_normals,
     log_prior_intensity,
@@ -49,8 +51,7 @@ _ROOMS = 48, 128, 256
 of a variable. A compiled program for each."""
 _AT_ONCE = 4  # curves in one pass
 _ITERATIONS = 8
-_SETTLED = 0.1  # nats
-_NEAR, _FALL = 3, 2  # random torques looked at in an iteration, and that it may fall by
+_NEAR = 3  # random torques looked at in an iteration
 _LIGHT = 1e-3  # posterior of a prior's width and length below which it is left out of the band
 
 
@@ -417,10 +418,10 @@ def settle(
         here = float(found.evidences.max())
         if not np.isfinite(here):
             return None
-        if turn == _ITERATIONS - 1 or (likeliest == level and abs(here - before) < _SETTLED):
+        if turn == _ITERATIONS - 1 or (likeliest == level and abs(here - before) < SETTLED):
             found = law.beside(along, place, INTENSITIES)
             return Settled(found.evidences, t, law, found)
-        level, before, law = min(likeliest, level + _FALL), here, found
+        level, before, law = min(likeliest, level + FALL), here, found
     return None
 
 

@@ -262,9 +262,12 @@ class Written(Tried):
         effect: Any = self.found.kind()(self.found.joint)  # pyright: ignore[reportCallIssue]
         own = [i for i, e in enumerate(t.effects) if not isinstance(e, FreeCurve)]
         t = with_effects(scene, t, own, [effect])
-        numbers, last = np.array(t.prior.mean), number_slices(t.effects)[-1]
-        numbers[last] = [float(getattr(effect, n.field)) for n in numbers_of(effect)]
-        t.u[last] = t.prior.regressors(numbers)[last]
+        numbers, its = (
+            np.array(t.prior.mean),
+            number_slices(t.effects)[t.labels.index(effect.label)],
+        )
+        numbers[its] = [float(getattr(effect, n.field)) for n in numbers_of(effect)]
+        t.u[its] = t.prior.regressors(numbers)[its]
         return (t,)
 
 

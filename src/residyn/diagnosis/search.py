@@ -42,11 +42,13 @@ from .evidence import (
     COMPLETE,
     CONTENDERS,
     EXPLAINS_NOTHING,
+    FALL,
     HOPELESS,
     IN_PLAY,
     INDISTINGUISHABLE,
     INTENSITIES,
     READINGS_LEAD,
+    SETTLED,
     STRENGTHS,
     WIDTH,
     half_normals,
@@ -62,8 +64,6 @@ from .simulated import Simulated
 
 _ITERATIONS = 20  # of one model, at the most
 _NEAR = 4  # random torques at which a model is judged while it moves
-_FALL = 2  # steps of the grid that the random torque may fall by
-_SETTLED = 0.1  # nats
 _ROUGH = 1.0  # nats by which kinks make an evidence fall and rise where it is highest
 _HALVED = 4  # times that a step is halved, at the most
 _FINER = 5.0  # how much closer they come without a random torque
@@ -166,7 +166,7 @@ def settle(
     """
     first = next(k for k, x in enumerate(INTENSITIES) if x <= loudest)
     each = [
-        _descended(scene, t, first) if _sticks(t) else _iterated(scene, t, first - _FALL)
+        _descended(scene, t, first) if _sticks(t) else _iterated(scene, t, first - FALL)
         for t in starts
     ]
     found: list[_State | None] = [None] * len(starts)
@@ -201,7 +201,7 @@ class _State(NamedTuple):
 def _iterated(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None]:
     """Gauss-Newton steps of a model: its evidences where it is, near the random torque that it has,
     and where they lead; all evidences where it ends. None where it runs away. The first random
-    torque is the one of index `level`, or one louder by `_FALL`.
+    torque is the one of index `level`, or one louder by `FALL`.
 
     Evidence falls along the whole of a step where the model bends more than its slopes say: such a
     step is halved (backtracking; Nocedal and Wright, Numerical Optimization, 2006, ch. 3).
@@ -217,7 +217,7 @@ def _iterated(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None
             known = _evidences(scene, t, linear, every)
             likeliest = int(np.argmax(known + prior))
         fall = float(evidences.max()) - float(known.max())
-        if not fall < _SETTLED and back is not None:
+        if not fall < SETTLED and back is not None:
             if last or halved == _HALVED or fall < _ROUGH:
                 evidences = _evidences(scene, back, scene.linearised(back), every)
                 yield _State(t, evidences, rise, True)
@@ -227,8 +227,8 @@ def _iterated(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None
             continue
         if not np.isfinite(known).any():
             break
-        level, before = min(likeliest, max(level, 0) + _FALL), level
-        done = last or (level == before and abs(known[level] - evidences[level]) < _SETTLED)
+        level, before = min(likeliest, max(level, 0) + FALL), level
+        done = last or (level == before and abs(known[level] - evidences[level]) < SETTLED)
         if done:
             known = _evidences(scene, t, linear, every)
         moved = scene.smoothed(t, linear, INTENSITIES[level])
@@ -263,7 +263,7 @@ def _descended(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | Non
         settled = last or here == _HERE or converged
         if settled or lowest:
             # Each of its own motion: one under a louder torque says of them what is linear only.
-            own = np.arange(level, min(level + _FALL, len(INTENSITIES)))
+            own = np.arange(level, min(level + FALL, len(INTENSITIES)))
             known = _evidences(scene, t, linear, own)[own]
             evidences = evidences.copy()
             evidences[own] = known
@@ -273,7 +273,7 @@ def _descended(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | Non
             if last or hopeless or (lowest and (settled or not np.isfinite(known).any())):
                 break
             if settled:
-                level, here, reversals = min(level + _FALL, len(evidences) - 1), 0, 0
+                level, here, reversals = min(level + FALL, len(evidences) - 1), 0, 0
                 before = np.zeros(P)
         t = moved
         yield _State(t, evidences)
@@ -323,7 +323,7 @@ def silenced(scene: Scene, t: Trajectory, intensity: float) -> Trajectory:
     """A model without a random torque: where a fit by least squares begins. If it runs away on the
     way there, the last motion that did not."""
     first = INTENSITIES.index(intensity)
-    for x in (*INTENSITIES[first + 1 :: _FALL], 0.0, 0.0):
+    for x in (*INTENSITIES[first + 1 :: FALL], 0.0, 0.0):
         moved = scene.smoothed(t, scene.linearised(t), x)
         if moved is None:
             break
@@ -339,7 +339,7 @@ def prepare(scene: Scene, base: Sequence[AbstractEffect], wanted: Sequence[Abstr
     t = scene.start(base, prior_of(scene, base))
     K, X, n, P = scene.K, t.path.shape[1], scene.n, len(t.u)
     laws, _ = scene.tabulated(t)
-    key = laws.names, scene.joints, len(scene.recordings), K, X, P, type(scene.mechanisms[0])
+    key = laws.names, scene.joints, len(t.first), K, X, P, type(scene.mechanisms[0])
     if key in _prepared:
         return
     _prepared.add(key)

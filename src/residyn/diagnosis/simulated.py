@@ -17,11 +17,10 @@ from scipy.linalg import cho_factor, cho_solve
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting.problem import Problem, Unknowns
 from ..fitting.result import Fit, FitError
-from .evidence import half_normals
+from .evidence import SETTLED, half_normals
 from .linearised_fit import Minimum, minimum
 
 _STEPS = 30  # of Levenberg and Marquardt, at the most
-_SETTLED = 0.1  # of the posterior's chi-square: a step that gains less is the last one
 _DAMPING = 1e-3, 1e6  # relative to the squares of each unknown: of the first that fails, at most
 
 
@@ -83,7 +82,7 @@ def _mode(problem: Problem, t: Trajectory, mean, width, begin: np.ndarray) -> _P
             here, damping = there, 0.1 * damping if damping > _DAMPING[0] else 0.0
         else:
             damping = max(10 * damping, _DAMPING[0])
-        if 0 < gain < _SETTLED or damping > _DAMPING[1]:
+        if 0 < gain < 2 * SETTLED or damping > _DAMPING[1]:
             break
     return here
 

@@ -32,8 +32,10 @@ _Effect = TypeVar("_Effect", bound=AbstractEffect)
 
 RAMP = 0.4
 """Half-width of dry friction's ramp in steps: the Runge-Kutta step is stable above 1 / 2.78."""
+RUNS = 4
+"""Room for recordings is this, or twice that, and so on ..."""
 ROOM = 4
-"""Room for a model's effects comes in multiples of this ..."""
+"""... for a model's effects it comes in multiples of this ..."""
 REGRESSORS = 11
 """... for its numbers, of this: 1 + 11 columns of means are whole vectors of 4 or 8 float64 ..."""
 STATES = 2
@@ -416,8 +418,9 @@ def states_along(effect: Any, numbers, mechanism, q, v, t, h, anew, z0):
     return jnp.moveaxis(jax.lax.scan(step, z0[:, 0], each)[1], 0, -1)
 
 
-def stacked_mechanisms(mechanisms: Sequence[AbstractInertia]):
-    """Mechanisms, one for each recording, as one whose leaves are (R, ...)."""
+def stacked_mechanisms(mechanisms: Sequence[AbstractInertia], room: int):
+    """Mechanisms, one for each recording, as one whose leaves are (R, ...), R being the `room`."""
+    mechanisms = [*mechanisms, *(mechanisms[-1],) * (room - len(mechanisms))]
     return jax.tree.map(
         lambda *leaves: np.stack([np.asarray(x, float) for x in leaves]),
         *[eqx.filter(m, eqx.is_array_like) for m in mechanisms],

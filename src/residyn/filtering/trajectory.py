@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..effects import AbstractEffect
+from ..fitting.layout import bucket
 from ..fitting.problem import richest
 from ..physics.inertia import AbstractInertia
 from ..physics.model import Model
@@ -26,6 +27,7 @@ from .grid import Grid, Spectrum, lay_out, moving
 from .kalman import Evidences, Noise, Readings, evidences, smooth
 from .law import (
     REGRESSORS,
+    RUNS,
     STATES,
     Laws,
     Table,
@@ -76,7 +78,7 @@ class Trajectory:
     u: np.ndarray  # (P,) regressors, filled up: 0 where the model has no number
     path: np.ndarray  # (K, 2n + M) smoothed angles, rates and internal states
     spread: np.ndarray  # (K, n) standard deviation of the rates
-    first: np.ndarray  # (R, M) internal states where each recording begins, as known beforehand
+    first: np.ndarray  # (R, M) internal states where recordings begin, as known beforehand; R: room
     log_evidence: float
     # Until the model is smoothed of size 0:
     covariance: np.ndarray  # (P, P) of u
@@ -170,7 +172,7 @@ class Scene:
             run=g.run,
             last=g.last,
             first_angle=np.concatenate([q[1:], q[-1:]]).T,
-            mechanisms=stacked_mechanisms(mechanisms),
+            mechanisms=stacked_mechanisms(mechanisms, bucket(len(mechanisms), least=RUNS)),
         )
 
     @property
@@ -204,7 +206,7 @@ class Scene:
         path = np.concatenate([self.q, self.v, np.zeros((self.K, room))], axis=1)
         spread = np.tile([0.1 * s.amplitude * s.frequency for s in self.scales], (self.K, 1))
         u, none = np.zeros(self.regressors(effects)), np.zeros((0, 0))
-        begin = path, spread, np.zeros((len(self.recordings), room))
+        begin = path, spread, np.zeros((bucket(len(self.recordings), least=RUNS), room))
         return Trajectory(tuple(effects), prior, u, *begin, -math.inf, none, none, none)
 
     def regressors(self, effects: Sequence[AbstractEffect]) -> int:

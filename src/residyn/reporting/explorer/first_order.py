@@ -136,7 +136,7 @@ def _rolled_out(columns: Columns) -> list[tuple[np.ndarray, np.ndarray]]:
     drive = np.concatenate([s.c[..., None], s.B, more], -1)
     seen = np.concatenate([s.hc[..., None], s.Hu, read], -1)
     F, found = drive.shape[-1], []
-    for first, rows in zip(t.first, _rows(scene), strict=True):
+    for first, rows in zip(t.first[: len(scene.begins)], _rows(scene), strict=True):
         M = np.concatenate([np.zeros((X, F)), np.eye(X, states)], 1)
         M[2 * scene.n :, 0] = first  # internal states begin where they are known to
         out = np.empty((len(rows), scene.n, M.shape[1]))

@@ -201,7 +201,7 @@ class Study:
             n = 2 * other.n
             path = dataclasses.replace(
                 path, prior=known, u=np.zeros_like(path.u), spread=begin.spread,
-                first=np.zeros((len(other.recordings), room)),
+                first=np.zeros((len(begin.first), room)),
                 path=np.concatenate([begin.path[:, :n], np.zeros((other.K, room))], axis=1),
             )  # fmt: skip
             if any(e.memory for e in path.effects):  # of which nothing is known there
