@@ -429,8 +429,7 @@ def test_two_effects_are_found_one_after_the_other():
 
 
 def test_a_joint_whose_springs_slacken_in_its_few_swings_lacks_friction_and_a_spring_shape():
-    """A quarter of what pulls back is left: no reason to look for a wrong unit. And the names that
-    come nearest, of which one is not quite right, leave a third of what was missing."""
+    """A quarter of what pulls back is left: no reason to look for a wrong unit."""
     time = np.arange(0, 2, 0.01)
 
     def rates(_, x):
@@ -448,7 +447,7 @@ def test_a_joint_whose_springs_slacken_in_its_few_swings_lacks_friction_and_a_sp
         found = Posterior(search).families()
     assert search.best.intensity < EXPLAINS_NOTHING
     assert {f.name for f in found[:2]} == {"dry friction", "spring shape"}
-    assert all(0.3 < f.probability < 0.6 for f in found[:2])
+    assert all(f.probability > 0.3 for f in found[:2])
     assert all(f.probability < 0.1 for f in found[2:])
 
 
@@ -839,3 +838,48 @@ def test_json_is_the_contract(friction):
     assert set(found["budget"]) == {"models", "candidates", "stopped"}
     assert found["budget"]["candidates"] == len(found["candidates"])
     assert found["budget"]["stopped"] is None
+
+
+def test_an_effect_that_is_given_has_the_evidence_of_one_that_is_found():
+    """Hysteresis, by Bouc and Wen's law: without a strength nothing leads to its angle, so it joins
+    springs and dampers as a candidate does."""
+    time = np.arange(0, 4, 0.01)
+
+    def rates(_, x):
+        q, v, z = x
+        torque = 300 * q + 0.4 * v + 0.6 * z
+        return v, -torque / 1.5, (v - abs(v) * z) / 0.01
+
+    angle = solve_ivp(rates, (0, 4), (0.03, 0, 0), t_eval=time, rtol=1e-9, max_step=5e-3).y[0]
+    angle = angle + 2e-5 * np.random.default_rng(2).standard_normal(len(time))
+    seen = residyn.Recording.from_arrays(time, angle[:, None], noise=2e-5)
+    table = InertiaTable(("cart",), ((1.5,),), ("m",))
+    rig = residyn.Experiment(table, (seen,))
+    with jax.enable_x64(True):
+        given = tried_alone(*scene_of(rig, ["hysteresis"]))
+        search = Search(*scene_of(rig, ()))
+        added = search.beside(search.base, "hysteresis:cart")
+    assert given.log_evidence == pytest.approx(added.log_evidence, abs=1.0)
+
+
+def test_what_could_not_be_told_when_it_joined_is_told_beside_the_others():
+    """A disc with a brake pad that comes to rest off zero: alone, a constant torque and a brake
+    that slips once explain as much, and only one of them is the start of what friction ends."""
+    time = np.arange(0, 40, 0.02)
+    inertia, stiffness, step = 0.012, 0.35, 1e-3
+    q, v, angle = math.radians(26.0), 0.0, []
+    for i in range(len(time) * 20):
+        if i % 20 == 0:
+            angle.append(q)
+        free = v - step * (stiffness * q + 0.0012 * v) / inertia
+        v = math.copysign(max(abs(free) - step * 0.0018 / inertia, 0.0), free)
+        q += step * v
+    angle = np.array(angle) + math.radians(3.2)
+    angle = angle + 5e-4 * np.random.default_rng(1).standard_normal(len(time))
+    seen = residyn.Recording.from_arrays(time, angle[:, None], noise=5e-4)
+    found = residyn.diagnose(
+        residyn.Experiment(InertiaTable(("disc",), ((inertia,),), ("rad",)), (seen,))
+    )
+    first = {(f.name, f.place) for f in found.families[:2]}
+    assert first == {("offset", "disc"), ("dry friction", "disc")}
+    assert found.verdict == "missing"

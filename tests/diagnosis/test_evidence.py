@@ -115,10 +115,15 @@ def test_a_random_torque_under_which_nothing_was_found_adds_nothing():
 
 @pytest.mark.parametrize("candidates", [1, 7, 40])
 def test_the_prior_of_all_sets_of_effects_sums_to_one(candidates):
-    """... but for what a geometric number of effects leaves beyond all candidates."""
+    """With those that are in no catalogue: of m effects each is in one or it is not. What a
+    geometric number of effects leaves is beyond all candidates."""
     total = sum(
-        math.comb(candidates, m) * math.exp(log_prior_model(m, candidates))
+        math.comb(m, named)
+        * math.comb(candidates, named)
+        * math.exp(log_prior_model(named, candidates))
+        * (FURTHER * OUTSIDE) ** (m - named)
         for m in range(candidates + 1)
+        for named in range(m + 1)
     )
     assert total == pytest.approx(1.0 - FURTHER ** (candidates + 1))
 
@@ -317,14 +322,14 @@ def test_an_effect_that_is_not_there_pays_for_its_prior(ringing):
 @given(st.floats(-4, 4), st.floats(0.05, 3))
 def test_no_spring_has_less_than_nothing(reading, noise):
     """Its prior is normal about its typical size, cut off where the stiffness would be negative:
-    twice the share of the posterior that is not, as for a number about nothing."""
+    the share of the posterior that is not, over that of the normal distribution."""
     size = 3.0
     prior = Prior(np.array([size]), np.array([size]), np.array([False]))
     std = 1 / math.sqrt(1 + (size / noise) ** 2)  # of u, the stiffness read as size (1 + u)
     mean = std**2 * size * (reading - size) / noise**2
     found = np.array([mean]), np.array([std])
     positive = norm.sf(0.0, loc=size * (1 + mean), scale=size * std)
-    expected = math.log(2.0) + math.log(max(positive, 1e-300))
+    expected = math.log(max(positive, 1e-300)) - math.log(norm.sf(0.0, loc=size, scale=size))
     added = half_normals([Spring("cart", 1.0)], prior, *found)
     assert added == pytest.approx(expected, rel=1e-6) or positive < 1e-290
     right = right_signs([Spring("cart", 1.0)], prior, *found)

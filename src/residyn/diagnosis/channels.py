@@ -10,7 +10,7 @@ import contextlib
 import dataclasses
 import functools
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -73,11 +73,11 @@ def assignments(experiment: Experiment) -> list[Channels]:
 
 def reassigned(
     experiment: Experiment, effects: Sequence[str | AbstractEffect], scene: Scene, base: Tried,
-    candidates: int,
+    candidates: int, go_on: Callable[[], None] = lambda: None,
 ) -> list[Reassigned]:  # fmt: skip
     """The base model with some effects under each assignment of the columns that it can move under,
     or until it falls hopelessly behind the columns as they stand (`scene` and `base`). Each is as
-    unlikely beforehand as one effect of all `candidates`.
+    unlikely beforehand as one effect of all `candidates`. `go_on` is called before each iteration.
 
     A sum of columns is missing where one of them is. Both models are then compared on the readings
     of which sums are left, as if the others told nothing of it; not at all where a joint has none.
@@ -106,9 +106,9 @@ def reassigned(
             seen, members = read_as(angles, M)
             more = seen.length * float(np.linalg.slogdet(M)[1]) / len(M)
             if np.isnan(np.concatenate(left)).sum() > np.isnan(np.concatenate(columns)).sum():
-                alone = tried_alone(*read_as(left, np.eye(len(M))))
+                alone = tried_alone(*read_as(left, np.eye(len(M))), go_on=go_on)
                 more += base.log_evidence - alone.log_evidence
-            tried = tried_alone(seen, members, base.log_evidence - more)
+            tried = tried_alone(seen, members, base.log_evidence - more, go_on)
             tried = dataclasses.replace(tried, evidences=tried.evidences + more)
             return Reassigned(channels, tried)
         return None

@@ -124,7 +124,7 @@ def diagnosed(
     """What `diagnose` finds from a base model with some effects; `began` on `time.perf_counter`."""
     fits.begin(search.base)
     search.exact = fits.simulated
-    given = fits.whole, effects, search.scene, search.base, len(search.candidates)
+    given = fits.whole, effects, search.scene, search.base, len(search.candidates), search.in_time
     search.run(max_effects, functools.partial(reassigned, *given))
     lost = search.best.intensity >= EXPLAINS_NOTHING or search.reassigned
     if not (lost or search.stopped):
@@ -174,7 +174,8 @@ class Fits:
             fit = self.begin(tried, self._enough(tried)).result()
             return simulated(self.scene, tried.best, fit)
         except Hopeless:
-            del self._begun[tried.best]  # a fit that is shown is a whole one
+            with self.lock:
+                del self._begun[tried.best]  # a fit that is shown is a whole one
             P, t = len(tried.best.prior.mean), tried.best
             least = min(tried.evidences[-1], tried.log_evidence - HOPELESS)
             return Simulated(float(least), t.u[:P], t.covariance[:P, :P])

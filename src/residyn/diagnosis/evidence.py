@@ -157,10 +157,14 @@ def _signed(effects: Sequence[AbstractEffect], prior: Prior, u: np.ndarray, std:
 def half_normals(
     effects: Sequence[AbstractEffect], prior: Prior, u: np.ndarray, std: np.ndarray
 ) -> np.ndarray:
-    """(...,) what the half-normal priors of a model add to its log evidence: log 2 Phi of each
-    number whose sign is known, in standard deviations from where it is silent. `u`, `std` (..., P)
-    are posterior means and standard deviations of the regressors."""
-    each = (half_normal(off / s) for off, s, _ in _signed(effects, prior, u, std))
+    """(...,) what the cut normal priors of a model add to its log evidence: of each number whose
+    sign is known the log of the probability, after the readings over before them, that it is on
+    the right side of where it is silent. `u`, `std` (..., P) are posterior means and standard
+    deviations of the regressors, which have unit normal priors."""
+    nothing = np.zeros(u.shape[-1]), np.ones(u.shape[-1])
+    after, before = (_signed(effects, prior, *known) for known in ((u, std), nothing))
+    pairs = zip(after, before, strict=True)
+    each = (log_ndtr(off / s) - log_ndtr(first / one) for (off, s, _), (first, one, _) in pairs)
     return sum(each, np.zeros(u.shape[:-1]))
 
 
@@ -276,10 +280,11 @@ def over_intensities(evidences: np.ndarray) -> float:
     return log_sum(np.nan_to_num(evidences, nan=-np.inf) + log_prior_intensity(INTENSITIES))
 
 
-def log_prior_model(added: int, candidates: int) -> float:
-    """Log prior of one set of `added` effects out of `candidates`."""
-    sets = math.comb(candidates, added)
-    return math.log(1 - FURTHER) + added * math.log(FURTHER) - math.log(sets)
+def log_prior_model(added: int, candidates: int, each: float = FURTHER * (1 - OUTSIDE)) -> float:
+    """Log prior of one set of `added` out of `candidates`; `each` is the prior probability of one
+    more of them: of effects, which may be of no catalogue, too."""
+    sets = math.log(math.comb(candidates, added))
+    return math.log(1 - FURTHER) + added * math.log(each) - sets
 
 
 _ROUNDING = 1e-13

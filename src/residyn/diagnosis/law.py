@@ -43,7 +43,7 @@ from .free_curves import (
     splines,
     with_curve,
 )
-from .search import Search, Tried, silenced
+from .search import Search, Tried, screened_at, screening_motion, silenced
 
 GRID = 101
 """Points at which a law is told."""
@@ -62,17 +62,18 @@ def curve_models(search: Search) -> list[CurveModel]:
     wanted = dict.fromkeys([frozenset(), own, *(own - {x} for x in best.added)])
     for parent in (search.tried[s] for s in wanted if s in search.tried):
         search.in_time()
-        trajectory, intensity = search.screening_motion(parent)
-        used = [intensity, 0.1 * intensity, 0.0]
-        # One more effect, which is in no catalogue, and any of the curves.
-        prior = parent.log_prior + math.log(FURTHER * OUTSIDE / (len(KINDS) * scene.n))
+        trajectory, intensity = screening_motion(scene, parent)
+        # One more effect, any of which may be that in no catalogue, and any of the curves.
+        which = (len(parent.added) + 1) / (len(KINDS) * scene.n)
+        prior = parent.log_prior + math.log(FURTHER * OUTSIDE * which)
         # Where little is left, the first order is right, and by it most curves have no part; where
         # no model explains the readings, a curve that does may be far from it at first order.
         behind = HOPELESS if best.complete > 0.5 else math.inf
         if parent.complete > 0.5:
             behind = -math.log(IN_PLAY)
         # One beside names, which may be there in its place.
-        each = screen(Along(scene, trajectory), used)[: 1 if parent.added else CONTENDERS]
+        each = screen(Along(scene, trajectory), screened_at(intensity))
+        each = each[: 1 if parent.added else CONTENDERS]
         least = max(best.log_posterior - behind - prior, each[0].log_evidence - HOPELESS)
         few += [
             (parent.added, trajectory, s, intensity, prior) for s in each if s.log_evidence > least

@@ -20,11 +20,13 @@ import numpy as np
 from scipy.special import softmax
 
 from ..effects import AbstractEffect
+from ..effects.own_numbers import shared
 from ..filtering.kalman import System
-from ..filtering.law import number_slices, numbers_of
+from ..filtering.law import number_slices, numbers_of, state_slices
 from ..filtering.linearised import Linear
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import FitError
+from ..physics.effect import BASE
 from ..runtime.memory import give_back
 from ..runtime.parallel import side_by_side
 from .columns import (
@@ -313,6 +315,12 @@ def _sticks(t: Trajectory) -> bool:
     return any(e.dry or e.follows for e in t.effects)
 
 
+def _may_be_complete(model: Tried) -> bool:
+    """Whether a model may need no random torque, which an exact simulation tells: a filter's word
+    is not enough where something sticks."""
+    return model.complete > 0.5 or _sticks(model.best)
+
+
 def signs_of(t: Trajectory) -> np.ndarray:
     """(I,) `right_signs` of a smoothed model, for each random torque that it still needs."""
     std = np.sqrt(np.maximum(np.diag(t.covariance), 1e-300))
@@ -363,19 +371,76 @@ class OutOfTime(Exception):
     """The search's time is over."""
 
 
-def tried_alone(scene: Scene, effects: Sequence[AbstractEffect], known: float = -math.inf) -> Tried:
+def tried_alone(
+    scene: Scene,
+    effects: Sequence[AbstractEffect],
+    known: float = -math.inf,
+    go_on: Callable[[], None] = lambda: None,
+) -> Tried:
     """A model by itself, linearised along the readings at first, and at rest: noise makes of
-    readings rates that no model follows. Where it falls hopelessly behind a log evidence that is
-    `known`, it is left as far as it has come.
+    readings rates that no model follows. And, where it has effects that are silent there, from the
+    springs and dampers alone, which these join one by one as the screen has them: without a
+    strength neither shapes nor internal states matter, and no slope leads away. Where it falls
+    hopelessly behind a log evidence that is `known`, it is left as far as it has come. `go_on` is
+    called before each iteration.
 
     **Raises:** `FitError` if no motion goes with it.
     """
     start = scene.start(effects, prior_of(scene, effects))
-    starts = start, dataclasses.replace(start, path=np.zeros_like(start.path))
-    each = [found for found in settle(scene, starts, INTENSITIES[0], known=known) if found]
+    starts = [start, dataclasses.replace(start, path=np.zeros_like(start.path))]
+    silent = [e for e in effects if e.name not in BASE and strengths(e)]
+    if silent:
+        plain = [e for e in effects if e not in silent]
+        begun = tried_alone(scene, plain, go_on=go_on)
+        for effect in silent:
+            t, intensity = screening_motion(scene, begun)
+            columns = Columns(scene, t, [shared(effect)], spectral_lines(scene, t))
+            (row,) = Screen(columns, screened_at(intensity)).ranked
+            begin = scene.consistent(extended(scene, t, row))
+            (found,) = settle(scene, [begin], intensity, go_on)
+            if found is None:
+                break
+            begun = Tried((), *found, log_prior=0.0)
+        else:
+            starts.append(scene.consistent(begun_as(start, begun.best)))
+    each = [found for found in settle(scene, starts, INTENSITIES[0], go_on, known) if found]
     if not each:
         raise FitError("no motion of the model goes with the readings")
     return max((Tried((), *found, log_prior=0.0) for found in each), key=lambda t: t.log_evidence)
+
+
+def begun_as(start: Trajectory, known: Trajectory) -> Trajectory:
+    """A model at its start, with the motion, numbers and internal states that another one with the
+    same effects has; numbers of a run's own as those that all share."""
+    n = known.path.shape[1] - known.first.shape[1]
+    t = dataclasses.replace(known, effects=start.effects, prior=start.prior, u=np.array(start.u))
+    t = dataclasses.replace(t, path=np.array(start.path), first=np.array(start.first))
+    t.path[:, :n] = known.path[:, :n]
+    places = zip(t.effects, number_slices(t.effects), state_slices(t.effects), strict=True)
+    for effect, own, states in places:
+        i = known.labels.index(effect.label)
+        fields = [x.field for x in numbers_of(known.effects[i])]
+        at = dict(zip(fields, known.u[number_slices(known.effects)[i]], strict=True))
+        t.u[own] = [at.get(x.field, at.get(x.field.rpartition("_")[0])) for x in numbers_of(effect)]
+        old = state_slices(known.effects)[i]
+        t.path[:, n:][:, states] = known.path[:, n:][:, old]
+        t.first[:, states] = known.first[:, old]
+    return t
+
+
+def screening_motion(scene: Scene, model: Tried) -> tuple[Trajectory, float]:
+    """The motion that candidates are screened along, and its random torque: the likeliest, or one
+    that still lets the readings lead."""
+    intensity = max(model.intensity, READINGS_LEAD)
+    if intensity == model.intensity:
+        return model.best, intensity
+    system = scene.linearised(model.best)
+    return scene.smoothed(model.best, system, intensity) or model.best, intensity
+
+
+def screened_at(intensity: float) -> list[float]:
+    """Random torques over which a screen sums: the likeliest, one a decade below it, and none."""
+    return sorted({intensity, 0.1 * intensity, 0.0}, reverse=True)
 
 
 class Search:
@@ -473,7 +538,7 @@ class Search:
                 if best in extended or len(best) >= most:
                     # Each effect in turn might have another in its place.
                     model = self.best
-                    todo = [x for x in model.added[:-1] if best - {x} not in extended]
+                    todo = [x for x in model.added if best - {x} not in extended]
                     if not todo:
                         break
                     self._simplify([(model, x, None) for x in todo if best - {x} not in self.tried])
@@ -491,6 +556,7 @@ class Search:
                     self.extend_by_two(self.tried[best])
                 extended.add(best)
                 self.reduce()
+                self._exchange()
                 self._simulate()
             self._take_each_away()
             if self.best.intensity >= EXPLAINS_NOTHING:  # then no name says anything
@@ -515,7 +581,7 @@ class Search:
                 t
                 for t in sorted(self.tried.values(), key=lambda t: len(t.added))
                 if t.log_posterior > lowest and t.best not in self._simulated
-                if t.complete > 0.5 or _sticks(t.best)
+                if _may_be_complete(t)
             ]
             if not todo:
                 return
@@ -538,7 +604,7 @@ class Search:
         self.deadline = math.inf
         key = frozenset([*parent.added, label])
         if key not in self.tried:
-            trajectory, intensity = self.screening_motion(parent)
+            trajectory, intensity = screening_motion(self.scene, parent)
             row = next((s for s in self.screen(parent).ranked if s.effect.label == label), None)
             start = row and self._start(parent, trajectory, row)
             (found,) = settle(self.scene, [start], intensity) if start else (None,)
@@ -546,7 +612,8 @@ class Search:
                 return None
             self._keep((*parent.added, label), *found)
         model = self.tried[key]
-        if self.exact is not None and model.best not in self._simulated and model.complete > 0.5:
+        known = self.exact is None or model.best in self._simulated
+        if not known and _may_be_complete(model):
             self._without_torque([model])
         return self.tried[key]
 
@@ -554,7 +621,8 @@ class Search:
         """The first-order evidence of all candidates beside a model."""
         key = frozenset(parent.added)
         if key not in self.screens:
-            trajectory, intensity = self.screening_motion(parent)
+            self.in_time()
+            trajectory, intensity = screening_motion(self.scene, parent)
             self.say(f"screening {len(self.candidates)} candidates")
             # A model with little random torque shows no line in it, however wrong it is: the base
             # model's, which is the loudest, stay.
@@ -562,9 +630,7 @@ class Search:
             self.lines = self.lines or lines
             effects = [e for e in self.candidates if self._may_join(e, trajectory)]
             columns = Columns(self.scene, trajectory, effects, lines)
-            # The likeliest random torque, one a decade below it, and none.
-            used = sorted({intensity, 0.1 * intensity, 0.0}, reverse=True)
-            screen = self.screens[key] = Screen(columns, used)
+            screen = self.screens[key] = Screen(columns, screened_at(intensity))
             if parent.complete <= 0.5:  # else little is left, and the first order right
                 screen.revise(self._sticking(screen, trajectory, columns.linear, intensity))
         return self.screens[key]
@@ -599,7 +665,7 @@ class Search:
 
     def extend(self, parent: Tried) -> None:
         """Try a model with one more effect, each contender in turn."""
-        trajectory, intensity = self.screening_motion(parent)
+        trajectory, intensity = screening_motion(self.scene, parent)
         screen = self.screen(parent)
         ranked = screen.ranked
         pairs = (s for _, *pair in screen.pairs(3 * CONTENDERS)[:CONTENDERS] for s in pair)
@@ -622,7 +688,7 @@ class Search:
         """Try a model with the likeliest pairs of effects. Where each alone leaves as much as
         before (two laws of damping in a recording that is hardly damped), both may leave nothing.
         """
-        trajectory, intensity = self.screening_motion(parent)
+        trajectory, intensity = screening_motion(self.scene, parent)
         screen, (_, worth) = self.screen(parent), self._price(parent, 2)
         starts = {}
         for gain, *pair in screen.pairs(len(screen.ranked))[:CONTENDERS]:
@@ -677,15 +743,6 @@ class Search:
         rest, found = without(self.scene, t, old.label), found._replace(regressors=begun)
         return self.scene.consistent(extended(self.scene, rest, found))
 
-    def screening_motion(self, model: Tried) -> tuple[Trajectory, float]:
-        """The motion that candidates are screened along, and its random torque: the likeliest, or
-        one that still lets the readings lead."""
-        intensity = max(model.intensity, READINGS_LEAD)
-        if intensity == model.intensity:
-            return model.best, intensity
-        system = self.scene.linearised(model.best)
-        return self.scene.smoothed(model.best, system, intensity) or model.best, intensity
-
     def _may_join(self, effect: AbstractEffect, trajectory: Trajectory) -> bool:
         """Whether an effect is not there, nor a law that it contains or that contains it."""
         return effect.label not in trajectory.labels and not any(
@@ -709,6 +766,32 @@ class Search:
                     if rest and hoped > max(lowest, above) and (model, rest) not in self._reduced:
                         todo.append((model, label, less))
         self._simplify(todo)
+
+    def _exchange(self) -> None:
+        """Try in the best model, in the place of each of its effects, those that could not be told
+        from it when it joined: beside the others they may be told."""
+        best, todo = self.best, {}
+        for i, label in enumerate(best.added):
+            before = frozenset(best.added[:i])
+            joined = self.tried.get(before | {label})
+            if joined is None or before not in self.screens:
+                continue
+            least = joined.log_posterior - INDISTINGUISHABLE
+            t = without(self.scene, screening_motion(self.scene, best)[0], label)
+            for row in self.screens[before].ranked:
+                rival = self.tried.get(before | {row.effect.label})
+                added = _replaced(best.added, label, row.effect)
+                if rival is None or rival.log_posterior < least or frozenset(added) in self.tried:
+                    continue
+                if self._may_join(row.effect, t):
+                    todo[added] = self.scene.consistent(extended(self.scene, t, row))
+        if todo:
+            self.say(f"weighing {len(todo)} exchanges")
+            loudest = screening_motion(self.scene, best)[1]
+            each = settle(self.scene, list(todo.values()), loudest, self.in_time)
+            for added, found in zip(todo, each, strict=True):
+                if found is not None:
+                    self._keep(added, *found)
 
     def _take_each_away(self) -> None:
         """Try the models in play without each of their effects: whether one is at work shows beside
@@ -736,7 +819,7 @@ class Search:
         self.say("weighing simpler models")
         starts, loudest = [], 0.0
         for model, label, less in todo:
-            t, intensity = self.screening_motion(model)
+            t, intensity = screening_motion(self.scene, model)
             loudest = max(loudest, intensity)
             if less is None:
                 starts.append(without(self.scene, t, label))

@@ -37,6 +37,11 @@ def with_own(effect: AbstractEffect, runs: Sequence[tuple[int, str]]) -> Abstrac
     return kind(**{f.name: getattr(effect, f.name) for f in dataclasses.fields(plain)})
 
 
+def shared(effect: AbstractEffect) -> AbstractEffect:
+    """The effect with the numbers alone that all runs share."""
+    return with_own(effect, ())
+
+
 @functools.cache
 def _kind(kind: type[AbstractEffect], runs: tuple[tuple[int, str], ...]) -> type[AbstractEffect]:
     if not runs:

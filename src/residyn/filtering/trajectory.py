@@ -21,6 +21,7 @@ from ..fitting.layout import bucket
 from ..fitting.problem import richest
 from ..physics.inertia import AbstractInertia
 from ..physics.model import Model
+from ..physics.motion import Motion
 from ..physics.parameter import Parameter, Scales
 from ..recordings.recording import Recording
 from .grid import Grid, Spectrum, lay_out, moving
@@ -132,7 +133,7 @@ class Scene:
         g = self.grid
         self.catalogued = catalogue_on(richest(mechanisms))
         self.orders = recordings[0].orders if any(recordings[0].orders) else ()
-        self._laws: dict[tuple[str, ...], Laws] = {}
+        self._laws: dict[tuple[tuple[str, type], ...], Laws] = {}
         self.n, self.K = n, len(g.time)
         self.real = np.arange(self.K) < g.real
         self.begins = [int(np.argmax(g.run == i)) for i in range(len(recordings))]
@@ -205,9 +206,15 @@ class Scene:
         room = self.room(effects)
         path = np.concatenate([self.q, self.v, np.zeros((self.K, room))], axis=1)
         spread = np.tile([0.1 * s.amplitude * s.frequency for s in self.scales], (self.K, 1))
+        first = np.zeros((bucket(len(self.recordings), least=RUNS), room))
         u, none = np.zeros(self.regressors(effects)), np.zeros((0, 0))
-        begin = path, spread, np.zeros((bucket(len(self.recordings), least=RUNS), room))
-        return Trajectory(tuple(effects), prior, u, *begin, -math.inf, none, none, none)
+        t = Trajectory(tuple(effects), prior, u, path, spread, first, -math.inf, none, none, none)
+        for run, k in enumerate(self.begins):
+            motion = Motion.at(0.0, tuple(self.q[k]), tuple(self.v[k]))
+            each = [float(z) for e in t.valued() for z in e.begin(motion, self.mechanisms[run])]
+            first[run, : len(each)] = each
+        path[:, 2 * self.n :] = first[self.grid.run]
+        return t
 
     def regressors(self, effects: Sequence[AbstractEffect]) -> int:
         """Room for a model's numbers."""
@@ -219,10 +226,11 @@ class Scene:
 
     def tabulated(self, t: Trajectory) -> tuple[Laws, Table]:
         """A model as data, and the laws of the program that takes it."""
-        laws = self._laws.get(t.labels)
+        kinds = tuple((e.label, type(e)) for e in t.effects)
+        laws = self._laws.get(kinds)
         if laws is None or laws.others:  # the others may hold data of their own
             laws = laws_for(t.effects, self.catalogued)._replace(orders=self.orders)
-        self._laws[t.labels] = laws
+        self._laws[kinds] = laws
         laws = laws._replace(curves=curves_of(t.effects))
         slopes = t.prior.slopes(t.u)
         return laws, tabulated(laws, t.effects, self.joints, t.numbers, slopes, t.first.shape[1])

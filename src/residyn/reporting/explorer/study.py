@@ -23,7 +23,7 @@ from ...diagnosis.forecast import HeldOut, held_out
 from ...diagnosis.linearised_fit import evaluated, polish
 from ...diagnosis.missing_torque import owning_base, scene_of
 from ...diagnosis.result import Diagnosis
-from ...diagnosis.search import Search, Tried, settle, tried_alone
+from ...diagnosis.search import Search, Tried, screening_motion, settle, tried_alone
 from ...effects import AbstractEffect
 from ...filtering.trajectory import Prior, Scene, Trajectory
 from ...fitting import DEFAULT_STARTS
@@ -93,7 +93,7 @@ class Study:
         self.refits: dict[frozenset[str], Refit | None] = {}
         self.predictions: dict[frozenset[str], np.ndarray | None] = {}
         self.screen = search.screen(search.base)
-        self.loud, self.intensity = search.screening_motion(search.base)
+        self.loud, self.intensity = screening_motion(search.scene, search.base)
         self.effects = [e for e in self.loud.effects if e.name not in BASE]
         """Of the base model. Of the bearings' effects recordings without any know no name."""
         self.shapes = {s.effect.label: s.shape for s in self.screen.ranked}
