@@ -19,6 +19,7 @@ from residyn.diagnosis.result import (
 )
 from residyn.effects.found import FoundLaw, FoundNumber
 from residyn.fitting import Fit, Mode, Number, RecordingFit, mechanism_of, model_for
+from residyn.fitting.linalg import Spread
 from residyn.recordings.experiment import Experiment
 from residyn.recordings.recording import Recording
 from residyn.recordings.tables import ArmTable
@@ -81,7 +82,7 @@ def a_fit(effects=(), slip=0.0, chi2=12.3, **changed):
         "experiment": experiment,
         "model": model,
         "numbers": numbers,
-        "covariance": correlation * std * std[:, None],
+        "spread": Spread(correlation * std * std[:, None], np.zeros((0, count)), std, np.zeros(0)),
         "recordings": tuple(beside(r, s, slip) for r, s in zip(runs, SIZES, strict=True)),
         "reduced_chi2": chi2,
         **dict.fromkeys(("ready", "problem", "unknowns")),  # of which nothing is said

@@ -47,6 +47,7 @@ from residyn.effects import (
     AirDrag,
     ConstantTorque,
     CoulombFriction,
+    CouplingStiffness,
     CubicStiffness,
     Damper,
     DeadZone,
@@ -400,6 +401,18 @@ def test_what_links_feel_is_measured_by_their_own_joint_and_length():
         assert one.size(Gravity(), moment) == pytest.approx(one.size(Spring(joint), stiffness))
     (drag,) = parameters_of(AirDrag())  # kg/m^2
     assert other.size(AirDrag(), drag) == pytest.approx(1e-4 * one.size(AirDrag(), drag))
+
+
+def test_a_number_between_joints_has_the_unit_that_a_fit_gives_it():
+    time = np.arange(200) / 40
+    run = residyn.Recording.from_arrays(time, np.cos(np.outer(time, [3.0, 9.0])), noise=NOISE)
+    pair = residyn.ConstantInertia(np.diag([2.0, 0.5]), ("cart", "pole"), ("m", "rad"))
+    scene = Scene([run], [pair], [np.zeros((len(time), 2), bool)])
+    for effect in (CouplingStiffness(), Spring("cart")):
+        model = residyn.Model(pair) + effect
+        (number,) = parameters_of(effect)
+        assert str(model).endswith(f" 0 {scene.unit(effect, number)}")
+    assert scene.unit(CouplingStiffness(), parameters_of(CouplingStiffness())[0]) == "N/rad"
 
 
 def test_a_drift_is_measured_by_the_recording_and_not_by_a_swing():

@@ -19,7 +19,7 @@ from residyn.diagnosis.search import Tried, settle
 from residyn.effects import CubicStiffness, Damper, Spring
 from residyn.recordings.limits import Limits
 from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
-from residyn.reporting.plan import outcomes
+from residyn.reporting.plan import outcomes, setting_words
 from tests.by_hand import NEXT
 
 MASS, NOISE = 2.0, 1e-3
@@ -341,6 +341,12 @@ def test_a_plan_reads_in_80_columns():
     assert "70 %  Coulomb friction at the elbow" in text
     assert "0.1000 +/- 0.0010 rad" in text
     assert "drive the elbow with 2.00 N m" in words
+
+
+@pytest.mark.parametrize(("unit", "load"), [("rad", "kg m^2"), ("m", "kg"), ("", "kg m^2 or kg")])
+def test_a_load_has_the_unit_of_the_inertia_that_it_adds_to(unit, load):
+    test = dataclasses.replace(NEXT, extra_mass=0.2, units=(unit, "m"))
+    assert f"with 0.200 {load} of load" in setting_words(test)
 
 
 def test_where_one_reading_is_not_enough_it_says_so():

@@ -36,9 +36,9 @@ def test_draws_have_the_fits_values_errors_and_correlations(fit):
 
 def test_what_is_not_determined_is_not_drawn(fit):
     first = dataclasses.replace(fit.numbers[0], std=float("inf"), determined=False)
-    covariance = fit.covariance.copy()
-    covariance[0] = covariance[:, 0] = np.nan
-    odd = dataclasses.replace(fit, numbers=(first, *fit.numbers[1:]), covariance=covariance)
+    spread = fit.spread._replace(blind=np.eye(len(fit.numbers))[:1], variance=np.ones(1))
+    odd = dataclasses.replace(fit, numbers=(first, *fit.numbers[1:]), spread=spread)
+    assert np.isnan(odd.covariance[0]).all()
     drawn = drawn_from(odd, 10)
     assert list(drawn) == [n.name for n in fit.numbers[1:]]
     assert all(np.isfinite(x).all() for x in drawn.values())

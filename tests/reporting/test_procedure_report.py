@@ -11,8 +11,11 @@ import residyn
 from residyn import demo
 from residyn.cli import main
 from residyn.diagnosis.plan import InPlay
+from residyn.fitting import model_for
+from residyn.physics.bearings import with_bearings
 from residyn.procedure.carried import Carried
 from residyn.procedure.over_models import ModeOver, OverModels, Spread
+from residyn.procedure.ringdown import band_of, draws_of
 from residyn.recordings.experiment import Experiment
 from residyn.reporting import figures as plot
 from residyn.reporting import render_page
@@ -97,6 +100,23 @@ def test_there_is_no_band_where_a_number_is_open(found):
     on, off = found.ring_down(times)
     for side, path in zip(found.ring_downs(times, draws=3), (on, off), strict=True):
         np.testing.assert_array_equal(np.asarray(side.path.q), np.asarray(path.q))
+
+
+def test_there_is_a_band_where_what_is_open_leaves_the_motion_as_it_is():
+    """Drag of the elbow's bearing alone is a damper at the shoulder: the two are told by their sum,
+    which is all that the arm on its bearings asks for."""
+    ride = (residyn.AirBearing("elbow", 1.0, 0.01),)
+    arm = with_bearings(residyn.PlanarArm([0.4, 0.4], 1.2, 0.6, 1.4), ride)
+    model = model_for(arm, ["bearing_drag"]).with_values(
+        {**STEP_2, "bearing_drag.coefficient": 0.1}
+    )
+    assert model.labels[2:] == ("damper:shoulder", "damper:elbow", "bearing_drag")
+    unseen = np.array([[0.0, 0.0, 0.4**2, 0.0, -1.0]]) * 0.1
+    errors = Carried(1e-8 * np.eye(5), unseen, np.zeros((3, 3)), np.zeros((5, 3)))
+    told = model, errors, np.linspace(0.0, 8.0, 81), np.array([0.2, -0.1]), 100, 0
+    on, off = (band_of(*draws_of(m, *told)) for m in (model, model.without("bearing_drag")))
+    assert off.low is None
+    assert 0 < np.max(on.high - on.low) < 0.01
 
 
 def test_the_picture_shows_the_motion_until_it_is_gone(found):

@@ -105,7 +105,7 @@ def _numbers(kind: "type[AbstractEffect]") -> list[str]:
 
 
 def _unit(parameter: "Parameter") -> str:
-    unit = parameter.dimension.unit(None)
+    unit = parameter.dimension.unit()
     return "" if unit == "1" else f" ({unit})"
 
 

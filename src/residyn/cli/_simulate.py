@@ -120,7 +120,7 @@ def _model_with(
     from ..fitting.problem import ready
 
     model = ready(experiment, shown, effects).model
-    known = [n.name for n in model.numbers]
+    known = [n.name for n in model.numbers if n.acts]
     for name in numbers:
         if name not in known:
             effect = name.partition(".")[0]
@@ -128,7 +128,7 @@ def _model_with(
             raise InputError(
                 f"--set {name}: the model has no such number{hint} (it has {', '.join(known)})"
             )
-    missing = [n.name for n in model.fitted if n.name not in numbers]
+    missing = [n.name for n in model.fitted if n.acts and n.name not in numbers]
     if missing:
         raise InputError(
             f"--set: {', '.join(missing)} not set; set all numbers, or none to have them fitted"

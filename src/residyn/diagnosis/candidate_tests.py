@@ -115,7 +115,7 @@ class Test(Result):
     air_bearings: bool | None
     """Whether the bearings are on; None where there are none."""
     extra_mass: float | None
-    """Load on the first coordinate, kg; None where that is not a choice."""
+    """Load on the first coordinate, kg m^2 (kg if it slides); None where that is not a choice."""
     load: float | None
     """On whatever rubs, N; None where the recordings state none."""
     drive: Sweep | None

@@ -23,7 +23,7 @@ class _Weight(AbstractEffect):
     moment1: Scalar = param(
         "pull of link 1 (and what it carries) towards 0", MOMENT, joint=0, as_spring=True
     )
-    moment2: Scalar = param("pull of link 2 towards 0", MOMENT, as_spring=True)
+    moment2: Scalar = param("pull of link 2 towards 0", MOMENT, joint=1, as_spring=True)
 
 
 class Pendulum(_Weight):
@@ -73,7 +73,7 @@ class Gravity(_Weight):
     extends = "pendulum"
 
     lateral1: Scalar = param("pull of link 1 across", TORQUE, joint=0)
-    lateral2: Scalar = param("pull of link 2 across", TORQUE)
+    lateral2: Scalar = param("pull of link 2 across", TORQUE, joint=1)
 
     @classmethod
     def places(cls, mechanism):

@@ -64,6 +64,7 @@ def _kind(kind: type[AbstractEffect], runs: tuple[tuple[int, str], ...]) -> type
                 silent=p.silent,
                 default=declared[p.field],  # pyright: ignore[reportArgumentType]
                 grid=p.grid,
+                joint=p.joint,
                 name=f"{p.name} ({name})",
             )
 

@@ -19,6 +19,7 @@ import numpy as np
 from ..effects import AbstractEffect
 from ..fitting.layout import bucket
 from ..fitting.problem import richest
+from ..physics.effect import joint_of, unit_of
 from ..physics.inertia import AbstractInertia
 from ..physics.model import Model
 from ..physics.motion import Motion
@@ -193,13 +194,12 @@ class Scene:
 
     def size(self, effect: AbstractEffect, number: Parameter) -> float:
         """Typical size of one number."""
-        joint = self.joint_of(effect) if number.joint is None else number.joint
-        return float(number.dimension.size(self.scales[joint]))
+        joint = joint_of(effect.label, number, self.joints)
+        return float(number.dimension.size(self.scales[-1 if joint is None else joint]))
 
     def unit(self, effect: AbstractEffect, number: Parameter) -> str:
         """Unit of one number."""
-        units = self.mechanisms[0].units
-        return number.dimension.unit(units[self.joint_of(effect)] if units else None)
+        return unit_of(effect.label, number, self.mechanisms[0])
 
     def start(self, effects: Sequence[AbstractEffect], prior: Prior) -> Trajectory:
         """A model, led by nothing but the readings yet."""

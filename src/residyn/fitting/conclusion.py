@@ -59,13 +59,13 @@ def finishing(
     # they grow with it.
     sizes = np.asarray(descent.problem.scale.numbers)
     spread = spread_of(np.asarray(descent.compressed.factor), sizes, max(1.0, chi2))
-    modes = modes_of(model, spread.covariance)
+    modes = modes_of(model, spread)
     held_out = yield from _held_out(experiment, model, descent.here, descent.problem, search)
     return Fit(
         experiment=experiment,
         model=model,
         numbers=numbers_of(model, start, spread),
-        covariance=spread.covariance,
+        spread=spread,
         recordings=(*fitted, *held_out),
         reduced_chi2=chi2,
         modes=modes,
@@ -77,7 +77,6 @@ def finishing(
         steps=descent.steps,
         integration_error=error,
         seconds=time.perf_counter() - began,
-        open_groups=spread.open_groups,
         integration_steps=int(descent.problem.steps),
         problem=descent.problem,
         unknowns=descent.unknowns,

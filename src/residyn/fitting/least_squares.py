@@ -23,7 +23,7 @@ from ..runtime.export_cache import kept
 from ..simulation.interpolation import Nodes, read_rows
 from ..simulation.simulate import march
 from .layout import Recorded, read_of
-from .linalg import damped_least_squares
+from .linalg import RIDGE, damped_least_squares
 from .problem import Problem, Unknowns, posed
 
 # A residual beyond this many sigma comes from a simulation that has run away.
@@ -187,7 +187,7 @@ def _compress(square, slope, total):
     size = jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0))
     # Columns of unit length: what rounding leaves of a combination that the data cannot see is then
     # about 1e-16, and the tiny ridge keeps the factor real.
-    unit = square / size / size[:, None] + 1e-14 * jnp.eye(len(size))
+    unit = square / size / size[:, None] + RIDGE * jnp.eye(len(size))
     unit = unit + jnp.diag(jnp.where(diagonal > 0, 0.0, 1.0))
     lower = jnp.linalg.cholesky(unit) * size[:, None]
     along = jax.scipy.linalg.solve_triangular(lower, slope, lower=True)

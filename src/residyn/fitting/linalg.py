@@ -7,6 +7,7 @@ stacked and solved, and each state follows. As one dense problem, the cost would
 power of the number of recordings.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -19,6 +20,8 @@ from .problem import Unknowns
 # Eigenvalue of J'J with unit columns below which a combination has no effect on the prediction: its
 # standard error is 1e5 times that of its numbers alone.
 BLIND = 1e-10
+RIDGE = 1e-14
+"""What is added to J'J with unit columns, so that rounding leaves it positive."""
 PART = 1e-3
 """Share of such a combination beyond which a number belongs to it."""
 
@@ -66,13 +69,56 @@ def information(factors: np.ndarray, numbers: int) -> np.ndarray:
     return rows.T @ rows
 
 
+class Spread(NamedTuple):
+    """How well P numbers are determined: their covariance (P, P) where data see them, the (B, P)
+    combinations that data hardly see, if at all, the numbers' sizes (P,) in which these are, and
+    the combinations' own variances (B,)."""
+
+    covariance: np.ndarray
+    blind: np.ndarray
+    size: np.ndarray
+    variance: np.ndarray
+
+    def std_of(self, slopes: np.ndarray) -> np.ndarray:
+        """(...) standard errors of quantities with these slopes (..., P) in the numbers; inf where
+        one has a part along a combination that data hardly see."""
+        scaled = slopes * self.size
+        along = scaled @ self.blind.T
+        lost = np.linalg.norm(along, axis=-1) > PART * np.linalg.norm(scaled, axis=-1)
+        # Of a large error even a small part counts.
+        variance = np.einsum("...i,ij,...j->...", slopes, self.covariance, slopes)
+        return np.sqrt(np.where(lost, np.inf, variance + along**2 @ self.variance))
+
+    @property
+    def std(self) -> np.ndarray:
+        """(P,) standard errors of the numbers, inf where undetermined."""
+        return self.std_of(np.eye(len(self.size)))
+
+    @property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """Which numbers belong to each combination that data hardly see."""
+        return tuple(tuple(np.flatnonzero(np.abs(v) > PART).tolist()) for v in self.blind)
+
+    def distance(self, off: np.ndarray, which: Sequence[int]) -> tuple[float, int]:
+        """How far off (S,) some numbers are: squared and in standard errors, in the directions in
+        which they are determined whatever the other numbers are, and how many directions that
+        is."""
+        own = list(which)
+        _, parts, ways = np.linalg.svd(self.blind[:, own])
+        seen = ways[np.sum(parts > PART) :] / self.size[own]
+        away, covariance = seen @ off, seen @ self.covariance[np.ix_(own, own)] @ seen.T
+        return float(away @ np.linalg.solve(covariance, away)), len(seen)
+
+
 class Inverse(NamedTuple):
     """The inverse (P, P) of a symmetric matrix where that has a rank, the (B, P) combinations of
-    unknowns with unit columns where it has none, and the unknowns' sizes (P,) in which they are."""
+    unknowns with unit columns where it has none, the unknowns' sizes (P,) in which they are, and
+    the inverse (B,) along them, which is finite where there is no more than rounding."""
 
     inverse: np.ndarray
     blind: np.ndarray
     size: np.ndarray
+    along: np.ndarray
 
 
 def inverse_of(square: np.ndarray) -> Inverse:
@@ -82,7 +128,8 @@ def inverse_of(square: np.ndarray) -> Inverse:
     values, vectors = np.linalg.eigh(square * size * size[:, None])
     seen = values > BLIND
     part = vectors[:, seen] * size[:, None]
-    return Inverse((part / values[seen]) @ part.T, vectors[:, ~seen].T, size)
+    along = 1.0 / np.maximum(values[~seen], RIDGE)
+    return Inverse((part / values[seen]) @ part.T, vectors[:, ~seen].T, size, along)
 
 
 def damped_step(square: np.ndarray, slope: np.ndarray, count: int, damping: float) -> Unknowns:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtrc
 
 from ..physics.effect import BASE
 from ..physics.model import Model
@@ -17,6 +18,7 @@ from ..recordings.segments import by_recording
 from ..runtime.json import finite, number
 from ..runtime.presentation import TableResult
 from .history import History
+from .linalg import Spread
 from .problem import Problem, Ready, Unknowns
 
 STRONG = 0.9
@@ -33,7 +35,8 @@ class FitError(RuntimeError):
 
 @dataclass(frozen=True)
 class Number:
-    """One fitted number. `std` is inf where the data cannot determine it."""
+    """One fitted number. `std`, which grows with the residual, is inf where the data cannot
+    determine it; `acts` tells whether it enters an equation of the mechanism."""
 
     name: str
     words: str
@@ -43,6 +46,12 @@ class Number:
     unit: str
     sign: str
     determined: bool
+    acts: bool = True
+
+    @property
+    def negative(self) -> bool:
+        """Whether it is below zero beyond its error, and physics allows no such value."""
+        return self.sign == "positive" and -self.value > NEGATIVE * self.std
 
     @property
     def percent(self) -> float:
@@ -103,7 +112,8 @@ class Fit(TableResult):
     experiment: Experiment
     model: Model
     numbers: tuple[Number, ...]
-    covariance: np.ndarray  # (P, P) of the numbers, NaN where undetermined
+    spread: Spread
+    """How well the numbers are determined: also what the data say of undetermined ones together."""
     recordings: tuple[RecordingFit, ...]  # fitted ones, then held-out ones
     reduced_chi2: float
     modes: tuple[Mode, ...]
@@ -119,8 +129,6 @@ class Fit(TableResult):
     """The least-squares problem that was solved, in float64."""
     unknowns: Unknowns
     """Its minimum."""
-    open_groups: tuple[tuple[int, ...], ...] = ()
-    """Indices of numbers of which the data determine only a combination."""
     infinite_slopes: tuple[str, ...] = ()
     """Effects with an infinite slope at rest, where there are no modes then."""
     integration_error: float = float("nan")
@@ -172,22 +180,44 @@ class Fit(TableResult):
         return self.experiment.reading_units
 
     @property
+    def covariance(self) -> np.ndarray:
+        """(P, P) of the numbers, NaN where undetermined."""
+        known = np.isfinite(self.spread.std)
+        return np.where(known & known[:, None], self.spread.covariance, np.nan)
+
+    @property
+    def open_groups(self) -> tuple[tuple[int, ...], ...]:
+        """Indices of numbers of which the data determine only a combination."""
+        return self.spread.groups
+
+    @property
+    def own_numbers(self) -> tuple[Number, ...]:
+        """Those of `numbers` that enter an equation of the mechanism."""
+        return tuple(n for n in self.numbers if n.acts)
+
+    @property
     def correlation(self) -> np.ndarray:
         """(P, P) correlations of the numbers."""
-        spread = np.sqrt(np.diag(self.covariance))
+        covariance = self.covariance
+        spread = np.sqrt(np.diag(covariance))
         with np.errstate(invalid="ignore", divide="ignore"):
-            return self.covariance / spread / spread[:, None]
+            return covariance / spread / spread[:, None]
 
     @property
     def unseen(self) -> tuple[str, ...]:
-        """Effects whose strength is within two standard errors of none, and which have a shape (a
-        gap, a frequency): where nothing acts no shape can be told (Davies, Biometrika 64, 1977)."""
-        found, each = [], list(zip(self.numbers, self.model.fitted, strict=True))
+        """Effects whose strengths are together within two standard errors of none, and which have a
+        shape (a gap, a frequency): where nothing acts no shape can be told (Davies, Biometrika 64,
+        1977). Of several strengths the data may see a sum only: that one counts then."""
+        found, each = [], list(enumerate(zip(self.numbers, self.model.fitted, strict=True)))
         for index, effect in enumerate(self.model.effects):
-            own = [(n, m.meaning.silent) for n, m in each if m.effect == index]
-            strengths = [(n, silent) for n, silent in own if silent is not None]
-            silent = [not n.determined or abs(n.value - s) < NEGATIVE * n.std for n, s in strengths]
-            if silent and all(silent) and len(strengths) < len(own):
+            own = [(i, n, m.meaning.silent) for i, (n, m) in each if m.effect == index]
+            strengths = [(i, n.value - silent) for i, n, silent in own if silent is not None]
+            if not 0 < len(strengths) < len(own):
+                continue
+            which, off = zip(*strengths, strict=True)
+            square, ways = self.spread.distance(np.array(off), which)
+            # As probable by chance as one number within its errors.
+            if not ways or chdtrc(ways, square) > chdtrc(1, NEGATIVE**2):
                 found.append(effect.label)
         return tuple(found)
 
@@ -204,17 +234,9 @@ class Fit(TableResult):
 
     @property
     def unphysical(self) -> tuple[Number, ...]:
-        """Stiffness and damping of springs and dampers that are negative beyond their error, which
-        grows with the residual: a base model that no braked arm has."""
-        grown = max(1.0, self.reduced_chi2) ** 0.5
-        return tuple(
-            n
-            for n in self.numbers
-            if n.name.partition(":")[0] in BASE
-            and n.sign == "positive"
-            and n.determined
-            and -n.value > NEGATIVE * n.std * grown
-        )
+        """Stiffness and damping of springs and dampers that are negative beyond their error: a base
+        model that no braked arm has."""
+        return tuple(n for n in self.numbers if n.name.partition(":")[0] in BASE and n.negative)
 
     @property
     def rmse(self) -> np.ndarray:
@@ -260,7 +282,7 @@ class Fit(TableResult):
             "model": list(self.model.labels),
             "parameters": {
                 n.name: {"value": number(n.value), "std": number(n.std), "unit": n.unit}
-                for n in self.numbers
+                for n in self.own_numbers
             },
             "rmse": per_joint(self.rmse),
             "noise": per_joint(self.noise),

@@ -17,7 +17,7 @@ from jaxtyping import Array
 
 from .inertia import AbstractInertia
 from .motion import JointMotion, Joints, Motion, Scalar
-from .parameter import Memory, parameters_of
+from .parameter import Memory, Parameter, parameters_of
 
 BASE = "spring", "damper"
 """Names of the effects that every model has, at every joint (Eq. 4)."""
@@ -221,6 +221,20 @@ class JointEffect(AbstractEffect):
 
     def follow(self, motion, mechanism):
         return self.joint_follow(motion.of(mechanism.joints.index(self.joint)))
+
+
+def joint_of(label: str, number: Parameter, joints: tuple[str, ...]) -> int | None:
+    """Which of the joints a number of an effect with this label is of; None: of no one joint."""
+    place = label.partition(":")[2]
+    if number.joint is not None:
+        return number.joint if number.joint < len(joints) else None
+    return joints.index(place) if place in joints else None
+
+
+def unit_of(label: str, number: Parameter, mechanism: AbstractInertia) -> str:
+    """The unit of a number of an effect with this label."""
+    units, joint = mechanism.units or (), joint_of(label, number, mechanism.joints)
+    return number.dimension.unit(*(units if joint is None else units[joint : joint + 1]))
 
 
 def neighbours(name: str, mechanism: AbstractInertia, x: Joints | None = None) -> Joints:

@@ -17,7 +17,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, PyTree
 
-from .effect import AbstractEffect, JointEffect
+from .effect import AbstractEffect, JointEffect, joint_of, unit_of
 from .inertia import AbstractInertia
 from .motion import Joints, Motion, split, stack
 from .parameter import Memory, Parameter, floating, parameters_of
@@ -29,12 +29,13 @@ _Meaning = TypeVar("_Meaning", Parameter, Memory)
 
 class Number(NamedTuple, Generic[_Meaning]):
     """One number, or internal state, of a model: its public name, its meaning, its effect, its
-    joint (None: of no one joint)."""
+    joint (None: of no one joint), and whether it enters an equation of the mechanism."""
 
     name: str
     meaning: _Meaning
     effect: int
     joint: int | None
+    acts: bool = True
 
 
 class Model(eqx.Module):
@@ -63,17 +64,15 @@ class Model(eqx.Module):
 
     def __str__(self) -> str:
         """The mechanism, and each number with its unit on a line."""
-        units = self.mechanism.units or (None,) * len(self.mechanism.joints)
         lines = [f"{type(self.mechanism).__name__}: {', '.join(self.mechanism.joints)}"]
-        values = self.values()
-        width = max((len(name) for name in values), default=0)
-        for n in self.numbers:
-            alike = units[0] if len(set(units)) == 1 else None
-            unit = n.meaning.dimension.unit(alike if n.joint is None else units[n.joint])
+        values, shown = self.values(), [n for n in self.numbers if n.acts]
+        width = max((len(n.name) for n in shown), default=0)
+        for n in shown:
+            unit = unit_of(self.labels[n.effect], n.meaning, self.mechanism)
             value = values[n.name]
             plain = jnp.ndim(value) == 0 and not isinstance(value, Tracer)
-            shown = f"{value:.6g}" if plain else value
-            lines.append(f"    {n.name:{width}}  {shown} {'' if unit == '1' else unit}".rstrip())
+            told = f"{value:.6g}" if plain else value
+            lines.append(f"    {n.name:{width}}  {told} {'' if unit == '1' else unit}".rstrip())
         return "\n".join(lines)
 
     def without(self, label: str) -> Self:
@@ -305,9 +304,10 @@ def _numbers(effects: tuple[tuple[type[AbstractEffect], str], ...], joints: tupl
     """The numbers of effects, each told by its class and its label, on a mechanism of `joints`."""
     found = []
     for index, (kind, label) in enumerate(effects):
-        joint = _joint(label, joints)
         for meaning in parameters_of(kind):
-            found.append(Number(f"{label}.{meaning.name}", meaning, index, joint))
+            joint = joint_of(label, meaning, joints)
+            acts = meaning.joint is None or meaning.joint < len(joints)
+            found.append(Number(f"{label}.{meaning.name}", meaning, index, joint, acts))
     return tuple(found)
 
 

@@ -36,17 +36,24 @@ class Scales(NamedTuple):
 
 
 class Dimension(NamedTuple):
-    """A kind of quantity: its unit at a rotary joint, at a sliding joint, and its typical size."""
+    """A kind of quantity: its unit at a rotary joint, at a sliding joint, its typical size, and its
+    unit between joints of either kind, if it can be between joints."""
 
     rotary: str
     sliding: str
     size: Callable[[Scales], float]
+    between: str = ""
 
-    def unit(self, joint_unit: str | None) -> str:
-        """The unit for a joint read in "rad" or "m"; both when the joint's unit is not known."""
-        if joint_unit == "rad" or self.rotary == self.sliding:
+    def unit(self, *joints: str) -> str:
+        """The unit for joints read in these units, "rad" or "m"; both where that is not known."""
+        kinds = set(joints)
+        if kinds == {"rad"} or self.rotary == self.sliding:
             return self.rotary
-        return self.sliding if joint_unit == "m" else f"{self.rotary} or {self.sliding}"
+        if kinds == {"m"}:
+            return self.sliding
+        if kinds and self.between:
+            return self.between
+        return f"{self.rotary} or {self.sliding}"
 
 
 RATIO = Dimension("1", "1", lambda s: 1.0)
@@ -58,13 +65,14 @@ INERTIA = Dimension("kg m^2", "kg", lambda s: s.inertia)
 TORQUE = Dimension("N m", "N", lambda s: s.inertia * s.frequency**2 * s.amplitude)
 # Times the sine of an angle: as large as a stiffness, not as the torque at one swing.
 MOMENT = Dimension("N m", "N", lambda s: s.inertia * s.frequency**2)
-STIFFNESS = Dimension("N m/rad", "N/m", lambda s: s.inertia * s.frequency**2)
+# Between a joint in rad and one in m: V = k q1 q2 is in J, and k in J/(m rad).
+STIFFNESS = Dimension("N m/rad", "N/m", lambda s: s.inertia * s.frequency**2, "N/rad")
 # Of what changes slowly: in a whole recording, not in a swing.
 STIFFNESS_RATE = Dimension(
     "N m/(rad s)", "N/(m s)", lambda s: s.inertia * s.frequency**2 / s.duration
 )
 CUBIC = Dimension("N m/rad^3", "N/m^3", lambda s: s.inertia * (s.frequency / s.amplitude) ** 2)
-DAMPING = Dimension("N m s/rad", "N s/m", lambda s: s.inertia * s.frequency)
+DAMPING = Dimension("N m s/rad", "N s/m", lambda s: s.inertia * s.frequency, "N s/rad")
 QUADRATIC = Dimension("N m s^2/rad^2", "N s^2/m^2", lambda s: s.inertia / s.amplitude)
 # Of a point of a link, such as a bearing: forces that turn it as a torque of typical size does.
 FORCE = Dimension("N", "N", lambda s: s.inertia * s.frequency**2 * s.amplitude / s.length)
@@ -162,8 +170,9 @@ def param(
     - `default`: the value of an instance made without one; `silent` if not given.
     - `fitted`: whether a fit moves it.
     - `grid`: values that a fit starts a shape number from, in the dimension's typical size.
-    - `joint`: the joint whose motion gives the typical size, from 0; if not given, that of the
-      effect, or the last one.
+    - `joint`: the joint whose motion gives the typical size and the unit, from 0; if not given,
+      that of the effect, or else the size of the last one and the unit of all. On a mechanism
+      without that joint the number enters no equation, and is not shown.
     - `as_spring`: whether it may be as large as the joint's spring, in whose place it acts, and not
       only a part of it.
     - `name`: what users call it, where that differs from the field's name.

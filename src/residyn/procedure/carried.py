@@ -26,7 +26,7 @@ from ..physics.modal import eigenvalues, modes, state_matrix
 from ..physics.model import Model
 
 NAMES = ("shoulder", "elbow", "coupling")
-_MATTERS = 1e-3  # share of a quantity by which a combination that is not seen may move it
+MATTERS = 1e-3  # share of a quantity by which a combination that is not seen may move it
 _REAL = 1e-9  # share of imaginary part up to which an eigenvalue is real
 _AWAY = 1e-6  # share of the fastest eigenvalue from which a real one above zero is not rounding
 
@@ -45,7 +45,7 @@ class Carried(NamedTuple):
         `by_inertia` is its slope with the numbers held.
         """
         open_to = float(np.linalg.norm(self.unseen @ by_number))
-        if open_to > _MATTERS * abs(value):
+        if open_to > MATTERS * abs(value):
             return math.inf
         whole = by_inertia + by_number @ self.moved
         seen = by_number @ self.numbers @ by_number + whole @ self.inertia @ whole
@@ -61,7 +61,7 @@ def carried(fit: Fit, inertia: np.ndarray | None) -> Carried:
         return Carried(fit.covariance, *nothing)
     square, values = _information(fit), np.array([n.value for n in fit.numbers])
     own, cross = square[:count, :count], square[:count, count:]
-    inverse, vectors, size = inverse_of(own)
+    inverse, vectors, size, _ = inverse_of(own)
     # A combination is as large as the largest of its numbers: it may turn all of one into another.
     unseen, members = vectors * size, np.abs(vectors) > PART
     ratios = np.divide(np.abs(values), np.abs(unseen), where=members, out=np.zeros(unseen.shape))

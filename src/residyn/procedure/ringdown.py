@@ -2,7 +2,8 @@
 
 The numbers n were fitted with the inertias I held, so that an error of I moves them by M = dn/dI
 (see `carried`). A draw is I + d, with d from the covariance of step 1, and n + M d + e, with e from
-the covariance of the fit. Each draw is simulated; the band at each instant holds the middle 95 %.
+the covariance of the fit, and from the combinations of numbers that no recording sees where these
+leave the motion as it is. Each draw is simulated; the band at each instant holds the middle 95 %.
 It knows nothing of effects that the model lacks, nor of the release, which is the same in all.
 """
 
@@ -17,7 +18,7 @@ from jaxtyping import Array, Float
 from ..physics.model import Model
 from ..simulation.interpolation import Trajectory
 from ..simulation.simulate import simulate, steps_for
-from .carried import Carried, moved
+from .carried import MATTERS, Carried, moved
 
 DRAWS = 200
 _EDGES = (2.5, 97.5)  # percentiles between which 95 % lie
@@ -27,7 +28,7 @@ class RingDown(NamedTuple):
     """A released arm, and where it is in 95 % of the draws; arrays (N, n), rad."""
 
     path: Trajectory
-    low: Float[np.ndarray, "N n"] | None  # None where the recordings leave a number open
+    low: Float[np.ndarray, "N n"] | None  # None where the recordings leave the motion open
     high: Float[np.ndarray, "N n"] | None
 
 
@@ -41,21 +42,28 @@ def draws_of(
     seed: int,
 ) -> tuple[Trajectory, np.ndarray]:
     """Let a model go at rest from `q0`: its motion, and that of each draw (draws, N, n); of none
-    where the recordings leave a number open. `errors` are those of the model `fitted`, of which
+    where the recordings leave it open. `errors` are those of the model `fitted`, of which
     `model` may lack some effects."""
     steps = steps_for(model, float(times[-1] - times[0]))
     names = [n.name for n in fitted.fitted]
     kept = [names.index(n.name) for n in model.fitted]
-    open_to = bool(np.abs(errors.unseen[:, kept]).max(initial=0.0) > 0)
-    path = simulate(model, times, q0, steps=steps)
-    if open_to or draws == 0 or not np.isfinite(errors.numbers).all():
-        return path, np.zeros((0, *np.shape(path.q)))
+    path, at = simulate(model, times, q0, steps=steps), (jnp.asarray(times), q0, steps)
+    unseen = errors.unseen[np.any(errors.unseen[:, kept], axis=1)]
+    none = np.zeros((0, *np.shape(path.q)))
+    if draws == 0 or not np.isfinite(errors.numbers).all():
+        return path, none
+    if len(unseen):
+        beside = _simulated(model, MATTERS * unseen[:, kept], np.zeros((len(unseen), 3)), *at)
+        moved_by = np.abs(np.asarray(beside) - path.q).max() / MATTERS
+        if not moved_by <= MATTERS * np.abs(path.q).max():
+            return path, none
     rng = np.random.default_rng(seed)
     how: Any = {"size": draws, "method": "eigh", "check_valid": "ignore"}  # they may be singular
     inertia = rng.multivariate_normal(np.zeros(3), errors.inertia, **how)
     own = rng.multivariate_normal(np.zeros(len(names)), errors.numbers, **how)
+    own = own + rng.standard_normal((draws, len(unseen))) @ unseen
     numbers = (own + inertia @ errors.moved.T)[:, kept]
-    found = np.asarray(_simulated(model, numbers, inertia, jnp.asarray(times), q0, steps))
+    found = np.asarray(_simulated(model, numbers, inertia, *at))
     # What a draw cannot follow (a stiffness below zero, an arm that is none) lies outside.
     return path, np.where(np.isfinite(found), found, np.inf)
 

@@ -22,7 +22,8 @@ class Limits:
     air_bearings: Any = None
     """true, false, or [true, false]: whether tests are made on the bearings, off them, or both."""
     extra_mass: Any = None
-    """Least and largest load on the first coordinate, kg (constant inertia only)."""
+    """Least and largest load on the first coordinate, kg m^2 (kg if it slides); constant inertia
+    only."""
     load: Any = None
     """Least and largest load on whatever rubs, N."""
     duration: Any = None
@@ -59,7 +60,7 @@ class Limits:
 
 
 _SIZES = {"angle": "rad or m", "drive": "N m or N"}
-_RANGES = {"theta2": ("rad", -math.inf), "extra_mass": ("kg", 0.0), "load": ("N", 0.0)}
+_RANGES = {"theta2": ("rad", -math.inf), "extra_mass": ("kg m^2 or kg", 0.0), "load": ("N", 0.0)}
 
 
 def _checked(key: str, given: Any) -> Any:

@@ -58,7 +58,7 @@ class Recording:
     air_bearings: bool = True
     """Whether the bearings were on."""
     extra_mass: float = 0.0
-    """Load on the first coordinate, kg (constant inertia only)."""
+    """Load on the first coordinate, kg m^2 (kg if it slides; constant inertia only)."""
     load: float = 0.0
     """What presses a load-dependent friction, N."""
     own: tuple[str, ...] = ()
@@ -162,7 +162,7 @@ class Recording:
                 theta2=number("theta2", theta2, "rad"),
                 role=check_role(role),
                 air_bearings=flag("air_bearings", air_bearings),
-                extra_mass=number("extra_mass", extra_mass, "kg", least=0),
+                extra_mass=number("extra_mass", extra_mass, "kg m^2 or kg", least=0),
                 load=number("load", load, "N", least=0),
                 own=check_own(own, role),
                 reads=kinds,

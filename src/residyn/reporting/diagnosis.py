@@ -243,11 +243,10 @@ def _laws(found: Diagnosis) -> Iterator[str]:
 
 
 def _numbers(found: Diagnosis, label: str) -> str:
-    """The numbers of an effect that was added, if they do anything: as fitted if nothing is left,
+    """The numbers of an effect that was added: as fitted if nothing is left,
     else as they are beside the torque that is."""
     fit = found.fit
-    silent = {fit.numbers[group[0]].name for group in fit.open_groups if len(group) == 1}
-    own = [n for n in fit.numbers if n.name.partition(".")[0] == label and n.name not in silent]
+    own = [n for n in fit.own_numbers if n.name.partition(".")[0] == label]
     if found.verdict == "unexplained" and not _instead(found):
         beside = found.parameters
         return _values({n.name: beside[n.name] for n in own if n.name in beside})

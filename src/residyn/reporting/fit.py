@@ -13,7 +13,7 @@ import numpy as np
 
 from ..effects.inertia import InertiaError
 from ..fitting.integration import TENTH
-from ..fitting.result import NEGATIVE, STRONG, STRUCTURE, Fit, RecordingFit
+from ..fitting.result import STRONG, STRUCTURE, Fit, RecordingFit
 from ..recordings.segments import by_recording
 from . import latex as tex
 from .layout import Table, filled, section, separated, tabular, warned
@@ -107,7 +107,9 @@ def _unphysical(fit: Fit) -> Iterable[str]:
 
 def _open(fit: Fit) -> Iterator[str]:
     for group in fit.open_groups:
-        members = [fit.numbers[i].name for i in group]
+        members = [fit.numbers[i].name for i in group if fit.numbers[i].acts]
+        if not members:
+            continue  # of a joint that this mechanism does not have
         if any(m.startswith("inertia_error") for m in members):
             yield (
                 "inertia and stiffness cannot both be found from free motion: scaling all "
@@ -160,7 +162,7 @@ def _signs(fit: Fit) -> Iterator[str]:
     for n in fit.numbers:
         if n.sign == "positive" and n.value < 0 and n.determined and n.name not in sure:
             so = ", but no more than its error: these data cannot tell it from zero"
-            if -n.value > NEGATIVE * n.std:
+            if n.negative:
                 so = ": the model lacks something, or an input is wrong"
             yield f"{n.name} is negative, which physics does not allow{so}"
 
@@ -246,12 +248,14 @@ def text(fit: Fit) -> str:
     lines += filled(_integrated(fit), "    integrated  ")
     lines += [line for words in _inertias(fit) for line in filled(words, "    inertia     ")]
     lines.append("[[Parameters]]  value +/- standard error (error in %)")
-    width = max([30, *(len(n.name) for n in fit.numbers)])
-    for n in fit.numbers:
+    width = max([30, *(len(n.name) for n in fit.own_numbers)])
+    for n in fit.own_numbers:
         unit = "" if n.unit == "1" else f" {n.unit}"
         error = f"{n.std:.3g} ({n.percent:.2g} %)" if n.determined else "not determined"
         lines.append(f"  {n.name:<{width}}{n.value:11.6g} +/- {error}{unit}")
-    lines += filled(", ".join(f"{n.name} {n.start:.4g}" for n in fit.numbers), "  started from ")
+    lines += filled(
+        ", ".join(f"{n.name} {n.start:.4g}" for n in fit.own_numbers), "  started from "
+    )
     if fit.modes:
         lines.append("[[Modes]]  natural frequency, damping ratio")
     for i, m in enumerate(fit.modes, 1):
@@ -320,7 +324,7 @@ def errors_table(fit: Fit) -> Table:
 def numbers_table(fit: Fit) -> Table:
     head = ["number", "value", "standard error", "error in %", "start", "unit", "meaning"]
     rows = []
-    for n in fit.numbers:
+    for n in fit.own_numbers:
         value, std = with_error(n.value, n.std)
         off = f"{plain(n.percent, 2)} %" if math.isfinite(n.percent) else ""
         error = std if n.determined else "not determined"
@@ -358,7 +362,7 @@ def fall(first: Fit, last: Fit) -> str:
 def latex(fit: Fit) -> str:
     """Numbers with errors, modes, residuals."""
     rows = []
-    for n in fit.numbers:
+    for n in fit.own_numbers:
         error = tex.measured(n.value, n.std) if n.determined else "not determined"
         where = lower(at_place(n.name.partition(".")[0], fit.joints, comma=True))
         rows.append([tex.escaped(where), tex.escaped(n.words), error, tex.unit(n.unit)])
@@ -380,7 +384,7 @@ def latex(fit: Fit) -> str:
 
 def csv(fit: Fit) -> str:
     """One line for each number: name, value, std, unit."""
-    rows: list[Sequence[object]] = [(n.name, n.value, n.std, n.unit) for n in fit.numbers]
+    rows: list[Sequence[object]] = [(n.name, n.value, n.std, n.unit) for n in fit.own_numbers]
     for i, m in enumerate(fit.modes, 1):
         rows.append((f"mode{i}.frequency", m.frequency_hz, m.frequency_hz_std, "Hz"))
         rows.append((f"mode{i}.damping_ratio", m.damping_ratio, m.damping_ratio_std, "1"))

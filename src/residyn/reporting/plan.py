@@ -4,6 +4,7 @@ import math
 
 from ..diagnosis.candidate_tests import Test
 from ..diagnosis.plan import Plan
+from ..physics.parameter import INERTIA
 from .layout import Table, filled, printed
 from .names import listed, named, upper
 from .numbers import amount, measured, percent, plain
@@ -35,7 +36,9 @@ def setting_words(test: Test) -> str:
     if test.air_bearings is not None:
         words.append("on the air bearings" if test.air_bearings else "without the air bearings")
     if test.extra_mass is not None:
-        words.append(f"with {plain(test.extra_mass, 3)} kg of load" if test.extra_mass else "bare")
+        unit = INERTIA.unit(*filter(None, test.units[:1]))
+        load = f"with {plain(test.extra_mass, 3)} {unit} of load"
+        words.append(load if test.extra_mass else "bare")
     if test.load is not None:
         words.append(f"under a load of {plain(test.load, 3)} N")
     return ", ".join(words)

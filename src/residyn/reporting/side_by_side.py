@@ -69,7 +69,7 @@ class SideBySide:
         for pair in errors if self.one.held_out else ():
             cells = (f"{times(e.check_ratio or math.nan)} x noise" for e in pair)
             rows.append([f"{HELD_OUT} rms, {pair[0].joint}", *cells])
-        each = [{n.name: n for n in fit.numbers} for fit in sides]
+        each = [{n.name: n for n in fit.own_numbers} for fit in sides]
         for n in {**each[1], **each[0]}.values():
             both = (own.get(n.name) for own in each)
             cells = (" +/- ".join(with_error(x.value, x.std)) if x else "-" for x in both)

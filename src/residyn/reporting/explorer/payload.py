@@ -161,7 +161,7 @@ def fitted(study: Study, added: Sequence[str], found: Fit, held: Sequence[str] =
         Drawn(own[id(r)].predicted[thinned(len(r.time))].T) if id(r) in own else None
         for r in _shown(study)
     ]
-    numbers = [_number(n.name, n.value, n.std, n.unit, n.sign, held) for n in found.numbers]
+    numbers = [_number(n.name, n.value, n.std, n.unit, n.sign, held) for n in found.own_numbers]
     errors = found.rmse / found.noise, study.held_out(added, found)
     torque = _torque_of(study, added, found)
     return _model(study, added, "refitted", errors, numbers, curves, torque)
@@ -241,13 +241,11 @@ def _recording(r):
 
 def _candidate(study: Study, s: Column):
     effect, scene = s.effect, study.search.scene
-    units = scene.mechanisms[0].units
-    unit = units[scene.joint_of(effect)] if units else None
     rows = [r.which for r in study.screen.rows if r.effect.label == effect.label]
     own = [r.which for r in study.columns.rows if r.effect.label == effect.label]
 
     def told(n):
-        return {"name": n.name, "words": n.words, "unit": n.dimension.unit(unit)}
+        return {"name": n.name, "words": n.words, "unit": scene.unit(effect, n)}
 
     written = ("label", "name", "place", "equation", "looks_like", "extends")
     return {
