@@ -16,6 +16,7 @@ from residyn.fitting import Genetic, History, MissingExtra, evolution, levenberg
 from residyn.fitting.genetic import Part, box, search_of
 from residyn.fitting.history import relative_error
 from residyn.fitting.multistart import beginning
+from residyn.fitting.problem import ready
 from residyn.recordings.tables import ArmTable
 from residyn.reporting.figures import convergence
 from tests.legible import legible
