@@ -165,6 +165,20 @@ def test_several_recordings_share_their_numbers_and_check_ones_are_held_out(case
     np.testing.assert_allclose(values[0], values[1], rtol=1e-5)
 
 
+def test_a_short_recording_takes_no_wide_kernel_from_a_long_one(case):
+    """Noise of 5e-3 rad at 500 Hz, which narrow kernels let through."""
+    rng, noise, t = np.random.default_rng(1), 5e-3, np.arange(5000) / 500
+    q, _ = rig.simulate(case.arm, t, np.array([0.1, -0.05]))
+    q = q + noise * rng.standard_normal(q.shape)
+    long = residyn.Recording.from_arrays(t, q, theta2=case.arm.theta2, noise=noise)
+    part = slice(0, 150, 5)
+    short = dataclasses.replace(long, time=t[part], angle=q[part], name="short")
+    one = residyn.Experiment(experiment(case).inertia, (long, short))
+    with jax.enable_x64(True):
+        numbers, _ = initial_guess.first_guess(ready(one, one.fit_recordings, ()), 1)
+    np.testing.assert_allclose(numbers[0, :2], case.arm.stiffness, rtol=0.05)
+
+
 def held_out(case, lost=0, **more):
     """The case, read once more and held out, the elbow's first readings lost."""
     base, angle = experiment(case, noise=5e-4), case.q.copy()
