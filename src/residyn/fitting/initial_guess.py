@@ -154,7 +154,7 @@ def closed_form(here: Ready, sizes: np.ndarray) -> Trials:
     halves = np.array([round(_NARROWEST * 1.5**i) for i in range(_LADDER)])
     # Which kernels are narrow enough for each recording, (R, K): others are of no weight in it.
     own = np.stack([halves <= max(_NARROWEST, len(g.q) // 8) for g in grids])
-    fits = own.any(axis=0)
+    fits = np.asarray(own.any(axis=0))
     used = np.where(own, halves, _NARROWEST)  # always as many: one compiled program
     each = [
         smooth(g, widths, r.as_angles.noise, stride)
