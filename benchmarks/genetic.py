@@ -30,7 +30,7 @@ import numpy as np
 import residyn
 from residyn.fitting.genetic import Genetic, Search, run, search_of
 from residyn.fitting.history import History, Watch, relative_error, watched
-from residyn.fitting.problem import Ready, ready
+from residyn.fitting.multistart import DEFAULT_STARTS, Beginning, beginning
 from residyn.reporting.figures import convergence
 from tests import rig
 
@@ -87,17 +87,17 @@ class Case(NamedTuple):
 
     arm: rig.Case
     experiment: residyn.Experiment
-    here: Ready
+    begin: Beginning
     floor: float
 
     def look(self, each: Way) -> Search:
         """The search; with the release told, its genes are the four numbers."""
         how = dataclasses.replace(each.how, initial="readings" if each.release_told else "genes")
         if each.within:
-            rows = zip(self.here.model.fitted, truth_of(self.arm), strict=True)
+            rows = zip(self.begin.here.model.fitted, truth_of(self.arm), strict=True)
             bounds = {n.name: (x / each.within, x * each.within) for n, x in rows}
             how = dataclasses.replace(how, bounds=bounds)
-        look = search_of(self.here, how)
+        look = search_of(self.begin, how)
         if each.release_told:
             look = look._replace(states=released(self.arm))
         return look
@@ -132,10 +132,10 @@ def cases(rng: np.random.Generator, count: int, **recorded: float) -> Iterator[C
     """Arms as a user would have them."""
     for arm in rig.clean_cases(rng, count, **recorded):
         experiment = experiment_of(arm, arm.noise)
-        here = ready(experiment, experiment.fit_recordings, ())
-        look = search_of(here, Genetic())
+        begin = beginning(experiment, (), DEFAULT_STARTS)
+        look = search_of(begin, Genetic())
         y = look.problem.scaled(jnp.asarray(truth_of(arm)), jnp.asarray(released(arm)))
-        yield Case(arm, experiment, here, float(relative_error(look.problem, y)))
+        yield Case(arm, experiment, begin, float(relative_error(look.problem, y)))
 
 
 def evolved(case: Case, each: Way) -> Outcome:

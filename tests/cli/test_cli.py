@@ -422,6 +422,17 @@ def test_simulate_with_given_numbers(command, folder):
         np.testing.assert_allclose(q, true, atol=2 * NOISE)
 
 
+def test_simulate_begins_near_the_first_reading_however_late_it_is(command, folder):
+    time = np.arange(300) / 100
+    rows = zip(time, ringing(time, 0.05, 0), strict=True)
+    lines = [f"{t:.2f},{'' if t < 1 else q}" for t, q in rows]
+    (folder / "late.csv").write_text("\n".join(["t,q1", *lines, ""]))
+    (folder / "late.toml").write_text(TOML.replace('"one.csv"', '"late.csv"\nstart = 0'))
+    assert command("simulate", "late.toml", *SET, "--out", "late").status == 0
+    _, q = read(folder / "late" / "late.csv")
+    assert 0.01 < np.abs(q).max() < 0.06
+
+
 def test_simulate_begins_where_it_is_told_and_adds_noise(command, folder):
     words = ("simulate", "cart.toml", *SET, "--q0", "0.2", "--v0", "0", "--out")
     assert command(*words, "still").err == ""

@@ -371,3 +371,12 @@ def test_other_files_are_not_written_into(folder):
         next(residyn.fit_many([str(folder / "a.toml")], out=folder / "notes.txt"))
     with pytest.raises(residyn.InputError, match="twice"):
         next(residyn.fit_many([str(folder / "a.toml")] * 2))
+
+
+@pytest.mark.parametrize("text", ['{"the only": "copy"}', "[1, 2", "a line", '{"name": "x"}\n{"b'])
+def test_a_last_line_without_an_end_that_is_not_ours_stays(text, tmp_path):
+    out = tmp_path / "notes.json"
+    out.write_text(text)
+    with pytest.raises(residyn.InputError, match=r"notes\.json: line [12]: no result of a fit"):
+        ResultLines(out, {"x": "1"})
+    assert out.read_text() == text

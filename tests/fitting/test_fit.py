@@ -168,6 +168,40 @@ def test_several_recordings_share_their_numbers_and_check_ones_are_held_out(case
     np.testing.assert_allclose(values[0], values[1], rtol=1e-5)
 
 
+def test_a_short_recording_takes_no_wide_kernel_from_a_long_one(case):
+    """Noise of 5e-3 rad at 500 Hz, which narrow kernels let through."""
+    rng, noise, t = np.random.default_rng(1), 5e-3, np.arange(5000) / 500
+    q, _ = rig.simulate(case.arm, t, np.array([0.1, -0.05]))
+    q = q + noise * rng.standard_normal(q.shape)
+    long = residyn.Recording.from_arrays(t, q, theta2=case.arm.theta2, noise=noise)
+    part = slice(0, 150, 5)
+    short = dataclasses.replace(long, time=t[part], angle=q[part], name="short")
+    one = residyn.Experiment(experiment(case).inertia, (long, short))
+    with jax.enable_x64(True):
+        numbers, _ = initial_guess.first_guess(ready(one, one.fit_recordings, ()), 1)
+    np.testing.assert_allclose(numbers[0, :2], case.arm.stiffness, rtol=0.05)
+
+
+def held_out(case, lost=0, **more):
+    """The case, read once more and held out, the elbow's first readings lost."""
+    base, angle = experiment(case, noise=5e-4), case.q.copy()
+    angle[:lost, 1] = np.nan
+    check = residyn.Recording.from_arrays(
+        case.t, angle, theta2=case.arm.theta2, noise=5e-4, role="check", name="check.csv", **more
+    )
+    return dataclasses.replace(base, recordings=(*base.recordings, check))
+
+
+def test_a_held_out_recording_may_begin_with_lost_readings(case):
+    fit = residyn.fit(held_out(case, lost=100), starts=1)
+    np.testing.assert_allclose(fit.check_rmse, 5e-4, rtol=0.1)
+
+
+def test_a_held_out_recording_that_could_not_be_is_named(case):
+    with pytest.raises(residyn.FitError, match=r"^check\.csv \(held out\): no start led to"):
+        residyn.fit(held_out(case, drive=np.full(case.q.shape, 1e15)), starts=1)
+
+
 @pytest.mark.slow
 def test_bearing_drag_is_fitted_though_all_check_recordings_are_bare():
     """What is not on a held-out recording's bearings need not be there to be named."""

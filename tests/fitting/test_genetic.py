@@ -15,6 +15,7 @@ from residyn.cli import main
 from residyn.fitting import Genetic, History, MissingExtra, evolution, levenberg_history, methods
 from residyn.fitting.genetic import Part, box, search_of
 from residyn.fitting.history import relative_error
+from residyn.fitting.multistart import beginning
 from residyn.fitting.problem import ready
 from residyn.recordings.tables import ArmTable
 from residyn.reporting.figures import convergence
@@ -93,12 +94,12 @@ def test_lost_readings_are_in_neither_norm(experiment):
         experiment, recordings=(dataclasses.replace(recording, angle=angle),)
     )
     with jax.enable_x64(True):
-        here = ready(holed, holed.fit_recordings, ())
-        look = search_of(here, Genetic())
+        begin = beginning(holed, (), 6)
+        look = search_of(begin, Genetic())
         y = look.unknowns(jnp.full(8, 0.5))
         found = float(relative_error(look.problem, y))
         bare = residyn.simulate(
-            here.model.with_vector(look.problem.numbers(y)),
+            begin.here.model.with_vector(look.problem.numbers(y)),
             recording.time,
             look.problem.states(y)[0, :2],
             look.problem.states(y)[0, 2:],

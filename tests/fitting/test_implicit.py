@@ -8,7 +8,7 @@ import pytest
 
 import residyn
 from residyn import AirBearing, PlanarArm, modes, without_bearings
-from residyn.recordings.tables import ArmTable
+from residyn.recordings.tables import ArmTable, InertiaTable
 from tests import rig
 
 ARM, SECONDS, NOISE = rig.paper_twin(0.3), 6.0, 1e-3
@@ -59,6 +59,20 @@ def test_it_ends_where_the_fit_did(fit, embedded):
     for i, error in enumerate(errors):
         moved = found.numbers.at[i].add(0.1 * error)
         assert float(embedded.chi2(moved, found.states)) > float(found.chi2)
+
+
+def test_it_takes_the_shortened_steps_of_a_fit():
+    """A ringing cart, almost without noise."""
+    t, noise = np.arange(500) / 50.0, 1e-8
+    rate, turn = 1.0, 7.0
+    angle = np.exp(-rate * t) * (np.cos(turn * t) + rate / turn * np.sin(turn * t))
+    angle += noise * np.random.default_rng(0).standard_normal(len(t))
+    recording = residyn.Recording.from_arrays(t, angle, noise=noise)
+    table = InertiaTable(("cart",), ((2.0,),), ("m",))
+    fit = residyn.fit(residyn.Experiment(table, (recording,)), starts=1)
+    assert fit.shortened is not None
+    off = numbers_of(fit) - np.asarray(residyn.embed(fit).solve().numbers)
+    assert (np.abs(off) < 0.1 * np.array([n.std for n in fit.numbers])).all()
 
 
 def test_other_readings_are_fitted_as_a_fit_of_their_own(embedded):

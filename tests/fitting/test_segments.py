@@ -3,6 +3,7 @@ and not where it has led to."""
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 
@@ -73,6 +74,29 @@ def test_segments_are_told_of_once_and_drawn_as_one(fit):
     assert np.sqrt(np.nanmean(fit.whole[1].residual ** 2)) == pytest.approx(
         fit.check_rmse[0], rel=1e-9
     )
+
+
+def test_an_embedded_fit_takes_a_recording_whole(fit):
+    (_, angle, _), noise = slide(), np.random.default_rng(7).standard_normal(800)
+    with jax.enable_x64(True):
+        fits = residyn.embed(fit)
+        again = fits.with_angles(angle[:, None] + 0.1 * NOISE * noise[:, None])
+        numbers = fits.problem.numbers(fits.start)
+        chi2 = float(fits.chi2(numbers))
+        assert 0 < abs(float(again.chi2(numbers)) - chi2) < 0.3 * chi2
+        padded = np.zeros((sum(fits.segments), len(fits.problem.recorded.row[0]), 1))
+        assert [x.shape for x in fits.readings(padded)] == [(800, 1)]
+        with pytest.raises(ValueError, match="shape"):
+            fits.with_angles(angle[1:, None])
+
+
+def test_every_search_fits_the_same_segments(fit):
+    how = {"effects": ["coulomb_friction"], "starts": 1}
+    other = residyn.fit(experiment(recorded()), method="random", **how)
+    names = [[r.recording.name for r in found.fitted] for found in (fit, other)]
+    assert names[0] == names[1]
+    for a, b in zip(fit.numbers, other.numbers, strict=True):
+        assert abs(a.value - b.value) < 0.1 * a.std
 
 
 @pytest.mark.slow

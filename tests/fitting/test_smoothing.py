@@ -16,3 +16,12 @@ def test_a_long_pause_of_the_logger_makes_no_endless_grid():
     assert len(grid.q) <= 10 * 200 + 1
     assert grid.dt * (len(grid.q) - 1) > 0.99 * paused.duration
     assert grid.good.sum() < 10  # nothing was read in the pause
+
+
+def test_readings_that_are_lost_at_an_end_are_not_made_up():
+    t = np.arange(200) / 100
+    angle = np.stack([np.cos(3 * t), np.sin(3 * t)], axis=1)
+    angle[:30, 0] = angle[-1, 1] = np.nan
+    grid = uniform(Recording.from_arrays(t, angle, noise=1e-3), np.zeros((200, 2), bool))
+    np.testing.assert_array_equal(np.flatnonzero(~grid.good), [*range(30), 199])
+    assert np.abs(grid.q).max() <= 1

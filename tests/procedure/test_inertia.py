@@ -221,6 +221,23 @@ def test_uneven_times_lost_and_wild_readings():
     assert np.abs(result.values / TRUTH - 1).max() < 0.01
 
 
+@pytest.mark.parametrize("lost", [slice(60), slice(-60, None)])
+def test_readings_lost_at_an_end(lost):
+    whole = rigid_experiment(TRUTH, [0.0, 1.5], coulomb=0.2, viscous=0.1)
+    recordings = []
+    for r in whole.recordings:
+        q = r.angle.copy()
+        q[lost] = np.nan
+        recordings.append(
+            Recording.from_arrays(
+                r.time, q, drive=r.drive, theta2=r.theta2, role="inertia", name=r.name
+            )
+        )
+    result = residyn.inertia(dataclasses.replace(whole, recordings=tuple(recordings)))
+    assert np.abs((result.values - TRUTH) / result.std).max() < 4.5
+    assert np.abs(result.values / TRUTH - 1).max() < 0.01
+
+
 def test_readings_without_noise():
     result = residyn.inertia(rigid_experiment(TRUTH, [0.0, 1.5], noise=0.0, coulomb=0.2))
     assert result.values == pytest.approx(TRUTH, rel=1e-3)
@@ -289,6 +306,15 @@ def test_eq_16_amplifies_the_error_as_it_says():
         assert "Eq. 16" in str(result)
         close = any("elbow angles are close" in w for w in result.warnings)
         assert close == (angle == 0.3)
+
+
+def test_elbow_angles_are_no_further_apart_by_more_tests_at_them():
+    once, often = (residyn.inertia(rigid_experiment(TRUTH, [0.0, 0.6] * n)) for n in (1, 3))
+    assert often.separation.excess == pytest.approx(once.separation.excess, rel=1e-2)
+    assert often.separation.amplification < 0.7 * once.separation.amplification
+    assert "cosines 1.000, 0.825 differ" in " ".join(str(often).split())
+    best = residyn.inertia(rigid_experiment(TRUTH, [0.0, math.pi, math.pi]))
+    assert best.separation.excess == pytest.approx(1, rel=1e-2)
 
 
 def test_friction_that_is_more_is_said_and_enlarges_the_errors():

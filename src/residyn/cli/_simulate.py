@@ -137,20 +137,20 @@ def _model_with(
 
 
 def _first_angles(here: "Model", recording: "Recording", rates: "np.ndarray") -> "np.ndarray":
-    """Angles at the first instant: a parabola of the known slope through the first readings."""
+    """Angles at each joint's first reading: a parabola of the known slope through the next ones."""
     import numpy as np
 
     from ..physics.modal import fastest
 
     recording = recording.as_angles
-    time = recording.time - recording.time[0]
     # Up to here, a swing at the fastest mode is a parabola within 0.3 %.
     window = 0.5 / max(fastest(here), 1e-9)
     angles = []
     for joint, rate in enumerate(rates):
         seen = np.flatnonzero(np.isfinite(recording.angle[:, joint]))
-        use = seen[: max(5, int(np.searchsorted(time[seen], window)))]
-        t, q = time[use], recording.angle[use, joint] - rate * time[use]
+        time = recording.time[seen] - recording.time[seen[0]]
+        count = max(5, int(np.searchsorted(time, window)))
+        t, q = time[:count], recording.angle[seen[:count], joint] - rate * time[:count]
         angles.append(np.polynomial.polynomial.polyfit(t / (t[-1] or 1.0), q, [0, 2])[0])
     return np.array(angles)
 

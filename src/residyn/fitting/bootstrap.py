@@ -81,12 +81,13 @@ def bootstrap(
         width = -(-draws // (rounds * len(devices))) * len(devices)  # alike, and no more
         each = width * min(_ROUNDS, rounds)
         size = float(np.sqrt(max(1.0, fit.reduced_chi2)))
-        noise = [jnp.asarray(size * r.recording.noise) for r in fit.fitted]
+        whole = [r for r in fit.whole if r.recording.role != "check"]
+        noise = [jnp.asarray(size * r.recording.noise) for r in whole]
         mesh = Mesh(np.asarray(devices), ("fits",))
         divided = NamedSharding(mesh, PartitionSpec(None, "fits"))
         seen = tuple(map(np.asarray, look(fits.problem, fits.start)[:2]))
-        pairs = zip(fit.fitted, seen[0], strict=True)
-        truth = [np.where(r.used, x[: len(r.used)], np.nan) for r, x in pairs]
+        pairs = zip(whole, fits.readings(jnp.asarray(seen[0])), strict=True)
+        truth = [np.where(r.used, x, np.nan) for r, x in pairs]
         fits, seen = eqx.filter_shard((fits, seen), NamedSharding(mesh, PartitionSpec()))
         keys = np.asarray(jax.random.key_data(jax.random.split(jax.random.key(seed), draws)))
         # The last batch is filled up, so that one compiled program serves all.

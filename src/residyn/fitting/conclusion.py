@@ -14,6 +14,7 @@ import numpy as np
 
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
+from ..recordings.segments import by_recording
 from .covariance import infinite_slopes_of, modes_of, numbers_of, spread_of
 from .history import History
 from .integration import at_twice_the_steps, corrected
@@ -157,6 +158,12 @@ def _held_out(
         # The same effects, also where bare recordings know none of bearings.
         begin = posed(model, mechanisms[0])
         here = fitted._replace(model=begin, recordings=tuple(filled), mechanisms=mechanisms)
-        end = yield from descending(here, begin, numbers, here.outliers, like=like, search=search)
+        try:
+            end = yield from descending(
+                here, begin, numbers, here.outliers, like=like, search=search
+            )
+        except FitError as error:
+            names = " or ".join(whole.name for whole, _ in by_recording(some))
+            raise FitError(f"{names} (held out): {error}") from None
         found += end.beside(filled)[: len(some)]
     return found

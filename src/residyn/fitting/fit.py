@@ -17,12 +17,12 @@ from ..recordings.experiment import Experiment, must_be_experiment
 from .conclusion import finishing
 from .genetic import drawn, fit_genetic
 from .history import History, Watch, watched
-from .initial_guess import first_guess, resolving
+from .initial_guess import resolving
 from .integration import TENTH, checked, refined, stable
 from .lanes import Fitting, alone
 from .methods import GENETIC, LEVENBERG, RANDOM, named
 from .minimise import fit_minimised
-from .multistart import DEFAULT_STARTS, Descent, descending, multistart, without_drift
+from .multistart import DEFAULT_STARTS, Descent, beginning, descending, multistart
 from .problem import ready
 from .result import Fit, FitError
 
@@ -104,15 +104,10 @@ def fitting(
     began = time.perf_counter()
     if not isinstance(starts, Integral) or starts < 1:
         raise ValueError(f"starts = {starts!r}: must be a whole number, at least one")
-    here = ready(experiment, experiment.fit_recordings, effects)
+    progress("finding a start in closed form")
+    begin = beginning(experiment, effects, starts)
+    experiment, here, numbers, memory = begin
     if seed is None:
-        progress("finding a start in closed form")
-        numbers, memory = first_guess(here, starts)
-        whole = experiment
-        experiment = without_drift(whole, here.model.with_vector(numbers[0]))
-        if experiment is not whole:
-            here = ready(experiment, experiment.fit_recordings, effects)
-            memory = here.memory(starts)
         progress(f"fitting from {starts} start{'s' * (starts > 1)}")
         base = functools.partial(ready, experiment, here.recordings, ()) if effects else None
         begun = base, starts, progress, numbers, memory
@@ -126,10 +121,10 @@ def fitting(
             descent = yield from multistart(finer, *begun)
     else:
         progress("drawing starts")
-        numbers = drawn(here, starts, seed)
+        numbers = drawn(begin, starts, seed)
         progress(f"fitting from {starts} of them")
-        begin = here.model.with_vector(numbers[0])
-        descent = yield from descending(here, begin, numbers, here.outliers, progress)
+        first = here.model.with_vector(numbers[0])
+        descent = yield from descending(here, first, numbers, here.outliers, progress)
     progress("errors, modes and held-out recordings")
     found = yield from finishing(experiment, numbers[0], descent, began)
     if found.integration_error > TENTH and not here.adapts:

@@ -25,9 +25,9 @@ from ..recordings.experiment import Experiment
 from .conclusion import Found, searched
 from .evolution import Strategy, fold, traced_algorithm
 from .history import History, Part, Watch, relative_error, watching
-from .initial_guess import first_guess, resolving
-from .multistart import DEFAULT_STARTS
-from .problem import Problem, Ready, Unknowns, ready
+from .initial_guess import resolving
+from .multistart import DEFAULT_STARTS, Beginning, beginning
+from .problem import Problem, Unknowns
 from .result import Fit
 
 # Bounds in typical sizes (`Ready.typical`). Among 80 random arms the springs were 0.03 to 15 times
@@ -191,23 +191,23 @@ def fit_genetic(
     `ValueError` as `fit`, and for bounds or settings that do not go.
     """
     began = time.perf_counter()
-    here = ready(experiment, experiment.fit_recordings, effects)
-    found = run(search_of(here, how), how, progress)
+    begin = beginning(experiment, effects, DEFAULT_STARTS)
+    found = run(search_of(begin, how), how, progress)
     progress("errors, modes and held-out recordings")
     words = (
         f"{found.steps} generations of {how.population} individuals ({how.strategy}); "
         f"objective of Eq. 17: {found.history.objective[-1]:.4g}, "
         + ("settled" if found.settled else "still falling")
     )
-    return searched(experiment, here, found, words, began)
+    return searched(begin.experiment, begin.here, found, words, began)
 
 
-def search_of(here: Ready, how: Genetic) -> Search:
+def search_of(begin: Beginning, how: Genetic) -> Search:
     """The search of an experiment: the model, the step and the readings that
     Levenberg-Marquardt would have, so that both simulate alike; but not its start."""
-    begin = resolving(here, first_guess(here, DEFAULT_STARTS)[0])
+    here = begin.here
     bounds = box(here.model.fitted, here.typical(), how.bounds)
-    problem, states = here.problem(begin, here.outliers)
+    problem, states = here.problem(resolving(here, begin.numbers), here.outliers)
     noise, scale = np.max([r.noise for r in here.recordings], axis=0), problem.scale.states[0]
     share = _SHARE_OF_STATE + _SIGMAS * noise / scale[: len(noise)]
     memory = np.full(len(scale) - 2 * len(noise), _MEMORY)
@@ -215,10 +215,10 @@ def search_of(here: Ready, how: Genetic) -> Search:
     return Search(problem, bounds, states, reach, how.initial == GENES)
 
 
-def drawn(here: Ready, starts: int, seed: int) -> np.ndarray:
+def drawn(begin: Beginning, starts: int, seed: int) -> np.ndarray:
     """(S, P) numbers of the best of a hundred individuals, drawn as the first generation is: starts
     that know nothing of the closed form, which shows what that is worth."""
-    look = search_of(here, Genetic())
+    look = search_of(begin, Genetic())
     genes = jnp.asarray(np.random.default_rng(seed).uniform(size=(_DRAWN, look.size)))
     values = np.asarray(_values(look, genes))
     order = np.argsort(values)[:starts]

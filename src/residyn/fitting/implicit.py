@@ -23,6 +23,7 @@ from ..physics.effect import BASE
 from ..physics.mechanism import AbstractMechanism
 from ..physics.model import Model
 from ..physics.parameter import all_floating, stacked
+from ..recordings.segments import by_recording
 from .least_squares import Compressed, Horizon, compressed, descended, predictions, whiten
 from .problem import Problem, Unknowns, posed, ready, tight
 from .result import Fit
@@ -36,7 +37,7 @@ class Solution(eqx.Module):
     numbers: Float[Array, " P"]
     """The model's numbers, as `Embedded.names` has them, each in its own unit."""
     states: Float[Array, "R s"]
-    """Initial states (q0, v0, z0) of each recording."""
+    """Initial states (q0, v0, z0) of each recording, or of each of its segments."""
     chi2: Float[Array, ""]
     """Sum of squared residuals in units of the noise."""
     covariance: Float[Array, "P P"]
@@ -58,6 +59,8 @@ class Embedded(eqx.Module):
     noise: list[Float[Array, " n"]]
     names: tuple[str, ...] = eqx.field(static=True)
     """`effect.number` of each number."""
+    segments: tuple[int, ...] = eqx.field(static=True)
+    """In how many segments each recording was fitted; R is their sum."""
 
     # -- variations --------------------------------------------------------------------------
 
@@ -67,17 +70,20 @@ class Embedded(eqx.Module):
 
         **Raises:** `ValueError` for a wrong number of arrays or a wrong shape.
         """
-        if len(angles) != len(self.usable):
-            raise ValueError(f"{len(angles)} arrays of angles for {len(self.usable)} recordings")
+        if len(angles) != len(self.segments):
+            raise ValueError(f"{len(angles)} arrays of angles for {len(self.segments)} recordings")
+        parts: list[Array] = []
+        for i, (given, own) in enumerate(zip(angles, self._by_recording(self.usable), strict=True)):
+            x, lengths = jnp.asarray(given, float), [len(part) for part in own]
+            shape = sum(lengths), own[0].shape[1]
+            if x.shape != shape:
+                raise ValueError(
+                    f"angles of recording {i + 1} have shape {x.shape}: must be {shape}"
+                )
+            parts += jnp.split(x, np.cumsum(lengths)[:-1])
         recorded = self.problem.recorded
         grid, weights = jnp.asarray(recorded.angles), jnp.asarray(recorded.weights)
-        for i, given in enumerate(angles):
-            x = jnp.asarray(given, float)
-            if x.shape != self.usable[i].shape:
-                raise ValueError(
-                    f"angles of recording {i + 1} have shape {x.shape}: must be "
-                    f"{self.usable[i].shape}"
-                )
+        for i, x in enumerate(parts):
             seen = jnp.isfinite(x) & self.usable[i]
             grid = grid.at[i, : len(x)].set(jnp.where(seen, x, 0.0))
             weights = weights.at[i, : len(x)].set(jnp.where(seen, 1.0 / self.noise[i], 0.0))
@@ -89,11 +95,12 @@ class Embedded(eqx.Module):
 
     def with_mechanism(self, *mechanisms: AbstractMechanism) -> "Embedded":
         """The same readings on other bodies: one mechanism for each recording, or one for all."""
-        count = len(self.usable)
+        count = len(self.segments)
         if len(mechanisms) not in (1, count):
             raise ValueError(f"{len(mechanisms)} mechanisms for {count} recordings")
         all_of_them = mechanisms if len(mechanisms) == count else mechanisms * count
-        each = [all_floating(m) for m in all_of_them]
+        pairs = zip(all_of_them, self.segments, strict=True)
+        each = [all_floating(m) for m, parts in pairs for _ in range(parts)]
         return eqx.tree_at(
             lambda e: (e.problem.recorded.mechanism, e.problem.model),
             self,
@@ -158,9 +165,15 @@ class Embedded(eqx.Module):
         return _covariance(self.problem, compressed(self.problem, self._at(numbers, states)))
 
     def readings(self, predicted: Float[Array, "R N n"]) -> list[Float[Array, "N n"]]:
-        """`Solution.predicted`, recording by recording, each of its own length."""
+        """`Solution.predicted`, recording by recording, each of its own length, whole."""
         pairs = zip(predicted, self.usable, strict=True)
-        return [x[: len(own)] for x, own in pairs]
+        own = self._by_recording([x[: len(own)] for x, own in pairs])
+        return [jnp.concatenate(parts) for parts in own]
+
+    def _by_recording(self, parts: list[Array]) -> list[list[Array]]:
+        """Of R segments, those of each recording."""
+        ends = np.cumsum(self.segments)
+        return [parts[end - n : end] for end, n in zip(ends, self.segments, strict=True)]
 
 
 def embed(fit: Fit, *, integrator: Any = None) -> Embedded:
@@ -193,7 +206,8 @@ def embedded(fit: Fit, integrator: Any = None, fixed: bool = True) -> Embedded:
     experiment = fit.experiment
     if integrator is not None:
         experiment = dataclasses.replace(experiment, integrator=integrator)
-    here = ready(experiment, [r.recording for r in fitted], effects)
+    recordings = [r.recording for r in fitted]
+    here = ready(experiment, recordings, effects)._replace(finer=fit.ready.finer)
     problem = tight(here.problem(fit.model, [r.wild for r in fitted], fixed=fixed)[0])
     start = problem.scaled(fit.model.vector(), jnp.asarray(np.stack([r.state for r in fitted])))
     return Embedded(
@@ -202,6 +216,7 @@ def embedded(fit: Fit, integrator: Any = None, fixed: bool = True) -> Embedded:
         usable=[jnp.asarray(~r.wild) for r in fitted],
         noise=[jnp.asarray(r.recording.noise) for r in fitted],
         names=tuple(n.name for n in fit.model.fitted),
+        segments=tuple(len(which) for _, which in by_recording(recordings)),
     )
 
 

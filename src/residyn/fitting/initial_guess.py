@@ -152,11 +152,15 @@ def closed_form(here: Ready, sizes: np.ndarray) -> Trials:
     longest = max(len(g.q[::stride]) for g in grids)
     longest = bucket(longest) if model.memory else bucket(longest, *_INSTANTS)
     halves = np.array([round(_NARROWEST * 1.5**i) for i in range(_LADDER)])
-    fits = halves <= max(_NARROWEST, shortest // 8)
-    used = np.where(fits, halves, _NARROWEST)  # always as many: one compiled program
+    # Which kernels are narrow enough for each recording, (R, K): others are of no weight in it.
+    own = np.stack([halves <= max(_NARROWEST, len(g.q) // 8) for g in grids])
+    fits = np.asarray(own.any(axis=0))
+    used = np.where(own, halves, _NARROWEST)  # always as many: one compiled program
     each = [
-        smooth(g, used, r.as_angles.noise, stride) for g, r in zip(grids, recordings, strict=True)
+        smooth(g, widths, r.as_angles.noise, stride)
+        for g, r, widths in zip(grids, recordings, used, strict=True)
     ]
+    each = [s._replace(weight=s.weight * of[:, None]) for s, of in zip(each, own, strict=True)]
     data = tuple(_side_by_side(parts, longest) for parts in zip(*each, strict=True))
     posed = stacked(here.posed())
     spacing = np.array([g.dt * stride for g in grids])
@@ -165,7 +169,7 @@ def closed_form(here: Ready, sizes: np.ndarray) -> Trials:
 
     def solved(trials: Trials):
         equations = jax.device_get(_equations(posed, trials, spacing, data, chunks))
-        return _solved(equations, np.asarray(trials.numbers), sizes, used // stride)
+        return _solved(equations, np.asarray(trials.numbers), sizes, used.max(axis=0) // stride)
 
     trials = plain(model, sizes, len(grids))
     if any(effect.oscillates for effect in model.effects):
@@ -184,7 +188,8 @@ def closed_form(here: Ready, sizes: np.ndarray) -> Trials:
     spread = spread.reshape(_LADDER, -1)
     # A kernel wider than the slowest swing leaves only rest and drift, which any tiny stiffness
     # fits beautifully.
-    kept = np.max([s.kept(used // stride) for s in each], axis=0)
+    kept = np.stack([s.kept(h // stride) for s, h in zip(each, used, strict=True)])
+    kept = np.max(np.where(own, kept, 0.0), axis=0)
     fits &= kept > min(_LEAST_KEPT, 0.5 * kept.max())
     # Overlapping kernels share their noise: a kernel of half-width h leaves about 1/h as many
     # independent equations.

@@ -24,9 +24,10 @@ from ..errors import extra
 from ..recordings.experiment import Experiment
 from .conclusion import Found, searched
 from .history import Part, Watch, objective_of, relative_error, watching
-from .initial_guess import first_guess, resolving
+from .initial_guess import resolving
 from .least_squares import Horizon, rows
-from .problem import Problem, Unknowns, ready
+from .multistart import beginning
+from .problem import Problem, Unknowns
 from .result import Fit, FitError
 
 STEPS = 500
@@ -81,8 +82,7 @@ def fit_minimised(
     """
     began = time.perf_counter()
     name, made = minimiser(method)
-    here = ready(experiment, experiment.fit_recordings, effects)
-    numbers, memory = first_guess(here, 1)
+    experiment, here, numbers, memory = beginning(experiment, effects, 1)
     problem, states = here.problem(resolving(here, numbers), here.outliers)
     states[:, states.shape[-1] - memory.shape[-1] :] = memory[0]
     y = problem.scaled(jnp.asarray(numbers[0]), jnp.asarray(states))

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..effects import AbstractEffect
 from ..physics.modal import at_rest, eigenvalues, modes_of
 from ..physics.model import Model
 from ..physics.motion import split
@@ -36,7 +37,7 @@ from .initial_guess import first_guess, frequency_of, lines, memory_along_readin
 from .lanes import SHARES, Fitting, Wanted
 from .layout import bucket
 from .least_squares import Compressed, Polished
-from .problem import Problem, Ready, Unknowns, reweighted
+from .problem import Problem, Ready, Unknowns, ready, reweighted
 from .result import FitError, RecordingFit
 from .smoothing import uniform
 
@@ -532,3 +533,29 @@ def without_drift(experiment: Experiment, model: Model) -> Experiment:
     if len(found) == len(experiment.recordings):
         return experiment
     return dataclasses.replace(experiment, recordings=tuple(found))
+
+
+class Beginning(NamedTuple):
+    """What every search begins with: the experiment, what nothing pulls back cut into segments, its
+    recordings ready, and starts in closed form: numbers (S, P), internal states (S, R, m)."""
+
+    experiment: Experiment
+    here: Ready
+    numbers: np.ndarray
+    memory: np.ndarray
+
+
+def beginning(
+    experiment: Experiment, effects: Sequence[str | AbstractEffect], starts: int
+) -> Beginning:
+    """The beginning of a search, whatever it searches by. Call it in float64.
+
+    **Raises:** `ValueError` as `ready`.
+    """
+    here = ready(experiment, experiment.fit_recordings, effects)
+    numbers, memory = first_guess(here, starts)
+    cut = without_drift(experiment, here.model.with_vector(numbers[0]))
+    if cut is not experiment:
+        here = ready(cut, cut.fit_recordings, effects)
+        memory = here.memory(starts)
+    return Beginning(cut, here, numbers, memory)

@@ -378,18 +378,19 @@ def _inertia(mechanism: AbstractMechanism):
 
 
 def _first_state(recording: Recording, outliers: np.ndarray, frequency: float) -> np.ndarray:
-    """(q0, v0) from a cubic through the first quarter cycle."""
+    """(q0, v0) from a cubic through the first quarter cycle that was read of each joint."""
     recording = recording.as_angles
-    time = recording.time - recording.time[0]
     state = []
     for joint in range(recording.angle.shape[1]):
         use = np.flatnonzero(np.isfinite(recording.angle[:, joint]) & ~outliers[:, joint])
-        count = max(8, int(np.searchsorted(time[use], 1.5 / frequency)))
-        use = use[:count]
         if len(use) < 4:  # of a cubic: a segment without readings
             state.append((0.0, 0.0))
             continue
-        window = time[use[-1]]
-        line = np.polynomial.polynomial.polyfit(time[use] / window, recording.angle[use, joint], 3)
+        # From the first reading on: a cubic led back over lost ones ends anywhere.
+        time = recording.time[use] - recording.time[use[0]]
+        count = max(8, int(np.searchsorted(time, 1.5 / frequency)))
+        use, time = use[:count], time[:count]
+        window = time[-1]
+        line = np.polynomial.polynomial.polyfit(time / window, recording.angle[use, joint], 3)
         state.append((line[0], line[1] / window))
     return np.concatenate(np.transpose(state))

@@ -100,6 +100,8 @@ def _source(kind: type) -> list[bytes]:
 
 # -- the file --------------------------------------------------------------------------------
 
+_BEGINS = b'{"name": "'  # every line
+
 
 class ResultLines:
     """The file, held by this run until `close`.
@@ -171,7 +173,8 @@ class ResultLines:
                 told = json.loads(line)
                 name = told["name"]
             except (ValueError, KeyError, TypeError):
-                if not line.endswith(b"\n"):  # the run was killed while it wrote
+                begun = line.startswith(_BEGINS) or _BEGINS.startswith(line)
+                if begun and not line.endswith(b"\n"):  # the run was killed while it wrote
                     break
                 raise InputError(
                     f"{self.path}: line {number}: no result of a fit; must be a file that an "

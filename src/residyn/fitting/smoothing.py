@@ -22,7 +22,9 @@ class Uniform(NamedTuple):
     """A recording on a uniform grid of G instants, `dt` s apart."""
 
     q: np.ndarray  # (G, n)
-    good: np.ndarray  # (G,) False where readings were missing for more than a few samples
+    # (G,) False where readings were missing for more than a few samples, or at an end: there, the
+    # nearest one is held.
+    good: np.ndarray
     drive: np.ndarray  # (G, n)
     dt: float
 
@@ -41,9 +43,10 @@ def uniform(recording: Recording, outliers: np.ndarray) -> Uniform:
             q[:, joint] = angle[:, joint]
             continue
         known = time[use]
-        q[:, joint] = _cubic(known, angle[use, joint], grid)
-        after = np.searchsorted(known, grid).clip(1, len(known) - 1)
-        good &= np.diff(known)[after - 1] < 4.5 * dt
+        at = grid.clip(known[0], known[-1])
+        q[:, joint] = _cubic(known, angle[use, joint], at)
+        after = np.searchsorted(known, at).clip(1, len(known) - 1)
+        good &= (np.diff(known)[after - 1] < 4.5 * dt) & (np.abs(grid - at) < _EVEN * dt)
     drive = np.zeros_like(q)
     if recording.drive is not None:
         drive = np.stack([np.interp(grid, time, u) for u in recording.drive.T], axis=1)

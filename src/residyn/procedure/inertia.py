@@ -185,8 +185,10 @@ def _separation(
     slope, composite = design[shoulder, 2], np.array([s.values[0] for s in solved])[shoulder]
     about = slope - np.mean(slope)
     weights = about / (about @ about)
+    count, half = len(slope), len(slope) // 2
+    best = 4 * l1 * math.sqrt(half * (count - half) / count)  # of |about|: as many at 0 and pi
     return Separation(
         cosines=tuple(float(x) for x in slope / (2 * l1)),
         amplification=float(np.linalg.norm(weights * composite) / max(abs(values[2]), 1e-300)),
-        excess=float(np.linalg.norm(weights) * 2 * math.sqrt(2) * l1),
+        excess=float(np.linalg.norm(weights) * best),
     )

@@ -39,8 +39,8 @@ class Separation(NamedTuple):
     amplification: float
     """Relative error of coupling for one relative error in all composite inertias."""
     excess: float
-    """Error of coupling for one error in all composite inertias, in units of what two tests at 0
-    and pi, the best that there are, would make of it; 2 / span for two tests."""
+    """Error of coupling for one error in all composite inertias, in units of what as many tests at
+    0 and pi, the best that there are, would make of it; 2 / span for two tests."""
 
     @property
     def span(self) -> float:

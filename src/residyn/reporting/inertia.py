@@ -181,7 +181,7 @@ def apart_words(result: InertiaResult) -> str:
     """Whether the elbow angles are far enough apart (Eq. 16)."""
     apart = result.separation
     answer = "yes" if apart.excess < 4 else "barely" if apart.excess < _CLOSE else "hardly"
-    cosines = ", ".join(f"{c:.3f}" for c in apart.cosines)
+    cosines = ", ".join(dict.fromkeys(f"{c:.3f}" for c in apart.cosines))
     return (
         f"{answer}: cosines {cosines} differ by {apart.span:.3g} (2 at most): 1 % of error "
         f"in the composite inertias is {plain(apart.amplification, 2)} % in coupling. Elbow angles "
