@@ -14,7 +14,7 @@ from ..reporting.numbers import plain, times, with_error
 from ..runtime.json import finite
 from . import _options
 from ._shell import NoNumbers, interruptible, progress, set_up_jax, tell
-from ._work import Work, bring, computing, title
+from ._work import Work, bring, computing, must_stand, title
 
 if TYPE_CHECKING:
     from ..fitting.batch import Each
@@ -100,8 +100,7 @@ def fit(
         found = SideBySide(*fits)
         out.give(found, lambda path: reporting.write_report(path, headings(found)))
         for name, one in zip("AB", fits, strict=True):
-            if not one.stands:
-                raise NoNumbers(f"{name}: {one.reason}")
+            must_stand(one, f"{name}: ")
         return
     result = fits[0]
     out.words.print(str(result), soft_wrap=True)
@@ -111,11 +110,7 @@ def fit(
         )
     headed = [(title(experiment), result)]
     out.write(result, lambda path: reporting.write_report(path, headed))
-    if not result.stands:
-        raise NoNumbers(result.reason)
-    if result.unphysical:
-        names = ", ".join(n.name for n in result.unphysical)
-        raise NoNumbers(f"{names}: negative, which is not physical")
+    must_stand(result)
 
 
 def _fit_each(
