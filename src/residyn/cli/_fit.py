@@ -183,9 +183,9 @@ def _line(each: "Each") -> str:
     settled = "" if told["stands"] else ", not settled"
     settled += "".join(f", {name} negative, which is not physical" for name in told["unphysical"])
     error = ", ".join(
-        f"{joint} {times(rms / told['noise'][joint])} x noise"
-        for joint, rms in told["rmse"].items()
-        if rms is not None
+        f"{joint} {times(ratio)} x noise"
+        for joint, ratio in told["ratio"].items()
+        if ratio is not None
     )
     chi2 = told["reduced_chi2"]
     chi2 = "?" if chi2 is None else plain(chi2, 3)
