@@ -401,6 +401,44 @@ def test_a_fit_that_did_not_settle_prints_and_is_exit_status_1(command, monkeypa
     assert end.err == "residyn: step limit reached\n"
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("fit", "grows.toml"),
+        ("fit", "grows.toml", "--with", "quadratic_drag", "--against", "nothing"),
+        ("compare", "grows.toml"),
+        ("simulate", "grows.toml", "--out", "grown"),
+        ("diagnose", "grows.toml", "--max-effects", "0"),
+        ("plan", "grows.toml", "--max-effects", "0", "--tests", "1"),
+    ],
+)
+def test_a_base_that_no_arm_has_is_exit_status_1_of_every_command(
+    command, folder, words, monkeypatch
+):
+    """Of commands that search, only the fit at their end is real."""
+    import residyn.diagnosis
+    import residyn.fitting
+
+    def found(experiment, **_):
+        fit = residyn.fitting.fit(experiment, starts=1)
+        budget = SimpleNamespace(stopped=None)
+        return SimpleNamespace(fit=fit, base=fit, added=(), budget=budget)
+
+    monkeypatch.setattr(residyn.diagnosis, "compare_fit", lambda fit, say: fit, raising=False)
+    monkeypatch.setattr(residyn.diagnosis, "diagnose", found, raising=False)
+    monkeypatch.setattr(residyn.diagnosis, "plan", lambda *_, **__: "a plan", raising=False)
+    time = np.arange(300) / 100
+    q = ringing(time, 0.05, 0) * np.exp(0.6 * DAMPING * time)
+    rows = [f"{t:.2f},{float(x)!r}" for t, x in zip(time, q, strict=True)]
+    (folder / "grows.csv").write_text("\n".join(["t,q1", *rows, ""]))
+    head = TOML.split("[[recordings]]")[0]
+    (folder / "grows.toml").write_text(f'{head}[[recordings]]\nfile = "grows.csv"\n')
+    end = command(*words)
+    assert end.status == 1
+    assert end.out
+    assert end.err.endswith("damper:cart.damping: negative, which is not physical\n")
+
+
 # -- simulate --------------------------------------------------------------------------------
 
 SET = ("--set", f"spring:cart.stiffness={STIFFNESS}", "--set", f"damper:cart.damping={DAMPING}")

@@ -86,6 +86,10 @@ SPOILT = {
     ),
     "t alone": (["t,", "0,1", "1,2"], 'x.csv: has no column of angles beside "t"'),
     "a drive alone": (["t,u1", "0,1", "1,2"], 'x.csv: has no column of angles beside "t"'),
+    "time stamps": (
+        ["Stamp,Angle (rad)", "2026-01-01T00:00:00.00Z,0.2", "2026-01-01T00:00:00.02Z,0.1"],
+        'x.csv, line 2: t = "2026-01-01T00:00:00.00Z" is no number; times are in s',
+    ),
     "a name twice": (
         [HEADER.replace("Ellbogen", "Schulter"), "0,0;4,0;-2,9", "10,0;3,9;-2,8"],
         'x.csv, line 1: two columns are called "Schulter (Grad)"',
@@ -116,6 +120,31 @@ def test_new_says_what_it_has_seen(tmp_path):
     np.testing.assert_allclose(
         np.nanmax(np.abs(experiment.recordings[0].angle), axis=0), [0.2, 0.1], rtol=0.1
     )
+
+
+def test_new_does_not_guess_what_a_count_of_samples_is(tmp_path):
+    rows = np.column_stack([np.arange(len(T)), Q])
+    np.savetxt(tmp_path / "x.csv", rows, delimiter=",", header="sample,q1,q2", comments="")
+    assert main(["new", str(tmp_path / "new.toml"), str(tmp_path / "x.csv")]) == 0
+    text = (tmp_path / "new.toml").read_text()
+    assert 'units = { t = "?" }' in text
+    assert 't from "sample", q1' in text
+    assert "# seen: t goes up by 1" in text
+    with pytest.raises(InputError, match="1 units, theta2: write numbers"):
+        load(tmp_path / "new.toml")
+
+
+def test_new_reads_rates_where_a_unit_says_so(tmp_path):
+    rows = [f"{t},{30 / np.pi * q},1" for t, q in zip(T, Q[:, 0], strict=True)]
+    (tmp_path / "x.csv").write_text("\n".join(["Time (s),Speed (rpm),Count", *rows]))
+    assert main(["new", str(tmp_path / "new.toml"), str(tmp_path / "x.csv")]) == 0
+    text = (tmp_path / "new.toml").read_text()
+    assert 'reads = "rate"' in text
+    assert 'units = ["rad"]' in text
+    (tmp_path / "new.toml").write_text(text.replace('"?"', "0.05"))
+    (recording,) = load(tmp_path / "new.toml").recordings
+    assert recording.reads == ("rate",)
+    np.testing.assert_allclose(recording.angle[:, 0], Q[:, 0], atol=1e-12)
 
 
 def test_new_from_driven_recordings_takes_no_rest_off(tmp_path):

@@ -115,6 +115,7 @@ def test_units_of_rates_are_read_from_the_header(motion, tmp_path):
         ("t,q1,q2", 'reads = "speed"', 'reads = "speed": must be "angle", "rate", "acceleration"'),
         ("t,q1,q2", 'reads = ["rate"]', "one word for each of 2 joints"),
         ("t,q1,q2 [deg/s]", "", 'reads = "rate" says what it is'),
+        ("t,q1,q2 [mm]", "", "must be rad, deg, mrad, or units under [inertia] says"),
         ("t,q1,q2 [deg]", 'reads = "rate"', "must be rad/s, deg/s, mrad/s, rpm"),
     ],
 )

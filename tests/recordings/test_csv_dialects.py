@@ -289,6 +289,15 @@ def test_keys_are_checked(tmp_path, keys, says):
     assert "x.toml: [[recordings]] 1" in str(caught.value)
 
 
+def test_the_only_column_of_angles_is_what_to_write(tmp_path):
+    for header, right in (("t,q1,Low (deg)", 'q2 = "Low (deg)"'), ("t,Up (deg),Low", 'q1 = "Up')):
+        with pytest.raises(InputError) as caught:
+            read(tmp_path, table(header, T, Q))
+        assert f"as columns = {{ {right}" in str(caught.value)
+    with pytest.raises(InputError, match=r'q1 = "\.\.\." }; it has'):
+        read(tmp_path, table("t,Up (deg),Low (deg)", T, Q))
+
+
 def test_a_column_that_is_another_joints_is_no_suggestion(tmp_path):
     content = table("t,q1 (rad),q3 (rad)", T, Q)
     with pytest.raises(InputError, match='did you mean "q3 ') as caught:

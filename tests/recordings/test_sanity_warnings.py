@@ -9,9 +9,10 @@ from residyn import demo
 from residyn.errors import InputError
 from residyn.recordings.columns import Table
 from residyn.recordings.csv import read_csv, write_csv
-from residyn.recordings.experiment import load
+from residyn.recordings.experiment import Experiment, load
 from residyn.recordings.recording import Recording
 from residyn.recordings.sanity import not_free
+from residyn.recordings.tables import ArmTable
 from tests.recordings.test_recording import DATA, measured
 from tests.rig import draw
 from tests.rig.cases import clean_cases
@@ -103,11 +104,35 @@ def test_degrees_and_milliseconds(good):
     assert "in degrees?" in line
     assert 'units = { q1 = "deg" }' in line
     assert seen(time, np.degrees(angle), said=("q1", "q2")) is None
-    for factor in (1e3, 1e4, 1e6):
+    for factor, unit in ((1e3, "ms"), (1e4, "ms"), (1e6, "us")):
         line = seen(factor * time, angle)
         assert "is" in line
-        assert 'units = { t = "ms" }' in line
+        assert f'units = {{ t = "{unit}" }}' in line
         assert seen(factor * time, angle, said=("t",)) is None
+
+
+@pytest.mark.parametrize("run", [1, 12])
+def test_the_code_of_a_lost_sample_is_no_angle(good, run):
+    time, angle = good
+    lost = np.arange(len(time)) % 97 < run
+    for code, unit in ((-999.0, 1.0), (9999.0, np.degrees(1.0))):
+        coded = np.where(lost[:, None], code, unit * angle)
+        line = seen(time, coded)
+        assert f"q1 = {code:.4g} rad" in line
+        assert f"({lost.sum()} readings)" in line
+        assert "the code of a lost sample? that is an empty cell or nan" in line
+        assert "in degrees?" not in line
+    assert seen(time, np.where(lost[:, None], np.nan, angle)) is None
+
+
+def test_outliers_are_not_in_degrees(good):
+    time, angle = good
+    spikes = np.arange(len(time)) % 67 == 30
+    off = np.where(spikes[:, None], 40.0 + np.arange(len(time))[:, None], angle)
+    assert spikes.mean() > 0.01
+    assert "in degrees?" not in str(seen(time, off))
+    with_own = Experiment(ArmTable((0.4, 0.4), 1.2, 0.6, 1.4), (Recording.from_arrays(time, off),))
+    assert not any("in degrees" in line for line in with_own.warnings)
 
 
 @pytest.mark.parametrize("hold", [0.6, 2.0, 10.0])

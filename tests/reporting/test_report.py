@@ -1,5 +1,6 @@
 """The page and its pictures: complete, self-contained, safe, and nothing cut off."""
 
+import dataclasses
 import re
 from html.parser import HTMLParser
 from urllib.parse import unquote
@@ -10,6 +11,7 @@ import pytest
 
 import residyn
 from residyn import reporting as report
+from residyn.recordings.tables import Bearing
 from residyn.reporting import figures as plot
 from residyn.reporting import fit as about_fits
 from residyn.reporting import numbers
@@ -218,6 +220,58 @@ def test_verdict_names_the_misfit(fit):
     assert "misses something" in words
     assert "shoulder" in words
     assert "elbow" in words
+
+
+def test_errors_are_in_times_the_noise_of_each_recording(fit):
+    """An exact encoder and a short run of a poor camera: each is off by its own noise."""
+    each = []
+    for count, noise, times_noise, role in (
+        (3000, 1e-5, 1.0, "fit"),
+        (100, 0.1, 1.0, "fit"),
+        (600, 1e-5, 2.0, "check"),
+        (20, 0.1, 2.0, "check"),
+    ):
+        time = np.arange(count) / 100
+        angle = np.tile(np.cos(time)[:, None], 2)
+        run = residyn.Recording.from_arrays(time, angle, noise=noise, role=role)
+        off = times_noise * noise * np.where(np.arange(count) % 2, 1, -1)[:, None]
+        each.append(residyn.fitting.RecordingFit(run, angle + off, angle > 2, np.zeros(4)))
+    mixed = dataclasses.replace(fit, recordings=tuple(each), reduced_chi2=1.0)
+    for error in about_fits.joint_errors(mixed):
+        assert error.ratio == pytest.approx(1.0)
+        assert error.check_ratio == pytest.approx(2.0)
+        assert error.noise == pytest.approx(((3000 * 1e-10 + 100 * 1e-2) / 3100) ** 0.5)
+    assert mixed.to_dict()["ratio"] == pytest.approx({"shoulder": 1.0, "elbow": 1.0})
+    assert " 1.0 times the noise at the shoulder" in about_fits.verdict(mixed)[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({}, ""),
+        ({"theta2": 1.0}, "theta2 = 0.3 rad"),
+        ({"theta2": 1.0, "load": 2.0}, "theta2 = 0.3 rad, load = 0 N"),
+        ({"air_bearings": False}, "on the bearings"),
+    ],
+)
+def test_modes_say_which_recording_they_are_of(change, words, monkeypatch):
+    monkeypatch.setattr("residyn.reporting.figures.inline.svg", lambda figure: "<svg/>")
+    fit = a_fit()
+    one, two = fit.recordings
+    one = dataclasses.replace(one, recording=dataclasses.replace(one.recording, name="one.csv"))
+    two = dataclasses.replace(two, recording=dataclasses.replace(two.recording, **change))
+    bearings = (Bearing("elbow", 0.1, 0.001),)
+    fit = dataclasses.replace(
+        fit,
+        recordings=(one, two),
+        experiment=dataclasses.replace(fit.experiment, bearings=bearings),
+    )
+    expected = f", as in one.csv ({words})" if words else ""
+    head = "[[Modes]]  natural frequency, damping ratio" + expected
+    assert f"{head} 1 0.36" in " ".join(str(fit).split()).replace("]] ", "]]  ")
+    assert f"rings in small motion{expected}." in report.render([("one", fit)])
+    told = fit.to_dict()["modes_of"]
+    assert (told["recording"], told["theta2"], told["air_bearings"]) == ("one.csv", 0.3, True)
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from .. import reporting
 from ..reporting.numbers import times
 from . import _options
-from ._shell import NoNumbers, progress, set_up_jax
-from ._work import Work, computing, models
+from ._shell import progress, set_up_jax
+from ._work import Work, computing, models, must_stand
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -70,8 +70,7 @@ def demo(
     right = " Right." * (found.added == (hidden,))
     words.print(f"\nNamed: {named}. Hidden was: {hidden}.{right}\n")
     out.write(found, lambda path: reporting.write_report(path, models(found), diagnosis=found))
-    if not found.fit.stands:
-        raise NoNumbers("the demo's fit did not settle")
+    must_stand(found.fit)
 
 
 def _windows(words: "Console", fit: "Fit") -> None:

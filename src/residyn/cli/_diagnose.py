@@ -5,7 +5,7 @@ from typing import Annotated
 from .. import reporting
 from . import _options
 from ._shell import INTERRUPTED, NoNumbers
-from ._work import Work, computing, models, title
+from ._work import Work, computing, models, must_stand, title
 
 
 def compare(
@@ -28,8 +28,7 @@ def compare(
         result = compare_fit(fitted, say)
     fits = [(title(experiment), fitted)]
     out.give(result, lambda path: reporting.write_report(path, fits, compared=result))
-    if not fitted.stands:
-        raise NoNumbers(fitted.reason)
+    must_stand(fitted)
 
 
 def diagnose(
@@ -57,8 +56,7 @@ def diagnose(
     out.give(found, lambda path: reporting.write_report(path, fits, diagnosis=found))
     if found.budget.stopped == "interrupted":
         raise NoNumbers("interrupted: the best so far is above", INTERRUPTED)
-    if not found.fit.stands:
-        raise NoNumbers(found.fit.reason)
+    must_stand(found.fit)
 
 
 def plan(
@@ -85,3 +83,4 @@ def plan(
     out.give(result)
     if found.budget.stopped == "interrupted":
         raise NoNumbers("interrupted: planned from the best so far", INTERRUPTED)
+    must_stand(found.fit)

@@ -14,7 +14,7 @@ from ..reporting.numbers import plain, times, with_error
 from ..runtime.json import finite
 from . import _options
 from ._shell import NoNumbers, interruptible, progress, set_up_jax, tell
-from ._work import Work, bring, computing, title
+from ._work import Work, bring, computing, must_stand, title
 
 if TYPE_CHECKING:
     from ..fitting.batch import Each
@@ -100,8 +100,7 @@ def fit(
         found = SideBySide(*fits)
         out.give(found, lambda path: reporting.write_report(path, headings(found)))
         for name, one in zip("AB", fits, strict=True):
-            if not one.stands:
-                raise NoNumbers(f"{name}: {one.reason}")
+            must_stand(one, f"{name}: ")
         return
     result = fits[0]
     out.words.print(str(result), soft_wrap=True)
@@ -111,11 +110,7 @@ def fit(
         )
     headed = [(title(experiment), result)]
     out.write(result, lambda path: reporting.write_report(path, headed))
-    if not result.stands:
-        raise NoNumbers(result.reason)
-    if result.unphysical:
-        names = ", ".join(n.name for n in result.unphysical)
-        raise NoNumbers(f"{names}: negative, which is not physical")
+    must_stand(result)
 
 
 def _fit_each(
@@ -188,9 +183,9 @@ def _line(each: "Each") -> str:
     settled = "" if told["stands"] else ", not settled"
     settled += "".join(f", {name} negative, which is not physical" for name in told["unphysical"])
     error = ", ".join(
-        f"{joint} {times(rms / told['noise'][joint])} x noise"
-        for joint, rms in told["rmse"].items()
-        if rms is not None
+        f"{joint} {times(ratio)} x noise"
+        for joint, ratio in told["ratio"].items()
+        if ratio is not None
     )
     chi2 = told["reduced_chi2"]
     chi2 = "?" if chi2 is None else plain(chi2, 3)

@@ -6,7 +6,7 @@ from .. import reporting
 from ..errors import InputError, inside
 from . import _options
 from ._shell import INTERRUPTED, NoNumbers
-from ._work import Work, computing, floats_of, title
+from ._work import Work, computing, floats_of, must_stand, title
 
 
 def inertia(
@@ -76,7 +76,6 @@ def unload(
     out.give(found, lambda path: reporting.write_page(path, found, title(experiment)))
     if first is not None and first.budget.stopped == "interrupted":
         raise NoNumbers("interrupted: over the models that were tried so far", INTERRUPTED)
-    if not found.fit.stands:
-        raise NoNumbers(found.fit.reason)
-    if not found.physical:
+    if found.fit.stands and not found.physical:
         raise NoNumbers(found.unphysical[0])
+    must_stand(found.fit)

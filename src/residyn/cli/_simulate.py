@@ -8,7 +8,7 @@ from ..errors import InputError, inside
 from ..files import make_folder
 from . import _options
 from ._shell import NoNumbers, console
-from ._work import Work, computing, float_of, floats_of, input_files
+from ._work import Work, computing, float_of, floats_of, input_files, must_stand
 
 if TYPE_CHECKING:
     import numpy as np
@@ -68,7 +68,7 @@ def simulate(
     if not shown:
         raise InputError(f"{experiment}: has no recording of braked motion to simulate")
     paths = _paths(Path(out), shown, input_files(experiment, loaded, own))
-    words, problem, predicted = console(stderr=True), None, []
+    words, fitted, predicted = console(stderr=True), None, []
     if numbers:
         with computing() as say:
             model = _model_with(loaded, shown, effects or [], numbers)
@@ -84,21 +84,20 @@ def simulate(
             words.print(f"begins with {' and '.join(taken)}; --q0 and --v0 give others")
     else:
         with computing() as say:
-            result = fit(loaded, effects=effects or [], starts=starts, progress=say)
-        words.print(str(result), soft_wrap=True)
-        problem = None if result.stands else result.reason
+            fitted = fit(loaded, effects=effects or [], starts=starts, progress=say)
+        words.print(str(fitted), soft_wrap=True)
         with computing() as say:
             # Warned of, a recording is another object: they are told by their times.
-            beside = {id(f.recording.time): f for f in result.whole}
+            beside = {id(f.recording.time): f for f in fitted.whole}
             for r in shown:
                 say(f"simulating {r.name}")
-                fitted = beside[id(r.time)]
+                found = beside[id(r.time)]
                 if angles is None and rates is None:
-                    predicted.append(fitted.predicted)
+                    predicted.append(found.predicted)
                     continue
-                q, v, memory = np.split(fitted.state, [r.joints, 2 * r.joints])
+                q, v, memory = np.split(found.state, [r.joints, 2 * r.joints])
                 first, begin = q if angles is None else angles, v if rates is None else rates
-                here = posed(result.model, mechanism_of(loaded, r))
+                here = posed(fitted.model, mechanism_of(loaded, r))
                 predicted.append(_motion(here, r, loaded.integrator, first, begin, memory))
     random = np.random.default_rng(seed)
     for path, r, angle in zip(paths, shown, predicted, strict=True):
@@ -106,8 +105,8 @@ def simulate(
             angle = angle + noise * random.standard_normal(angle.shape)
         write_csv(path, r.time, angle, r.drive)
         print(f"{path}: {len(r.time)} samples, at the times of {r.name}")
-    if problem is not None:
-        raise NoNumbers(problem)
+    if fitted is not None:
+        must_stand(fitted)
 
 
 def _model_with(

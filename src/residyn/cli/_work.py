@@ -145,6 +145,18 @@ def one_complaint() -> Iterator[None]:
         raise InputError(str(error)) from None
 
 
+def must_stand(fit: "Fit", who: str = "") -> None:
+    """What every command that ends in a fit does last.
+
+    **Raises:** `NoNumbers` for a fit that did not settle or is not physical.
+    """
+    if not fit.stands:
+        raise NoNumbers(f"{who}{fit.reason}")
+    if fit.unphysical:
+        names = ", ".join(n.name for n in fit.unphysical)
+        raise NoNumbers(f"{who}{names}: negative, which is not physical")
+
+
 def load(path: str) -> "Experiment":
     """Read the experiment, and say on standard error what was made of a lab's own files."""
     with progress("reading"):

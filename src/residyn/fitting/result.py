@@ -3,7 +3,7 @@ data cannot determine, which readings were set aside, how many starts agreed and
 stopped. What is said of all this is in `residyn.reporting.fit`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -170,6 +170,11 @@ class Fit(TableResult):
         return tuple(r for r in self.recordings if r.recording.role == "check")
 
     @property
+    def posed_as(self) -> Recording:
+        """The fitted recording whose bodies, pose and own numbers `modes` and `model` have."""
+        return by_recording([r.recording for r in self.fitted])[0][0]
+
+    @property
     def joints(self) -> tuple[str, ...]:
         """Names of the joints."""
         return self.experiment.joints
@@ -249,6 +254,16 @@ class Fit(TableResult):
         return rms_of(self.held_out) if self.held_out else None
 
     @property
+    def ratio(self) -> np.ndarray:
+        """(n,) rms of residual / noise over the readings of the fitted recordings."""
+        return rms_of(self.fitted, lambda r: r.weight * r.left)
+
+    @property
+    def check_ratio(self) -> np.ndarray | None:
+        """(n,) the same of the held-out recordings; None if there are none."""
+        return rms_of(self.held_out, lambda r: r.weight * r.left) if self.held_out else None
+
+    @property
     def objective(self) -> float:
         """Eq. 17 over the fitted recordings: |predicted - measured| / |measured| of every joint's
         series of readings, one recording after the other, summed over the joints."""
@@ -259,8 +274,8 @@ class Fit(TableResult):
 
     @property
     def noise(self) -> np.ndarray:
-        """(n,) standard deviation of one reading, rms over the fitted recordings."""
-        return np.sqrt(np.mean([r.recording.noise**2 for r in self.fitted], axis=0))
+        """(n,) standard deviation of one reading, rms over those of the fitted recordings."""
+        return rms_of(self.fitted, lambda r: np.where(r.used, r.recording.noise, 0.0))
 
     @property
     def integrator(self) -> str:
@@ -286,9 +301,17 @@ class Fit(TableResult):
             },
             "rmse": per_joint(self.rmse),
             "noise": per_joint(self.noise),
+            "ratio": per_joint(self.ratio),
             "reduced_chi2": number(self.reduced_chi2),
             "check_rmse": None if self.check_rmse is None else per_joint(self.check_rmse),
             "modes": [finite(vars(m)) for m in self.modes],
+            "modes_of": {
+                "recording": self.posed_as.name,
+                "theta2": self.posed_as.theta2,
+                "air_bearings": self.posed_as.air_bearings,
+                "extra_mass": self.posed_as.extra_mass,
+                "load": self.posed_as.load,
+            },
             "objective": number(self.objective),
             "integrator": self.integrator,
             "integration_error": number(self.integration_error),
@@ -315,7 +338,10 @@ class Fit(TableResult):
         return to_arviz(self.numbers, self.covariance, draws, seed)
 
 
-def rms_of(fits: Sequence[RecordingFit]) -> np.ndarray:
-    """(n,) rms residual of the readings that count."""
-    total = sum((f.left**2).sum(axis=0) for f in fits)
+def rms_of(
+    fits: Sequence[RecordingFit],
+    what: Callable[[RecordingFit], np.ndarray] = lambda fit: fit.left,
+) -> np.ndarray:
+    """(n,) rms residual of the readings that count, or rms of `what` (N, n), 0 elsewhere."""
+    total = sum((what(f) ** 2).sum(axis=0) for f in fits)
     return np.sqrt(total / sum(f.used.sum(axis=0) for f in fits))

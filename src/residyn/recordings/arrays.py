@@ -99,12 +99,22 @@ def check_noise(noise: Any, joints: int) -> np.ndarray:
     return np.array([number("noise", value, "rad or m", above=0) for value in values])
 
 
-def clock_warnings(time: np.ndarray) -> list[str]:
-    """Doubts about the unit of time: nothing that rings is read so slowly for so long."""
+def clock_unit(time: np.ndarray) -> str:
+    """The unit that time seems to have: "s" as a rule; "ms", "us" or "ns" where nothing that rings
+    is read so slowly for so long; "?" where it may be milliseconds or a count of samples."""
     step = float(np.median(np.diff(time)))
     if len(time) < 50 or step < 0.5:
-        return []
+        return "s"
     if (np.abs(np.diff(time) - 1) < 1e-6).mean() > 0.9:
+        return "?"
+    return "ms" if step < 200 else "us" if step < 2e5 else "ns"
+
+
+def clock_warnings(time: np.ndarray) -> list[str]:
+    """Doubts about the unit of time, as `clock_unit` has it."""
+    if (unit := clock_unit(time)) == "s":
+        return []
+    if unit == "?":
         return ["t goes up by 1: is it a sample count, or in milliseconds? it must be in s"]
-    unit = "milliseconds" if step < 200 else "microseconds" if step < 2e5 else "nanoseconds"
-    return [f"t goes up by {step:g}: is it in {unit}? it must be in s"]
+    words = {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}[unit]
+    return [f"t goes up by {np.median(np.diff(time)):g}: is it in {words}? it must be in s"]

@@ -60,6 +60,8 @@ _SPELLED = (
     (re.compile(r"^dps$"), "deg/s"),
 )
 
+UNKNOWN = "?"
+"""A unit that the file does not tell; its column's numbers stay as they are."""
 _JOINTS_OWN = re.compile(r"([qu])[1-9][0-9]*")
 _BRACKETS = re.compile(r"(.*?)[\s,_/]*[\[({<]\s*([^\[\](){}<>]*?)\s*[\])}>]\s*")
 _BETWEEN = re.compile(r",?\s+in\s+|\s*/\s*|_|,\s*", re.I)  # name and unit, without brackets
@@ -190,22 +192,23 @@ def columns_of(
         "if driven"
     )
     has = ", ".join(map(quote, filter(None, header)))
+    used = {at[0] for at in found.values()}
+    free = [cell for i, cell in enumerate(header) if i not in used]
     for name in [*(layout.columns or {}), *(layout.units or {})]:
         if name not in ("t", *joints.angles, *joints.drives):
             raise InputError(f"there is no joint for {name}: {joints.how_many}")
     for name, wanted in (layout.columns or {}).items():
         if name not in found:
-            taken = {at[0] for at in found.values()}
-            free = [cell for i, cell in enumerate(header) if i not in taken]
             line = f"columns: there is no column {quote(wanted)} for {name}; it has {has}"
             raise InputError("; ".join(filter(None, [line, did_you_mean(wanted, free)])))
     for name in ("t", *joints.angles):
         if name not in found:
+            may = [cell for cell in free if _known(_parts(cell)[1], *joints.quantities(name))]
+            one = may[0] if len(may) == 1 else "..."
             raise InputError(
                 f"there is no column {name}; {right}, or say which column is what, as "
-                f'columns = {{ {name} = "..." }}; it has {has}'
+                f"columns = {{ {name} = {quote(one)} }}; it has {has}"
             )
-    used = {at[0] for at in found.values()}
     for at in found.values():
         if len(at) > 1:
             raise InputError(f"column {quote(header[at[0]])} appears twice; {right}")
@@ -300,20 +303,22 @@ def is_unit_row(cells: Sequence[str]) -> bool:
 def guessed(
     header: Sequence[str], below: Sequence[str], numeric: Sequence[bool]
 ) -> tuple[dict[str, int], dict[str, str], bool]:
-    """Which columns may be t and the angles, their units, where the file says them, and whether
-    names say which angle is which; else they are as the file has them."""
+    """Which columns may be t and the angles, or rates where there are no angles; the units of
+    these, where the file says them; and whether names say which of them is which joint's, or they
+    are as the file has them."""
     words = [_bare_unit(c) for c in below] or [_parts(cell)[1] for cell in header]
     bare = [_parts(cell)[0].casefold() for cell in header]
     plain = [i for i, ok in enumerate(numeric) if ok]
     time = next((i for i in plain if bare[i] in _TIMES), plain[0])
     rest = [i for i in plain if i != time and not re.fullmatch("u[1-9][0-9]*", bare[i])]
     called = [i for i in rest if re.fullmatch("q[1-9][0-9]*", bare[i])]
-    sized = [i for i in rest if _known(words[i], "rad", "m")]
+    orders = {i: seen[1] for i in rest if (seen := quantity_of(words[i]))}
+    sized = [i for i, order in orders.items() if order == min(orders.values())]
     angles = called or sized or rest
     order = _named_order([bare[i] for i in angles])
     at = {"t": time} | {f"q{j + 1}": angles[i] for j, i in enumerate(order or range(len(angles)))}
-    said = {q: _known(words[i], *(["s"] if q == "t" else ["rad", "m"])) for q, i in at.items()}
-    return at, {name: unit for name, unit in said.items() if unit}, bool(order)
+    said = {name: words[i] for name, i in at.items() if name != "t" and quantity_of(words[i])}
+    return at, said, bool(order)
 
 
 def _named_order(names: Sequence[str]) -> list[int]:
@@ -339,6 +344,8 @@ def _unit(
     kinds = joints.quantities(name)
     allowed = ", ".join(unit for kind in kinds for unit in _UNITS[kind])
     own = (layout.units or {}).get(name)
+    if own == UNKNOWN:
+        return "", 1.0, True
     if own is not None:
         where, word = f"units: {name} = {quote(own)}", own.strip()
     else:
@@ -350,14 +357,23 @@ def _unit(
         unit = _known(word, kind)
         if unit is not None:
             return unit, _UNITS[kind][unit][0], True
-    if name[0] == "q" and own is None:
-        for reads, per_time in zip(READS, PER_TIME, strict=True):
-            if _known(word, "rad" + per_time, "m" + per_time):
-                raise InputError(
-                    f"{where}: must be {allowed}, or reads = {quote(reads)} says what it is"
-                )
+    if name[0] == "q" and own is None and (seen := quantity_of(word)) is not None:
+        base, order = seen
+        settled = f"reads = {quote(READS[order])} says what it is"
+        if any(kind in ("rad" + PER_TIME[order], "m" + PER_TIME[order]) for kind in kinds):
+            settled = f"units under [inertia] says that this joint is in {base}"
+        raise InputError(f"{where}: must be {allowed}, or {settled}")
     hint = f'; if it is one of these, units = {{ {name} = "..." }} says which' * (own is None)
     raise InputError(f"{where}: must be {allowed}{hint}")
+
+
+def quantity_of(word: str) -> tuple[str, int] | None:
+    """Of a unit of readings: "rad" or "m", and the order of the derivative (`READS`)."""
+    for order, per_time in enumerate(PER_TIME):
+        for base in ("rad", "m"):
+            if _known(word, base + per_time):
+                return base, order
+    return None
 
 
 def _known(word: str, *kinds: str) -> str | None:

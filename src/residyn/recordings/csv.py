@@ -93,7 +93,7 @@ def guessed_columns(path: str | os.PathLike[str]) -> tuple[dict[str, str], dict[
     **Raises:** `InputError` if no line is a header above numbers.
     """
     where, rows = os.fspath(path), _lines(read_table_text(path))[:_HEAD]
-    above_numbers, with_t = [], []
+    above_numbers, with_t, above_one = [], [], []
     for i, (line, _) in enumerate(rows):
         for separator in _SEPARATORS:
             header, *below = (_cells(_bare(each), separator) for _, each in rows[i : i + 3])
@@ -107,12 +107,16 @@ def guessed_columns(path: str | os.PathLike[str]) -> tuple[dict[str, str], dict[
             ]
             if len(first) == len(header) and sum(ok) > 1 and any(map(_is_number, first)):
                 above_numbers.append((line, header, units, ok))
-            elif "t" in matched(header, Joints(()), Layout()):
-                with_t.append((line, header, units, [bool(cell) for cell in header]))
+                continue
+            found = line, header, units, [bool(cell) for cell in header]
+            if "t" in matched(header, Joints(()), Layout()):
+                with_t.append(found)
+            elif len(first) == len(header) and any(map(_is_number, first)):
+                above_one.append(found)  # as where times are no numbers
     # Without numbers below, whoever reads the file says what is wrong there.
-    if not above_numbers + with_t:
+    if not above_numbers + with_t + above_one:
         raise InputError(f"{where}: has no line of names above columns of numbers")
-    line, header, units, numeric = (above_numbers + with_t)[0]
+    line, header, units, numeric = (above_numbers + with_t + above_one)[0]
     at, known, ordered = guessed(header, units, numeric)
     names = [header[k] for k in at.values()]
     for name in names:
@@ -266,6 +270,8 @@ def number_in(cell: str, name: str, decimal: str) -> float:
     if _INFINITE.fullmatch(cell):
         raise InputError(f"{name} is infinite")
     hint = "a missing sample is an empty cell or nan"
+    if name == "t":
+        hint = "times are in s or a unit of it, counted from any instant"
     if _is_number(cell):
         hint = f"the decimal sign is {quote(decimal)} here; decimal says which it is"
     raise InputError(f"{name} = {quote(cell)} is no number; {hint}")

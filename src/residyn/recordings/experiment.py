@@ -250,8 +250,8 @@ def _in_degrees(experiment: Experiment) -> list[str]:
     elbow's rest in radians seldom takes more than half a turn."""
     large = []
     for recording, _ in by_recording(experiment.recordings):
-        sizes = np.nanquantile(np.abs(recording.angle), 0.99, axis=0)
-        for j, (size, unit) in enumerate(zip(sizes, experiment.reading_units, strict=True)):
+        sizes = zip(recording.sizes, experiment.reading_units, strict=True)
+        for j, (size, unit) in enumerate(sizes):
             if unit == "rad" and f"q{j + 1}" not in recording.stated and size > 5:
                 large.append(f"{recording.name}: q{j + 1} reaches {size:.3g}")
         if abs(recording.theta2) > np.pi:

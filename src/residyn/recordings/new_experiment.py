@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError, quote
-from .columns import Joints, Layout
+from .columns import UNKNOWN, Joints, Layout, quantity_of
 from .csv import guessed_columns, read_lab_csv
+from .reads import READS, reading_units
 from .recording import Recording
 from .sanity import not_free
 from .tables import ArmTable
@@ -64,11 +65,17 @@ def _entry(file: Path, folder: Path) -> tuple[str, tuple[str, ...]]:
     angles = list(columns)[1:]
     if not angles:
         raise InputError(f"{file}: has no column of angles beside {quote(columns['t'])}")
-    kinds = tuple("m" if units.get(q) in ("m", "cm", "mm") else "rad" for q in angles)
-    joints = Joints(tuple(columns[q] for q in angles), kinds)
+    read = [quantity_of(units.get(q, "rad")) or ("rad", 0) for q in angles]
+    kinds, orders = tuple(base for base, _ in read), tuple(order for _, order in read)
+    joints, reads = (
+        Joints(tuple(columns[q] for q in angles), kinds, orders),
+        [READS[k] for k in orders],
+    )
     keys: dict[str, Any] = {}
     if list(columns.values()) != list(columns):
         keys["columns"] = columns
+    if any(orders):
+        keys["reads"] = reads[0] if len(set(reads)) == 1 else reads
     said = {} if ordered else {"columns": _AS_THEY_ARE}
     understood = ""
     for _ in range(6):
@@ -76,14 +83,15 @@ def _entry(file: Path, folder: Path) -> tuple[str, tuple[str, ...]]:
         understood = table.understood
         cut: dict[str, Any] = {key: keys.get(key) for key in ("start", "rest")}
         recording = Recording.from_arrays(
-            table.time, table.angle, drive=table.drive, name=str(file), **cut
+            table.time, table.angle, drive=table.drive, name=str(file), reads=reads, **cut
         )
-        found = not_free(recording, joints.units, table, keys)
+        found = not_free(recording, reading_units(kinds, orders), table, keys)
         if found is None:
             break
         if not found.key:  # nothing but the recording itself settles it
             raise InputError(f"{file}: {found.words}")
-        said[found.key] = found.words.split("; ")[0]
+        told = found.value != {"t": UNKNOWN}
+        said[found.key] = found.words.split("; ")[0] if told else found.words
         old = keys.get(found.key)
         keys[found.key] = old | found.value if isinstance(old, dict) else found.value
     lines = ["[[recordings]]", f"file = {toml_value(os.path.relpath(file, folder or Path()))}"]

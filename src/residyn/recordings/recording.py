@@ -231,6 +231,11 @@ class Recording:
         found.flags.writeable = False
         return found
 
+    @functools.cached_property
+    def sizes(self) -> np.ndarray:
+        """(n,) distance from 0 that one reading in a hundred exceeds, outliers apart."""
+        return np.nanquantile(np.abs(np.where(self.outliers, np.nan, self.angle)), 0.99, axis=0)
+
     @property
     def lost(self) -> int:
         """How many readings are missing, all joints together."""

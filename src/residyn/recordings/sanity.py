@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .arrays import clock_warnings
+from .arrays import clock_unit, clock_warnings
 from .columns import Table
 from .recording import Recording
 from .resampling import decimated, evenly_sampled, moving_means, slowest_period
@@ -30,11 +30,12 @@ _QUITE = 0.03  # the same for the first 0.8 of that time: what swings up moves m
 _HELD = 0.2  # of the slowest period: no free arm stays within `_STILL` of its beginning so long
 _TURN = 5.0  # rad, which no braked joint turns
 _SLOW = 300.0  # s, which no swing takes
+_COUNT = "of a sample count, write times in s into the file"
 
 
 class Finding(NamedTuple):
     """What is seen, in one line, and the key of `[[recordings]]` that settles it most likely; an
-    empty one if none does."""
+    empty one if none does, and "?" in its value where that cannot be told."""
 
     words: str
     key: str
@@ -54,9 +55,14 @@ def not_free(
         words = f"theta2 = {recording.theta2:g}: in degrees? it must be in rad"
         return Finding(words, "theta2", float(np.radians(recording.theta2)))
     if "t" not in said and (warnings := clock_warnings(time)):
-        words = f'{warnings[0]}; units = {{ t = "ms" }} says so, or "s" if it is'
-        return Finding(words, "units", {"t": "ms"})
-    for j, size in enumerate(np.nanquantile(np.abs(angle), 0.99, axis=0)):
+        unit = clock_unit(time)
+        words = f'{warnings[0]}; units = {{ t = "{unit}" }} says so, or "s" if it is'
+        if unit == "?":
+            words = f'{warnings[0]}; units = {{ t = "ms" }} says so, or "s" if it is; {_COUNT}'
+        return Finding(words, "units", {"t": unit})
+    if units and (code := _lost(recording, units, table)) is not None:
+        return code
+    for j, size in enumerate(recording.sizes):
         if units and units[j] == "rad" and f"q{j + 1}" not in said and size > _TURN:
             words = (
                 f"q{j + 1} reaches {size:.3g} rad, more than a braked joint turns: in degrees? "
@@ -73,9 +79,9 @@ def not_free(
     if "t" not in said and period * step > _SLOW:
         words = (
             f"one swing takes {period * step:.3g} s: is t in milliseconds or samples? "
-            'units = { t = "ms" } says so, or "s" if it is'
+            f'units = {{ t = "ms" }} says so, or "s" if it is; {_COUNT}'
         )
-        return Finding(words, "units", {"t": "ms"})
+        return Finding(words, "units", {"t": "?"})
     if "start" not in keys and (until := _held_until(motion, period)) is not None:
         words = (
             f"stands still for the first {until * step:.3g} s and then moves, as no free arm does "
@@ -88,10 +94,36 @@ def not_free(
     return None
 
 
+def _lost(recording: Recording, units: tuple[str, ...], table: Table) -> Finding | None:
+    """A value that readings repeat, more than `_TURN` from all others and farther than those are
+    from each other: what some write for a lost sample."""
+    for j, unit in enumerate(units):
+        angle = recording.angle[:, j]
+        same = angle == angle[np.nanargmax(np.abs(angle - np.nanmedian(angle)))]
+        others, which = angle[np.isfinite(angle) & ~same], np.flatnonzero(same)
+        if unit != "rad" or len(which) < 2 or not len(others):
+            continue
+        if np.abs(others - angle[which[0]]).min() > max(_TURN, np.ptp(others)):
+            words = (
+                f"{_readings(recording, j, which, table)}, one value far from all others: the code "
+                "of a lost sample? that is an empty cell or nan"
+            )
+            return Finding(words, "", None)
+    return None
+
+
+def _readings(recording: Recording, joint: int, which: np.ndarray, table: Table) -> str:
+    """Value and lines of readings: "q1 = -999 rad (-5.724e+04 deg), line 7"."""
+    value, lines = float(recording.angle[which[0], joint]), table.lines_at(recording.time[which])
+    where = f"{table.counted} {lines[0]}"
+    if len(lines) > 1:
+        where = f"{table.counted}s {lines[0]} to {lines[-1]} ({len(lines)} readings)"
+    return f"q{joint + 1} = {value:.4g} rad ({np.degrees(value):.4g} deg), {where}"
+
+
 def _no_angle(recording: Recording, units: tuple[str, ...], table: Table) -> Finding | None:
     """Readings that are `_TURN` from the others and from the one beside them, if there are any;
     what a fit sets aside as outliers is not looked at."""
-    lines = table.lines_at(recording.time)
     for j, unit in enumerate(units):
         seen = np.flatnonzero(np.isfinite(recording.angle[:, j]) & ~recording.outliers[:, j])
         angle = recording.angle[seen, j]
@@ -100,14 +132,10 @@ def _no_angle(recording: Recording, units: tuple[str, ...], table: Table) -> Fin
         far = seen[np.abs(angle - np.median(angle)) > _TURN]
         if not len(far):
             continue
-        value, count = float(recording.angle[far[0], j]), len(far)
-        where = f"{table.counted} {lines[far[0]]}"
-        if count > 1:
-            where = f"{table.counted}s {lines[far[0]]} to {lines[far[-1]]} ({count} readings)"
         words = (
-            f"q{j + 1} = {value:.4g} rad ({np.degrees(value):.4g} deg), {where}, more than "
-            f"{_TURN:g} rad from the readings beside it, as no braked joint turns: a lost sample "
-            "is an empty cell or nan; past a whole turn an angle goes on"
+            f"{_readings(recording, j, far, table)}, more than {_TURN:g} rad from the readings "
+            "beside it, as no braked joint turns: a lost sample is an empty cell or nan; past a "
+            "whole turn an angle goes on"
         )
         return Finding(words, "", None)
     return None

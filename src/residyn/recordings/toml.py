@@ -22,7 +22,7 @@ from .tables import ArmTable, Bearing, InertiaTable
 
 _TABLES = ("arm", "inertia", "air_bearings", "recordings", "integrator", "limits")
 _MANY = ("air_bearings", "recordings")
-_WORDS = ("file", "columns", "units", "separator", "decimal", "markers")  # keys of words
+_WORDS = ("file", "columns", "separator", "decimal", "markers")  # keys of words
 _OF_A_LINK = re.compile(r"(mass|inertia|length|com|link|rho|[mlcrij])[_a-z]*\d?", re.I)
 _INERTIAS = (
     "from masses m, lengths l, centres of mass c (from their joint) and inertias J about these: "
@@ -121,7 +121,10 @@ def _check_filled_in(tables: Mapping[str, Any]) -> None:
             if keys:
                 left.append((f"[[{name}]] {i} " if many else f"[{name}] ") + ", ".join(keys))
     if left:
-        raise InputError(f'"?" is left in {"; ".join(left)}: write numbers there, in SI units')
+        raise InputError(
+            f'"?" is left in {"; ".join(left)}: write numbers there, in SI units'
+            f"{', and for units their names' * ('units' in str(left))}"
+        )
 
 
 def _check_keys(where: str, keys: Mapping[str, Any], known: Sequence[str]) -> None:

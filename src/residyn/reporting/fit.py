@@ -35,7 +35,7 @@ class JointError(NamedTuple):
     unit: str
     rmse: float
     noise: float
-    ratio: float  # error in times the noise
+    ratio: float  # rms of each reading's error in times its own noise
     share: float  # error as a share of the motion's standard deviation
     check: float | None
     check_ratio: float | None
@@ -49,10 +49,9 @@ def joint_errors(fit: Fit) -> list[JointError]:
     motion = np.sqrt(np.nanmean(np.concatenate(centred) ** 2, axis=0))
     share = fit.rmse / np.where(motion > 0, motion, np.nan)
     check = check_ratio = np.full(len(motion), None)
-    if fit.check_rmse is not None:
-        noise = np.mean([r.recording.noise**2 for r in fit.held_out], axis=0) ** 0.5
-        check, check_ratio = fit.check_rmse, fit.check_rmse / noise
-    own = fit.rmse, fit.noise, fit.rmse / fit.noise, share, check, check_ratio
+    if fit.check_rmse is not None and fit.check_ratio is not None:
+        check, check_ratio = fit.check_rmse, fit.check_ratio
+    own = fit.rmse, fit.noise, fit.ratio, share, check, check_ratio
     each = zip(fit.joints, fit.units, *(x.tolist() for x in own), strict=True)
     return [JointError(*row) for row in each]
 
@@ -135,9 +134,9 @@ def _no_modes(fit: Fit) -> Iterator[str]:
 
 
 def _still(fit: Fit) -> Iterator[str]:
-    moved = np.max([np.nanstd(r.recording.angle, axis=0) for r in fit.fitted], axis=0)
-    for joint, size, noise in zip(fit.joints, moved, fit.noise, strict=True):
-        if size < _STILL * noise:
+    each = [np.nanstd(r.recording.angle, axis=0) / r.recording.noise for r in fit.fitted]
+    for joint, size in zip(fit.joints, np.max(each, axis=0), strict=True):
+        if size < _STILL:
             yield (
                 f"{joint} hardly moves (rms no more than {_STILL:g} times the noise): "
                 "these recordings say little about its numbers, whatever their errors"
@@ -257,7 +256,7 @@ def text(fit: Fit) -> str:
         ", ".join(f"{n.name} {n.start:.4g}" for n in fit.own_numbers), "  started from "
     )
     if fit.modes:
-        lines.append("[[Modes]]  natural frequency, damping ratio")
+        lines += section("Modes", f"natural frequency, damping ratio{modes_of(fit)}")
     for i, m in enumerate(fit.modes, 1):
         frequency = _known(m.frequency_hz, m.frequency_hz_std, 6)
         damping = _known(m.damping_ratio, m.damping_ratio_std, 4)
@@ -273,6 +272,24 @@ def text(fit: Fit) -> str:
 def names(fits: Sequence[RecordingFit]) -> str:
     """Names of recordings, with segments of one recording put together."""
     return ", ".join(r.name for r, _ in by_recording([f.recording for f in fits]))
+
+
+def modes_of(fit: Fit) -> str:
+    """Whose the modes are, ", as in one.csv (theta2 = 0.3 rad)", where recordings differ in what
+    modes depend on; else empty."""
+    each = [r for r, _ in by_recording([f.recording for f in fit.recordings])]
+    first, said = fit.posed_as, []
+    if len({r.theta2 for r in each}) > 1:
+        said.append(f"theta2 = {first.theta2:.4g} rad")
+    if fit.experiment.bearings and len({r.air_bearings for r in each}) > 1:
+        said.append("on the bearings" if first.air_bearings else "without bearings")
+    if len({r.extra_mass for r in each}) > 1:
+        said.append(f"extra_mass = {first.extra_mass:.4g} kg")
+    if len({r.load for r in each}) > 1:
+        said.append(f"load = {first.load:.4g} N")
+    if len({fit.experiment.run_of(r) for r in each}) > 1:
+        said.append("with its own numbers")
+    return f", as in {first.name} ({', '.join(said)})" if said else ""
 
 
 def readings(fit: Fit) -> int:
