@@ -15,6 +15,7 @@ from residyn.diagnosis.evidence import prior_of
 from residyn.diagnosis.experiment_design import Quantity, entropy
 from residyn.diagnosis.missing_torque import scene_of
 from residyn.diagnosis.plan import InPlay, Plan
+from residyn.diagnosis.result import ChannelError
 from residyn.diagnosis.search import Tried, settle
 from residyn.effects import CubicStiffness, Damper, Spring
 from residyn.recordings.limits import Limits
@@ -320,6 +321,8 @@ def a_plan(**changed):
     settings = {
         "models": MODELS,
         "left_out": 0.02,
+        "unnamed": 0.0,
+        "channels": None,
         "entropy": 0.61,
         "tests": (NEXT,),
         "tried": 144,
@@ -358,6 +361,19 @@ def test_nothing_would_help_is_an_answer():
     assert "Nothing more is needed" in str(a_plan(tests=(), settled=True))
 
 
+def test_what_is_no_model_with_names_is_said_and_not_planned_for():
+    words = " ".join(str(a_plan(left_out=0.32, unnamed=0.3)).split())
+    assert "A law without a name, which predicts no other test, has 30 %." in words
+    assert "Less likely models share 2 %." in words
+    law = a_plan(models=(), left_out=1.0, unnamed=1.0, unexplained=1.0, entropy=0.0, tests=())
+    assert "No test is planned" in str(law)
+    assert "None of them" not in str(law)
+    columns = ChannelError("the columns of a and b are exchanged", 0.9999, True)
+    otherwise = " ".join(str(dataclasses.replace(law, unnamed=0.0, channels=columns)).split())
+    assert "the columns of a and b are exchanged (> 99 %)" in otherwise
+    assert "Nothing more is needed" not in otherwise
+
+
 def test_json_of_a_plan():
     found = json.loads(json.dumps(a_plan().to_dict(), allow_nan=False))
     assert [m["added"] for m in found["models"]] == [list(FOUND), list(RIVAL)]
@@ -377,14 +393,12 @@ def test_models_in_play():
     assert models == ["b", "a"]
     assert p.sum() == pytest.approx(1.0)
     assert rest == pytest.approx(0.005)
-    # Also where a law without a name is so much likelier that theirs are no numbers above 0.
+    # None of them where a law without a name has the rest.
     models, p, rest = in_play(names, np.log([0.2, 0.795, 0.005]) - 2000)  # pyright: ignore
-    assert models == ["b", "a"]
-    np.testing.assert_allclose(p, [0.795 / 0.995, 0.2 / 0.995])
-    assert rest == 1.0
+    assert (models, len(p), rest) == ([], 0, 1.0)
     many = np.log([0.9, *np.full(20, 0.005)])  # none of the others is likely by itself
-    assert len(in_play([*range(21)], many)[0]) == 2  # pyright: ignore
-    assert len(in_play(names, np.log([0.99, 0.006, 0.004]))[0]) == 1  # pyright: ignore
+    assert len(in_play([*range(21)], many)[0]) == 1  # pyright: ignore
     assert settled(np.log([0.96, 0.04]))
     assert not settled(np.log([0.9, 0.1]))
+    assert not settled(np.log([0.6, 0.01]))
     assert float(entropy(np.array([1.0, 0.0]))) == 0.0

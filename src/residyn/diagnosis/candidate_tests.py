@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import softmax
 
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting.layout import bucket
@@ -480,16 +479,16 @@ def separation(test: Sequence[Predicted]) -> float:
 
 
 def settled(logs: np.ndarray) -> bool:
-    """Whether odds tell the likeliest model from all others together, by log probabilities."""
-    p = np.max(softmax(logs))
-    return bool(p >= 1 or math.log(p / (1 - p)) > INDISTINGUISHABLE)
+    """Whether odds tell the likeliest of some models from all else together, by log
+    probabilities."""
+    p = math.exp(np.max(logs, initial=-math.inf))
+    return p >= 1 or (p > 0 and math.log(p / (1 - p)) > INDISTINGUISHABLE)
 
 
 def in_play(models: Sequence[Tried], logs: np.ndarray) -> tuple[list[Tried], np.ndarray, float]:
     """The models that the recordings leave possible, the likeliest first, their probabilities
-    among each other, and that of all the rest. Two at least, unless one is told from all others.
-    `logs` (len(models),) are log probabilities."""
-    order, least = np.argsort(-logs)[:CONTENDERS], 1 if settled(logs) else 2
-    kept = [i for rank, i in enumerate(order) if rank < least or logs[i] >= math.log(IN_PLAY)]
-    rest = max(0.0, float(1.0 - np.exp(logs[kept]).sum()))
-    return [models[i] for i in kept], softmax(logs[kept]), rest
+    among each other, and that of all the rest. `logs` (len(models),) are log probabilities, whose
+    sum is less than 1 where something else has the rest."""
+    kept = [i for i in np.argsort(-logs)[:CONTENDERS] if logs[i] >= math.log(IN_PLAY)]
+    p = np.exp(logs[kept])
+    return [models[i] for i in kept], p / p.sum(), max(0.0, float(1.0 - p.sum()))

@@ -92,10 +92,19 @@ def text(found: Plan | Test) -> str:
 
 def _plan(plan: Plan) -> list[str]:
     rows = [[percent(m.probability), named(m.added, plan.joints)] for m in plan.models]
-    out = ["[[Models in play]]", *printed(Table(["", ""], rows, left=(1,)))]
-    if plan.left_out > 0.005:
-        out.append(f"    {percent(plan.left_out)} more is shared by models of less than 1 % each")
-    if plan.unexplained > 0.5:
+    out = ["[[Models in play]]", *(printed(Table(["", ""], rows, left=(1,))) if rows else [])]
+    if plan.channels is not None:
+        words = f"It seems that {plan.channels.words} ({percent(plan.channels.probability)})."
+        out += filled(words, "    ")
+        return [*out, *filled("No test is planned before that is settled.", "    ")]
+    rest = (
+        (plan.unnamed, "a law without a name, which predicts no other test, has"),
+        (plan.left_out - plan.unnamed, "less likely models share"),
+    )
+    for probability, words in rest:
+        if probability > 0.005:
+            out += filled(upper(f"{words} {percent(probability)}."), "    ")
+    if plan.models and plan.unexplained > 0.5:
         out += filled(
             "None of them is complete: something is left that no effect of the catalogue explains. "
             "No test gives that a name; a test only tells these models apart.",
@@ -105,6 +114,12 @@ def _plan(plan: Plan) -> list[str]:
     if plan.settled:
         words = "the recordings tell these models apart with odds of more than 20 to 1 already"
         return [*out, *filled(f"Nothing more is needed: {words}.", "    ")]
+    if len(plan.models) < 2:
+        count = "one model" if plan.models else "no model"
+        words = (
+            f"No test is planned: it would tell models with names apart, and {count} is in play."
+        )
+        return [*out, *filled(words, "    ")]
     if not plan.helps:
         words = f"Nothing would help: none of {plan.tried} tests within limits tells them apart."
         if plan.tests:
