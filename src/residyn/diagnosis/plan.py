@@ -82,9 +82,9 @@ def plan(
 ) -> Plan:
     """The next tests within the experiment's limits, each with what its outcomes would mean.
 
-    All models with names that a diagnosis leaves in play predict every test that the limits allow. Tests are
-    ranked by the expected fall of the entropy over these models (Lindley 1956; Box and Hill 1967),
-    and planned greedily: each is the best beside those before it.
+    All models with names that a diagnosis leaves in play predict every test that the limits allow.
+    Tests are ranked by the expected fall of the entropy over these models (Lindley 1956; Box and
+    Hill 1967), and planned greedily: each is the best beside those before it.
 
     **Arguments:**
 
