@@ -10,14 +10,29 @@ import pytest
 
 import residyn
 from residyn.cli import main
-from residyn.diagnosis.candidate_tests import Sweep, best_tests, in_play, settings_of, settled
+from residyn.diagnosis.candidate_tests import (
+    Predictions,
+    Rival,
+    Sweep,
+    best_tests,
+    in_play,
+    settings_of,
+    settled,
+)
 from residyn.diagnosis.evidence import prior_of
 from residyn.diagnosis.experiment_design import Quantity, entropy
 from residyn.diagnosis.missing_torque import scene_of
 from residyn.diagnosis.plan import InPlay, Plan
 from residyn.diagnosis.result import ChannelError
 from residyn.diagnosis.search import Tried, settle
-from residyn.effects import CubicStiffness, Damper, Spring
+from residyn.effects import (
+    ConstantTorque,
+    CubicStiffness,
+    Damper,
+    SensorCurve,
+    SensorOffset,
+    Spring,
+)
 from residyn.recordings.limits import Limits
 from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
 from residyn.reporting.plan import outcomes
@@ -132,9 +147,36 @@ def test_outcomes_are_what_the_models_do(cubic):
         q = residyn.simulate(scene.model(model.best), [0.0, test.time], [test.release["cart"]]).q
         assert outcome.reading == pytest.approx(float(q[-1, 0]), abs=1e-5)
         assert outcome.std >= NOISE
+    # A tenth of the release is not known: of what rings, a tenth of its size for good.
+    rings = 0.1 * test.release["cart"] * math.exp(-0.5 * test.time / (2 * MASS))
+    assert test.outcomes[0].std == pytest.approx(math.hypot(rings, NOISE), rel=0.1)
+
+
+def test_no_test_tells_a_constant_torque_from_a_sensor_s_zero():
+    """On a linear spring: both ring alike about a rest that the sensor reads."""
+    pull = ConstantTorque("cart", 1.2)  # 15 mm of the spring
+    experiment = residyn.Experiment(CART, (ringing(0.05, pull),))
+    scene, (_, *models) = models_of(experiment, ConstantTorque("cart"), SensorOffset("cart"))
+    limits = limited(experiment, angle=0.1, drive=2.0)
+    (test,), _ = best_tests(limits, scene, models, np.array([0.5, 0.5]))
+    assert not test.helps
+    assert test.difference < 0.1
+    assert test.probability_right == pytest.approx(0.5, abs=0.02)
     one, other = test.outcomes
-    apart = abs(one.reading - other.reading) / math.hypot(one.std, other.std)
-    assert apart > 1
+    assert one.reading == pytest.approx(other.reading, abs=NOISE)
+
+
+def test_a_release_is_what_its_sensor_reads():
+    """Also where the sensor's scale changes along its range."""
+    straight = ringing(0.05)
+    angle = straight.angle + 2.0 * straight.angle**2
+    curved = residyn.Recording.from_arrays(straight.time, angle, noise=NOISE)
+    experiment = residyn.Experiment(CART, (curved,), limits=Limits(extra_mass=(0.0, 0.0)))
+    scene, models = models_of(experiment, SensorCurve("cart"))
+    told = Predictions(experiment, scene, [Rival.of(scene, m) for m in models])
+    releases = [s.release for s in told.settings]
+    for readings in told.readings:
+        np.testing.assert_allclose(readings[:, 0], releases, rtol=1e-6)
 
 
 def test_a_gyroscope_s_readings_are_predicted_as_rates(cubic):

@@ -12,7 +12,7 @@ _TELLS = 2.0  # standard errors by which one reading tells two models apart 19 t
 
 
 def motion_words(test: Test) -> str:
-    """ "release the shoulder at 0.30 rad and the elbow at 0 rad, from rest"."""
+    """ "release the shoulder at 0.30 rad and the elbow at 0 rad, counted from rest"."""
     if test.drive is not None:
         d = test.drive
         unit = "N" if test.units[list(test.release).index(d.joint)] == "m" else "N m"
@@ -24,7 +24,7 @@ def motion_words(test: Test) -> str:
         f"the {joint} at {_angle(x, unit)}"
         for (joint, x), unit in zip(test.release.items(), test.units, strict=True)
     ]
-    return f"release {listed(angles)}, from rest"
+    return f"release {listed(angles)}, counted from rest"
 
 
 def setting_words(test: Test) -> str:
