@@ -281,6 +281,24 @@ def test_every_release_is_compared_once(angle):
     assert len(releases) == (3 if 0.0 in angle else 12)
 
 
+@pytest.mark.parametrize(("n", "count"), [(1, 1), (3, 13), (6, 40)])
+def test_joints_are_released_alike_against_each_other_and_alone(n, count):
+    table = InertiaTable(tuple(f"q{i}" for i in range(n)), np.eye(n).tolist(), ("rad",) * n)
+    time = np.arange(400) / 50
+    q = 0.1 * np.cos(np.outer(time, 5.0 + np.arange(n)))
+    recording = residyn.Recording.from_arrays(time, q, noise=1e-3)
+    limits = Limits(angle=0.2, extra_mass=(0.0, 0.0))
+    experiment = residyn.Experiment(table, (recording,), limits=limits)
+    scene, _ = scene_of(experiment, ())
+    model = residyn.fitting.model_for(scene.mechanisms[0])
+    numbers = jnp.array([30.0] * n + [0.1] * n)
+    settings = settings_of(experiment, scene, model.with_vector(numbers))
+    signs = {tuple(np.sign(s.release)) for s in settings}
+    assert len(signs) == count
+    assert all(np.any(s) and tuple(-np.array(s)) not in signs for s in signs)
+    assert {tuple(row) for row in np.eye(n)} <= signs
+
+
 def test_without_limits_each_joint_goes_twice_as_far_as_it_did():
     """A metre is no radian: how far one joint goes says nothing of another one."""
     table = InertiaTable(("cart", "pendulum"), ((2.0, 0.1), (0.1, 0.5)), ("m", "rad"))

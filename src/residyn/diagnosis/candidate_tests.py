@@ -48,6 +48,9 @@ _FURTHEST = 0.75 * math.pi
 _SHARES = (0.125, 0.25, 0.5, 1.0)
 """Of the longest duration; of the largest release, from 0.25 on. Halves: the cost goes with their
 number, and no test is longer than twice what is needed."""
+_DIRECTIONS = 40
+"""Of a release: all that four joints have, up to sign. Their number is three times as large with
+each joint, and so is the time that a plan takes."""
 _LOADS = 3
 """Loads that are tried: what a load changes grows with it, and a middle one shows it bend."""
 _TWICE = 2.0
@@ -212,10 +215,8 @@ def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Sett
     swing = np.array([s.amplitude for s in scene.scales])
     angle = np.array(limits.each("angle", n) or _TWICE * swing)
     duration = limits.duration or like.duration
-    both = n == 2 and angle.all()
-    signs = [[1, 1], [1, -1], [1, 0], [0, 1]] if both else [[1] * n]
-    each = itertools.product(_SHARES[1:], signs)
-    releases = [size * np.array(sign) * angle for size, sign in each]
+    each = itertools.product(_SHARES[1:], _directions(angle))
+    releases = [size * direction for size, direction in each]
     motions: list[tuple[np.ndarray, Sweep | None]] = [(r, None) for r in releases]
     torques = limits.each("drive", n) or (0.0,) * n
     frequencies = modes_of(eigenvalues(at_rest(model)[1])).frequency_hz
@@ -232,6 +233,24 @@ def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Sett
         for change in _changes(experiment, like, limits)
         for release, drive in motions
     ]
+
+
+def _directions(angle: np.ndarray) -> list[np.ndarray]:
+    """Largest releases (n,): the joints that may be released to either side or not at all, but for
+    the sign of the whole; those of fewest joints first, `_DIRECTIONS` at the most."""
+    free = np.flatnonzero(angle)
+    each = (
+        (joints, (1.0, *signs))
+        for count in range(1, len(free) + 1)
+        for joints in itertools.combinations(free, count)
+        for signs in itertools.product((1.0, -1.0), repeat=count - 1)
+    )
+    found = []
+    for joints, signs in itertools.islice(each, _DIRECTIONS):
+        direction = np.zeros(len(angle))
+        direction[list(joints)] = signs * angle[list(joints)]
+        found.append(direction)
+    return found
 
 
 def _changes(experiment: Experiment, like: Recording, limits: Limits) -> list[dict]:
