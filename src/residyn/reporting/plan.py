@@ -115,10 +115,8 @@ def _plan(plan: Plan) -> list[str]:
         words = "the recordings tell these models apart with odds of more than 20 to 1 already"
         return [*out, *filled(f"Nothing more is needed: {words}.", "    ")]
     if len(plan.models) < 2:
-        count = "one model" if plan.models else "no model"
-        words = (
-            f"No test is planned: it would tell models with names apart, and {count} is in play."
-        )
+        only = "only one" if plan.models else "none"
+        words = f"No test is planned: a test tells models with names apart, and {only} is in play."
         return [*out, *filled(words, "    ")]
     if not plan.helps:
         words = f"Nothing would help: none of {plan.tried} tests within limits tells them apart."
