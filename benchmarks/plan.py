@@ -41,6 +41,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from scipy.special import log_softmax
 
 import residyn
 from benchmarks._fresh import markdown
@@ -156,7 +157,7 @@ def next_release(way, experiment, found: Posterior, rng) -> tuple[float, list[fl
     """Elbow angle at rest and angles at release, rad."""
     limits, present = experiment.limits, experiment.recordings[0].theta2
     if way == "planned":
-        models, p, _ = in_play(found.models, found.log_tried)
+        models, p, _ = in_play(found.models, log_softmax(found.log_tried))
         test = best_tests(experiment, found.search.scene, models, p)[0][0]
         assert test.theta2 is not None
         return test.theta2, list(test.release.values())

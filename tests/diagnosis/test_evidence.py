@@ -601,6 +601,25 @@ def test_the_kind_of_law_is_told_before_the_law():
     assert p[0] > 0.5 > p[1]
 
 
+def test_only_models_in_play_have_rivals_and_lookalikes():
+    """Beside a law without a name that is far ahead none has."""
+    each = np.full((len(SETS), len(INTENSITIES)), -40.0)
+    constant, offset, friction = (SETS.index((x,)) for x in LABELS[:3])
+    each[[constant, offset, friction], -1] = 0.0, 0.2, 0.5
+    base = Tried((), each[0] + 40.0, NOWHERE, log_prior_model(0, len(NAMES)))
+    faint = dataclasses.replace(a_curve(base, Kind("rate")), share=0.0)
+    assert len(posterior(each).lookalikes()[0]) == 3
+    law = a_curve(dataclasses.replace(base, evidences=base.evidences + 100.0), Kind("rate"))
+    beside = posterior(each, curves=[law])
+    assert beside.in_play()[2] == beside.of_unnamed == pytest.approx(1.0)
+    assert beside.rivals()[0] == beside.in_play()[0] == []
+    assert beside.lookalikes() == ()
+    # A law that does nothing is none: with it the model is the one without it.
+    models, p, rest = posterior(each, curves=[faint]).in_play()
+    assert rest < 0.01
+    assert models[int(np.argmax(p))].added == ()
+
+
 @pytest.mark.parametrize("most", [LABELS[0], LABELS[2]])
 def test_of_kinds_in_the_same_models_the_first_is_what_explains_most_alone(most):
     each = np.full((len(SETS), len(INTENSITIES)), -40.0)

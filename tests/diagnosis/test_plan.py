@@ -10,13 +10,29 @@ import pytest
 
 import residyn
 from residyn.cli import main
-from residyn.diagnosis.candidate_tests import Sweep, best_tests, in_play, settings_of, settled
+from residyn.diagnosis.candidate_tests import (
+    Predictions,
+    Rival,
+    Sweep,
+    best_tests,
+    in_play,
+    settings_of,
+    settled,
+)
 from residyn.diagnosis.evidence import prior_of
 from residyn.diagnosis.experiment_design import Quantity, entropy
 from residyn.diagnosis.missing_torque import scene_of
 from residyn.diagnosis.plan import InPlay, Plan
+from residyn.diagnosis.result import ChannelError
 from residyn.diagnosis.search import Tried, settle
-from residyn.effects import CubicStiffness, Damper, Spring
+from residyn.effects import (
+    ConstantTorque,
+    CubicStiffness,
+    Damper,
+    SensorCurve,
+    SensorOffset,
+    Spring,
+)
 from residyn.recordings.limits import Limits
 from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
 from residyn.reporting.plan import outcomes, setting_words
@@ -131,9 +147,36 @@ def test_outcomes_are_what_the_models_do(cubic):
         q = residyn.simulate(scene.model(model.best), [0.0, test.time], [test.release["cart"]]).q
         assert outcome.reading == pytest.approx(float(q[-1, 0]), abs=1e-5)
         assert outcome.std >= NOISE
+    # A tenth of the release is not known: of what rings, a tenth of its size for good.
+    rings = 0.1 * test.release["cart"] * math.exp(-0.5 * test.time / (2 * MASS))
+    assert test.outcomes[0].std == pytest.approx(math.hypot(rings, NOISE), rel=0.1)
+
+
+def test_no_test_tells_a_constant_torque_from_a_sensor_s_zero():
+    """On a linear spring: both ring alike about a rest that the sensor reads."""
+    pull = ConstantTorque("cart", 1.2)  # 15 mm of the spring
+    experiment = residyn.Experiment(CART, (ringing(0.05, pull),))
+    scene, (_, *models) = models_of(experiment, ConstantTorque("cart"), SensorOffset("cart"))
+    limits = limited(experiment, angle=0.1, drive=2.0)
+    (test,), _ = best_tests(limits, scene, models, np.array([0.5, 0.5]))
+    assert not test.helps
+    assert test.difference < 0.1
+    assert test.probability_right == pytest.approx(0.5, abs=0.02)
     one, other = test.outcomes
-    apart = abs(one.reading - other.reading) / math.hypot(one.std, other.std)
-    assert apart > 1
+    assert one.reading == pytest.approx(other.reading, abs=NOISE)
+
+
+def test_a_release_is_what_its_sensor_reads():
+    """Also where the sensor's scale changes along its range."""
+    straight = ringing(0.05)
+    angle = straight.angle + 2.0 * straight.angle**2
+    curved = residyn.Recording.from_arrays(straight.time, angle, noise=NOISE)
+    experiment = residyn.Experiment(CART, (curved,), limits=Limits(extra_mass=(0.0, 0.0)))
+    scene, models = models_of(experiment, SensorCurve("cart"))
+    told = Predictions(experiment, scene, [Rival.of(scene, m) for m in models])
+    releases = [s.release for s in told.settings]
+    for readings in told.readings:
+        np.testing.assert_allclose(readings[:, 0], releases, rtol=1e-6)
 
 
 def test_a_gyroscope_s_readings_are_predicted_as_rates(cubic):
@@ -238,6 +281,24 @@ def test_every_release_is_compared_once(angle):
     assert len(releases) == (3 if 0.0 in angle else 12)
 
 
+@pytest.mark.parametrize(("n", "count"), [(1, 1), (3, 13), (6, 40)])
+def test_joints_are_released_alike_against_each_other_and_alone(n, count):
+    table = InertiaTable(tuple(f"q{i}" for i in range(n)), np.eye(n).tolist(), ("rad",) * n)
+    time = np.arange(400) / 50
+    q = 0.1 * np.cos(np.outer(time, 5.0 + np.arange(n)))
+    recording = residyn.Recording.from_arrays(time, q, noise=1e-3)
+    limits = Limits(angle=0.2, extra_mass=(0.0, 0.0))
+    experiment = residyn.Experiment(table, (recording,), limits=limits)
+    scene, _ = scene_of(experiment, ())
+    model = residyn.fitting.model_for(scene.mechanisms[0])
+    numbers = jnp.array([30.0] * n + [0.1] * n)
+    settings = settings_of(experiment, scene, model.with_vector(numbers))
+    signs = {tuple(np.sign(s.release)) for s in settings}
+    assert len(signs) == count
+    assert all(np.any(s) and tuple(-np.array(s)) not in signs for s in signs)
+    assert {tuple(row) for row in np.eye(n)} <= signs
+
+
 def test_without_limits_each_joint_goes_twice_as_far_as_it_did():
     """A metre is no radian: how far one joint goes says nothing of another one."""
     table = InertiaTable(("cart", "pendulum"), ((2.0, 0.1), (0.1, 0.5)), ("m", "rad"))
@@ -320,6 +381,8 @@ def a_plan(**changed):
     settings = {
         "models": MODELS,
         "left_out": 0.02,
+        "unnamed": 0.0,
+        "channels": None,
         "entropy": 0.61,
         "tests": (NEXT,),
         "tried": 144,
@@ -364,6 +427,19 @@ def test_nothing_would_help_is_an_answer():
     assert "Nothing more is needed" in str(a_plan(tests=(), settled=True))
 
 
+def test_what_is_no_model_with_names_is_said_and_not_planned_for():
+    words = " ".join(str(a_plan(left_out=0.32, unnamed=0.3)).split())
+    assert "A law without a name, which predicts no other test, has 30 %." in words
+    assert "Less likely models share 2 %." in words
+    law = a_plan(models=(), left_out=1.0, unnamed=1.0, unexplained=1.0, entropy=0.0, tests=())
+    assert "No test is planned" in str(law)
+    assert "None of them" not in str(law)
+    columns = ChannelError("the columns of a and b are exchanged", 0.9999, True)
+    otherwise = " ".join(str(dataclasses.replace(law, unnamed=0.0, channels=columns)).split())
+    assert "the columns of a and b are exchanged (> 99 %)" in otherwise
+    assert "Nothing more is needed" not in otherwise
+
+
 def test_json_of_a_plan():
     found = json.loads(json.dumps(a_plan().to_dict(), allow_nan=False))
     assert [m["added"] for m in found["models"]] == [list(FOUND), list(RIVAL)]
@@ -383,14 +459,12 @@ def test_models_in_play():
     assert models == ["b", "a"]
     assert p.sum() == pytest.approx(1.0)
     assert rest == pytest.approx(0.005)
-    # Also where a law without a name is so much likelier that theirs are no numbers above 0.
+    # None of them where a law without a name has the rest.
     models, p, rest = in_play(names, np.log([0.2, 0.795, 0.005]) - 2000)  # pyright: ignore
-    assert models == ["b", "a"]
-    np.testing.assert_allclose(p, [0.795 / 0.995, 0.2 / 0.995])
-    assert rest == 1.0
+    assert (models, len(p), rest) == ([], 0, 1.0)
     many = np.log([0.9, *np.full(20, 0.005)])  # none of the others is likely by itself
-    assert len(in_play([*range(21)], many)[0]) == 2  # pyright: ignore
-    assert len(in_play(names, np.log([0.99, 0.006, 0.004]))[0]) == 1  # pyright: ignore
+    assert len(in_play([*range(21)], many)[0]) == 1  # pyright: ignore
     assert settled(np.log([0.96, 0.04]))
     assert not settled(np.log([0.9, 0.1]))
+    assert not settled(np.log([0.6, 0.01]))
     assert float(entropy(np.array([1.0, 0.0]))) == 0.0

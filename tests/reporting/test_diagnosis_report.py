@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 
 from residyn import reporting as report
+from residyn.diagnosis.evidence import prior_of
+from residyn.diagnosis.missing_torque import scene_of
 from residyn.diagnosis.result import Budget, ChannelError, Family
+from residyn.effects import ConstantTorque, StribeckFriction
 from residyn.reporting import diagnosis as text
 from residyn.reporting import figures as plot
 from residyn.reporting import names, numbers
@@ -62,16 +65,34 @@ def test_family_and_place_come_first_then_the_law_with_its_numbers(found):
     )
 
 
+@pytest.mark.usefixtures("float64")
 def test_a_law_that_is_enough_says_what_the_next_one_would_add():
-    sure = Family("dry friction", "elbow", 1.0, ((FOUND, 0.999), (RIVAL, 0.001)))
-    candidates = a_candidate(FOUND, 0.999, 0.0), a_candidate(RIVAL, 0.001, -7.4)
-    alone = by_hand.missing(families=(sure,), candidates=candidates, lookalikes=())
-    assert alone.words[0] == "Dry friction at the elbow is missing (> 99 %)."
-    assert (
-        "is enough; Stribeck friction (< 1 %) would add excess 0.00080 +/- 0.00050 N m."
-        in (alone.words[1])
+    """In its place beside what else was added, not alone beside springs and dampers."""
+    pull = "constant_torque:elbow"
+    families = (
+        Family("dry friction", "elbow", 1.0, ((FOUND, 0.999), (RIVAL, 0.001))),
+        Family("offset", "elbow", 1.0, ((pull, 0.999),)),
     )
-    assert "possible" not in " ".join(alone.words)
+    candidates = a_candidate(FOUND, 0.999, 0.0), a_candidate(RIVAL, 0.001, -7.4)
+    fit = by_hand.a_fit((pull, FOUND), by_hand.SLIP, 0.98)
+    ladder = by_hand.a_model(by_hand.a_fit()), by_hand.a_model(fit, FOUND, held=(1.0, 1.0))
+    alone = by_hand.missing(families=families, candidates=candidates, lookalikes=())
+    found = dataclasses.replace(alone, ladder=ladder)
+    assert "is enough; Stribeck friction (< 1 %) is not needed." in " ".join(found.words)
+    scene, base = scene_of(fit.experiment, ())
+    members = (*base, ConstantTorque("elbow"), StribeckFriction("elbow"))
+    prior = prior_of(scene, members)
+    known = np.append(np.full(len(prior.mean) - 3, 0.01), [0.2, 3e-5, 0.05])
+    t = scene.start(members, prior)
+    u = np.append(prior.regressors(known), t.u[len(known) :])
+    at = dataclasses.replace(t, u=u, covariance=1e-12 * np.eye(len(u)))
+    tried = {frozenset({pull, RIVAL}): SimpleNamespace(best=at)}
+    searched = dataclasses.replace(found, search=SimpleNamespace(scene=scene, tried=tried))
+    words = " ".join(searched.words)
+    value = re.search(r"is enough; Stribeck friction \(< 1 %\) would add excess (\S+)", words)
+    assert value
+    assert float(value[1]) == pytest.approx(3e-5, rel=1e-2)
+    assert "possible" not in words
 
 
 @pytest.mark.parametrize(
@@ -219,6 +240,9 @@ def test_what_has_no_name_may_be_in_the_place_of_what_was_added():
     assert text.title_of(made).endswith(
         "spring shape at the shoulder, or something that no effect of the catalogue explains"
     )
+    # What has no name was described: the torque that is missing is the one without it.
+    law = " ".join(by_hand.unexplained(laws=(by_hand.a_law(),)).words)
+    assert "Without that law, something more is missing that no effect of the" in law
     beside = by_hand.unexplained(verdict_probability=0.54)
     assert "Something more" in " ".join(beside.words)
     assert " and something that" in text.title_of(beside)

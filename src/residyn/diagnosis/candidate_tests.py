@@ -16,12 +16,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import softmax
 
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting.layout import bucket
 from ..fitting.problem import mechanism_of, posed
-from ..physics.modal import at_rest, eigenvalues, fastest, modes_of
+from ..physics.modal import at_rest, eigenvalues, equilibrium, fastest, modes_of
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.limits import Limits
@@ -49,6 +48,9 @@ _FURTHEST = 0.75 * math.pi
 _SHARES = (0.125, 0.25, 0.5, 1.0)
 """Of the longest duration; of the largest release, from 0.25 on. Halves: the cost goes with their
 number, and no test is longer than twice what is needed."""
+_DIRECTIONS = 40
+"""Of a release: all that four joints have, up to sign. Their number is three times as large with
+each joint, and so is the time that a plan takes."""
 _LOADS = 3
 """Loads that are tried: what a load changes grows with it, and a middle one shows it bend."""
 _TWICE = 2.0
@@ -60,6 +62,8 @@ swing shows under the largest, friction under less."""
 _BAND = (0.5, 1.5)
 """Of a sweep, in the lowest and the highest frequency of the modes: it passes the whole of each
 resonance, also under a load as heavy as what moves, which lowers it to 0.7."""
+_NEWTON = 4
+"""Steps to the angle that a sensor reads: a curve of 10 % is then right to 1e-9."""
 _NEARLY = 0.95
 """Of the fall of the entropy in the longest recording, from which a shorter one is enough: of two
 models the rest is at most 0.03 nats, about what the draws leave open."""
@@ -107,7 +111,7 @@ class Test(Result):
     __test__ = False  # for pytest, which this is not
 
     release: dict[str, float]
-    """Angle (rad or m) of each joint at release, at rest."""
+    """How far (rad or m) from its rest, as its sensor reads it, each joint is let go."""
     units: tuple[str, ...]
     """Of the joints' angles; "" where not known."""
     theta2: float | None
@@ -211,10 +215,8 @@ def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Sett
     swing = np.array([s.amplitude for s in scene.scales])
     angle = np.array(limits.each("angle", n) or _TWICE * swing)
     duration = limits.duration or like.duration
-    both = n == 2 and angle.all()
-    signs = [[1, 1], [1, -1], [1, 0], [0, 1]] if both else [[1] * n]
-    each = itertools.product(_SHARES[1:], signs)
-    releases = [size * np.array(sign) * angle for size, sign in each]
+    each = itertools.product(_SHARES[1:], _directions(angle))
+    releases = [size * direction for size, direction in each]
     motions: list[tuple[np.ndarray, Sweep | None]] = [(r, None) for r in releases]
     torques = limits.each("drive", n) or (0.0,) * n
     frequencies = modes_of(eigenvalues(at_rest(model)[1])).frequency_hz
@@ -231,6 +233,24 @@ def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Sett
         for change in _changes(experiment, like, limits)
         for release, drive in motions
     ]
+
+
+def _directions(angle: np.ndarray) -> list[np.ndarray]:
+    """Largest releases (n,): the joints that may be released to either side or not at all, but for
+    the sign of the whole; those of fewest joints first, `_DIRECTIONS` at the most."""
+    free = np.flatnonzero(angle)
+    each = (
+        (joints, (1.0, *signs))
+        for count in range(1, len(free) + 1)
+        for joints in itertools.combinations(free, count)
+        for signs in itertools.product((1.0, -1.0), repeat=count - 1)
+    )
+    found = []
+    for joints, signs in itertools.islice(each, _DIRECTIONS):
+        direction = np.zeros(len(angle))
+        direction[list(joints)] = signs * angle[list(joints)]
+        found.append(direction)
+    return found
 
 
 def _changes(experiment: Experiment, like: Recording, limits: Limits) -> list[dict]:
@@ -340,9 +360,10 @@ class Predictions:
         keep = slice(0, math.ceil(share * _SAMPLES))
         means, stds = [], []
         for rival, readings, slopes in zip(self.rivals, self.readings, self.slopes, strict=True):
-            by = slopes[index, keep][..., : len(rival.root)] @ rival.root
+            by, P = slopes[index, keep], len(rival.root)
+            numbers, release = by[..., :P] @ rival.root, by[..., P:] * self._unknown(rival, index)
             means.append(readings[index, keep])
-            stds.append(np.sqrt((by**2).sum(-1) + self.noise**2))
+            stds.append(np.sqrt((numbers**2).sum(-1) + (release**2).sum(-1) + self.noise**2))
         a, b = 0, min(1, len(means) - 1)
         apart = np.abs(means[a] - means[b]) / np.hypot(stds[a], stds[b])
         k, j = np.unravel_index(int(np.argmax(apart)), apart.shape)
@@ -364,9 +385,8 @@ def _predict(
         def at(z):
             moved = posed(model.with_vector(z[:P]), mechanism)
             q, v, memory = z[P : P + n], z[P + n : P + 2 * n], z[P + 2 * n :]
-            nodes = march(
-                moved, times[0], times[-1], release + q, v, steps=steps, z0=memory, drive=drive
-            )
+            q0 = q + _let_go(moved, release, orders)
+            nodes = march(moved, times[0], times[-1], q0, v, steps=steps, z0=memory, drive=drive)
             found = read(moved, nodes, times, orders).readings
             return found, found
 
@@ -375,6 +395,23 @@ def _predict(
         return found, slopes
 
     return jax.lax.map(one, (mechanisms, releases, drives))
+
+
+def _let_go(model: Model, release, orders: tuple[int, ...]):
+    """(n,) angles of a model that is let go so far (n,) from its rest, as the sensors of angles
+    read it: whoever makes a test sees no other angle."""
+    rest = equilibrium(model)
+    q = rest + release
+    if not model.senses:
+        return q
+    angles = np.array([not order for order in orders or (0,) * len(release)])
+
+    def seen(q):
+        return jnp.where(angles, model.reading(q), q)
+
+    for _ in range(_NEWTON):
+        q = q + jnp.linalg.solve(jax.jacfwd(seen)(q), seen(rest) + release - seen(q))
+    return q
 
 
 def best_tests(
@@ -480,16 +517,16 @@ def separation(test: Sequence[Predicted]) -> float:
 
 
 def settled(logs: np.ndarray) -> bool:
-    """Whether odds tell the likeliest model from all others together, by log probabilities."""
-    p = np.max(softmax(logs))
-    return bool(p >= 1 or math.log(p / (1 - p)) > INDISTINGUISHABLE)
+    """Whether odds tell the likeliest of some models from all else together, by log
+    probabilities."""
+    p = math.exp(np.max(logs, initial=-math.inf))
+    return p >= 1 or (p > 0 and math.log(p / (1 - p)) > INDISTINGUISHABLE)
 
 
 def in_play(models: Sequence[Tried], logs: np.ndarray) -> tuple[list[Tried], np.ndarray, float]:
     """The models that the recordings leave possible, the likeliest first, their probabilities
-    among each other, and that of all the rest. Two at least, unless one is told from all others.
-    `logs` (len(models),) are log probabilities."""
-    order, least = np.argsort(-logs)[:CONTENDERS], 1 if settled(logs) else 2
-    kept = [i for rank, i in enumerate(order) if rank < least or logs[i] >= math.log(IN_PLAY)]
-    rest = max(0.0, float(1.0 - np.exp(logs[kept]).sum()))
-    return [models[i] for i in kept], softmax(logs[kept]), rest
+    among each other, and that of all the rest. `logs` (len(models),) are log probabilities, whose
+    sum is less than 1 where something else has the rest."""
+    kept = [i for i in np.argsort(-logs)[:CONTENDERS] if logs[i] >= math.log(IN_PLAY)]
+    p = np.exp(logs[kept])
+    return [models[i] for i in kept], p / p.sum(), max(0.0, float(1.0 - p.sum()))

@@ -17,7 +17,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import log_softmax, softmax
+from scipy.special import log_softmax
 
 from ..effects import AbstractEffect
 from ..filtering.law import each_number, state_slices
@@ -32,7 +32,7 @@ from ..physics.effect import BASE
 from ..physics.motion import Motion
 from ..recordings.experiment import Experiment, must_be_experiment
 from ..runtime.memory import give_back
-from .candidate_tests import best_tests
+from .candidate_tests import best_tests, in_play
 from .channels import reassigned
 from .evidence import (
     COMPLETE,
@@ -413,6 +413,13 @@ class Posterior:
         each = log_softmax(np.array(logs))
         self.log_tried = each[: len(self.models)]
         """Log probability of each model that was tried: of a rare one the probability may be 0."""
+        self.log_with_negligible = self.log_tried.copy()
+        """The same, with what is that model beside a negligible law without a name."""
+        places = {frozenset(m.added): i for i, m in enumerate(self.models)}
+        for curve, log in zip(self.curves, each[len(self.named) :], strict=False):
+            if not curve.matters:
+                i = places[frozenset(curve.added)]
+                self.log_with_negligible[i] = np.logaddexp(self.log_with_negligible[i], log)
         ends = np.cumsum([len(self.named), len(self.curves)])
         self.each, self.of_curves, of_other = np.split(np.exp(each), ends)
         """Probability of each model with names only, of each with a free curve, and of the base
@@ -421,6 +428,9 @@ class Posterior:
             *zip(self.named, self.each, strict=True), *zip(self.curves, self.of_curves, strict=True)
         ]  # fmt: skip
         self.of_reassigned = float(of_other.sum())
+        pairs = zip(self.curves, self.of_curves, strict=True)
+        self.of_unnamed = float(sum(p for curve, p in pairs if curve.matters))
+        """Probability that there is a law without a name."""
         verdict = self.verdict()[0]
         chosen = {"adequate": False, "missing": True}.get(verdict)
         first = next(
@@ -540,33 +550,46 @@ class Posterior:
     def _explanations(self) -> list[list[int]]:
         """The models that were tried, those of the same kinds of law and places together, the
         likeliest first: several laws of one kind share its probability."""
-        kinds = {e.label: (e.kind(), e.place) for e in self.search.candidates}
         groups: dict[frozenset, list[int]] = {}
         for i in np.argsort(-self.log_tried, kind="stable").tolist():
-            added = self.models[i].added
-            groups.setdefault(frozenset(kinds[x] for x in added), []).append(i)
+            groups.setdefault(self._kinds_of(self.models[i]), []).append(i)
         return sorted(groups.values(), key=lambda own: -log_sum(self.log_tried[own]))
 
-    def rivals(self) -> tuple[list[Tried], np.ndarray]:
-        """The likeliest explanation (kinds of law and their places) and the next one, if the two
-        cannot be told apart: the likeliest model of each, and their probabilities. None where the
-        columns are to be put right first."""
+    def _kinds_of(self, model: Tried) -> frozenset[tuple[str, str | None]]:
+        """Kinds and places of the laws that were added."""
+        kinds = {e.label: (e.kind(), e.place) for e in self.search.candidates}
+        return frozenset(kinds[x] for x in model.added)
+
+    def in_play(self) -> tuple[list[Tried], np.ndarray, float]:
+        """The models with names only that count, the likeliest first, their probabilities among
+        each other, and that of all the rest (`in_play`). None where the columns are to be put right
+        first."""
         if self.of_reassigned:
-            return [], np.zeros(0)
-        sums = self._explanations()[:2]
-        p = softmax([log_sum(self.log_tried[own]) for own in sums])
-        close = p >= p[0] * math.exp(-INDISTINGUISHABLE)
-        models = [self.models[own[0]] for own in sums]
-        return [m for m, x in zip(models, close, strict=True) if x], p[close] / p[close].sum()
+            return [], np.zeros(0), 1.0
+        return in_play(self.models, self.log_with_negligible)
+
+    def rivals(self) -> tuple[list[Tried], np.ndarray]:
+        """Of the models in play, the likeliest explanation (kinds of law and their places) and the
+        next one, if the two cannot be told apart: the likeliest model of each, and their
+        probabilities."""
+        groups: dict[frozenset, list[tuple[Tried, float]]] = {}
+        models, p, _ = self.in_play()
+        for model, x in zip(models, p.tolist(), strict=True):
+            groups.setdefault(self._kinds_of(model), []).append((model, x))
+        each = [(own[0][0], sum(x for _, x in own)) for own in groups.values()]
+        each = sorted(each, key=lambda e: -e[1])[:2]
+        close = [e for e in each if e[1] >= each[0][1] * math.exp(-INDISTINGUISHABLE)]
+        p = np.array([x for _, x in close])
+        return [m for m, _ in close], p / p.sum()
 
     def lookalikes(self) -> tuple[tuple[str, ...], ...]:
         """For each added effect, those that could stand in its place with odds of at least 1 to 20,
-        the likeliest first."""
-        found = []
-        for label in self.best.added:
+        the likeliest first; of the models in play."""
+        found, (models, _, _) = [], self.in_play()
+        for label in self.best.added if self.best in models else ():
             rest = frozenset(self.best.added) - {label}
             others = []
-            for model in self.models:
+            for model in models:
                 new = frozenset(model.added) - rest
                 if rest <= frozenset(model.added) and len(new) == 1 and label not in new:
                     behind = self.best.log_posterior - model.log_posterior

@@ -12,10 +12,10 @@ from ..recordings.experiment import Experiment
 from ..recordings.limits import Limits
 from ..runtime.json import finite
 from ..runtime.presentation import Result
-from .candidate_tests import Test, best_tests, in_play, settled
+from .candidate_tests import Test, best_tests, settled
 from .diagnose import Posterior, diagnose
 from .experiment_design import entropy
-from .result import Diagnosis
+from .result import ChannelError, Diagnosis
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,11 @@ class Plan(Result):
     models: tuple[InPlay, ...]
     """The likeliest first."""
     left_out: float
-    """Probability of all models that were not planned for."""
+    """Probability of all that was not planned for,"""
+    unnamed: float
+    """of which this is of laws without a name, which predict no other test."""
+    channels: ChannelError | None
+    """What the columns are instead, if that is to be put right first: nothing is planned then."""
     entropy: float
     """Of the models in play, nats, before any test."""
     tests: tuple[Test, ...]
@@ -43,7 +47,7 @@ class Plan(Result):
     tried: int
     """How many tests were compared."""
     settled: bool
-    """Whether the recordings tell the models apart already."""
+    """Whether the recordings tell the likeliest model from all else already."""
     unexplained: float
     """Probability that no model in play is complete."""
     limits: Limits | None
@@ -56,10 +60,12 @@ class Plan(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of `residyn plan`."""
-        told = {k: v for k, v in vars(self).items() if k not in ("limits", "joints")}
+        told = {k: v for k, v in vars(self).items() if k not in ("limits", "joints", "unnamed")}
         return finite(
             told
             | {
+                "without_a_name": self.unnamed,
+                "channels": self.channels and asdict(self.channels),
                 "models": [asdict(m) for m in self.models],
                 "helps": self.helps,
                 "tests": [t.to_dict() for t in self.tests],
@@ -76,9 +82,9 @@ def plan(
 ) -> Plan:
     """The next tests within the experiment's limits, each with what its outcomes would mean.
 
-    All models that a diagnosis leaves in play predict every test that the limits allow. Tests are
-    ranked by the expected fall of the entropy over these models (Lindley 1956; Box and Hill 1967),
-    and planned greedily: each is the best beside those before it.
+    All models with names that a diagnosis leaves in play predict every test that the limits allow.
+    Tests are ranked by the expected fall of the entropy over these models (Lindley 1956; Box and
+    Hill 1967), and planned greedily: each is the best beside those before it.
 
     **Arguments:**
 
@@ -101,16 +107,18 @@ def plan(
         raise ValueError("this diagnosis has not kept its search: diagnose again to plan tests")
     with jax.enable_x64(True):
         posterior = Posterior(found.search)
-        models, p, left_out = in_play(posterior.models, posterior.log_tried)
-        say(f"comparing tests for {len(models)} models")
-        done = settled(posterior.log_tried)
+        models, p, left_out = posterior.in_play()
+        done = len(models) > 0 and settled(posterior.log_with_negligible)
         planned, tried = (), 0
-        if not done:
+        if len(models) > 1 and not done:
+            say(f"comparing tests for {len(models)} models")
             planned, tried = best_tests(found.fits.whole, found.search.scene, models, p, tests)
     complete = float(p @ np.array([m.complete for m in models]))
     return Plan(
         models=tuple(InPlay(m.added, float(x)) for m, x in zip(models, p, strict=True)),
         left_out=left_out,
+        unnamed=posterior.of_unnamed,
+        channels=found.channels,
         entropy=float(entropy(p)),
         tests=planned,
         tried=tried,

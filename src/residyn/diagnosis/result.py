@@ -181,7 +181,8 @@ class Diagnosis(TableResult):
     lookalikes: tuple[tuple[str, ...], ...]
     """Groups that these recordings cannot tell apart, the accepted name first."""
     next_experiment: Test | None
-    """What would tell look-alikes apart: the first line of `plan`; None where there are none."""
+    """What would tell the two likeliest explanations (kinds of law and their places) apart; None
+    where odds do, or not both are in play."""
     missing: tuple[Missing, ...]
     """The torque that the base model lacks, one per fitted recording."""
     still_missing: tuple[Missing, ...]

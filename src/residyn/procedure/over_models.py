@@ -192,7 +192,8 @@ def with_and_without_drag(search: Search) -> tuple[list[Tried], np.ndarray, floa
     much the same; without bearings they stay.
     """
     posterior = Posterior(search)
-    models, p, left_out = in_play(posterior.models, posterior.log_tried)
+    models, p, rest = in_play(posterior.models, log_softmax(posterior.log_tried))
+    left_out = 1.0 - (1.0 - rest) * float(np.exp(posterior.log_tried).sum())
     count = len(search.candidates)
     if BearingDrag.name not in (e.label for e in search.candidates):
         models = [at_any_width(m, BearingDrag.name) for m in models]

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
+from ..diagnosis.diagnose import values_of
 from ..diagnosis.missing_torque import Curve, Missing
 from ..diagnosis.result import (
     Candidate,
@@ -237,7 +238,8 @@ def _laws(found: Diagnosis) -> Iterator[str]:
                 )
             elif further and found.verdict != "unexplained":
                 told = f" ({numbers})" if numbers else ""
-                yield f"{name}{told} is enough; {listed([_would_add(c, label) for c in further])}."
+                more = listed([_would_add(c, label, found) for c in further])
+                yield f"{name}{told} is enough; {more}."
             elif numbers:
                 yield f"{name}: {numbers}."
 
@@ -270,14 +272,20 @@ def _extends(label: str, simpler: str) -> bool:
     return kind is not None and kind.extends == other and place == at
 
 
-def _would_add(candidate: Candidate, simpler: str) -> str:
-    """ "Stribeck friction (< 1 %) would add excess 0.0008 +/- 0.0005 N m"."""
+def _would_add(candidate: Candidate, simpler: str, found: Diagnosis) -> str:
+    """ "Stribeck friction (< 1 %) would add excess 0.0008 +/- 0.0005 N m": in the place of the
+    simpler law, beside all else that was added; without a number where that was not iterated."""
+    law = f"{lower(title(candidate.effect))} ({percent(candidate.probability)})"
+    added = frozenset(found.added) - {simpler} | {candidate.effect}
+    model = found.search and found.search.tried.get(added)
+    if not (found.search and model):
+        return f"{law} is not needed"
+    values = values_of(found.search.scene, model.best)
     kind, there = (catalogue()[x.partition(":")[0]] for x in (candidate.effect, simpler))
     new = {p.name for p in parameters_of(kind) if p.silent is not None}
     new -= {p.name for p in parameters_of(there)}
-    values = candidate.parameters.items()
-    more = [_values({name: v}) for name, v in values if own_name(name) in new]
-    law = f"{lower(title(candidate.effect))} ({percent(candidate.probability)})"
+    own = {n: v for n, v in values.items() if n.partition(".")[0] == candidate.effect}
+    more = [_values({n: v}) for n, v in own.items() if own_name(n) in new]
     return f"{law} would add {listed(more)}" if more else f"{law} adds nothing"
 
 
@@ -350,6 +358,9 @@ def _left(found: Diagnosis) -> Iterator[str]:
         sizes = listed([_size(r, found) for r in known]) if known else "unknown size"
         beyond = f"missing that {unnamed(found)} explains ({percent(sure)}):"
         first = f"Something more {modal(sure)} {beyond}" if found.added else "What is missing is"
+        if found.laws:  # of which the model that lacks so much has none
+            law = "that law" if len(found.laws) == 1 else "such a law"
+            first = f"Without {law}, {lower(first)}"
         yield f"{first} a torque of {sizes}."
         yield from _matters(found)
         return

@@ -13,7 +13,7 @@ _TELLS = 2.0  # standard errors by which one reading tells two models apart 19 t
 
 
 def motion_words(test: Test) -> str:
-    """ "release the shoulder at 0.30 rad and the elbow at 0 rad, from rest"."""
+    """ "release the shoulder at 0.30 rad and the elbow at 0 rad, counted from rest"."""
     if test.drive is not None:
         d = test.drive
         unit = "N" if test.units[list(test.release).index(d.joint)] == "m" else "N m"
@@ -25,7 +25,7 @@ def motion_words(test: Test) -> str:
         f"the {joint} at {_angle(x, unit)}"
         for (joint, x), unit in zip(test.release.items(), test.units, strict=True)
     ]
-    return f"release {listed(angles)}, from rest"
+    return f"release {listed(angles)}, counted from rest"
 
 
 def setting_words(test: Test) -> str:
@@ -95,10 +95,19 @@ def text(found: Plan | Test) -> str:
 
 def _plan(plan: Plan) -> list[str]:
     rows = [[percent(m.probability), named(m.added, plan.joints)] for m in plan.models]
-    out = ["[[Models in play]]", *printed(Table(["", ""], rows, left=(1,)))]
-    if plan.left_out > 0.005:
-        out.append(f"    {percent(plan.left_out)} more is shared by models of less than 1 % each")
-    if plan.unexplained > 0.5:
+    out = ["[[Models in play]]", *(printed(Table(["", ""], rows, left=(1,))) if rows else [])]
+    if plan.channels is not None:
+        words = f"It seems that {plan.channels.words} ({percent(plan.channels.probability)})."
+        out += filled(words, "    ")
+        return [*out, *filled("No test is planned before that is settled.", "    ")]
+    rest = (
+        (plan.unnamed, "a law without a name, which predicts no other test, has"),
+        (plan.left_out - plan.unnamed, "less likely models share"),
+    )
+    for probability, words in rest:
+        if probability > 0.005:
+            out += filled(upper(f"{words} {percent(probability)}."), "    ")
+    if plan.models and plan.unexplained > 0.5:
         out += filled(
             "None of them is complete: something is left that no effect of the catalogue explains. "
             "No test gives that a name; a test only tells these models apart.",
@@ -108,6 +117,10 @@ def _plan(plan: Plan) -> list[str]:
     if plan.settled:
         words = "the recordings tell these models apart with odds of more than 20 to 1 already"
         return [*out, *filled(f"Nothing more is needed: {words}.", "    ")]
+    if len(plan.models) < 2:
+        only = "only one" if plan.models else "none"
+        words = f"No test is planned: a test tells models with names apart, and {only} is in play."
+        return [*out, *filled(words, "    ")]
     if not plan.helps:
         words = f"Nothing would help: none of {plan.tried} tests within limits tells them apart."
         if plan.tests:
