@@ -124,7 +124,8 @@ def shapes(
 
 def shaped_numbers(effect: AbstractEffect, shape: dict[str, float]) -> np.ndarray:
     """(p,) numbers of an effect: shapes as given, strengths silent."""
-    return np.array([shape.get(x.field, x.silent) for x in numbers_of(effect)], float)
+    each = (shape[x.field] if x.silent is None else x.silent for x in numbers_of(effect))
+    return np.array([*each], float)
 
 
 class Shaped(NamedTuple):
@@ -518,15 +519,19 @@ def without(scene: Scene, t: Trajectory, label: str) -> Trajectory:
 
 def extended(scene: Scene, t: Trajectory, found: Column) -> Trajectory:
     """A model with one more effect, from the screen's answer."""
-    effect = with_numbers(found.effect, shaped_numbers(found.effect, found.shape))
+    begun = shaped_numbers(found.effect, found.shape)
+    effect = with_numbers(found.effect, begun)
     t = with_effects(scene, t, range(len(t.effects)), [effect])
     place = t.labels.index(effect.label)
     own, states = number_slices(t.effects)[place], state_slices(t.effects)[place]
-    values, phase, least = list(found.regressors), 0.0, 0.02
-    if effect.oscillates:
-        values, phase = [math.hypot(*values)], math.atan2(values[1], values[0])
-    numbers, strong = np.array(t.prior.mean), iter(values)
-    numbers[own] = [found.shape.get(x.field, 1.0) for x in numbers_of(effect)]
+    values, phase, least = np.asarray(found.regressors), 0.0, 0.02
+    if effect.oscillates:  # the phase is the first strength's
+        sine, cosine = values.reshape(2, -1)
+        phase = math.atan2(cosine[0], sine[0])
+        values = math.cos(phase) * sine + math.sin(phase) * cosine
+    strong = iter(values)
+    numbers = np.array(t.prior.mean)
+    numbers[own] = begun
     t.u[own] = t.prior.regressors(numbers)[own]
     for i, number in enumerate(numbers_of(effect), own.start):
         if number.silent is not None:
