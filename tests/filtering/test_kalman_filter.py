@@ -385,6 +385,15 @@ def test_the_fastest_frequency_is_that_of_the_motion_not_of_the_noise():
     assert 1.0 < fast / (2 * np.pi * 4) < 1.25
 
 
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_noise_alone_hardly_ever_stands_out_even_at_the_lowest_lines(mirrored):
+    """One line in 10^6: of 4000 joints and some ten averages each, next to none."""
+    noise = np.random.default_rng(0).standard_normal((256, 4000))
+    seen = Recording.from_arrays(np.arange(256) / 100, noise, noise=1.0)
+    signal = Spectrum.of(seen, np.zeros(noise.shape, bool), mirrored).signal
+    assert signal.any(axis=1).sum() <= 1
+
+
 def test_lost_readings_make_no_motion_faster():
     time, rng = np.arange(1200) / 30, np.random.default_rng(5)
     angle = 0.2 * np.sin(2 * np.pi * 0.8 * time) + 0.1 * np.sin(2 * np.pi * 2.4 * time)
