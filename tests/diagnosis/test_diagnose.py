@@ -8,6 +8,7 @@ import math
 from types import SimpleNamespace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -31,7 +32,7 @@ from residyn.diagnosis.search import Search, Tried, settle, tried_alone
 from residyn.diagnosis.simulated import simulated
 from residyn.fitting.problem import Unknowns
 from residyn.physics.effect import JointEffect
-from residyn.physics.parameter import Dimension, param
+from residyn.physics.parameter import ANGLE, TORQUE, Dimension, param
 from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
 from tests import rig
 
@@ -512,6 +513,46 @@ def test_models_in_play_are_tried_without_each_of_their_effects():
     for model in in_play:
         for label in model.added:
             assert frozenset(model.added) - {label} in search.tried, (model.added, label)
+
+
+class Waves(JointEffect):
+    """A torque that goes up and down with the angle."""
+
+    name = "waves"
+    height: float = param("height", TORQUE)
+    period: float = param(
+        "period", ANGLE, sign="positive", silent=None, default=0.1, grid=(0.3, 0.5, 0.8)
+    )
+
+    def joint_torque(self, motion):
+        return self.height * jnp.sin(2 * math.pi * motion.q / self.period)
+
+
+class WavesAndHard(Waves):
+    """... on a spring that hardens."""
+
+    name = "waves_and_hard"
+    extends = "waves"
+    cubic: float = param("hardening", residyn.parameter.CUBIC)
+
+    def joint_torque(self, motion):
+        return super().joint_torque(motion) + self.cubic * motion.q**3
+
+
+def test_a_simpler_law_begins_with_the_shapes_of_the_law_that_it_is_part_of(monkeypatch):
+    base = {name: effects.CATALOGUE[name] for name in ("spring", "damper")}
+    monkeypatch.setattr(effects, "CATALOGUE", base)
+    residyn.adopt(Waves)
+    residyn.adopt(WavesAndHard)
+    with jax.enable_x64(True):
+        search = rubbing(
+            1, 0.2, lambda q, v: 100 * q + 2 * np.sin(2 * math.pi * q / 0.08) + 0.4 * v,
+            friction=0.0, torque=0.0, pace=10.0, step=1e-3, every=10, count=340, noise=1e-4,
+        )  # fmt: skip
+        search.beside(search.base, "waves_and_hard:axis")
+        search.reduce()
+    simpler = search.tried[frozenset({"waves:axis"})]
+    assert simpler.best.numbers[-1] == pytest.approx(0.08, rel=0.01)
 
 
 def test_a_model_that_sticks_has_its_evidence_along_the_motion_that_it_keeps():

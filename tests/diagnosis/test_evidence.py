@@ -6,6 +6,7 @@ import itertools
 import math
 from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,7 +17,7 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 
 import residyn
-from residyn.diagnosis.columns import Columns, Screen, candidates, extended
+from residyn.diagnosis.columns import Column, Columns, Screen, candidates, extended
 from residyn.diagnosis.diagnose import Posterior
 from residyn.diagnosis.evidence import (
     CURVE_AMPLITUDES,
@@ -60,9 +61,13 @@ from residyn.filtering.trajectory import Prior, Scene, Trajectory
 from residyn.fitting.problem import Unknowns
 from residyn.physics.effect import JointEffect
 from residyn.physics.parameter import (
+    FREQUENCY,
+    RATIO,
     STIFFNESS,
     STIFFNESS_RATE,
+    TORQUE,
     Dimension,
+    Memory,
     Scales,
     param,
     parameters_of,
@@ -435,6 +440,37 @@ def test_what_takes_a_spring_s_place_is_known_beforehand_as_a_spring_is():
         prior_of(scene, [e("axis")]).width[0] for e in (Spring, ConstantTorque, DeadZone)
     )
     assert (pull, across, lost) == pytest.approx((spring, twist, spring))
+
+
+class Humming(JointEffect):
+    """A disturbance of one frequency that grows with the angle."""
+
+    name = "humming"
+    oscillates = "frequency"
+    memory = (Memory("phase", RATIO),)
+    steady: float = param("torque", TORQUE)
+    growing: float = param("torque over the angle", STIFFNESS)
+    frequency: float = param("frequency", FREQUENCY, silent=None, default=1.0, grid=(1.0,))
+
+    def joint_torque(self, motion):
+        return (self.steady + self.growing * motion.q) * jnp.sin(motion.memory[0])
+
+    def joint_rate(self, motion):
+        return (2 * math.pi * self.frequency,)
+
+
+def test_all_strengths_of_a_disturbance_have_its_phase():
+    time = np.arange(80) / 40
+    scene = scene_of_cart(time, 0.1 * np.cos(6 * time))
+    t = scene.start([Spring("cart")], prior_of(scene, [Spring("cart")]))
+    steady, growing, phase = 0.2, -0.3, 2.5
+    begun = 2 * math.pi * 1.5 * scene.grid.time[:, None]
+    both = np.outer([math.cos(phase), math.sin(phase)], [steady, growing]).ravel()
+    found = Column(Humming("cart"), {"frequency": 1.5}, (0, 1, 2, 3), begun, regressors=both)
+    t = extended(scene, t, found)
+    assert t.u[1:3] == pytest.approx([steady, growing])
+    assert t.numbers[3] == pytest.approx(1.5)
+    np.testing.assert_allclose(t.path[:, 2], begun[:, 0] + phase)
 
 
 @pytest.mark.parametrize("sizes", [CURVE_AMPLITUDES, INTENSITIES[:-1], (0.3,)])

@@ -199,6 +199,21 @@ def test_what_is_held_is_taken_away_again():
         assert np.allclose(*logs, atol=1e-5)
 
 
+def test_a_formula_whose_motion_runs_away_has_no_evidence(monkeypatch):
+    """Above the density of the readings without a residual there is rounding only."""
+    with jax.enable_x64(True):
+        scene, base = a_cart(lambda q: 0.0 * q)
+        along = Along(scene, base)
+        place = Place(Kind("angle"), 0, *along.span("angle", 0))
+        column = next(c for c in formula.columns_of(place) if not c.shape)
+        held = formula.Sum(place, (column,), 0.0, 0.0, np.zeros(len(column.term.parts)))
+        evidence = held.beside(along, place, [0.1, 0.0]).evidences
+        between = float(np.mean(evidence))
+        monkeypatch.setattr(Scene, "highest", between)
+        known = held.beside(along, place, [0.1, 0.0]).evidences
+    np.testing.assert_array_equal(known, np.where(evidence < between, evidence, -np.inf))
+
+
 # -- arms from MuJoCo ------------------------------------------------------------------------------
 
 

@@ -1,11 +1,15 @@
 """The missing torque beside a known one, on MuJoCo data; and the curves that belong over it."""
 
+import jax
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import residyn
 from residyn.diagnosis import missing_torque
+from residyn.diagnosis.evidence import prior_of
+from residyn.diagnosis.missing_torque import restoring_torque
+from residyn.filtering.trajectory import Scene
 from tests import rig
 
 ARM = rig.paper_twin(0.3)
@@ -96,6 +100,26 @@ def test_its_share_is_of_all_that_pulls_the_joint_back():
     own = stiffness * found.angle[:, 0] + moment * np.sin(found.angle[:, 0])
     whole = found.rms[0] / found.share_of_spring[0]
     assert whole == pytest.approx(np.sqrt(np.mean(own**2)), rel=0.02)
+
+
+def test_what_moves_joints_without_springs_is_what_the_motors_leave_over_friction():
+    """Z q'' of two coupled slides in two recordings, of which one carries a load."""
+    t = np.arange(0.0, 2.0, 0.02)
+    force = 3.0 * np.stack([np.sin(3 * t), np.cos(5 * t)], axis=1)
+    place = np.stack([0.2 * np.sin(2 * t), 0.1 * np.cos(4 * t)], axis=1)
+    runs = [residyn.Recording.from_arrays(t, place, noise=NOISE, drive=force) for _ in range(2)]
+    slides = [
+        residyn.ConstantInertia([[2.0, 0.7], [0.7, 1.5 + load]], ["a", "b"], ["m", "m"])
+        for load in (0.0, 4.0)
+    ]
+    dampers = [residyn.Damper(joint) for joint in "ab"]
+    with jax.enable_x64(True):
+        scene = Scene(runs, slides, [np.zeros(place.shape, bool)] * 2)
+        begun = scene.start(dampers, prior_of(scene, dampers))
+        begun.u[:2] = begun.prior.regressors(np.array([0.4, 0.9]))
+        found = restoring_torque(scene, begun)
+    expected = scene.grid.drive[:, 0] - begun.path[:, 2:4] * [0.4, 0.9]
+    np.testing.assert_allclose(found[scene.real], expected[scene.real], atol=1e-9)
 
 
 def test_a_clean_arm_lacks_next_to_nothing():

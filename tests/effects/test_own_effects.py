@@ -172,6 +172,27 @@ def test_a_mistake_in_a_law_is_told_with_its_line(tmp_path, capsys, law, says):
     assert says in line
 
 
+@pytest.mark.parametrize(
+    ("numbers", "says"),
+    [
+        ({"a": {"silent": None, "default": 5.0}}, "Mine: has shapes only (silent=None)"),
+        ({"a": {}, "b": {"silent": None, "default": 0.0}}, "grid of the shape b (silent=None)"),
+        (
+            {"a": {}, "b": {"silent": None, "default": 1.0, "grid": (-0.5, 0.0, 0.5)}},
+            "must be positive",
+        ),
+    ],
+)
+def test_numbers_that_a_diagnosis_could_not_find_are_refused(numbers, says):
+    declared = {k: residyn.param(k, residyn.parameter.RATIO, **how) for k, how in numbers.items()}
+    body = {"name": "mine", "joint_torque": lambda self, motion: self.a, **declared}
+    kind = type(residyn.JointEffect)(
+        "Mine", (residyn.JointEffect,), {**body, "__annotations__": dict.fromkeys(numbers, float)}
+    )
+    with pytest.raises(residyn.InputError, match=re.escape(says)):
+        residyn.adopt(kind)
+
+
 def test_installed_packages_offer_effects(own, monkeypatch):
     (kind,) = effects.read_effects(own)
 

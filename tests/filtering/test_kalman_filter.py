@@ -11,11 +11,16 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
 
 from residyn import ConstantInertia, PlanarArm, Recording, Spring
+from residyn.diagnosis.columns import Columns, Screen, extended, spectral_lines
+from residyn.diagnosis.evidence import WIDTH
 from residyn.effects import CoulombFriction, CubicStiffness, Damper, Gravity, Hysteresis
 from residyn.filtering.grid import Spectrum, lay_out
 from residyn.filtering.kalman import Noise, Readings, System, evidences, gram, smooth
+from residyn.filtering.law import numbers_of
 from residyn.filtering.trajectory import Prior, Scene
+from residyn.physics.effect import JointEffect
 from residyn.physics.modal import modes
+from residyn.physics.parameter import RATIO, STIFFNESS, param
 from residyn.simulation.simulate import simulate
 
 pytestmark = pytest.mark.usefixtures("float64", "compiled_in_less_time")
@@ -259,7 +264,6 @@ def test_strengths_of_laws_with_jumps_or_memory_are_found(effect):
     truth = truth + Damper("shoulder", 0.05) + Damper("elbow", 0.05) + effect
     recording, _ = a_recording(truth, q0=(0.2, -0.3))
     scene = Scene([recording], [ARM], [np.zeros(recording.angle.shape, bool)])
-    from residyn.diagnosis.columns import Columns, Screen, extended, spectral_lines
 
     effects, prior = base_of(scene)
     t = settled(scene, scene.start(effects, prior), (1.0, 0.3, 0.1, 0.03))
@@ -270,6 +274,35 @@ def test_strengths_of_laws_with_jumps_or_memory_are_found(effect):
         for _ in range(8):
             t = scene.smoothed(t, scene.linearised(t), intensity, share=0.5)
     assert t.numbers[4] == pytest.approx(float(effect.level), rel=0.02)
+
+
+class Geared(JointEffect):
+    """A spring behind a gear of known ratio."""
+
+    name = "geared"
+    stiffness: float = param("stiffness", STIFFNESS)
+    ratio: float = param("ratio of the gear", RATIO, silent=None, default=1.0, fitted=False)
+
+    def joint_torque(self, motion):
+        return self.ratio * self.stiffness * motion.q
+
+
+def test_effects_of_one_name_have_their_own_fixed_values():
+    recording, _ = a_recording(ARM + Spring("shoulder", 17.0) + Spring("elbow", 12.0), seconds=1.0)
+    scene = Scene([recording], [ARM], [np.zeros(recording.angle.shape, bool)])
+    effects = [Geared("elbow", ratio=10.0), Geared("shoulder", ratio=0.1)]
+    t = scene.start(effects, Prior(np.array([2.0, 3.0]), np.ones(2), np.zeros(2, bool)))
+    torque = scene.torques(t)
+    for joint, size in ((1, 20.0), (0, 0.3)):
+        found = torque[f"geared:{scene.joints[joint]}"]
+        np.testing.assert_allclose(found[:, joint], size * t.path[:, joint])
+        assert not found[:, 1 - joint].any()
+    base = scene.start(*base_of(scene))
+    columns = Columns(scene, base, effects, [], {e.label: {} for e in effects})
+    found = columns.torque[..., 0], columns.torque[..., 1]
+    for x, effect, joint, ratio in zip(found, effects, (1, 0), (10.0, 0.1), strict=True):
+        width = WIDTH * scene.size(effect, numbers_of(effect)[0])
+        np.testing.assert_allclose(x[:, joint], ratio * width * scene.q[:, joint], atol=1e-12)
 
 
 # -- recordings on the grid -----------------------------------------------------------------------
@@ -350,6 +383,15 @@ def test_the_fastest_frequency_is_that_of_the_motion_not_of_the_noise():
     fast = Spectrum.of(recording, np.zeros(angle.shape, bool)).fastest
     # Averaged over 15 lines of 0.05 Hz to either side.
     assert 1.0 < fast / (2 * np.pi * 4) < 1.25
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_noise_alone_hardly_ever_stands_out_even_at_the_lowest_lines(mirrored):
+    """One line in 10^6: of 4000 joints and some ten averages each, next to none."""
+    noise = np.random.default_rng(0).standard_normal((256, 4000))
+    seen = Recording.from_arrays(np.arange(256) / 100, noise, noise=1.0)
+    signal = Spectrum.of(seen, np.zeros(noise.shape, bool), mirrored).signal
+    assert signal.any(axis=1).sum() <= 1
 
 
 def test_lost_readings_make_no_motion_faster():
@@ -455,6 +497,26 @@ def test_sizes_are_those_of_the_motion_however_long_it_rests_after():
         scene = Scene([seen], [table], [np.zeros((count, 1), bool)])
         amplitude.append(scene.scales[0].amplitude)
     np.testing.assert_allclose(*amplitude, rtol=0.05)
+
+
+def test_the_order_of_recordings_changes_no_evidence():
+    """A cart on a spring of 300 N/m, alone and, for longer, under a load of 8 kg."""
+    runs, carts = [], []
+    for mass, seconds, noise in ((2.0, 3.0, 1e-4), (10.0, 6.0, 3e-4)):
+        time = np.arange(0.0, seconds, 0.0125)
+        q = 0.03 * np.cos(np.sqrt(300.0 / mass) * time)
+        q = q + noise * np.random.default_rng(0).standard_normal(len(time))
+        runs.append(Recording.from_arrays(time, q[:, None], noise=noise))
+        carts.append(ConstantInertia([[mass]], joints=("cart",), units=("m",)))
+    found = []
+    for order in (slice(None), slice(None, None, -1)):
+        wild = [np.zeros(r.angle.shape, bool) for r in runs[order]]
+        scene = Scene(runs[order], carts[order], wild)
+        (spring,) = (s.inertia * s.frequency**2 for s in scene.scales)
+        assert spring == pytest.approx(300.0, rel=0.2)
+        t = scene.start(*base_of(scene))
+        found.append(scene.evidences(t, scene.linearised(t), [0.3, 0.03]).log_evidence)
+    np.testing.assert_allclose(*found, rtol=1e-9)
 
 
 def test_no_evidence_is_above_the_density_of_readings_without_a_residual():

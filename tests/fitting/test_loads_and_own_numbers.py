@@ -7,8 +7,14 @@ import numpy as np
 import pytest
 
 import residyn
+from residyn.diagnosis.columns import Columns
+from residyn.diagnosis.evidence import prior_of
 from residyn.diagnosis.runs import own_numbers
+from residyn.effects import SensorDelay, SensorOffset
+from residyn.effects.own_numbers import with_own
 from residyn.errors import InputError
+from residyn.filtering.law import each_number
+from residyn.filtering.trajectory import Scene
 from residyn.physics.mechanism import ConstantInertia
 from residyn.recordings.recording import Recording
 from residyn.recordings.tables import InertiaTable
@@ -103,7 +109,6 @@ def test_a_run_has_numbers_of_its_own():
 )
 def test_an_effect_with_own_numbers_is_that_effect_at_those_numbers(effect, label, fields):
     from residyn.effects import effects_named
-    from residyn.effects.own_numbers import with_own
     from residyn.physics.motion import Motion
     from residyn.physics.parameter import parameters_of
 
@@ -221,6 +226,50 @@ def test_each_place_of_an_effect_is_asked_by_itself(own):
     found = own_numbers(residyn.Experiment(table, (first, second)))
     assert [(x.effect, x.recording) for x in found] == [(x, "second") for x in own]
     assert all(x.log_odds < -3 for x in found)
+
+
+@pytest.mark.parametrize(
+    ("effect", "field"), [(SensorOffset("cart"), "offset"), (SensorDelay("cart"), "delay")]
+)
+def test_a_filter_reads_each_run_by_its_own_numbers(effect, field):
+    t = np.arange(0.0, 2.0, 0.02)
+    runs = [Recording.from_arrays(t, 0.1 * np.cos(9 * t)[:, None], noise=NOISE) for _ in range(2)]
+    carts = [ConstantInertia([[MASS]], ["cart"], ["m"], run=run) for run in (0, 1)]
+    scene = Scene(runs, carts, [np.zeros((len(t), 1), bool)] * 2)
+    second = scene.grid.of(1)
+
+    def readings(effect, **numbers):
+        begun = scene.start([effect], prior_of(scene, [effect]))
+        here = [numbers.get(n.field, 0.0) for _, n in each_number([effect])]
+        begun.u[: len(here)] = begun.prior.regressors(np.array(here))
+        return np.asarray(scene.linearised(begun).seen)[:, 0]
+
+    own = with_own(effect, ((1, "second"),))
+    found = readings(own, **{f"{field}_1": 0.01})
+    plain, moved = readings(effect), readings(effect, **{field: 0.01})
+    assert found[second] == pytest.approx(moved[second])
+    assert found[scene.grid.of(0)] == pytest.approx(plain[scene.grid.of(0)])
+    assert np.abs(moved - plain)[second].max() > 1e-3
+    spring = [residyn.Spring("cart")]
+    columns = Columns(scene, scene.start(spring, prior_of(scene, spring)), [own], [])
+    shared, apart = columns.inputs[1][:, 0].T
+    assert not shared[second].any()
+    assert not apart[scene.grid.of(0)].any()
+    assert shared[scene.grid.of(0)].any()
+    assert apart[second].any()
+
+
+def test_a_sensor_set_anew_is_told_by_evidence():
+    """A ringing cart by its closed form."""
+    t, decay = np.arange(0.0, 5.0, 0.0125), 0.5 * DAMPING / MASS
+    pace = np.sqrt(STIFFNESS / MASS - decay**2)
+    q = 0.1 * np.exp(-decay * t) * (np.cos(pace * t) + decay / pace * np.sin(pace * t))
+    read = q + NOISE * np.random.default_rng(0).standard_normal((2, len(t)))
+    own = ["sensor_offset:cart"]
+    first = Recording.from_arrays(t, read[0][:, None], noise=NOISE, name="first")
+    second = Recording.from_arrays(t, read[1][:, None] + 1e-3, noise=NOISE, name="second", own=own)
+    (run,) = own_numbers(residyn.Experiment(TABLE, (first, second)), own)
+    assert run.log_odds > 10
 
 
 def test_effects_of_a_fit_have_own_numbers_where_the_experiment_says_so():

@@ -124,7 +124,8 @@ def shapes(
 
 def shaped_numbers(effect: AbstractEffect, shape: dict[str, float]) -> np.ndarray:
     """(p,) numbers of an effect: shapes as given, strengths silent."""
-    return np.array([shape.get(x.field, x.silent) for x in numbers_of(effect)], float)
+    each = (shape[x.field] if x.silent is None else x.silent for x in numbers_of(effect))
+    return np.array([*each], float)
 
 
 class Shaped(NamedTuple):
@@ -157,7 +158,7 @@ def columns(
     slots = model[1].whole
     bodies = changed_bodies(model[0], slots, slots.numbers, instants.mechanisms)
     mechanism, early = at_nodes(bodies, instants.run), at_nodes(bodies, instants.run, 1)
-    first = jax.tree.map(lambda x: x[0], instants.mechanisms)
+    sensed = at_nodes(instants.mechanisms, instants.run, 1)
     direction = jax.scipy.special.erf(at.v / (math.sqrt(2) * at.spread))
     anew = jnp.concatenate([jnp.ones(1, bool), instants.last[:-1]])
 
@@ -203,8 +204,8 @@ def columns(
     seen, rate, _ = derivatives(at, f, model[0].orders)
     for place, effect, numbers, width in _places(laws, shaped, n):
         if effect.senses:
-            _, _, by_number, _, late = along_readings(effect, first, seen.value, numbers[0])
-            own = by_number - rate.value[:, None] * late[..., None]
+            _, _, by_number, _, late = along_readings(effect, sensed, seen.value, numbers[0])
+            own = by_number - rate.value[:, None] * late
             readings.append(own[:, _which(effect)] * width[:, None])
         else:
             torque, z = of_place(effect, place, numbers, width)
@@ -300,14 +301,14 @@ class Columns:
         self.linear: Linear = linear or scene.linearised(trajectory)
         self.rows: list[Column] = []
         self._count = 0
-        wanted = {e.label: e for e in effects}
+        listed, others = ({e.label: e for e in effects if usual(e) is x} for x in (True, False))
         known = [e for e in scene.catalogued if usual(e) and strengths(e)]
         known = [e for e in known if e.name not in BASE]
         parts = []
-        for group in (known, [e for e in effects if not usual(e)]):
+        for group, wanted in ((known, listed), ([*others.values()], others)):
             if any(e.label in wanted for e in group):
                 parts.append(self._part(group, wanted, list(frequencies), shape_of))
-        order = list(wanted)
+        order = [e.label for e in effects]
         self.rows.sort(key=lambda row: order.index(row.effect.label))
         self._used = np.array([i for row in self.rows for i in row.which], int)
         ends = itertools.accumulate((len(row.which) for row in self.rows), initial=0)
@@ -323,8 +324,11 @@ class Columns:
         most = 2 * CONTENDERS * scene.n  # lines of two motions, see `spectral_lines`
         laws, shaped = laws_for(group), []
         every: dict[str, list[dict[str, float]]] = {}
+        of_law: dict[str, list[AbstractEffect]] = {}
+        for effect in group:
+            of_law.setdefault(law_name(effect), []).append(effect)
         for law in laws.each:
-            members, tables = [e for e in group if law_name(e) == law_name(law)], []
+            members, tables = of_law[law_name(law)], []
             for effect in members:
                 own = shapes(scene, effect, frequencies or [1.0])
                 room = len(shapes(scene, effect, [1.0] * most))
@@ -515,15 +519,19 @@ def without(scene: Scene, t: Trajectory, label: str) -> Trajectory:
 
 def extended(scene: Scene, t: Trajectory, found: Column) -> Trajectory:
     """A model with one more effect, from the screen's answer."""
-    effect = with_numbers(found.effect, shaped_numbers(found.effect, found.shape))
+    begun = shaped_numbers(found.effect, found.shape)
+    effect = with_numbers(found.effect, begun)
     t = with_effects(scene, t, range(len(t.effects)), [effect])
     place = t.labels.index(effect.label)
     own, states = number_slices(t.effects)[place], state_slices(t.effects)[place]
-    values, phase, least = list(found.regressors), 0.0, 0.02
-    if effect.oscillates:
-        values, phase = [math.hypot(*values)], math.atan2(values[1], values[0])
-    numbers, strong = np.array(t.prior.mean), iter(values)
-    numbers[own] = [found.shape.get(x.field, 1.0) for x in numbers_of(effect)]
+    values, phase, least = np.asarray(found.regressors), 0.0, 0.02
+    if effect.oscillates:  # the phase is the first strength's
+        sine, cosine = values.reshape(2, -1)
+        phase = math.atan2(cosine[0], sine[0])
+        values = math.cos(phase) * sine + math.sin(phase) * cosine
+    strong = iter(values)
+    numbers = np.array(t.prior.mean)
+    numbers[own] = begun
     t.u[own] = t.prior.regressors(numbers)[own]
     for i, number in enumerate(numbers_of(effect), own.start):
         if number.silent is not None:

@@ -180,8 +180,7 @@ class Sum(NamedTuple):
         totals, grams = along.gram([place], [columns], intensities, self.heights)
         bases, rests = conditional(grams, len(along.trajectory.u))
         gains, means, _ = subset(rests, np.arange(columns.shape[1]))
-        evidences = totals + bases + gains + signs(along, grams)
-        evidences = np.where(np.isfinite(evidences), evidences, -np.inf)
+        evidences = along.scene.possible(totals + bases + gains + signs(along, grams))
         mean = means[int(np.argmax(evidences + log_prior_intensity(intensities)))]
         moved = self.moved(np.clip(SHAPE * mean[count:], -_FURTHEST, _FURTHEST))
         return moved._replace(strengths=width * mean[:count], evidences=evidences)

@@ -162,15 +162,20 @@ def restoring_torque(scene: Scene, t: Trajectory) -> np.ndarray:
     """(K, n) torque of what pulls each joint back, N m: springs, and what acts in their place, as
     gravity does; Z q'' where a joint has neither."""
     linear = scene.linearised(t)
-    acceleration = np.asarray(linear.acceleration)[:, : scene.K].T
     each = scene.torques(t, linear)
     own = [
         each[e.label] for e in t.effects
         if e.name == "spring" or any(p.as_spring for p in parameters_of(e))
     ]  # fmt: skip
-    found = np.sum(own, axis=0) if own else np.zeros_like(acceleration)
-    sizes = np.array([s.inertia for s in scene.scales])
-    return np.where(np.any(found != 0, axis=0), found, sizes * acceleration)
+    found = np.sum(own, axis=0) if own else np.zeros((scene.K, scene.n))
+    asked = np.asarray(linear.acceleration)[:, : scene.K].T.copy()
+    for i, mechanism in enumerate(scene.mechanisms):
+        here = scene.grid.run == i
+        q = tuple(t.path[here, : scene.n].T)
+        rows = Model(mechanism, t.valued()).bodies.mass_matrix(q)
+        a = asked[here].T
+        asked[here] = np.stack([sum(z * x for z, x in zip(r, a, strict=True)) for r in rows], 1)
+    return np.where(np.any(found != 0, axis=0), found, asked)
 
 
 def curve(scene: Scene, before: np.ndarray, missing: np.ndarray, model: Tried, label: str) -> Curve:

@@ -736,11 +736,14 @@ class Search:
     def _instead(self, t: Trajectory, old: AbstractEffect, found: Column) -> Trajectory:
         """A model with another law in the place of one of its effects; what both have keeps its
         value."""
-        known = t.u[number_slices(t.effects)[t.labels.index(old.label)]]
-        at = {n.field: u for n, u in zip(numbers_of(old), known, strict=True)}
+        own = number_slices(t.effects)[t.labels.index(old.label)]
+        at = {n.field: u for n, u in zip(numbers_of(old), t.u[own], strict=True)}
+        values = zip(numbers_of(old), t.numbers[own], strict=True)
+        shape = found.shape | {n.field: x for n, x in values if n.silent is None}
         screened = zip(strengths(found.effect), found.regressors, strict=True)
         begun = np.array([at.get(n.field, u) for n, u in screened])
-        rest, found = without(self.scene, t, old.label), found._replace(regressors=begun)
+        found = found._replace(shape=shape, regressors=begun)
+        rest = without(self.scene, t, old.label)
         return self.scene.consistent(extended(self.scene, rest, found))
 
     def _may_join(self, effect: AbstractEffect, trajectory: Trajectory) -> bool:

@@ -10,9 +10,11 @@ nothing, comes from the depths of a fit. Here it becomes one line with the file,
 what to write instead.
 """
 
+import dataclasses
 import importlib.metadata
 import importlib.util
 import inspect
+import math
 import sys
 import traceback
 from pathlib import Path
@@ -93,6 +95,7 @@ def checked(kind: object, where: str) -> type[AbstractEffect]:
     if lacking:
         raise InputError(f"{where}: {kind.__name__} lacks the method {lacking[0]}")
     with inside(where):
+        check_numbers(kind)
         check_law(kind)
     return kind
 
@@ -132,6 +135,27 @@ _TRACED = (
     (jax.errors.ConcretizationTypeError, "float() and math take no number that JAX traces: "
      "use jax.numpy, as jnp.sin"),
 )  # fmt: skip
+
+
+def check_numbers(kind: type[AbstractEffect]) -> None:
+    """The numbers that a fit moves are strengths, one at least, and positive shapes.
+
+    **Raises:** `InputError`, in one line that names the number.
+    """
+    fitted = [p for p in parameters_of(kind) if p.fitted]
+    if fitted and all(p.silent is None for p in fitted):
+        raise InputError(
+            f"{kind.__name__}: has shapes only (silent=None): one of its numbers must be a "
+            "strength, whose silent value makes it nothing"
+        )
+    defaults = {f.name: f.default for f in dataclasses.fields(kind)}
+    for p in fitted:
+        begun: tuple[Any, ...] = defaults[p.field], *p.grid
+        if p.silent is None and not all(0 < x < math.inf for x in begun):
+            raise InputError(
+                f"{kind.__name__}: default and grid of the shape {p.field} (silent=None) must be "
+                "positive: it is known to an e-fold about them, and its sign must not matter"
+            )
 
 
 def check_law(kind: type[AbstractEffect]) -> None:

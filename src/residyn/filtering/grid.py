@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.special import gammainccinv
 
 from ..fitting.layout import bucket
 from ..recordings.recording import Recording
@@ -26,8 +27,9 @@ LONGEST = 0.45
 _MINOR = 1e-2  # of the power of the acceleration, and of the angles: less needs no step of its own
 _LENGTHS = 512, 768  # and twice that, and so on: few lengths to compile for
 _WIDE = 31  # lines of a periodogram that are averaged, at least, ...
-_SHARE = 0.05  # ... and to either side this share of a line's own frequency ...
-_SURE = 2.6  # ... of which noise alone exceeds so many times its mean once in 10^6
+_SHARE = 0.05  # ... and to either side this share of a line's own frequency
+_HANN = 1 + 2 * (2 / 3) ** 2 + 2 * (1 / 6) ** 2  # lines behind its window that know as much as one
+_SURE = 1e-6  # probability with which noise alone stands out of the noise at a line
 _ENOUGH = 4096  # instants: fewer are not averaged at all
 _INERTIA_ERROR = 0.02  # relative: inertias are known to per cents
 
@@ -94,7 +96,11 @@ class Spectrum(NamedTuple):
         # The lines of what is even are twice as close, and know half as much each.
         lines = _WIDE * (2 if mirrored else 1)
         power = np.min([[_averaged(p, lines) for p in way] for way in np.abs(found) ** 2], axis=0)
-        signal = np.where(power > _SURE * unit, np.maximum(power - unit, 0.0), 0.0)
+        # Of noise, a mean of k lines is gamma distributed; its level is not known so well that more
+        # than `_WIDE` of them would tell it.
+        first, last = _around(power.shape[-1], lines)
+        k = np.minimum((last - first) / lines, 1.0) * _WIDE / _HANN
+        signal = np.where(power > gammainccinv(k, _SURE) / k * unit, power - unit, 0.0)
         pace = 2 * math.pi * np.fft.rfftfreq(x.shape[-1], dt)
         once = np.append(0.0, -1j / pace[1:])  # of a constant there is no integral
         down = once ** np.array(recording.orders)[:, None]
@@ -135,12 +141,18 @@ def _bridged(time: np.ndarray, angle: np.ndarray, at: np.ndarray) -> np.ndarray:
     return np.stack([lines, CubicSpline(time, angle)(np.clip(at, time[0], time[-1]))])
 
 
-def _averaged(power: np.ndarray, wide: int) -> np.ndarray:
-    """(F,) mean of the lines around each line, of so many at least."""
-    total = np.append(0.0, np.cumsum(power))
-    line = np.arange(len(power))
+def _around(count: int, wide: int) -> tuple[np.ndarray, np.ndarray]:
+    """(F,) first and last + 1 of the lines around each of so many, `wide` at least but for the
+    ends."""
+    line = np.arange(count)
     half = np.maximum(wide // 2, (_SHARE * line).astype(int))
-    first, last = np.maximum(line - half, 0), np.minimum(line + half + 1, len(power))
+    return np.maximum(line - half, 0), np.minimum(line + half + 1, count)
+
+
+def _averaged(power: np.ndarray, wide: int) -> np.ndarray:
+    """(F,) mean of the lines around each line."""
+    total = np.append(0.0, np.cumsum(power))
+    first, last = _around(len(power), wide)
     return (total[last] - total[first]) / (last - first)
 
 

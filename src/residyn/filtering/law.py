@@ -91,7 +91,7 @@ class Laws(NamedTuple):
     """The laws of a program: by name, those of the catalogue; others, as they are; and curves."""
 
     names: tuple[str, ...]
-    """`name` of what acts at one joint, else its label."""
+    """See `law_name`."""
     others: tuple[AbstractEffect, ...] = ()
     orders: tuple[int, ...] = ()
     """Which derivative is read of each joint; () is angles."""
@@ -142,8 +142,10 @@ def _made(name: str) -> AbstractEffect:
 
 
 def law_name(effect: AbstractEffect) -> str:
-    """What an effect's law is called in `Laws`."""
-    return effect.name if of_one_joint(effect) else effect.label
+    """What an effect's law is called in `Laws`: by `name` if it is one at all joints, as a usual
+    effect's and a curve's are; else by its label."""
+    one = of_one_joint(effect) and (isinstance(effect, FreeCurve) or usual(effect))
+    return effect.name if one else effect.label
 
 
 def usual(effect: AbstractEffect) -> bool:
@@ -152,7 +154,7 @@ def usual(effect: AbstractEffect) -> bool:
     if catalogue().get(effect.name) is not kind or not kind.__module__.startswith("residyn."):
         return False
     fixed = [p.field for p in parameters_of(effect) if not p.fitted]
-    like = _made(law_name(effect))
+    like = _made(effect.label)
     return all(float(getattr(effect, f)) == float(getattr(like, f)) for f in fixed)
 
 
@@ -171,21 +173,16 @@ def catalogue_on(mechanism: AbstractInertia) -> list[AbstractEffect]:
 def laws_for(effects: Sequence[AbstractEffect], catalogued: Sequence[AbstractEffect] = ()) -> Laws:
     """The laws of a program for some effects: the whole catalogue; or no others, if one of the
     effects is in no catalogue."""
-    own = [e for e in effects if not usual(e) and not isinstance(e, FreeCurve)]
-    others = {law_name(e): _blank(e) for e in own}
+    others = tuple(e for e in effects if not usual(e) and not isinstance(e, FreeCurve))
     beside = effects if others else [*effects, *catalogued]
     names = sorted({law_name(e) for e in beside if usual(e)})
-    return Laws(tuple(names), tuple(others.values()))
+    return Laws(tuple(names), others)
 
 
 def curves_of(effects: Sequence[AbstractEffect]) -> tuple[FreeCurve, ...]:
     """The curves of a model, one of a kind at the most, as a program holds them."""
-    known = {e.name: _blank(e) for e in effects if isinstance(e, FreeCurve)}
-    return tuple(known.get(e.name, e) for e in no_curves())  # pyright: ignore
-
-
-def _blank(effect: AbstractEffect) -> AbstractEffect:
-    return dataclasses.replace(effect, joint="") if of_one_joint(effect) else effect
+    known = {e.name: dataclasses.replace(e, joint="") for e in effects if isinstance(e, FreeCurve)}
+    return tuple(known.get(e.name, e) for e in no_curves())
 
 
 class Slots(NamedTuple):
@@ -365,21 +362,21 @@ def along_follow(effect, room: tuple[int, int], q, v, t, z, far, numbers, mechan
 
 def along_readings(effect, mechanism, angle, numbers):
     """What an effect of the sensors makes of angles (n, N): readings, their slopes (n, n, N) and
-    (n, p, N), and delays (n,) with their slopes (n, p)."""
+    (n, p, N), and delays (n, N) with their slopes (n, p, N); `mechanism` with leaves (N, ...)."""
     count = len(numbers_of(effect))
 
-    def at(angle, u):
+    def at(angle, u, mechanism):
         own = with_numbers(effect, u[:count])
         return stack(own.reading(split(angle), mechanism))
 
-    def late(u):
+    def late(u, mechanism):
         return stack(with_numbers(effect, u[:count]).delays(mechanism))
 
-    def one(angle):
-        return _with_slopes(at, 2)(angle, numbers)
+    def one(angle, mechanism):
+        seen = _with_slopes(at, 2)(angle, numbers, mechanism)
+        return *seen, *_with_slopes(late, 1)(numbers, mechanism)
 
-    seen = jax.vmap(one, in_axes=-1, out_axes=-1)(angle)
-    return *seen, *_with_slopes(late, 1)(numbers)
+    return jax.vmap(one, in_axes=(-1, 0), out_axes=-1)(angle, mechanism)
 
 
 def states_along(effect: Any, numbers, mechanism, q, v, t, h, anew, z0):

@@ -562,24 +562,23 @@ def derivatives(at: Nodes, f: Field, orders: tuple[int, ...]) -> tuple[Seen, See
 def _readings(laws: Laws, table: Table, instants: Instants, at: Nodes, f: Field, point: Point):
     """Slopes of the readings in the state (n, X, K), in the random torque (n, n, K) and in the
     regressors (n, P, K), and the readings (n, K)."""
-    n, P = at.q.shape[0], point.u.shape[0]
+    n, P, K = at.q.shape[0], point.u.shape[0], len(instants.step)
     known = laws.of("sensor")
     slots, p = table.sensor, most_numbers(known)
-    mechanism = jax.tree.map(lambda x: x[0], instants.mechanisms)
-    delay, delay_u = jnp.zeros(n), jnp.zeros((n, P + p))
+    mechanism = at_nodes(instants.mechanisms, instants.run, 1)
+    angle, delay, delay_u = at.q[:, :K], jnp.zeros((n, K)), jnp.zeros((n, P + p, K))
     branches = [lambda angle, u, k=k: along_readings(k, mechanism, angle, u) for k in known]
     if known:
 
         def late(e, carry):
             delay, delay_u = carry
-            few = jnp.zeros((n, 1))
-            *_, d, d_u = jax.lax.switch(slots.law[e], branches, few, slots.numbers[e])
-            return delay + d, _added(delay_u, d_u * slots.slopes[e], 0, slots.column[e])
+            *_, d, d_u = jax.lax.switch(slots.law[e], branches, angle, slots.numbers[e])
+            return delay + d, _added(delay_u, d_u * slots.slopes[e][:, None], 0, slots.column[e])
 
         delay, delay_u = jax.lax.fori_loop(0, slots.count, late, (delay, delay_u))
     # r(t - d), averaged: r - d r' + (d^2 / 2 + spread) r''.
     r, rate, bend = derivatives(at, f, laws.orders)
-    d = delay[:, None] - instants.offset
+    d = delay - instants.offset
     w = 0.5 * d**2 + instants.spread
     value = r.value - d * rate.value + w * bend.value
     Hx, Ht, Hu = (
@@ -587,7 +586,7 @@ def _readings(laws: Laws, table: Table, instants: Instants, at: Nodes, f: Field,
         for here, once, twice in zip(r[1:], rate[1:], bend[1:], strict=True)
     )
     Hu = jnp.pad(Hu, ((0, 0), (0, p), (0, 0)))
-    Hu = Hu + (-rate.value + d * bend.value)[:, None] * delay_u[..., None]
+    Hu = Hu + (-rate.value + d * bend.value)[:, None] * delay_u
     if known:
 
         def seen(e, carry):

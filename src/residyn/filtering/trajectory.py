@@ -105,7 +105,8 @@ class Trajectory:
 
 
 class Scene:
-    """Recordings on one grid, and the typical sizes of their motion."""
+    """Recordings on one grid, and the typical sizes of their motion: inertia, pace, reach and noise
+    are those of the longest one."""
 
     def __init__(
         self,
@@ -121,9 +122,9 @@ class Scene:
         n = len(self.joints)
         self.units = mechanisms[0].units or ("rad",) * n
         self.torque_units = tuple("N" if unit == "m" else "N m" for unit in self.units)
-        rows = mechanisms[0].mass_matrix((0.0,) * n)
-        inertia = np.array([[float(x) for x in row] for row in rows])
         long = int(np.argmax([r.duration for r in recordings]))
+        rows = mechanisms[long].mass_matrix((0.0,) * n)
+        inertia = np.array([[float(x) for x in row] for row in rows])
         driven = recordings[long].drive is not None
         mirrored = not (driven or any(recordings[long].orders))
         spectrum = Spectrum.of(recordings[long], wild[long], mirrored)
@@ -152,13 +153,13 @@ class Scene:
         self.q, self.v = q, v
         each = map(g.of, range(len(recordings)))
         moves = np.concatenate([own[: moving(q[own])] for own in each])
-        noise = np.sqrt(np.median(g.variance[g.of(0)], axis=0))
-        noise = noise * recordings[0].as_angles.noise / recordings[0].noise
+        noise = np.sqrt(np.median(g.variance[g.of(long)], axis=0))
+        noise = noise * recordings[long].as_angles.noise / recordings[long].noise
         amplitude = np.maximum(np.std(q[moves], axis=0), 3 * noise)
         duration = recordings[long].duration
         slowest = 2 * math.pi / duration
         pace = np.maximum(np.sqrt(stiffness / np.diag(inertia)), slowest)
-        sizes = np.diag(inertia), pace, math.sqrt(2) * amplitude, mechanisms[0].reach()
+        sizes = np.diag(inertia), pace, math.sqrt(2) * amplitude, mechanisms[long].reach()
         self.scales = [
             Scales(*map(float, own), duration=duration) for own in zip(*sizes, strict=True)
         ]
