@@ -103,7 +103,7 @@ class ModelState:
     @property
     def times_noise(self) -> np.ndarray:
         """(n,) rms residual over the noise, per joint, where it was fitted."""
-        return self.fit.rmse / self.fit.noise
+        return self.fit.ratio
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of one step."""

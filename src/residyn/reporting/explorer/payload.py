@@ -162,7 +162,7 @@ def fitted(study: Study, added: Sequence[str], found: Fit, held: Sequence[str] =
         for r in _shown(study)
     ]
     numbers = [_number(n.name, n.value, n.std, n.unit, n.sign, held) for n in found.own_numbers]
-    errors = found.rmse / found.noise, study.held_out(added, found)
+    errors = found.ratio, study.held_out(added, found)
     torque = _torque_of(study, added, found)
     return _model(study, added, "refitted", errors, numbers, curves, torque)
 

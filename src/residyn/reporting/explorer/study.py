@@ -239,8 +239,8 @@ class Study:
 
     def held_out(self, added: Sequence[str], found: Fit) -> np.ndarray | None:
         """(n,) errors over the noise on readings that were not fitted; None if not known."""
-        if found.check_rmse is not None:
-            return found.check_rmse / found.noise
+        if found.check_ratio is not None:
+            return found.check_ratio
         key = frozenset(added)
         beside = self._held.get(key) if found is self.fits.get(key) else None
         return None if beside is None else beside.held_out.ratio
