@@ -900,26 +900,3 @@ def test_an_effect_that_is_given_has_the_evidence_of_one_that_is_found():
         search = Search(*scene_of(rig, ()))
         added = search.beside(search.base, "hysteresis:cart")
     assert given.log_evidence == pytest.approx(added.log_evidence, abs=1.0)
-
-
-def test_what_could_not_be_told_when_it_joined_is_told_beside_the_others():
-    """A disc with a brake pad that comes to rest off zero: alone, a constant torque and a brake
-    that slips once explain as much, and only one of them is the start of what friction ends."""
-    time = np.arange(0, 40, 0.02)
-    inertia, stiffness, step = 0.012, 0.35, 1e-3
-    q, v, angle = math.radians(26.0), 0.0, []
-    for i in range(len(time) * 20):
-        if i % 20 == 0:
-            angle.append(q)
-        free = v - step * (stiffness * q + 0.0012 * v) / inertia
-        v = math.copysign(max(abs(free) - step * 0.0018 / inertia, 0.0), free)
-        q += step * v
-    angle = np.array(angle) + math.radians(3.2)
-    angle = angle + 5e-4 * np.random.default_rng(1).standard_normal(len(time))
-    seen = residyn.Recording.from_arrays(time, angle[:, None], noise=5e-4)
-    found = residyn.diagnose(
-        residyn.Experiment(InertiaTable(("disc",), ((inertia,),), ("rad",)), (seen,))
-    )
-    first = {(f.name, f.place) for f in found.families[:2]}
-    assert first == {("offset", "disc"), ("dry friction", "disc")}
-    assert found.verdict == "missing"
