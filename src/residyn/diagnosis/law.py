@@ -263,10 +263,8 @@ class Written(Tried):
         effect: Any = self.found.kind()(self.found.joint)  # pyright: ignore[reportCallIssue]
         own = [i for i, e in enumerate(t.effects) if not isinstance(e, FreeCurve)]
         t = with_effects(scene, t, own, [effect])
-        numbers, its = (
-            np.array(t.prior.mean),
-            number_slices(t.effects)[t.labels.index(effect.label)],
-        )
+        its = number_slices(t.effects)[t.labels.index(effect.label)]
+        numbers = np.array(t.prior.mean)
         numbers[its] = [float(getattr(effect, n.field)) for n in numbers_of(effect)]
         t.u[its] = t.prior.regressors(numbers)[its]
         return (t,)
