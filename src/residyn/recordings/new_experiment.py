@@ -67,10 +67,8 @@ def _entry(file: Path, folder: Path) -> tuple[str, tuple[str, ...]]:
         raise InputError(f"{file}: has no column of angles beside {quote(columns['t'])}")
     read = [quantity_of(units.get(q, "rad")) or ("rad", 0) for q in angles]
     kinds, orders = tuple(base for base, _ in read), tuple(order for _, order in read)
-    joints, reads = (
-        Joints(tuple(columns[q] for q in angles), kinds, orders),
-        [READS[k] for k in orders],
-    )
+    joints = Joints(tuple(columns[q] for q in angles), kinds, orders)
+    reads = [READS[k] for k in orders]
     keys: dict[str, Any] = {}
     if list(columns.values()) != list(columns):
         keys["columns"] = columns
