@@ -388,9 +388,9 @@ def tried_alone(
     """
     start = scene.start(effects, prior_of(scene, effects))
     starts = [start, dataclasses.replace(start, path=np.zeros_like(start.path))]
+    plain = [e for e in effects if e.name in BASE or not strengths(e)]
     silent = [e for e in effects if e.name not in BASE and strengths(e)]
     if silent:
-        plain = [e for e in effects if e not in silent]
         begun = tried_alone(scene, plain, go_on=go_on)
         for effect in silent:
             t, intensity = screening_motion(scene, begun)
@@ -774,13 +774,14 @@ class Search:
         """Try in the best model, in the place of each of its effects, those that could not be told
         from it when it joined: beside the others they may be told."""
         best, todo = self.best, {}
+        motion, loudest = screening_motion(self.scene, best)
         for i, label in enumerate(best.added):
             before = frozenset(best.added[:i])
             joined = self.tried.get(before | {label})
             if joined is None or before not in self.screens:
                 continue
             least = joined.log_posterior - INDISTINGUISHABLE
-            t = without(self.scene, screening_motion(self.scene, best)[0], label)
+            t = without(self.scene, motion, label)
             for row in self.screens[before].ranked:
                 rival = self.tried.get(before | {row.effect.label})
                 added = _replaced(best.added, label, row.effect)
@@ -790,7 +791,6 @@ class Search:
                     todo[added] = self.scene.consistent(extended(self.scene, t, row))
         if todo:
             self.say(f"weighing {len(todo)} exchanges")
-            loudest = screening_motion(self.scene, best)[1]
             each = settle(self.scene, list(todo.values()), loudest, self.in_time)
             for added, found in zip(todo, each, strict=True):
                 if found is not None:

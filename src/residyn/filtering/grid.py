@@ -28,7 +28,8 @@ _MINOR = 1e-2  # of the power of the acceleration, and of the angles: less needs
 _LENGTHS = 512, 768  # and twice that, and so on: few lengths to compile for
 _WIDE = 31  # lines of a periodogram that are averaged, at least, ...
 _SHARE = 0.05  # ... and to either side this share of a line's own frequency
-_HANN = 1 + 2 * (2 / 3) ** 2 + 2 * (1 / 6) ** 2  # lines behind its window that know as much as one
+# Lines behind Hann's window that tell as much as one independent line: squared correlations summed.
+_HANN = 1 + 2 * (2 / 3) ** 2 + 2 * (1 / 6) ** 2
 _SURE = 1e-6  # probability with which noise alone stands out of the noise at a line
 _ENOUGH = 4096  # instants: fewer are not averaged at all
 _INERTIA_ERROR = 0.02  # relative: inertias are known to per cents
