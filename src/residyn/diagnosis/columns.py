@@ -8,6 +8,7 @@ subset of them, to first order.
 """
 
 import dataclasses
+import functools
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -165,22 +166,21 @@ def columns(
     def three(x):  # (r, N) to (3, r, K)
         return jnp.moveaxis(x.reshape(-1, 3, K), 1, 0)
 
-    torques: list[list[Any]] = [[] for _ in range(n + 1)]  # of each joint, of the whole
-    readings, states = [], []
+    def of_law(effect, joint, numbers, widths, begun):
+        """Torques (J, S phases s, r, N) at J joints, each of one r = 1, or of the whole mechanism,
+        J = 1, and states (J, S phases m, K); `begun` (J, S, m, K) are those that they begin at."""
+        which, m, alone = _which(effect), len(effect.memory), group_of(effect) == "joint"
+        unit = jnp.eye(numbers.shape[-1])[which]
 
-    def of_place(effect, j: int, numbers, width):
-        """Torques (S phases s, r, N), of one joint r = 1, and states (S phases m, K)."""
-        own = slice(j, j + 1) if group_of(effect) == "joint" else slice(None)
-        q, v, d = at.q[own], at.v[own], direction[own]
-        which = _which(effect)
-        unit, m = jnp.eye(numbers.shape[-1])[which], len(effect.memory)
+        def of_phase(joint, numbers, width, begun, phase):
+            def own(x):
+                return jax.lax.dynamic_slice_in_dim(x, joint, 1) if alone else x
 
-        def of_phase(numbers, phase):
-            z, begun = jnp.zeros((m, 3 * K)), jnp.zeros((m, K))
+            q, v, d = map(own, (at.q, at.v, direction))
+            z = jnp.zeros((m, 3 * K))
             if m:
-                z0 = _begin(effect, j, numbers, at, early) + phase
                 args = three(q), three(v), at.time.reshape(3, K), instants.step
-                z = states_along(effect, numbers, early, *args, anew, z0)
+                z = states_along(effect, numbers, early, *args, anew, begun + phase)
                 begun, z = z[0], jnp.moveaxis(z, 0, 1).reshape(m, 3 * K)
             torque = _strengths(effect, unit, mechanism, q, v, at, z, numbers, d)
             if changes_bodies(effect):
@@ -195,22 +195,33 @@ def columns(
             return torque * width[:, None, None], begun
 
         phases = jnp.asarray([0.0, math.pi / 2] if effect.oscillates else [0.0])
-        over = jax.vmap(jax.vmap(of_phase, in_axes=(None, 0)), in_axes=(0, None))
-        torque, z = over(numbers, phases)
-        return torque.reshape(-1, *torque.shape[-2:]), z.reshape(-1, K)
+        over = jax.vmap(of_phase, in_axes=(None, None, None, None, 0))
+        over = jax.vmap(over, in_axes=(None, 0, None, 0, None))
+        over = jax.vmap(over, in_axes=(0, 0, 0, 0, None))
+        torque, z = over(jnp.asarray(joint), numbers, widths, begun, phases)
+        return torque.reshape(len(z), -1, *torque.shape[-2:]), z.reshape(len(z), -1, K)
 
     moves, none = jnp.concatenate([at.v, acceleration]), jnp.zeros((2 * n, 0, 3 * K))
     f = Field(moves, by_x[: 2 * n, : 2 * n], none, by_torque[: 2 * n], direction)
     seen, rate, _ = derivatives(at, f, model[0].orders)
-    for place, effect, numbers, width in _places(laws, shaped, n):
+    torques, states, readings = [[] for _ in range(n + 1)], [[] for _ in range(n + 1)], []
+    for effect, s in zip(laws.each, shaped, strict=True):
         if effect.senses:
-            _, _, by_number, _, late = along_readings(effect, sensed, seen.value, numbers[0])
-            own = by_number - rate.value[:, None] * late
-            readings.append(own[:, _which(effect)] * width[:, None])
-        else:
-            torque, z = of_place(effect, place, numbers, width)
+            for numbers, width in zip(s.numbers, s.widths, strict=True):
+                _, _, by_number, _, late = along_readings(effect, sensed, seen.value, numbers[0])
+                own = by_number - rate.value[:, None] * late
+                readings.append(own[:, _which(effect)] * width[:, None])
+            continue
+        begun = jnp.zeros((*s.numbers.shape[:2], 0, K))
+        if effect.memory:
+            begin = functools.partial(_begin, effect, at=at, mechanism=early)
+            rows = zip(s.joints, s.numbers, strict=True)
+            begun = jnp.stack([jax.vmap(functools.partial(begin, j))(u) for j, u in rows])
+        each = of_law(effect, s.joints, s.numbers, s.widths, begun)
+        for joint, torque, z in zip(s.joints, *each, strict=True):
+            place = joint if group_of(effect) == "joint" else n
             torques[place].append(torque)
-            states.append(z)
+            states[place].append(z)
     answers = responses(instants, by_x, by_torque)
 
     def nodes_of(each, rows: int):
@@ -220,7 +231,7 @@ def columns(
 
     joint = nodes_of([x for each in torques[:n] for x in each], 1)[:, :, 0]
     sensors = jnp.concatenate([jnp.zeros((n, 0, K)), *readings], 1).transpose(2, 0, 1)
-    states = jnp.concatenate([jnp.zeros((0, K)), *states])
+    states = jnp.concatenate([jnp.zeros((0, K)), *itertools.chain(*states)])
     pushed = seen.by_torque.transpose(2, 0, 1)
     return answers, pushed, joint, nodes_of(torques[n], n), sensors, states
 
