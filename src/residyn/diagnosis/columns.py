@@ -23,6 +23,7 @@ from ..filtering.kalman import Torques, gram
 from ..filtering.law import (
     Laws,
     Table,
+    along_delays,
     along_readings,
     changes_bodies,
     group_of,
@@ -208,7 +209,8 @@ def columns(
     for effect, s in zip(laws.each, shaped, strict=True):
         if effect.senses:
             for numbers, width in zip(s.numbers, s.widths, strict=True):
-                _, _, by_number, _, late = along_readings(effect, sensed, seen.value, numbers[0])
+                *_, by_number = along_readings(effect, sensed, seen.value, numbers[0])
+                _, late = along_delays(effect, sensed, numbers[0])
                 own = by_number - rate.value[:, None] * late
                 readings.append(own[:, _which(effect)] * width[:, None])
             continue

@@ -361,22 +361,28 @@ def along_follow(effect, room: tuple[int, int], q, v, t, z, far, numbers, mechan
 
 
 def along_readings(effect, mechanism, angle, numbers):
-    """What an effect of the sensors makes of angles (n, N): readings, their slopes (n, n, N) and
-    (n, p, N), and delays (n, N) with their slopes (n, p, N); `mechanism` with leaves (N, ...)."""
+    """What an effect of the sensors makes of angles (n, N): readings, and their slopes (n, n, N)
+    and (n, p, N); `mechanism` with leaves (N, ...)."""
     count = len(numbers_of(effect))
 
     def at(angle, u, mechanism):
         own = with_numbers(effect, u[:count])
         return stack(own.reading(split(angle), mechanism))
 
+    def one(angle, mechanism):
+        return _with_slopes(at, 2)(angle, numbers, mechanism)
+
+    return jax.vmap(one, in_axes=(-1, 0), out_axes=-1)(angle, mechanism)
+
+
+def along_delays(effect, mechanism, numbers):
+    """Delays (n, N) of the joints' sensors, s, and their slopes (n, p, N); else as above."""
+    count = len(numbers_of(effect))
+
     def late(u, mechanism):
         return stack(with_numbers(effect, u[:count]).delays(mechanism))
 
-    def one(angle, mechanism):
-        seen = _with_slopes(at, 2)(angle, numbers, mechanism)
-        return *seen, *_with_slopes(late, 1)(numbers, mechanism)
-
-    return jax.vmap(one, in_axes=(-1, 0), out_axes=-1)(angle, mechanism)
+    return jax.vmap(lambda m: _with_slopes(late, 1)(numbers, m), out_axes=-1)(mechanism)
 
 
 def states_along(effect: Any, numbers, mechanism, q, v, t, h, anew, z0):

@@ -27,6 +27,7 @@ from .law import (
     Slopes,
     Slots,
     Table,
+    along_delays,
     along_follow,
     along_readings,
     along_torque,
@@ -183,10 +184,12 @@ def changed_bodies(laws: Laws, slots: Slots, numbers, mechanisms):
         return lambda bodies, u: jax.vmap(lambda b: with_numbers(effect, u[:own]).bodies(b))(bodies)
 
     branches = [*map(branch, known), lambda bodies, u: bodies]
-    for e in range(len(slots.law)):
+
+    def change(e, bodies):
         at = jnp.where(e < slots.count, slots.law[e], len(known))
-        mechanisms = jax.lax.switch(at, branches, mechanisms, numbers[e])
-    return mechanisms
+        return jax.lax.switch(at, branches, bodies, numbers[e])
+
+    return jax.lax.fori_loop(0, len(slots.law), change, mechanisms)
 
 
 def _added(x, rows, *start):
@@ -566,13 +569,13 @@ def _readings(laws: Laws, table: Table, instants: Instants, at: Nodes, f: Field,
     known = laws.of("sensor")
     slots, p = table.sensor, most_numbers(known)
     mechanism = at_nodes(instants.mechanisms, instants.run, 1)
-    angle, delay, delay_u = at.q[:, :K], jnp.zeros((n, K)), jnp.zeros((n, P + p, K))
-    branches = [lambda angle, u, k=k: along_readings(k, mechanism, angle, u) for k in known]
+    delay, delay_u = jnp.zeros((n, K)), jnp.zeros((n, P + p, K))
     if known:
+        delays = [functools.partial(along_delays, k, mechanism) for k in known]
 
         def late(e, carry):
             delay, delay_u = carry
-            *_, d, d_u = jax.lax.switch(slots.law[e], branches, angle, slots.numbers[e])
+            d, d_u = jax.lax.switch(slots.law[e], delays, slots.numbers[e])
             return delay + d, _added(delay_u, d_u * slots.slopes[e][:, None], 0, slots.column[e])
 
         delay, delay_u = jax.lax.fori_loop(0, slots.count, late, (delay, delay_u))
@@ -588,11 +591,12 @@ def _readings(laws: Laws, table: Table, instants: Instants, at: Nodes, f: Field,
     Hu = jnp.pad(Hu, ((0, 0), (0, p), (0, 0)))
     Hu = Hu + (-rate.value + d * bend.value)[:, None] * delay_u
     if known:
+        branches = [functools.partial(along_readings, k, mechanism) for k in known]
 
         def seen(e, carry):
             value, Hx, Ht, Hu = carry
             found = jax.lax.switch(slots.law[e], branches, value, slots.numbers[e])
-            value, by_angle, by_number, _, _ = found
+            value, by_angle, by_number = found
             Hx, Ht, Hu = (_product(by_angle, x) for x in (Hx, Ht, Hu))
             own = by_number * slots.slopes[e][:, None]
             return value, Hx, Ht, _added(Hu, own, 0, slots.column[e])
