@@ -44,6 +44,7 @@ from .evidence import (
     log_sum,
 )
 from .forecast import held_out
+from .free_curves import compile_curves
 from .law import CurveModel, curve_models, laws_of
 from .linearised_fit import Hopeless, evaluated, polish
 from .missing_torque import CURVES, missing_of, owning_base, restoring_torque, scene_of
@@ -122,6 +123,8 @@ def diagnosed(
     began: float,
 ) -> Diagnosis:
     """What `diagnose` finds from a base model with some effects; `began` on `time.perf_counter`."""
+    if search.first:  # compiled beside the search, at the end of which it is needed
+        fits.beside(functools.partial(compile_curves, search.scene, search.base.best))
     fits.begin(search.base)
     search.exact = fits.simulated
     given = fits.whole, effects, search.scene, search.base, len(search.candidates), search.in_time
@@ -159,6 +162,15 @@ class Fits:
                 ]
                 self._begun[tried.best] = self._pool.submit(self._of, tried, enough, parts)
             return self._begun[tried.best]
+
+    def beside(self, call: Callable[[], None]) -> None:
+        """Have something done in another thread, in float64."""
+
+        def in_float64() -> None:
+            with jax.enable_x64(True):  # JAX's settings are each thread's own
+                call()
+
+        self._pool.submit(in_float64)
 
     def of(self, tried: Tried) -> Fit:
         """The fit of one model.

@@ -11,6 +11,7 @@ does.
 
 import dataclasses
 import functools
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -28,6 +29,7 @@ from ..filtering.kalman import Torques, gram
 from ..filtering.linearised import Instants, nodes
 from ..filtering.trajectory import Scene, Trajectory
 from ..runtime.export_cache import kept
+from ..runtime.parallel import side_by_side
 from .columns import responses
 from .evidence import (
     CURVE_AMPLITUDES,
@@ -342,22 +344,33 @@ class Screened(NamedTuple):
 
 def screen(along: Along, intensities: Sequence[float]) -> list[Screened]:
     """Every free curve beside a model, to first order, the best first."""
-    found, P = [], len(along.trajectory.u)
-    for joint in range(along.scene.n):
-        for k in range(0, len(KINDS), _AT_ONCE):
-            places = [
-                Place(kind, joint, *along.span(kind.variable, joint))
-                for kind in KINDS[k : k + _AT_ONCE]
-            ]
-            totals, grams = along.gram(places, [_finer()] * len(places), intensities)
-            for i, place in enumerate(places):
-                own = 1 + P + SPLINES * i
-                keep = np.r_[0 : 1 + P, own : own + SPLINES]
-                each = grams[:, keep[:, None], keep]
-                post = _posterior(along, place, intensities, totals, each)
-                logs = post.evidences + log_prior_intensity(intensities)
-                found.append(Screened(place, log_sum(logs), post))
-    return sorted(found, key=lambda s: -s.log_evidence)
+    P = len(along.trajectory.u)
+
+    def screened(joint: int, kinds: Sequence[Kind]) -> list[Screened]:
+        places = [Place(kind, joint, *along.span(kind.variable, joint)) for kind in kinds]
+        totals, grams = along.gram(places, [_finer()] * len(places), intensities)
+        found = []
+        for i, place in enumerate(places):
+            own = 1 + P + SPLINES * i
+            keep = np.r_[0 : 1 + P, own : own + SPLINES]
+            each = grams[:, keep[:, None], keep]
+            post = _posterior(along, place, intensities, totals, each)
+            logs = post.evidences + log_prior_intensity(intensities)
+            found.append(Screened(place, log_sum(logs), post))
+        return found
+
+    parts = [KINDS[k : k + _AT_ONCE] for k in range(0, len(KINDS), _AT_ONCE)]
+    every = itertools.product(range(along.scene.n), parts)
+    found = side_by_side([functools.partial(screened, *each) for each in every])
+    return sorted(itertools.chain(*found), key=lambda s: -s.log_evidence)
+
+
+def compile_curves(scene: Scene, t: Trajectory) -> None:
+    """Compile what free curves run, by running it once along a motion."""
+    along = Along(scene, t)
+    place = Place(KINDS[0], 0, *along.span(KINDS[0].variable, 0))
+    for room in _ROOMS:
+        along.gram([place], [np.zeros((HEIGHTS, room))], [0.0])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

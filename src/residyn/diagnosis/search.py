@@ -342,14 +342,17 @@ def silenced(scene: Scene, t: Trajectory, intensity: float) -> Trajectory:
 _prepared: set[Any] = set()
 
 
-def prepare(scene: Scene, base: Sequence[AbstractEffect], wanted: Sequence[AbstractEffect]) -> None:
-    """Compile what a search runs, side by side, by running it once with zeros; once a process."""
+def prepare(scene: Scene, base: Sequence[AbstractEffect], wanted: Sequence[AbstractEffect]) -> bool:
+    """Compile what a search runs, side by side, by running it once with zeros; once a process.
+
+    **Returns:** whether anything was compiled.
+    """
     t = scene.start(base, prior_of(scene, base))
     K, X, n, P = scene.K, t.path.shape[1], scene.n, len(t.u)
     laws, _ = scene.tabulated(t)
     key = laws.names, scene.joints, len(t.first), K, X, P, type(scene.mechanisms[0])
     if key in _prepared:
-        return
+        return False
     _prepared.add(key)
     shapes = (X, X), (X, P), (X, n), (X,), (n, X), (n, P), (n,), (n, n), (n,)
     system = System(*(np.zeros((K, *shape)) for shape in shapes))
@@ -365,6 +368,7 @@ def prepare(scene: Scene, base: Sequence[AbstractEffect], wanted: Sequence[Abstr
     # The largest program beside all others.
     side_by_side([functools.partial(scene.linearised, t), filters])
     give_back()
+    return True
 
 
 class OutOfTime(Exception):
@@ -477,7 +481,8 @@ class Search:
         self.screens: dict[frozenset[str], Screen] = {}
         """First-order evidence of all candidates beside the models that were extended."""
         say("smoothing the motion with the model")
-        prepare(scene, base, self.candidates)
+        self.first = prepare(scene, base, self.candidates)
+        """Whether it is the first of its kind in this process."""
         alone = tried_alone(scene, base)
         self._keep((), alone.evidences, alone.best)
 
