@@ -1,9 +1,9 @@
 """Hide an effect in a MuJoCo arm, and see whether `residyn.diagnose` names it.
 
-    python -m benchmarks.hidden_effects run --seeds evidence --jobs 2 --shuffle --out RUN
+    python -m benchmarks.hidden_effects run --seeds fresh --jobs 2 --shuffle --out RUN
     python -m benchmarks.hidden_effects oracle RUN [OTHER...] --jobs 2 --out ORACLE
     python -m benchmarks.hidden_effects report RUN --oracle ORACLE --beside NAME=OTHER...
-    python -m benchmarks.hidden_effects sindy --seeds evidence --out OTHER     (another environment)
+    python -m benchmarks.hidden_effects sindy --seeds fresh --out OTHER     (another environment)
 
 Random arms, releases and strengths; one recording each, 20 s at 100 Hz. Hidden are: one effect of
 the catalogue at one place (`single`), nothing (`none`), something that no catalogue has (`outside`:
