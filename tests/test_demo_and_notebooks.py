@@ -5,13 +5,11 @@ import importlib.util
 import json
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from residyn.cli import _options, main
-from residyn.demo import HIDDEN, by_window
+from residyn.demo import HIDDEN
 
 ROOT = Path(__file__).parents[1]
 
@@ -54,21 +52,6 @@ def test_demo_from_end_to_end(folder, monkeypatch, capsys):
     ):
         assert said in out
     assert first in (ROOT / "README.md").read_text()
-
-
-def test_residual_by_window():
-    time = np.arange(100) / 10
-    residual = np.ones((100, 2))
-    residual[50:] = 3.0
-    used = np.ones((100, 2), bool)
-    used[:25, 1] = False
-    noise = np.array([1.0, 0.5])
-    beside = SimpleNamespace(
-        recording=SimpleNamespace(time=time, noise=noise), residual=residual, used=used
-    )
-    edges, sizes = by_window(beside, 4)  # pyright: ignore[reportArgumentType]
-    assert (edges[0], edges[-1]) == (0.0, 9.9)
-    np.testing.assert_allclose(sizes, [[1, np.nan], [1, 2], [3, 6], [3, 6]])
 
 
 @pytest.mark.parametrize("path", ALL, ids=lambda path: path.stem)

@@ -12,9 +12,9 @@ import pytest
 import residyn
 from residyn import errors
 from residyn.cli import main
-from residyn.fitting import Genetic, History, MissingExtra, evolution, levenberg_history, methods
+from residyn.fitting import Genetic, History, MissingExtra, evolution, methods
 from residyn.fitting.genetic import Part, box, search_of
-from residyn.fitting.history import relative_error
+from residyn.fitting.history import Watch, relative_error, watched
 from residyn.fitting.multistart import beginning
 from residyn.fitting.problem import ready
 from residyn.recordings.tables import ArmTable
@@ -236,7 +236,9 @@ def test_the_command_fits(folder, monkeypatch, capsys):
 
 
 def test_levenberg_needs_fewer_simulations(experiment, genetic, levenberg, monkeypatch):
-    descent = levenberg_history(experiment, starts=2)
+    with watched(Watch()) as watch:
+        residyn.fit(experiment, starts=2)
+    descent = watch.history
     assert (np.diff(descent.simulations) > 0).all()
     beside = levenberg.recordings[0]
     size = np.linalg.norm(beside.recording.angle, axis=0)

@@ -526,7 +526,7 @@ def test_on_a_phone_tables_stay_within_the_page_and_wide_pictures_scroll(tmp_pat
     wide = '<svg xmlns="http://www.w3.org/2000/svg" width="800" height="9"/>'
     monkeypatch.setattr("residyn.reporting.figures.inline.svg", lambda figure: wide)
     first, second, *_ = by_hand.missing().candidates
-    long = {n: dataclasses.replace(v, std=1e-8) for n, v in first.parameters.items()}
+    long = {n: v._replace(std=1e-8) for n, v in first.parameters.items()}
     each = zip((first, second), (long, {}), strict=True)
     few = tuple(dataclasses.replace(c, parameters=values) for c, values in each)
     made = by_hand.missing(candidates=few)

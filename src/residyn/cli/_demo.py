@@ -74,15 +74,16 @@ def demo(
 
 
 def _windows(words: "Console", fit: "Fit") -> None:
-    """The residual of the first recording along time, in units of the noise."""
-    from ..demo import by_window
+    """The residual along time, in units of the noise."""
+    from ..diagnosis.linearised_fit import predictions
+    from ..diagnosis.residuals import where
     from ..reporting.layout import Table, printed
 
-    edges, sizes = by_window(fit.recordings[0])
+    windows = where(fit, predictions(fit, fit.unknowns)[1]).time
     head, rows = ["time", *(f"{joint}: rms residual / noise" for joint in fit.joints)], []
-    unit = _BAR / sizes[sizes == sizes].max()
-    for start, stop, row in zip(edges, edges[1:], sizes, strict=False):
-        bars = (f"{times(size):>4} {'█' * max(1, round(size * unit))}" for size in row)
+    unit = _BAR / max(cell.ratio for window in windows for cell in window.cells)
+    for start, stop, cells in (window[1:] for window in windows):
+        bars = (f"{times(c.ratio):>4} {'█' * max(1, round(c.ratio * unit))}" for c in cells)
         rows.append([f"{start:.1f}-{stop:.1f} s", *bars])
     table = Table(head, rows, left=range(1, len(head)))
     words.print("\n".join(printed(table, indent=0)), soft_wrap=True)

@@ -7,7 +7,6 @@ import webbrowser
 from pathlib import Path
 from typing import Annotated
 
-from ..errors import InputError
 from . import _options
 from ._shell import DONE, NoNumbers, console, progress, set_up_jax, tell
 from ._work import bring, one_complaint
@@ -47,9 +46,7 @@ def explore(
         files = ExperimentFiles(path)
         for line in files.experiment.understood:
             tell(line)
-        if not files.experiment.fit_recordings:
-            raise InputError(f'{experiment}: no recording has role = "fit": nothing to fit to')
-        with one_complaint():  # of a wrong effect, before any page opens
+        with one_complaint():  # of nothing to fit or a wrong effect, before any page opens
             from ..fitting.problem import ready
 
             ready(files.experiment, files.experiment.fit_recordings, effects or [])

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..filtering.grid import local_amplitude
 from ..fitting.result import Fit, RecordingFit
 from ..runtime.json import number
 from .bands import Band, bands
@@ -169,21 +170,10 @@ def _by_amplitude(fit: Fit, fitted: Sequence[RecordingFit], cells):
 
 def swing(beside: RecordingFit, period: float) -> np.ndarray:
     """(N, n) amplitude of the measured motion over one period (s) around each sample."""
-    time, used = beside.recording.time, beside.used
-    period = min(period, beside.recording.duration / 4)
-    begin = np.clip(time - period / 2, time[0], time[-1] - period)
-    low = np.searchsorted(time, begin - 1e-9 * period)
-    high = np.searchsorted(time, begin + period * (1 + 1e-9), side="right")
-    angle = np.where(used, beside.recording.as_angles.angle, 0.0)
-    middle = angle.sum(axis=0) / np.maximum(used.sum(axis=0), 1)
-    angle = np.where(used, angle - middle, 0.0)  # so that small swings about a large rest survive
-    total = [
-        np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(x, axis=0)])
-        for x in (used.astype(float), angle, angle**2)
-    ]
-    count, once, twice = (t[high] - t[low] for t in total)
-    count = np.maximum(count, 1.0)
-    return np.sqrt(2 * np.maximum(twice / count - (once / count) ** 2, 0.0))
+    r = beside.recording
+    pairs = zip(beside.used.T, r.as_angles.angle.T, strict=True)
+    seen = [np.interp(r.time, r.time[u], q[u]) if u.any() else 0.0 * r.time for u, q in pairs]
+    return local_amplitude(r.time, np.stack(seen, axis=1), min(period, r.duration / 4))
 
 
 def _by_frequency(

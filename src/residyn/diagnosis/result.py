@@ -7,7 +7,7 @@ posterior probabilities of models that were tried (`evidence`).
 
 import functools
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -24,9 +24,8 @@ from .search import Search
 Verdict = Literal["adequate", "missing", "unexplained"]
 
 
-@dataclass(frozen=True)
-class Value:
-    """A number of a candidate. `std` is NaN where it is not known."""
+class Value(NamedTuple):
+    """A number and its standard error, NaN where that is not known."""
 
     value: float
     std: float
@@ -34,7 +33,7 @@ class Value:
 
     def to_dict(self) -> dict[str, Any]:
         """`value`, `std` (or null), `unit`."""
-        return finite(vars(self))
+        return finite(self._asdict())
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ from .batch import fit_many as fit_many
 from .bootstrap import Bootstrap as Bootstrap
 from .bootstrap import bootstrap as bootstrap
 from .fit import fit as fit
-from .fit import levenberg_history as levenberg_history
 from .genetic import Genetic as Genetic
 from .history import History as History
 from .implicit import Embedded as Embedded

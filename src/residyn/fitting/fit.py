@@ -16,7 +16,6 @@ from ..effects import AbstractEffect
 from ..recordings.experiment import Experiment, must_be_experiment
 from .conclusion import finishing
 from .genetic import drawn, fit_genetic
-from .history import History, Watch, watched
 from .initial_guess import resolving
 from .integration import TENTH, checked, refined, stable
 from .lanes import Fitting, alone
@@ -148,21 +147,3 @@ def _refined(descent: Descent, error: float) -> Fitting[Descent | None]:
     return again._replace(
         steps=descent.steps + again.steps, starts=descent.starts, agreeing=descent.agreeing
     )
-
-
-def levenberg_history(
-    experiment: Experiment,
-    *,
-    effects: Sequence[str | AbstractEffect] = (),
-    starts: int = DEFAULT_STARTS,
-) -> History:
-    """How Eq. 17 falls in a fit by Levenberg-Marquardt: the best of all starts.
-
-    A step counts as one simulation and one for every unknown, as that many are carried along for
-    the Jacobian, also where it covers a share of the recordings only. The objective, which is not
-    the one that is minimised, is that of all fitted readings; held-out recordings take no part.
-    """
-    experiment = dataclasses.replace(experiment, recordings=experiment.fit_recordings)
-    with watched(Watch()) as watch:
-        fit(experiment, effects=effects, starts=starts)
-    return watch.history

@@ -150,9 +150,9 @@ class Model(eqx.Module):
     @property
     def memory(self) -> tuple[Number[Memory], ...]:
         """The internal states of all effects, in order."""
-        joints = self.mechanism.joints
+        which: dict[str | None, int] = {j: i for i, j in enumerate(self.mechanism.joints)}
         return tuple(
-            Number(f"{effect.label}.{each.name}", each, index, _joint(effect.label, joints))
+            Number(f"{effect.label}.{each.name}", each, index, which.get(effect.place))
             for index, effect in enumerate(self.effects)
             for each in effect.memory
         )
@@ -292,11 +292,6 @@ def changed(module: _Module, **fields) -> _Module:
 
 def _named(model: Model):
     return tuple((type(e), e.label) for e in model.effects), model.mechanism.joints
-
-
-def _joint(label: str, joints: tuple[str, ...]) -> int | None:
-    place = label.partition(":")[2]
-    return joints.index(place) if place in joints else None
 
 
 @functools.cache  # a fit asks some hundred times

@@ -14,6 +14,7 @@ import jax
 import numpy as np
 from scipy.special import chdtrc
 
+from ..diagnosis.result import Value
 from ..errors import InputError
 from ..fitting import FitError
 from ..physics.bearings import with_bearings
@@ -21,7 +22,7 @@ from ..physics.mechanism import PlanarArm
 from ..recordings.experiment import Experiment
 from ..recordings.tables import ArmTable
 from .driven import DrivenTest, driven_test
-from .result import FRICTION, InertiaResult, Number, Separation, TestResult
+from .result import FRICTION, InertiaResult, Separation, TestResult
 from .weak import CALIBRATED, Rows, Solved, ordinary, rows_of, solve
 
 _ROUNDS = 20
@@ -70,7 +71,7 @@ def inertia(experiment: Experiment) -> InertiaResult:
     values, covariance, chi2 = _combined(design, added, solved)
     units = "kg m^2", *FRICTION.values()
     found = [
-        TestResult(t, s, tuple(map(Number, *ls, units)))
+        TestResult(t, s, tuple(map(Value, *ls, units)))
         for t, s, ls in zip(tests, solved, begin, strict=True)
     ]
     return InertiaResult(

@@ -5,10 +5,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..diagnosis.result import Value
 from ..fitting import FitError
 from ..recordings.experiment import Experiment
 from ..recordings.tables import ArmTable
-from ..runtime.json import finite, number
+from ..runtime.json import number
 from ..runtime.presentation import Result
 from .carried import NAMES
 from .driven import DrivenTest
@@ -17,18 +18,6 @@ from .weak import Solved
 UNITS = ("kg m^2", "kg m^2", "kg m")
 FRICTION = {"coulomb_friction": "N m", "viscous_friction": "N m s/rad", "offset": "N m"}
 """What a test finds beside an inertia, and the units."""
-
-
-class Number(NamedTuple):
-    """A value and its standard error."""
-
-    value: float
-    std: float
-    unit: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """As in the JSON."""
-        return finite(self._asdict())
 
 
 class Separation(NamedTuple):
@@ -60,7 +49,7 @@ class TestResult:
 
     test: DrivenTest
     solved: Solved
-    least_squares: tuple[Number, ...]
+    least_squares: tuple[Value, ...]
 
     @property
     def name(self) -> str:
@@ -68,16 +57,16 @@ class TestResult:
         return self.test.name
 
     @property
-    def inertia(self) -> Number:
+    def inertia(self) -> Value:
         """Composite inertia of what turns, kg m^2, as it was recorded."""
-        return Number(float(self.solved.values[0]), float(self.solved.std[0]), "kg m^2")
+        return Value(float(self.solved.values[0]), float(self.solved.std[0]), "kg m^2")
 
     @property
-    def friction(self) -> dict[str, Number | None]:
+    def friction(self) -> dict[str, Value | None]:
         """Coulomb (N m), viscous (N m s/rad) and offset (N m); None if it could not be told apart
         from Coulomb friction, as the joint slid one way only."""
         own = self.solved.values[1:].tolist(), self.solved.std[1:].tolist()
-        numbers = map(Number, *own, FRICTION.values())
+        numbers = map(Value, *own, FRICTION.values())
         return dict(zip(FRICTION, [*numbers, None][:3], strict=True))
 
     def to_dict(self, joints: tuple[str, ...]) -> dict[str, Any]:
@@ -120,22 +109,22 @@ class InertiaResult(Result):
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def shoulder(self) -> Number:
+    def shoulder(self) -> Value:
         """I1 + m2 l1^2, kg m^2."""
         return self._number(0)
 
     @property
-    def elbow(self) -> Number:
+    def elbow(self) -> Value:
         """I2 about the elbow, kg m^2."""
         return self._number(1)
 
     @property
-    def coupling(self) -> Number:
+    def coupling(self) -> Value:
         """m2 rho2, kg m."""
         return self._number(2)
 
-    def _number(self, i: int) -> Number:
-        return Number(float(self.values[i]), float(self.std[i]), UNITS[i])
+    def _number(self, i: int) -> Value:
+        return Value(float(self.values[i]), float(self.std[i]), UNITS[i])
 
     @property
     def link_lengths(self) -> tuple[float, float]:
@@ -143,11 +132,11 @@ class InertiaResult(Result):
         assert isinstance(self.experiment.inertia, ArmTable)
         return self.experiment.inertia.link_lengths
 
-    def composite(self, theta2: float = 0.0) -> Number:
+    def composite(self, theta2: float = 0.0) -> Value:
         """I1 + I2 + m2 l1^2 + 2 m2 l1 rho2 cos(theta2): what the shoulder turns, kg m^2."""
         row = np.array([1.0, 1.0, 2 * self.link_lengths[0] * np.cos(theta2)])
         std = float(np.sqrt(row @ self.covariance @ row))
-        return Number(float(row @ self.values), std, "kg m^2")
+        return Value(float(row @ self.values), std, "kg m^2")
 
     @property
     def arm(self) -> ArmTable:

@@ -3,6 +3,7 @@
 A reading may be missing (NaN); a time may not, and neither may a force for long.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -23,18 +24,24 @@ def check_table(time: Any, angle: Any, what: str = "angle") -> tuple[np.ndarray,
         raise InputError(
             f"{what} has shape {angle.shape}; it must be ({len(time)}, joints), a row per time"
         )
-    if np.isnan(time).any():
-        raise InputError(f"sample {np.flatnonzero(np.isnan(time))[0]} has no time")
+    check_time(time, lambda i: f"sample {i}")
+    if len(time) > 1 and (step := float(np.median(np.diff(time)))) < _SHORTEST:
+        raise InputError(f"t goes up by {step:.3g} s, too short a step for a reading; is it in s?")
+    return time, angle
+
+
+def check_time(time: np.ndarray, where: Callable[[int], str]) -> None:
+    """That time (N,) is known and increases; `where` says which sample one is."""
+    missing = np.flatnonzero(np.isnan(time))
+    if len(missing):
+        raise InputError(f"{where(missing[0])} has no time")
     back = np.flatnonzero(np.diff(time) <= 0)
     if len(back):
         i = int(back[0]) + 1
         raise InputError(
-            f"sample {i}: t = {time[i]:.12g} does not come after the t = {time[i - 1]:.12g} "
+            f"{where(i)}: t = {time[i]:.12g} does not come after the t = {time[i - 1]:.12g} "
             "before it; time must increase"
         )
-    if len(time) > 1 and (step := float(np.median(np.diff(time)))) < _SHORTEST:
-        raise InputError(f"t goes up by {step:.3g} s, too short a step for a reading; is it in s?")
-    return time, angle
 
 
 def _floats(values: Any, what: str, shape: str) -> np.ndarray:

@@ -23,6 +23,7 @@ import numpy as np
 
 from ..errors import InputError, inside, quote
 from ..files import read_table_text, write
+from .arrays import check_time
 from .columns import Column, Joints, Layout, Table, columns_of, guessed, is_unit_row, matched
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eEdD][+-]?[0-9]+)?")
@@ -76,7 +77,8 @@ def read_lab_csv(path: str | os.PathLike[str], joints: Joints, layout: Layout) -
     if len(infinite):
         i, j = infinite[0]
         raise InputError(f"{where}, line {number[i]}: {columns[j].name} is infinite")
-    _check_time(values[:, [c.name for c in columns].index("t")], number, where)
+    time = values[:, [c.name for c in columns].index("t")]
+    check_time(time, lambda i: f"{where}, line {number[i]}")
     more = [] if separator == "," else [f"{_WORDS.get(separator, quote(separator))} between cells"]
     more += ["decimal commas"] if decimal == "," else []
     above = any(not _COMMENT.match(row) for _, row in lines[:head])
@@ -275,16 +277,3 @@ def number_in(cell: str, name: str, decimal: str) -> float:
     if _is_number(cell):
         hint = f"the decimal sign is {quote(decimal)} here; decimal says which it is"
     raise InputError(f"{name} = {quote(cell)} is no number; {hint}")
-
-
-def _check_time(time: np.ndarray, number: np.ndarray, where: str) -> None:
-    missing = np.flatnonzero(np.isnan(time))
-    if len(missing):
-        raise InputError(f"{where}, line {number[missing[0]]}: has no time; every row needs t")
-    back = np.flatnonzero(np.diff(time) <= 0)
-    if len(back):
-        i = back[0] + 1
-        raise InputError(
-            f"{where}, line {number[i]}: t = {time[i]:.12g} does not come after the "
-            f"t = {time[i - 1]:.12g} before it; time must increase from row to row"
-        )

@@ -5,9 +5,10 @@ from collections.abc import Iterable
 import numpy as np
 from scipy.special import chdtrc
 
+from ..diagnosis.result import Value
 from ..errors import InputError
 from ..procedure.carried import NAMES
-from ..procedure.result import InertiaResult, Number, TestResult
+from ..procedure.result import InertiaResult, TestResult
 from ..procedure.weak import CALIBRATED
 from ..recordings.tables import check_bearings
 from .layout import Table, filled, printed, section, warned
@@ -127,12 +128,12 @@ def text(result: InertiaResult) -> str:
     return "\n".join([*lines, *warned(result.warnings)])
 
 
-def _inertias(result: InertiaResult) -> Iterable[tuple[str, Number, float]]:
+def _inertias(result: InertiaResult) -> Iterable[tuple[str, Value, float]]:
     numbers = result.shoulder, result.elbow, result.coupling
     return zip(NAMES, numbers, result.least_squares.tolist(), strict=True)
 
 
-def _percent(number: Number) -> str:
+def _percent(number: Value) -> str:
     return plain(100 * number.std / abs(number.value), 2) if number.value else "?"
 
 
@@ -208,7 +209,7 @@ def verdict(found: InertiaResult) -> str:
     return f"The arm on its bearings: {listed(each)}."
 
 
-def _pm(number: Number) -> str:
+def _pm(number: Value) -> str:
     return unbroken(" +/- ".join(with_error(number.value, number.std)))
 
 

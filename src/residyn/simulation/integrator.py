@@ -19,8 +19,6 @@ import dataclasses
 from typing import Any, ClassVar
 
 import diffrax
-import equinox as eqx
-import equinox.internal as eqxi
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -222,14 +220,15 @@ def at_nodes(
     `nodes` grow, and may end in copies of the last instant. `tighter` divides the tolerances and
     may be traced.
     """
-    solver, jumps = integrator.made(), isinstance(args.drive, Piecewise)
+    solver = integrator.made()
     if isinstance(solver, UnrolledTsit5):
         controller = _OneStepEach(nodes)
     else:
         inner = integrator.controller or diffrax.PIDController(
             rtol=integrator.rtol / tighter, atol=integrator.atol / tighter
         )
-        controller = _UpToNodes(inner, nodes, jumps)  # pyright: ignore[reportCallIssue]
+        steps, jumps = (None, nodes) if isinstance(args.drive, Piecewise) else (nodes, None)
+        controller = diffrax.ClipStepSizeController(inner, steps, jumps)
     # What reverse mode goes back over is compiled in: it must be no more than is needed.
     most = integrator.max_steps
     if isinstance(adjoint, diffrax.DirectAdjoint):
@@ -307,57 +306,3 @@ class _OneStepEach(diffrax.AbstractStepSizeController):
     ):
         there = _next_node(self.nodes, t1)
         return True, t1, there, False, None, diffrax.RESULTS.successful
-
-
-class _UpToNodes(diffrax.AbstractAdaptiveStepSizeController):
-    """Another controller, whose steps end at every node that they would pass.
-
-    As `diffrax.ClipStepSizeController`, which compares each step with all nodes: a fit by it takes
-    1.3 times as long (48 against 62 to 65 ms of the processor; 8 s at 50 Hz).
-    """
-
-    controller: diffrax.AbstractAdaptiveStepSizeController
-    nodes: Float[Array, " M"]
-    jumps: bool = eqx.field(static=True)
-
-    @property
-    def rtol(self):  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.controller.rtol
-
-    @property
-    def atol(self):  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.controller.atol
-
-    @property
-    def norm(self):  # pyright: ignore[reportIncompatibleMethodOverride]
-        return self.controller.norm  # pyright: ignore[reportAttributeAccessIssue]
-
-    def wrap(self, direction):
-        inner = self.controller.wrap(direction)
-        return _UpToNodes(inner, self.nodes, self.jumps)  # pyright: ignore
-
-    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        given = terms, t0, t1, y0, dt0, args, func, error_order
-        end, state = self.controller.init(*given)
-        return self._clipped(t0, end), state
-
-    def adapt_step_size(
-        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
-    ):
-        given = t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
-        keep, begin, end, jump, state, result = self.controller.adapt_step_size(*given)
-        if self.jumps:
-            # A step that ended just before a node goes on just after it.
-            node = _next_node(self.nodes, begin)
-            over = keep & (eqxi.nextafter(begin) >= node) & (begin < self.nodes[-1])
-            begin, jump = jnp.where(over, eqxi.nextafter(node), begin), jump | over
-            end = jnp.maximum(end, eqxi.nextafter(begin))
-        return keep, begin, self._clipped(begin, end), jump, state, result
-
-    def _clipped(self, begin, end):
-        node = _next_node(self.nodes, begin)
-        if self.jumps:
-            node = jnp.where(node < self.nodes[-1], eqxi.prevbefore(node), node)
-        # A sliver of a step before a node would cost as much as a whole one.
-        near = begin + 0.999 * (node - begin)
-        return jnp.where(end >= near, node, end)

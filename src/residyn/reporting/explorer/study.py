@@ -66,8 +66,6 @@ class Study:
         **Raises:** `ValueError` for an effect that does not exist or does not go with the
         experiment, or without a recording to fit; `FitError` if the base model has no fit.
         """
-        if not experiment.fit_recordings:
-            raise ValueError('no recording has role = "fit": there is nothing to fit to')
         self.experiment, self.say = experiment, say
         whole = owning_base(experiment, effects)
         scene, base = scene_of(whole, effects)

@@ -29,9 +29,9 @@ def convergence(
     """The best objective `against` the "simulations" or the "seconds" spent, both on logarithmic
     scales.
 
-    A genetic algorithm's history is that of its fit (`Fit.history`), Levenberg-Marquardt's comes
-    from `residyn.fitting.levenberg_history`. `floor` is an objective to draw a line at, such as
-    that which the noise of the readings alone leaves.
+    A genetic algorithm's history is that of its fit (`Fit.history`), that of any method is in its
+    runs of a `Race`. `floor` is an objective to draw a line at, such as that which the noise of the
+    readings alone leaves.
     """
     columns = 1 if narrow else 2
     figure = blank(narrow, 2.6 + 0.2 * -(-len(names) // columns))
