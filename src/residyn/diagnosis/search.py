@@ -638,10 +638,13 @@ class Search:
     def _sticking(
         self, screen: Screen, trajectory: Trajectory, linear: Linear, intensity: float
     ) -> list[Column]:
-        """The candidates in which something sticks, at each of their shapes and of `STRENGTHS`.
+        """The candidates in which something sticks, at each of their shapes: dry friction at each
+        of `STRENGTHS`, what follows the angle, whose torque is in proportion to its strength, at
+        the one that the screen has for that shape.
 
         When it sticks depends on the numbers, so that one linearisation about no strength says
-        little: each point of the grid has its own.
+        little: each point of the grid has its own. About far too small a strength a shape would
+        have to move too far.
         """
         scene, first = self.scene, INTENSITIES.index(intensity)
         first = min(max(first - 1, 0), len(INTENSITIES) - _NEAR)
@@ -656,11 +659,12 @@ class Search:
 
         points = []
         for row in screen.rows:
-            # The torque of what follows the angle is in proportion to its strength: one will do.
-            for x in STRENGTHS if row.effect.dry else STRENGTHS[1:2] if row.effect.follows else ():
-                # Further strengths are next to silent: of Stribeck's law, Coulomb's is left.
-                each = np.eye(len(row.which))[0] * x
-                points.append(row._replace(regressors=each))
+            # Further strengths are next to silent: of Stribeck's law, Coulomb's is left.
+            each = np.eye(len(row.which))[0]
+            if row.effect.dry:
+                points += [row._replace(regressors=x * each) for x in STRENGTHS]
+            elif row.effect.follows:
+                points.append(row._replace(regressors=screen.gain([row])[1]))
         return side_by_side([functools.partial(at, point) for point in points])
 
     def extend(self, parent: Tried) -> None:
