@@ -323,6 +323,28 @@ def test_what_sticks_is_found_from_afar_as_from_its_own_numbers(made):
     assert best > search.base.log_evidence + 100.0
 
 
+@pytest.mark.parametrize(
+    ("seed", "joint"),
+    [
+        (7091, "elbow"),  # about too small a strength, its angle would move beyond the swing
+        (7092, "shoulder"),  # a larger angle and more damping look the same at first
+    ],
+)
+def test_a_brake_in_series_with_the_whole_spring_is_told_from_hysteresis(seed, joint):
+    label = f"brake_slip:{joint}"
+    case = of_rig(np.random.default_rng([seed, *label.encode(), 10_000]), label)
+    arm, (hidden,) = case.arm, case.hidden
+    table = ArmTable((arm.l1, arm.l2), arm.shoulder, arm.elbow, arm.coupling)
+    seen = residyn.Recording.from_arrays(case.t, case.q, noise=case.noise, theta2=arm.theta2)
+    scene, base = scene_of(residyn.Experiment(table, (seen,)), ())
+    with jax.enable_x64(True):
+        search = Search(scene, base)
+        search.extend(search.base)
+    assert search.best.added == (label,)
+    values = list(hidden.values.values())
+    np.testing.assert_allclose(search.best.best.numbers[-2:], values, rtol=0.05)
+
+
 def test_without_a_random_torque_the_filter_has_the_evidence_of_exact_simulation(friction):
     scene = friction.search.scene
     # Of a smooth model; of one that sticks, which the filter does a little late (nats).

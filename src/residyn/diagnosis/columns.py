@@ -56,6 +56,7 @@ from ..physics.parameter import FREQUENCY
 from ..runtime.export_cache import kept
 from .evidence import (
     CONTENDERS,
+    INDISTINGUISHABLE,
     conditional,
     gains_of,
     log_prior_intensity,
@@ -98,6 +99,7 @@ class Column(NamedTuple):
     states: np.ndarray  # (K, m) its internal states along the motion
     gain: float = 0.0  # by how much it raises the log evidence; its best, shapes averaged
     regressors: np.ndarray = np.zeros(0)  # posterior mean of its columns, in prior widths
+    alike: tuple["Column", ...] = ()  # at other points of its grid, which cannot be told from it
 
 
 def strengths(effect: AbstractEffect):
@@ -440,7 +442,9 @@ class Screen:
             grids.setdefault(point.effect.label, []).append(point)
         for label, grid in grids.items():
             mean = log_sum([p.gain for p in grid]) - math.log(len(grid))
-            ranked[label] = max(grid, key=lambda p: p.gain)._replace(gain=mean)
+            first, *others = sorted(grid, key=lambda p: -p.gain)
+            alike = (p for p in others if p.gain > first.gain - INDISTINGUISHABLE)
+            ranked[label] = first._replace(gain=mean, alike=tuple(alike))
         self.ranked = sorted(ranked.values(), key=lambda s: -s.gain)
 
     def gain(self, rows: Sequence[Column]) -> tuple[float, np.ndarray]:

@@ -643,10 +643,13 @@ class Search:
     def _sticking(
         self, screen: Screen, trajectory: Trajectory, linear: Linear, intensity: float
     ) -> list[Column]:
-        """The candidates in which something sticks, at each of their shapes and of `STRENGTHS`.
+        """The candidates in which something sticks, at each of their shapes: dry friction at each
+        of `STRENGTHS`, what follows the angle, whose torque is in proportion to its strength, at
+        the one that the screen has for that shape.
 
         When it sticks depends on the numbers, so that one linearisation about no strength says
-        little: each point of the grid has its own.
+        little: each point of the grid has its own. About far too small a strength a shape would
+        have to move too far.
         """
         scene, first = self.scene, INTENSITIES.index(intensity)
         first = min(max(first - 1, 0), len(INTENSITIES) - _NEAR)
@@ -661,11 +664,12 @@ class Search:
 
         points = []
         for row in screen.rows:
-            # The torque of what follows the angle is in proportion to its strength: one will do.
-            for x in STRENGTHS if row.effect.dry else STRENGTHS[1:2] if row.effect.follows else ():
-                # Further strengths are next to silent: of Stribeck's law, Coulomb's is left.
-                each = np.eye(len(row.which))[0] * x
-                points.append(row._replace(regressors=each))
+            # Further strengths are next to silent: of Stribeck's law, Coulomb's is left.
+            each = np.eye(len(row.which))[0]
+            if row.effect.dry:
+                points += [row._replace(regressors=x * each) for x in STRENGTHS]
+            elif row.effect.follows:
+                points.append(row._replace(regressors=screen.gain([row])[1]))
         return side_by_side([functools.partial(at, point) for point in points])
 
     def extend(self, parent: Tried) -> None:
@@ -686,7 +690,12 @@ class Search:
         # A law that contains another's begins where that one has ended.
         later = {k: s for k, s in chosen.items() if s.effect.extends}
         for some in ({k: s for k, s in chosen.items() if k not in later}, later):
-            starts = {(k,): self._start(parent, trajectory, s) for k, s in some.items()}
+            # Where something sticks, an iteration may end at corners that lie on its way.
+            starts = [
+                ((k,), self._start(parent, trajectory, x))
+                for k, s in some.items()
+                for x in (s, *(s.alike if s.effect.follows else ()))
+            ]
             self._join(parent, intensity, starts)
 
     def extend_by_two(self, parent: Tried) -> None:
@@ -695,14 +704,15 @@ class Search:
         """
         trajectory, intensity = screening_motion(self.scene, parent)
         screen, (_, worth) = self.screen(parent), self._price(parent, 2)
-        starts = {}
+        starts = []
         for gain, *pair in screen.pairs(len(screen.ranked))[:CONTENDERS]:
             if gain > worth:
                 t, (_, u) = trajectory, screen.gain(pair)
                 ends = np.cumsum([len(s.which) for s in pair])
                 for s, own in zip(pair, np.split(u, ends[:-1]), strict=True):
                     t = extended(self.scene, t, s._replace(regressors=own))
-                starts[tuple(s.effect.label for s in pair)] = self.scene.consistent(t)
+                labels = tuple(s.effect.label for s in pair)
+                starts.append((labels, self.scene.consistent(t)))
         self._join(parent, intensity, starts)
 
     def _price(self, parent: Tried, more: int) -> tuple[float, float]:
@@ -713,14 +723,18 @@ class Search:
         return prior, log_prior_model(m, n) - prior + math.log(IN_PLAY)
 
     def _join(
-        self, parent: Tried, intensity: float, starts: dict[tuple[str, ...], Trajectory]
+        self,
+        parent: Tried,
+        intensity: float,
+        starts: Sequence[tuple[tuple[str, ...], Trajectory]],
     ) -> None:
         """Iterate a model with some more effects, from where it begins with each of them."""
         if not starts:
             return
-        self.say(f"weighing {len(starts)} candidates")
-        results = settle(self.scene, list(starts.values()), intensity, self.in_time)
-        for labels, found in zip(starts, results, strict=True):
+        each, begun = zip(*starts, strict=True)
+        self.say(f"weighing {len(set(each))} candidates")
+        results = settle(self.scene, begun, intensity, self.in_time)
+        for labels, found in zip(each, results, strict=True):
             if found is not None:
                 self._keep((*parent.added, *labels), *found)
 

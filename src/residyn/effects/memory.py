@@ -82,7 +82,9 @@ class BrakeSlip(JointEffect):
     # One that slips at the release only has moved the rest, and no more.
     memory = (Memory("slip", ANGLE),)
 
-    stiffness: Scalar = param("stiffness that sits on the brake", STIFFNESS, sign="positive")
+    stiffness: Scalar = param(
+        "stiffness that sits on the brake", STIFFNESS, sign="positive", as_spring=True
+    )
     angle: Scalar = param(
         "deflection at which the brake slips",
         ANGLE,
