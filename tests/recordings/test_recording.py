@@ -880,3 +880,8 @@ def test_a_rest_that_is_known_roughly_is_each_recordings_own():
     found = Recording.from_arrays(time, angle[:, None], rest="estimate")
     (line,) = [x for x in found.warnings if "known roughly" in x]
     assert 'own = ["sensor_offset"] in all of these but one' in line
+
+
+def test_one_sample_is_called_one():
+    with pytest.raises(InputError, match="has 1 sample; at least"):
+        Recording.from_arrays(np.zeros(1), np.zeros((1, 1)))

@@ -1,9 +1,9 @@
 """Where an arm that rings would come to rest.
 
-The mean of a ring-down is not its rest: the last swing is cut off anywhere, and an elbow that
-swings wide pulls the arm aside, by the square of the swing. A joint with dry friction stops anywhere
-near its rest. So means are taken while a joint moves, under a window that falls to zero at its ends,
-wide enough to let no swing through, and led back to where the squares under the same window are none.
+The mean of a ring-down is not its rest: the last swing is cut off anywhere, an elbow that swings
+wide pulls the arm aside, by the square of the swing, and a joint with dry friction stops anywhere
+near its rest. So means are taken while a joint moves, under a window that falls to zero at its
+ends, wide enough to let no swing through, and led back to where the squares under it are none.
 """
 
 import math
