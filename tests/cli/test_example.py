@@ -192,5 +192,7 @@ def test_new_says_in_which_unit_a_mass_is(tmp_path, unit, mass):
     rows = (f"{t:.2f},{0.2 * np.cos(3 * t):.5f}" for t in np.arange(0, 15, 0.01))
     (tmp_path / "x.csv").write_text("\n".join([f"Time (s),x ({unit})", *rows, ""]))
     assert main(["new", str(tmp_path / "new.toml"), str(tmp_path / "x.csv")]) == 0
-    (line,) = [x for x in (tmp_path / "new.toml").read_text().splitlines() if "matrix" in x]
+    (line,) = [
+        x for x in (tmp_path / "new.toml").read_text().splitlines() if x.startswith("matrix")
+    ]
     assert line.split("# ")[1] == mass
