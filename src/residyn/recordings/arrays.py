@@ -81,7 +81,7 @@ def check_enough(angle: np.ndarray, part: bool) -> None:
     if len(angle) < LEAST:
         many = f"{len(angle)} sample{'s' * (len(angle) != 1)}"
         raise InputError(f"has {many}{here}; at least {LEAST} are needed")
-    for j, count in enumerate(np.isfinite(angle).sum(axis=0)):
+    for j, count in enumerate(np.isfinite(angle).sum(axis=0).tolist()):
         if count == 0:
             raise InputError(f"q{j + 1} has no reading{here}: every sample is missing")
         if count < LEAST:

@@ -175,8 +175,9 @@ def _misfit(fit: Fit) -> Iterator[str]:
             "model misses something, and the errors above, which assume white noise, are too small"
         )
     elif fit.reduced_chi2 < _OVERSTATED:
-        given = {r.recording.noise_given for r in fit.fitted}
-        how = {(True,): "stated", (False,): "estimated"}.get(tuple(given), "stated or estimated")
+        how = listed(
+            sorted({"stated" if r.recording.noise_given else "estimated" for r in fit.fitted})
+        )
         yield (
             f"chi-square is {fit.reduced_chi2:.3g}, below what the {how} noise allows: "
             "that noise is too large, and so are the errors above"
