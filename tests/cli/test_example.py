@@ -185,3 +185,14 @@ def test_new_for_one_sliding_joint_and_for_what_is_no_table(tmp_path, capsys):
         assert "no line of names above columns of numbers" in capsys.readouterr().err
     assert main(["new", str(tmp_path / "x.csv"), "b.toml"]) == 2
     assert len(DIALECTS) >= 30
+
+
+@pytest.mark.parametrize(("unit", "mass"), [("cm", "kg"), ("rad", "kg m^2")])
+def test_new_says_in_which_unit_a_mass_is(tmp_path, unit, mass):
+    rows = (f"{t:.2f},{0.2 * np.cos(3 * t):.5f}" for t in np.arange(0, 15, 0.01))
+    (tmp_path / "x.csv").write_text("\n".join([f"Time (s),x ({unit})", *rows, ""]))
+    assert main(["new", str(tmp_path / "new.toml"), str(tmp_path / "x.csv")]) == 0
+    (line,) = [
+        x for x in (tmp_path / "new.toml").read_text().splitlines() if x.startswith("matrix")
+    ]
+    assert line.split("# ")[1] == mass

@@ -468,3 +468,9 @@ def test_models_in_play():
     assert not settled(np.log([0.9, 0.1]))
     assert not settled(np.log([0.6, 0.01]))
     assert float(entropy(np.array([1.0, 0.0]))) == 0.0
+
+
+def test_a_rounding_error_is_no_number_of_standard_errors():
+    same = dataclasses.replace(NEXT, helps=False, difference=9.9e-17, now=0.0)
+    assert "differ by less than 0.01 standard errors" in same.words
+    assert "e-17" not in same.words

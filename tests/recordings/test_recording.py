@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import math
+import re
 import sys
 from pathlib import Path
 
@@ -846,3 +847,41 @@ def test_a_million_samples_become_means_and_that_is_said():
     assert "has 1000001 samples: means of 11 are taken, which leaves 90909" in here.warnings[0]
     given = Recording.from_arrays(t, q, noise=1e-3)
     np.testing.assert_allclose(given.noise, 1e-3 / np.sqrt(11))
+
+
+def sliding(time, amplitude, slip):
+    """Where a mass on a spring of 1 swing/s is, (N, 1) m, let go at rest `amplitude` from the
+    spring's own rest and braked by dry friction that holds it `slip` from there."""
+    half = np.floor(2 * time).astype(int)
+    stops = max(0, math.ceil((amplitude - slip) / (2 * slip)))
+    half, phase = np.minimum(half, stops), np.where(half < stops, 2 * np.pi * time, np.pi * stops)
+    size = np.where(half < stops, amplitude - (2 * half + 1) * slip, 0.0)
+    last = (-1.0) ** stops * (amplitude - 2 * stops * slip)
+    return np.where(half < stops, size * np.cos(phase) + (-1.0) ** half * slip, last)[:, None]
+
+
+@pytest.mark.parametrize(("amplitude", "seconds"), [(0.11, 8.0), (0.11, 40.0), (0.05, 20.0)])
+def test_a_rest_is_found_from_the_ringing_and_not_from_where_dry_friction_holds(amplitude, seconds):
+    slip = 0.006
+    time = np.arange(0.0, seconds, 0.01)
+    rng = np.random.default_rng(0)
+    angle = 0.12 + sliding(time, amplitude, slip) + 1e-4 * rng.standard_normal((len(time), 1))
+    assert abs(angle[-1, 0] - 0.12) > 0.3 * slip
+    found = Recording.from_arrays(time, angle, rest="estimate")
+    assert angle[0, 0] - found.angle[0, 0] == pytest.approx(0.12, abs=0.02 * slip)
+    (line,) = [x for x in found.warnings if "known roughly" in x]
+    swings = float(re.search(r"with (\S+) swings", line)[1])
+    assert swings == pytest.approx(amplitude / (4 * slip), rel=0.3)
+
+
+def test_a_rest_that_is_known_roughly_is_each_recordings_own():
+    time = np.arange(0.0, 3.0, 0.01)
+    angle = 0.2 + 0.04 * np.exp(-0.1 * time) * np.cos(2 * np.pi * time)
+    found = Recording.from_arrays(time, angle[:, None], rest="estimate")
+    (line,) = [x for x in found.warnings if "known roughly" in x]
+    assert 'own = ["sensor_offset"] in all of these but one' in line
+
+
+def test_one_sample_is_called_one():
+    with pytest.raises(InputError, match="has 1 sample; at least"):
+        Recording.from_arrays(np.zeros(1), np.zeros((1, 1)))

@@ -11,10 +11,11 @@ import pytest
 
 import residyn
 from residyn import reporting as report
+from residyn.effects import catalogue
 from residyn.recordings.tables import Bearing
 from residyn.reporting import figures as plot
 from residyn.reporting import fit as about_fits
-from residyn.reporting import numbers
+from residyn.reporting import names, numbers
 from residyn.reporting import page as pages
 from residyn.reporting.figures.motion import thinned
 from tests.by_hand import LOST, NASTY, WILD, a_fit
@@ -285,3 +286,34 @@ def test_modes_say_which_recording_they_are_of(change, words, monkeypatch):
 )
 def test_chi_square_in_words(chi2, words):
     assert words in about_fits.chi2_words(chi2)
+
+
+def test_noise_that_is_too_large_is_said_to_be_what_it_is():
+    assert all(r.recording.noise_given for r in a_fit().fitted)
+    fit = a_fit(chi2=0.3)
+    (line,) = [x for x in fit.warnings if "that noise is too large" in x]
+    assert "below what the stated noise allows" in line
+    runs = [dataclasses.replace(r.recording, noise_given=False) for r in fit.recordings]
+    each = zip(fit.recordings, runs, strict=True)
+    fit = dataclasses.replace(
+        fit, recordings=tuple(dataclasses.replace(r, recording=x) for r, x in each)
+    )
+    assert any("below what the estimated noise allows" in x for x in fit.warnings)
+
+
+def test_a_long_name_and_a_long_value_stand_apart():
+    first, *rest = a_fit().numbers
+    long = dataclasses.replace(first, name=first.name.ljust(36, "x"), value=-0.00294024)
+    text = str(a_fit(numbers=(long, *rest)))
+    assert f"{long.name} -0.00294024" in text
+
+
+def test_a_joint_with_a_number_goes_without_an_article():
+    assert names.placed("gravity", "joint1", ("joint1", "elbow")) == "gravity at joint1"
+    assert names.placed("gravity", "elbow", ("joint1", "elbow")) == "gravity at the elbow"
+
+
+def test_what_a_slipping_brake_is_of_does_not_read_as_another_effect():
+    assert catalogue()["brake_slip"].kind() not in {
+        k.titled().lower() for k in catalogue().values()
+    }

@@ -21,7 +21,7 @@ class Hysteresis(JointEffect):
 
     name = "hysteresis"
     title = "Hysteresis"
-    family = "hysteresis"
+    family = "elastoplastic law"
     equation = "Q z, y z' = q' (1 - |z|^n (1 + sign(q' z)) / 2)"
     looks_like = "damping and stiffness both fall as the swing grows; a loop against the angle"
     source = "Bouc 1967; Wen, J. Eng. Mech. 102, 1976"
@@ -73,7 +73,7 @@ class BrakeSlip(JointEffect):
 
     name = "brake_slip"
     title = "Slipping brake"
-    family = "hysteresis"
+    family = "elastoplastic law"
     equation = "-s x, x the slip: |q - x| <= a"
     looks_like = "the first large swings lose much and shift the rest; later ones ring on, cleanly"
     source = "elastoplastic (Jenkin) element: Iwan, J. Appl. Mech. 33, 1966"

@@ -86,12 +86,14 @@ def check_enough(angle: np.ndarray, part: bool) -> None:
     """Enough readings of every joint; `part` if they were cut out of more."""
     here = " between start and stop" if part else ""
     if len(angle) < LEAST:
-        raise InputError(f"has {len(angle)} samples{here}; at least {LEAST} are needed")
-    for j, count in enumerate(np.isfinite(angle).sum(axis=0)):
+        many = f"{len(angle)} sample{'s' * (len(angle) != 1)}"
+        raise InputError(f"has {many}{here}; at least {LEAST} are needed")
+    for j, count in enumerate(np.isfinite(angle).sum(axis=0).tolist()):
         if count == 0:
             raise InputError(f"q{j + 1} has no reading{here}: every sample is missing")
         if count < LEAST:
-            raise InputError(f"q{j + 1} has {count} readings{here}; at least {LEAST} are needed")
+            many = f"{count} reading{'s' * (count != 1)}"
+            raise InputError(f"q{j + 1} has {many}{here}; at least {LEAST} are needed")
 
 
 def check_noise(noise: Any, joints: int) -> np.ndarray:

@@ -30,8 +30,13 @@ _INERTIA = """\
 [inertia]                 # a constant mass matrix
 joints = {joints}
 units = {units}         # "rad" or "m" each
-matrix = {matrix}         # kg m^2 or kg
+matrix = {matrix}         # {unit}
 """
+_UNITS = {
+    ("rad",): "kg m^2",
+    ("m",): "kg",
+    ("m", "rad"): "kg where both joints are in m, kg m^2 in rad, kg m between them",
+}
 
 
 def experiment_text(files: Sequence[Path], folder: Path) -> str:
@@ -54,6 +59,7 @@ def experiment_text(files: Sequence[Path], folder: Path) -> str:
         joints=toml_value([f"joint{j + 1}" for j in range(n)]),
         units=toml_value(list(kinds)),
         matrix=toml_value([["?"] * n] * n),
+        unit=_UNITS[tuple(sorted(set(kinds)))],
     )
     return "\n".join([_ARM if kinds == ArmTable.units else head, *tables])
 

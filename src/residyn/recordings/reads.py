@@ -51,7 +51,7 @@ def angles_from(time: np.ndarray, reading: np.ndarray, orders: Sequence[int]) ->
     found = np.array(reading)
     clock, even = evenly_sampled(time, reading)
     step = clock[1] - clock[0]
-    period = min(round(slowest_period(even - even.mean(axis=0))), len(clock))
+    period = min(round(slowest_period(even)), len(clock))
     for j, order in enumerate(orders):
         x = even[:, j] - np.mean(even[:, j])
         for _ in range(order):

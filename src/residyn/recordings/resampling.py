@@ -8,6 +8,8 @@ from scipy.fft import next_fast_len
 
 from .outliers import outlier_mask
 
+_STILL = 0.05  # of all that a joint moves: less may be one that sticks, anywhere
+
 
 def even_step(time: np.ndarray) -> float:
     """The median step of `time` (N,), s, or as long a one that equal steps are 10 N at most: a long
@@ -31,15 +33,23 @@ def evenly_sampled(
 def decimated(motion: np.ndarray) -> np.ndarray:
     """Means of so many samples after each other that 40 or more are left of the slowest period: all
     that a rest needs, of angles (N, n) at equal steps."""
-    many = int(slowest_period(motion - motion.mean(axis=0)) / 40)
+    many = int(slowest_period(motion) / 40)
     return motion if many < 2 else block_means(motion, many)
 
 
+def moving_counts(motion: np.ndarray) -> np.ndarray:
+    """(n,) how many samples of motion (N, n) it takes until each joint stays where it is."""
+    back = motion[::-1]
+    spans = (np.maximum.accumulate(back) - np.minimum.accumulate(back))[::-1]
+    return np.maximum((spans > _STILL * spans[0]).sum(axis=0), 1)
+
+
 def slowest_period(motion: np.ndarray) -> float:
-    """The period of the slowest mode, in samples, of motion (N, n) about zero."""
-    count = len(motion)
+    """The period of the slowest mode, in samples, of motion (N, n), while any joint moves."""
+    count = int(moving_counts(motion).max())
     # Padded, so that a few swings in all are counted finely enough.
-    shaped = motion * np.hanning(count)[:, None]
+    window = np.hanning(count + 2)[1:-1]
+    shaped = (motion[:count] - window @ motion[:count] / window.sum()) * window[:, None]
     length = cast(int, next_fast_len(8 * count, real=True))
     power = np.abs(np.fft.rfft(shaped, length, axis=0)[8:]) ** 2
     large = power >= 0.02 * np.maximum(power.max(axis=0), 1e-300)

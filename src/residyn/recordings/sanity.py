@@ -75,7 +75,7 @@ def not_free(
         return wild
     clock, motion = evenly_sampled(time, angle, recording.outliers)
     step = clock[1] - clock[0]
-    period = slowest_period(motion - motion.mean(axis=0))
+    period = slowest_period(motion)
     if "t" not in said and period * step > _SLOW:
         words = (
             f"one swing takes {period * step:.3g} s: is t in milliseconds or samples? "

@@ -19,7 +19,7 @@ from ..diagnosis.runs import OwnNumbers
 from ..recordings.experiment import Experiment
 from . import figures as plot
 from .layout import Table, filled, printed, section
-from .names import at_place, listed, lower, when_held_out
+from .names import at_place, listed, lower, the, when_held_out
 from .numbers import amount, p_value, percent, plain, prefixed, share, times
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def _left(found: Comparison) -> str:
     for joint, unit, rmse, cell in each:
         noise = "" if words else " the noise"
         size = amount(float(rmse), unit, 2)
-        words.append(f"{size} at the {joint} ({times(cell.ratio)} times{noise})")
+        words.append(f"{size} at {the(joint)} ({times(cell.ratio)} times{noise})")
     return listed(words)
 
 
@@ -99,7 +99,7 @@ def _when(at: Where) -> str:
     alone = len(at.joint) > 1 and _excess(at.joint[worst]) > _MOSTLY * total
     told = [(p, p.cells[worst] if alone else p.whole) for p in at.time]
     told = [(p, c) for p, c in told if c.freedom > _READINGS]
-    parts = [f"at the {at.joints[worst]}"] if alone else []
+    parts = [f"at {the(at.joints[worst])}"] if alone else []
     if told:
         most, least = (f(told, key=lambda pair: pair[1].ratio) for f in (max, min))
         high, low = times(most[1].ratio), times(least[1].ratio)
@@ -240,7 +240,7 @@ def _where(found: Comparison) -> list[str]:
     out += _by_joint("time since the start, s", at.joints, rows(at.time))
     for joint, unit, parts in zip(at.joints, at.units, at.amplitude, strict=True):
         size, name = prefixed(unit, parts[0].stop if parts else 1.0)
-        label = f"swing at the {joint}, {name}".rstrip(", ")
+        label = f"swing at {the(joint)}, {name}".rstrip(", ")
         out += _by_joint(label, (joint,), rows(parts, size))
     return [*out, *_by_joint("frequency, Hz", at.joints, rows(at.frequency))]
 

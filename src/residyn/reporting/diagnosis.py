@@ -43,6 +43,7 @@ from .names import (
     named,
     own_name,
     placed,
+    the,
     times_noise,
     title,
     unbroken,
@@ -121,7 +122,7 @@ def _channels(found: Diagnosis) -> Iterator[str]:
 
 def _nothing_explained(found: Diagnosis) -> Iterator[str]:
     sizes = [
-        f"{plain(r.rms, 2)} {r.unit} at the {r.joint}"
+        f"{plain(r.rms, 2)} {r.unit} at {the(r.joint)}"
         + (f" ({share(r.share_of_spring)} of the restoring torque)" if _known(r) else "")
         for r in found.random_torque
     ]

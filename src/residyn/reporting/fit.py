@@ -17,7 +17,7 @@ from ..fitting.result import STRONG, STRUCTURE, Fit, RecordingFit
 from ..recordings.segments import by_recording
 from . import latex as tex
 from .layout import Table, filled, section, separated, tabular, warned
-from .names import HELD_OUT, at_place, base_name, listed, lower, named
+from .names import HELD_OUT, at_place, base_name, listed, lower, named, the
 from .numbers import amount, plain, prefixed, share, times, with_error
 
 _OVERSTATED = 0.85  # reduced chi-square below which the noise must have been overstated
@@ -66,7 +66,7 @@ def verdict(fit: Fit) -> tuple[str, ...]:
     left = []
     for error in errors:
         noise, motion = ("", "") if left else (" the noise", " of the motion")
-        words = f"{times(error.ratio)} times{noise} at the {error.joint}"
+        words = f"{times(error.ratio)} times{noise} at {the(error.joint)}"
         left.append(words if good else f"{words} ({share(error.share)}{motion})")
     what = "explains the motion down to the noise" if good else "misses something"
     words = f"The model {what}: it leaves {listed(left)}."
@@ -76,7 +76,7 @@ def verdict(fit: Fit) -> tuple[str, ...]:
 
 def chi2_words(chi2: float) -> str:
     if chi2 < _OVERSTATED:
-        return "less is left than the stated noise would leave: the noise is overstated"
+        return "less is left than the noise alone would leave: the noise is overstated"
     if chi2 <= STRUCTURE:
         return "what is left is as large as the noise alone would leave"
     if chi2 <= 2:
@@ -175,9 +175,12 @@ def _misfit(fit: Fit) -> Iterator[str]:
             "model misses something, and the errors above, which assume white noise, are too small"
         )
     elif fit.reduced_chi2 < _OVERSTATED:
+        how = listed(
+            sorted({"stated" if r.recording.noise_given else "estimated" for r in fit.fitted})
+        )
         yield (
-            f"chi-square is {fit.reduced_chi2:.3g}, below what the stated noise allows: "
-            "the noise is overstated, and the errors above are too large"
+            f"chi-square is {fit.reduced_chi2:.3g}, below what the {how} noise allows: "
+            "that noise is too large, and so are the errors above"
         )
 
 
@@ -247,7 +250,7 @@ def text(fit: Fit) -> str:
     lines += filled(_integrated(fit), "    integrated  ")
     lines += [line for words in _inertias(fit) for line in filled(words, "    inertia     ")]
     lines.append("[[Parameters]]  value +/- standard error (error in %)")
-    width = max([30, *(len(n.name) for n in fit.own_numbers)])
+    width = max([30, *(len(n.name) + 1 for n in fit.own_numbers)])
     for n in fit.own_numbers:
         unit = "" if n.unit == "1" else f" {n.unit}"
         error = f"{n.std:.3g} ({n.percent:.2g} %)" if n.determined else "not determined"
@@ -368,7 +371,7 @@ def fall(first: Fit, last: Fit) -> str:
     new = [x for x in last.model.labels if x not in first.model.labels]
     a, b = before[worst], after[worst]
     return (
-        f"With {named(new, last.joints) if new else 'the last'}, the error at the {a.joint} goes "
+        f"With {named(new, last.joints) if new else 'the last'}, the error at {the(a.joint)} goes "
         f"from {times(a.ratio)} times the noise to {times(b.ratio)} times."
     )
 

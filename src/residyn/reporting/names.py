@@ -67,7 +67,12 @@ def placed(words: str, place: str | None, joints: Sequence[str], comma: bool = F
         return words
     if comma:
         return f"{words}, {place}"
-    return f"{words} at the {place}" if place in joints else f"{words} ({place})"
+    return f"{words} at {the(place)}" if place in joints else f"{words} ({place})"
+
+
+def the(joint: str) -> str:
+    """ "the elbow"; a name with a number goes without: "joint1"."""
+    return joint if joint[-1:].isdigit() else f"the {joint}"
 
 
 def at(joint: str, joints: Sequence[str]) -> str:

@@ -56,14 +56,19 @@ def _angle(value: float, unit: str) -> str:
     return f"{amount(value, unit)}{degrees}"
 
 
+def _errors(count: float) -> str:
+    """A count of standard errors; of the smallest, rounding is all that is left."""
+    return "less than 0.01" if count < 0.01 else plain(count, 2)
+
+
 def sentence(test: Test) -> str:
     joints = tuple(test.release)
     one, other = (named(x, joints) for x in test.between)
     aim = f"tell {one} from {other}"
     if not all(test.between):  # the one is the other with more
         aim = f"see whether {other if test.between[1] else one} is there"
-    parts = f"{plain(test.difference, 2)} standard errors of all readings together"
-    now = plain(test.now, 2)
+    parts = f"{_errors(test.difference)} standard errors of all readings together"
+    now = _errors(test.now)
     if not test.helps:
         return (
             f"Nothing would help: no test within the limits would {aim}. At best the predictions "
