@@ -117,7 +117,10 @@ def _open(fit: Fit) -> Iterator[str]:
                 "with a known drive torque"
             )
         elif len(members) == 1:
-            yield f"{members[0]} has no effect on these recordings: not determined"
+            yield (
+                f"{members[0]} is not determined: changing it leaves these recordings unchanged, "
+                "or changes them as another initial state would"
+            )
         else:
             yield (
                 f"these recordings determine only a combination of {', '.join(members)}: "
@@ -210,10 +213,17 @@ def _search(fit: Fit) -> Iterator[str]:
     if not fit.stands:
         yield "the fit did not settle: treat the numbers as rough"
     for label in fit.unseen if fit.stands else ():
-        yield (
-            f"{label} is not seen in these recordings: its strength is within two errors of none, "
-            "and of what does not act no shape can be told; the other numbers hold"
-        )
+        if label in fit.needed:
+            yield (
+                f"without {label} more is left than chance explains, but these recordings do not "
+                "tell how strong it is: its strength is within two errors of none; the other "
+                "numbers hold"
+            )
+        else:
+            yield (
+                f"{label} is not seen in these recordings: its strength is within two errors of "
+                "none, and of what does not act no shape can be told; the other numbers hold"
+            )
     if not fit.unseen and fit.starts > 1 and fit.agreeing_starts < max(2, fit.starts // 3):
         yield (
             f"only {fit.agreeing_starts} of {fit.starts} starts led here: "
@@ -247,7 +257,7 @@ def text(fit: Fit) -> str:
     lines += filled(_integrated(fit), "    integrated  ")
     lines += [line for words in _inertias(fit) for line in filled(words, "    inertia     ")]
     lines.append("[[Parameters]]  value +/- standard error (error in %)")
-    width = max([30, *(len(n.name) for n in fit.own_numbers)])
+    width = max([30, *(len(n.name) + 1 for n in fit.own_numbers)])
     for n in fit.own_numbers:
         unit = "" if n.unit == "1" else f" {n.unit}"
         error = f"{n.std:.3g} ({n.percent:.2g} %)" if n.determined else "not determined"
