@@ -91,7 +91,7 @@ class RecordingFit:
     @property
     def used(self) -> np.ndarray:
         """Readings that count."""
-        return np.isfinite(self.recording.angle) & ~self.wild
+        return self.recording.counts & ~self.wild
 
     @property
     def left(self) -> np.ndarray:
