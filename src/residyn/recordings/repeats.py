@@ -48,7 +48,8 @@ def _stretches(place: list[int], width: int) -> list[tuple[int, int]]:
         if i < len(place) and max(high, place[i]) - min(low, place[i]) <= width:
             low, high = min(low, place[i]), max(high, place[i])
             continue
-        passes = 0 < first and i < len(place) and (place[first - 1] < low) == (place[i] > high)
+        inside = first > 0 and i < len(place)
+        passes = inside and (place[first - 1] < place[first]) == (place[i] > high)
         if not passes:
             found.append((first, i))
         if i < len(place):
