@@ -667,3 +667,18 @@ def test_how_often_a_joint_swings_before_it_sticks_is_found(seed):
     assert fit.reduced_chi2 < 1.1
     for number, value in zip(fit.numbers, (*truth[1:], 0.0), strict=True):
         assert abs(number.value - value) < 4 * number.std, number.name
+
+
+def test_what_acts_with_a_strength_that_is_not_told_is_not_called_unseen():
+    """A brake that never slips holds the joint aside, with any share of its spring: where it rests
+    says that there is one, and no more."""
+    time, noise = np.arange(0, 6, 0.02), 1e-3
+    ringing = 0.01 + 0.2 * np.exp(-0.05 * time) * np.cos(5.0 * time)
+    ringing += np.random.default_rng(0).normal(0, noise, len(time))
+    run = residyn.Recording.from_arrays(time, ringing, noise=noise)
+    table = InertiaTable(("cart",), ((2.0,),), ("m",))
+    said = residyn.fit(residyn.Experiment(table, (run,)), effects=["brake_slip"], starts=1).warnings
+    assert not any("brake_slip:cart is not seen" in words for words in said)
+    assert any(
+        "without brake_slip:cart more is left than chance explains" in words for words in said
+    )

@@ -137,3 +137,15 @@ def test_what_does_not_go_with_rates_is_said(motion):
         residyn.Experiment(TABLE, (gyroscopes, encoders))
     with pytest.raises(InputError, match=r"sensor_offset:elbow is of readings of angles"):
         residyn.fit(residyn.Experiment(TABLE, (gyroscopes,)), effects=["sensor_offset:elbow"])
+
+
+def test_a_friction_that_another_first_angle_undoes_is_not_determined():
+    """Of a spin-down read as a rate, k q0 is a torque as constant as friction."""
+    time, noise = np.arange(0, 20, 0.05), 1e-3
+    rate = 5.4 * np.exp(-0.1 * time) - 0.4 + np.random.default_rng(0).normal(0, noise, len(time))
+    run = residyn.Recording.from_arrays(time, rate, reads="rate", noise=noise)
+    wheel = InertiaTable(("wheel",), ((0.02,),), ("rad",))
+    fit = residyn.fit(residyn.Experiment(wheel, (run,)), effects=["coulomb_friction"], starts=1)
+    assert [n.determined for n in fit.numbers] == [True, True, False]
+    assert abs(fit.numbers[1].value - 0.002) < 4 * fit.numbers[1].std < 1e-4
+    assert any("friction:wheel.torque is not determined" in words for words in fit.warnings)

@@ -198,7 +198,7 @@ class Fits:
         """The squared whitened residuals from which a model's evidence without a random torque is
         hopelessly less than with one, for all that its priors may add."""
         pairs = zip(self.scene.recordings, self.scene.wild, strict=True)
-        readings = sum(int((np.isfinite(r.angle) & ~wild).sum()) for r, wild in pairs)
+        readings = sum(int((r.counts & ~wild).sum()) for r, wild in pairs)
         raised = len(tried.best.prior.mean) * math.log(2.0)
         # Readings scatter about their averages, by twice the noise's square at the most.
         scatter = 2 * (readings - self.scene.length)
@@ -273,7 +273,12 @@ class Fits:
             starts = [(m.numbers, [self._state(m, r) for r in here.recordings]) for m in motions]
             # From the minimum of a model that it contains no fit ends above that one.
             starts += [self._from(best, t)] if best else []
-            found = found or descended(*starts)
+            if not found:
+                found = descended(*starts)
+                if not tried.added and found.misses:
+                    # From here it is counted how far an error falls: from the minimum of `fit`.
+                    usual = fit(fitted, effects=own, starts=self.starts, progress=progress)
+                    found = min(found, usual, key=lambda f: f.reduced_chi2)
         if found is None:
             # No start of a wrong model is better than another one.
             starts = 1 if tried.complete < 0.5 else self.starts

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,9 +22,9 @@ from .integration import at_twice_the_steps, corrected
 from .lanes import Fitting, alone, evaluating
 from .least_squares import Compressed, compressed
 from .linalg import BLIND, damped_step
-from .multistart import Descent, descending
+from .multistart import Descent, descending, polishing
 from .problem import Problem, Ready, Unknowns, mechanism_of, posed
-from .result import Fit, FitError, RecordingFit
+from .result import Fit, FitError, RecordingFit, by_chance
 
 _FAR = 1.0  # standard errors that least squares would still go
 _CONVERGED = "converged: the last step moved the fit by less than 1/100 of its error"
@@ -62,7 +63,7 @@ def finishing(
     spread = spread_of(np.asarray(descent.compressed.factor), sizes, max(1.0, chi2))
     modes = modes_of(model, spread)
     held_out = yield from _held_out(experiment, model, descent.here, descent.problem, search)
-    return Fit(
+    found = Fit(
         experiment=experiment,
         model=model,
         numbers=numbers_of(model, start, spread),
@@ -83,6 +84,31 @@ def finishing(
         unknowns=descent.unknowns,
         ready=descent.here,
     )
+    return dataclasses.replace(found, needed=(yield from _needed(found, descent, search)))
+
+
+def _needed(
+    fit: Fit, descent: Descent, search: Callable[..., Any] | None
+) -> Fitting[tuple[str, ...]]:
+    """`Fit.needed`: each is left out, and all else is fitted again."""
+    found = []
+    for label in fit.unseen:
+        index = fit.model.labels.index(label)
+        own = np.array([n.effect == index for n in fit.model.fitted])
+        none = [n.meaning.silent if n.effect == index else None for n in fit.model.fitted]
+        values = np.where([x is None for x in none], descent.numbers, np.array(none, float))
+        model, active = fit.model.with_vector(values), descent.problem.active * ~own
+        problem = eqx.tree_at(lambda p: (p.model, p.active), descent.problem, (model, active))
+        begin = problem.scaled(values, descent.states)
+        starts = jax.tree.map(lambda x: np.asarray(x)[None], begin)
+        if search is None:
+            end = yield from polishing(problem, starts, [1.0])
+        else:
+            end = search(problem, starts, [1.0])
+        rise = (end.cost - descent.cost) / max(1.0, fit.reduced_chi2)
+        if not by_chance(rise, int(own.sum())):
+            found.append(label)
+    return tuple(found)
 
 
 class Found(NamedTuple):

@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 
 from .problem import Unknowns
 
-# Eigenvalue of J'J with unit columns below which a combination has no effect on the prediction: its
-# standard error is 1e5 times that of its numbers alone.
+# Eigenvalue of J'J with unit columns below which a combination has no effect on the prediction that
+# another initial state does not undo: its standard error is 1e5 times that of its numbers alone.
 BLIND = 1e-10
 RIDGE = 1e-14
 """What is added to J'J with unit columns, so that rounding leaves it positive."""
@@ -53,8 +53,16 @@ def damped_least_squares(
     return Unknowns(found, jax.vmap(its_state)(left))
 
 
-def information(factors: np.ndarray, numbers: int) -> np.ndarray:
-    """(P, P) information J'J on the first P of L unknowns, the rest (states) taken out.
+class Information(NamedTuple):
+    """J'J of P numbers (P, P), with the initial states taken out, and its diagonal (P,) with the
+    states known."""
+
+    square: np.ndarray
+    alone: np.ndarray
+
+
+def information(factors: np.ndarray, numbers: int) -> Information:
+    """What is known of the first P of L unknowns; the rest are states.
 
     `factors` (R, L, L): each recording's triangular factor of J'J. A number without any effect on
     a recording is a unit vector there, so that the factor can be solved with; it tells nothing.
@@ -66,7 +74,7 @@ def information(factors: np.ndarray, numbers: int) -> np.ndarray:
     states_first = np.roll(factors, -numbers, axis=2)
     below = np.asarray(np.linalg.qr(states_first, mode="r"))[:, -numbers:, -numbers:]
     rows = below.reshape(-1, numbers)
-    return rows.T @ rows
+    return Information(rows.T @ rows, np.sum(factors[..., :numbers] ** 2, axis=(0, 1)))
 
 
 class Spread(NamedTuple):
@@ -121,9 +129,10 @@ class Inverse(NamedTuple):
     along: np.ndarray
 
 
-def inverse_of(square: np.ndarray) -> Inverse:
-    """Pseudo-inverse of J'J, by its eigenvalues with unit columns."""
-    diagonal = np.diag(square)
+def inverse_of(known: Information) -> Inverse:
+    """Pseudo-inverse of J'J, by its eigenvalues with columns that have unit length before the
+    states are taken out: of a column that they take up only rounding is left."""
+    square, diagonal = known
     size = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(square * size * size[:, None])
     seen = values > BLIND

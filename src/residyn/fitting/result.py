@@ -91,7 +91,7 @@ class RecordingFit:
     @property
     def used(self) -> np.ndarray:
         """Readings that count."""
-        return np.isfinite(self.recording.angle) & ~self.wild
+        return self.recording.counts & ~self.wild
 
     @property
     def left(self) -> np.ndarray:
@@ -142,6 +142,9 @@ class Fit(TableResult):
     """The number that is farthest from its least-squares value, and by how many standard errors,
     where a search ended short of the minimum."""
     history: History | None = None  # of a search on Eq. 17: how that fell
+    needed: tuple[str, ...] = ()
+    """Those of `unseen` without which chi-square rises by more than chance: that they act is seen,
+    by what they remember or by strength and shape together, but not how strong they are."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -221,8 +224,7 @@ class Fit(TableResult):
                 continue
             which, off = zip(*strengths, strict=True)
             square, ways = self.spread.distance(np.array(off), which)
-            # As probable by chance as one number within its errors.
-            if not ways or chdtrc(ways, square) > chdtrc(1, NEGATIVE**2):
+            if not ways or by_chance(square, ways):
                 found.append(effect.label)
         return tuple(found)
 
@@ -336,6 +338,12 @@ class Fit(TableResult):
         from .posterior import to_arviz
 
         return to_arviz(self.numbers, self.covariance, draws, seed)
+
+
+def by_chance(square: float, ways: int) -> bool:
+    """Whether a chi-square with so many degrees of freedom is as probable by chance as one number
+    within its errors."""
+    return bool(chdtrc(ways, square) > chdtrc(1, NEGATIVE**2))
 
 
 def rms_of(

@@ -18,7 +18,7 @@ import numpy as np
 from ..fitting import Fit, Mode
 from ..fitting.layout import Recorded
 from ..fitting.least_squares import predict, whiten
-from ..fitting.linalg import PART, information, inverse_of
+from ..fitting.linalg import PART, Information, information, inverse_of
 from ..fitting.problem import Problem, posed
 from ..physics.inertia import AbstractInertia
 from ..physics.mechanism import PlanarArm
@@ -59,9 +59,9 @@ def carried(fit: Fit, inertia: np.ndarray | None) -> Carried:
         # Nothing to be known beyond what the fit says already.
         nothing = np.zeros((0, count)), np.zeros((3, 3)), np.zeros((count, 3))
         return Carried(fit.covariance, *nothing)
-    square, values = _information(fit), np.array([n.value for n in fit.numbers])
+    (square, alone), values = _information(fit), np.array([n.value for n in fit.numbers])
     own, cross = square[:count, :count], square[:count, count:]
-    inverse, vectors, size, _ = inverse_of(own)
+    inverse, vectors, size, _ = inverse_of(Information(own, alone[:count]))
     # A combination is as large as the largest of its numbers: it may turn all of one into another.
     unseen, members = vectors * size, np.abs(vectors) > PART
     ratios = np.divide(np.abs(values), np.abs(unseen), where=members, out=np.zeros(unseen.shape))
@@ -70,9 +70,8 @@ def carried(fit: Fit, inertia: np.ndarray | None) -> Carried:
     return Carried(max(1.0, fit.reduced_chi2) * inverse, blind, known, -inverse @ cross)
 
 
-def _information(fit: Fit) -> np.ndarray:
-    """(P + 3, P + 3) J'J at the best fit, of the numbers and the inertias, with the recordings'
-    initial states taken out."""
+def _information(fit: Fit) -> Information:
+    """What is known at the best fit of the numbers and the inertias."""
     problem, numbers, factors = fit.problem, fit.model.vector(), []
     for i, beside in enumerate(fit.fitted):
         one = jax.tree.map(lambda x, i=i: x[i], problem.recorded)

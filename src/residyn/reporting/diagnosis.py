@@ -403,8 +403,10 @@ def _size(r: RandomTorque, found: Diagnosis) -> str:
 
 def _matters(found: Diagnosis) -> Iterator[str]:
     """What the missing torque could do to stiffness and damping, if all of it went with the angle
-    or all of it with the rate."""
+    or all of it with the rate; nothing of numbers that did not settle."""
     told = []
+    if not found.fit.stands:
+        return
     for j, r in enumerate(found.random_torque):
         if not _known(r):
             continue

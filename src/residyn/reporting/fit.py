@@ -117,7 +117,10 @@ def _open(fit: Fit) -> Iterator[str]:
                 "with a known drive torque"
             )
         elif len(members) == 1:
-            yield f"{members[0]} has no effect on these recordings: not determined"
+            yield (
+                f"{members[0]} is not determined: changing it leaves these recordings unchanged, "
+                "or changes them as another initial state would"
+            )
         else:
             yield (
                 f"these recordings determine only a combination of {', '.join(members)}: "
@@ -213,10 +216,17 @@ def _search(fit: Fit) -> Iterator[str]:
     if not fit.stands:
         yield "the fit did not settle: treat the numbers as rough"
     for label in fit.unseen if fit.stands else ():
-        yield (
-            f"{label} is not seen in these recordings: its strength is within two errors of none, "
-            "and of what does not act no shape can be told; the other numbers hold"
-        )
+        if label in fit.needed:
+            yield (
+                f"without {label} more is left than chance explains, but these recordings do not "
+                "tell how strong it is: its strength is within two errors of none; the other "
+                "numbers hold"
+            )
+        else:
+            yield (
+                f"{label} is not seen in these recordings: its strength is within two errors of "
+                "none, and of what does not act no shape can be told; the other numbers hold"
+            )
     if not fit.unseen and fit.starts > 1 and fit.agreeing_starts < max(2, fit.starts // 3):
         yield (
             f"only {fit.agreeing_starts} of {fit.starts} starts led here: "
@@ -238,7 +248,9 @@ def text(fit: Fit) -> str:
     lines = [
         *filled(base_name(fit, comma=True), "[[Model]]  "),
         "[[Fit]]",
-        *filled(f"{names(fit.fitted)} ({readings(fit)} readings)", "    recordings  "),
+        *filled(
+            f"{names(fit.fitted)} ({readings(fit)} readings{repeated(fit)})", "    recordings  "
+        ),
         *([f"    starts      {fit.agreeing_starts} of {fit.starts} agree"] * (fit.starts > 1)),
         *filled(fit.reason, "    stopped     "),
         f"    chi-square  {fit.reduced_chi2:.4g} per degree of freedom (1: noise alone)",
@@ -298,6 +310,13 @@ def modes_of(fit: Fit) -> str:
 def readings(fit: Fit) -> int:
     """How many readings the numbers were fitted to."""
     return sum(int(r.used.sum()) for r in fit.fitted)
+
+
+def repeated(fit: Fit) -> str:
+    """How many more say nothing new, in words after that number; empty for none."""
+    each = [r.recording for r in fit.fitted]
+    count = sum(int((np.isfinite(r.angle) & ~r.counts).sum()) for r in each)
+    return f"; {count} more repeat them within a step of the sensor" if count else ""
 
 
 def _known(x: float, std: float, digits: int) -> str:
