@@ -273,12 +273,7 @@ class Fits:
             starts = [(m.numbers, [self._state(m, r) for r in here.recordings]) for m in motions]
             # From the minimum of a model that it contains no fit ends above that one.
             starts += [self._from(best, t)] if best else []
-            if not found:
-                found = descended(*starts)
-                if not tried.added and found.misses:
-                    # From here it is counted how far an error falls: from the minimum of `fit`.
-                    usual = fit(fitted, effects=own, starts=self.starts, progress=progress)
-                    found = min(found, usual, key=lambda f: f.reduced_chi2)
+            found = found or descended(*starts)
         if found is None:
             # No start of a wrong model is better than another one.
             starts = 1 if tried.complete < 0.5 else self.starts
