@@ -551,3 +551,12 @@ def test_names_from_files_are_only_words(pages):
     for page in pages.values():
         assert "<script" not in page
         assert "49" not in re.findall(r"alert.{20}", page)
+
+
+def test_nothing_is_said_of_what_changes_numbers_that_did_not_settle():
+    made = by_hand.unexplained()
+    *first, last = made.ladder
+    rough = dataclasses.replace(last.fit, converged=False, reason="step limit reached")
+    rough = dataclasses.replace(made, ladder=(*first, dataclasses.replace(last, fit=rough)))
+    said = [" ".join(" ".join(x.words).split()) for x in (made, rough)]
+    assert ["it changes the stiffness" in words for words in said] == [True, False]

@@ -262,11 +262,11 @@ def text(fit: Fit) -> str:
     lines += filled(_integrated(fit), "    integrated  ")
     lines += [line for words in _inertias(fit) for line in filled(words, "    inertia     ")]
     lines.append("[[Parameters]]  value +/- standard error (error in %)")
-    width = max([30, *(len(n.name) + 1 for n in fit.own_numbers)])
+    width = max([30, *(len(n.name) for n in fit.own_numbers)])
     for n in fit.own_numbers:
         unit = "" if n.unit == "1" else f" {n.unit}"
         error = f"{n.std:.3g} ({n.percent:.2g} %)" if n.determined else "not determined"
-        lines.append(f"  {n.name:<{width}}{n.value:11.6g} +/- {error}{unit}")
+        lines.append(f"  {n.name:<{width}} {n.value:10.6g} +/- {error}{unit}")
     lines += filled(
         ", ".join(f"{n.name} {n.start:.4g}" for n in fit.own_numbers), "  started from "
     )
