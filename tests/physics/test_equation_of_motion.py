@@ -1,6 +1,7 @@
 """Eq. 1 against closed forms and against an independent simulator (MuJoCo)."""
 
 import dataclasses
+import math
 
 import diffrax
 import jax
@@ -11,7 +12,14 @@ import pytest
 import residyn
 from residyn import ConstantInertia, CoulombFriction, Damper, Gravity, PlanarArm, Spring
 from residyn.effects import PrintedInertiaTorque
-from residyn.physics.modal import at_rest, equilibrium, fastest, state_matrices, state_matrix
+from residyn.physics.modal import (
+    at_rest,
+    equilibrium,
+    fastest,
+    modes_of,
+    state_matrices,
+    state_matrix,
+)
 from residyn.physics.motion import Motion
 from residyn.simulation.simulate import march
 
@@ -236,6 +244,85 @@ def test_constant_inertia_of_any_size_rings_at_its_eigenfrequencies(joints):
         model = model + Spring(name, each)
     expected = np.sqrt(np.linalg.eigvals(np.linalg.solve(matrix, np.diag(k))).real) / (2 * np.pi)
     np.testing.assert_allclose(residyn.modes(model).frequency_hz, np.sort(expected), rtol=1e-10)
+
+
+def block(stiffness, damping, *more):
+    """Joints of 1 kg m^2 by themselves, on springs and dampers."""
+    model = residyn.Model(ConstantInertia(np.eye(len(stiffness))))
+    for name, k, c in zip(model.mechanism.joints, stiffness, damping, strict=True):
+        model = model + Spring(name, k) + Damper(name, c)
+    for effect in more:
+        model = model + effect
+    return model
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "damping", "ratio"),
+    [
+        (1.0, 0.1, 0.05),
+        (1.0, 10.0, 5.0),
+        (1.0, 2.0 - 1e-7, 1.0),
+        (1.0, 2.0 + 1e-7, 1.0),
+        (1.0, -0.1, -0.05),
+        (1.0, -10.0, -5.0),
+        (-1.0, 0.0, -1.0),
+        (-1.0, 0.1, -math.hypot(2.0, 0.1) / 2),  # it moves away, however much it is damped
+    ],
+)
+def test_natural_frequency_and_damping_ratio_of_one_joint(stiffness, damping, ratio):
+    frequency, found = residyn.modes(block([stiffness], [damping]))
+    np.testing.assert_allclose(frequency, [1 / (2 * np.pi)], rtol=1e-6)
+    np.testing.assert_allclose(found, [ratio], rtol=1e-6)
+
+
+def test_what_nothing_pulls_back_has_frequency_0():
+    frequency, ratio = residyn.modes(block([0.0, 4.0], [0.5, 0.4]))
+    np.testing.assert_allclose(frequency, [0.0, 1 / np.pi], rtol=1e-9)
+    np.testing.assert_allclose(ratio, [np.inf, 0.1], rtol=1e-9)
+
+
+def test_overdamped_joints_are_paired_by_their_shapes():
+    """Joints with slow eigenvalues -0.1 and -3.8, fast ones -9.9 and -26.2: not by size."""
+    turn = np.array([[0.8, 0.6], [-0.6, 0.8]])  # the same two, in coupled coordinates
+    plain = block([1.0, 100.0], [10.0, 30.0])
+    matrices = [np.asarray(state_matrix(plain))]
+    matrices += [np.kron(np.eye(2), turn) @ matrices[0] @ np.kron(np.eye(2), turn.T)]
+    for matrix in (matrices[0], matrices[1], np.array(matrices)):
+        frequency, ratio = modes_of(plain, matrix)
+        np.testing.assert_allclose(frequency - np.array([1, 10]) / (2 * np.pi), 0, atol=1e-9)
+        np.testing.assert_allclose(ratio - np.array([5.0, 1.5]), 0, atol=1e-9)
+
+
+@pytest.mark.parametrize("damping", [0.4, 10.0])
+@pytest.mark.parametrize(
+    "more",
+    [
+        [residyn.DahlFriction("q1", 0.0, 0.02)],
+        [residyn.PeriodicDisturbance(j, 0.1, 1.0) for j in ("q1", "q2")],
+        # Of its z = q / angle, at rest a spring of torque / angle.
+        [residyn.Hysteresis(j, 0.3, 0.1) for j in ("q1", "q2")],
+    ],
+)
+def test_internal_states_are_no_modes(more, damping):
+    model = block([1.0, 2.0], [damping, 0.4], *more)
+    added = 3.0 if more[0].name == "hysteresis" else 0.0
+    w2, c = np.array([1.0, 2.0]) + added, np.array([damping, 0.4])
+    found = jax.jit(residyn.modes)(model)
+    np.testing.assert_allclose(found.frequency_hz, np.sqrt(w2) / (2 * np.pi), rtol=1e-6)
+    np.testing.assert_allclose(found.damping_ratio, c / (2 * np.sqrt(w2)), rtol=1e-6)
+    slope = jax.jacfwd(
+        lambda k: residyn.modes(model.with_values({"spring:q1.stiffness": k})).frequency_hz
+    )(1.0)
+    expected = [1 / (4 * np.pi * np.sqrt(w2[0])), 0.0]
+    np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-9)
+
+
+def test_a_flexible_wrist_adds_a_mode():
+    arm = PlanarArm([0.4, 0.4], 1.1662, 0.5790, 1.4384, 0.0)
+    model = arm + Spring("shoulder", 16.0) + Spring("elbow", 16.0) + Damper("elbow", 5.0)
+    found = residyn.modes(model + residyn.effects.WristFlexibility(0.0, 5.0, 0.02))
+    for own, plain, hand in zip(found, residyn.modes(model), (5.0, 0.02), strict=True):
+        np.testing.assert_allclose(own, [*plain, hand], rtol=1e-6)
 
 
 def test_bearings_on_and_off_and_the_papers_frequencies():
