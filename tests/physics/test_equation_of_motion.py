@@ -325,6 +325,32 @@ def test_a_flexible_wrist_adds_a_mode():
         np.testing.assert_allclose(own, [*plain, hand], rtol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("matrix", "how", "words"),
+    [
+        ([[2.0, 1.0], [0.0, 3.0]], {}, "must be finite and symmetric"),
+        ([[2.0, np.nan], [np.nan, 3.0]], {}, "must be finite and symmetric"),
+        ([[1.0, 2.0], [2.0, 1.0]], {}, "must be positive definite"),
+        ([[-1.0]], {}, "must be positive definite"),
+        (np.eye(2), {"joints": ["a", "a"]}, "no two may be alike"),
+        (np.eye(2), {"units": ["rad"]}, 'must be "rad" or "m" for each of 2 joints'),
+        (np.eye(2), {"units": ["deg", "m"]}, 'must be "rad" or "m"'),
+    ],
+)
+def test_masses_that_there_cannot_be_are_refused(matrix, how, words):
+    with pytest.raises(ValueError, match=words):
+        ConstantInertia(matrix, **how)
+
+
+def test_traced_masses_are_taken_as_they_are():
+    def frequency(mass):
+        bodies = ConstantInertia(jnp.reshape(mass, (1, 1)))
+        return residyn.modes(bodies + Spring("q1", 9.0)).frequency_hz[0]
+
+    slope = jax.jit(jax.grad(frequency))(4.0)
+    assert float(slope) == pytest.approx(-0.5 * 3.0 * 4.0**-1.5 / (2 * np.pi))
+
+
 def test_bearings_on_and_off_and_the_papers_frequencies():
     """From the paper's own numbers: 0.3494 Hz with bearings and 0.5182 Hz without."""
     arm = PlanarArm([0.4, 0.4], 1.1662, 0.5790, 1.4384, 0.0)
@@ -372,6 +398,10 @@ def test_concrete_state_matrices_are_those_of_any_other_program(undamped, tilted
         ([0.0, 1.0], 0.1, r"q0 has shape \(\); it must have a number for each joint: shoulder"),
         ([0.0, 1.0], [0.1, 0.0, 0.0], r"q0 has shape \(3,\)"),
         (10.0, [0.1, 0.0], "times has shape"),
+        ([], [0.1, 0.0], "times has 0 instants"),
+        ([0.0], [0.1, 0.0], "times has 1 instants"),
+        ([0.0, np.nan, 1.0], [0.1, 0.0], "must be finite"),
+        ([0.0, 1.0, 0.5], [0.1, 0.0], "must increase"),
     ],
 )
 def test_arrays_of_other_shapes_are_refused(undamped, times, q0, words):
@@ -381,6 +411,43 @@ def test_arrays_of_other_shapes_are_refused(undamped, times, q0, words):
         residyn.simulate(undamped.mechanism, times, q0)
     with pytest.raises(ValueError, match="must be two numbers"):
         residyn.PlanarArm(0.4, shoulder=1.2, elbow=0.6, coupling=1.4)
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "words"),
+    [
+        ({"steps": 0}, ValueError, "steps = 0: must be a whole number, at least one"),
+        ({"steps": 2.7}, ValueError, "steps = 2.7: must be a whole number"),
+        ({"steps": True}, ValueError, "steps = true: must be a whole number"),
+        ({"orders": (1,)}, ValueError, r"orders = \(1,\): must be 0, 1 or 2 for each of shoulder"),
+        ({"orders": (0, 5)}, ValueError, r"orders = \(0, 5\)"),
+        ({"z0": [1.0]}, ValueError, r"z0 has shape \(1,\); .* internal state: none"),
+        ({"drive": np.zeros((5, 2))}, TypeError, "ndarray is no drive"),
+        (
+            {"drive": residyn.Drive(0.0, 0.1, np.zeros((5, 3)))},
+            ValueError,
+            r"values has shape \(5, 3\); it must be \(M, 2\)",
+        ),
+        (
+            {"drive": residyn.Drive(0.0, 0.0, np.zeros((5, 2)))},
+            ValueError,
+            "spacing = 0: must be positive",
+        ),
+    ],
+)
+def test_impossible_arguments_of_a_simulation_are_refused(undamped, given, error, words):
+    with pytest.raises(error, match=words):
+        residyn.simulate(undamped, [0.0, 1.0], [0.1, 0.0], **given)
+
+
+def test_a_known_model_chooses_its_steps_beside_traced_states(undamped):
+    times, q0 = np.linspace(0.0, 1.0, 5), np.array([0.1, -0.05])
+    found = jax.jit(lambda q0: residyn.simulate(undamped, times, q0).q)(q0)
+    np.testing.assert_allclose(found, residyn.simulate(undamped, times, q0).q, atol=1e-12)
+    traced = jax.jit(lambda t: residyn.simulate(undamped, t, q0, steps=50).q)(times)
+    np.testing.assert_allclose(traced, found, atol=1e-6)
+    with pytest.raises(ValueError, match="give steps="):
+        jax.jit(lambda t: residyn.simulate(undamped, t, q0).q)(times)
 
 
 def test_a_model_shows_its_numbers_and_refuses_a_joint_that_is_not_there():

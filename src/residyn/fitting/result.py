@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
+from ..errors import quote
 from ..physics.effect import BASE
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
@@ -336,6 +337,12 @@ class Fit(TableResult):
         from .posterior import to_arviz
 
         return to_arviz(self.numbers, self.covariance, draws, seed)
+
+
+def must_be_fit(given: Any) -> None:
+    """**Raises:** `TypeError` for what is no fit, such as an experiment."""
+    if not isinstance(given, Fit):
+        raise TypeError(f"{quote(given)} is no fit: residyn.fit makes one of an experiment")
 
 
 def rms_of(

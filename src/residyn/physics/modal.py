@@ -196,7 +196,7 @@ def modes_of(model: Model, matrices: Float[Array | np.ndarray, "*k s s"]) -> Mod
     pulled = product != 0
     w = here.sqrt(here.where(pulled, here.abs(product), 1.0))
     back = here.where(product < 0, here.abs(here.real(a - b)), total)
-    free = here.where(total == 0, 0.0, -here.sign(total) * np.inf)
+    free = here.where(total == 0, 0.0, here.where(total < 0, np.inf, -np.inf))
     ratio = here.where(pulled, -back / (2 * w), free)
     frequency = here.where(pulled, w / (2 * np.pi), 0.0)
     good = here.isfinite(matrices).all(axis=(-2, -1))[..., None]
