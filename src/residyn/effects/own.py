@@ -11,6 +11,7 @@ becomes one line with the file, the line in it and what to write instead.
 """
 
 import dataclasses
+import functools
 import importlib.metadata
 import importlib.util
 import inspect
@@ -100,12 +101,19 @@ def checked(kind: object, where: str) -> type[AbstractEffect]:
 
 
 def check_instance(effect: AbstractEffect, mechanism: AbstractInertia) -> None:
-    """Trace the law of an effect on the mechanism that it is to act on.
+    """Trace the law of an effect on the mechanism that it is to act on: once, whatever its numbers.
 
     **Raises:** `InputError`, in one line, as `checked`.
     """
+    _check_name(type(effect))
+    leaves, structure = jax.tree.flatten(jax.tree.map(_shape, (effect, mechanism)))
+    _check_structure(structure, tuple(leaves))
+
+
+@functools.lru_cache
+def _check_structure(structure: Any, leaves: tuple[Any, ...]) -> None:
+    effect, mechanism = jax.tree.unflatten(structure, leaves)
     kind = type(effect)
-    _check_name(kind)
     with inside(effect.label):
         check_numbers(kind)
         if not isinstance(effect, JointEffect) or effect.joint in mechanism.joints:
