@@ -173,6 +173,79 @@ def test_a_mistake_in_a_law_is_told_with_its_line(tmp_path, capsys, law, says):
 
 
 @pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        (
+            "def joint_rate(self, motion): return motion.v",
+            "line 7: joint_rate returns a number: must be a tuple of rates, one number for each",
+        ),
+        ("def joint_rate(self, motion): return motion.v, 0.0", "returns (a number, a number)"),
+        ("def joint_rate(self, motion): return (jnp.ones(2),)", "(an array of shape (2,))"),
+        ("def joint_follow(self, motion): return motion.q", "joint_follow returns a number"),
+        (
+            "def reading(self, angles, mechanism): return 2 * angles[0]",
+            "line 7: reading returns an array of shape (3,): must be a tuple of one array for each",
+        ),
+        ("def reading(self, angles, mechanism): return angles[:1]", "reading returns ("),
+        ("def reading(self, angles, mechanism): return 0.0, 0.0", "(a number, a number)"),
+        ("def delays(self, mechanism): return 0.0", "delays returns a number"),
+    ],
+)  # fmt: skip
+def test_whatever_a_law_returns_is_checked(tmp_path, body, says):
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "import jax.numpy as jnp; from residyn import JointEffect, Memory, parameter\n"
+        'class Mine(JointEffect):\n    name = "mine"\n'
+        '    memory = (Memory("x", parameter.ANGLE),)\n'
+        f"    def joint_torque(self, motion):\n        return 0.0\n    {body}\n"
+    )
+    with pytest.raises(residyn.InputError, match=re.escape(says)):
+        residyn.load_effects(path)
+
+
+class Stop(residyn.JointEffect):
+    name = "own_stop"
+    stiffness: float = residyn.param("stiffness", residyn.parameter.STIFFNESS)
+
+    def joint_torque(self, motion):
+        return self.stiffness * motion.q if motion.q > 0.1 else 0.0
+
+
+class Nameless(Stop):
+    name = None  # pyright: ignore
+
+
+class ShapeOnly(residyn.JointEffect):
+    name = "own_shape"
+    gap: float = residyn.param("gap", residyn.parameter.ANGLE, silent=None, default=0.1)
+
+    def joint_torque(self, motion):
+        return self.gap * motion.q
+
+
+@pytest.mark.parametrize(
+    ("kind", "says"),
+    [
+        (Stop, r"own_stop:cart: line \d+: a number that JAX traces has no truth value"),
+        (Nameless, "Nameless needs a name"),
+        (ShapeOnly, "own_shape:cart: ShapeOnly: has shapes only"),
+    ],
+)
+def test_an_instance_is_checked_as_a_file_is(kind, says):
+    time = np.linspace(0.0, 4.0, 80)
+    run = residyn.Recording.from_arrays(time, 0.1 * np.cos(6 * time)[:, None], name="run")
+    bodies = residyn.ConstantInertia([[1.0]], ["cart"], ["m"])
+    with pytest.raises(residyn.InputError, match=says):
+        residyn.fit(residyn.Experiment(bodies, [run]), effects=[kind("cart")], starts=1)
+
+
+def test_a_simulation_tells_a_mistake_in_a_law_from_traced_steps():
+    model = residyn.ConstantInertia([[1.0]], ["cart"], ["m"]) + residyn.Spring("cart", 4.0)
+    with pytest.raises(residyn.InputError, match=r"own_stop:cart: line \d+: .* no truth value"):
+        residyn.simulate(model + Stop("cart", 3.0), [0.0, 1.0], [0.2])
+
+
+@pytest.mark.parametrize(
     ("numbers", "says"),
     [
         ({"a": {"silent": None, "default": 5.0}}, "Mine: has shapes only (silent=None)"),

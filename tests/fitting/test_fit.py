@@ -309,9 +309,17 @@ def test_unknown_effects_joints_and_doubles_are_one_clear_line(case):
         with pytest.raises(ValueError, match="whole number, at least one"):
             residyn.fit(made, starts=starts)
     for other in ("x.toml", made.recordings[0]):
-        for call in (residyn.fit, residyn.diagnose, residyn.compare):
+        taking = residyn.fit, residyn.diagnose, residyn.compare, residyn.plan, residyn.detectable
+        for call in (*taking, residyn.unload, residyn.inertia, residyn.race):
             with pytest.raises(TypeError, match=r"is no experiment: residyn\.load reads one"):
                 call(other)
+        for call in (residyn.bootstrap, residyn.embed):
+            with pytest.raises(TypeError, match=r"is no fit: residyn\.fit makes one"):
+                call(other)
+    with pytest.raises(TypeError, match="must be a list"):
+        next(residyn.fit_many("x.toml"))
+    with pytest.raises(TypeError, match="None is no experiment"):
+        next(residyn.fit_many([None]))
 
 
 def test_fitting_needs_no_setting_and_changes_none(case):
@@ -328,7 +336,7 @@ def test_same_recording_same_fit(case, fit):
 
 @pytest.mark.parametrize("second", ["shorter", "slower arm"])
 def test_a_fit_of_a_second_recording_compiles_nothing(case, second, monkeypatch):
-    first = residyn.fit(experiment(case), starts=3)
+    first = residyn.fit(experiment(case), starts=np.int64(3))
     if second == "shorter":
         other = dataclasses.replace(case, t=case.t[:1500], q=case.q[:1500] + 1e-5)
     else:  # the same readings, taken three times as slowly

@@ -170,9 +170,40 @@ def test_reverse_mode_is_the_same(embedded):
     assert float(forward) == pytest.approx(between, rel=2e-2)
 
 
-def test_single_precision_is_refused(fit):
-    with jax.enable_x64(False), pytest.raises(ValueError, match="jax_enable_x64"):
-        residyn.embed(fit)
+def test_single_precision_is_refused(embedded, fit):
+    start = embedded.solve().numbers
+    with jax.enable_x64(False):
+        for call in (
+            lambda: residyn.embed(fit),
+            embedded.solve,
+            lambda: embedded.with_start(start),
+            lambda: embedded.chi2(start),
+            lambda: jax.jit(lambda e: e.solve().numbers)(embedded),
+        ):
+            with pytest.raises(ValueError, match="jax_enable_x64"):
+                call()
+
+
+def test_starts_and_bodies_of_another_shape_are_refused(embedded):
+    numbers = embedded.solve().numbers
+    arm = PlanarArm((ARM.l1, ARM.l2), [ARM.shoulder], ARM.elbow, ARM.coupling, ARM.theta2)
+    for error, words, call in (
+        (
+            ValueError,
+            r"numbers have shape \(3,\): must be",
+            lambda: embedded.with_start(numbers[:3]),
+        ),
+        (ValueError, r"states have shape \(2,\)", lambda: embedded.with_start(numbers, [0.0, 0.0])),
+        (ValueError, r"numbers have shape \(1,\)", lambda: embedded.chi2(numbers[:1])),
+        (ValueError, "numbers of the PlanarArm have shapes", lambda: embedded.with_mechanism(arm)),
+        (
+            TypeError,
+            "ConstantInertia: must be a PlanarArm",
+            lambda: embedded.with_mechanism(residyn.ConstantInertia(np.eye(2))),
+        ),
+    ):
+        with pytest.raises(error, match=words):
+            call()
 
 
 class ThreeLinks(residyn.AbstractMechanism):

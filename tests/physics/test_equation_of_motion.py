@@ -1,6 +1,7 @@
 """Eq. 1 against closed forms and against an independent simulator (MuJoCo)."""
 
 import dataclasses
+import math
 
 import diffrax
 import jax
@@ -11,7 +12,14 @@ import pytest
 import residyn
 from residyn import ConstantInertia, CoulombFriction, Damper, Gravity, PlanarArm, Spring
 from residyn.effects import PrintedInertiaTorque
-from residyn.physics.modal import at_rest, equilibrium, fastest, state_matrices, state_matrix
+from residyn.physics.modal import (
+    at_rest,
+    equilibrium,
+    fastest,
+    modes_of,
+    state_matrices,
+    state_matrix,
+)
 from residyn.physics.motion import Motion
 from residyn.simulation.simulate import march
 
@@ -238,6 +246,111 @@ def test_constant_inertia_of_any_size_rings_at_its_eigenfrequencies(joints):
     np.testing.assert_allclose(residyn.modes(model).frequency_hz, np.sort(expected), rtol=1e-10)
 
 
+def block(stiffness, damping, *more):
+    """Joints of 1 kg m^2 by themselves, on springs and dampers."""
+    model = residyn.Model(ConstantInertia(np.eye(len(stiffness))))
+    for name, k, c in zip(model.mechanism.joints, stiffness, damping, strict=True):
+        model = model + Spring(name, k) + Damper(name, c)
+    for effect in more:
+        model = model + effect
+    return model
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "damping", "ratio"),
+    [
+        (1.0, 0.1, 0.05),
+        (1.0, 10.0, 5.0),
+        (1.0, 2.0 - 1e-7, 1.0),
+        (1.0, 2.0 + 1e-7, 1.0),
+        (1.0, -0.1, -0.05),
+        (1.0, -10.0, -5.0),
+        (-1.0, 0.0, -1.0),
+        (-1.0, 0.1, -math.hypot(2.0, 0.1) / 2),  # it moves away, however much it is damped
+    ],
+)
+def test_natural_frequency_and_damping_ratio_of_one_joint(stiffness, damping, ratio):
+    frequency, found = residyn.modes(block([stiffness], [damping]))
+    np.testing.assert_allclose(frequency, [1 / (2 * np.pi)], rtol=1e-6)
+    np.testing.assert_allclose(found, [ratio], rtol=1e-6)
+
+
+def test_what_nothing_pulls_back_has_frequency_0():
+    frequency, ratio = residyn.modes(block([0.0, 4.0], [0.5, 0.4]))
+    np.testing.assert_allclose(frequency, [0.0, 1 / np.pi], rtol=1e-9)
+    np.testing.assert_allclose(ratio, [np.inf, 0.1], rtol=1e-9)
+
+
+def test_overdamped_joints_are_paired_by_their_shapes():
+    """Joints with slow eigenvalues -0.1 and -3.8, fast ones -9.9 and -26.2: not by size."""
+    turn = np.array([[0.8, 0.6], [-0.6, 0.8]])  # the same two, in coupled coordinates
+    plain = block([1.0, 100.0], [10.0, 30.0])
+    matrices = [np.asarray(state_matrix(plain))]
+    matrices += [np.kron(np.eye(2), turn) @ matrices[0] @ np.kron(np.eye(2), turn.T)]
+    for matrix in (matrices[0], matrices[1], np.array(matrices)):
+        frequency, ratio = modes_of(plain, matrix)
+        np.testing.assert_allclose(frequency - np.array([1, 10]) / (2 * np.pi), 0, atol=1e-9)
+        np.testing.assert_allclose(ratio - np.array([5.0, 1.5]), 0, atol=1e-9)
+
+
+@pytest.mark.parametrize("damping", [0.4, 10.0])
+@pytest.mark.parametrize(
+    "more",
+    [
+        [residyn.DahlFriction("q1", 0.0, 0.02)],
+        [residyn.PeriodicDisturbance(j, 0.1, 1.0) for j in ("q1", "q2")],
+        # Of its z = q / angle, at rest a spring of torque / angle.
+        [residyn.Hysteresis(j, 0.3, 0.1) for j in ("q1", "q2")],
+    ],
+)
+def test_internal_states_are_no_modes(more, damping):
+    model = block([1.0, 2.0], [damping, 0.4], *more)
+    added = 3.0 if more[0].name == "hysteresis" else 0.0
+    w2, c = np.array([1.0, 2.0]) + added, np.array([damping, 0.4])
+    found = jax.jit(residyn.modes)(model)
+    np.testing.assert_allclose(found.frequency_hz, np.sqrt(w2) / (2 * np.pi), rtol=1e-6)
+    np.testing.assert_allclose(found.damping_ratio, c / (2 * np.sqrt(w2)), rtol=1e-6)
+    slope = jax.jacfwd(
+        lambda k: residyn.modes(model.with_values({"spring:q1.stiffness": k})).frequency_hz
+    )(1.0)
+    expected = [1 / (4 * np.pi * np.sqrt(w2[0])), 0.0]
+    np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-9)
+
+
+def test_a_flexible_wrist_adds_a_mode():
+    arm = PlanarArm([0.4, 0.4], 1.1662, 0.5790, 1.4384, 0.0)
+    model = arm + Spring("shoulder", 16.0) + Spring("elbow", 16.0) + Damper("elbow", 5.0)
+    found = residyn.modes(model + residyn.effects.WristFlexibility(0.0, 5.0, 0.02))
+    for own, plain, hand in zip(found, residyn.modes(model), (5.0, 0.02), strict=True):
+        np.testing.assert_allclose(own, [*plain, hand], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "how", "words"),
+    [
+        ([[2.0, 1.0], [0.0, 3.0]], {}, "must be finite and symmetric"),
+        ([[2.0, np.nan], [np.nan, 3.0]], {}, "must be finite and symmetric"),
+        ([[1.0, 2.0], [2.0, 1.0]], {}, "must be positive definite"),
+        ([[-1.0]], {}, "must be positive definite"),
+        (np.eye(2), {"joints": ["a", "a"]}, "no two may be alike"),
+        (np.eye(2), {"units": ["rad"]}, 'must be "rad" or "m" for each of 2 joints'),
+        (np.eye(2), {"units": ["deg", "m"]}, 'must be "rad" or "m"'),
+    ],
+)
+def test_masses_that_there_cannot_be_are_refused(matrix, how, words):
+    with pytest.raises(ValueError, match=words):
+        ConstantInertia(matrix, **how)
+
+
+def test_traced_masses_are_taken_as_they_are():
+    def frequency(mass):
+        bodies = ConstantInertia(jnp.reshape(mass, (1, 1)))
+        return residyn.modes(bodies + Spring("q1", 9.0)).frequency_hz[0]
+
+    slope = jax.jit(jax.grad(frequency))(4.0)
+    assert float(slope) == pytest.approx(-0.5 * 3.0 * 4.0**-1.5 / (2 * np.pi))
+
+
 def test_bearings_on_and_off_and_the_papers_frequencies():
     """From the paper's own numbers: 0.3494 Hz with bearings and 0.5182 Hz without."""
     arm = PlanarArm([0.4, 0.4], 1.1662, 0.5790, 1.4384, 0.0)
@@ -285,6 +398,10 @@ def test_concrete_state_matrices_are_those_of_any_other_program(undamped, tilted
         ([0.0, 1.0], 0.1, r"q0 has shape \(\); it must have a number for each joint: shoulder"),
         ([0.0, 1.0], [0.1, 0.0, 0.0], r"q0 has shape \(3,\)"),
         (10.0, [0.1, 0.0], "times has shape"),
+        ([], [0.1, 0.0], "times has 0 instants"),
+        ([0.0], [0.1, 0.0], "times has 1 instants"),
+        ([0.0, np.nan, 1.0], [0.1, 0.0], "must be finite"),
+        ([0.0, 1.0, 0.5], [0.1, 0.0], "must increase"),
     ],
 )
 def test_arrays_of_other_shapes_are_refused(undamped, times, q0, words):
@@ -294,6 +411,43 @@ def test_arrays_of_other_shapes_are_refused(undamped, times, q0, words):
         residyn.simulate(undamped.mechanism, times, q0)
     with pytest.raises(ValueError, match="must be two numbers"):
         residyn.PlanarArm(0.4, shoulder=1.2, elbow=0.6, coupling=1.4)
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "words"),
+    [
+        ({"steps": 0}, ValueError, "steps = 0: must be a whole number, at least one"),
+        ({"steps": 2.7}, ValueError, "steps = 2.7: must be a whole number"),
+        ({"steps": True}, ValueError, "steps = true: must be a whole number"),
+        ({"orders": (1,)}, ValueError, r"orders = \(1,\): must be 0, 1 or 2 for each of shoulder"),
+        ({"orders": (0, 5)}, ValueError, r"orders = \(0, 5\)"),
+        ({"z0": [1.0]}, ValueError, r"z0 has shape \(1,\); .* internal state: none"),
+        ({"drive": np.zeros((5, 2))}, TypeError, "ndarray is no drive"),
+        (
+            {"drive": residyn.Drive(0.0, 0.1, np.zeros((5, 3)))},
+            ValueError,
+            r"values has shape \(5, 3\); it must be \(M, 2\)",
+        ),
+        (
+            {"drive": residyn.Drive(0.0, 0.0, np.zeros((5, 2)))},
+            ValueError,
+            "spacing = 0: must be positive",
+        ),
+    ],
+)
+def test_impossible_arguments_of_a_simulation_are_refused(undamped, given, error, words):
+    with pytest.raises(error, match=words):
+        residyn.simulate(undamped, [0.0, 1.0], [0.1, 0.0], **given)
+
+
+def test_a_known_model_chooses_its_steps_beside_traced_states(undamped):
+    times, q0 = np.linspace(0.0, 1.0, 5), np.array([0.1, -0.05])
+    found = jax.jit(lambda q0: residyn.simulate(undamped, times, q0).q)(q0)
+    np.testing.assert_allclose(found, residyn.simulate(undamped, times, q0).q, atol=1e-12)
+    traced = jax.jit(lambda t: residyn.simulate(undamped, t, q0, steps=50).q)(times)
+    np.testing.assert_allclose(traced, found, atol=1e-6)
+    with pytest.raises(ValueError, match="give steps="):
+        jax.jit(lambda t: residyn.simulate(undamped, t, q0).q)(times)
 
 
 def test_a_model_shows_its_numbers_and_refuses_a_joint_that_is_not_there():

@@ -20,7 +20,7 @@ import numpy as np
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting.layout import bucket
 from ..fitting.problem import mechanism_of, posed
-from ..physics.modal import at_rest, eigenvalues, equilibrium, fastest, modes_of
+from ..physics.modal import at_rest, equilibrium, fastest, modes_of
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.limits import Limits
@@ -219,7 +219,7 @@ def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Sett
     releases = [size * direction for size, direction in each]
     motions: list[tuple[np.ndarray, Sweep | None]] = [(r, None) for r in releases]
     torques = limits.each("drive", n) or (0.0,) * n
-    frequencies = modes_of(eigenvalues(at_rest(model)[1])).frequency_hz
+    frequencies = modes_of(model, at_rest(model)[1]).frequency_hz
     rings = frequencies[np.isfinite(frequencies) & (frequencies > 0)]
     for joint, torque in zip(experiment.joints, torques, strict=True):
         for share in _DRIVES if torque and len(rings) else ():

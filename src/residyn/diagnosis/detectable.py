@@ -29,7 +29,7 @@ from ..effects import AbstractEffect
 from ..filtering.law import numbers_of
 from ..filtering.trajectory import Scene
 from ..physics.modal import modes
-from ..recordings.experiment import Experiment
+from ..recordings.experiment import Experiment, must_be_experiment
 from ..runtime.json import finite
 from ..runtime.presentation import Result
 from .columns import Column, Columns, candidates, known_signs, nested, strengths
@@ -115,9 +115,11 @@ def detectable(experiment: Experiment, *, effects: Sequence[str | AbstractEffect
     - `experiment`: from `residyn.load`, or made of arrays.
     - `effects`: what the model has beside springs and dampers.
 
-    **Raises:** `FitError` if no motion of springs and dampers goes with the readings; `ValueError`
-    for an effect that does not exist or does not go with this experiment.
+    **Raises:** `FitError` if no motion of springs and dampers goes with the readings; `TypeError`
+    for what is no experiment; `ValueError` for an effect that does not exist or does not go with
+    this one.
     """
+    must_be_experiment(experiment)
     if not experiment.fit_recordings:
         raise ValueError('no recording has role = "fit": there is no motion to look at')
     with jax.enable_x64(True):

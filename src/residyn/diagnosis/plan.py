@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from ..errors import InputError
-from ..recordings.experiment import Experiment
+from ..recordings.experiment import Experiment, must_be_experiment
 from ..recordings.limits import Limits
 from ..runtime.json import finite
 from ..runtime.presentation import Result
@@ -95,13 +95,14 @@ def plan(
 
     **Returns:** a `Plan`: print it, or `to_dict()`.
 
-    **Raises:** `ValueError` for less than one test or a diagnosis whose search was not kept; as
-    `residyn.diagnose` does.
+    **Raises:** `ValueError` for less than one test or a diagnosis whose search was not kept;
+    `TypeError` for what is neither; as `residyn.diagnose` does.
     """
     if tests < 1:
         raise InputError(f"tests = {tests}: at least one test is planned")
     say = progress or (lambda words: None)
-    if isinstance(found, Experiment):
+    if not isinstance(found, Diagnosis):
+        must_be_experiment(found)
         found = diagnose(found, progress=progress, **options)
     if found.search is None:
         raise ValueError("this diagnosis has not kept its search: diagnose again to plan tests")

@@ -5,6 +5,7 @@ and the tests of the catalogue apply to it.
 """
 
 import functools
+from collections.abc import Iterable
 from pathlib import Path
 
 from ..errors import InputError, did_you_mean, quote
@@ -35,7 +36,8 @@ from .inertia import InertiaError as InertiaError
 from .inertia import PrintedInertiaTorque as PrintedInertiaTorque
 from .memory import BrakeSlip as BrakeSlip
 from .memory import Hysteresis as Hysteresis
-from .own import checked, installed, read_effects
+from .own import check_instance, checked, installed, read_effects
+from .own_numbers import shared
 from .sensor import SensorCurve as SensorCurve
 from .sensor import SensorDelay as SensorDelay
 from .sensor import SensorOffset as SensorOffset
@@ -95,6 +97,17 @@ def adopt(kind: type[AbstractEffect], where: str = "a user's effect") -> None:
     ):
         raise InputError(f'{where}: the name "{kind.name}" is taken; give {kind.__name__} another')
     CATALOGUE[kind.name] = kind
+
+
+def check_own(effects: Iterable[AbstractEffect], mechanism: AbstractInertia) -> None:
+    """Trace the laws of those effects that are not of the catalogue, whose laws have been.
+
+    **Raises:** `InputError`, in one line, for one that cannot be used.
+    """
+    for effect in effects:
+        kind = type(shared(effect))
+        if CATALOGUE.get(getattr(kind, "name", "")) is not kind:
+            check_instance(effect, mechanism)
 
 
 def load_effects(path: str | Path) -> tuple[str, ...]:

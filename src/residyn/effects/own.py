@@ -4,19 +4,21 @@ A user's effect is a class like any of the catalogue's, and joins it: from then 
 name in every command. A package offers effects as entry points of the group `residyn.effects`; a
 file needs only be named.
 
-Its law is traced once when it is brought. JAX calls a law with abstract numbers: what Python then
-says of an `if` on one of them, of a name that a motion does not have, or of a law that returns
-nothing, comes from the depths of a fit. Here it becomes one line with the file, the line in it and
-what to write instead.
+Its law is traced once when it is brought, or when an instance of it is fitted or simulated. JAX
+calls a law with abstract numbers: what Python then says of an `if` on one of them, of a name that a
+motion does not have, or of a law that returns nothing, comes from the depths of a fit. Here it
+becomes one line with the file, the line in it and what to write instead.
 """
 
 import dataclasses
+import functools
 import importlib.metadata
 import importlib.util
 import inspect
 import math
 import sys
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -24,15 +26,18 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..errors import InputError, inside, quote
 from ..files import check_ordinary
 from ..physics.effect import AbstractEffect, JointEffect
+from ..physics.inertia import AbstractInertia
 from ..physics.mechanism import PlanarArm
 from ..physics.motion import JointMotion, Motion
 from ..physics.parameter import parameters_of
 
 GROUP = "residyn.effects"
+_READINGS = 3  # as many are traced: no number of anything else
 
 
 def read_effects(path: str | Path) -> list[type[AbstractEffect]]:
@@ -85,19 +90,43 @@ def checked(kind: object, where: str) -> type[AbstractEffect]:
     """
     if not (isinstance(kind, type) and issubclass(kind, AbstractEffect)):
         raise InputError(f"{where}: {quote(kind)} is no effect (a subclass of AbstractEffect)")
-    name = getattr(kind, "name", None)
-    if not isinstance(name, str) or not name.isidentifier():
-        raise InputError(
-            f"{where}: {kind.__name__} needs a name, such as name = "
-            f'"{_snake(kind.__name__)}", by which commands call it'
-        )
-    lacking = sorted(getattr(kind, "__abstractmethods__", ()))
-    if lacking:
-        raise InputError(f"{where}: {kind.__name__} lacks the method {lacking[0]}")
     with inside(where):
+        _check_name(kind)
+        lacking = sorted(getattr(kind, "__abstractmethods__", ()))
+        if lacking:
+            raise InputError(f"{kind.__name__} lacks the method {lacking[0]}")
         check_numbers(kind)
         check_law(kind)
     return kind
+
+
+def check_instance(effect: AbstractEffect, mechanism: AbstractInertia) -> None:
+    """Trace the law of an effect on the mechanism that it is to act on: once, whatever its numbers.
+
+    **Raises:** `InputError`, in one line, as `checked`.
+    """
+    _check_name(type(effect))
+    leaves, structure = jax.tree.flatten(jax.tree.map(_shape, (effect, mechanism)))
+    _check_structure(structure, tuple(leaves))
+
+
+@functools.lru_cache
+def _check_structure(structure: Any, leaves: tuple[Any, ...]) -> None:
+    effect, mechanism = jax.tree.unflatten(structure, leaves)
+    kind = type(effect)
+    with inside(effect.label):
+        check_numbers(kind)
+        if not isinstance(effect, JointEffect) or effect.joint in mechanism.joints:
+            _check_traced(kind, lambda effect: effect, effect, mechanism)
+
+
+def _check_name(kind: type[AbstractEffect]) -> None:
+    name = getattr(kind, "name", None)
+    if not isinstance(name, str) or not name.isidentifier():
+        raise InputError(
+            f"{kind.__name__} needs a name, such as name = "
+            f'"{_snake(kind.__name__)}", by which commands call it'
+        )
 
 
 def _defined_in(module: ModuleType) -> list[type[AbstractEffect]]:
@@ -168,39 +197,72 @@ def check_law(kind: type[AbstractEffect]) -> None:
         places = kind.places(arm)
     except ValueError:  # it is about some other mechanism
         return
-    number: Any = jax.ShapeDtypeStruct((), jnp.result_type(float))
-    pair = (number, number)
-    own: dict[str, Any] = {p.field: number for p in parameters_of(kind)}
-    remembered = (number,) * len(kind.memory)
-    motion = Motion(number, pair, pair, pair, remembered)
+    own: dict[str, Any] = {p.field: _number() for p in parameters_of(kind)}
+    _check_traced(kind, lambda own: kind(*places[:1], **own), own, arm)
 
-    method, right = "torque", "the torques, a tuple of one number for each joint"
-    if issubclass(kind, JointEffect):
-        method, right = "joint_torque", "the torque, a number"
 
-    def law(own, motion, arm):
-        effect = kind(*places[:1], **own)
-        given = (motion, arm) if method == "torque" else (motion.of(0),)
-        torque, rates = getattr(effect, method)(*given), effect.rate(motion, arm)
-        return torque, rates, effect.reading((motion.q[0][None], motion.q[1][None]), arm)
+def _number(*shape: int) -> Any:
+    return jax.ShapeDtypeStruct(shape, jnp.result_type(float))
+
+
+def _check_traced(
+    kind: type[AbstractEffect],
+    made: Callable[[Any], AbstractEffect],
+    given: Any,
+    mechanism: AbstractInertia,
+) -> None:
+    """Trace the effect that is made of `given`, a pytree of numbers."""
+    n = len(mechanism.joints)
+    each, angles = (_number(),) * n, (_number(_READINGS),) * n
+    motion = Motion(_number(), each, each, each, (_number(),) * len(kind.memory))
+    own = "joint_" if issubclass(kind, JointEffect) else ""
+    a_state, states = "one number for each internal state", _each(len(kind.memory), _is_number)
+    said: dict[str, tuple[str, Callable[[Any], bool]]] = {
+        "torque": ("the torques, a tuple of one number for each joint", _each(n, _is_number)),
+        "joint_torque": ("the torque, a number", _is_number),
+        f"{own}rate": (f"a tuple of rates, {a_state}", states),
+        f"{own}follow": (f"a tuple, {a_state}", states),
+        "reading": (
+            "a tuple of one array for each joint, of its angles' shape",
+            _each(n, _is_column),
+        ),
+        "delays": ("a tuple of one number for each joint, s", _each(n, _is_number)),
+    }
+    said.pop("torque" if own else "joint_torque")
+
+    def law(given, motion, mechanism, angles):
+        effect = made(given)
+        here = motion
+        if isinstance(effect, JointEffect):
+            here = motion.of(mechanism.joints.index(effect.joint))
+        told = {"reading": (angles, mechanism), "delays": (mechanism,)}
+        usual = (here,) if own else (motion, mechanism)
+        return {name: getattr(effect, name)(*told.get(name, usual)) for name in said}
 
     try:
         # Shapes of arrays, and anything else as it is.
-        value, rates, _ = eqx.filter_eval_shape(law, own, motion, arm)
+        given, mechanism = jax.tree.map(_shape, (given, mechanism))
+        found = eqx.filter_eval_shape(law, given, motion, mechanism, angles)
     except InputError:
         raise
     except Exception as error:  # whatever the user's law does
         raise InputError(f"{_where(kind, error)}{_why(error)}") from None
-    good = _is_number(value)
-    if method == "torque":
-        good = isinstance(value, tuple) and len(value) == 2 and all(map(_is_number, value))
-    if not good:
-        raise InputError(f"{_where(kind, method)}{method} returns {_words(value)}: must be {right}")
-    if len(rates) != len(kind.memory):
-        raise InputError(
-            f"{_where(kind, 'joint_rate')}it has {len(kind.memory)} internal states and "
-            f"{len(rates)} rates of them: must be as many"
-        )
+    for name, (right, good) in said.items():
+        if not good(found[name]):
+            words = _words(found[name])
+            raise InputError(f"{_where(kind, name)}{name} returns {words}: must be {right}")
+
+
+def _shape(x: Any) -> Any:
+    return jax.ShapeDtypeStruct(x.shape, x.dtype) if isinstance(x, np.ndarray | jax.Array) else x
+
+
+def _each(count: int, good: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    return lambda x: isinstance(x, tuple | list) and len(x) == count and all(map(good, x))
+
+
+def _is_column(value: Any) -> bool:
+    return getattr(value, "shape", None) == (_READINGS,)
 
 
 def _is_number(value: Any) -> bool:
@@ -210,8 +272,12 @@ def _is_number(value: Any) -> bool:
 def _words(value: Any) -> str:
     if value is None:
         return "nothing"
+    if _is_number(value):
+        return "a number"
     if (shape := getattr(value, "shape", None)) is not None:
         return f"an array of shape {shape}"
+    if isinstance(value, tuple | list):
+        return f"({', '.join(map(_words, value))})"
     return f"{quote(value)}, a {type(value).__name__}"
 
 

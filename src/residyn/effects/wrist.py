@@ -28,6 +28,7 @@ class WristFlexibility(ArmEffect):
     looks_like = "a third frequency, mostly at the elbow"
     source = "paper, section 2.1 (J3, neglected there)"
     memory = (Memory("deflection", ANGLE), Memory("rate", RATE))
+    own_modes = 1
 
     inertia: Scalar = param("inertia of the hand about the wrist", INERTIA, sign="positive")
     frequency: Scalar = param(

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import jax
 
 from ..effects import AbstractEffect
-from ..errors import InputError
-from ..recordings.experiment import Experiment, load
+from ..errors import InputError, quote
+from ..recordings.experiment import Experiment, load, must_be_experiment
 from ..runtime.parallel import cores, in_order
 from .fit import fitting
 from .lanes import Fitting, alone, lanes, together
@@ -76,13 +76,18 @@ def fit_many(
     `error`, not exceptions.
 
     **Raises:** `ValueError` for an empty batch, or one beside an executor, whose workers fit one at
-    a time; `InputError` if two experiments have the same name, or `out` holds something
-      else, cannot be written, or is written by another run.
+    a time; `TypeError` for what is no list, or holds what is neither a path nor an experiment;
+    `InputError` if two experiments have the same name, or `out` holds something else, cannot be
+    written, or is written by another run.
     """
     if batch is not None and (batch < 1 or executor is not None):
         raise ValueError(f"batch = {batch}: must be at least 1, and not beside an executor")
+    if isinstance(experiments, str | os.PathLike | Experiment):
+        raise TypeError(f"experiments = {quote(experiments)}: must be a list of them")
     named, seen = [], set()
     for index, one in enumerate(experiments):
+        if not isinstance(one, str | os.PathLike):
+            must_be_experiment(one)
         name = one.path or f"experiment {index + 1}" if isinstance(one, Experiment) else str(one)
         if name in seen:
             raise InputError(f"{name} is there twice: results could not be told apart")

@@ -21,7 +21,7 @@ from ..runtime.parallel import cores, in_order
 from .implicit import Embedded, embedded, minimum
 from .lanes import lanes
 from .least_squares import first_step, look
-from .result import Fit
+from .result import Fit, must_be_fit
 
 _ARRAYS = 200  # of all readings of a fit; the program needs 72, so a third of the memory is taken
 _MEMORY = 4e9  # bytes of a device that does not say how many it has
@@ -69,8 +69,10 @@ def bootstrap(
     - `batch`: fits that run side by side on each device; None is what suits it (1 on a CPU).
     - `progress`: called with a few words now and then.
 
-    **Raises:** `ValueError` for fewer than two draws, or an empty batch.
+    **Raises:** `ValueError` for fewer than two draws, or an empty batch; `TypeError` for what is no
+    fit.
     """
+    must_be_fit(fit)
     if draws < 2:
         raise ValueError(f"draws = {draws}: a spread needs at least two")
     devices = jax.devices()

@@ -10,7 +10,7 @@ frequency that two stiffnesses only set together, has its error all the same.
 import numpy as np
 
 from ..physics.effect import unit_of
-from ..physics.modal import at_rest, eigenvalues, state_matrices
+from ..physics.modal import at_rest, state_matrices
 from ..physics.modal import modes_of as rings_of
 from ..physics.model import Model, changed
 from .linalg import Spread, information, inverse_of
@@ -50,7 +50,7 @@ def modes_of(model: Model, spread: Spread) -> tuple[Mode, ...]:
     steps = np.diag(1e-6 * np.maximum(np.abs(vector), 1e-6))
     beside = np.concatenate([vector[None], vector + steps, vector - steps])
     # All at once: one by one, these small matrices would take as long as the search.
-    rings = np.stack(rings_of(eigenvalues(state_matrices(model, beside))))  # (2, 2 P + 1, n)
+    rings = np.stack(rings_of(model, state_matrices(model, beside)))  # (2, 2 P + 1, n)
     best, (up, down) = rings[:, 0], np.split(rings[:, 1:], 2, axis=1)
     slopes = (up - down) / (2 * np.diag(steps)[:, None])
     std = spread.std_of(slopes.swapaxes(1, 2))  # (2, n)

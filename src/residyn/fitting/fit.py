@@ -103,6 +103,7 @@ def fitting(
     began = time.perf_counter()
     if not isinstance(starts, Integral) or starts < 1:
         raise ValueError(f"starts = {starts!r}: must be a whole number, at least one")
+    starts = int(starts)
     progress("finding a start in closed form")
     begin = beginning(experiment, effects, starts)
     experiment, here, numbers, memory = begin

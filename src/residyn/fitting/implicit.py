@@ -20,13 +20,14 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..physics.effect import BASE
+from ..physics.inertia import AbstractInertia
 from ..physics.mechanism import AbstractMechanism
 from ..physics.model import Model
 from ..physics.parameter import all_floating, stacked
 from ..recordings.segments import by_recording
 from .least_squares import Compressed, Horizon, compressed, descended, predictions, whiten
 from .problem import Problem, Unknowns, posed, ready, tight
-from .result import Fit
+from .result import Fit, must_be_fit
 
 _STEPS = 60
 
@@ -94,13 +95,18 @@ class Embedded(eqx.Module):
         )
 
     def with_mechanism(self, *mechanisms: AbstractMechanism) -> "Embedded":
-        """The same readings on other bodies: one mechanism for each recording, or one for all."""
+        """The same readings on other bodies: one mechanism for each recording, or one for all.
+
+        **Raises:** `ValueError` for a wrong number of mechanisms, other joints or numbers of other
+        shapes; `TypeError` for another kind of mechanism.
+        """
         count = len(self.segments)
         if len(mechanisms) not in (1, count):
             raise ValueError(f"{len(mechanisms)} mechanisms for {count} recordings")
-        all_of_them = mechanisms if len(mechanisms) == count else mechanisms * count
+        given = [_like(self.problem.model.mechanism, m) for m in mechanisms]
+        all_of_them = given if len(given) == count else given * count
         pairs = zip(all_of_them, self.segments, strict=True)
-        each = [all_floating(m) for m, parts in pairs for _ in range(parts)]
+        each = [m for m, parts in pairs for _ in range(parts)]
         return eqx.tree_at(
             lambda e: (e.problem.recorded.mechanism, e.problem.model),
             self,
@@ -110,23 +116,40 @@ class Embedded(eqx.Module):
     def with_start(
         self, numbers: Float[Array, " P"], states: Float[Array, "R s"] | None = None
     ) -> "Embedded":
-        """The same fit from another start; it must be near enough that no cycle is missed."""
+        """The same fit from another start; it must be near enough that no cycle is missed.
+
+        **Raises:** `ValueError` for arrays of other shapes.
+        """
         return eqx.tree_at(lambda e: e.start, self, self._at(numbers, states))
 
     def _at(self, numbers, states) -> Unknowns:
         """A point, scaled; `states` None are those of the start."""
+        _must_be_float64()
         own = self.problem.states(self.start) if states is None else jnp.asarray(states, float)
-        return self.problem.scaled(jnp.asarray(numbers, float), own)
+        numbers, scale = jnp.asarray(numbers, float), self.problem.scale
+        for words, found, right in (
+            ("numbers", numbers, scale.numbers.shape),
+            ("states", own, scale.states.shape),
+        ):
+            if found.shape != right:
+                raise ValueError(f"{words} have shape {found.shape}: must be {right}")
+        return self.problem.scaled(numbers, own)
 
     # -- use ---------------------------------------------------------------------------------
 
-    @eqx.filter_jit
     def solve(self) -> Solution:
         """Least squares over all numbers and initial states.
 
         Differentiable in anything that was put in, in forward and reverse mode, by the implicit
         function theorem. A descent that did not settle says so in `converged`.
+
+        **Raises:** `ValueError` in single precision, in which no fit can settle.
         """
+        _must_be_float64()
+        return self._solved()
+
+    @eqx.filter_jit
+    def _solved(self) -> Solution:
         y, steps, done = minimum(self.problem, self.start)
         squeezed = compressed(self.problem, y)
         numbers = jnp.asarray(self.problem.numbers(y))
@@ -189,14 +212,35 @@ def embed(fit: Fit, *, integrator: Any = None) -> Embedded:
       derivatives in forward mode.
 
     **Raises:** `ValueError` in single precision, in which no fit can settle; `InputError` for an
-    integrator that does not exist or cannot integrate an effect of the model.
+    integrator that does not exist or cannot integrate an effect of the model; `TypeError` for what
+    is no fit.
     """
+    must_be_fit(fit)
+    _must_be_float64()
+    return embedded(fit, integrator)
+
+
+def _must_be_float64() -> None:
     if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         raise ValueError(
-            "no fit can settle in single precision: embed it in float64, after "
+            "no fit can settle in single precision: embed and solve it in float64, after "
             'jax.config.update("jax_enable_x64", True) or inside `with jax.enable_x64(True)`'
         )
-    return embedded(fit, integrator)
+
+
+def _like(own: AbstractInertia, given: AbstractMechanism) -> AbstractMechanism:
+    """A mechanism that may take the place of another one, as floating numbers."""
+    if type(given) is not type(own):
+        raise TypeError(f"{type(given).__name__}: must be a {type(own).__name__}, as in the fit")
+    if given.joints != own.joints:
+        raise ValueError(f"joints are {', '.join(given.joints)}: must be {', '.join(own.joints)}")
+    found = all_floating(given)
+    shapes = [[jnp.shape(x) for x in jax.tree.leaves(m)] for m in (found, own)]
+    if shapes[0] != shapes[1]:
+        raise ValueError(
+            f"numbers of the {type(own).__name__} have shapes {shapes[0]}: must be {shapes[1]}"
+        )
+    return found
 
 
 def embedded(fit: Fit, integrator: Any = None, fixed: bool = True) -> Embedded:

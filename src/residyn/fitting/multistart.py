@@ -501,8 +501,9 @@ def segment_length(model: Model, recording: Recording) -> float | None:
     driven = recording.drive is not None and bool(np.any(recording.drive))
     if not driven or recording.segment_of is not None:
         return None
-    values = eigenvalues(at_rest(model)[1])
-    frequency, damping = (np.asarray(x) for x in modes_of(values))
+    matrix = at_rest(model)[1]
+    values = eigenvalues(matrix)
+    frequency, damping = (np.asarray(x) for x in modes_of(model, matrix))
     rings = (frequency * recording.duration > _RINGS) & (np.abs(damping) < 1 - 1e-9)
     if rings.all():
         return None

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..effects import AbstractEffect, effects_named
+from ..effects import AbstractEffect, check_own, effects_named
 from ..effects.own_numbers import with_own
 from ..errors import InputError, inside, quote
 from ..physics.bearings import without_bearings
@@ -141,6 +141,7 @@ def model_for(mechanism: AbstractMechanism, effects: Sequence[str | AbstractEffe
     if isinstance(effects, str):
         raise ValueError(f'effects = "{effects}": must be a list, as ["{effects}"]')
     model = Model(mechanism)
+    check_own([e for e in effects if isinstance(e, AbstractEffect)], mechanism)
     for effect in (*BASE, *effects):
         named = (
             (effect,) if isinstance(effect, AbstractEffect) else effects_named(effect, mechanism)

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..effects import AbstractEffect
-from ..recordings.experiment import Experiment
+from ..recordings.experiment import Experiment, must_be_experiment
 from ..runtime.json import number
 from ..runtime.presentation import TableResult
 from .evolution import evosax_or_missing
@@ -193,9 +193,10 @@ def race(
     **Returns:** a `Race`.
 
     **Raises:** `ValueError` for a method, a number of repeats or a budget that cannot be;
-    `MissingExtra` without evosax where a method needs it. A method that finds nothing says so in
-    its run.
+    `TypeError` for what is no experiment; `MissingExtra` without evosax where a method needs it. A
+    method that finds nothing says so in its run.
     """
+    must_be_experiment(experiment)
     if repeats < 1:
         raise ValueError(f"repeats = {repeats}: at least one is needed")
     for key, value in (("seconds", seconds), ("simulations", simulations)):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
+from ..errors import quote
 from ..physics.effect import BASE
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
@@ -344,6 +345,12 @@ def by_chance(square: float, ways: int) -> bool:
     """Whether a chi-square with so many degrees of freedom is as probable by chance as one number
     within its errors."""
     return bool(chdtrc(ways, square) > chdtrc(1, NEGATIVE**2))
+
+
+def must_be_fit(given: Any) -> None:
+    """**Raises:** `TypeError` for what is no fit, such as an experiment."""
+    if not isinstance(given, Fit):
+        raise TypeError(f"{quote(given)} is no fit: residyn.fit makes one of an experiment")
 
 
 def rms_of(

@@ -36,6 +36,7 @@ class AbstractEffect(eqx.Module):
       reversals and lets joints stick.
     - `rough`: True if its torque has corners, which ask for the short step of dry friction.
     - `memory`: its internal states, if it has any; it finds them in `motion.memory`.
+    - `own_modes`: how many modes these add to the joints', as a body on a spring of its own does.
     - `follows`: True if `follow` does something.
     - `grips`: True if `crawls`, `holds`, `lost_speed` and `speed_spread` do something.
     - `senses`: True if it acts on the readings instead of the motion.
@@ -59,6 +60,7 @@ class AbstractEffect(eqx.Module):
     dry: ClassVar[bool] = False
     rough: ClassVar[bool] = False
     memory: ClassVar[tuple[Memory, ...]] = ()
+    own_modes: ClassVar[int] = 0
     follows: ClassVar[bool] = False
     grips: ClassVar[bool] = False
     senses: ClassVar[bool] = False

@@ -8,8 +8,11 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
+from ..errors import quote
 from .effect import AbstractEffect
 from .inertia import AbstractInertia
 from .model import Model
@@ -127,9 +130,12 @@ class ConstantInertia(AbstractMechanism):
     **Arguments:**
 
     - `matrix`: kg m^2, or kg for sliding joints; (n, n), symmetric, positive definite.
-    - `joints`: one name per coordinate; "q1", "q2", ... if not given.
+    - `joints`: one name per coordinate, no two alike; "q1", "q2", ... if not given.
     - `units`: "rad" or "m" per joint, or None if not known.
     - `load`, `run`: as of a `PlanarArm`.
+
+    **Raises:** `ValueError` for what is none of this; the values of a traced matrix are not looked
+    at.
     """
 
     matrix: Float[Array, "n n"] = eqx.field(converter=floating)
@@ -150,6 +156,19 @@ class ConstantInertia(AbstractMechanism):
                 f"matrix has shape {self.matrix.shape}: it must be square, "
                 f"one row per joint ({', '.join(self.joints)})"
             )
+        if len(set(self.joints)) < n:
+            raise ValueError(f"joints are {', '.join(self.joints)}: no two may be alike")
+        if self.units is not None and (len(self.units) != n or {*self.units} - {"rad", "m"}):
+            raise ValueError(f'units = {self.units}: must be "rad" or "m" for each of {n} joints')
+        if isinstance(self.matrix, Tracer):
+            return
+        known = np.asarray(self.matrix)
+        turned = np.swapaxes(known, -1, -2)
+        rounding = known.shape[-1] * np.finfo(known.dtype).eps * np.abs(known).max(initial=0.0)
+        if not (np.abs(known - turned) <= rounding).all() or not np.isfinite(known).all():
+            raise ValueError(f"matrix = {quote(known.tolist())}: must be finite and symmetric")
+        if not (np.linalg.eigvalsh(known) > 0).all():
+            raise ValueError(f"matrix = {quote(known.tolist())}: must be positive definite")
 
     def mass_matrix(self, q):
         """The constant matrix."""

@@ -1,13 +1,21 @@
-"""Modes: how the linearised model rings.
+"""Modes: how the linearised model moves back to its rest.
 
-Around its rest position the model of Eq. 1 is linear, and its state matrix has one pair of complex
-eigenvalues per mode: s = -zeta w +- i w sqrt(1 - zeta^2). `frequency_hz` is w / 2 pi, the natural
-frequency, which damping does not move; the peak that one reads off a record lies lower by
-sqrt(1 - zeta^2), which is 0.5 % at zeta = 0.1.
+Around its rest position the model of Eq. 1 is linear, and each mode is a pair of eigenvalues a, b
+of its state matrix. With a b = w^2 and a + b = -2 zeta w, `frequency_hz` is w / 2 pi, the natural
+frequency, and zeta the damping ratio. A conjugate pair rings, zeta < 1; the peak that one reads off
+a record lies lower by sqrt(1 - zeta^2), which is 0.5 % at zeta = 0.1. Two real eigenvalues are an
+overdamped mode, zeta > 1. Where one of them grows, w^2 is -a b and zeta = -|a - b| / 2w <= -1.
+
+Which real eigenvalues are a pair, their shapes tell. The velocity that an eigenvalue takes from a
+push is a part psi of its left vector, the angles it gives are a part phi of its right one, and
+-(a - b)^2 (psi_a . phi_b)(psi_b . phi_a) is 1 for the two of a joint by itself, and for the two of
+a mode of coupled joints whose damping is in proportion; it is 0 for two of different modes, and for
+an internal state that is only led by the motion, or only acts on it. The closest pairs are taken
+first, as many as there are joints: this goes through critical damping without a jump.
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,13 +31,19 @@ from .parameter import all_floating
 _NEWTON = 12
 _RIDGE = 1e-12
 _SETTLED = 1e-12  # rad or m, of a step to where a model rests
+_ROUNDING = 100  # units in the last place of the largest eigenvalue: what a zero comes out as
 
 
 class Modes(NamedTuple):
-    """n modes, lowest first. A mode that does not ring has `damping_ratio` 1."""
+    """n modes, lowest first: one of each joint, and what effects say they add (`own_modes`).
 
-    frequency_hz: Float[Array | np.ndarray, " n"]
-    damping_ratio: Float[Array | np.ndarray, " n"]
+    - `frequency_hz`: the natural frequency, Hz, 0 where nothing pulls back.
+    - `damping_ratio`: below 1 the mode rings, from 1 on it creeps back (inf where nothing pulls
+      back). Negative, it grows: by ringing above -1, else by moving away.
+    """
+
+    frequency_hz: Float[Array | np.ndarray, "*k n"]
+    damping_ratio: Float[Array | np.ndarray, "*k n"]
 
 
 def equilibrium(model: Model) -> Float[Array, " n"]:
@@ -162,27 +176,69 @@ def _linearised(model: Model, numbers, q):
 
 
 def modes(model: Model) -> Modes:
-    """Natural frequencies and damping ratios, differentiable in the model's numbers."""
+    """Natural frequencies and damping ratios, (n,) each, differentiable in the model's numbers but
+    at exactly critical damping, where eigenvalues have no slopes."""
     return _modes(all_floating(model))
 
 
 @eqx.filter_jit  # else each of its operations is compiled by itself
 def _modes(model: Model) -> Modes:
-    return modes_of(jnp.linalg.eigvals(state_matrix(model)))
+    return modes_of(model, state_matrix(model))
 
 
-def modes_of(values: Complex[Array | np.ndarray, "*k 2n"]) -> Modes:
-    """Modes from the eigenvalues of a state matrix, or of several."""
+def modes_of(model: Model, matrices: Float[Array | np.ndarray, "*k s s"]) -> Modes:
+    """Modes from state matrices of a model; NaN from one that is not finite."""
     # NumPy where nothing is traced: JAX would compile each of these operations by itself.
-    here = np if isinstance(values, np.ndarray) else jnp
-    sort, along = partial(here.argsort, stable=True), partial(here.take_along_axis, axis=-1)
-    size = here.abs(values)
-    # One of each conjugate pair: the upper half plane first, real values by size after it.
-    order = -here.sign(here.imag(values)) - 1e-9 * size / here.max(size, axis=-1, keepdims=True)
-    keep = sort(order)[..., : values.shape[-1] // 2]
-    keep = along(keep, sort(along(size, keep)))
-    safe = here.where(size > 0, size, 1.0)
-    return Modes(along(size / (2 * np.pi), keep), along(-here.real(values) / safe, keep))
+    here: Any = np if isinstance(matrices, np.ndarray) else jnp
+    values, vectors, left = _eigen(here, matrices)
+    a, b = _pairs(here, model, values, vectors, left)
+    total, product = here.real(a + b), here.real(a * b)
+    pulled = product != 0
+    w = here.sqrt(here.where(pulled, here.abs(product), 1.0))
+    back = here.where(product < 0, here.abs(here.real(a - b)), total)
+    free = here.where(total == 0, 0.0, here.where(total < 0, np.inf, -np.inf))
+    ratio = here.where(pulled, -back / (2 * w), free)
+    frequency = here.where(pulled, w / (2 * np.pi), 0.0)
+    good = here.isfinite(matrices).all(axis=(-2, -1))[..., None]
+    frequency, ratio = (here.where(good, x, np.nan) for x in (frequency, ratio))
+    order = here.argsort(frequency, axis=-1, stable=True)
+    return Modes(*(here.take_along_axis(x, order, axis=-1) for x in (frequency, ratio)))
+
+
+def _eigen(here, matrices):
+    """Eigenvalues (..., s), vectors in columns and left ones in rows, of finite matrices; only the
+    eigenvalues have derivatives."""
+    matrices = here.where(here.isfinite(matrices).all(axis=(-2, -1), keepdims=True), matrices, 0.0)
+    fixed = matrices if here is np else jax.lax.stop_gradient(matrices)
+    values, vectors = (x + 0j for x in here.linalg.eig(fixed))
+    left = here.linalg.pinv(vectors, 0.0)  # of vectors that coincide there is no inverse
+    if here is jnp:
+        values = values + jnp.einsum("...ij,...jk,...ki->...i", left, matrices - fixed, vectors)
+    size = here.abs(here.real(values)) + here.abs(here.imag(values))
+    least = _ROUNDING * np.finfo(matrices.dtype).eps * size.max(axis=-1, keepdims=True)
+    return here.where(size > least, values, 0.0), vectors, left
+
+
+def _pairs(here, model: Model, values, vectors, left):
+    """The two eigenvalues of each mode, (..., n) each."""
+    n, s = len(model.mechanism.joints), values.shape[-1]
+    fixed = values if here is np else jax.lax.stop_gradient(values)
+    a, b = fixed[..., :, None], fixed[..., None, :]
+    apart = here.real(-((a - b) ** 2))
+    cross = left[..., :, n : 2 * n] @ vectors[..., :n, :]
+    close = here.real(-((a - b) ** 2) * cross * here.swapaxes(cross, -1, -2))
+    may = (a == here.conj(b)) | ((here.imag(a) == 0) & (here.imag(b) == 0))
+    may = may & (np.arange(s)[:, None] < np.arange(s))
+    first, second = [], []
+    # The effects' own modes are those, of what is left, that ring.
+    for score in [close] * n + [apart] * sum(e.own_modes for e in model.effects):
+        score = here.where(may, here.nan_to_num(score), -np.inf)
+        best = here.argmax(score.reshape(*score.shape[:-2], s * s), axis=-1)[..., None]
+        first, second = [*first, best // s], [*second, best % s]
+        free = (np.arange(s) != first[-1]) & (np.arange(s) != second[-1])
+        may = may & free[..., :, None] & free[..., None, :]
+    taken = (here.concatenate(x, axis=-1) for x in (first, second))
+    return tuple(here.take_along_axis(values, x, axis=-1) for x in taken)
 
 
 def _pull(model: Model, q) -> Float[Array, " n"]:

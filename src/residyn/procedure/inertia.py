@@ -19,7 +19,7 @@ from ..errors import InputError
 from ..fitting import FitError
 from ..physics.bearings import with_bearings
 from ..physics.mechanism import PlanarArm
-from ..recordings.experiment import Experiment
+from ..recordings.experiment import Experiment, must_be_experiment
 from ..recordings.tables import ArmTable
 from .driven import DrivenTest, driven_test
 from .result import FRICTION, InertiaResult, Separation, TestResult
@@ -46,8 +46,9 @@ def inertia(experiment: Experiment) -> InertiaResult:
     **Returns:** an `InertiaResult`, kg m^2 and kg m, of the arm with its bearings on.
 
     **Raises:** `InputError` (a `ValueError`) if the recordings that are needed are not there;
-    `FitError` if the numbers cannot be had from them.
+    `TypeError` for what is no experiment; `FitError` if the numbers cannot be had from them.
     """
+    must_be_experiment(experiment)
     began = time.perf_counter()
     table = experiment.inertia
     if not isinstance(table, ArmTable):

@@ -20,7 +20,7 @@ from ..fitting import DEFAULT_STARTS, Fit, FitError, RecordingFit, fit, mechanis
 from ..fitting.problem import ready
 from ..physics.effect import BASE
 from ..physics.model import Model
-from ..recordings.experiment import Experiment
+from ..recordings.experiment import Experiment, must_be_experiment
 from ..recordings.recording import Recording
 from ..recordings.tables import ArmTable
 from .carried import NAMES, Carried, carried, modes_with_errors
@@ -57,8 +57,8 @@ def unload(
 
     **Returns:** an `Unloading`.
 
-    **Raises:** `InputError` (a `ValueError`) if there are no bearings to take off; `FitError` and
-    `ValueError` as `residyn.fit` does.
+    **Raises:** `InputError` (a `ValueError`) if there are no bearings to take off; `FitError`,
+    `TypeError` and `ValueError` as `residyn.fit` does.
     """
     began = time.perf_counter()
     say = progress or (lambda words: None)
@@ -116,8 +116,10 @@ def check_unload(
     **Returns:** the covariance (3, 3) of the inertias, if that is given.
 
     **Raises:** `InputError`, one line, if there is nothing to take off, or an effect does not say
-    whether it leaves with the bearings; `ValueError` for one that does not go with the experiment.
+    whether it leaves with the bearings; `ValueError` for one that does not go with the experiment;
+    `TypeError` for what is no experiment.
     """
+    must_be_experiment(experiment)
     _check(experiment)
     with jax.enable_x64(True):
         model = ready(experiment, experiment.fit_recordings, effects).model

@@ -15,8 +15,12 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from ..effects import check_own
+from ..errors import quote
 from ..physics.modal import fastest, ringing
 from ..physics.model import Model
 from ..physics.motion import Joints, Scalar, split
@@ -178,42 +182,114 @@ def simulate(
 
     **Returns:** a `Trajectory`.
 
-    **Raises:** `ValueError` for arrays of other shapes, or if `steps` is needed and cannot be
-    chosen; `TypeError` for what is no model; `InputError` for an
-    integrator that does not exist or cannot integrate an effect of the model.
+    **Raises:** `ValueError` for arrays of other shapes, for instants that are not finite and
+    increasing, two at least, for `steps` or `orders` that there cannot be, or if `steps` is needed
+    and cannot be chosen; `TypeError` for what is no model or no drive; `InputError` for an
+    integrator that does not exist or cannot integrate an effect of the model, and for a law of your
+    own with a mistake. What is traced is checked for its shape alone.
     """
-    times = jnp.asarray(times, float)
-    q0 = jnp.asarray(q0, float)
-    v0 = jnp.zeros_like(q0) if v0 is None else jnp.asarray(v0, float)
     if not isinstance(model, Model):
         raise TypeError(f"{type(model).__name__} is no model: a mechanism plus effects is one")
+    check_own(model.effects, model.mechanism)
     joints = model.mechanism.joints
-    for words, given in (("q0", q0), ("v0", v0)):
-        if given.shape != (len(joints),):
+    q0 = jnp.asarray(q0, float)
+    v0 = jnp.zeros_like(q0) if v0 is None else jnp.asarray(v0, float)
+    z0 = None if z0 is None else jnp.asarray(z0, float)
+    states = [m.name for m in model.memory]
+    for words, given, each, names in (
+        ("q0", q0, "joint", joints),
+        ("v0", v0, "joint", joints),
+        ("z0", z0, "internal state", states),
+    ):
+        if given is not None and given.shape != (len(names),):
             raise ValueError(
-                f"{words} has shape {given.shape}; it must have a number for each joint: "
-                f"{', '.join(joints)}"
+                f"{words} has shape {given.shape}; it must have a number for each {each}: "
+                f"{', '.join(names) or 'none'}"
             )
-    if times.ndim != 1:
-        raise ValueError(f"times has shape {times.shape}; it must be (N,)")
+    t = jnp.asarray(times, float)
+    instants = _instants(times, t.shape)
+    orders = _orders(orders, joints)
+    if drive is not None:
+        _check_drive(drive, joints)
     chosen = integrator_of(integrator)
     if chosen is not None:
         adjoint = adjoint or chosen.adjoint or diffrax.RecursiveCheckpointAdjoint()
     if steps is None:
-        try:
-            duration = float(times[-1] - times[0])
-            fast = ringing(model) if chosen is not None and chosen.adapts else None
-            steps = steps_for(model, duration, fast)
-        except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError):
+        spacing = None if drive is None else drive.spacing
+        if instants is None or any(
+            isinstance(x, Tracer) for x in jax.tree.leaves((model, spacing))
+        ):
             raise ValueError(
                 "the number of steps cannot depend on traced numbers: give steps=, "
                 "for example residyn.steps_for(model, duration) of a typical model"
-            ) from None
-        if drive is not None:
-            steps = max(steps, math.ceil(float((times[-1] - times[0]) / drive.spacing)))
-    z0 = None if z0 is None else jnp.asarray(z0, float)
-    how = {"steps": int(steps), "z0": z0, "drive": drive, "adjoint": adjoint, "integrator": chosen}
-    return _motion(all_floating(model), times, q0, v0, how, tuple(map(int, orders)))
+            )
+        with jax.ensure_compile_time_eval():
+            duration = float(instants[-1] - instants[0])
+            fast = ringing(model) if chosen is not None and chosen.adapts else None
+            steps = steps_for(model, duration, fast)
+        if spacing is not None:
+            steps = max(steps, math.ceil(duration / float(spacing)))
+    count = _count(steps)
+    how = {"steps": count, "z0": z0, "drive": drive, "adjoint": adjoint, "integrator": chosen}
+    return _motion(all_floating(model), t, q0, v0, how, orders)
+
+
+def _instants(times: Any, shape: tuple[int, ...]) -> np.ndarray | None:
+    """The instants, an array of this shape; None if any is traced.
+
+    **Raises:** `ValueError` as `simulate`.
+    """
+    if len(shape) != 1:
+        raise ValueError(f"times has shape {shape}; it must be (N,)")
+    if shape[0] < 2:
+        raise ValueError(f"times has {shape[0]} instants; it must have two at least")
+    if any(isinstance(x, Tracer) for x in jax.tree.leaves(times)):
+        return None
+    found = np.asarray(times, float)
+    if not np.isfinite(found).all():
+        raise ValueError("times: all instants must be finite")
+    if not (np.diff(found) > 0).all():
+        raise ValueError("times must increase from each instant to the next")
+    return found
+
+
+def _count(steps: Any) -> int:
+    """**Raises:** `ValueError` for what is no number of steps."""
+    if isinstance(steps, Tracer):
+        raise ValueError("steps is traced: their number is compiled in, and must be a plain number")
+    whole = not isinstance(steps, str | bool) and np.shape(steps) == ()
+    if not whole or not 1 <= (size := float(steps)) < math.inf or size % 1:
+        raise ValueError(f"steps = {quote(steps)}: must be a whole number, at least one")
+    return int(steps)
+
+
+def _orders(orders: Sequence[int], joints: Sequence[str]) -> tuple[int, ...]:
+    """**Raises:** `ValueError` for what are no orders of the joints' derivatives."""
+    found = tuple(np.atleast_1d(orders).tolist())
+    if len(found) not in (0, len(joints)) or any(x not in (0, 1, 2) for x in found):
+        raise ValueError(
+            f"orders = {quote(orders)}: must be 0, 1 or 2 for each of {', '.join(joints)}; or ()"
+        )
+    return tuple(map(int, found))
+
+
+def _check_drive(drive: Any, joints: Sequence[str]) -> None:
+    """**Raises:** `TypeError`, `ValueError` for what is no drive of the joints."""
+    if not isinstance(drive, Drive):
+        raise TypeError(
+            f"{type(drive).__name__} is no drive: residyn.Drive(start, spacing, values) is"
+        )
+    for words, x, right in (("start", drive.start, ()), ("spacing", drive.spacing, ())):
+        if jnp.shape(x) != right:
+            raise ValueError(f"drive: {words} has shape {jnp.shape(x)}; it must be a number, s")
+    shape, n = jnp.shape(drive.values), len(joints)
+    if len(shape) != 2 or shape[0] < 1 or shape[1] != n:
+        raise ValueError(
+            f"drive: values has shape {shape}; it must be (M, {n}), a torque on each joint: "
+            f"{', '.join(joints)}"
+        )
+    if not isinstance(drive.spacing, Tracer) and not 0 < float(drive.spacing) < math.inf:
+        raise ValueError(f"drive: spacing = {float(drive.spacing):g}: must be positive, s")
 
 
 @eqx.filter_jit  # else each of its operations is compiled by itself
