@@ -33,7 +33,7 @@ def evenly_sampled(
 def decimated(motion: np.ndarray) -> np.ndarray:
     """Means of so many samples after each other that 40 or more are left of the slowest period: all
     that a rest needs, of angles (N, n) at equal steps."""
-    many = int(slowest_period(motion) / 40)
+    many = int(slowest_period(while_moving(motion)) / 40)
     return motion if many < 2 else block_means(motion, many)
 
 
@@ -44,12 +44,17 @@ def moving_counts(motion: np.ndarray) -> np.ndarray:
     return np.maximum((spans > _STILL * spans[0]).sum(axis=0), 1)
 
 
+def while_moving(motion: np.ndarray) -> np.ndarray:
+    """Motion (N, n) until all joints stay where they are."""
+    return motion[: moving_counts(motion).max()]
+
+
 def slowest_period(motion: np.ndarray) -> float:
-    """The period of the slowest mode, in samples, of motion (N, n), while any joint moves."""
-    count = int(moving_counts(motion).max())
+    """The period of the slowest mode, in samples, of motion (N, n)."""
+    count = len(motion)
     # Padded, so that a few swings in all are counted finely enough.
     window = np.hanning(count + 2)[1:-1]
-    shaped = (motion[:count] - window @ motion[:count] / window.sum()) * window[:, None]
+    shaped = (motion - window @ motion / window.sum()) * window[:, None]
     length = cast(int, next_fast_len(8 * count, real=True))
     power = np.abs(np.fft.rfft(shaped, length, axis=0)[8:]) ** 2
     large = power >= 0.02 * np.maximum(power.max(axis=0), 1e-300)

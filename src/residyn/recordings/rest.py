@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from .resampling import decimated, evenly_sampled, moving_counts, slowest_period
+from .resampling import decimated, evenly_sampled, moving_counts, slowest_period, while_moving
 
 _SWINGS = 8  # of the slowest mode, two of the best windows: with fewer, rest is known roughly
 _WINDOWS = {
@@ -30,7 +30,7 @@ def rest_angles(motion: np.ndarray) -> np.ndarray:
     rest = motion.mean(axis=0)
     if not (np.ptp(motion, axis=0) > 1e-9).any():
         return rest
-    period = slowest_period(motion)
+    period = slowest_period(while_moving(motion))
     # Less than a swing tells no rest, however early the joint stops.
     counts = np.maximum(moving_counts(motion), math.ceil(2 * period))
     n = motion.shape[1]
@@ -60,7 +60,7 @@ def _aside(columns: np.ndarray, joint: int, n: int, period: float) -> float:
 def estimated_rest(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """(n,) rad: where a ring-down rests, and in words where that is known roughly."""
     _clock, motion = evenly_sampled(time, angle)
-    count = moving_counts(motion).min() / slowest_period(motion)
+    count = moving_counts(motion).min() / slowest_period(while_moving(motion))
     warnings = [
         f"with {count:.2g} swings of the slowest mode its rest is known roughly: if the residual "
         "has an offset, give rest as a list, or fit the offset: --with sensor_offset, and with "

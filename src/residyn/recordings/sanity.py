@@ -19,7 +19,7 @@ import numpy as np
 from .arrays import clock_unit, clock_warnings
 from .columns import Table
 from .recording import Recording
-from .resampling import decimated, evenly_sampled, moving_means, slowest_period
+from .resampling import decimated, evenly_sampled, moving_means, slowest_period, while_moving
 from .rest import rest_angles
 
 _OFF = 0.5  # of the amplitude about rest: a larger distance of rest from zero is no effect's
@@ -75,7 +75,7 @@ def not_free(
         return wild
     clock, motion = evenly_sampled(time, angle, recording.outliers)
     step = clock[1] - clock[0]
-    period = slowest_period(motion)
+    period = slowest_period(while_moving(motion))
     if "t" not in said and period * step > _SLOW:
         words = (
             f"one swing takes {period * step:.3g} s: is t in milliseconds or samples? "
