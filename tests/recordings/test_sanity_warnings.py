@@ -183,3 +183,26 @@ def test_the_file_says_how_or_the_line_names_the_key(good, tmp_path):
     with pytest.raises(InputError, match="every recording"):
         load(path)
     assert dataclasses.is_dataclass(recording)
+
+
+@pytest.mark.parametrize("slips", [False, True])
+def test_a_zero_that_all_recordings_share_is_no_slip_of_a_brake(tmp_path, slips):
+    """A brake that holds 0.1 m lets the rest go along with the release; a zero stays."""
+    time = np.linspace(0, 10, 1001)
+    ring = np.exp(-0.2 * time) * np.cos(9.0 * time)
+    for i, first in enumerate((0.65, 0.61, 0.57)):
+        rest = first - 0.1 if slips else 0.52
+        x = rest + (first - rest) * ring
+        write_csv(tmp_path / f"{i}.csv", time, x[:, None])
+    entries = "".join(f'[[recordings]]\nfile = "{i}.csv"\n' for i in range(3))
+    text = '[inertia]\njoints = ["cart"]\nunits = ["m"]\nmatrix = [[1.0]]\n' + entries
+    (tmp_path / "x.toml").write_text(text)
+    if slips:
+        assert len(load(tmp_path / "x.toml").recordings) == 3
+        return
+    with pytest.raises(InputError, match=r"x\.toml: q1 rings about 0\.52, 0\.52, 0\.52 in"):
+        load(tmp_path / "x.toml")
+    for entry in ('rest = "estimate"', "rest = [0]"):
+        said = text.replace("[[recordings]]", f"[[recordings]]\n{entry}")
+        (tmp_path / "y.toml").write_text(said)
+        assert len(load(tmp_path / "y.toml").recordings) == 3

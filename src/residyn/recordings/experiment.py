@@ -23,7 +23,7 @@ from .limits import Limits
 from .motion_capture.angles import read as read_markers
 from .reads import READS, check_reads, reading_units
 from .recording import Recording
-from .sanity import not_free
+from .sanity import not_free, off_rest_alike
 from .segments import by_recording
 from .tables import ArmTable, Bearing, InertiaTable, check_bearings
 from .toml import parse
@@ -192,6 +192,14 @@ def from_text(text: str, folder: Path, where: str, path: str = "") -> Experiment
         for i, entry in enumerate(entries):
             with inside(f"[[recordings]] {i + 1}"):
                 recordings.append(_read(folder, fields["inertia"], **entry))
+        settled = {"rest", "reads", "markers", "normal"}
+        free = [  # from their release on
+            r for r, entry in zip(recordings, entries, strict=True)
+            if r.drive is None and r.role != "inertia" and not settled & entry.keys()
+            and entry.get("start", "release") == "release"
+        ]  # fmt: skip
+        if len(free) > 1 and (words := off_rest_alike(free)) is not None:
+            raise InputError(words)
         return Experiment(**fields, recordings=tuple(recordings), path=path)
 
 

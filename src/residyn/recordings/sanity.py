@@ -11,7 +11,7 @@ swings on, a rest is within 0.28 of the amplitude (a slipping brake apart), and 
 go leaves `_STILL` within 0.10 of a period. Limits are 0.5 and 0.2.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ from .rest import rest_angles
 
 _OFF = 0.5  # of the amplitude about rest: a larger distance of rest from zero is no effect's
 _SLIPPED = 10.0  # the same where a brake may have slipped, towards the side of the release
+_APART = 0.3  # of the amplitude, to which a rest is known: releases that tell a slip from a zero
 _FEWEST = 1.2  # swings of the slowest mode from which rest can be told from the rest of a swing
 _STILL = 0.1  # of the largest excursion: a released arm covers it in 0.07 of a period of one mode
 _QUITE = 0.03  # the same for the first 0.8 of that time: what swings up moves more
@@ -162,11 +163,39 @@ def _held_until(motion: np.ndarray, period: float) -> float | None:
     return moves + width // 2 if quite.max() < _QUITE + 4 * noise else None
 
 
-def _off_rest(motion: np.ndarray, units: tuple[str, ...] | None) -> Finding | None:
-    """That readings (N, n) are not 0 at rest, if so."""
+def _rest_of(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(n,) where joints rest, their amplitudes, and whether rest is too far from 0."""
     rest = rest_angles(decimated(motion))
     size = np.abs(motion - rest).max(axis=0)
-    off = np.abs(rest) > _OFF * size
+    return rest, size, np.abs(rest) > _OFF * size
+
+
+def off_rest_alike(recordings: Sequence[Recording]) -> str | None:
+    """In words, that a joint rings about the same value in recordings of different releases, if so.
+
+    A brake that slips holds what its joint can be deflected by, so that the rest that it leaves is
+    as much farther as the release was. Where readings are not counted from rest it is the same.
+    """
+    found = []
+    for recording in recordings:
+        _, motion = evenly_sampled(recording.time, recording.angle, recording.outliers)
+        found.append((motion[0], *_rest_of(motion)))
+    first, rest, size, off = (np.stack(x) for x in zip(*found, strict=True))
+    told = off.all(axis=0) & (np.ptp(first, axis=0) > _APART * size.max(axis=0))
+    for j in np.flatnonzero(told):
+        if np.ptp(rest[:, j]) < 0.5 * np.ptp(first[:, j]):  # nearer to none of that than to all
+            each = ", ".join(f"{x:.4g}" for x in rest[:, j])
+            return (
+                f"q{j + 1} rings about {each} in recordings of different releases, not about 0, "
+                'and no brake slips so: at rest it must read 0; rest = "estimate" takes it off, '
+                "rest = [...] leaves it"
+            )
+    return None
+
+
+def _off_rest(motion: np.ndarray, units: tuple[str, ...] | None) -> Finding | None:
+    """That readings (N, n) are not 0 at rest, if so."""
+    rest, size, off = _rest_of(motion)
     # A brake that slips takes its joint's rest along, towards where it was released.
     slipped = off & (rest * (motion[0] - rest) > 0) & (np.abs(rest) < _SLIPPED * size)
     if not off.any() or ((off == slipped).all() and off.sum() == 1):
