@@ -97,8 +97,11 @@ def _needed(
         own = np.array([n.effect == index for n in fit.model.fitted])
         none = [n.meaning.silent if n.effect == index else None for n in fit.model.fitted]
         values = np.where([x is None for x in none], descent.numbers, np.array(none, float))
-        model, active = fit.model.with_vector(values), descent.problem.active * ~own
-        problem = eqx.tree_at(lambda p: (p.model, p.active), descent.problem, (model, active))
+        problem = eqx.tree_at(
+            lambda p: (p.model, p.active),
+            descent.problem,
+            (fit.model.with_vector(jnp.asarray(values)), np.where(own, 0.0, descent.problem.active)),
+        )
         begin = problem.scaled(values, descent.states)
         starts = jax.tree.map(lambda x: np.asarray(x)[None], begin)
         if search is None:

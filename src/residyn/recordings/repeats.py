@@ -48,8 +48,7 @@ def _stretches(place: list[int], width: int) -> list[tuple[int, int]]:
         if i < len(place) and max(high, place[i]) - min(low, place[i]) <= width:
             low, high = min(low, place[i]), max(high, place[i])
             continue
-        inside = first > 0 and i < len(place)
-        passes = inside and (place[first - 1] < place[first]) == (place[i] > high)
+        passes = 0 < first and i < len(place) and (place[first - 1] < low) == (place[i] > high)
         if not passes:
             found.append((first, i))
         if i < len(place):

@@ -248,9 +248,7 @@ def text(fit: Fit) -> str:
     lines = [
         *filled(base_name(fit, comma=True), "[[Model]]  "),
         "[[Fit]]",
-        *filled(
-            f"{names(fit.fitted)} ({readings(fit)} readings{repeated(fit)})", "    recordings  "
-        ),
+        *filled(f"{names(fit.fitted)} ({readings(fit)} readings{repeated(fit)})", "    recordings  "),
         *([f"    starts      {fit.agreeing_starts} of {fit.starts} agree"] * (fit.starts > 1)),
         *filled(fit.reason, "    stopped     "),
         f"    chi-square  {fit.reduced_chi2:.4g} per degree of freedom (1: noise alone)",
