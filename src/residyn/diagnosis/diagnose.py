@@ -198,7 +198,7 @@ class Fits:
         """The squared whitened residuals from which a model's evidence without a random torque is
         hopelessly less than with one, for all that its priors may add."""
         pairs = zip(self.scene.recordings, self.scene.wild, strict=True)
-        readings = sum(int((r.counts & ~wild).sum()) for r, wild in pairs)
+        readings = sum(int((np.isfinite(r.angle) & ~wild).sum()) for r, wild in pairs)
         raised = len(tried.best.prior.mean) * math.log(2.0)
         # Readings scatter about their averages, by twice the noise's square at the most.
         scatter = 2 * (readings - self.scene.length)

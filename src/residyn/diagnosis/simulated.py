@@ -111,7 +111,7 @@ def simulated(scene: Scene, t: Trajectory, fit: Fit) -> Simulated | None:
     off, g = 0.0, scene.grid
     for r, recording in enumerate(scene.recordings):
         at, size = g.of(r), len(recording.time)
-        seen = recording.counts & ~scene.wild[r]
+        seen = np.isfinite(recording.angle) & ~scene.wild[r]
         predicted = g.of_readings(r, mode.found.predicted[r, :size], seen)
         off += np.sum(np.where(g.seen[at], (g.angle[at] - predicted) ** 2 / g.variance[at], 0.0))
     x, P = mode.x, len(u)

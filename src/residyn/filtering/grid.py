@@ -202,7 +202,7 @@ def _one(recording: Recording, wild: np.ndarray, fast: float, most: float):
     drive = np.stack([np.interp(fine, when, u) for u in drive.T], axis=1)
     after = np.concatenate([drive[1:], drive[-1:]])
     three = np.stack([drive, 0.5 * (drive + after), after], axis=1)
-    group, seen = at[group], recording.counts & ~wild
+    group, seen = at[group], np.isfinite(recording.angle) & ~wild
     since, readings = (time - fine[group])[:, None], _sums(seen, group, len(fine))
     angle, offset, square = (
         _sums(np.where(seen, x, 0.0), group, len(fine)) / np.maximum(readings, 1)

@@ -257,7 +257,7 @@ def embedded(fit: Fit, integrator: Any = None, fixed: bool = True) -> Embedded:
     return Embedded(
         problem=jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_array_like(x) else x, problem),
         start=start,
-        usable=[jnp.asarray(r.used | np.isnan(r.recording.angle)) for r in fitted],
+        usable=[jnp.asarray(~r.wild) for r in fitted],
         noise=[jnp.asarray(r.recording.noise) for r in fitted],
         names=tuple(n.name for n in fit.model.fitted),
         segments=tuple(len(which) for _, which in by_recording(recordings)),

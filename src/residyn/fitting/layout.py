@@ -71,7 +71,7 @@ def lay_out(
         part = (r.time - r.time[0]) / (r.time[-1] - r.time[0]) * steps
         row[i, :count] = np.clip(np.floor(part).astype(int), 0, steps - 1)
         place[i, :count] = part - row[i, :count]
-        seen = r.counts & ~bad
+        seen = np.isfinite(r.angle) & ~bad
         angles[i, :count] = np.where(seen, r.angle, 0.0)
         weights[i, :count] = np.where(seen, 1.0 / r.noise, 0.0)
     return Recorded(

@@ -92,7 +92,7 @@ class RecordingFit:
     @property
     def used(self) -> np.ndarray:
         """Readings that count."""
-        return self.recording.counts & ~self.wild
+        return np.isfinite(self.recording.angle) & ~self.wild
 
     @property
     def left(self) -> np.ndarray:

@@ -18,7 +18,6 @@ from .noise import noise_and_warnings
 from .outliers import outlier_mask
 from .reads import READS, angles_from, check_reads
 from .release import window
-from .repeats import repeats_of
 from .resampling import block_means
 from .rest import estimated_rest
 
@@ -229,14 +228,6 @@ class Recording:
     def outliers(self) -> np.ndarray:
         """(N, n) readings that sit far off their neighbours (`outlier_mask`)."""
         found = outlier_mask(self.time, self.angle, self.noise)
-        found.flags.writeable = False
-        return found
-
-    @functools.cached_property
-    def counts(self) -> np.ndarray:
-        """(N, n) readings that are there and say something new (`repeats_of`)."""
-        pairs = zip(self.angle.T, self.noise, strict=True)
-        found = np.isfinite(self.angle) & ~np.stack([repeats_of(*x) for x in pairs], axis=1)
         found.flags.writeable = False
         return found
 

@@ -248,7 +248,7 @@ def text(fit: Fit) -> str:
     lines = [
         *filled(base_name(fit, comma=True), "[[Model]]  "),
         "[[Fit]]",
-        *filled(f"{names(fit.fitted)} ({readings(fit)} readings{repeated(fit)})", "    recordings  "),
+        *filled(f"{names(fit.fitted)} ({readings(fit)} readings)", "    recordings  "),
         *([f"    starts      {fit.agreeing_starts} of {fit.starts} agree"] * (fit.starts > 1)),
         *filled(fit.reason, "    stopped     "),
         f"    chi-square  {fit.reduced_chi2:.4g} per degree of freedom (1: noise alone)",
@@ -308,13 +308,6 @@ def modes_of(fit: Fit) -> str:
 def readings(fit: Fit) -> int:
     """How many readings the numbers were fitted to."""
     return sum(int(r.used.sum()) for r in fit.fitted)
-
-
-def repeated(fit: Fit) -> str:
-    """How many more say nothing new, in words after that number; empty for none."""
-    each = [r.recording for r in fit.fitted]
-    count = sum(int((np.isfinite(r.angle) & ~r.counts).sum()) for r in each)
-    return f"; {count} more repeat them within a step of the sensor" if count else ""
 
 
 def _known(x: float, std: float, digits: int) -> str:
