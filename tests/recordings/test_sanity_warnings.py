@@ -190,7 +190,7 @@ def test_a_zero_that_all_recordings_share_is_no_slip_of_a_brake(tmp_path, slips)
     """A brake that holds 0.1 m lets the rest go along with the release; a zero stays."""
     time = np.linspace(0, 10, 1001)
     ring = np.exp(-0.2 * time) * np.cos(9.0 * time)
-    for i, first in enumerate((0.65, 0.61, 0.57)):
+    for i, first in enumerate((0.65, 0.61, 0.58)):
         rest = first - 0.1 if slips else 0.52
         x = rest + (first - rest) * ring
         write_csv(tmp_path / f"{i}.csv", time, x[:, None])

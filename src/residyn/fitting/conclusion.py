@@ -100,7 +100,10 @@ def _needed(
         problem = eqx.tree_at(
             lambda p: (p.model, p.active),
             descent.problem,
-            (fit.model.with_vector(jnp.asarray(values)), np.where(own, 0.0, descent.problem.active)),
+            (
+                fit.model.with_vector(jnp.asarray(values)),
+                np.where(own, 0.0, descent.problem.active),
+            ),
         )
         begin = problem.scaled(values, descent.states)
         starts = jax.tree.map(lambda x: np.asarray(x)[None], begin)

@@ -178,13 +178,16 @@ def _misfit(fit: Fit) -> Iterator[str]:
             "model misses something, and the errors above, which assume white noise, are too small"
         )
     elif fit.reduced_chi2 < _OVERSTATED:
-        how = listed(
-            sorted({"stated" if r.recording.noise_given else "estimated" for r in fit.fitted})
-        )
-        yield (
-            f"chi-square is {fit.reduced_chi2:.3g}, below what the {how} noise allows: "
-            "that noise is too large, and so are the errors above"
-        )
+        below = f"chi-square is {fit.reduced_chi2:.3g}, below what the"
+        if all(r.recording.noise_given for r in fit.fitted):
+            yield (
+                f"{below} stated noise allows: that noise is too large, and so are the errors above"
+            )
+        else:
+            yield (
+                f"{below} estimated noise allows, as where readings repeat each other within a "
+                "step of the sensor: the errors above, which assume white noise, may be too small"
+            )
 
 
 def _integration(fit: Fit) -> Iterator[str]:
