@@ -121,15 +121,10 @@ def test_a_random_torque_under_which_nothing_was_found_adds_nothing():
 
 @pytest.mark.parametrize("candidates", [1, 7, 40])
 def test_the_prior_of_all_sets_of_effects_sums_to_one(candidates):
-    """With those that are in no catalogue: of m effects each is in one or it is not. What a
-    geometric number of effects leaves is beyond all candidates."""
+    """... but for what a geometric number of effects leaves beyond all candidates."""
     total = sum(
-        math.comb(m, named)
-        * math.comb(candidates, named)
-        * math.exp(log_prior_model(named, candidates))
-        * (FURTHER * OUTSIDE) ** (m - named)
+        math.comb(candidates, m) * math.exp(log_prior_model(m, candidates))
         for m in range(candidates + 1)
-        for named in range(m + 1)
     )
     assert total == pytest.approx(1.0 - FURTHER ** (candidates + 1))
 

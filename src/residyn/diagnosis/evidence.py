@@ -280,11 +280,10 @@ def over_intensities(evidences: np.ndarray) -> float:
     return log_sum(np.nan_to_num(evidences, nan=-np.inf) + log_prior_intensity(INTENSITIES))
 
 
-def log_prior_model(added: int, candidates: int, each: float = FURTHER * (1 - OUTSIDE)) -> float:
-    """Log prior of one set of `added` out of `candidates`; `each` is the prior probability of one
-    more of them: of effects, which may be of no catalogue, too."""
-    sets = math.log(math.comb(candidates, added))
-    return math.log(1 - FURTHER) + added * math.log(each) - sets
+def log_prior_model(added: int, candidates: int) -> float:
+    """Log prior of one set of `added` effects out of `candidates`."""
+    sets = math.comb(candidates, added)
+    return math.log(1 - FURTHER) + added * math.log(FURTHER) - math.log(sets)
 
 
 _ROUNDING = 1e-13

@@ -284,7 +284,7 @@ class Sums:
         for own, (evidence, mean), where in zip(sets, each, which, strict=True):
             columns = tuple(self.columns[j] for j in own)
             # There is one term at least.
-            prior = log_prior_model(len(columns), terms, FURTHER) - math.log(FURTHER)
+            prior = log_prior_model(len(columns), terms) - math.log(FURTHER)
             evidence += prior - sum(c.price for c in columns)
             found.append(Sum(self.place, columns, evidence, prior, self.width[list(where)] * mean))
         return found

@@ -63,9 +63,8 @@ def curve_models(search: Search) -> list[CurveModel]:
     for parent in (search.tried[s] for s in wanted if s in search.tried):
         search.in_time()
         trajectory, intensity = screening_motion(scene, parent)
-        # One more effect, any of which may be that in no catalogue, and any of the curves.
-        which = (len(parent.added) + 1) / (len(KINDS) * scene.n)
-        prior = parent.log_prior + math.log(FURTHER * OUTSIDE * which)
+        # One more effect, which is in no catalogue, and any of the curves.
+        prior = parent.log_prior + math.log(FURTHER * OUTSIDE / (len(KINDS) * scene.n))
         # Where little is left, the first order is right, and by it most curves have no part; where
         # no model explains the readings, a curve that does may be far from it at first order.
         behind = HOPELESS if best.complete > 0.5 else math.inf

@@ -16,7 +16,7 @@ import numpy as np
 from ... import __version__
 from ...diagnosis.columns import Column, strengths
 from ...diagnosis.diagnose import values_of
-from ...diagnosis.evidence import FURTHER, OUTSIDE, signed, width_of
+from ...diagnosis.evidence import FURTHER, signed, width_of
 from ...diagnosis.missing_torque import missing_of
 from ...filtering.law import numbers_of
 from ...fitting.result import Fit
@@ -108,11 +108,7 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
         "held_out": held,
         "recordings": [_recording(r) for r in _shown(study)],
         "candidates": [_candidate(study, s) for s in screen.ranked],
-        "prior": {
-            "none": 1 - FURTHER,
-            "each": FURTHER * (1 - OUTSIDE),
-            "candidates": len(search.candidates),
-        },
+        "prior": {"further": FURTHER, "candidates": len(search.candidates)},
         "screen": {
             "weights": list(map(float, screen.weights)),
             "grams": [_upper(g) for g in screen.grams],

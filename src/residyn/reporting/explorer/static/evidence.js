@@ -29,9 +29,9 @@ export class Evidence {
 
   /** Log prior of a set of so many effects; Python: evidence.log_prior_model. */
   logPrior(count) {
-    const { none, each, candidates } = this.prior;
+    const { further, candidates } = this.prior;
     const sets = logFactorial(candidates) - logFactorial(count) - logFactorial(candidates - count);
-    return Math.log(none) + count * Math.log(each) - sets;
+    return Math.log(1 - further) + count * Math.log(further) - sets;
   }
 
   /**
