@@ -317,6 +317,19 @@ def test_internal_states_are_no_modes(more, damping):
     np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-9)
 
 
+def test_a_second_derivative_of_modes_is_refused():
+    """JAX has no derivatives of eigenvectors; the first one is that of a joint by itself."""
+
+    def ratio(damping):
+        model = ConstantInertia([[2.0]], ["x"]) + Spring("x", 8.0) + Damper("x", damping)
+        return residyn.modes(model).damping_ratio[0]
+
+    slope = jax.grad(ratio)
+    assert slope(1.0) == pytest.approx(1 / (2 * math.sqrt(2.0 * 8.0)), rel=1e-5)
+    with pytest.raises(NotImplementedError):
+        jax.grad(slope)(1.0)
+
+
 def test_a_flexible_wrist_adds_a_mode():
     arm = PlanarArm([0.4, 0.4], 1.1662, 0.5790, 1.4384, 0.0)
     model = arm + Spring("shoulder", 16.0) + Spring("elbow", 16.0) + Damper("elbow", 5.0)

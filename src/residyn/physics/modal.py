@@ -205,15 +205,29 @@ def modes_of(model: Model, matrices: Float[Array | np.ndarray, "*k s s"]) -> Mod
     return Modes(*(here.take_along_axis(x, order, axis=-1) for x in (frequency, ratio)))
 
 
+@jax.custom_jvp
+def _eigenvalues(matrices):
+    return jnp.linalg.eig(matrices)[0] + 0j
+
+
+@_eigenvalues.defjvp
+def _(given, changes):
+    """JAX has no derivatives of eigenvectors, so a second derivative is refused, not wrong."""
+    (matrices,), (change,) = given, changes
+    values, vectors = jnp.linalg.eig(matrices)
+    left = jnp.linalg.pinv(vectors, 0.0)  # of vectors that coincide there is no inverse
+    return values + 0j, jnp.einsum("...ij,...jk,...ki->...i", left, change + 0j, vectors)
+
+
 def _eigen(here, matrices):
     """Eigenvalues (..., s), vectors in columns and left ones in rows, of finite matrices; only the
     eigenvalues have derivatives."""
     matrices = here.where(here.isfinite(matrices).all(axis=(-2, -1), keepdims=True), matrices, 0.0)
     fixed = matrices if here is np else jax.lax.stop_gradient(matrices)
     values, vectors = (x + 0j for x in here.linalg.eig(fixed))
-    left = here.linalg.pinv(vectors, 0.0)  # of vectors that coincide there is no inverse
+    left = here.linalg.pinv(vectors, 0.0)
     if here is jnp:
-        values = values + jnp.einsum("...ij,...jk,...ki->...i", left, matrices - fixed, vectors)
+        values = _eigenvalues(matrices)
     size = here.abs(here.real(values)) + here.abs(here.imag(values))
     least = _ROUNDING * np.finfo(matrices.dtype).eps * size.max(axis=-1, keepdims=True)
     return here.where(size > least, values, 0.0), vectors, left
