@@ -211,7 +211,10 @@ def test_whether_runs_are_the_same_is_told_by_evidence(friction, differs):
     assert any(f"coulomb_friction:cart {words} the other recordings" in w for w in found.words)
 
 
-@pytest.mark.parametrize("own", [["spring:far"], ["spring:near", "spring:far"]])
+@pytest.mark.parametrize(
+    "own",
+    [pytest.param(["spring:far"], marks=pytest.mark.slow), ["spring:near", "spring:far"]],
+)
 def test_each_place_of_an_effect_is_asked_by_itself(own):
     """Two carts in a row, let go twice alike: no spring needs numbers of its own."""
     table = InertiaTable(("near", "far"), ((1.0, 0.2), (0.2, 0.8)), ("m", "m"))
