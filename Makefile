@@ -17,9 +17,10 @@ explore: .venv/.explore
 	$(BIN)/residyn explore demo
 
 # With one order of sets a program is traced alike in each process, and found where another one has
-# compiled it. More threads of BLAS would wait in turns for the other worker's core.
+# compiled it. More threads of BLAS would wait in turns for the other worker's core. Each worker has
+# half of the tests in their order, then half of what the other one has left.
 test: lint
-	OPENBLAS_NUM_THREADS=1 PYTHONHASHSEED=0 $(RUN) -m pytest -n 2 --dist loadfile --durations=25
+	OPENBLAS_NUM_THREADS=1 PYTHONHASHSEED=0 $(RUN) -m pytest -n 2 --dist worksteal --durations=25
 
 # More cases of some tests, minutes.
 slow: .venv/.test
@@ -49,7 +50,7 @@ oldest:
 	$(OLDEST)/bin/python -m pip install --quiet --disable-pip-version-check \
 	  --constraint $(OLDEST)/constraints.txt --editable ".[test]"
 	$(OLDEST)/bin/residyn demo --report $(OLDEST)/demo.html
-	$(OLDEST)/bin/python -m pytest -n 2 --dist loadfile \
+	$(OLDEST)/bin/python -m pytest -n 2 --dist worksteal \
 	  $(addprefix tests/,$(addsuffix .py,cli/test_cli effects/test_catalogue effects/test_own_effects \
 	  fitting/test_batch fitting/test_gaussian_draws fitting/test_genetic fitting/test_posterior \
 	  physics/test_equation_of_motion recordings/test_lab_files \
