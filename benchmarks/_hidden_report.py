@@ -321,6 +321,31 @@ def bic(row: Row) -> Row | None:
     }
 
 
+def counted(rows: Sequence[Row]) -> str:
+    """What a run says by itself, without an oracle, in Markdown: what the readings cannot tell
+    counts as missed, as does each of two names for the same."""
+    right = {"single": "missing", "none": "adequate", "outside": "unexplained", "pairs": "missing"}
+    lines = [
+        "| hidden, noise | verdict | named, none besides | names given 90 % or more: there |",
+        "| --- | --- | --- | --- |",
+    ]
+    kinds = sorted({(r["what"], r["noise"]) for r in rows})
+    groups = {f"{w}, {100 * n:g} %": [r for r in rows if (r["what"], r["noise"]) == (w, n)]
+              for w, n in kinds}  # fmt: skip
+    groups["a slipping brake alone"] = [
+        r for r in rows if r["what"] == "single" and r["hidden"][0].startswith("brake_slip")
+    ]
+    for label, own in groups.items():
+        sure = [(x, r) for r in own for x, p in r.get("candidates", ()) if p >= 0.9]
+        shares = (
+            [r.get("verdict") == right[r["what"]] for r in own],
+            [set(r.get("added", ["-"])) == set(r["hidden"]) & set(rig.NAMES) for r in own],
+            [x in r["hidden"] for x, r in sure],
+        )
+        lines.append(f"| {label} | {' | '.join(f'{sum(x)} of {len(x)}' for x in shares)} |")
+    return "\n".join(lines)
+
+
 def report(
     rows: Sequence[Row],
     oracle: Sequence[Row],
