@@ -296,6 +296,14 @@ def slipping_brake():
     return release(("brake_slip:elbow", {"stiffness": 8.0, "angle": 0.1}))
 
 
+def scene_of_case(case):
+    """Springs and dampers beside the recording of a hidden case."""
+    arm = case.arm
+    table = ArmTable((arm.l1, arm.l2), arm.shoulder, arm.elbow, arm.coupling)
+    seen = residyn.Recording.from_arrays(case.t, case.q, noise=case.noise, theta2=arm.theta2)
+    return scene_of(residyn.Experiment(table, (seen,)), ())
+
+
 @pytest.mark.parametrize(
     "made", [strong_friction, friction_that_is_higher_near_rest, slipping_brake]
 )
@@ -303,9 +311,7 @@ def test_what_sticks_is_found_from_afar_as_from_its_own_numbers(made):
     case = made()
     arm, (hidden,) = case.arm, case.hidden
     assert case.motion is not None
-    table = ArmTable((arm.l1, arm.l2), arm.shoulder, arm.elbow, arm.coupling)
-    seen = residyn.Recording.from_arrays(case.t, case.q, noise=case.noise, theta2=arm.theta2)
-    scene, base = scene_of(residyn.Experiment(table, (seen,)), ())
+    scene, base = scene_of_case(case)
     with jax.enable_x64(True):
         search = Search(scene, base)
         search.extend(search.base)
@@ -333,15 +339,12 @@ def test_what_sticks_is_found_from_afar_as_from_its_own_numbers(made):
 def test_a_brake_in_series_with_the_whole_spring_is_told_from_hysteresis(seed, joint):
     label = f"brake_slip:{joint}"
     case = of_rig(np.random.default_rng([seed, *label.encode(), 10_000]), label)
-    arm, (hidden,) = case.arm, case.hidden
-    table = ArmTable((arm.l1, arm.l2), arm.shoulder, arm.elbow, arm.coupling)
-    seen = residyn.Recording.from_arrays(case.t, case.q, noise=case.noise, theta2=arm.theta2)
-    scene, base = scene_of(residyn.Experiment(table, (seen,)), ())
+    scene, base = scene_of_case(case)
     with jax.enable_x64(True):
         search = Search(scene, base)
         search.extend(search.base)
     assert search.best.added == (label,)
-    values = list(hidden.values.values())
+    values = list(case.hidden[0].values.values())
     np.testing.assert_allclose(search.best.best.numbers[-2:], values, rtol=0.05)
 
 

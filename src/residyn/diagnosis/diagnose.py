@@ -123,8 +123,8 @@ def diagnosed(
     began: float,
 ) -> Diagnosis:
     """What `diagnose` finds from a base model with some effects; `began` on `time.perf_counter`."""
-    if search.first:  # compiled beside the search, at the end of which it is needed
-        fits.beside(functools.partial(compile_curves, search.scene, search.base.best))
+    if search.compiled:  # compiled beside the search, at the end of which it is needed
+        fits.in_background(functools.partial(compile_curves, search.scene, search.base.best))
     fits.begin(search.base)
     search.exact = fits.simulated
     given = fits.whole, effects, search.scene, search.base, len(search.candidates), search.in_time
@@ -163,7 +163,7 @@ class Fits:
                 self._begun[tried.best] = self._pool.submit(self._of, tried, enough, parts)
             return self._begun[tried.best]
 
-    def beside(self, call: Callable[[], None]) -> None:
+    def in_background(self, call: Callable[[], None]) -> None:
         """Have something done in another thread, in float64."""
 
         def in_float64() -> None:

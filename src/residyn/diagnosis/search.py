@@ -481,8 +481,8 @@ class Search:
         self.screens: dict[frozenset[str], Screen] = {}
         """First-order evidence of all candidates beside the models that were extended."""
         say("smoothing the motion with the model")
-        self.first = prepare(scene, base, self.candidates)
-        """Whether it is the first of its kind in this process."""
+        self.compiled = prepare(scene, base, self.candidates)
+        """Whether programs were compiled for it: none of its kind went before, in this process."""
         alone = tried_alone(scene, base)
         self._keep((), alone.evidences, alone.best)
 
