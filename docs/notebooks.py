@@ -62,7 +62,7 @@ def run(path: Path) -> list[Shown]:
 def _run(source: str, where: str, names: dict[str, Any]) -> Shown:
     body, last, value = ast.parse(source), None, None
     if body.body and isinstance(body.body[-1], ast.Expr):
-        last = ast.Expression(body.body.pop().value)  # pyright: ignore[reportAttributeAccessIssue]
+        last = ast.Expression(body.body.pop().value)
     words = io.StringIO()
     with contextlib.redirect_stdout(words):
         exec(compile(body, where, "exec"), names)

@@ -146,7 +146,7 @@ def test_the_next_experiment_is_for_two_explanations_that_cannot_be_told_apart(f
             candidates=known, tried=tried, passed={}, curves=curves, reassigned=None,
             base=tried[frozenset()], scene=friction.search.scene,
         )  # fmt: skip
-        models, p = Posterior(search).rivals()  # pyright: ignore
+        models, p = Posterior(search).rivals()
         return [m.added for m in models], p
 
     models, p = rivals(-2.0)
@@ -515,7 +515,7 @@ def test_an_effect_is_asked_beside_the_best_model_without_it(friction):
             candidates=known, tried=tried, passed={}, curves=[], reassigned=None,
             base=tried[frozenset()], scene=friction.search.scene,
         )  # fmt: skip
-        return Posterior(search).of(labels[2:])  # pyright: ignore
+        return Posterior(search).of(labels[2:])
 
     asked = probability((), two, labels)
     assert asked == pytest.approx(probability((), one, two, labels))

@@ -66,7 +66,7 @@ def models_of(experiment, *added):
     found = settle(scene, starts, 1.0)
     assert None not in found
     models = [
-        Tried(tuple(e.label for e in x), *f, log_prior=0.0)  # pyright: ignore
+        Tried(tuple(e.label for e in x), *f, log_prior=0.0)
         for x, f in zip(each, found, strict=True)
     ]
     return scene, models
@@ -231,7 +231,7 @@ def test_of_a_shorter_sweep_the_beginning_is_made(cubic):
     assert test.duration < experiment.recordings[0].duration
     time = np.linspace(0.0, test.duration, 500)
     torque = test.drive.at(time, test.duration)[:, None]
-    drive = residyn.Drive(0.0, time[1], torque)  # pyright: ignore[reportArgumentType]
+    drive = residyn.Drive(0.0, time[1], torque)
     for outcome, model in zip(test.outcomes, models, strict=True):
         q = residyn.simulate(scene.model(model.best), [0.0, test.time], [0.0], drive=drive).q
         assert outcome.reading == pytest.approx(float(q[-1, 0]), abs=NOISE)
@@ -455,15 +455,15 @@ def test_json_of_a_plan():
 
 def test_models_in_play():
     names = ["a", "b", "c"]
-    models, p, rest = in_play(names, np.log([0.2, 0.795, 0.005]))  # pyright: ignore
+    models, p, rest = in_play(names, np.log([0.2, 0.795, 0.005]))
     assert models == ["b", "a"]
     assert p.sum() == pytest.approx(1.0)
     assert rest == pytest.approx(0.005)
     # None of them where a law without a name has the rest.
-    models, p, rest = in_play(names, np.log([0.2, 0.795, 0.005]) - 2000)  # pyright: ignore
+    models, p, rest = in_play(names, np.log([0.2, 0.795, 0.005]) - 2000)
     assert (models, len(p), rest) == ([], 0, 1.0)
     many = np.log([0.9, *np.full(20, 0.005)])  # none of the others is likely by itself
-    assert len(in_play([*range(21)], many)[0]) == 1  # pyright: ignore
+    assert len(in_play([*range(21)], many)[0]) == 1
     assert settled(np.log([0.96, 0.04]))
     assert not settled(np.log([0.9, 0.1]))
     assert not settled(np.log([0.6, 0.01]))

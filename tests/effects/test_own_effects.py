@@ -212,7 +212,7 @@ class Stop(residyn.JointEffect):
 
 
 class Nameless(Stop):
-    name = None  # pyright: ignore
+    name = None
 
 
 class ShapeOnly(residyn.JointEffect):

@@ -337,7 +337,7 @@ def test_more_joints_than_columns_stand_under_each_other(found):
     fit = SimpleNamespace(joints=joints, model=model, reduced_chi2=2, rmse=rmse)
     held = SimpleNamespace(what="last third", held_out=SimpleNamespace(ratio=[4, 5, 6], rmse=rmse))
     step = SimpleNamespace(fit=fit, held_out=held, times_noise=[1, 2, 3], added=None)
-    lines = text.models(SimpleNamespace(fit=fit, ladder=(step,)))  # pyright: ignore
+    lines = text.models(SimpleNamespace(fit=fit, ladder=(step,)))
     shown = [line.split()[-6:] for line in lines[-3:]]
     assert shown[0] == ["a", "1.0", "x", "4.0", "x", "2.00"]
     assert [row[-6] for row in shown] == ["a", "b", "c"]

@@ -44,7 +44,7 @@ def run(app: typer.Typer, args: Sequence[str] | None) -> int:
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(AttributeError, ValueError):
             # A terminal that cannot show a letter gets a question mark, not a crash.
-            stream.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
+            stream.reconfigure(errors="replace")  # pyrefly: ignore[missing-attribute]
     command = typer.main.get_command(app)
     usual, sys.unraisablehook = sys.unraisablehook, _interrupt_again
     try:

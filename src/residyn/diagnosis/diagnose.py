@@ -509,7 +509,7 @@ class Posterior:
             sums["missing" if model.added else "adequate"] += p * complete
             sums["unexplained"] += p * (1.0 - complete)
         sums["unexplained"] += self.of_reassigned  # by anything of the readings as they stand
-        likeliest: Verdict = max(sums, key=lambda v: sums[v])  # pyright: ignore
+        likeliest: Verdict = max(sums, key=lambda v: sums[v])  # pyrefly: ignore[bad-assignment]
         return likeliest, float(sums[likeliest])
 
     def _alone(self, label: str) -> float:

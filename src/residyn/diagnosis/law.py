@@ -259,7 +259,7 @@ class Written(Tried):
     def starts(self, scene: Scene) -> tuple[Trajectory, ...]:
         """The model without a random torque, with the class."""
         t = silenced(scene, self.best, self.intensity)
-        effect: Any = self.found.kind()(self.found.joint)  # pyright: ignore[reportCallIssue]
+        effect: Any = self.found.kind()(self.found.joint)  # pyrefly: ignore[bad-argument-count]
         own = [i for i, e in enumerate(t.effects) if not isinstance(e, FreeCurve)]
         t = with_effects(scene, t, own, [effect])
         its = number_slices(t.effects)[t.labels.index(effect.label)]

@@ -180,7 +180,7 @@ def settle(
             found[i] = state
         best = max([known, *(s.evidences.max() for s in found if s is not None)])
         moving = [i for i in moving if (s := found[i]) and not (s.done or s.hopeless(best))]
-    return [s and (s.evidences, s.trajectory) for s in found]
+    return [(s.evidences, s.trajectory) if s else None for s in found]
 
 
 class _State(NamedTuple):
@@ -281,7 +281,10 @@ def _descended(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | Non
         yield _State(t, evidences)
     level = int(np.argmax(evidences + log_prior_intensity(INTENSITIES)))
     end = best[level]
-    yield end and _State(_end(scene, end, level, evidences[level]), evidences, done=True)
+    if end is None:
+        yield None
+    else:
+        yield _State(_end(scene, end, level, evidences[level]), evidences, done=True)
 
 
 def _end(scene: Scene, t: Trajectory, level: int, known: float) -> Trajectory:
@@ -597,7 +600,7 @@ class Search:
         """Simulate models exactly, each once."""
         self.in_time()
         self._simulated.update(t.best for t in models)
-        work = [functools.partial(self.exact, t) for t in models]  # pyright: ignore
+        work = [functools.partial(self.exact, t) for t in models]  # pyrefly: ignore
         for model, found in zip(models, side_by_side(work), strict=True):
             if found is not None:
                 self.tried[frozenset(model.added)] = model.simulated_as(found)
@@ -745,7 +748,7 @@ class Search:
         ended = less and self.tried.get(frozenset([*parent.added, less.label]))
         if less is None or ended is None:
             return self.scene.consistent(extended(self.scene, trajectory, found))
-        return self._instead(ended.best, less, found)
+        return self._instead(ended.best, less, found)  # pyrefly: ignore[missing-attribute]
 
     def _contained(self, law: AbstractEffect) -> AbstractEffect | None:
         """The candidate that a law is with its further numbers silent."""

@@ -116,6 +116,6 @@ def simulated(scene: Scene, t: Trajectory, fit: Fit) -> Simulated | None:
         off += np.sum(np.where(g.seen[at], (g.angle[at] - predicted) ** 2 / g.variance[at], 0.0))
     x, P = mode.x, len(u)
     log = scene.highest - 0.5 * (off + x @ x) - np.log(np.diag(factor[0])).sum()
-    covariance = cho_solve(factor, np.eye(len(x)))[:P, :P]
+    covariance = cho_solve(factor, np.eye(len(x)))[:P, :P]  # pyrefly: ignore[bad-index]
     log += half_normals(t.effects, t.prior, x[:P], np.sqrt(np.diag(covariance)))
     return Simulated(float(log), x[:P], covariance)

@@ -146,12 +146,12 @@ def effects_named(words: str, mechanism: AbstractInertia) -> tuple[AbstractEffec
             raise ValueError(f'"{words}": {name} acts on the whole mechanism and takes no joint')
         return (kind(),)
     if not colon:
-        return tuple(kind(each) for each in places)  # pyright: ignore[reportCallIssue]
+        return tuple(kind(each) for each in places)  # pyrefly: ignore[bad-argument-count]
     if place not in places:
         raise ValueError(
             f'"{words}": {name} goes with {", ".join(places)}{_nearest(place, places)}'
         )
-    return (kind(place),)  # pyright: ignore[reportCallIssue]
+    return (kind(place),)  # pyrefly: ignore[bad-argument-count]
 
 
 def _nearest(word: str, known) -> str:

@@ -30,7 +30,7 @@ def with_own(effect: AbstractEffect, runs: Sequence[tuple[int, str]]) -> Abstrac
     """The effect with a set of numbers of its own for each of the `runs`, (number, name), all
     silent, and for no other; the effect itself if it has just these."""
     own = hasattr(type(effect), "own_runs")
-    plain: type[AbstractEffect] = type(effect).__mro__[own]  # pyright: ignore
+    plain: type[AbstractEffect] = type(effect).__mro__[own]
     kind = _kind(plain, tuple(runs))
     if kind is type(effect):
         return effect
@@ -62,7 +62,7 @@ def _kind(kind: type[AbstractEffect], runs: tuple[tuple[int, str], ...]) -> type
                 p.dimension,
                 sign=p.sign,
                 silent=p.silent,
-                default=declared[p.field],  # pyright: ignore[reportArgumentType]
+                default=declared[p.field],  # pyrefly: ignore[bad-argument-type]
                 grid=p.grid,
                 joint=p.joint,
                 name=f"{p.name} ({name})",
@@ -71,7 +71,7 @@ def _kind(kind: type[AbstractEffect], runs: tuple[tuple[int, str], ...]) -> type
     def here(self, mechanism: AbstractInertia) -> AbstractEffect:
         values = {f.name: getattr(self, f.name) for f in dataclasses.fields(kind)}
         for run, _ in runs:
-            now = mechanism.run == run  # pyright: ignore[reportAttributeAccessIssue]
+            now = mechanism.run == run  # pyrefly: ignore[missing-attribute]
             for p in fitted:
                 own = getattr(self, f"{p.field}_{run}")
                 values[p.field] = jnp.where(now, own, values[p.field])
@@ -86,4 +86,4 @@ def _kind(kind: type[AbstractEffect], runs: tuple[tuple[int, str], ...]) -> type
 
         body[method] = called
     numbers = "_".join(str(run) for run, _ in runs)
-    return type(kind)(f"{kind.__name__}_{numbers}", (kind,), body)  # pyright: ignore
+    return type(kind)(f"{kind.__name__}_{numbers}", (kind,), body)

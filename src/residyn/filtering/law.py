@@ -137,7 +137,7 @@ def _made(name: str) -> AbstractEffect:
     made = catalogue()[kind]
     with jax.ensure_compile_time_eval():
         if place or issubclass(made, JointEffect):
-            return made(place)  # pyright: ignore[reportCallIssue]
+            return made(place)  # pyrefly: ignore[bad-argument-count]
         return made()
 
 
@@ -166,7 +166,7 @@ def catalogue_on(mechanism: AbstractInertia) -> list[AbstractEffect]:
             places = kind.places(mechanism)
         except ValueError:  # it makes no sense here
             continue
-        found += [kind(p) for p in places] if places else [kind()]  # pyright: ignore
+        found += [kind(p) for p in places] if places else [kind()]  # pyrefly: ignore
     return found
 
 

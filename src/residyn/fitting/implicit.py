@@ -221,7 +221,7 @@ def embed(fit: Fit, *, integrator: Any = None) -> Embedded:
 
 
 def _must_be_float64() -> None:
-    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+    if not jax.config.jax_enable_x64:  # pyrefly: ignore[missing-attribute]
         raise ValueError(
             "no fit can settle in single precision: embed and solve it in float64, after "
             'jax.config.update("jax_enable_x64", True) or inside `with jax.enable_x64(True)`'

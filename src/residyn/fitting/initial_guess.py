@@ -250,7 +250,7 @@ class _Equations(NamedTuple):
     readings: AnyArray  # (K,) how many there are, by their weight
 
 
-@kept(like=_Equations(0, 0, 0, 0))  # pyright: ignore[reportArgumentType]
+@kept(like=_Equations(0, 0, 0, 0))  # pyrefly: ignore[bad-argument-type]
 def _equations(models, trials: Trials, spacing, data, chunks) -> _Equations:
     """The acceleration error and its slopes, summed over the first `chunks` chunks of instants."""
     joints = len(models.mechanism.joints)

@@ -155,7 +155,7 @@ def together(fittings: Sequence[Fitting[Result]]) -> list[Result]:
         groups: dict[Any, list[tuple[int, Wanted]]] = {}
         for index, answer in answers.items():
             try:
-                wanted = fittings[index].send(answer)  # pyright: ignore[reportArgumentType]
+                wanted = fittings[index].send(answer)  # pyrefly: ignore[bad-argument-type]
             except StopIteration as end:
                 results[index] = end.value
             except Exception as error:
@@ -167,7 +167,7 @@ def together(fittings: Sequence[Fitting[Result]]) -> list[Result]:
         for group in groups.values():
             found = _in_lanes([each for _, each in group], width)
             for (index, _), each in zip(group, found, strict=True):
-                answers.setdefault(index, []).append(each)  # pyright: ignore
+                answers.setdefault(index, []).append(each)  # pyrefly: ignore[missing-attribute]
     for error in errors:
         raise error
     return [results[index] for index in range(len(fittings))]

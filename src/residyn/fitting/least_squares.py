@@ -267,7 +267,7 @@ class Horizon(NamedTuple):
         return cls(eqx.tree_at(lambda p: p.recorded.weights, problem, weights), only)
 
 
-ENDED = Unknowns(0, 0), Compressed(0, 0, 0, 0), 0, 0, 0, 0  # pyright: ignore[reportArgumentType]
+ENDED = Unknowns(0, 0), Compressed(0, 0, 0, 0), 0, 0, 0, 0  # pyrefly: ignore[bad-argument-type]
 
 
 def one_descent(problem: Problem, y: Unknowns, shares, size):

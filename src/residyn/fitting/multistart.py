@@ -275,7 +275,7 @@ def _further(
 
 def _begun(starts: Unknowns) -> list[Polished]:
     """Starts that have not moved yet."""
-    nothing: Compressed = None  # pyright: ignore[reportAssignmentType]
+    nothing: Compressed = None  # pyrefly: ignore[bad-assignment]
     each = map(Unknowns, *jax.device_get(starts))
     return [Polished(y, nothing, math.inf, 0, False) for y in each]
 

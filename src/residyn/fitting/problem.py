@@ -123,7 +123,7 @@ def mechanism_of(experiment: Experiment, recording: Recording) -> AbstractMechan
             experiment.run_of(recording),
         )
         if not recording.air_bearings:
-            arm = without_bearings(arm, experiment.bearings)  # pyright: ignore
+            arm = without_bearings(arm, experiment.bearings)  # pyrefly: ignore[bad-argument-type]
         return all_floating(arm)
     if isinstance(table, AbstractMechanism):
         return all_floating(table)

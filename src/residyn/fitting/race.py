@@ -119,7 +119,7 @@ class Race(TableResult):
         best = self.best and self.best.fit
         if run.fit is None or best is None:
             return np.zeros(0)
-        pairs = zip(run.fit.numbers, best.numbers, strict=True)
+        pairs = zip(run.fit.numbers, best.numbers, strict=True)  # pyrefly: ignore
         return np.array([abs(a.value - b.value) / b.std for a, b in pairs])
 
     def to_dict(self) -> dict[str, Any]:

@@ -99,7 +99,7 @@ def smooth(data: Uniform, halves: np.ndarray, noise: np.ndarray, stride: int) ->
     """Through the kernels of these half-widths (H,), in samples, at every `stride`-th instant."""
     length, widest = len(data.q), int(halves.max())
     # Long enough that no end reaches round to the other, and quick to transform.
-    size = 4 * int(next_fast_len(-(-(length + 2 * widest) // 4)))  # pyright: ignore
+    size = 4 * int(next_fast_len(-(-(length + 2 * widest) // 4)))
 
     def through(columns: np.ndarray, responses: np.ndarray) -> np.ndarray:
         if not columns.any():

@@ -287,7 +287,7 @@ def changed(module: _Module, **fields) -> _Module:
     new = object.__new__(type(module))
     for name, value in (module.__dict__ | fields).items():
         object.__setattr__(new, name, value)
-    return new
+    return new  # pyrefly: ignore[bad-return]
 
 
 def _named(model: Model):

@@ -112,9 +112,9 @@ def floating(x: Any) -> Array:
     """As a float array of the precision in force: of NumPy, which is quicker to make and to read,
     unless `x` is of JAX. (`jnp.asarray(0.1)` would be weakly typed, and take the precision of
     whatever it meets.)"""
-    wanted = np.float64 if jax.config.jax_enable_x64 else np.float32  # pyright: ignore
+    wanted = np.float64 if jax.config.jax_enable_x64 else np.float32  # pyrefly: ignore
     if not any(isinstance(each, jax.Array) for each in jax.tree.leaves(x)):
-        return np.asarray(x, wanted)  # pyright: ignore[reportReturnType]
+        return np.asarray(x, wanted)  # pyrefly: ignore[bad-return]
     if isinstance(x, jax.Array) and not x.weak_type and x.dtype == wanted:
         return x  # JAX would take its time to find that there is nothing to do
     return jnp.asarray(x, float)

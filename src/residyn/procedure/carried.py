@@ -92,7 +92,7 @@ def _slopes(problem: Problem, one: Recorded, numbers, state):
     def residual(z):
         count = len(numbers)
         mechanism = with_inertias(one.mechanism, z[count : count + 3])
-        moved = dataclasses.replace(one, mechanism=mechanism)
+        moved = dataclasses.replace(one, mechanism=mechanism)  # pyrefly: ignore[bad-argument-type]
         predicted = predict(problem, moved, z[:count], z[count + 3 :])
         return whiten(one, predicted).reshape(-1)
 

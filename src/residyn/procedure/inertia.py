@@ -137,7 +137,7 @@ def _bearings(experiment: Experiment) -> np.ndarray:
     assert isinstance(table, ArmTable)
     with jax.enable_x64(True):
         bare = PlanarArm(table.link_lengths, 0.0, 0.0, 0.0)
-        arm = with_bearings(bare, experiment.bearings)  # pyright: ignore
+        arm = with_bearings(bare, experiment.bearings)  # pyrefly: ignore[bad-argument-type]
         return np.array([float(x) for x in (arm.shoulder, arm.elbow, arm.coupling)])
 
 

@@ -235,7 +235,7 @@ def errors_of(scene: Scene, rival: Rival, inertia: np.ndarray | None) -> Carried
     if inertia is None:
         return Carried(numbers, nothing, np.zeros((3, 3)), np.zeros((count, 3)))
     t = rival.tried.best
-    parts = [InertiaError(part) for part in NAMES]  # pyright: ignore[reportCallIssue]
+    parts = [InertiaError(part) for part in NAMES]
     _, grams = Columns(scene, t, parts, []).gram([rival.tried.intensity])
     own = means_of_base(grams[0], len(t.u))[:count, 1:]
     widths = [width_of(scene, e, numbers_of(e)[0]) for e in parts]
@@ -283,4 +283,4 @@ def quantile(q: float, p: np.ndarray, mean: np.ndarray, std: np.ndarray) -> floa
     """Of a mixture of normals."""
     std = np.maximum(std, 1e-12 * np.max(np.abs(mean), initial=1e-300))
     ends = np.min(mean - 9 * std), np.max(mean + 9 * std)
-    return float(brentq(lambda x: p @ norm.cdf((x - mean) / std) - q, *ends, xtol=1e-14))  # pyright: ignore
+    return float(brentq(lambda x: p @ norm.cdf((x - mean) / std) - q, *ends, xtol=1e-14))  # pyrefly: ignore

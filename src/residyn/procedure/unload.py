@@ -83,8 +83,9 @@ def unload(
         errors = carried(fitted, covariance)
         at = _poses(experiment)
         poses = tuple(_pose(fitted, r, errors) for r in at)
-        search = diagnosis and diagnosis.search
-        over = search and over_models(search, experiment, covariance, at, say)
+        over = None
+        if diagnosis is not None and diagnosis.search:
+            over = over_models(diagnosis.search, experiment, covariance, at, say)
         checks = []
         for beside in fitted.held_out:
             if not beside.recording.air_bearings:

@@ -172,7 +172,7 @@ def solve(test: DrivenTest, rows: Rows, begin: np.ndarray, arm: np.ndarray) -> S
         own = values[0] ** 2 * moving[2] + values[2] ** 2 * moving[1]
         factor = np.asarray(cholesky_banded(still + own, lower=True, check_finite=False))
         residual = torque - columns @ values
-        return solve_banded((_BAND, 0), factor, residual, check_finite=False)
+        return solve_banded((_BAND, 0), factor, residual, check_finite=False)  # pyrefly: ignore
 
     sizes = np.linalg.norm(torque) / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     start = np.zeros(columns.shape[1])

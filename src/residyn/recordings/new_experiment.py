@@ -59,7 +59,7 @@ def experiment_text(files: Sequence[Path], folder: Path) -> str:
         joints=toml_value([f"joint{j + 1}" for j in range(n)]),
         units=toml_value(list(kinds)),
         matrix=toml_value([["?"] * n] * n),
-        unit=_UNITS[tuple(sorted(set(kinds)))],
+        unit=_UNITS[tuple(sorted(set(kinds)))],  # pyrefly: ignore[bad-index]
     )
     return "\n".join([_ARM if kinds == ArmTable.units else head, *tables])
 

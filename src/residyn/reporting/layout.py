@@ -93,5 +93,5 @@ def separated(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 def _cell(x: object) -> str:
     if x is None or isinstance(x, str):
         return x or ""
-    number = float(x)  # pyright: ignore[reportArgumentType]
+    number = float(x)  # pyrefly: ignore[bad-argument-type]
     return repr(number) if math.isfinite(number) else ""

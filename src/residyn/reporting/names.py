@@ -106,7 +106,7 @@ def model_name(step: ModelState, comma: bool = False) -> str:
 
 def times_noise(step: ModelState) -> list[tuple[float, float | None]]:
     """Per joint the error in times the noise, where it was fitted and where it was not."""
-    held = step.held_out and step.held_out.held_out.ratio
+    held = step.held_out.held_out.ratio if step.held_out else None
     each = [None] * len(step.times_noise) if held is None else map(float, held)
     return list(zip(map(float, step.times_noise), each, strict=True))
 

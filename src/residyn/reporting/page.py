@@ -96,7 +96,7 @@ def _filled(template: str, kind: str, **named: Any) -> str:
     pages.filters.update(unbroken=names.unbroken, plain=plain)
     modules = {"compare": compare, "fits": fit, "laws": laws, "names": names, "plot": plot}
     given = {"models": (), "compared": None, "phone": _NARROW, "narrow": _NARROW, "kind": kind}
-    pages.globals.update(
+    pages.globals.update(  # pyrefly: ignore[no-matching-overload]
         modules | given | named,
         over_models=over_models,
         outcomes=outcomes,

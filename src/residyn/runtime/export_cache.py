@@ -74,7 +74,7 @@ def check_compiled() -> bool:
         def __init__(self, cache: Cache):
             self.cache, self._path = cache, cache.folder
 
-        def get(self, key: str) -> bytes | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        def get(self, key: str) -> bytes | None:  # pyrefly: ignore[bad-override]
             return self.cache.get(f"compiled {key}")
 
         def put(self, key: str, value: bytes) -> None:
@@ -123,7 +123,7 @@ class Kept:
     def __init__(self, function: Callable, like: Any, options: dict[str, Any]):
         functools.update_wrapper(self, function)
         self._options = options
-        self._plain = eqx.filter_jit(function, compiler_options=options)  # pyright: ignore
+        self._plain = eqx.filter_jit(function, compiler_options=options)  # pyrefly: ignore
         self._within = eqx.filter_jit(function)  # a program takes no options for a part of it
         self._name = f"{function.__module__}.{function.__qualname__}"
         self._out = jax.tree.structure(like)
@@ -181,7 +181,7 @@ class Kept:
 
         def flat(*arrays):
             filled = eqx.combine(jax.tree.unflatten(structure, arrays), others)
-            found = self.__wrapped__(*filled)  # pyright: ignore
+            found = self.__wrapped__(*filled)  # pyrefly: ignore[missing-attribute]
             values, built = jax.tree.flatten(found)
             assert built == self._out, f"{self._name} returns {built}, not {self._out}"
             return values
@@ -197,13 +197,13 @@ def _key(leaves, structure) -> tuple:
         else x
         for x in leaves
     )
-    return structure, told, jax.config.jax_enable_x64, jax.default_backend()  # pyright: ignore
+    return structure, told, jax.config.jax_enable_x64, jax.default_backend()  # pyrefly: ignore
 
 
 def _devices(arrays) -> frozenset:
     """Where a program with these inputs runs."""
     bound = (x for x in arrays if isinstance(x, jax.Array) and x.committed)
-    default = jax.config.jax_default_device or jax.devices()[0]  # pyright: ignore
+    default = jax.config.jax_default_device or jax.devices()[0]  # pyrefly: ignore
     return frozenset(device for x in bound for device in x.devices()) or frozenset([default])
 
 
@@ -220,7 +220,7 @@ def _words(structure) -> str | None:
     parts = [_words(child) for child in structure.children()]
     if any(part is None for part in parts):
         return None
-    return f"{home}.{kind.__qualname__}{told}({','.join(parts)})"  # pyright: ignore
+    return f"{home}.{kind.__qualname__}{told}({','.join(parts)})"  # pyrefly: ignore
 
 
 @functools.cache

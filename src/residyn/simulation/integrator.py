@@ -234,7 +234,7 @@ def at_nodes(
     if isinstance(adjoint, diffrax.DirectAdjoint):
         most = min(most, _STEPS_EACH * nodes.shape[0])
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(vector_field),  # pyright: ignore[reportArgumentType]
+        diffrax.ODETerm(vector_field),
         solver,
         nodes[0],
         nodes[-1],

@@ -121,7 +121,7 @@ def march(
     integrator.check(model)
     if adjoint is None:
         adjoint = integrator.adjoint or diffrax.ForwardMode()
-    found = at_nodes(integrator, Args(model, drive), y, nodes, adjoint, tighter)  # pyright: ignore
+    found = at_nodes(integrator, Args(model, drive), y, nodes, adjoint, tighter)  # pyrefly: ignore
 
     def told(index, t, *arrays):
         here = tuples_of(arrays)

@@ -125,7 +125,7 @@ class Study:
     def first_order(self) -> FirstOrder | None:
         """What each candidate does to the readings, fitted and held out."""
         there, path, _ = self.beside
-        return first_order(self.columns, path and self.columns_along(there, path))
+        return first_order(self.columns, self.columns_along(there, path) if path else None)
 
     @functools.cached_property
     def beside(self) -> tuple[Scene, Trajectory | None, np.ndarray]:

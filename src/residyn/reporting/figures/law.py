@@ -22,7 +22,7 @@ def law(found: Law, *, narrow: bool = False) -> Figure:
     above.fill_between(x, y - band, y + band, color=BAND, lw=0, label="95 % band")
     above.plot(x, y, color=INK, lw=1.4, label="free curve")
     if found.formula is not None and found.found is not None:
-        effect = found.found.kind()(found.joint)  # pyright: ignore[reportCallIssue]
+        effect = found.found.kind()(found.joint)  # pyrefly: ignore[bad-argument-count]
         above.plot(x, found.values(effect), color=RESIDUAL, lw=1.2, label="formula")
     for (label, values), colour in zip(found.named, (JOINTS[0], *JOINTS[2:]), strict=False):
         above.plot(x, values, color=colour, lw=1.0, ls=DASHED, label=lower(title(label)))
