@@ -118,7 +118,7 @@ REASONS = {
     "_linearised": "state matrices: paces of the starts, steps, modes of the fit",
     "one_descent": "every descent: starts, horizons, wild readings, held-out recordings, the "
     "integration error, what the covariance is made of",
-    "linearise": "a model as a linear system along a motion: every step of the diagnosis",
+    "_stretches": "a model as a linear system along a motion: every step of the diagnosis",
     "smooth": "the filter and the smoother along a motion",
     "evidences": "the evidence of a model under every intensity of the random torque",
     "columns": "how every law of the catalogue moves the readings",

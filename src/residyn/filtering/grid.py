@@ -25,7 +25,7 @@ STEP = 0.3
 LONGEST = 0.45
 """... steps are divided from this one on: the phase of a fourth-order step is good to 3e-4."""
 _MINOR = 1e-2  # of the power of the acceleration, and of the angles: less needs no step of its own
-_LENGTHS = 512, 768  # and twice that, and so on: few lengths to compile for
+_LENGTHS = 512, 1536  # and twice that, and so on: few lengths to compile for
 _WIDE = 31  # lines of a periodogram that are averaged, at least, ...
 _SHARE = 0.05  # ... and to either side this share of a line's own frequency
 # Lines behind Hann's window that tell as much as one independent line: squared correlations summed.

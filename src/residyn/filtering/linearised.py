@@ -10,11 +10,11 @@ that holds it (`hold`), and `slow` is the rate that friction takes away in RAMP 
 """
 
 import functools
-import math
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.stats import norm
 
 from ..physics.model import solve_inertia
@@ -41,6 +41,7 @@ from .law import (
 )
 
 _AT_ONCE = 64  # instants: their slopes, some 4 KB each, stay in a second-level cache
+_IN_A_CALL = 8  # times as many: a divisor of all grids' lengths, and long beside what a call costs
 
 
 class Instants(NamedTuple):
@@ -139,15 +140,16 @@ def expected_direction(v, needed, level, spread, slow_time):
 
 
 def nodes(instants: Instants, path, spread, held) -> Nodes:
-    """By Hermite's cubic through the motion; states that are `held` (M,) keep within a step."""
+    """By Hermite's cubic through the motion; states that are `held` (M,) keep within a step. The
+    motion, (K, X) or (K + 1, X), stays where it ends."""
     n, h = spread.shape[1], instants.step
-    x = path.T
-    q, v, z = x[:n], x[n : 2 * n], x[2 * n :]
 
-    def after(a):
-        return jnp.concatenate([a[..., 1:], a[..., -1:]], -1)
+    def ends(x):  # of the steps
+        x = jnp.concatenate([x, x[-1:]]).T
+        return x[:, : len(h)], x[:, 1 : len(h) + 1]
 
-    q1, v1, z1, s1 = after(q), after(v), after(z), after(spread.T)
+    (x, x1), (s, s1) = ends(path), ends(spread)
+    (q, v, z), (q1, v1, z1) = ((x[:n], x[n : 2 * n], x[2 * n :]) for x in (x, x1))
     middle = 0.5 * (q + q1) + h / 8 * (v - v1)
     rate = jnp.where(h > 0, 1.5 * (q1 - q) / jnp.maximum(h, 1e-12) - 0.25 * (v + v1), v)
     inside, end = (jnp.where(held[:, None], z, x) for x in (0.5 * (z + z1), z1))
@@ -162,7 +164,7 @@ def nodes(instants: Instants, path, spread, held) -> Nodes:
         three(z, inside, end),
         three(instants.time, instants.time + h / 2, instants.time + h),
         three(step, step, step),
-        three(spread.T, 0.5 * (spread.T + s1), s1) + 1e-12,
+        three(s, 0.5 * (s + s1), s1) + 1e-12,
     )
 
 
@@ -348,35 +350,53 @@ def transition(h, M, X: int):
     return jnp.eye(X, W)[..., None] + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
-@kept(like=Linear(System(*[0] * 9), *[0] * 8))
 def linearise(laws: Laws, table: Table, instants: Instants, point: Point) -> Linear:
     """A model as a linear system along a motion.
 
-    A few instants at a time: what is computed between is ten times as large as all that is kept,
-    and stays in the processor's cache.
+    In stretches of so many instants that what is computed between, ten times as large as all that
+    is kept, stays in the processor's cache. One compiled program takes some of them, of recordings
+    of every length.
     """
-    K = len(instants.step)
-    C = math.gcd(K, _AT_ONCE)
-    at = nodes(instants, point.path, point.spread, table.held)
+    K, C = len(instants.step), _AT_ONCE
+
+    def cut(x):  # (..., K) to (K / C, ..., C)
+        return np.moveaxis(x.reshape(*x.shape[:-1], K // C, C), -2, 0)
+
+    def cut_ends(x):  # (K, ...) to (K / C, C + 1, ...)
+        x = np.concatenate([x, x[-1:]])
+        return np.stack([x[i : i + C + 1] for i in range(0, K, C)])
+
+    rest = {"usual": instants.usual, "mechanisms": instants.mechanisms}
+    own = jax.tree.map(cut, instants._replace(**dict.fromkeys(rest)))
+    path, spread = map(cut_ends, (point.path, point.spread))
+    each = []
+    for i in range(0, K // C, _IN_A_CALL):
+        part, *motion = jax.tree.map(lambda x, i=i: x[i : i + _IN_A_CALL], (own, path, spread))
+        moved = point._replace(path=motion[0], spread=motion[1])
+        each.append(_stretches(laws, table, part._replace(**rest), moved))
+    found: Linear = jax.tree.map(lambda *x: np.concatenate(x), *each)
+
+    def joined(x):  # (K / C, ..., r C) to (..., r K)
+        x = np.moveaxis(x.reshape(*x.shape[:-1], -1, C), 0, -2)
+        return x.reshape(*x.shape[:-3], -1)
+
+    system = jax.tree.map(lambda x: x.reshape(K, *x.shape[2:]), (found.system, found.seen))
+    return Linear(*system, *map(joined, found[2:]))
+
+
+@kept(like=Linear(System(*[0] * 9), *[0] * 8))
+def _stretches(laws: Laws, table: Table, instants: Instants, point: Point) -> Linear:
+    """A model along stretches of its motion, the first axis of all."""
     bodies = changed_bodies(laws, table.whole, table.whole.numbers, instants.mechanisms)
     rest = {"usual": instants.usual, "mechanisms": instants.mechanisms}
+
+    def one(part):
+        own, path, spread = part
+        at = nodes(own._replace(**rest), path, spread, table.held)
+        return _linearised(laws, table, own._replace(**rest), at, bodies, point)
+
     own = instants._replace(**dict.fromkeys(rest))
-
-    def parts(x):  # (..., r K) to (K / C, ..., r C)
-        return jnp.moveaxis(x.reshape(*x.shape[:-1], -1, K // C, C), -2, 0).reshape(
-            K // C, *x.shape[:-1], -1
-        )
-
-    def whole(x):  # back
-        x = x.reshape(*x.shape[:-1], -1, C)
-        return jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-2], -1)
-
-    found: Linear = jax.lax.map(
-        lambda part: _linearised(laws, table, part[0]._replace(**rest), part[1], bodies, point),
-        jax.tree.map(parts, (own, at)),
-    )
-    system = jax.tree.map(lambda x: x.reshape(K, *x.shape[2:]), (found.system, found.seen))
-    return Linear(*system, *map(whole, found[2:]))
+    return jax.lax.map(one, (own, point.path, point.spread))
 
 
 def _linearised(laws: Laws, table: Table, instants: Instants, at: Nodes, bodies, point: Point):
