@@ -239,6 +239,11 @@ def test_an_instance_is_checked_as_a_file_is(kind, says):
         residyn.fit(residyn.Experiment(bodies, [run]), effects=[kind("cart")], starts=1)
 
 
+def test_a_model_takes_no_effect_without_a_name():
+    with pytest.raises(TypeError, match="Nameless needs a name"):
+        residyn.ConstantInertia([[1.0]], ["cart"], ["m"]) + Nameless("cart", 3.0)
+
+
 def test_a_simulation_tells_a_mistake_in_a_law_from_traced_steps():
     model = residyn.ConstantInertia([[1.0]], ["cart"], ["m"]) + residyn.Spring("cart", 4.0)
     with pytest.raises(residyn.InputError, match=r"own_stop:cart: line \d+: .* no truth value"):

@@ -410,6 +410,7 @@ def test_concrete_state_matrices_are_those_of_any_other_program(undamped, tilted
     [
         ([0.0, 1.0], 0.1, r"q0 has shape \(\); it must have a number for each joint: shoulder"),
         ([0.0, 1.0], [0.1, 0.0, 0.0], r"q0 has shape \(3,\)"),
+        ([0.0, 1.0], [np.nan, 0.0], "q0 = .*: all numbers must be finite"),
         (10.0, [0.1, 0.0], "times has shape"),
         ([], [0.1, 0.0], "times has 0 instants"),
         ([0.0], [0.1, 0.0], "times has 1 instants"),
@@ -417,7 +418,7 @@ def test_concrete_state_matrices_are_those_of_any_other_program(undamped, tilted
         ([0.0, 1.0, 0.5], [0.1, 0.0], "must increase"),
     ],
 )
-def test_arrays_of_other_shapes_are_refused(undamped, times, q0, words):
+def test_arrays_of_other_shapes_or_not_finite_are_refused(undamped, times, q0, words):
     with pytest.raises(ValueError, match=words):
         residyn.simulate(undamped, times, q0)
     with pytest.raises(TypeError, match="PlanarArm is no model"):

@@ -48,10 +48,12 @@ class Model(eqx.Module):
         """The model with one more effect.
 
         **Raises:** `ValueError` if it is there already, or its joint is not; `TypeError` if it is
-        no effect.
+        no effect, or has no name.
         """
         if not isinstance(effect, AbstractEffect):
             raise TypeError(f"{effect!r} is no effect: a model is a mechanism plus effects")
+        if not getattr(effect, "name", None):
+            raise TypeError(f"{type(effect).__name__} needs a name")
         if effect.label in self.labels:
             raise ValueError(f"{effect.label} is in the model already")
         if effect.place is not None:

@@ -182,11 +182,11 @@ def simulate(
 
     **Returns:** a `Trajectory`.
 
-    **Raises:** `ValueError` for arrays of other shapes, for instants that are not finite and
-    increasing, two at least, for `steps` or `orders` that there cannot be, or if `steps` is needed
-    and cannot be chosen; `TypeError` for what is no model or no drive; `InputError` for an
-    integrator that does not exist or cannot integrate an effect of the model, and for a law of your
-    own with a mistake. What is traced is checked for its shape alone.
+    **Raises:** `ValueError` for arrays of other shapes or not finite, for instants that are not
+    finite and increasing, two at least, for `steps` or `orders` that there cannot be, or if `steps`
+    is needed and cannot be chosen; `TypeError` for what is no model or no drive; `InputError` for
+    an integrator that does not exist or cannot integrate an effect of the model, and for a law of
+    your own with a mistake. What is traced is checked for its shape alone.
     """
     if not isinstance(model, Model):
         raise TypeError(f"{type(model).__name__} is no model: a mechanism plus effects is one")
@@ -206,6 +206,9 @@ def simulate(
                 f"{words} has shape {given.shape}; it must have a number for each {each}: "
                 f"{', '.join(names) or 'none'}"
             )
+        known = given is not None and not isinstance(given, Tracer)
+        if known and not np.isfinite(given).all():
+            raise ValueError(f"{words} = {np.asarray(given)}: all numbers must be finite")
     t = jnp.asarray(times, float)
     instants = _instants(times, t.shape)
     orders = _orders(orders, joints)
