@@ -395,6 +395,7 @@ def tried_alone(
     """
     start = scene.start(effects, prior_of(scene, effects))
     starts = [start, dataclasses.replace(start, path=np.zeros_like(start.path))]
+    starts = [t for each in starts if (t := _smoothed(scene, each))]
     plain = [e for e in effects if e.name in BASE or not strengths(e)]
     silent = [e for e in effects if e.name not in BASE and strengths(e)]
     if silent:
@@ -414,6 +415,12 @@ def tried_alone(
     if not each:
         raise FitError("no motion of the model goes with the readings")
     return max((Tried((), *found, log_prior=0.0) for found in each), key=lambda t: t.log_evidence)
+
+
+def _smoothed(scene: Scene, start: Trajectory) -> Trajectory | None:
+    """A start after one step. Of a path that no model was smoothed to, evidence says nothing: about
+    rest, that of a linear arm, which may be above all that the true one has."""
+    return scene.smoothed(start, scene.linearised(start), INTENSITIES[0])
 
 
 def begun_as(start: Trajectory, known: Trajectory) -> Trajectory:
