@@ -39,6 +39,7 @@ from .evidence import (
     NEGLIGIBLE,
     SETTLED,
     conditional,
+    gram_factor,
     half_normals,
     log_prior_intensity,
     log_sum,
@@ -302,15 +303,15 @@ def _posterior(along: Along, place: Place, intensities, totals, grams) -> Poster
     bases, rests = conditional(grams, P)
     evidences, each = [], []
     for known, square, rest in zip(totals + bases, grams, rests, strict=True):
-        inner = roots.mT @ rest[1:, 1:] @ roots + np.eye(SPLINES)
-        inverse = np.linalg.inv(inner)
-        slope = roots.mT @ rest[1:, 0]
-        z = -(inverse @ slope[..., None])[..., 0]
-        gains = prior - 0.5 * np.sum(slope * z, -1) - 0.5 * np.linalg.slogdet(inner)[1]
+        factor = gram_factor(roots.mT @ rest[1:, 1:] @ roots + np.eye(SPLINES))
+        x = np.linalg.solve(factor, -(roots.mT @ rest[1:, :1]))
+        gains = prior + 0.5 * np.sum(x[..., 0] ** 2, -1)
+        gains -= np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
         weights = softmax(gains)
         keep = weights > _LIGHT
-        heights = (roots[keep] @ z[keep][..., None])[..., 0]
-        spread = roots[keep] @ inverse[keep] @ roots[keep].mT
+        heights = (roots[keep] @ np.linalg.solve(factor[keep].mT, x[keep]))[..., 0]
+        spread = np.linalg.solve(factor[keep], roots[keep].mT)
+        spread = spread.mT @ spread
         mean, covariance = _mixed(weights[keep] / weights[keep].sum(), heights, spread)
         scale = np.asarray(block_diag(np.eye(1 + P), roots[np.argmax(gains)]))
         (sign,) = signs(along, (scale.T @ square @ scale)[None])
@@ -326,10 +327,10 @@ def signs(along: Along, grams: np.ndarray) -> np.ndarray:
     """(I,) what the half-normal priors of the model's own numbers add to the log evidence, beside
     some columns at their prior's width; `grams` (I, 1 + P + C, 1 + P + C) are of both."""
     P = len(along.trajectory.u)
-    inverse = np.linalg.inv(grams[:, 1:, 1:] + np.eye(grams.shape[-1] - 1))
-    with np.errstate(invalid="ignore"):  # of what rounding has spoilt nothing is finite
-        mean = -(inverse @ grams[:, 1:, :1])[..., 0]
-        std = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
+    factor = gram_factor(grams[:, 1:, 1:] + np.eye(grams.shape[-1] - 1))
+    inverse = np.linalg.inv(factor)
+    mean = -(inverse.mT @ inverse @ grams[:, 1:, :1])[..., 0]
+    std = np.sqrt(np.sum(inverse**2, axis=1))
     t = along.trajectory
     return half_normals(t.effects, t.prior, mean[:, :P], std[:, :P])
 
