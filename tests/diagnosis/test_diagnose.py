@@ -214,6 +214,8 @@ def test_what_is_in_no_catalogue_is_not_forced_into_a_name(unexplained):
     assert unexplained.verdict == "unexplained"
     assert unexplained.verdict_probability > 0.95
     assert max(c.probability for c in unexplained.candidates) < 0.9
+    # Relative to the best model with names only, of which a single name is one.
+    assert max(c.log_evidence for c in unexplained.candidates) < 1.0
     elbow = unexplained.random_torque[1]
     assert elbow.low > 0.02  # N m of 0.2
 

@@ -343,7 +343,7 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
         advice = next(iter(best_tests(fits.whole, scene, rivals, p)[0]), None)
     if search.curves:
         search.say("looking for its formula")
-    laws = laws_of(search, posterior.of_curves.tolist(), best.log_evidence, fits)
+    laws = laws_of(search, posterior.of_curves.tolist(), search.best.log_evidence, fits)
     shown = [(search.tried.get(frozenset([x]), best), x) for x in best.added]
     others = [
         (search.tried[frozenset([x])], x)
@@ -530,7 +530,7 @@ class Posterior:
             candidate = Candidate(
                 effect=label,
                 probability=self.of([label]),
-                log_evidence=self._alone(label) - self.best.log_evidence,
+                log_evidence=self._alone(label) - self.search.best.log_evidence,
                 iterated=alone is not None,
                 parameters={k: v for k, v in values.items() if k.startswith(f"{label}.")},
             )

@@ -171,15 +171,18 @@ def half_normals(
 def right_signs(
     effects: Sequence[AbstractEffect], prior: Prior, u: np.ndarray, std: np.ndarray, left: Any = 0.0
 ) -> np.ndarray:
-    """How probable it is that the numbers of a model have the signs that physics gives them, if
-    their priors leave that open; `u`, `std` as in `half_normals`.
+    """How much less probable the readings are if all numbers of a model have the signs that physics
+    gives them than if each had either: the product of 2 Phi (`half_normal`), of each 1 at most. A
+    sign that the readings leave open, as of a damping of zero, says nothing. `u`, `std` as in
+    `half_normals`.
 
     `left` (I,) is the torque that is left beside the model, in typical torques. It may be along
     any number: what came out on the wrong side may be there by as much.
     """
     total = np.zeros(u.shape[:-1])
     for off, s, size in _signed(effects, prior, u, std):
-        total = total + log_ndtr(off / np.where(off < 0, np.hypot(s, left * size), s))
+        ratio = off / np.where(off < 0, np.hypot(s, left * size), s)
+        total = total + np.minimum(half_normal(ratio), 0.0)
     return np.exp(total)
 
 
@@ -243,7 +246,7 @@ def at_work(before: np.ndarray, signs: Any = 1.0) -> np.ndarray:
     is at work it is another torque, of any size (`log_prior_intensity`) up to what was missing. So
     a name is sure where it leaves next to nothing of that, and doubtful where it leaves much of it,
     whatever the number of readings. What stands in for another torque may have either sign: `signs`
-    (I,) is the probability that springs, dampers and all effects have theirs (`right_signs`).
+    (I,) is what those of springs, dampers and all effects say against them (`right_signs`).
     """
     return before @ (signs * _SHARES / (signs * _SHARES + 1.0 - _SHARES))
 

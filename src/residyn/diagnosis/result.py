@@ -45,7 +45,7 @@ class Candidate:
     probability: float
     """That it is part of the model, given the recordings."""
     log_evidence: float
-    """Of the base model with it alone, nats, relative to the best model of all."""
+    """Of the base model with it alone, nats, relative to the best model with names only."""
     iterated: bool
     """Whether that is its nonlinear evidence; otherwise it is known to first order only."""
     parameters: dict[str, Value]

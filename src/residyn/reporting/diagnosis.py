@@ -490,7 +490,7 @@ def candidates(found: Diagnosis) -> list[str]:
         return []
     note = (
         "probability of being part of the model, and log evidence (nats) of the base model with it "
-        "alone, relative to the best model"
+        "alone, relative to the best model with names"
     )
     shown, rows = worth_showing(found), []
     for c in shown:
