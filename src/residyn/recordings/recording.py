@@ -70,8 +70,8 @@ class Recording:
     segment_of: "Recording | None" = None
     """What this is a segment of, if it is one."""
     understood: str = ""
-    """What was found (release, rest) or made of a file in another format than this package's, in one
-    line."""
+    """What was found in it (release, rest), and made of a file that is not written as this package
+    writes it, in one line."""
     stated: frozenset[str] = frozenset()
     """Columns, "t", "q1", ..., whose unit is stated and not to be doubted."""
 

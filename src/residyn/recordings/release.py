@@ -10,7 +10,7 @@ its elbow bent, which without them would be a hand's.
 
 Angles, velocities and accelerations come from one smoothing of the recording followed by central
 differences. Smoothing and differences commute with a linear law: they blur the instant a little,
-towards a later one, but do not bend the law. They do bend products, the less the shorter they are.
+towards a later one, but do not bend the law. They bend its products, the less the shorter they are.
 """
 
 from typing import Any
