@@ -76,6 +76,17 @@ def test_what_a_small_random_torque_takes_up_is_not_named():
         assert named(0.0) < 0.1  # likelier than noise without it
 
 
+def test_what_leaves_the_base_model_no_probability_at_all_is_named():
+    """Readings of 50 widths: the base model is tens of thousands of nats behind."""
+    none = np.array(INTENSITIES) == 0
+    white = np.random.default_rng(3).standard_normal((100, 51)) * none[:, None, None]
+    white[none, :, 0] = 0.5
+    rows = [Column(CubicStiffness("cart"), {}, (0,), np.zeros((0, 0)))]
+    with jax.enable_x64(True), np.errstate(all="raise", under="ignore"):
+        rivals = Rivals(rows, np.where(none, 0.0, -1e9), np.swapaxes(white, 1, 2) @ white)
+        assert rivals.counted(np.array([50.0]), 0, [])[:2] == (1.0, 1.0)
+
+
 def test_twice_the_noise_hides_twice_the_strength(atlases):
     quiet, loud = ({e.effect: e for e in a.effects} for a in atlases.values())
     for label in ("cubic_stiffness:cart", "quadratic_drag:cart", "stiffness_drift:cart"):

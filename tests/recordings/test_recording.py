@@ -18,6 +18,7 @@ from residyn.recordings.outliers import outlier_mask
 from residyn.recordings.recording import Recording
 from residyn.recordings.release import release_time
 from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
+from tests.rig import Arm, simulate
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 measured = pytest.mark.skipif(not DATA.is_dir(), reason="no measured recordings here")
@@ -744,6 +745,27 @@ def test_finds_the_release_of_an_arm(rate):
     assert min(late) > -1.5 / rate
     assert np.median(late) < 0.1
     assert max(late) < 1
+
+
+@pytest.mark.parametrize(
+    ("theta2", "q0"),
+    [(1.2, (0.15, 0.2)), (1.2, (0.15, 0.0)), (-0.8, (0.1, 0.15)), (2.0, (0.2, 0.2))],
+)
+def test_an_arm_with_its_elbow_bent_is_let_go_when_it_is(theta2, q0):
+    """Its inertia's own torques are a tenth of those of the springs, and no hand's."""
+    arm = Arm(
+        l1=0.55, l2=0.35, shoulder=2.055, elbow=0.3115, coupling=0.83, theta2=theta2,
+        stiffness=(48.0, 9.5), damping=(0.7, 0.15),
+    )  # fmt: skip
+    q, _ = simulate(arm, np.arange(1500) / 100, q0)
+    held = np.concatenate([np.repeat(q[:1], 150, axis=0), q])
+    noise = np.random.default_rng(9).standard_normal(held.shape)
+    for sigma in (0.0, 3e-4):
+        readings = held + sigma * noise
+        here = Recording.from_arrays(np.arange(len(held)) / 100, readings, start="release")
+        assert 1.5 <= here.time[0] < 1.6  # of 1.4 to 1.9 s that a swing takes
+        assert here.understood == f"release found at {here.time[0]:g} s"
+        assert release_time(np.arange(len(q)) / 100, readings[150:]) == 0.0
 
 
 def test_a_recording_that_begins_free_is_kept_whole():

@@ -145,7 +145,7 @@ def test_a_hold_before_the_release(good, hold):
     line = seen(clock, held)
     assert "stands still for the first" in line
     assert 'start = "release"' in line
-    assert float(line.split("first ")[1].split()[0]) == pytest.approx(hold, abs=0.25)
+    assert float(line.split("first ")[1].split()[0]) == pytest.approx(hold, rel=0.04)
     assert seen(clock, held, start=0.0) is None
 
 

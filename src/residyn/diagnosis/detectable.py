@@ -216,7 +216,8 @@ class Rivals:
         p = np.exp(known - known.max(axis=(0, 2), keepdims=True))
         p /= p.sum(axis=(0, 2), keepdims=True)
         adequate = p[0][:, COMPLETE].sum(-1)
-        without = p[0] / p[0].sum(axis=-1, keepdims=True)
+        # In logs: where the base model is far behind, its whole row of p is 0.
+        without = np.exp(known[0] - np.logaddexp.reduce(known[0], axis=-1, keepdims=True))
         missing = (p[1:] * at_work(without))[..., COMPLETE].sum((0, 2))
         named = (missing > adequate) & (missing > 1.0 - missing - adequate)
         logs = np.logaddexp.reduce(each, axis=-1)

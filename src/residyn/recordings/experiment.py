@@ -137,7 +137,7 @@ class Experiment:
 
     @property
     def understood(self) -> tuple[str, ...]:
-        """What was made of a lab's own files, a line each."""
+        """What was made of a lab's own files, and found in them, a line each."""
         return tuple(f"{r.name}: {r.understood}" for r in self.recordings if r.understood)
 
     @property

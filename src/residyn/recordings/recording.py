@@ -70,7 +70,8 @@ class Recording:
     segment_of: "Recording | None" = None
     """What this is a segment of, if it is one."""
     understood: str = ""
-    """What was made of a file that is not written as this package writes it, in one line."""
+    """What was found in it (release, rest), and made of a file that is not written as this package
+    writes it, in one line."""
     stated: frozenset[str] = frozenset()
     """Columns, "t", "q1", ..., whose unit is stated and not to be doubted."""
 
@@ -120,6 +121,7 @@ class Recording:
             force, warnings = check_drive(drive, time, angle)
             part = window(time, angle, start, stop)
             time, angle = time[part], angle[part]
+            understood = [f"release found at {time[0]:g} s"] if isinstance(start, str) else []
             force = None if force is None else force[part]
             check_enough(angle, part=start is not None or stop is not None)
             warnings += [] if "t" in stated else clock_warnings(time)
@@ -134,12 +136,11 @@ class Recording:
                 angle = np.where(outlier_mask(time, angle), np.nan, angle)
                 time, angle = block_means(time, many), block_means(angle, many)
                 force = None if force is None else block_means(force, many)
-            understood = ""
             if rest is not None:
                 off, more = _rest(rest, time, angle)
                 angle, warnings = angle - off, warnings + more
                 each = ", ".join(f"q{j + 1} {x:.5g}" for j, x in enumerate(off))
-                understood = f"rest at {each}, taken off" if off.any() else ""
+                understood += [f"rest at {each}, taken off"] if off.any() else []
             if noise is None:
                 sigma, more = noise_and_warnings(time, angle)
             else:
@@ -167,7 +168,7 @@ class Recording:
                 own=check_own(own, role),
                 reads=kinds,
                 warnings=tuple(f"{name}: {warning}" for warning in [*warnings, *more]),
-                understood=understood,
+                understood="; ".join(understood),
                 stated=frozenset(stated),
             )
 

@@ -149,18 +149,25 @@ def _held_until(motion: np.ndarray, period: float) -> float | None:
     width = max(1, min(int(period / 40), len(motion)))
     smooth = moving_means(motion, width)
     first = np.median(smooth[:width], axis=0)
-    each = np.abs(smooth - first) / np.where(size > 0, size, np.inf)
+    size = np.where(size > 0, size, np.inf)
+    each = np.abs(smooth - first) / size
     largest = each[:, int(np.argmax(each.max(axis=0)))]
     if largest[int(np.argmax(largest)) :].min() > 0.7 * largest.max():
         return None  # it has not turned back: a piece of one swing
     off = each.max(axis=1)
     moves = int(np.argmax(off > _STILL))
-    if not off.max() > _STILL or moves + width // 2 <= _HELD * period:
+    until = moves + width // 2
+    if not off.max() > _STILL or until <= _HELD * period:
         return None
     quite = off[: max(1, int(0.8 * moves))]
     noise = np.abs(np.diff(motion[:moves], axis=0)) if moves > 1 else np.zeros((1, len(size)))
-    noise = (np.median(noise, axis=0) / np.where(size > 0, size, np.inf)).max() / width**0.5
-    return moves + width // 2 if quite.max() < _QUITE + 4 * noise else None
+    noise = (np.median(noise, axis=0) / size).max() / width**0.5
+    if quite.max() >= _QUITE + 4 * noise:
+        return None
+    # Let go, it moves off as the square of time: to a quarter of `_STILL` in half the time.
+    near = (np.abs(motion[:until] - first) / size).max(axis=1) <= _STILL / 4
+    half = 1 + int(np.flatnonzero(near).max(initial=len(quite)))
+    return max(len(quite), 2 * half - until)
 
 
 def _rest_of(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

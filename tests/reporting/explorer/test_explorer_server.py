@@ -136,14 +136,21 @@ def folder(tmp_path):
 
 
 def test_a_recording_that_changes_and_one_that_is_new_are_offered(folder):
+    shutil.copy(folder / "check.csv", folder / "old one.csv")
     files = ExperimentFiles(folder / "experiment.toml")
     assert (files.changed(), files.new()) == ([], [])
     shutil.copy(folder / "release.csv", folder / "another one.csv")
     text = (folder / "check.csv").read_text()
     (folder / "check.csv").write_text("\n".join(text.splitlines()[:-5]) + "\n")
     assert (files.changed(), files.new()) == (["check.csv"], ["another one.csv"])
-    again = ExperimentFiles(folder / "experiment.toml", ["another one.csv"])
+    again = ExperimentFiles(folder / "experiment.toml", ["another one.csv"], files.before)
     assert (again.changed(), again.new()) == ([], [])
+    # One that was there is offered once it changes; one that was not goes on being offered.
+    shutil.copy(folder / "release.csv", folder / "old one.csv")
+    shutil.copy(folder / "release.csv", folder / "later.csv")
+    assert again.new() == ["later.csv", "old one.csv"]
+    reread = ExperimentFiles(folder / "experiment.toml", (), files.before)
+    assert reread.new() == ["another one.csv", "later.csv", "old one.csv"]
     names = [r.name for r in again.experiment.recordings]
     assert names == ["release.csv", "check.csv", "another one.csv"]
     first, check, added = again.experiment.recordings

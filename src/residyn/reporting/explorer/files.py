@@ -1,12 +1,13 @@
 """The files of an experiment while a page looks at it: which have changed, and which are new.
 
-A recording that lies in the experiment's folder and is not in the experiment file is offered as a
-further one. It is read with the keys of the first fitted recording, as the file would say it if the
-same table stood there once more; that text is what "save as TOML" saves.
+A recording that comes into the experiment's folder, or changes there, while the page is open and is
+not in the experiment file is offered as a further one. It is read with the keys of the first fitted
+recording, as the file would say it if the same table stood there once more; that text is what "save
+as TOML" saves.
 """
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ...files import read_text
@@ -19,8 +20,14 @@ _NOT_SHARED = ("file", "role")
 class ExperimentFiles:
     """An experiment file, its recordings, and further recordings of its folder."""
 
-    def __init__(self, path: Path, added: Sequence[str] = ()):
-        """Read the file; `added` are names of further recordings in its folder.
+    def __init__(
+        self,
+        path: Path,
+        added: Sequence[str] = (),
+        before: Mapping[str, tuple[int, int] | None] | None = None,
+    ):
+        """Read the file; `added` are names of further recordings in its folder, `before` the CSV
+        files that were in it when the page began, by name: None are those that are in it now.
 
         **Raises:** `InputError`.
         """
@@ -29,6 +36,7 @@ class ExperimentFiles:
         self.text = text + "".join(_table(text, name) for name in self.added)
         self.experiment: Experiment = from_text(self.text, self.folder, str(path), str(path))
         self.names = tuple(r.name for r in self.experiment.recordings)
+        self.before = {x: self._stamp(x) for x in self._csv()} if before is None else before
         self._stamps = {name: self._stamp(name) for name in (path.name, *self.names)}
 
     def _stamp(self, name: str) -> tuple[int, int] | None:
@@ -43,13 +51,20 @@ class ExperimentFiles:
         return [name for name, was in self._stamps.items() if self._stamp(name) not in (was, None)]
 
     def new(self) -> list[str]:
-        """Names of CSV files in the folder that are no recording of the experiment."""
+        """Names of CSV files in the folder that came or changed since the page began and are no
+        recording of the experiment."""
         known = {(self.folder / name).resolve() for name in self.names}
+        return [
+            name for name in self._csv()
+            if (self.folder / name).resolve() not in known
+            and (name not in self.before or self._stamp(name) != self.before[name])
+        ]  # fmt: skip
+
+    def _csv(self) -> list[str]:
         try:
-            found = sorted(p for p in self.folder.glob("*.csv") if p.resolve() not in known)
+            return sorted(p.name for p in self.folder.glob("*.csv"))
         except OSError:
             return []
-        return [p.name for p in found]
 
 
 def _table(text: str, name: str) -> str:

@@ -148,7 +148,7 @@ class Explorer:
         asked, new = await _asked(request), known.new()
         added = (*known.added, *(str(x) for x in asked.get("add", []) if str(x) in new))
         try:
-            files = await self.worker.do(lambda: ExperimentFiles(known.path, added))
+            files = await self.worker.do(lambda: ExperimentFiles(known.path, added, known.before))
         except InputError as error:
             return JSONResponse({"error": str(error)})
         return self._begun(Workbench(files.experiment, self.effects, self.name, files))
