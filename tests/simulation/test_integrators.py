@@ -12,10 +12,12 @@ import pytest
 
 import residyn
 from residyn.cli import main
-from residyn.fitting import FitError
-from residyn.fitting.integration import checked, corrected
+from residyn.diagnosis.linearised_fit import evaluated, polish
+from residyn.fitting import FitError, integration
+from residyn.fitting.conclusion import finishing
+from residyn.fitting.integration import checked, corrected, too_coarse
 from residyn.fitting.lanes import alone, evaluating
-from residyn.fitting.multistart import Descent
+from residyn.fitting.multistart import Descent, descending
 from residyn.fitting.problem import Ready, ready
 from residyn.recordings.tables import InertiaTable
 from tests.exact import EXACT, IMPLICIT, LaggingDrag, dry_motion, error_of, recorded, two_joints
@@ -278,7 +280,7 @@ def test_a_correction_that_the_model_does_not_follow_is_not_made(usual):
             assert (found is descent) == (times == 10.0)
 
 
-def test_steps_that_are_too_coarse_are_refined_once_and_that_is_said(smooth, monkeypatch):
+def test_steps_that_are_too_coarse_are_refined_and_that_is_said(smooth, monkeypatch):
     steps = Ready.steps
     coarse = lambda self, *given: max(16, math.ceil(steps(self, *given) * 0.2))  # noqa: E731
     usual = residyn.fit(smooth, effects=["cubic_stiffness:tip"], starts=1)
@@ -291,6 +293,36 @@ def test_steps_that_are_too_coarse_are_refined_once_and_that_is_said(smooth, mon
     assert fit.integration_steps < usual.integration_steps * 2
     assert fit.integration_error < 0.1
     assert off(fit, usual) < 0.1
+
+
+def test_a_search_by_other_means_goes_on_with_shorter_steps_too(usual, monkeypatch):
+    """As a diagnosis does, which descends by a program of its own; and as often as it takes."""
+    steps = Ready.steps
+    coarse = lambda self, *given: max(16, math.ceil(steps(self, *given) * 0.2))  # noqa: E731
+    monkeypatch.setattr(
+        Ready, "steps", lambda self, *given: self.finer * coarse(self._replace(finer=1), *given)
+    )
+    monkeypatch.setattr(integration, "_MOST", 2)
+    numbers = np.array([n.value for n in usual.numbers])
+    near = np.array([[r.state for r in usual.fitted]])
+    wild = [r.wild for r in usual.fitted]
+    with jax.enable_x64(True):
+        begun = usual.ready, usual.model, numbers[None], wild
+        descent = alone(descending(*begun, near=near, search=polish))
+        fit = alone(finishing(usual.experiment, numbers, descent, 0.0, polish, evaluated))
+    assert fit.shortened is not None
+    assert fit.shortened[1] > 0.1
+    assert fit.integration_steps == 4 * fit.shortened[0]
+    assert fit.integration_error < 0.1
+    assert off(fit, usual) < 0.1
+
+
+def test_an_error_counts_beside_what_the_model_misses(usual):
+    assert too_coarse(0.11, 1.0)
+    assert not too_coarse(0.11, 4.0)
+    assert too_coarse(math.inf, 100.0)
+    worse = dataclasses.replace(usual, integration_error=0.3, reduced_chi2=100.0)
+    assert not [w for w in worse.warnings if "integration" in w]
 
 
 def test_an_error_that_stays_large_is_warned_of(usual):

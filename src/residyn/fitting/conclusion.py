@@ -18,7 +18,7 @@ from ..recordings.experiment import Experiment
 from ..recordings.segments import by_recording
 from .covariance import infinite_slopes_of, modes_of, numbers_of, spread_of
 from .history import History
-from .integration import at_twice_the_steps, corrected
+from .integration import at_twice_the_steps, corrected, refined, too_coarse
 from .lanes import Fitting, alone, evaluating
 from .least_squares import Compressed, compressed
 from .linalg import BLIND, damped_step
@@ -39,24 +39,31 @@ def finishing(
     search: Callable[..., Any] | None = None,
     evaluate: Callable[[Problem, Unknowns], Compressed] | None = None,
     correct: bool = True,
+    progress: Callable[[str], None] = lambda words: None,
 ) -> Fitting[Fit]:
-    """What a fit returns, from where a descent ended; `start` (P,) is where it began. The error of
-    the integration is taken from its numbers, unless they are no minimum (`correct`). Initial
-    states of check recordings are found by `search`, as in `descending`; `evaluate` gives residual
-    and Jacobian, if not the program of the descents."""
+    """What a fit returns, from where a descent ended; `start` (P,) is where it began. Where the
+    error of the integration counts, the descent goes on with shorter steps, and `progress` is told;
+    what is left of it is taken from the numbers. Neither, if they are no minimum (`correct`).
+    Initial states of check recordings are found by `search`, as in `descending`, which goes on
+    where a descent ended, too; `evaluate` gives residual and Jacobian, if not the program of the
+    descents."""
 
     def evaluated(problem: Problem, y: Unknowns) -> Fitting[Compressed]:
         return (yield from evaluating(problem, y)) if evaluate is None else evaluate(problem, y)
 
-    recordings = experiment.fit_recordings
+    recordings, usual = experiment.fit_recordings, None
     if correct:
         descent, error = yield from corrected(descent, recordings, evaluated)
+        while too_coarse(error, descent.reduced_chi2):
+            again = yield from _with_shorter_steps(descent, error, progress, search)
+            if again is None:
+                break
+            usual = usual or (int(descent.problem.steps), error)
+            descent, error = yield from corrected(again, recordings, evaluated)
     else:
         _, error = yield from at_twice_the_steps(descent, recordings, evaluated)
     model, fitted = descent.model, descent.beside(recordings)
-    unknown = len(start) + sum(f.state.size for f in fitted)
-    readings = sum(int(f.used.sum()) for f in fitted)
-    chi2 = descent.cost / max(1, readings - unknown)
+    chi2 = descent.reduced_chi2
     # Errors assume that the residual is white noise of the size that was stated; where it is larger
     # they grow with it.
     sizes = np.asarray(descent.problem.scale.numbers)
@@ -80,11 +87,34 @@ def finishing(
         integration_error=error,
         seconds=time.perf_counter() - began,
         integration_steps=int(descent.problem.steps),
+        shortened=usual,
         problem=descent.problem,
         unknowns=descent.unknowns,
         ready=descent.here,
     )
     return dataclasses.replace(found, needed=(yield from _needed(found, descent, search)))
+
+
+def _with_shorter_steps(
+    descent: Descent,
+    error: float,
+    progress: Callable[[str], None],
+    search: Callable[..., Any] | None,
+) -> Fitting[Descent | None]:
+    """The descent from where it ended, with so many steps that this integration error would have
+    been small; None if there cannot be, or if they lead nowhere."""
+    here = refined(descent.here, error)
+    if here is None:
+        return None
+    progress("fitting again with shorter integration steps")
+    begin, states = (here, descent.model, descent.numbers[None]), descent.states[None]
+    try:
+        again = yield from descending(*begin, descent.outliers, near=states, search=search)
+    except FitError:
+        return None
+    return again._replace(
+        steps=descent.steps + again.steps, starts=descent.starts, agreeing=descent.agreeing
+    )
 
 
 def _needed(

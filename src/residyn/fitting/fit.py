@@ -17,11 +17,11 @@ from ..recordings.experiment import Experiment, must_be_experiment
 from .conclusion import finishing
 from .genetic import drawn, fit_genetic
 from .initial_guess import resolving
-from .integration import TENTH, checked, refined, stable
+from .integration import checked, stable
 from .lanes import Fitting, alone
 from .methods import GENETIC, LEVENBERG, RANDOM, named
 from .minimise import fit_minimised
-from .multistart import DEFAULT_STARTS, Descent, beginning, descending, multistart
+from .multistart import DEFAULT_STARTS, beginning, descending, multistart
 from .problem import ready
 from .result import Fit, FitError
 
@@ -126,25 +126,4 @@ def fitting(
         first = here.model.with_vector(numbers[0])
         descent = yield from descending(here, first, numbers, here.outliers, progress)
     progress("errors, modes and held-out recordings")
-    found = yield from finishing(experiment, numbers[0], descent, began)
-    if found.integration_error > TENTH and not here.adapts:
-        progress("fitting again with shorter integration steps")
-        again = yield from _refined(descent, found.integration_error)
-        if again is not None:
-            usual = found.integration_steps, found.integration_error
-            found = yield from finishing(experiment, numbers[0], again, began)
-            found = dataclasses.replace(found, shortened=usual)
-    return found
-
-
-def _refined(descent: Descent, error: float) -> Fitting[Descent | None]:
-    """The descent from where it ended, with shorter steps; None if that leads nowhere."""
-    here = refined(descent.here, error)
-    numbers, states = descent.numbers[None], descent.states[None]
-    try:
-        again = yield from descending(here, descent.model, numbers, descent.outliers, near=states)
-    except FitError:
-        return None
-    return again._replace(
-        steps=descent.steps + again.steps, starts=descent.starts, agreeing=descent.agreeing
-    )
+    return (yield from finishing(experiment, numbers[0], descent, began, progress=progress))

@@ -156,8 +156,11 @@ def closed_form(here: Ready, sizes: np.ndarray) -> Trials:
     own = np.stack([halves <= max(_NARROWEST, len(g.q) // 8) for g in grids])
     fits = np.asarray(own.any(axis=0))
     used = np.where(own, halves, _NARROWEST)  # always as many: one compiled program
+    # By friction of its own: what rubs at a point holds all joints or none.
+    joints = model.mechanism.joints
+    dry = [joints.index(e.place) for e in model.effects if e.dry and e.place in joints]
     each = [
-        smooth(g, widths, r.as_angles.noise, stride)
+        smooth(g, widths, r.as_angles.noise, stride, dry)
         for g, r, widths in zip(grids, recordings, used, strict=True)
     ]
     each = [s._replace(weight=s.weight * of[:, None]) for s, of in zip(each, own, strict=True)]

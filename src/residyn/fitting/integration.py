@@ -39,10 +39,13 @@ from .problem import Problem, Ready, Unknowns
 from .result import Fit, FitError, RecordingFit
 
 TENTH = 0.1
-"""Times the noise, beyond which an integration error is worth a warning."""
+"""Of the noise, or of what a model misses the readings by, if that is more: as much integration
+error as hardly counts. As an error of its own it would make standard errors half a per cent wider.
+"""
 _TIGHTER = 2.0**5
-# Refined steps are to leave this share of the noise; no more than so many times as many are taken.
-_AIM, _MOST = 0.02, 8
+# Refined steps are to leave this share of the noise; no more than so many times as many are taken,
+# and in all, what that costs being in proportion, and room in memory with it.
+_AIM, _MOST, _MOST_IN_ALL = 0.02, 8, 64
 _ORDER, _ROUGH_ORDER = 5.0, 2.0
 # What a fit is checked against: this solver, or, where joints stick, so many times its own steps.
 _REFERENCE = Integrator("Dopri8", rtol=1e-10, atol=1e-13)
@@ -64,7 +67,7 @@ def corrected(
     watch = watching()
     if watch is not None:
         watch.descended(problem, y, 2)
-    if not error <= TENTH:  # not small: shorter steps are called for
+    if too_coarse(error, descent.reduced_chi2):  # shorter steps are called for
         return descent, error
     factor, count, n = np.asarray(fine.factor), y.numbers.shape[0], fine.predicted.shape[-1]
     square = factor.transpose(0, 2, 1) @ factor
@@ -127,12 +130,19 @@ def finer(problem: Problem, recordings: Sequence[Recording]) -> Problem:
     return dataclasses.replace(problem, recorded=recorded, steps=np.asarray(steps), tighter=tighter)
 
 
-def refined(here: Ready, error: float) -> Ready:
+def too_coarse(error: float, chi2: float) -> bool:
+    """Whether steps leave an integration error, in times the noise, that counts: readings that the
+    model misses by more than noise determine the numbers less, too."""
+    return error > TENTH * math.sqrt(max(1.0, chi2))
+
+
+def refined(here: Ready, error: float) -> Ready | None:
     """The same recordings with so many more steps that this integration error would have been
-    small."""
+    small; None if these are too many, or chosen by what integrates."""
     order = _ROUGH_ORDER if here.model.rough else _ORDER
     times = (error / _AIM) ** (1 / order) if math.isfinite(error) else _MOST
-    return here._replace(finer=here.finer * min(max(2, math.ceil(times)), _MOST))
+    finer = here.finer * min(max(2, math.ceil(times)), _MOST)
+    return None if here.adapts or finer > _MOST_IN_ALL else here._replace(finer=finer)
 
 
 def stable(here: Ready, begin: Model) -> Ready | None:

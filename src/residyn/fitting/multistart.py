@@ -88,9 +88,20 @@ class Descent(NamedTuple):
         return self.here.model.with_vector(self.numbers)
 
     @property
+    def readings(self) -> int:
+        """How many readings count."""
+        return int(np.count_nonzero(self.problem.recorded.weights))
+
+    @property
+    def reduced_chi2(self) -> float:
+        """Per degree of freedom."""
+        unknown = self.numbers.size + self.states.size
+        return self.cost / max(1, self.readings - unknown)
+
+    @property
     def above_noise(self) -> bool:
         """Whether chi-square is more than noise often makes it."""
-        readings = int(np.count_nonzero(self.problem.recorded.weights))
+        readings = self.readings
         return self.cost > readings + _UNUSUAL * math.sqrt(2.0 * readings)
 
     def beside(self, recordings: Sequence[Recording]) -> list[RecordingFit]:
@@ -141,8 +152,7 @@ def multistart(
 def _perhaps_local(descent: Descent) -> bool:
     """Whether this may be a local minimum: starts ended in different places, the best of them above
     the noise, or a law that sticks or rattles well above it."""
-    readings = np.count_nonzero(descent.problem.recorded.weights)
-    nonsmooth = descent.here.model.rough and descent.cost > _EXCESS * readings
+    nonsmooth = descent.here.model.rough and descent.cost > _EXCESS * descent.readings
     return nonsmooth or (descent.agreeing < descent.starts and descent.above_noise)
 
 

@@ -6,6 +6,7 @@ whatever the kernel's width. Wide kernels let little noise through, and little o
 """
 
 import functools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -95,8 +96,14 @@ class Smoothed(NamedTuple):
         return (passed / np.maximum(self.q[0].std(axis=0), 1e-300)).max(axis=1)
 
 
-def smooth(data: Uniform, halves: np.ndarray, noise: np.ndarray, stride: int) -> Smoothed:
-    """Through the kernels of these half-widths (H,), in samples, at every `stride`-th instant."""
+def smooth(
+    data: Uniform, halves: np.ndarray, noise: np.ndarray, stride: int, dry: Sequence[int] = ()
+) -> Smoothed:
+    """Through the kernels of these half-widths (H,), in samples, at every `stride`-th instant.
+
+    `noise` (n,) is that of the angles; instants at which a joint with `dry` friction stands still
+    get next to no weight.
+    """
     length, widest = len(data.q), int(halves.max())
     # Long enough that no end reaches round to the other, and quick to transform.
     size = 4 * int(next_fast_len(-(-(length + 2 * widest) // 4)))
@@ -118,25 +125,40 @@ def smooth(data: Uniform, halves: np.ndarray, noise: np.ndarray, stride: int) ->
     inside = (index >= halves[:, None]) & (index < length - halves[:, None])
     inside &= _sums(~data.good, halves, stride) == 0
     # Where the motion has died away only noise is left, which would pull the numbers to itself.
-    left = noise[:, None, None] * louder[:, None]
     rest = np.median(data.q[-max(10, length // 10) :], axis=0)
-    wide = 2 * halves
-    size2 = np.stack([_sums(x, wide, stride) for x in ((data.q - rest) ** 2).T])  # (n, H, G)
-    size2 = np.maximum(size2, 0.0) / (2 * wide + 1)[:, None]
-    share = (size2 / (6 * left) ** 2).max(axis=0)
+    share = _beyond_noise(q - rest, inside, halves, stride, noise * louder[0][:, None]).max(axis=-1)
+    # Friction that holds a joint is any torque up to its level: no equation of a joint that slides.
+    rates = v[..., list(dry)], louder[1][:, None] * noise[list(dry)] / data.dt
+    slides = _beyond_noise(rates[0], inside, halves, stride, rates[1])
+    share = np.minimum(share, slides.min(axis=-1, initial=np.inf))
     weight = share / (1 + share) * inside
     return Smoothed(q, v, a, through(data.drive, responses[0]), weight)
+
+
+def _beyond_noise(
+    x: np.ndarray, inside: np.ndarray, halves: np.ndarray, stride: int, noise: np.ndarray
+) -> np.ndarray:
+    """(H, G, n) how large the squares of x (H, G, n) are beyond those of its `noise` (H, n), in
+    times the square of six times that noise: means over the instants `inside` (H, G) up to a
+    kernel's width away."""
+    total = np.cumsum(np.pad(x**2 * inside[..., None], ((0, 0), (1, 0), (0, 0))), axis=1)
+    count = np.cumsum(np.pad(inside, ((0, 0), (1, 0))), axis=1)
+    index, near, rows = np.arange(x.shape[1]), 2 * halves[:, None] // stride, np.arange(len(x))
+    first, last = np.maximum(index - near, 0), np.minimum(index + near + 1, x.shape[1])
+    total, count = (y[rows[:, None], last] - y[rows[:, None], first] for y in (total, count))
+    mean = np.maximum(total, 0.0) / np.maximum(count, 1)[..., None]
+    return np.maximum(mean / noise[:, None] ** 2 - 1.0, 0.0) / 6**2
 
 
 @functools.lru_cache(maxsize=16)  # recordings come in few lengths
 def _responses(halves: tuple[int, ...], size: int) -> tuple[np.ndarray, np.ndarray]:
     """For samples one apart, what the kernels and their first two derivatives do to a spectrum of
-    `size` instants, (3, H, F), and how much of white noise passes the kernels, (H,)."""
+    `size` instants, (3, H, F), and how much of white noise passes them, (3, H)."""
     rows = np.zeros((3, len(halves), size))
     for i, half in enumerate(halves):  # the middle stands at 0, its left side last
         for row, k in zip(rows[:, i], kernel(half, 1.0), strict=True):
             row[: half + 1], row[size - half :] = k[half:], k[:half]
-    return np.fft.rfft(rows), np.sqrt((rows[0] ** 2).sum(axis=-1))
+    return np.fft.rfft(rows), np.sqrt((rows**2).sum(axis=-1))
 
 
 def _sums(x: np.ndarray, halves: np.ndarray, stride: int) -> np.ndarray:

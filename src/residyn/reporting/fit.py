@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..effects.inertia import InertiaError
-from ..fitting.integration import TENTH
+from ..fitting.integration import too_coarse
 from ..fitting.result import STRONG, STRUCTURE, Fit, RecordingFit
 from ..recordings.segments import by_recording
 from . import latex as tex
@@ -197,7 +197,7 @@ def _integration(fit: Fit) -> Iterator[str]:
             f"the usual {steps} integration steps left an error of {error:.2g} times the noise: "
             f"the fit went on with {fit.integration_steps}"
         )
-    if not fit.integration_error > TENTH:
+    if not too_coarse(fit.integration_error, fit.reduced_chi2):
         return
     chosen = fit.experiment.integrator
     if chosen is not None and chosen.adapts:
