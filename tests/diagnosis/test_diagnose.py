@@ -272,6 +272,21 @@ def test_a_model_whose_motion_runs_away_when_smoothed_again_has_the_one_it_was_i
     assert total == pytest.approx(1.0)
 
 
+def test_springs_alone_are_smoothed_to_the_motion_that_was_read():
+    """About rest an arm is linear, without Coriolis torques; its evidence there says nothing."""
+    arm = rig.Arm(
+        l1=0.55, l2=0.35, shoulder=2.662, elbow=0.411, coupling=1.11,
+        stiffness=(48.0, 9.5), damping=(0.35, 0.06),
+    )  # fmt: skip
+    hidden = [rig.Hidden("cubic_stiffness:elbow", {"coefficient": 25.0})]
+    rng = np.random.default_rng(20)
+    case = rig.record(rng, arm, (0.12, -0.35), hidden, seconds=15.0, noise=3e-4)
+    scene, base = scene_of_case(case)
+    with jax.enable_x64(True):
+        path = tried_alone(scene, base).best.path[: len(case.t), :2]
+    assert (np.sqrt(np.mean((path - case.truth) ** 2, axis=0)) < 2 * case.noise).all()
+
+
 def of_rig(rng, label, strength=None):
     """A hidden case in noise of 1 % of the swings."""
     (case,) = rig.hidden_cases(rng, label, 1, strength=strength)
