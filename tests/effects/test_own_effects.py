@@ -86,9 +86,8 @@ def test_one_with_an_infinite_slope_at_rest_leaves_no_modes_and_that_is_said(
     text = own.read_text().replace("self.coefficient * motion.q**5", ROOT)
     own.write_text(f"import jax.numpy as jnp\n{text}")
     words = ["--effects", str(own), "--with", "quintic_stiffness", "--json", "-"]
-    assert (
-        main(["fit", str(experiment), *words]) < 2
-    )  # it is not what the cart has, and may not settle
+    # It is not what the cart has: whether such a fit settles is not asked here.
+    assert main(["fit", str(experiment), *words]) in (0, 1)
     found = json.loads(capsys.readouterr().out)
     assert found["modes"] == []
     said = "there are no modes: at rest the slope of quintic_stiffness:cart is infinite"

@@ -302,7 +302,7 @@ def test_a_search_by_other_means_goes_on_with_shorter_steps_too(usual, monkeypat
     monkeypatch.setattr(
         Ready, "steps", lambda self, *given: self.finer * coarse(self._replace(finer=1), *given)
     )
-    monkeypatch.setattr(integration, "MOST", 2)
+    monkeypatch.setattr(integration, "MOST_AT_ONCE", 2)
     numbers = np.array([n.value for n in usual.numbers])
     near = np.array([[r.state for r in usual.fitted]])
     wild = [r.wild for r in usual.fitted]

@@ -45,7 +45,7 @@ error as hardly counts. As an error of its own it would make standard errors hal
 _TIGHTER = 2.0**5
 # Refined steps are to leave this share of the noise; no more than so many times as many are taken,
 # and in all, what that costs being in proportion, and room in memory with it.
-_AIM, MOST, _MOST_IN_ALL = 0.02, 8, 64
+_AIM, MOST_AT_ONCE, _MOST_IN_ALL = 0.02, 8, 64
 _ORDER, _ROUGH_ORDER = 5.0, 2.0
 # What a fit is checked against: this solver, or, where joints stick, so many times its own steps.
 _REFERENCE = Integrator("Dopri8", rtol=1e-10, atol=1e-13)
@@ -140,8 +140,8 @@ def refined(here: Ready, error: float) -> Ready | None:
     """The same recordings with so many more steps that this integration error would have been
     small; None if these are too many, or chosen by what integrates."""
     order = _ROUGH_ORDER if here.model.rough else _ORDER
-    times = (error / _AIM) ** (1 / order) if math.isfinite(error) else MOST
-    finer = here.finer * min(max(2, math.ceil(times)), MOST)
+    times = (error / _AIM) ** (1 / order) if math.isfinite(error) else MOST_AT_ONCE
+    finer = here.finer * min(max(2, math.ceil(times)), MOST_AT_ONCE)
     return None if here.adapts or finer > _MOST_IN_ALL else here._replace(finer=finer)
 
 
@@ -158,7 +158,7 @@ def stable(here: Ready, begin: Model) -> Ready | None:
     if not rate * step > _STABLE:
         return None
     times = math.ceil(2 * rate * step / _STABLE)
-    if times > MOST:
+    if times > MOST_AT_ONCE:
         raise FitError(
             f"the integration steps, {step:.2g} s, are too coarse for this model, whose fastest "
             f'time constant is {1 / rate:.2g} s: write solver = "Kvaerno5" under [integrator], '
