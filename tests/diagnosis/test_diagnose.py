@@ -122,6 +122,26 @@ def test_dry_friction_is_named_at_its_joint_and_the_error_falls(friction):
     assert last.held_out.held_out.ratio.max() < 1.3 < base.held_out.held_out.ratio.max()
 
 
+@pytest.mark.parametrize("hidden", [(), (DELAY,)], ids=["nothing", "a delay"])
+def test_a_rest_that_was_estimated_is_a_number_of_the_base_model(hidden):
+    """The estimate is off by half a milliradian and more, as large as the noise and white in no
+    way; each recording's own, and no effect of the arm."""
+    seen, off = [], []
+    for i, (zero, q0) in enumerate([((0.013, -0.02), (0.2, -0.15)), ((0.04, 0.01), (-0.1, 0.2))]):
+        case = release(*hidden, q0=q0, seed=50 + i)
+        seen.append(recording(case.t, case.q + zero, f"release {i}", rest="estimate"))
+        off.append(seen[i].angle[0] - case.q[0])
+    found = residyn.diagnose(experiment(*seen))
+    assert found.added == tuple(label for label, _ in hidden)
+    assert found.verdict == ("missing" if hidden else "adequate")
+    assert found.verdict_probability > 0.95
+    for run, own in enumerate(("", " (release 1)")):
+        for joint, name in enumerate(TABLE.joints):
+            value, std = parameter(found, f"sensor_offset:{name}.offset{own}")
+            assert abs(value - off[run][joint]) < 4 * std
+            assert std < 1e-4
+
+
 def test_the_next_experiment_is_for_two_explanations_that_cannot_be_told_apart(friction):
     assert friction.next_experiment is None  # two laws of one family at one place: one explanation
     known = [

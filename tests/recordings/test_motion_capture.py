@@ -290,3 +290,4 @@ def test_a_short_recording_says_that_rest_is_rough(tmp_path):
     angle = np.stack([0.5 + 0.1 * np.cos(4 * t), 1.0 + 0.1 * np.cos(4 * t)], axis=1)
     here = read(tmp_path, placed(angle, [0.4, 0.3])).recording()
     assert any("known roughly" in line for line in here.warnings)
+    assert here.rest_estimated

@@ -902,6 +902,8 @@ def test_a_rest_that_is_known_roughly_is_each_recordings_own():
     found = Recording.from_arrays(time, angle[:, None], rest="estimate")
     (line,) = [x for x in found.warnings if "known roughly" in x]
     assert 'own = ["sensor_offset"] in all of these but one' in line
+    assert found.rest_estimated
+    assert not Recording.from_arrays(time, angle[:, None], rest=[0.2]).rest_estimated
 
 
 def test_one_sample_is_called_one():

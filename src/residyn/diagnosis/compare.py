@@ -17,7 +17,7 @@ from ..runtime.presentation import Result
 from .evidence import NOISE
 from .forecast import HeldOut, Horizon, held_out, horizon
 from .linearised_fit import predictions
-from .missing_torque import CURVES, Missing, missing_of, scene_of
+from .missing_torque import CURVES, Missing, missing_of, scene_of, with_rests
 from .residuals import Where, where
 from .runs import OwnNumbers, own_numbers
 from .search import Search
@@ -120,7 +120,7 @@ def compare_fit(
 def _missing(experiment: Experiment, own, say: Callable[[str], None]) -> tuple[Missing, ...]:
     """The torque that a model with effects of its `own` lacks, and what the likeliest single ones
     more would draw."""
-    scene, effects = scene_of(experiment, own)
+    scene, effects = scene_of(*with_rests(experiment, own))
     search = Search(scene, effects, say=say)
     if search.base.intensity > 0:
         search.extend(search.base)

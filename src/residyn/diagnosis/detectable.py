@@ -44,7 +44,7 @@ from .evidence import (
     log_prior_model,
     width_of,
 )
-from .missing_torque import scene_of
+from .missing_torque import scene_of, with_rests
 from .search import tried_alone
 
 DRAWS = 200
@@ -123,7 +123,7 @@ def detectable(experiment: Experiment, *, effects: Sequence[str | AbstractEffect
     if not experiment.fit_recordings:
         raise ValueError('no recording has role = "fit": there is no motion to look at')
     with jax.enable_x64(True):
-        scene, base = scene_of(experiment, effects)
+        scene, base = scene_of(*with_rests(experiment, effects))
         model = tried_alone(scene, base)
         ringing = np.asarray(modes(scene.model(model.best)).frequency_hz)
         known = candidates(scene, tuple(e.label for e in base))

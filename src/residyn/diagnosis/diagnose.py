@@ -47,7 +47,7 @@ from .forecast import held_out
 from .free_curves import compile_curves
 from .law import CurveModel, curve_models, laws_of
 from .linearised_fit import Hopeless, evaluated, polish
-from .missing_torque import CURVES, missing_of, owning_base, restoring_torque, scene_of
+from .missing_torque import CURVES, missing_of, owning_base, restoring_torque, scene_of, with_rests
 from .result import (
     Budget,
     Candidate,
@@ -108,6 +108,7 @@ def diagnose(
     with jax.enable_x64(True):
         deadline = math.inf if budget is None else time.perf_counter() + budget
         # What is found is of all runs; whether one has it for itself, `compare` asks afterwards.
+        experiment, effects = with_rests(experiment, effects)
         experiment = owning_base(experiment, effects)
         scene, base = scene_of(experiment, effects)
         fits = Fits(experiment, scene, starts)

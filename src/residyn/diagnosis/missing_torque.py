@@ -9,6 +9,7 @@ signature of what is missing: a step against the rate is dry friction, a bent li
 a spring that is not linear, a loop hysteresis.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -16,11 +17,12 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from ..effects import AbstractEffect
+from ..effects import AbstractEffect, SensorOffset
 from ..filtering.grid import local_amplitude
 from ..filtering.law import number_slices, numbers_of
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting.problem import ready
+from ..physics.mechanism import AbstractMechanism
 from ..physics.model import Model
 from ..physics.parameter import parameters_of
 from ..recordings.experiment import Experiment
@@ -219,6 +221,39 @@ def missing_of(
         name = scene.recordings[i].name
         found.append(Missing(name, scene.torque_units, scene.joints, torque, links, cut))
     return tuple(found)
+
+
+def with_rests(
+    experiment: Experiment, effects: Sequence[str | AbstractEffect]
+) -> tuple[Experiment, tuple[str | AbstractEffect, ...]]:
+    """The experiment and the effects of a base model, to which the zeros of readings belong whose
+    rest was estimated: an estimate is off by more than many effects bend a ring-down.
+
+    They are a `sensor_offset` of each joint that reads angles, whose numbers each recording has for
+    itself, but one: the numbers that all share are the first recording's, or those of recordings
+    whose rest is given.
+
+    **Raises:** `ValueError` for an effect that does not exist or does not go with the experiment.
+    """
+    fitted = experiment.fit_recordings
+    names = dict.fromkeys((r.segment_of or r).name for r in fitted if r.rest_estimated)
+    if not names:
+        return experiment, tuple(effects)
+    known = ready(experiment, fitted, effects).model.labels
+    pairs = zip(experiment.joints, fitted[0].orders, strict=True)
+    offsets = [f"{SensorOffset.name}:{joint}" for joint, order in pairs if not order]
+    offsets = [label for label in offsets if label not in known]
+    own = [*names][all(r.rest_estimated for r in fitted) :]
+    if own and isinstance(experiment.inertia, AbstractMechanism):  # it tells no run from another
+        return experiment, tuple(effects)
+
+    def owning(r: Recording) -> Recording:
+        given = (x for x in r.own if x not in (SensorOffset.name, *offsets))
+        more = offsets if (r.segment_of or r).name in own else ()
+        return dataclasses.replace(r, own=(*given, *more)) if r.role == "fit" else r
+
+    recordings = tuple(map(owning, experiment.recordings))
+    return dataclasses.replace(experiment, recordings=recordings), (*effects, *offsets)
 
 
 def owning_base(experiment: Experiment, effects: Sequence[str | AbstractEffect]) -> Experiment:

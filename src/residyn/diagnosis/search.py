@@ -396,8 +396,8 @@ def tried_alone(
     start = scene.start(effects, prior_of(scene, effects))
     starts = [start, dataclasses.replace(start, path=np.zeros_like(start.path))]
     starts = [t for each in starts if (t := _smoothed(scene, each))]
-    plain = [e for e in effects if e.name in BASE or not strengths(e)]
-    silent = [e for e in effects if e.name not in BASE and strengths(e)]
+    plain = [e for e in effects if _begins_at_once(e)]
+    silent = [e for e in effects if not _begins_at_once(e)]
     if silent:
         begun = tried_alone(scene, plain, go_on=go_on)
         for effect in silent:
@@ -415,6 +415,11 @@ def tried_alone(
     if not each:
         raise FitError("no motion of the model goes with the readings")
     return max((Tried((), *found, log_prior=0.0) for found in each), key=lambda t: t.log_evidence)
+
+
+def _begins_at_once(effect: AbstractEffect) -> bool:
+    """Whether an effect that is silent has a slope all the same, wherever a motion begins."""
+    return effect.name in BASE or effect.senses or not strengths(effect)
 
 
 def _smoothed(scene: Scene, start: Trajectory) -> Trajectory | None:

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..effects import AbstractEffect, JointEffect, catalogue
+from ..effects.own_numbers import shared
 from ..physics.inertia import AbstractInertia
 from ..physics.motion import Motion, split, stack
 from ..physics.parameter import Parameter, parameters_of
@@ -172,9 +173,10 @@ def catalogue_on(mechanism: AbstractInertia) -> list[AbstractEffect]:
 
 def laws_for(effects: Sequence[AbstractEffect], catalogued: Sequence[AbstractEffect] = ()) -> Laws:
     """The laws of a program for some effects: the whole catalogue; or no others, if one of the
-    effects is in no catalogue."""
+    effects is in no catalogue, with numbers that all recordings share or without."""
     others = tuple(e for e in effects if not usual(e) and not isinstance(e, FreeCurve))
-    beside = effects if others else [*effects, *catalogued]
+    known = all(usual(shared(e)) for e in others)
+    beside = [*effects, *catalogued] if known else effects
     names = sorted({law_name(e) for e in beside if usual(e)})
     return Laws(tuple(names), others)
 

@@ -74,6 +74,8 @@ class Recording:
     writes it, in one line."""
     stated: frozenset[str] = frozenset()
     """Columns, "t", "q1", ..., whose unit is stated and not to be doubted."""
+    rest_estimated: bool = False
+    """Whether the rest that was taken off its readings is an estimate from them."""
 
     @classmethod
     def from_arrays(
@@ -170,6 +172,7 @@ class Recording:
                 warnings=tuple(f"{name}: {warning}" for warning in [*warnings, *more]),
                 understood="; ".join(understood),
                 stated=frozenset(stated),
+                rest_estimated=isinstance(rest, str),
             )
 
     def saying(self, warnings: Iterable[str]) -> "Recording":

@@ -62,9 +62,10 @@ def estimated_rest(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, lis
     _clock, motion = evenly_sampled(time, angle)
     count = moving_counts(motion).min() / slowest_period(while_moving(motion))
     warnings = [
-        f"with {count:.2g} swings of the slowest mode its rest is known roughly: if the residual "
-        "has an offset, give rest as a list, or fit the offset: --with sensor_offset, and with "
-        'several recordings own = ["sensor_offset"] in all of these but one'
+        f"with {count:.2g} swings of the slowest mode its rest is known roughly: diagnose "
+        "estimates what it is off; for a fit whose residual has an offset give rest as a list, or "
+        'add --with sensor_offset, with several recordings own = ["sensor_offset"] in all of these '
+        "but one"
     ]
     return rest_angles(decimated(motion)), warnings if count < _SWINGS else []
 

@@ -5,6 +5,7 @@ rigid, so geometry says which marker is which, and which is none of the arm's. E
 is a sentence; what cannot be known stays missing (NaN), which a fit does not mind.
 """
 
+import dataclasses
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -85,9 +86,8 @@ class MotionCapture:
                 options["theta2"] = float(rest[1])
         turned = ", ".join(f"q{j + 1} from {angle:.4f} rad" for j, angle in enumerate(rest))
         said.append(f"angles are counted from rest, {turned} of its markers")
-        return Recording.from_arrays(self.time, self.angle - rest, **options).saying(
-            [*said, *of_rest]
-        )
+        found = Recording.from_arrays(self.time, self.angle - rest, **options)
+        return dataclasses.replace(found, rest_estimated=True).saying([*said, *of_rest])
 
 
 def read(

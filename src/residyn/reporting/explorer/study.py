@@ -21,7 +21,7 @@ from ...diagnosis.diagnose import MOST_EFFECTS, Fits, diagnosed
 from ...diagnosis.evidence import INTENSITIES
 from ...diagnosis.forecast import HeldOut, held_out
 from ...diagnosis.linearised_fit import evaluated, polish
-from ...diagnosis.missing_torque import owning_base, scene_of
+from ...diagnosis.missing_torque import owning_base, scene_of, with_rests
 from ...diagnosis.result import Diagnosis
 from ...diagnosis.search import Search, Tried, screening_motion, settle, tried_alone
 from ...effects import AbstractEffect
@@ -67,6 +67,7 @@ class Study:
         experiment, or without a recording to fit; `FitError` if the base model has no fit.
         """
         self.experiment, self.say = experiment, say
+        experiment, effects = with_rests(experiment, effects)
         whole = owning_base(experiment, effects)
         scene, base = scene_of(whole, effects)
         self._keep(Search(scene, base, say=say), Fits(whole, scene, DEFAULT_STARTS))
