@@ -25,7 +25,7 @@ from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import DEFAULT_STARTS, FitError, fit
 from ..fitting.conclusion import finishing, with_held_out
 from ..fitting.lanes import alone
-from ..fitting.multistart import descending, without_drift
+from ..fitting.multistart import Descent, descending, without_drift
 from ..fitting.problem import ready
 from ..fitting.result import Fit
 from ..physics.effect import BASE
@@ -239,42 +239,48 @@ class Fits:
         fitted = dataclasses.replace(self.experiment, recordings=known)
         here = ready(fitted, known, own)
 
-        def descended(*starts) -> Fit:
-            search = functools.partial(polish, enough=enough)
-            found, why = [], FitError("no motion of the model goes with the readings")
+        ends: list[Descent] = []
+        hopeless: list[Hopeless] = []
+
+        def descend(starts, growing: bool = False) -> None:
+            """From each start, until one ends at the noise."""
             for numbers, states in starts:
                 begin = here.model.with_vector(jnp.asarray(numbers))
                 begun = here, begin, numbers[None], self._wild(here.recordings)
-                # On all readings; and, where noise does not explain what that leaves, what sticks
-                # does so in order: the first ones first, then all.
-                for growing in (False, True) if begin.rough else (False,):
-                    try:
-                        how = {"near": np.array([states]), "growing": growing, "search": search}
-                        each = alone(descending(*begun, **how))
-                        found.append(each)
-                        if not each.above_noise:
-                            break
-                    except Hopeless as hopeless:
-                        why = hopeless
-                    except FitError:
-                        pass
-            if not found:
-                raise why
-            lowest = min(found, key=lambda descent: descent.cost)
-            return alone(finishing(fitted, t.numbers, lowest, began, polish, evaluated))
+                search = functools.partial(polish, enough=enough)
+                how = {"near": np.array([states]), "growing": growing, "search": search}
+                try:
+                    ends.append(alone(descending(*begun, **how)))
+                except Hopeless as error:
+                    hopeless.append(error)
+                except FitError:
+                    continue
+                if ends and not lowest().above_noise:
+                    return
+            if begin.rough and not growing:  # what sticks does so in order: the first ones first
+                descend(starts, growing=True)
+
+        def lowest() -> Descent:
+            return min(ends, key=lambda end: end.cost)
 
         with self.lock:
             within = [f for f in self.known if set(f.model.labels) < set(t.labels)]
-        best = min(within, key=lambda f: f.reduced_chi2, default=None)
+        best = min(within, key=_cost, default=None)
         found = None
-        with contextlib.suppress(FitError):
-            if tried.intensity >= EXPLAINS_NOTHING:  # then the smoothed motion leads nowhere
+        if tried.intensity >= EXPLAINS_NOTHING:  # then the smoothed motion leads nowhere
+            with contextlib.suppress(FitError):
                 found = fit(fitted, effects=own, starts=self.starts, progress=progress)
-        with contextlib.suppress(FitError):
-            starts = [(m.numbers, [self._state(m, r) for r in here.recordings]) for m in motions]
+        if found is None:
+            descend([(m.numbers, [self._state(m, r) for r in here.recordings]) for m in motions])
             # From the minimum of a model that it contains no fit ends above that one.
-            starts += [self._from(best, t)] if best else []
-            found = found or descended(*starts)
+            if best and (not ends or lowest().cost > _cost(best)):
+                descend([self._from(best, t)])
+            if ends:
+                with contextlib.suppress(FitError):
+                    end = finishing(fitted, t.numbers, lowest(), began, polish, evaluated)
+                    found = alone(end)
+            elif hopeless:
+                raise hopeless[0]
         if found is None:
             # No start of a wrong model is better than another one.
             starts = 1 if tried.complete < 0.5 else self.starts
@@ -330,6 +336,11 @@ class Fits:
         motion = Motion.at(0.0, tuple(state[:n]), tuple(state[n : 2 * n]))
         begin = [float(z) for e in t.valued() for z in e.begin(motion, scene.mechanisms[run])]
         return np.concatenate([state[: 2 * n], state[own] - np.array(begin, float)])
+
+
+def _cost(fit: Fit) -> float:
+    """Sum of the squared residuals of a fit, in sigma."""
+    return float(sum(np.sum((r.weight * r.left) ** 2) for r in fit.fitted))
 
 
 def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:

@@ -120,9 +120,10 @@ class Tried:
         return INTENSITIES[int(np.argmax(self.weights))]
 
     def starts(self, scene: Scene) -> tuple[Trajectory, ...]:
-        """Where fits by least squares begin: without a random torque, and as it is, for a random
-        torque taken away may lead astray."""
-        return silenced(scene, self.best, self.intensity), self.best
+        """Where fits by least squares begin: without a random torque; and as it is, if it has one,
+        for a random torque taken away may lead astray."""
+        silent = silenced(scene, self.best, self.intensity)
+        return (silent, self.best) if self.intensity > 0 else (silent,)
 
     def simulated_as(self, found: Simulated) -> "Tried":
         """This model, with its exact simulation without a random torque. Linearised once along the
