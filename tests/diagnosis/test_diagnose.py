@@ -391,7 +391,7 @@ def test_without_a_random_torque_the_filter_has_the_evidence_of_exact_simulation
     for labels, within in (((), 0.2), (friction.added, 5.0)):
         tried = friction.search.tried[frozenset(labels)]
         with jax.enable_x64(True):
-            t, _ = tried.starts(scene)
+            t, *_ = tried.starts(scene)
             found = scene.evidences(t, scene.linearised(t), [0.0] * 4)
             filtered = (
                 found.log_evidence[0]
