@@ -223,6 +223,22 @@ def test_verdict_names_the_misfit(fit):
     assert "elbow" in words
 
 
+def test_a_recording_that_the_model_does_not_explain_is_seen(fit):
+    good, odd = (dataclasses.replace(r) for r in fit.whole)
+    good.predicted[:] = good.recording.angle
+    odd.predicted[:, 1] = odd.recording.angle[:, 1] + 6 * odd.recording.noise[1]
+    seen = dataclasses.replace(fit, recordings=(good, odd))
+    rows = about_fits.each_table(seen).rows
+    assert [row[0] for row in rows] == [NASTY, "check.csv (held out)"]
+    assert rows[0][2:] == ["0 x", "0 x"]
+    assert rows[1][3] == "6.0 x"
+    told = seen.to_dict()["recordings"]
+    assert [(r["name"], r["role"]) for r in told] == [(NASTY, "fit"), ("check.csv", "check")]
+    assert told[1]["ratio"]["elbow"] == pytest.approx(6.0)
+    assert told[1]["rmse"]["elbow"] == pytest.approx(6.0 * odd.recording.noise[1])
+    assert told[1]["readings"] == int(odd.used.sum())
+
+
 def test_errors_are_in_times_the_noise_of_each_recording(fit):
     """An exact encoder and a short run of a poor camera: each is off by its own noise."""
     each = []

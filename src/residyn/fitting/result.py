@@ -104,6 +104,16 @@ class RecordingFit:
         """1/sigma of each reading, 0 where it does not count."""
         return np.where(self.used, 1.0 / self.recording.noise, 0.0)
 
+    @property
+    def rmse(self) -> np.ndarray:
+        """(n,) rms residual; NaN at a joint without readings."""
+        return rms_of([self])
+
+    @property
+    def ratio(self) -> np.ndarray:
+        """(n,) rms of residual / noise."""
+        return rms_of([self], _in_noise)
+
 
 @dataclass(frozen=True, eq=False)
 class Fit(TableResult):
@@ -259,12 +269,12 @@ class Fit(TableResult):
     @property
     def ratio(self) -> np.ndarray:
         """(n,) rms of residual / noise over the readings of the fitted recordings."""
-        return rms_of(self.fitted, lambda r: r.weight * r.left)
+        return rms_of(self.fitted, _in_noise)
 
     @property
     def check_ratio(self) -> np.ndarray | None:
         """(n,) the same of the held-out recordings; None if there are none."""
-        return rms_of(self.held_out, lambda r: r.weight * r.left) if self.held_out else None
+        return rms_of(self.held_out, _in_noise) if self.held_out else None
 
     @property
     def objective(self) -> float:
@@ -307,6 +317,16 @@ class Fit(TableResult):
             "ratio": per_joint(self.ratio),
             "reduced_chi2": number(self.reduced_chi2),
             "check_rmse": None if self.check_rmse is None else per_joint(self.check_rmse),
+            "recordings": [
+                {
+                    "name": r.recording.name,
+                    "role": r.recording.role,
+                    "readings": int(r.used.sum()),
+                    "rmse": per_joint(r.rmse),
+                    "ratio": per_joint(r.ratio),
+                }
+                for r in self.whole
+            ],
             "modes": [finite(vars(m)) for m in self.modes],
             "modes_of": {
                 "recording": self.posed_as.name,
@@ -359,4 +379,9 @@ def rms_of(
 ) -> np.ndarray:
     """(n,) rms residual of the readings that count, or rms of `what` (N, n), 0 elsewhere."""
     total = sum((what(f) ** 2).sum(axis=0) for f in fits)
-    return np.sqrt(total / sum(f.used.sum(axis=0) for f in fits))
+    count = sum(f.used.sum(axis=0) for f in fits)
+    return np.sqrt(total / np.where(count, count, np.nan))
+
+
+def _in_noise(fit: RecordingFit) -> np.ndarray:
+    return fit.weight * fit.left

@@ -16,7 +16,7 @@ from ..fitting.integration import too_coarse
 from ..fitting.result import STRONG, STRUCTURE, Fit, RecordingFit
 from ..recordings.segments import by_recording
 from . import latex as tex
-from .layout import Table, filled, section, separated, tabular, warned
+from .layout import Table, filled, printed, section, separated, tabular, warned
 from .names import HELD_OUT, at_place, base_name, listed, lower, named, the
 from .numbers import amount, plain, prefixed, share, times, with_error
 
@@ -262,6 +262,8 @@ def text(fit: Fit) -> str:
         lines += filled(line + held, "    rms         ")
     lines += filled(_integrated(fit), "    integrated  ")
     lines += [line for words in _inertias(fit) for line in filled(words, "    inertia     ")]
+    if len(fit.whole) > 1:
+        lines += ["[[Recordings]]  rms residual in times the noise", *printed(each_table(fit))]
     lines.append("[[Parameters]]  value +/- standard error (error in %)")
     width = max([30, *(len(n.name) for n in fit.own_numbers)])
     for n in fit.own_numbers:
@@ -352,6 +354,19 @@ def errors_table(fit: Fit) -> Table:
         if e.check is not None and e.check_ratio is not None:
             rows[-1] += [amount(e.check, e.unit), plain(e.check_ratio)]
     return Table(head, rows)
+
+
+def each_table(fit: Fit) -> Table:
+    """Errors by recording: which one the model does not explain."""
+    rows = [
+        [
+            r.recording.name + f" ({HELD_OUT})" * (r.recording.role == "check"),
+            str(int(r.used.sum())),
+            *(f"{times(x)} x" if math.isfinite(x) else "-" for x in r.ratio),
+        ]
+        for r in fit.whole
+    ]
+    return Table(["recording", "readings", *fit.joints], rows)
 
 
 def numbers_table(fit: Fit) -> Table:
