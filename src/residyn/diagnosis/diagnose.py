@@ -257,7 +257,8 @@ class Fits:
                     continue
                 if ends and not lowest().above_noise:
                     return
-            if begin.rough and not growing:  # what sticks does so in order: the first ones first
+            # What sticks does so in order: the first ones first.
+            if here.model.rough and not growing:
                 descend(starts, growing=True)
 
         def lowest() -> Descent:
