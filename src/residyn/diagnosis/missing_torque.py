@@ -10,6 +10,7 @@ a spring that is not linear, a loop hysteresis.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -246,11 +247,13 @@ def with_rests(
     own = [*names][all(r.rest_estimated for r in fitted) :]
     if own and isinstance(experiment.inertia, AbstractMechanism):  # it tells no run from another
         return experiment, tuple(effects)
+    there = tuple(x for x in known if x.partition(":")[0] == SensorOffset.name)
 
     def owning(r: Recording) -> Recording:
-        given = (x for x in r.own if x not in (SensorOffset.name, *offsets))
+        given = (there if x == SensorOffset.name else (x,) for x in r.own if x not in offsets)
         more = offsets if (r.segment_of or r).name in own else ()
-        return dataclasses.replace(r, own=(*given, *more)) if r.role == "fit" else r
+        own_here = (*itertools.chain(*given), *more)
+        return dataclasses.replace(r, own=own_here) if r.role == "fit" else r
 
     recordings = tuple(map(owning, experiment.recordings))
     return dataclasses.replace(experiment, recordings=recordings), (*effects, *offsets)

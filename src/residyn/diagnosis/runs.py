@@ -16,7 +16,7 @@ from scipy.special import expit
 
 from ..effects import AbstractEffect
 from ..recordings.experiment import Experiment
-from .missing_torque import owning_base, scene_of
+from .missing_torque import owning_base, scene_of, with_rests
 from .search import tried_alone
 
 
@@ -53,10 +53,12 @@ def own_numbers(
     if not experiment.own:
         return ()
     with jax.enable_x64(True):
+        asked = owning_base(experiment, effects).own
+        experiment, effects = with_rests(experiment, effects)
         experiment = owning_base(experiment, effects)
         with_all = tried_alone(*scene_of(experiment, effects)).log_evidence
         found = []
-        for label, runs in experiment.own.items():
+        for label, runs in asked.items():
             for _, recording in runs:
                 shared = scene_of(_sharing(experiment, label, recording), effects)
                 log_odds = with_all - tried_alone(*shared).log_evidence
