@@ -6,12 +6,17 @@ from residyn.filtering.law import catalogue_on, laws_for
 from residyn.physics.mechanism import ConstantInertia
 
 CART = ConstantInertia([[1.5]], ("cart",), ("m",))
+OWN = with_own(effects.SensorOffset("cart"), [(1, "a")])
 
 
-def test_models_whose_effects_have_numbers_of_a_runs_own_share_one_program():
+def test_models_that_have_an_effect_of_no_catalogue_share_one_program():
     """Else each candidate of a diagnosis would be compiled by itself."""
-    own = with_own(effects.SensorOffset("cart"), [(1, "a")])
     catalogued = catalogue_on(CART)
-    each = [laws_for([own, *more], catalogued) for more in ((), (effects.CoulombFriction("cart"),))]
-    assert each[0] == each[1]
-    assert set(laws_for([], catalogued).names) == set(each[0].names)
+    models = [OWN], [OWN, effects.CoulombFriction("cart")]
+    one, other = (laws_for(each, catalogued, [OWN.label]) for each in models)
+    assert one == other
+    assert set(laws_for([], catalogued).names) == set(one.names)
+
+
+def test_a_model_of_no_search_has_a_program_without_the_catalogue():
+    assert laws_for([OWN], catalogue_on(CART)).names == ()

@@ -475,7 +475,7 @@ class Search:
         say: Callable[[str], None] = lambda words: None,
     ):
         self.scene, self.say, self.deadline = scene, say, deadline
-        self.fixed = tuple(e.label for e in base)
+        self.fixed = scene.fixed = tuple(e.label for e in base)
         self.candidates = candidates(scene, self.fixed)
         self.tried: dict[frozenset[str], Tried] = {}
         self.lines: list[float] = []

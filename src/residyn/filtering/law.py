@@ -14,7 +14,7 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any, NamedTuple, TypeGuard, TypeVar
 
 import equinox as eqx
@@ -23,7 +23,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..effects import AbstractEffect, JointEffect, catalogue
-from ..effects.own_numbers import shared
 from ..physics.inertia import AbstractInertia
 from ..physics.motion import Motion, split, stack
 from ..physics.parameter import Parameter, parameters_of
@@ -171,12 +170,15 @@ def catalogue_on(mechanism: AbstractInertia) -> list[AbstractEffect]:
     return found
 
 
-def laws_for(effects: Sequence[AbstractEffect], catalogued: Sequence[AbstractEffect] = ()) -> Laws:
-    """The laws of a program for some effects: the whole catalogue; or no others, if one of the
-    effects is in no catalogue, with numbers that all recordings share or without."""
+def laws_for(
+    effects: Sequence[AbstractEffect],
+    catalogued: Sequence[AbstractEffect] = (),
+    fixed: Collection[str] = (),
+) -> Laws:
+    """The laws of a program for some effects: the whole catalogue beside those that are `fixed`, by
+    label; or no others, if another one of the effects is in no catalogue."""
     others = tuple(e for e in effects if not usual(e) and not isinstance(e, FreeCurve))
-    known = all(usual(shared(e)) for e in others)
-    beside = [*effects, *catalogued] if known else effects
+    beside = [*effects, *catalogued] if all(e.label in fixed for e in others) else effects
     names = sorted({law_name(e) for e in beside if usual(e)})
     return Laws(tuple(names), others)
 

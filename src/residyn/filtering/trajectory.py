@@ -134,6 +134,8 @@ class Scene:
         self.grid: Grid = lay_out(recordings, wild, fast, rings)
         g = self.grid
         self.catalogued = catalogue_on(richest(mechanisms))
+        self.fixed: tuple[str, ...] = ()
+        """Labels of the effects that all models of a search have: one program serves all."""
         self.orders = recordings[0].orders if any(recordings[0].orders) else ()
         self._laws: dict[tuple[tuple[str, type], ...], Laws] = {}
         self.n, self.K = n, len(g.time)
@@ -230,7 +232,7 @@ class Scene:
         kinds = tuple((e.label, type(e)) for e in t.effects)
         laws = self._laws.get(kinds)
         if laws is None or laws.others:  # the others may hold data of their own
-            laws = laws_for(t.effects, self.catalogued)._replace(orders=self.orders)
+            laws = laws_for(t.effects, self.catalogued, self.fixed)._replace(orders=self.orders)
         self._laws[kinds] = laws
         laws = laws._replace(curves=curves_of(t.effects))
         slopes = t.prior.slopes(t.u)

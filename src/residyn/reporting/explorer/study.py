@@ -145,7 +145,7 @@ class Study:
         here = ready(self.experiment, held, self.effects)
         other = Scene(here.recordings, here.mechanisms, here.outliers)
         other.scales, other.torque = scene.scales, scene.torque
-        other.catalogued = scene.catalogued  # also what only bearings have
+        other.catalogued, other.fixed = scene.catalogued, scene.fixed  # also bearings' effects
         best = tried_alone(other, tuple(self.loud.effects)).best
         led = other.smoothed(best, other.linearised(best), self.intensity)
         return other, led or best, np.ones(other.K, bool)
