@@ -8,6 +8,7 @@ import jax
 import pytest
 
 from residyn import effects
+from residyn.runtime.export_cache import keep_in
 from residyn.runtime.settings import set_compiler_options
 
 set_compiler_options()  # the rest of `set_up` sets float64, for which tests ask one by one
@@ -35,6 +36,7 @@ def forget():
     effects.CATALOGUE.update(known)
     jax.config.update("jax_enable_x64", wide)
     jax.config.update("jax_compilation_cache_dir", str(CACHE))
+    keep_in(None)
     jax.clear_caches()
     gc.collect()
     gc.freeze()
