@@ -57,6 +57,7 @@ from ..runtime.export_cache import kept
 from .evidence import (
     CONTENDERS,
     INDISTINGUISHABLE,
+    NOISE,
     conditional,
     gains_of,
     log_prior_intensity,
@@ -336,7 +337,7 @@ class Columns:
     def _part(self, group, wanted, frequencies, shape_of):
         """The columns of some effects by one program."""
         scene, t = self.scene, self.trajectory
-        most = 2 * CONTENDERS * scene.n  # lines of two motions, see `spectral_lines`
+        most = _most_lines(scene.n)
         laws, shaped = laws_for(group), []
         every: dict[str, list[dict[str, float]]] = {}
         of_law: dict[str, list[AbstractEffect]] = {}
@@ -480,27 +481,53 @@ def known_signs(row: Column) -> list[bool]:
 
 
 def spectral_lines(
-    scene: Scene, trajectory: Trajectory, known: Sequence[float] = ()
+    scene: Scene, trajectory: Trajectory, linear: Linear, known: Sequence[float] = ()
 ) -> list[float]:
-    """Strongest frequencies, Hz, of the joints' random torques in the longest recording, beside
-    those that are known: what drives one joint may show at another one."""
+    """Strongest frequencies, Hz, in the longest recording, beside those that are known: of the
+    joints' random torques, for what drives one joint may show at another one; and of what is left
+    of the readings, where they stand out of the noise, for a torque much faster than the arm rings
+    is no random torque of its correlation time."""
     g = scene.grid
     own = max((g.of(i) for i in range(len(scene.recordings))), key=len)
-    time = g.time[own]
     dt = float(np.median(g.step[own][:-1]))
-    even = np.arange(time[0], time[-1], dt)
-    span = even[-1] - even[0]
-    found = list(known)
-    for x in trajectory.torque[own].T:
-        x = np.interp(even, time, x)
-        f = np.fft.rfftfreq(4 * len(even), dt)
-        power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(len(even)), 4 * len(even)))
-        power = power * (f > 1.5 / span)
-        for _ in range(CONTENDERS):
-            line = float(max(f[np.argmax(power)], 0.5 / span))
-            power[np.abs(f - line) < 2.0 / span] = 0
-            if all(abs(line - other) >= 1.0 / span for other in found):
-                found.append(line)
+    each = []
+    left = (g.angle - np.asarray(linear.seen))[own] / np.sqrt(g.variance[own])
+    for j, seen in enumerate(g.seen[own].T):
+        time = (g.time + g.offset[:, j])[own][seen]
+        each.append(_lines(time, left[seen, j], dt, chance=NOISE))
+    each += [_lines(g.time[own], x, dt) for x in trajectory.torque[own].T]
+    found, span = list(known), float(np.ptp(g.time[own]))
+    for line in itertools.chain(*itertools.zip_longest(*each)):
+        if line is not None and all(abs(line - other) >= 1.0 / span for other in found):
+            found.append(line)
+    return found[: _most_lines(scene.n)]
+
+
+def _most_lines(n: int) -> int:
+    """Frequencies that are screened at once: those of two motions of n joints."""
+    return 2 * CONTENDERS * n
+
+
+def _lines(time: np.ndarray, x: np.ndarray, dt: float, chance: float = 1.0) -> list[float]:
+    """Strongest frequencies, Hz, of x (N,) at the times (N,), taken at steps `dt`; only those as
+    strong as one of white noise is with less than a `chance`."""
+    even = np.arange(time[0], time[-1], dt) if len(time) else time
+    if len(even) < 4:
+        return []
+    x, span = np.interp(even, time, x), even[-1] - even[0]
+    f = np.fft.rfftfreq(4 * len(even), dt)
+    power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(len(even)), 4 * len(even))) ** 2
+    power = power * (f > 1.5 / span)
+    # Lines of noise are distributed exponentially, and half as many as readings are independent.
+    mean = float(np.median(power)) / math.log(2.0)
+    least = mean * math.log(len(even) / 2 / chance) if chance < 1 else 0.0
+    found = []
+    for _ in range(CONTENDERS):
+        if power.max() < least:
+            break
+        line = float(max(f[np.argmax(power)], 0.5 / span))
+        power[np.abs(f - line) < 2.0 / span] = 0
+        found.append(line)
     return found
 
 

@@ -403,7 +403,9 @@ def tried_alone(
         begun = tried_alone(scene, plain, go_on=go_on)
         for effect in silent:
             t, intensity = screening_motion(scene, begun)
-            columns = Columns(scene, t, [shared(effect)], spectral_lines(scene, t))
+            linear = scene.linearised(t)
+            lines = spectral_lines(scene, t, linear)
+            columns = Columns(scene, t, [shared(effect)], lines, linear=linear)
             (row,) = Screen(columns, screened_at(intensity)).ranked
             begin = scene.consistent(extended(scene, t, row))
             (found,) = settle(scene, [begin], intensity, go_on)
@@ -647,13 +649,14 @@ class Search:
             self.say(f"screening {len(self.candidates)} candidates")
             # A model with little random torque shows no line in it, however wrong it is: the base
             # model's, which is the loudest, stay.
-            lines = spectral_lines(self.scene, trajectory, self.lines)
+            linear = self.scene.linearised(trajectory)
+            lines = spectral_lines(self.scene, trajectory, linear, self.lines)
             self.lines = self.lines or lines
             effects = [e for e in self.candidates if self._may_join(e, trajectory)]
-            columns = Columns(self.scene, trajectory, effects, lines)
+            columns = Columns(self.scene, trajectory, effects, lines, linear=linear)
             screen = self.screens[key] = Screen(columns, screened_at(intensity))
             if parent.complete <= 0.5:  # else little is left, and the first order right
-                screen.revise(self._sticking(screen, trajectory, columns.linear, intensity))
+                screen.revise(self._sticking(screen, trajectory, linear, intensity))
         return self.screens[key]
 
     def _sticking(
