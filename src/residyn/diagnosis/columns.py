@@ -67,6 +67,7 @@ from .evidence import (
     signed,
     width_of,
 )
+from .spectrum import lines
 
 
 def candidates(scene: Scene, present: Sequence[str]) -> list[AbstractEffect]:
@@ -494,8 +495,8 @@ def spectral_lines(
     left = (g.angle - np.asarray(linear.seen))[own] / np.sqrt(g.variance[own])
     for j, seen in enumerate(g.seen[own].T):
         time = (g.time + g.offset[:, j])[own][seen]
-        each.append(_lines(time, left[seen, j], dt, chance=NOISE))
-    each += [_lines(g.time[own], x, dt) for x in trajectory.torque[own].T]
+        each.append(lines(time, left[seen, j], dt, chance=NOISE))
+    each += [lines(g.time[own], x, dt) for x in trajectory.torque[own].T]
     found, span = list(known), float(np.ptp(g.time[own]))
     for line in itertools.chain(*itertools.zip_longest(*each)):
         if line is not None and all(abs(line - other) >= 1.0 / span for other in found):
@@ -506,29 +507,6 @@ def spectral_lines(
 def _most_lines(n: int) -> int:
     """Frequencies that are screened at once: those of two motions of n joints."""
     return 2 * CONTENDERS * n
-
-
-def _lines(time: np.ndarray, x: np.ndarray, dt: float, chance: float = 1.0) -> list[float]:
-    """Strongest frequencies, Hz, of x (N,) at the times (N,), taken at steps `dt`; only those as
-    strong as one of white noise is with less than a `chance`."""
-    even = np.arange(time[0], time[-1], dt) if len(time) else time
-    if len(even) < 4:
-        return []
-    x, span = np.interp(even, time, x), even[-1] - even[0]
-    f = np.fft.rfftfreq(4 * len(even), dt)
-    power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(len(even)), 4 * len(even))) ** 2
-    power = power * (f > 1.5 / span)
-    # Lines of noise are distributed exponentially, and half as many as readings are independent.
-    mean = float(np.median(power)) / math.log(2.0)
-    least = mean * math.log(len(even) / 2 / chance) if chance < 1 else 0.0
-    found = []
-    for _ in range(CONTENDERS):
-        if power.max() < least:
-            break
-        line = float(max(f[np.argmax(power)], 0.5 / span))
-        power[np.abs(f - line) < 2.0 / span] = 0
-        found.append(line)
-    return found
 
 
 def with_effects(

@@ -40,6 +40,7 @@ from .evidence import (
     HOPELESS,
     INDISTINGUISHABLE,
     INTENSITIES,
+    NOISE,
     at_work,
     log_sum,
 )
@@ -48,6 +49,7 @@ from .free_curves import compile_curves
 from .law import CurveModel, curve_models, laws_of
 from .linearised_fit import Hopeless, evaluated, polish
 from .missing_torque import CURVES, missing_of, owning_base, restoring_torque, scene_of, with_rests
+from .residuals import coloured
 from .result import (
     Budget,
     Candidate,
@@ -370,6 +372,10 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
     )
     still = missing_of(scene, best, pairs=pairs) if best.added else missing
     verdict, probability = posterior.verdict()
+    # All evidences are those of white noise: where none is that, no model of them is adequate.
+    left = coloured(models[-1].fit) if verdict != "unexplained" else None
+    if left is not None:
+        verdict, probability = "unexplained", 1.0 - NOISE
     return Diagnosis(
         verdict=verdict,
         verdict_probability=probability,
@@ -381,6 +387,7 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
         missing=missing,
         still_missing=still,
         laws=laws,
+        coloured=left,
         random_torque=_random_torque(scene, best, pairs),
         parameters=values_of(scene, best.best),
         channels=other

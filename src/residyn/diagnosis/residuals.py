@@ -16,10 +16,11 @@ import numpy as np
 
 from ..filtering.grid import local_amplitude
 from ..fitting.result import Fit, RecordingFit
-from ..runtime.json import number
+from ..runtime.json import finite, number
 from .bands import Band, bands
-from .linearised_fit import Tangent
-from .spectrum import Spectrum, energies, strips
+from .evidence import NOISE
+from .linearised_fit import Tangent, predictions
+from .spectrum import Spectrum, energies, lines, strips
 from .whiteness import spectrum_of, white
 
 WINDOWS = 8
@@ -57,6 +58,37 @@ class Part(NamedTuple):
 def together(cells: Sequence[Cell]) -> Cell:
     """The sum of some cells."""
     return Cell(sum(c.energy for c in cells), sum(c.freedom for c in cells))
+
+
+class Coloured(NamedTuple):
+    """A residual that is larger than the noise, and not white."""
+
+    joint: str
+    """Where it is least like noise."""
+    ratio: float
+    """Its rms there, in times the noise."""
+    frequency_hz: float | None
+    """Of the strongest line that stands out of white noise; None if none does."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return finite(self._asdict())
+
+
+def coloured(fit: Fit) -> Coloured | None:
+    """What a fit leaves, if that is more than noise leaves and not white; else None."""
+    if not fit.misses:
+        return None
+    white = where(fit, predictions(fit, fit.unknowns)[1]).white
+    found = []
+    for j, (joint, ratio) in enumerate(zip(fit.joints, fit.ratio.tolist(), strict=True)):
+        longest = max(fit.fitted, key=lambda r: int(r.used[:, j].sum()))
+        time, use = longest.recording.time, longest.used[:, j]
+        left = (longest.left * longest.weight)[use, j]
+        line = next(iter(lines(time[use], left, float(np.median(np.diff(time))), NOISE)), None)
+        if line is not None or white[joint] < NOISE:
+            found.append(Coloured(joint, ratio, line))
+    return max(found, key=lambda c: c.ratio, default=None)
 
 
 @dataclass(frozen=True, eq=False)

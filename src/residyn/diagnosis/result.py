@@ -19,6 +19,7 @@ from .compare import Comparison, compare_fit, summary
 from .forecast import HeldOut
 from .law import Law
 from .missing_torque import Missing
+from .residuals import Coloured
 from .search import Search
 
 Verdict = Literal["adequate", "missing", "unexplained"]
@@ -197,6 +198,9 @@ class Diagnosis(TableResult):
     intensity: float
     """Posterior mean of the likeliest model's random torque, as a share of the spring's torque at
     full swing."""
+    coloured: Coloured | None
+    """What is left of the readings, where it is not noise though no torque is missing that would
+    explain it: the verdict is then "unexplained"."""
     channels: ChannelError | None
     """What the columns are instead, where springs and dampers alone are likelier so than any model
     of the columns as they stand."""
@@ -255,6 +259,7 @@ class Diagnosis(TableResult):
             "lookalikes": [list(group) for group in self.lookalikes],
             "next_experiment": self.next_experiment and self.next_experiment.to_dict(),
             "channels": self.channels and dict(vars(self.channels)),
+            "coloured": self.coloured and self.coloured.to_dict(),
             "laws": [law.to_dict() for law in self.laws],
             "missing_torque": summary(self.missing),
             "random_torque": {r.joint: r.to_dict() for r in self.random_torque},

@@ -8,6 +8,7 @@ are in the covariance of the residual's products with the cosines, were it white
 it, the energy in any k cosines is chi-square with k degrees of freedom.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -15,6 +16,7 @@ import numpy as np
 from scipy.fft import dct
 
 from ..fitting.result import RecordingFit
+from .evidence import CONTENDERS
 from .linearised_fit import Tangent
 
 _EVENLY = 1e-9  # rad, over the highest cosine: this far off even counts as even
@@ -143,3 +145,26 @@ def _whitening(square: np.ndarray) -> np.ndarray:
 def _even(overlap: np.ndarray) -> bool:
     """Whether it is the identity: even samples, and none of them lost."""
     return bool(np.abs(overlap - np.eye(len(overlap))).max() < 1e-9)
+
+
+def lines(time: np.ndarray, x: np.ndarray, dt: float, chance: float = 1.0) -> list[float]:
+    """Strongest frequencies, Hz, of x (N,) at the times (N,), taken at steps `dt`; only those as
+    strong as one of white noise is with less than a `chance`."""
+    even = np.arange(time[0], time[-1], dt) if len(time) else time
+    if len(even) < 4:
+        return []
+    x, span = np.interp(even, time, x), even[-1] - even[0]
+    f = np.fft.rfftfreq(4 * len(even), dt)
+    power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(len(even)), 4 * len(even))) ** 2
+    power = power * (f > 1.5 / span)
+    # Lines of noise are distributed exponentially, and half as many as readings are independent.
+    mean = float(np.median(power)) / math.log(2.0)
+    least = mean * math.log(len(even) / 2 / chance) if chance < 1 else 0.0
+    found = []
+    for _ in range(CONTENDERS):
+        if power.max() < least:
+            break
+        line = float(max(f[np.argmax(power)], 0.5 / span))
+        power[np.abs(f - line) < 2.0 / span] = 0
+        found.append(line)
+    return found

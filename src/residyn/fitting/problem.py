@@ -265,6 +265,8 @@ class Ready(NamedTuple):
         rotary = np.array([u == "rad" for u in units])
         turning = max(float(r.extent.rate[rotary].max(initial=0.0)) for r in self.recordings)
         fast = math.hypot(fast, turning) if math.isfinite(fast) else most
+        forced = (float(getattr(e, e.oscillates)) for e in begin.effects if e.oscillates)
+        fast = max([fast, *(2 * math.pi * abs(f) for f in forced)])
         return min(max(fast, self._slowest), most)
 
     def steps(self, begin: Model, frequency: float | None = None) -> int:

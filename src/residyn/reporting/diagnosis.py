@@ -73,7 +73,8 @@ def sentences(found: Diagnosis) -> tuple[str, ...]:
     else:
         named = [_families, _laws] if found.added else [_families, _none_named]
         named = [_none_named, _standing_in] if _stand_in(found) else named
-        parts = [_unphysical, *named, laws.sentences, _others, _fall, _left]
+        left = _left if found.coloured is None else _coloured
+        parts = [_unphysical, *named, laws.sentences, _others, _fall, left]
     return tuple(words for part in (_stopped, *parts) for words in part(found))
 
 
@@ -212,6 +213,8 @@ def _none_named(found: Diagnosis) -> Iterator[str]:
         yield f"Nothing is missing that these recordings could show {sure}."
     elif found.verdict == "adequate":
         yield f"Probably nothing is missing {sure}."
+    elif found.coloured is not None:
+        yield f"No effect of the catalogue explains all of these readings {sure}."
     elif untried(found):
         yield f"{something} {sure}; no effect was tried yet."
     else:
@@ -341,7 +344,8 @@ def _instead(found: Diagnosis) -> bool:
     """Whether what has no name may be in the place of what was added, which leaves only noise, and
     not beside it."""
     nothing_left = all(r.low == 0 for r in found.random_torque if math.isfinite(r.rms))
-    return found.verdict == "unexplained" and bool(found.added) and nothing_left
+    unexplained = found.verdict == "unexplained" and found.coloured is None
+    return unexplained and bool(found.added) and nothing_left
 
 
 def explained_share(found: Diagnosis) -> float:
@@ -382,6 +386,18 @@ def _left(found: Diagnosis) -> Iterator[str]:
                 f"What may still be missing is no more than {size}"
                 f"{part if _known(most) else ''} (95 % band)."
             )
+
+
+def _coloured(found: Diagnosis) -> Iterator[str]:
+    """What is in the readings and in no torque."""
+    left = found.coloured
+    assert left is not None
+    line = "" if left.frequency_hz is None else f", most of all at {plain(left.frequency_hz, 4)} Hz"
+    yield (
+        f"What is left{at(left.joint, found.fit.joints)} is {times(left.ratio)} times the noise, "
+        f"and not white{line}; no torque that changes as the arm moves explains it. Look at the "
+        "sensor, at what carries it, and for hum in its cable."
+    )
 
 
 def _known(r: RandomTorque) -> bool:
