@@ -28,6 +28,7 @@ from residyn.diagnosis.evidence import (
 )
 from residyn.diagnosis.linearised_fit import Hopeless, minimum
 from residyn.diagnosis.missing_torque import missing_of, scene_of
+from residyn.diagnosis.residuals import coloured
 from residyn.diagnosis.search import Search, Tried, settle, tried_alone
 from residyn.diagnosis.simulated import simulated
 from residyn.fitting.problem import Unknowns
@@ -238,6 +239,29 @@ def test_what_is_in_no_catalogue_is_not_forced_into_a_name(unexplained):
     assert max(c.log_evidence for c in unexplained.candidates) < 1.0
     elbow = unexplained.random_torque[1]
     assert elbow.low > 0.02  # N m of 0.2
+
+
+def test_a_disturbance_much_faster_than_the_arm_rings_is_found():
+    """It moves the arm by no more than the noise, and no random torque is like it."""
+    torque, frequency = 0.6, 7.3
+    found = diagnosed(("periodic_disturbance:elbow", {"torque": torque, "frequency": frequency}))
+    assert found.added == ("periodic_disturbance:elbow",)
+    for name, truth in (("torque", torque), ("frequency", frequency)):
+        value, std = parameter(found, f"periodic_disturbance:elbow.{name}")
+        assert abs(value - truth) < 4 * std
+    assert found.fit.reduced_chi2 < 1.2
+
+
+def test_a_residual_that_is_not_white_is_told_from_noise():
+    clean = release()
+    hum = 8e-4 * np.sin(2 * np.pi * 33.0 * clean.t)[:, None] * [0, 1]
+    fits = [residyn.fit(experiment(of(clean, clean.q + off)), starts=1) for off in (0.0, hum)]
+    with jax.enable_x64(True):
+        assert coloured(fits[0]) is None
+        left = coloured(fits[1])
+    assert left.joint == "elbow"
+    assert left.frequency_hz == pytest.approx(33.0, abs=0.05)
+    assert left.ratio == pytest.approx(np.hypot(1.0, 8e-4 / NOISE / 2**0.5), rel=0.1)
 
 
 def test_a_late_sensor_is_no_torque():
@@ -923,7 +947,7 @@ def test_json_is_the_contract(friction):
     assert set(found) == {
         "verdict", "verdict_probability", "words", "added", "ladder", "candidates", "families",
         "lookalikes", "next_experiment", "missing_torque", "random_torque", "budget", "fit", "laws",
-        "channels", "parameters",
+        "channels", "parameters", "coloured",
     }  # fmt: skip
     assert set(found["parameters"]) == set(found["fit"]["parameters"])
     assert found["ladder"][0]["model"] == list(friction.base.model.labels)

@@ -683,6 +683,21 @@ def test_finds_spikes(noise):
     assert wrong < 3e-4 * total
 
 
+@pytest.mark.parametrize("share", [0.01, 0.03, 0.05])
+def test_spikes_are_found_where_most_stretches_have_one(share):
+    """Each is in all degrees of its stretch, so that most of these seem to be noise of its size."""
+    rng = np.random.default_rng(5)
+    t = np.arange(1600) / 80
+    q = 0.2 * np.exp(-0.03 * t) * np.cos(6 * t) + 0.1 * np.exp(-0.1 * t) * np.sin(12 * t)
+    q = q + 8e-4 * rng.standard_normal(len(t))
+    spikes = rng.random(len(t)) < share
+    q[spikes] += rng.choice([-1, 1], spikes.sum()) * rng.uniform(0.05, 0.3, spikes.sum())
+    wild = outlier_mask(t, q[:, None])[:, 0]
+    assert (wild & spikes).sum() >= 0.95 * spikes.sum()
+    assert (wild & ~spikes).sum() <= 0.4 * spikes.sum()
+    assert estimate_noise(t, q[:, None]) == pytest.approx([8e-4], rel=0.15)
+
+
 @pytest.mark.parametrize("size", [1.0, 17.4])
 def test_finds_spikes_however_large(size):
     t, q = sticking(1.0, 100, 0.01, seconds=20)

@@ -13,6 +13,7 @@ import pytest
 from residyn import reporting as report
 from residyn.diagnosis.evidence import prior_of
 from residyn.diagnosis.missing_torque import scene_of
+from residyn.diagnosis.residuals import Coloured
 from residyn.diagnosis.result import Budget, ChannelError, Family
 from residyn.effects import ConstantTorque, StribeckFriction
 from residyn.reporting import diagnosis as text
@@ -220,6 +221,22 @@ def test_nothing_missing(found):
     assert words[0] == "Nothing is missing that these recordings could show (> 99 %)."
     unsure = by_hand.adequate(verdict_probability=0.6).words
     assert unsure[0] == "Probably nothing is missing (60 %)."
+
+
+def test_readings_that_no_torque_explains_are_said_to_be_so():
+    left = Coloured("elbow", 1.71, 50.02)
+    found = dataclasses.replace(by_hand.adequate(coloured=left), verdict="unexplained")
+    words = " ".join(found.words)
+    assert words.startswith("No effect of the catalogue explains all of these readings (> 99 %).")
+    assert (
+        "What is left at the elbow is 1.7 times the noise, and not white, most of all at" in words
+    )
+    assert "50.02 Hz" in words
+    assert "Nothing is missing" not in words
+    beside = by_hand.missing(coloured=left._replace(frequency_hz=None))
+    words = " ".join(dataclasses.replace(beside, verdict="unexplained").words)
+    assert words.startswith("Dry friction at the elbow is missing")
+    assert "1.7 times the noise, and not white;" in words
 
 
 def test_what_may_still_be_missing_is_no_secret():

@@ -15,6 +15,9 @@ from .arrays import check_noise, check_table
 from .polynomial_spectrum import Blocks, blocks, grid_step, parts, scaled
 
 _SURE = 5.0  # standard deviations from which a reading is an outlier
+_SMOOTH = 3  # readings for each degree of a polynomial that a few outliers do not move
+_HUBER = 2.0  # median deviations, from which one counts as much as that
+_MODIFIED = 20  # steps to it
 _RUN = 4  # the most outliers in a row that are looked for
 _HAIR = 1e-6  # a ridge for small inverses: a reading that is free already has no room left
 
@@ -53,24 +56,28 @@ def outliers_of(time: np.ndarray, y: np.ndarray, least: float) -> np.ndarray:
             kept = part[~flagged[part]]
             if len(kept) < 8:
                 break
-            found = _stand_out(blocks(time[kept], y[kept]), y[kept], least)
+            found = _stand_out(time[kept], y[kept], least)
             flagged[kept[found]] = True
             if not found.any():
                 break
     return flagged
 
 
-def _stand_out(cut: Blocks, values: np.ndarray, least: float) -> np.ndarray:
+def _stand_out(time: np.ndarray, values: np.ndarray, least: float) -> np.ndarray:
     """Which of `values` do not fit their block, of sigma `least` or more."""
     found = np.zeros(len(values), dtype=bool)
+    cut = blocks(time, values)
     m = cut.basis.shape[1]
-    noise = cut.basis[:, :, cut.degree :]
+    # One outlier is in all degrees of its block, and most blocks may have one: what is noise is
+    # seen without those that are far off their neighbours.
+    near = ~_far_off(cut, values)
+    usual = blocks(time[near], values[near]) if 4 * m <= near.sum() < len(near) else cut
+    cut = cut._replace(degree=usual.degree, spread=usual.spread)
     sigma = max(cut.spread, least, 1e-9 * float(np.std(values)), 1e-14)
-    rest = (noise @ cut.share[:, cut.degree :, None])[..., 0] / sigma
-    room = np.sum(noise**2, axis=-1)
-    score = np.abs(rest) / np.sqrt(np.maximum(room, 1e-9))
     # Noise with tails heavier than the normal law's is noise still.
-    tail = max(1.0, float(np.quantile(score, 0.95)) / 1.96)
+    tail = max(1.0, float(np.quantile(_left(usual, sigma)[1], 0.95)) / 1.96)
+    noise = cut.basis[:, :, cut.degree :]
+    rest, score = _left(cut, sigma)
     for b in np.flatnonzero(score.max(axis=1) > 3.5 * tail):
         own = noise[b % len(noise)]
         pick = _explain(own @ own.T, rest[b] / tail, cut.share[b, cut.degree :] / sigma / tail)
@@ -84,6 +91,37 @@ def _stand_out(cut: Blocks, values: np.ndarray, least: float) -> np.ndarray:
             if start <= i < stop and abs(size) > bend:
                 found[index[i]] = True
     return found
+
+
+def _left(cut: Blocks, sigma: float) -> tuple[np.ndarray, np.ndarray]:
+    """(B, m) what polynomials leave of each block, in sigmas, and the size of that in standard
+    deviations of what they leave of noise."""
+    noise = cut.basis[:, :, cut.degree :]
+    rest = (noise @ cut.share[:, cut.degree :, None])[..., 0] / sigma
+    return rest, np.abs(rest) / np.sqrt(np.maximum(np.sum(noise**2, axis=-1), 1e-9))
+
+
+def _far_off(cut: Blocks, values: np.ndarray) -> np.ndarray:
+    """(N,) which of `values` are far off the smooth polynomial of their block that a few outliers
+    move by next to nothing (Huber's estimate, by modified residuals: Huber, Robust Statistics,
+    1981, ch. 7)."""
+    m = cut.basis.shape[1]
+    smooth = cut.basis[:, :, : m // _SMOOTH]
+    y = values[cut.first[:, None] + np.arange(m)]
+    left = y - (smooth @ (np.swapaxes(smooth, 1, 2) @ y[:, :, None]))[..., 0]
+    far = np.zeros(len(values), bool)
+    if np.abs(left).max() <= _SURE * 1.4826 * np.median(np.abs(left)):
+        return far
+    for _ in range(_MODIFIED):
+        size = np.abs(left)
+        usual = np.maximum(np.median(size, axis=1, keepdims=True), np.median(size))
+        part = np.clip(left, -_HUBER * usual, _HUBER * usual)[:, :, None]
+        left = left - (smooth @ (np.swapaxes(smooth, 1, 2) @ part))[..., 0]
+    inside = np.zeros(left.shape, bool)
+    inside[:, m // 4 : m - m // 4] = inside[0, : m // 4] = inside[-1, m - m // 4 :] = True
+    block, place = np.nonzero(inside & (np.abs(left) > 3 * _SURE * 1.4826 * usual))
+    far[cut.first[block] + place] = True
+    return far
 
 
 def _explain(room: np.ndarray, rest: np.ndarray, degrees: np.ndarray) -> dict[int, float]:
