@@ -110,7 +110,8 @@ def _far_off(cut: Blocks, values: np.ndarray) -> np.ndarray:
     y = values[cut.first[:, None] + np.arange(m)]
     left = y - (smooth @ (np.swapaxes(smooth, 1, 2) @ y[:, :, None]))[..., 0]
     far = np.zeros(len(values), bool)
-    if np.abs(left).max() <= _SURE * 1.4826 * np.median(np.abs(left)):
+    usual = np.median(np.abs(left))
+    if np.abs(left).max() <= _SURE * 1.4826 * usual:
         return far
     for _ in range(_MODIFIED):
         size = np.abs(left)
