@@ -308,3 +308,6 @@ def test_a_diagnosis_of_runs_that_may_differ_names_what_they_share():
     found = residyn.diagnose(residyn.Experiment(TABLE, runs), max_effects=1)
     assert found.added == ("coulomb_friction:cart",)
     assert len(found.missing) == 2
+    (said,) = [line for line in found.fit.warnings if "own = " in line]
+    assert said.startswith('run2: own = ["coulomb_friction:cart"]')
+    assert said.endswith("--with coulomb_friction:cart begins with it")

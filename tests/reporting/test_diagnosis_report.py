@@ -128,9 +128,17 @@ def test_a_kind_whose_law_has_no_name_is_said_first():
     made = by_hand.a_diagnosis("unexplained", ladder, families=(kind,))
     assert made.added == ()
     assert made.words[:2] == (
-        "Dry friction at the elbow is probably missing (72 %).",
+        "Dry friction at the elbow is probably missing (72 %), of a law that the catalogue does "
+        "not have.",
         "Something is missing that no effect of the catalogue explains (> 99 %).",
     )
+    sure = Family("dry friction", "elbow", 0.99, ((FOUND, 0.09),), 0.9)
+    made = by_hand.a_diagnosis("unexplained", ladder, families=(sure,))
+    assert made.words[0] == (
+        "Dry friction at the elbow is missing (99 %), of a law that the catalogue does not have."
+    )
+    assert "no effect of the catalogue" not in " ".join(made.words)
+    made = by_hand.a_diagnosis("unexplained", ladder, families=(kind,))
     assert "Also possible" not in " ".join(made.words)
     assert text.title_of(made).startswith("What is missing: dry friction at the elbow")
 

@@ -19,6 +19,7 @@ import jax
 import numpy as np
 
 from ..effects import AbstractEffect, SensorOffset
+from ..errors import quote
 from ..filtering.grid import local_amplitude
 from ..filtering.law import number_slices, numbers_of
 from ..filtering.trajectory import Scene, Trajectory
@@ -260,10 +261,25 @@ def with_rests(
 
 
 def owning_base(experiment: Experiment, effects: Sequence[str | AbstractEffect]) -> Experiment:
-    """The experiment, but that only numbers of the base model with some effects are a run's own."""
+    """The experiment, but that only numbers of the base model with some effects are a run's own:
+    what a search adds has numbers that all recordings share, which a warning says."""
     if not experiment.own:
         return experiment
-    return experiment.owning(ready(experiment, experiment.fit_recordings, effects).model.labels)
+    labels = ready(experiment, experiment.fit_recordings, effects).model.labels
+    found = experiment.owning(labels)
+
+    def saying(given: Recording, left: Recording) -> Recording:
+        kept = tuple(f"{label}:" for label in left.own)
+        gone = [x for x in given.own if not any(k.startswith(f"{x}:") for k in kept)]
+        own, names = ", ".join(map(quote, gone)), " ".join(f"--with {x}" for x in gone)
+        words = (
+            f"own = [{own}] is of no effect that the model begins with, and what a search adds has "
+            f"numbers that all recordings share: {names} begins with it"
+        )
+        return left.saying([words]) if gone else left
+
+    pairs = zip(experiment.recordings, found.recordings, strict=True)
+    return dataclasses.replace(found, recordings=tuple(saying(*pair) for pair in pairs))
 
 
 def scene_of(

@@ -166,7 +166,9 @@ def _families(found: Diagnosis) -> Iterator[str]:
             names = listed([_likely(f, found) for f in (first, *more)])
             yield f"{upper(names)} {verb.replace('is', 'are')} missing."
         else:
-            yield f"{upper(_family(first, found))} {verb} missing ({percent(first.probability)})."
+            words = f"{upper(_family(first, found))} {verb} missing ({percent(first.probability)})"
+            unnamed_law = first.unnamed > 0.5 * first.probability
+            yield words + (", of a law that the catalogue does not have." if unnamed_law else ".")
 
 
 def _stand_in(found: Diagnosis) -> bool:
@@ -207,6 +209,9 @@ def told_first(found: Diagnosis) -> list[Family]:
 
 
 def _none_named(found: Diagnosis) -> Iterator[str]:
+    said = not _stand_in(found) and any(f.probability >= SURE for f in told_first(found))
+    if found.verdict == "unexplained" and said and found.coloured is None:
+        return
     sure = f"({percent(found.verdict_probability)})"
     something = f"Something {modal(found.verdict_probability)} missing"
     if found.verdict == "adequate" and found.verdict_probability >= SURE:
