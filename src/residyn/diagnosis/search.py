@@ -630,7 +630,8 @@ class Search:
             ]
             rest = frozenset(best.added) - {label}
             found += [self.tried.get(rest | {*more}) for more in ((), *((x,) for x in less))]
-        return [t for t in found if t and _sticks(t.best) and t.best not in self._simulated]
+        sticking = (t for t in found if t and _sticks(t.best) and t.best not in self._simulated)
+        return [*dict.fromkeys(sticking)]
 
     def _without_torque(self, models: Sequence[Tried]) -> None:
         """Simulate models exactly, each once."""
