@@ -267,7 +267,8 @@ def test_strengths_of_laws_with_jumps_or_memory_are_found(effect):
 
     effects, prior = base_of(scene)
     t = settled(scene, scene.start(effects, prior), (1.0, 0.3, 0.1, 0.03))
-    columns = Columns(scene, t, [type(effect)("elbow")], spectral_lines(scene, t))
+    lines = spectral_lines(scene, t, scene.linearised(t))
+    columns = Columns(scene, t, [type(effect)("elbow")], lines)
     (found,) = Screen(columns, [0.03]).ranked
     t = extended(scene, t, found)
     for intensity in (0.03, 0.01, 1e-3, 0.0):

@@ -92,7 +92,9 @@ def test_names_units_and_json_are_the_contract(fit):
     assert found["model"] == ["spring:shoulder", "spring:elbow", "damper:shoulder", "damper:elbow"]
     assert found["parameters"]["spring:elbow.stiffness"]["unit"] == "N m/rad"
     assert found["parameters"]["damper:elbow.damping"].keys() == {"value", "std", "unit"}
-    keys = "model parameters rmse noise ratio reduced_chi2 check_rmse modes modes_of starts"
+    keys = (
+        "model parameters rmse noise ratio reduced_chi2 check_rmse recordings modes modes_of starts"
+    )
     keys += " agreeing_starts integrator integration_error integration_error_checked objective"
     assert set(found) == {*keys.split(), "converged", "stands", "unphysical", "seconds", "warnings"}
     assert found["check_rmse"] is None

@@ -297,9 +297,9 @@ def test_what_is_held_out_without_bearings_has_their_effects_and_feels_none():
     own = Study(dataclasses.replace(whole, recordings=(cut[0], cut[2])), ["bearing_drag"])
     first, (there, path, _) = own.first_order(), own.beside
     assert first.held_out.solve.shape == first.fitted.solve.shape
-    column = own.labels.index("bearing_friction")
     for columns, feels in ((own.columns, True), (own.columns_along(there, path), False)):
-        torque, reading = columns.inputs
+        (row,) = (row for row in columns.rows if row.effect.label == "bearing_friction")
+        (column,), (torque, reading) = row.which, columns.inputs
         assert torque[..., column].any() == feels
         assert not reading[..., column].any()
 
@@ -714,6 +714,8 @@ def test_live_two_windows_at_once_do_not_disturb_each_other(live, address):
         other.get(address[0])
         until(lambda: other.find_elements("css selector", ".chip"))
         assert not pressed(other, FRICTION)
+        if not pressed(live, FRICTION):
+            toggle(live, FRICTION)
         toggle(live, FRICTION)  # off, in the one
         toggle(other, SMOOTH)  # on, in the other
         toggle(live, FRICTION)
