@@ -692,3 +692,24 @@ def test_what_acts_with_a_strength_that_is_not_told_is_not_called_unseen():
     assert any(
         "without brake_slip:cart more is left than chance explains" in words for words in said
     )
+
+
+def test_a_disturbance_much_faster_than_the_arm_rings_is_fitted():
+    """All starts agree on a minimum in which it does nothing. The truth in closed form: a free
+    vibration and a forced one."""
+    inertia, stiffness, damping, torque, frequency = 0.3, 12.0, 0.06, 3.7, 8.0
+    time, pace = np.arange(0.0, 10.0, 0.01), 2 * np.pi * frequency
+    decay = damping / (2 * inertia)
+    ringing = np.sqrt(stiffness / inertia - decay**2)
+    forced = torque / (stiffness - inertia * pace**2 + 1j * damping * pace)
+    angle = 0.25 * np.exp(-decay * time) * np.cos(ringing * time)
+    angle = angle + np.imag(forced * np.exp(1j * pace * time))
+    angle = angle + 5e-4 * np.random.default_rng(3).standard_normal(len(time))
+    seen = residyn.Recording.from_arrays(time, angle[:, None], noise=5e-4)
+    table = InertiaTable(("joint",), ((inertia,),), ("rad",))
+    found = residyn.fit(residyn.Experiment(table, (seen,)), effects=["periodic_disturbance"])
+    assert found.reduced_chi2 < 1.1
+    values = {n.name: n for n in found.numbers}
+    for name, truth in (("torque", torque), ("frequency", frequency)):
+        number = values[f"periodic_disturbance:joint.{name}"]
+        assert abs(abs(number.value) - truth) < 4 * number.std

@@ -150,10 +150,13 @@ def multistart(
 
 
 def _perhaps_local(descent: Descent) -> bool:
-    """Whether this may be a local minimum: starts ended in different places, the best of them above
-    the noise, or a law that sticks or rattles well above it."""
-    nonsmooth = descent.here.model.rough and descent.cost > _EXCESS * descent.readings
-    return nonsmooth or (descent.agreeing < descent.starts and descent.above_noise)
+    """Whether this may be a local minimum: starts ended in different places, or an oscillation has
+    a frequency of its own, of which each cycle of the recording makes a minimum, above the noise;
+    or a law that sticks or rattles well above it."""
+    model = descent.here.model
+    nonsmooth = model.rough and descent.cost > _EXCESS * descent.readings
+    many = descent.agreeing < descent.starts or any(e.oscillates for e in model.effects)
+    return nonsmooth or (many and descent.above_noise)
 
 
 # -- one problem, growing horizons ---------------------------------------------------------------
