@@ -228,7 +228,7 @@ def test_a_recording_that_the_model_does_not_explain_is_seen(fit):
     good.predicted[:] = good.recording.angle
     odd.predicted[:, 1] = odd.recording.angle[:, 1] + 6 * odd.recording.noise[1]
     seen = dataclasses.replace(fit, recordings=(good, odd))
-    rows = about_fits.each_table(seen).rows
+    rows = about_fits.recordings_table(seen).rows
     assert [row[0] for row in rows] == [NASTY, "check.csv (held out)"]
     assert rows[0][2:] == ["0 x", "0 x"]
     assert rows[1][3] == "6.0 x"

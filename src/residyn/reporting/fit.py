@@ -263,7 +263,10 @@ def text(fit: Fit) -> str:
     lines += filled(_integrated(fit), "    integrated  ")
     lines += [line for words in _inertias(fit) for line in filled(words, "    inertia     ")]
     if len(fit.whole) > 1:
-        lines += ["[[Recordings]]  rms residual in times the noise", *printed(each_table(fit))]
+        lines += [
+            "[[Recordings]]  rms residual in times the noise",
+            *printed(recordings_table(fit)),
+        ]
     lines.append("[[Parameters]]  value +/- standard error (error in %)")
     width = max([30, *(len(n.name) for n in fit.own_numbers)])
     for n in fit.own_numbers:
@@ -356,7 +359,7 @@ def errors_table(fit: Fit) -> Table:
     return Table(head, rows)
 
 
-def each_table(fit: Fit) -> Table:
+def recordings_table(fit: Fit) -> Table:
     """Errors by recording: which one the model does not explain."""
     rows = [
         [
