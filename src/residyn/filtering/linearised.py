@@ -41,6 +41,7 @@ from .law import (
 )
 
 _AT_ONCE = 64  # instants: their slopes, some 4 KB each, stay in a second-level cache
+_NEWTON = 4  # steps to the friction of joints that hold each other
 _IN_A_CALL = 8  # times as many: a divisor of all grids' lengths, and long beside what a call costs
 
 
@@ -311,9 +312,26 @@ def _field(mechanism, at: Nodes, drive, s: Sums) -> Field:
 
     free, level = drive - s.torque.value, s.level.value
     light = jnp.stack([unit[j, j] for j in range(n)])
-    held = (rest + pushed(free)) / light
-    found = expected_direction(at.v, held, level, at.spread, RAMP * at.step * light)
-    direction, (by_v, by_held, by_level) = jax.lax.optimization_barrier(found)
+    alone = (rest + pushed(free)) / light
+    across = unit / light[:, None] * (1.0 - jnp.eye(n))[..., None]
+
+    def rubbing(friction):
+        """Friction, what holds each joint beside that of the others, and how the two differ."""
+        needed = alone - jnp.sum(across * friction[None], axis=1)
+        found = expected_direction(at.v, needed, level, at.spread, RAMP * at.step * light)
+        direction, slopes = jax.lax.optimization_barrier(found)
+        matrix = jnp.eye(n)[..., None] + (level * slopes[1])[:, None] * across
+        return direction, slopes, tuple(map(tuple, matrix))
+
+    def newton(_, friction):
+        direction, _, matrix = rubbing(friction)
+        off = friction - level * direction
+        return friction - stack(solve_inertia(matrix, tuple(off)))
+
+    friction = jnp.zeros((n, N))
+    if n > 1:  # friction at one joint changes what holds another
+        friction = jax.lax.fori_loop(0, _NEWTON, newton, friction)
+    direction, (by_v, by_held, by_level), matrix = rubbing(friction)
     # Slopes at the torque that acts, friction included.
     total = free - level * direction
     a = rest + pushed(total)
@@ -322,12 +340,15 @@ def _field(mechanism, at: Nodes, drive, s: Sums) -> Field:
     hold = (level * by_held / light)[:, None]
     grow = (direction + level * by_level)[:, None]  # d friction / d level
 
+    def rubbed(x):  # accelerations by what friction changes where each joint is by itself
+        return pushed(stack(solve_inertia(matrix, tuple(x))))
+
     def whole(slope, own=0.0):
-        return slope - pushed(hold * slope + grow * own)
+        return slope - rubbed(hold * slope + grow * own)
 
     to_q = whole(a_q - pushed(s.torque.by_q), s.level.by_q)
     along = jnp.eye(n)[..., None] * (level * by_v)[:, None]
-    to_v = whole(a_v - pushed(s.torque.by_v), s.level.by_v) - pushed(along)
+    to_v = whole(a_v - pushed(s.torque.by_v), s.level.by_v) - rubbed(along)
     to_z = whole(-pushed(s.torque.by_z))
     to_u = whole(-pushed(s.torque.by_number), s.level.by_number)
     m, p = s.rate.value.shape[0], to_u.shape[1]

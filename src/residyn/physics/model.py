@@ -128,13 +128,7 @@ class Model(eqx.Module):
         load = _add(bodies.inertia_torque(motion.q, motion.v), self.torque(motion))
         load = tuple(-x for x in load) if drive is None else _add(drive, tuple(-x for x in load))
         matrix = bodies.mass_matrix(motion.q)
-        if held is not None:
-            # A held joint is one of very large inertia: one solve serves every pattern of sticking.
-            matrix = tuple(
-                tuple(z * (1.0 + 1e14 * held[i]) if i == j else z for j, z in enumerate(row))
-                for i, row in enumerate(matrix)
-            )
-        return solve_inertia(matrix, load)
+        return solve_inertia(matrix if held is None else holding(matrix, held), load)
 
     def vector_field(self, t, y, args=None):
         """(q', q'') at `y = (q, v)`, arrays (n,), in diffrax's signature.
@@ -315,6 +309,15 @@ def _fitted(effects, joints) -> tuple[Number[Parameter], ...]:
 
 def _add(x: Joints, y: Joints) -> Joints:
     return tuple(a + b for a, b in zip(x, y, strict=True))
+
+
+def holding(matrix: tuple[Joints, ...], held: Joints) -> tuple[Joints, ...]:
+    """The inertia matrix where joints are `held` (1) at rest: they are of very large inertia, so
+    that one solve serves every pattern of sticking."""
+    return tuple(
+        tuple(z * (1.0 + 1e14 * held[i]) if i == j else z for j, z in enumerate(row))
+        for i, row in enumerate(matrix)
+    )
 
 
 def solve_inertia(matrix: tuple[Joints, ...], load: Joints) -> Joints:

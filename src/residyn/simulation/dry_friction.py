@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..physics.model import solve_inertia
+from ..physics.model import holding, solve_inertia
 from ..physics.motion import Joints, Motion, Scalar
 from .equation import Args, acceleration, signs
 
@@ -74,26 +74,42 @@ def _where(happens: list, then: Callable, otherwise: Callable):
 
 
 def _resting(args: Args, motion: Motion) -> Sticking:
-    """`sliding` where a joint is at rest, or nearly."""
-    v = motion.v
+    """`sliding` where a joint is at rest, or nearly.
+
+    What holds a joint depends on which others are held. All that rest are held at first; then the
+    one that is overloaded most is let go, as long as there is one.
+    """
     level = _friction(args, motion)
-    # Joints at rest: what would they do if nothing held them?
-    free = acceleration(args, motion)
-    direction, held = [], []
-    for joint, limit in enumerate(level):
-        if limit is None:
-            direction.append(jnp.sign(v[joint]))
-            held.append(0.0)
-            continue
-        rests = v[joint] == 0.0
-        # Torque that would keep it at rest.
-        push = jnp.abs(free[joint] / _mobility(args, motion.q, joint)[joint])
-        direction.append(jnp.where(rests, jnp.sign(free[joint]), jnp.sign(v[joint])))
-        held.append(jnp.where(rests & (limit > 0) & (push <= limit), 1.0, 0.0))
+    limits = tuple(0.0 if limit is None else limit for limit in level)
+    rests = tuple(v == 0.0 for v in motion.v)
+    inertia, direction = args.model.bodies.mass_matrix(motion.q), motion.direction
+    free = acceleration(args, motion)  # without friction at what rests
+    held = tuple(
+        jnp.where(rest & (limit > 0), 1.0, 0.0) for rest, limit in zip(rests, limits, strict=True)
+    )
+    for _ in range(sum(limit is not None for limit in level)):
+        slides = zip(rests, held, limits, direction, strict=True)
+        rubs = tuple(jnp.where(rest & (h == 0), -f * d, 0.0) for rest, h, f, d in slides)
+        load = _holding_load(inertia, _plus(free, solve_inertia(inertia, rubs)), held)
+        excess = tuple(jnp.abs(x) - f for x, f in zip(load, limits, strict=True))
+        most = functools.reduce(jnp.maximum, excess)
+        goes = [(h > 0) & (x > 0.0) & (x == most) for h, x in zip(held, excess, strict=True)]
+        pairs = zip(held, load, direction, strict=True)
+        direction = tuple(jnp.where(h > 0, jnp.sign(x), d) for h, x, d in pairs)
+        held = tuple(jnp.where(go, 0.0, h) for go, h in zip(goes, held, strict=True))
     gripped = _gripped(args, motion, level)
     if not isinstance(gripped, float):
-        held = [jnp.maximum(h, gripped) for h in held]
-    return Sticking(tuple(direction), tuple(held), gripped)
+        held = tuple(jnp.maximum(h, gripped) for h in held)
+    return Sticking(direction, held, gripped)
+
+
+def _holding_load(inertia: tuple[Joints, ...], free: Joints, held: Joints) -> Joints:
+    """The torque that friction at held joints withstands, by what they would do if nothing held
+    them; 0 at others."""
+    load = tuple(sum(z * a for z, a in zip(row, free, strict=True)) for row in inertia)
+    there = solve_inertia(holding(inertia, held), load)
+    lost = tuple(sum(z * a for z, a in zip(row, there, strict=True)) for row in inertia)
+    return tuple(jnp.where(h > 0, x - y, 0.0) for h, x, y in zip(held, load, lost, strict=True))
 
 
 def _gripped(args: Args, motion: Motion, level: list[Scalar | None]) -> Scalar:
@@ -121,10 +137,13 @@ def _gripped(args: Args, motion: Motion, level: list[Scalar | None]) -> Scalar:
     return grip
 
 
-def _mobility(args: Args, q: Joints, joint: int) -> Joints:
-    """A column of Z^-1: acceleration of every joint per unit torque on one."""
+def _mobility(args: Args, q: Joints, joint: int, held: Joints) -> Joints:
+    """Acceleration of every joint per unit torque on one: a column of Z^-1, where nothing is
+    `held` besides."""
     unit = tuple(1.0 if i == joint else 0.0 for i in range(len(q)))
-    return solve_inertia(args.model.bodies.mass_matrix(q), unit)
+    others = tuple(0.0 if i == joint else h for i, h in enumerate(held))
+    column = solve_inertia(holding(args.model.bodies.mass_matrix(q), others), unit)
+    return tuple(jnp.where(h > 0, 0.0, c) for h, c in zip(others, column, strict=True))
 
 
 def reversals(args: Args, h, begin, end, motion: Motion, sticking: Sticking):
@@ -154,9 +173,9 @@ def _reversed(args: Args, h, begin, end, motion: Motion, held: Joints, level, cr
     direction = motion.direction
     # A stage's acceleration is good enough for its method, but not to be subtracted from.
     a1 = acceleration(args, motion, held)
-    q, v = q1, v1
+    q, v, still = q1, v1, held
     for j, crosses in crossing.items():
-        limit, column = level[j], _mobility(args, q1, j)
+        limit, column = level[j], _mobility(args, q1, j, still)
         share = turning_point(v0[j], v1[j], h * a0[j], h * a1[j])
         rest = (1.0 - share) * h
         slowing = a0[j] + share * (a1[j] - a0[j])
@@ -182,7 +201,9 @@ def _reversed(args: Args, h, begin, end, motion: Motion, held: Joints, level, cr
         stop = position_within(share, q0[j], q1[j], h * v0[j], h * v1[j])
         q = tuple(jnp.where(sticks, stop, x) if i == j else x for i, x in enumerate(q))
         v = tuple(jnp.where(sticks, 0.0, x) if i == j else x for i, x in enumerate(v))
-    return q, v
+        still = tuple(jnp.where(sticks, 1.0, x) if i == j else x for i, x in enumerate(still))
+    # Rest is a rate of nothing, to the last digit.
+    return q, tuple(jnp.where(h > 0, 0.0, x) for h, x in zip(still, v, strict=True))
 
 
 def break_away(args: Args, h, begin: Motion, end: Motion, sticking: Sticking):
@@ -199,18 +220,26 @@ def _broken(args: Args, h, begin: Motion, end: Motion, sticking: Sticking):
     q, v, held = end.q, end.v, sticking.held
     loose = signs(v)
     motions = begin._replace(v=v, direction=loose), end._replace(direction=loose)
-    free = [acceleration(args, motion) for motion in motions]
-    for j, limit in enumerate(_friction(args, motions[1])):
+    level = _friction(args, motions[1])
+    # What has stopped inside the step is held at its end.
+    still = tuple(
+        h if limit is None else jnp.where(x == 0.0, 1.0, h)
+        for h, limit, x in zip(held, level, v, strict=True)
+    )
+    before, after = (
+        _holding_load(args.model.bodies.mass_matrix(m.q), acceleration(args, m), still)
+        for m in motions
+    )
+    for j, limit in enumerate(level):
         if limit is None:
             continue
-        column = _mobility(args, q, j)
-        before, after = (jnp.abs(a[j] / column[j]) for a in free)
+        column = _mobility(args, end.q, j, still)
         stuck = (held[j] > 0) & (sticking.gripped == 0)
-        excess = jnp.where(stuck, jnp.maximum(after - limit, 0.0), 0.0)
-        grown = jnp.where(excess > 0, after - before, 1.0)
+        excess = jnp.where(stuck, jnp.maximum(jnp.abs(after[j]) - limit, 0.0), 0.0)
+        grown = jnp.where(excess > 0, jnp.abs(after[j]) - jnp.abs(before[j]), 1.0)
         rest = h * jnp.clip(excess / grown, 0.0, 1.0)
         # From then on the torque that is not held grows in proportion to time.
-        kick = tuple(c * excess * jnp.sign(free[1][j]) for c in column)
+        kick = tuple(c * excess * jnp.sign(after[j]) for c in column)
         q = _plus(q, tuple(rest**2 / 6.0 * k for k in kick))
         v = _plus(v, tuple(rest / 2.0 * k for k in kick))
     return q, v
