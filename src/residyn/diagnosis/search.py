@@ -606,32 +606,10 @@ class Search:
                 if t.log_posterior > lowest and t.best not in self._simulated
                 if _may_be_complete(t)
             ]
-            todo = todo or self._simpler()
             if not todo:
                 return
             self.say("simulating what is in play")
             self._without_torque(todo)
-
-    def _simpler(self) -> list[Tried]:
-        """Models in which something sticks that are simpler than the best one, if that was
-        simulated: without one of its effects, or with a law of the same kind and fewer numbers in
-        its place. Of them the filter's word is not enough."""
-        best, own = self.best, {e.label: e for e in self.candidates}
-        if best.simulated is None or not _sticks(best.best):
-            return []
-        found = []
-        for label in best.added:
-            old = own[label]
-            less = [
-                e.label
-                for e in self.candidates
-                if (e.kind(), e.place) == (old.kind(), old.place)
-                and len(numbers_of(e)) < len(numbers_of(old))
-            ]
-            rest = frozenset(best.added) - {label}
-            found += [self.tried.get(rest | {*more}) for more in ((), *((x,) for x in less))]
-        sticking = (t for t in found if t and _sticks(t.best) and t.best not in self._simulated)
-        return [*dict.fromkeys(sticking)]
 
     def _without_torque(self, models: Sequence[Tried]) -> None:
         """Simulate models exactly, each once."""
