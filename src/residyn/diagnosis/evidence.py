@@ -359,6 +359,7 @@ def gains_of(
             std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
             gain = gain + np.where([signs[i] for i in own], half_normal(mean / std), 0.0).sum(-1)
         each = gain + logs[:, None]
+        each = np.where(np.isfinite(each), each, -np.inf)  # of a motion that runs away
         top = np.argmax(each, axis=0)
         found |= {i: (log_sum(each[:, k]), mean[top[k], k]) for k, i in enumerate(own)}
     return [found[i] for i in range(len(sets))]
