@@ -241,6 +241,7 @@ def a_diagnosis(verdict, ladder, **changed):
         "still_missing": (a_missing_torque(ladder[-1].fit, 0.0),),
         "laws": (),
         "coloured": None,
+        "coloured_noise": None,
         "random_torque": torques(1e-3),
         "parameters": {n.name: Value(n.value, 3 * n.std, n.unit) for n in ladder[-1].fit.numbers},
         "intensity": 1e-4,

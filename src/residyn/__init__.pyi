@@ -45,6 +45,7 @@ from .effects import Pendulum as Pendulum
 from .effects import PeriodicDisturbance as PeriodicDisturbance
 from .effects import PrintedInertiaTorque as PrintedInertiaTorque
 from .effects import QuadraticDrag as QuadraticDrag
+from .effects import Relaxation as Relaxation
 from .effects import SensorCurve as SensorCurve
 from .effects import SensorDelay as SensorDelay
 from .effects import SensorOffset as SensorOffset

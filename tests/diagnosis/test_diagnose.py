@@ -160,8 +160,9 @@ def test_the_next_experiment_is_for_two_explanations_that_cannot_be_told_apart(f
             )
             for added, x in logs.items()
         }
-        flat = tried[frozenset()].weights
-        law = {"log_posterior": curve, "added": (), "matters": True, "weights": flat}
+        base = tried[frozenset()]
+        law = {"log_posterior": curve, "added": (), "matters": True, "weights": base.weights,
+               "enough": base.enough}  # fmt: skip
         curves = [SimpleNamespace(**law)]
         search = SimpleNamespace(
             candidates=known, tried=tried, passed={}, curves=curves, reassigned=None,
@@ -947,7 +948,7 @@ def test_json_is_the_contract(friction):
     assert set(found) == {
         "verdict", "verdict_probability", "words", "added", "ladder", "candidates", "families",
         "lookalikes", "next_experiment", "missing_torque", "random_torque", "budget", "fit", "laws",
-        "channels", "parameters", "coloured",
+        "channels", "parameters", "coloured", "coloured_noise",
     }  # fmt: skip
     assert set(found["parameters"]) == set(found["fit"]["parameters"])
     assert found["ladder"][0]["model"] == list(friction.base.model.labels)

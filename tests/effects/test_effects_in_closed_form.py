@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import residyn
 from residyn.physics.motion import Motion
+from residyn.recordings.tables import InertiaTable
 
 pytestmark = pytest.mark.usefixtures("float64", "compiled_in_less_time")
 
@@ -53,6 +55,52 @@ def test_cogging_repeats_and_derives_from_a_potential():
     at = [float(cogging.torque(Motion.at(0.0, [q], [0.0]), cart)[0]) for q in (0.03, 0.13, 0.0)]
     np.testing.assert_allclose(at[0], at[1], rtol=1e-9)
     assert at[2] == 0.0
+
+
+def relaxing(matrix, springs, dampers, joint, stiffness, time, start, t):
+    """Angles (N, n) of linear joints with a Maxwell element, by the matrix exponential; it had
+    relaxed before the release."""
+    n = len(matrix)
+    into = np.zeros(n)
+    into[joint] = stiffness
+    A = np.zeros((2 * n + 1, 2 * n + 1))
+    A[:n, n : 2 * n] = np.eye(n)
+    A[n : 2 * n, :n] = -np.linalg.solve(matrix, np.diag(springs) + np.diag(into))
+    A[n : 2 * n, n : 2 * n] = -np.linalg.solve(matrix, np.diag(dampers))
+    A[n : 2 * n, 2 * n] = np.linalg.solve(matrix, into)
+    A[2 * n, joint], A[2 * n, 2 * n] = 1 / time, -1 / time
+    step, x = expm(A * (t[1] - t[0])), np.concatenate([start, np.zeros(n), [start[joint]]])
+    found = np.empty((len(t), n))
+    for k in range(len(t)):
+        found[k], x = x[:n], step @ x
+    return found
+
+
+MATRIX = np.array([[1.0, 0.3], [0.3, 0.5]])
+
+
+def test_a_relaxing_spring_is_the_standard_linear_solid():
+    t, start = np.arange(500) / 50, np.array([0.2, -0.1])
+    model = residyn.ConstantInertia(MATRIX.tolist(), ["base", "tip"], ["rad", "rad"])
+    model = model + residyn.Spring("base", 20.0) + residyn.Spring("tip", 12.0)
+    model = model + residyn.Damper("base", 0.1) + residyn.Damper("tip", 0.05)
+    model = model + residyn.Relaxation("tip", 3.0, 0.25)
+    exact = relaxing(MATRIX, [20.0, 12.0], [0.1, 0.05], 1, 3.0, 0.25, start, t)
+    np.testing.assert_allclose(residyn.simulate(model, t, start).q, exact, atol=2e-5)
+
+
+def test_a_relaxing_spring_is_named_with_its_numbers():
+    t, start, noise = np.arange(1500) / 100, np.array([0.2, -0.1]), 1e-3
+    q = relaxing(MATRIX, [20.0, 12.0], [0.1, 0.05], 1, 3.0, 0.25, start, t)
+    q = q + noise * np.random.default_rng(3).standard_normal(q.shape)
+    recording = residyn.Recording.from_arrays(t, q, noise=noise)
+    table = InertiaTable(("base", "tip"), MATRIX.tolist(), ("rad", "rad"))
+    found = residyn.diagnose(residyn.Experiment(table, (recording,)))
+    assert found.verdict == "missing"
+    assert found.added == ("relaxation:tip",)
+    for name, true in ("stiffness", 3.0), ("time", 0.25):
+        number = found.parameters[f"relaxation:tip.{name}"]
+        assert abs(number.value - true) < 4 * number.std < 0.2 * true
 
 
 @pytest.mark.parametrize("sharpness", [10.0, 60.0])

@@ -35,7 +35,6 @@ from ..runtime.memory import give_back
 from .candidate_tests import best_tests, in_play
 from .channels import reassigned
 from .evidence import (
-    COMPLETE,
     EXPLAINS_NOTHING,
     HOPELESS,
     INDISTINGUISHABLE,
@@ -54,6 +53,7 @@ from .result import (
     Budget,
     Candidate,
     ChannelError,
+    ColouredNoise,
     Diagnosis,
     Family,
     ModelState,
@@ -138,7 +138,10 @@ def diagnosed(
             search.say("looking for a law without a name")
             search.curves = curve_models(search)
     search.say("fitting the models on the way")
-    return _concluded(search, fits, began)
+    try:
+        return _concluded(search, fits, began)
+    finally:
+        search.whiten_noise()  # pictures are of torques
 
 
 class Fits:
@@ -367,13 +370,14 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
         if frozenset([x]) in search.tried
     ]
     pairs = best.over_torques(scene)
-    missing = missing_of(
-        scene, search.base, [*shown, *others[:CURVES]], () if best.added else pairs
-    )
-    still = missing_of(scene, best, pairs=pairs) if best.added else missing
+    still = missing_of(scene, best, pairs=pairs)
+    missing = still
+    if best.added:
+        missing = missing_of(fits.scene, search.led, [*shown, *others[:CURVES]])
     verdict, probability = posterior.verdict()
+    noise = _coloured_noise(scene, models[-1].fit)
     # All evidences are those of white noise: where none is that, no model of them is adequate.
-    left = coloured(models[-1].fit) if verdict != "unexplained" else None
+    left = coloured(models[-1].fit) if verdict != "unexplained" and noise is None else None
     if left is not None:
         verdict, probability = "unexplained", 1.0 - NOISE
     return Diagnosis(
@@ -388,6 +392,7 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
         still_missing=still,
         laws=laws,
         coloured=left,
+        coloured_noise=noise,
         random_torque=_random_torque(scene, best, pairs),
         parameters=values_of(scene, best.best),
         channels=other
@@ -503,7 +508,9 @@ class Posterior:
         signs = model
         if isinstance(model, CurveModel) and model.place.kind.factor != "direction":
             signs = self.search.tried.get(frozenset(model.added), model)
-        return at_work(self._needed_without(model, label), signs_of(signs.best))
+        each = at_work(self._needed_without(model, label), signs_of(signs.best))
+        # Beside coloured noise no torque is left.
+        return each if model.best.coloured is None else np.full_like(each, each[-1])
 
     def _needed_without(self, model: Tried | CurveModel, label: str | None) -> np.ndarray:
         """(I,) posterior of the random torque that a model needs without one of its effects, or
@@ -517,7 +524,7 @@ class Posterior:
         """Probability, given a model, that it needs no random torque that matters and that its
         names, if it has any, are at work."""
         work = np.min([self._at_work(model, x) for x in model.added] or 1.0, axis=0)
-        return float((work * model.weights)[COMPLETE].sum())
+        return float((work * model.weights)[model.enough].sum())
 
     def verdict(self) -> tuple[Verdict, float]:
         """The likeliest of the three, and its probability."""
@@ -630,6 +637,14 @@ class Posterior:
             if others:
                 found.append((label, *(x for _, x in sorted(others))))
         return tuple(found)
+
+
+def _coloured_noise(scene: Scene, fit: Fit) -> ColouredNoise | None:
+    """What a fit leaves, where the models have noise that is not white."""
+    if scene.coloured is None:
+        return None
+    each = zip(scene.joints, fit.experiment.reading_units, fit.rmse, strict=True)
+    return ColouredNoise(scene.coloured, {joint: (float(rms), unit) for joint, unit, rms in each})
 
 
 def _random_torque(

@@ -54,6 +54,9 @@ changes no stiffness by more than 0.01 % and no damping ratio by more than 5e-5,
 lightly damped joint's."""
 COMPLETE = np.array(INTENSITIES) <= NEGLIGIBLE
 """(I,) which random torques these are."""
+FAINT = np.array(INTENSITIES) <= INTENSITIES[3]
+"""(I,) of coloured noise, in the readings' own rms, the intensities beside which a model is
+complete: up to 3 %, above which it is as large as what effects do, and no noise to be left."""
 OUTSIDE = 1 / 5
 """Prior probability that what a joint lacks is of no effect in the catalogue: Laplace's rule of
 succession after three measured rigs (carts, EMPS, a double pendulum), whose authors' explanations
@@ -227,6 +230,13 @@ def log_prior_intensity(intensities: Sequence[float] | np.ndarray) -> np.ndarray
     """(I,) log prior of each intensity, of which 0 is one."""
     others = (1 - NO_RANDOM_TORQUE) / (len(INTENSITIES) - 1)
     return np.log(np.where(np.equal(intensities, 0), NO_RANDOM_TORQUE, others))
+
+
+def correlation_times(shortest: float, longest: float) -> np.ndarray:
+    """(T,) correlation times that coloured noise may have, equally likely, s: a factor of two
+    apart, which a posterior of it tells from a hundred readings, from the readings' own distance to
+    a radian of the slowest ringing. What changes more slowly is drift or motion."""
+    return shortest * 2.0 ** np.arange(1 + max(0, math.floor(math.log2(longest / shortest))))
 
 
 def prior_sizes(sizes: Sequence[float]) -> np.ndarray:

@@ -142,6 +142,21 @@ class RandomTorque:
         return finite({name: x for name, x in vars(self).items() if name != "joint"})
 
 
+class ColouredNoise(NamedTuple):
+    """Noise of the readings that is not white: an Ornstein-Uhlenbeck process beside their own."""
+
+    correlation_time: float
+    """s, to a factor of two."""
+    rms: dict[str, tuple[float, str]]
+    """What the last model leaves of each joint's readings: its rms, and their unit."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Its JSON."""
+        each = self.rms.items()
+        rms = {joint: {"value": number(x), "unit": unit} for joint, (x, unit) in each}
+        return {"correlation_time": number(self.correlation_time), "rms": rms}
+
+
 @dataclass(frozen=True)
 class Budget:
     """What was tried."""
@@ -201,6 +216,9 @@ class Diagnosis(TableResult):
     coloured: Coloured | None
     """What is left of the readings, where it is not noise though no torque is missing that would
     explain it: the verdict is then "unexplained"."""
+    coloured_noise: ColouredNoise | None
+    """The noise of the readings, where it is surely not white and a random torque does not explain
+    it: all models then have it in the place of that torque."""
     channels: ChannelError | None
     """What the columns are instead, where springs and dampers alone are likelier so than any model
     of the columns as they stand."""
@@ -260,6 +278,7 @@ class Diagnosis(TableResult):
             "next_experiment": self.next_experiment and self.next_experiment.to_dict(),
             "channels": self.channels and dict(vars(self.channels)),
             "coloured": self.coloured and self.coloured.to_dict(),
+            "coloured_noise": self.coloured_noise and self.coloured_noise.to_dict(),
             "laws": [law.to_dict() for law in self.laws],
             "missing_torque": summary(self.missing),
             "random_torque": {r.joint: r.to_dict() for r in self.random_torque},

@@ -44,6 +44,7 @@ from .evidence import (
     COMPLETE,
     CONTENDERS,
     EXPLAINS_NOTHING,
+    FAINT,
     FALL,
     HOPELESS,
     IN_PLAY,
@@ -53,6 +54,7 @@ from .evidence import (
     SETTLED,
     STRENGTHS,
     WIDTH,
+    correlation_times,
     half_normals,
     log_prior_intensity,
     log_prior_model,
@@ -112,7 +114,12 @@ class Tried:
     @property
     def complete(self) -> float:
         """Probability, given the model, that it needs no random torque that matters."""
-        return float(self.weights[COMPLETE].sum())
+        return float(self.weights[self.enough].sum())
+
+    @property
+    def enough(self) -> np.ndarray:
+        """(I,) the intensities with which the model needs no random torque that matters."""
+        return COMPLETE if self.best.coloured is None else FAINT
 
     @property
     def intensity(self) -> float:
@@ -453,7 +460,8 @@ def begun_as(start: Trajectory, known: Trajectory) -> Trajectory:
 def screening_motion(scene: Scene, model: Tried) -> tuple[Trajectory, float]:
     """The motion that candidates are screened along, and its random torque: the likeliest, or one
     that still lets the readings lead."""
-    intensity = max(model.intensity, READINGS_LEAD)
+    noise = model.best.coloured is not None  # which leads nowhere
+    intensity = model.intensity if noise else max(model.intensity, READINGS_LEAD)
     if intensity == model.intensity:
         return model.best, intensity
     system = scene.linearised(model.best)
@@ -487,6 +495,8 @@ class Search:
         parents, with the evidence that the first order gives."""
         self.exact: Callable[[Tried], Simulated | None] | None = None
         """A model without a random torque, by exact simulation, if that can be had."""
+        self._white: tuple | None = None
+        """What was known under white noise, where all models have another noise now."""
         self.curves: list[Any] = []
         """`law.CurveModel`s: models with a law that has no name."""
         self.reassignments: Sequence[Any] = ()
@@ -553,37 +563,103 @@ class Search:
             other = self.reassigned
             if other and (other.tried.complete > 0.5 or self.base.intensity >= WIDTH):
                 return  # nothing is left to be explained, or as much as effects are
-            extended: set[frozenset[str]] = set()
-            self.screen(self.base)
-            self._simulate()
-            while not extended or self.best.intensity < EXPLAINS_NOTHING:
-                best = frozenset(self.best.added)
-                if best in extended or len(best) >= most:
-                    # Each effect in turn might have another in its place.
-                    model = self.best
-                    todo = [x for x in model.added if best - {x} not in extended]
-                    if not todo:
-                        break
-                    self._simplify([(model, x, None) for x in todo if best - {x} not in self.tried])
-                    rest = [best - {x} for x in todo]
-                    extended.update(x for x in rest if x not in self.tried)  # no motion has it
-                    found = [x for x in rest if x in self.tried]
-                    if not found:
-                        continue
-                    best = found[0]
-                self.extend(self.tried[best])
-                likelier = frozenset(self.best.added) != best
-                # Of pairs there is the first order alone, which is right where little is left.
-                little = self.best.intensity < READINGS_LEAD
-                if not likelier and little and len(best) + 2 <= most:
-                    self.extend_by_two(self.tried[best])
-                extended.add(best)
-                self.reduce()
-                self._exchange()
-                self._simulate()
+            explains = self.base.intensity < EXPLAINS_NOTHING
+            if explains or not self._in_coloured_noise(most):
+                self._grow(most)
+                if explains and self.best.complete < 0.5:
+                    self._in_coloured_noise(most)
             self._take_each_away()
             if self.best.intensity >= EXPLAINS_NOTHING:  # then no name says anything
                 self.tried, self.passed = {frozenset(): self.base}, {}
+
+    def _in_coloured_noise(self, most: int) -> bool:
+        """Go on with noise that is not white in the place of a random torque; whether that leaves a
+        complete model. If not, all is as before."""
+        self._colour_noise()
+        if self.scene.coloured is not None:
+            self._grow(most)
+            if self.best.complete < 0.5:
+                self.whiten_noise()
+        return self.scene.coloured is not None
+
+    def _grow(self, most: int) -> None:
+        """Add effects, `most` at most."""
+        extended: set[frozenset[str]] = set()
+        self.screen(self.base)
+        self._simulate()
+        while not extended or self.best.intensity < EXPLAINS_NOTHING:
+            best = frozenset(self.best.added)
+            if best in extended or len(best) >= most:
+                # Each effect in turn might have another in its place.
+                model = self.best
+                todo = [x for x in model.added if best - {x} not in extended]
+                if not todo:
+                    return
+                self._simplify([(model, x, None) for x in todo if best - {x} not in self.tried])
+                rest = [best - {x} for x in todo]
+                extended.update(x for x in rest if x not in self.tried)  # no motion has it
+                found = [x for x in rest if x in self.tried]
+                if not found:
+                    continue
+                best = found[0]
+            self.extend(self.tried[best])
+            likelier = frozenset(self.best.added) != best
+            # Of pairs there is the first order alone, which is right where little is left.
+            little = self.best.intensity < READINGS_LEAD
+            if not likelier and little and len(best) + 2 <= most:
+                self.extend_by_two(self.tried[best])
+            extended.add(best)
+            self.reduce()
+            self._exchange()
+            self._simulate()
+
+    def _colour_noise(self) -> None:
+        """Give all models noise that is not white in the place of a random torque, if the readings
+        are surely likelier so: an Ornstein-Uhlenbeck process, as that torque is, of the likeliest
+        correlation time."""
+        scene, prior, every = self.scene, log_prior_intensity(INTENSITIES), range(len(INTENSITIES))
+        longest = 1.0 / min(s.frequency for s in scene.scales)
+        times = correlation_times(float(np.median(np.diff(scene.recordings[0].time))), longest)
+        each = []
+        for model in dict.fromkeys([self.base, self.best]):
+            # Linearised, a model is the same with noise of any time.
+            linear = scene.with_noise(longest).linearised(model.best)
+            for own in times.tolist():
+                self.in_time()
+                known = _evidences(scene.with_noise(own), model.best, linear, np.array(every))
+                log = over_intensities(known) + model.log_prior - math.log(len(times))
+                each.append((log, own, INTENSITIES[int(np.argmax(known + prior))]))
+        log, time_, loudest = max(each)
+        if log < self.best.log_posterior + INDISTINGUISHABLE:
+            return
+        self.say("weighing noise that is not white")
+        models, scene = list(self.tried.values()), scene.with_noise(time_)
+        found = settle(scene, [m.best for m in models], loudest, self.in_time)
+        settled = [(m, f) for m, f in zip(models, found, strict=True) if f is not None]
+        if not any(model is self.base for model, _ in settled):
+            return
+        self._white = self.scene, self.tried, self.passed, self.screens, self.reassignments
+        self.scene, self.tried, self.passed, self.screens, self.reassignments = (
+            scene,
+            {},
+            {},
+            {},
+            (),
+        )
+        self._reduced.clear()
+        for model, own in settled:
+            self._keep(model.added, *own)
+
+    @property
+    def led(self) -> Tried:
+        """The base model under a random torque, whatever the noise."""
+        return self._white[1][frozenset()] if self._white else self.base
+
+    def whiten_noise(self) -> None:
+        """Take back what `_colour_noise` did."""
+        if self._white:
+            self.scene, self.tried, self.passed, self.screens, self.reassignments = self._white
+            self._white = None
 
     @contextlib.contextmanager
     def ending(self) -> Iterator[None]:
@@ -598,7 +674,7 @@ class Search:
     def _simulate(self) -> None:
         """The evidence of each model in play that may need no random torque, by exact simulation,
         until no other is in play."""
-        while self.exact is not None:
+        while self.exact is not None and self.scene.coloured is None:
             lowest = self.best.log_posterior + math.log(IN_PLAY)
             todo = [
                 t
@@ -636,7 +712,7 @@ class Search:
             self._keep((*parent.added, label), *found)
         model = self.tried[key]
         known = self.exact is None or model.best in self._simulated
-        if not known and _may_be_complete(model):
+        if not known and self.scene.coloured is None and _may_be_complete(model):
             self._without_torque([model])
         return self.tried[key]
 
@@ -655,7 +731,8 @@ class Search:
             effects = [e for e in self.candidates if self._may_join(e, trajectory)]
             columns = Columns(self.scene, trajectory, effects, lines, linear=linear)
             screen = self.screens[key] = Screen(columns, screened_at(intensity))
-            if parent.complete <= 0.5:  # else little is left, and the first order right
+            little = parent.complete > 0.5 and self.scene.coloured is None
+            if not little:  # else the first order is right
                 screen.revise(self._sticking(screen, trajectory, linear, intensity))
         return self.screens[key]
 

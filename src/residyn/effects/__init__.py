@@ -36,6 +36,7 @@ from .inertia import InertiaError as InertiaError
 from .inertia import PrintedInertiaTorque as PrintedInertiaTorque
 from .memory import BrakeSlip as BrakeSlip
 from .memory import Hysteresis as Hysteresis
+from .memory import Relaxation as Relaxation
 from .own import check_instance, checked, installed, read_effects
 from .own_numbers import shared
 from .sensor import SensorCurve as SensorCurve

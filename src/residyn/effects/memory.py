@@ -1,15 +1,16 @@
 """Torques that remember: what they are depends on how the joint came to its angle.
 
-Against the angle such a torque draws a loop instead of a line, of the same shape however slowly one
-goes round it. Bouc and Wen's law has an internal state with a rate of its own; a brake that slips
-follows the angle instead, at a distance that its holding torque allows.
+Against the angle such a torque draws a loop instead of a line. That of dry friction inside has the
+same shape however slowly one goes round it: Bouc and Wen's law has an internal state with a rate of
+its own; a brake that slips follows the angle instead, at a distance that its holding torque allows.
+A spring that relaxes draws a line when it is slow or fast, and a loop between.
 """
 
 import jax.numpy as jnp
 
 from ..physics.effect import JointEffect
 from ..physics.motion import Scalar
-from ..physics.parameter import ANGLE, RATIO, STIFFNESS, TORQUE, Memory, param
+from ..physics.parameter import ANGLE, DURATION, RATIO, STIFFNESS, TORQUE, Memory, param
 
 
 class Hysteresis(JointEffect):
@@ -111,3 +112,40 @@ class BrakeSlip(JointEffect):
 
     def joint_follow(self, motion):
         return (self._slip(motion),)
+
+
+class Relaxation(JointEffect):
+    """A Maxwell element: a spring in series with a damper, which relaxes in the time tau.
+
+    Beside the joint's own spring it makes the standard linear solid: stiffer when fast than when
+    slow, and most damped at 1/tau. x is what the damper has given way.
+    """
+
+    name = "relaxation"
+    title = "Relaxing spring"
+    family = "viscoelastic law"
+    equation = "s (q - x), tau x' = q - x"
+    looks_like = "modes of different frequency are damped, and stiffened, as no one damper does"
+    source = "Maxwell 1867; Zener, Elasticity and Anelasticity of Metals, 1948"
+    dissipates = True
+    memory = (Memory("x", ANGLE),)
+
+    stiffness: Scalar = param("stiffness that relaxes", STIFFNESS, sign="positive")
+    time: Scalar = param(
+        "time in which it relaxes",
+        DURATION,
+        sign="positive",
+        silent=None,
+        default=1.0,
+        grid=(0.3, 1.0, 3.0, 10.0),
+    )
+
+    def begin(self, motion, mechanism):
+        # Where a slow pull from rest to the first angle leaves it.
+        return (motion.q[mechanism.joints.index(self.joint)],)
+
+    def joint_torque(self, motion):
+        return self.stiffness * (motion.q - motion.memory[0])
+
+    def joint_rate(self, motion):
+        return ((motion.q - motion.memory[0]) / jnp.abs(self.time),)

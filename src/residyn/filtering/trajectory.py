@@ -9,6 +9,7 @@ Every number of a model is a *regressor* u with a unit normal prior: number = me
 mean exp(width u) for a shape.
 """
 
+import copy
 import dataclasses
 import math
 from collections.abc import Sequence
@@ -86,6 +87,7 @@ class Trajectory:
     covariance: np.ndarray  # (P, P) of u
     torque: np.ndarray  # (K, n) the random torque, on the drive's side of Eq. 1
     torque_variance: np.ndarray
+    coloured: float | None = None  # correlation time of the noise, if it was smoothed under that
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -136,6 +138,9 @@ class Scene:
         self.catalogued = catalogue_on(richest(mechanisms))
         self.fixed: tuple[str, ...] = ()
         """Labels of the effects that all models of a search have: one program serves all."""
+        self.coloured: float | None = None
+        """Correlation time, s, of noise of the readings that is not white, whose intensity then
+        stands where the random torque's does; None: all their noise is white."""
         self.orders = recordings[0].orders if any(recordings[0].orders) else ()
         self._laws: dict[tuple[tuple[str, type], ...], Laws] = {}
         self.n, self.K = n, len(g.time)
@@ -179,6 +184,12 @@ class Scene:
             first_angle=np.concatenate([q[1:], q[-1:]]).T,
             mechanisms=stacked_mechanisms(mechanisms, bucket(len(mechanisms), least=RUNS)),
         )
+
+    def with_noise(self, coloured: float | None) -> "Scene":
+        """The same recordings with noise of this correlation time, s, or white."""
+        other = copy.copy(self)
+        other.coloured = coloured
+        return other
 
     @property
     def length(self) -> int:
@@ -241,7 +252,14 @@ class Scene:
     def linearised(self, t: Trajectory) -> Linear:
         """A model as a linear system along its own motion."""
         point = Point(t.path, t.spread, t.u, t.first)
-        return linearise(*self.tabulated(t), self.instants, point)
+        found = linearise(*self.tabulated(t), self.instants, point)
+        if self.coloured is None:
+            return found
+        # Coloured noise has the random torque's law, but is added to the readings.
+        system = found.system
+        added = np.tile(np.eye(self.n), (self.K, 1, 1))
+        silent = {"T": np.zeros_like(system.T), "unsure": np.zeros_like(system.unsure)}
+        return found._replace(system=system._replace(Ht=added, **silent))
 
     def torques(self, t: Trajectory, linear: Linear | None = None) -> dict[str, np.ndarray]:
         """(K, n) torque of each effect of a model along its own motion, N m; what acts on readings
@@ -265,7 +283,8 @@ class Scene:
     def noise(self, t: Trajectory) -> Noise:
         """First state, known to its typical size, and random torque: of typical torques (rms) at
         intensity 1, correlated over one radian of a joint's ringing, for what it stands for changes
-        no faster than the motion does."""
+        no faster than the motion does. Coloured noise in its place: of the readings' own rms at
+        intensity 1."""
         n, g = self.n, self.grid
         amplitude = np.array([s.amplitude for s in self.scales])
         pace = np.array([s.frequency for s in self.scales])
@@ -275,8 +294,10 @@ class Scene:
             memory[own] = [float(each.dimension.size(scale)) for each in effect.memory]
         mean = np.concatenate([self.q[self.begins[0]], np.zeros(n), t.first[0]])
         variance = np.concatenate([amplitude, amplitude * pace, memory]) ** 2
-        loud = self.torque**2
-        decay = np.where(g.last[:, None], 0.0, np.exp(-g.step[:, None] * pace))
+        loud, fades = self.torque**2, pace
+        if self.coloured is not None:
+            loud, fades = np.var(g.angle, axis=0, where=g.seen), np.full(n, 1.0 / self.coloured)
+        decay = np.where(g.last[:, None], 0.0, np.exp(-g.step[:, None] * fades))
         growth = np.concatenate([np.zeros((self.K, len(mean))), loud * (1 - decay**2)], 1)
         growth[g.last, : len(mean)] += variance
         return Noise(mean, np.concatenate([variance, loud]), decay, growth)
@@ -310,6 +331,8 @@ class Scene:
         evidence, u, covariance, mean, variance = map(np.asarray, found)
         if not (np.isfinite(evidence) and np.isfinite(mean).all()):
             return None
+        coloured = self.coloured is not None  # then there is no random torque
+        torque = 0.0 * mean[:, X:] if coloured else mean[:, X:]
         moved = dataclasses.replace(
             t,
             u=t.u + share * (u - t.u),
@@ -317,9 +340,12 @@ class Scene:
             spread=np.sqrt(np.maximum(variance[:, n : 2 * n], 1e-18)),
             log_evidence=float(evidence),
             covariance=covariance,
-            torque=mean[:, X:],
+            torque=torque,
             # Readings make nothing less sure; rounding may, of a motion that grows exponentially.
-            torque_variance=np.clip(variance[:, X:], 0.0, (intensity * self.torque) ** 2),
+            torque_variance=np.clip(
+                variance[:, X:], 0.0, 0.0 if coloured else (intensity * self.torque) ** 2
+            ),
+            coloured=self.coloured,
         )
         return self.consistent(moved)
 

@@ -61,6 +61,12 @@ _VALUES = 44  # columns of a candidate's numbers in a terminal
 _FAMILIES, _SHOWN = 5, 0.005  # families on a page, and the probability from which one has a line
 
 
+_SMOOTHED = (
+    "Of readings that were filtered or interpolated the noise is larger than it seems: say it in "
+    "the experiment file (noise)."
+)
+
+
 # -- the verdict ---------------------------------------------------------------------------------
 
 
@@ -74,7 +80,7 @@ def sentences(found: Diagnosis) -> tuple[str, ...]:
         named = [_families, _laws] if found.added else [_families, _none_named]
         named = [_none_named, _standing_in] if _stand_in(found) else named
         left = _left if found.coloured is None else _coloured
-        parts = [_unphysical, *named, laws.sentences, _others, _fall, left]
+        parts = [_unphysical, *named, laws.sentences, _others, _fall, _noise, left]
     return tuple(words for part in (_stopped, *parts) for words in part(found))
 
 
@@ -134,7 +140,7 @@ def _nothing_explained(found: Diagnosis) -> Iterator[str]:
     yield (
         "Check the recordings first: the units (rad or m, s), whether angles are counted from "
         "where the joints rest, whether each column is the joint that it is named after, and "
-        "whether the inertias are of this arm."
+        f"whether the inertias are of this arm. {_SMOOTHED}"
     )
     angles = [np.where(r.used, r.recording.angle, np.nan) for r in found.fit.fitted]
     each = zip(found.fit.joints, np.concatenate(angles).T, strict=True)
@@ -401,7 +407,23 @@ def _coloured(found: Diagnosis) -> Iterator[str]:
     yield (
         f"What is left{at(left.joint, found.fit.joints)} is {times(left.ratio)} times the noise, "
         f"and not white{line}; no torque that changes as the arm moves explains it. Look at the "
-        "sensor, at what carries it, and for hum in its cable."
+        f"sensor, at what carries it, and for hum in its cable. {_SMOOTHED}"
+    )
+
+
+def _noise(found: Diagnosis) -> Iterator[str]:
+    """Noise that is not white, and what of the report supposes that it is."""
+    noise = found.coloured_noise
+    if noise is None:
+        return
+    each = listed([
+        f"{plain(rms, 2)} {unit} rms{at(joint, found.fit.joints)}"
+        for joint, (rms, unit) in noise.rms.items()
+    ])  # fmt: skip
+    yield (
+        f"The noise of the readings is not white: {each}, correlated over about "
+        f"{plain(noise.correlation_time, 2)} s. The probabilities count that; the standard errors "
+        "of the fit do not, and are too small."
     )
 
 
