@@ -322,8 +322,9 @@ def conditional(gram: np.ndarray, base: int) -> tuple[np.ndarray, np.ndarray]:
     """
     keep, own = np.r_[0, 1 + base : gram.shape[-1]], gram[..., 1 : 1 + base, :]
     factor = gram_factor(own[..., 1 : 1 + base] + np.eye(base))
-    across = np.linalg.solve(factor, own[..., keep])
-    rest = gram[..., keep[:, None], keep] - across.mT @ across
+    with np.errstate(over="ignore", invalid="ignore"):  # of a motion that runs away
+        across = np.linalg.solve(factor, own[..., keep])
+        rest = gram[..., keep[:, None], keep] - across.mT @ across
     logs = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
     return -0.5 * rest[..., 0, 0] - logs, rest
 

@@ -127,7 +127,6 @@ class Relaxation(JointEffect):
     equation = "s (q - x), tau x' = q - x"
     looks_like = "modes of different frequency are damped, and stiffened, as no one damper does"
     source = "Maxwell 1867; Zener, Elasticity and Anelasticity of Metals, 1948"
-    dissipates = True
     memory = (Memory("x", ANGLE),)
 
     stiffness: Scalar = param("stiffness that relaxes", STIFFNESS, sign="positive")
