@@ -333,8 +333,13 @@ def _fall(found: Diagnosis) -> Iterator[str]:
     worst = int(np.nanargmax([x for x, _ in first]))
     joint = at(found.fit.joints[worst], found.fit.joints)
     (before, held_before), (after, held_after) = first[worst], last[worst]
+    held_out = found.ladder[-1].held_out
+    expected = None if held_out is None else held_out.held_out.expected
+    right = ""  # what the noise in the fitted readings does to a prediction, where it shows
+    if expected is not None and times(expected[worst]) != times(1.0):
+        right = f"; {times(expected[worst])} is expected of a right model"
     if not found.added:
-        held = "" if held_before is None else f" ({times(held_before)} times {HELD_OUT})"
+        held = "" if held_before is None else f" ({times(held_before)} times {HELD_OUT}{right})"
         yield f"The error{joint} is {times(before)} times the noise{held}."
         return
     digits = next((d for d in (2, 3) if plain(before, d) != plain(after, d)), 4)
@@ -344,7 +349,7 @@ def _fall(found: Diagnosis) -> Iterator[str]:
         f"{plain(before, digits)} to {plain(after, digits)} times the noise"
     )
     if held_before is not None and held_after is not None:
-        words += f" ({HELD_OUT}: from {times(held_before)} to {times(held_after)})"
+        words += f" ({HELD_OUT}: from {times(held_before)} to {times(held_after)}{right})"
     part = explained_share(found)
     if found.verdict == "unexplained" and math.isfinite(part):
         words += f"; that explains {share(part)} of the squared error above the noise"
