@@ -508,9 +508,8 @@ class Posterior:
         signs = model
         if isinstance(model, CurveModel) and model.place.kind.factor != "direction":
             signs = self.search.tried.get(frozenset(model.added), model)
-        each = at_work(self._needed_without(model, label), signs_of(signs.best))
-        # Beside coloured noise no torque is left.
-        return each if model.best.coloured is None else np.full_like(each, each[-1])
+        before, noise = self._needed_without(model, label), model.best.coloured is not None
+        return at_work(before, signs_of(signs.best), noise)
 
     def _needed_without(self, model: Tried | CurveModel, label: str | None) -> np.ndarray:
         """(I,) posterior of the random torque that a model needs without one of its effects, or

@@ -247,7 +247,7 @@ def prior_sizes(sizes: Sequence[float]) -> np.ndarray:
     return -np.diff(erf(edges / WIDTH / math.sqrt(2)))
 
 
-def at_work(before: np.ndarray, signs: Any = 1.0) -> np.ndarray:
+def at_work(before: np.ndarray, signs: Any = 1.0, noise: bool = False) -> np.ndarray:
     """(..., I) probability that an effect of a model is at work, for each random torque that the
     model still needs; `before` (..., I) is the posterior of the one that it needs without it.
 
@@ -257,11 +257,15 @@ def at_work(before: np.ndarray, signs: Any = 1.0) -> np.ndarray:
     a name is sure where it leaves next to nothing of that, and doubtful where it leaves much of it,
     whatever the number of readings. What stands in for another torque may have either sign: `signs`
     (I,) is what those of springs, dampers and all effects say against them (`right_signs`).
+
+    With `noise`, intensities are those of coloured noise, which is left in any case: it hides all
+    that is fainter, so that of either alternative counts that as much or less is left.
     """
-    return before @ (signs * _SHARES / (signs * _SHARES + 1.0 - _SHARES))
+    shares = _SHARES_OR_LESS if noise else _SHARES
+    return before @ (signs * shares / (signs * shares + 1.0 - shares))
 
 
-def _at_work_of() -> np.ndarray:
+def _at_work_of(or_less: bool) -> np.ndarray:
     """(I, I) the same for each random torque before, if all signs are as they should be."""
     sizes, prior = np.array(INTENSITIES), np.exp(log_prior_intensity(INTENSITIES))
     loud = int(np.count_nonzero(~COMPLETE))  # one cell for each, and one for as good as none
@@ -271,6 +275,8 @@ def _at_work_of() -> np.ndarray:
     for k, size in enumerate(sizes[:loud]):
         outside = OUTSIDE * -np.diff(np.minimum(edges, size))[k:] / size
         work = (1.0 - OUTSIDE) * prior[k:] / prior[k:].sum()
+        if or_less:
+            outside, work = (np.cumsum(x[::-1])[::-1] for x in (outside, work))
         share[k, k:] = work / (work + outside)
         share[k, :k] = share[k, k]
     # More that was missing makes no name less sure, nor more that is left a surer one.
@@ -280,7 +286,7 @@ def _at_work_of() -> np.ndarray:
     return share[np.ix_(cell, cell)]
 
 
-_SHARES = _at_work_of()
+_SHARES, _SHARES_OR_LESS = _at_work_of(False), _at_work_of(True)
 
 
 def log_sum(logs) -> float:
