@@ -41,7 +41,7 @@ from .law import (
 )
 
 _AT_ONCE = 64  # instants: their slopes, some 4 KB each, stay in a second-level cache
-_NEWTON = 4  # steps to the friction of joints that hold each other
+_NEWTON = 5  # steps to the friction of joints that hold each other
 _IN_A_CALL = 8  # times as many: a divisor of all grids' lengths, and long beside what a call costs
 
 
@@ -315,23 +315,24 @@ def _field(mechanism, at: Nodes, drive, s: Sums) -> Field:
     alone = (rest + pushed(free)) / light
     across = unit / light[:, None] * (1.0 - jnp.eye(n))[..., None]
 
-    def rubbing(friction):
-        """Friction, what holds each joint beside that of the others, and how the two differ."""
+    def together(level_by_held):  # what friction at each joint makes of it at all
+        return tuple(map(tuple, jnp.eye(n)[..., None] + level_by_held[:, None] * across))
+
+    def newton(_, known):
+        friction, *_ = known
         needed = alone - jnp.sum(across * friction[None], axis=1)
         found = expected_direction(at.v, needed, level, at.spread, RAMP * at.step * light)
         direction, slopes = jax.lax.optimization_barrier(found)
-        matrix = jnp.eye(n)[..., None] + (level * slopes[1])[:, None] * across
-        return direction, slopes, tuple(map(tuple, matrix))
-
-    def newton(_, friction):
-        direction, _, matrix = rubbing(friction)
         off = friction - level * direction
-        return friction - stack(solve_inertia(matrix, tuple(off)))
+        step = stack(solve_inertia(together(level * slopes[1]), tuple(off)))
+        return friction - step, direction, slopes
 
-    friction = jnp.zeros((n, N))
-    if n > 1:  # friction at one joint changes what holds another
-        friction = jax.lax.fori_loop(0, _NEWTON, newton, friction)
-    direction, (by_v, by_held, by_level), matrix = rubbing(friction)
+    # Friction at one joint changes what holds another.
+    begin = jnp.zeros((n, N)), jnp.zeros((n, N)), jnp.zeros((3, n, N))
+    steps = _NEWTON if n > 1 else 1
+    _, direction, slopes = jax.lax.fori_loop(0, steps, newton, begin)
+    by_v, by_held, by_level = slopes
+    matrix = together(level * by_held)
     # Slopes at the torque that acts, friction included.
     total = free - level * direction
     a = rest + pushed(total)

@@ -186,7 +186,7 @@ def _standing_in(found: Diagnosis) -> Iterator[str]:
     own = accepted(found)
     yield (
         f"{upper(listed([_family(f, found) for f in own]))} "
-        f"{'takes' if len(found.added) == 1 else 'take'} up a part of it, but cannot be its cause "
+        f"{'takes' if len(own) == 1 else 'take'} up a part of it, but cannot be its cause "
         f"({percent(max(f.probability for f in own))}): numbers that must be positive are negative."
     )
 
