@@ -397,7 +397,7 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
         parameters=values_of(scene, best.best),
         channels=other
         and ChannelError(other.channels.words, posterior.of_reassigned, other.tried.complete > 0.5),
-        intensity=float(np.dot(best.weights, INTENSITIES)),
+        intensity=0.0 if noise else float(np.dot(best.weights, INTENSITIES)),
         explains_nothing=best.intensity >= EXPLAINS_NOTHING,
         budget=Budget(len(search.tried), len(search.candidates), search.stopped),
         seconds=time.perf_counter() - began,

@@ -639,13 +639,8 @@ class Search:
         if not any(model is self.base for model, _ in settled):
             return
         self._white = self.scene, self.tried, self.passed, self.screens, self.reassignments
-        self.scene, self.tried, self.passed, self.screens, self.reassignments = (
-            scene,
-            {},
-            {},
-            {},
-            (),
-        )
+        self.scene, self.tried, self.passed, self.screens = scene, {}, {}, {}
+        self.reassignments = ()
         self._reduced.clear()
         for model, own in settled:
             self._keep(model.added, *own)

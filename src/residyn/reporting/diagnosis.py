@@ -333,8 +333,8 @@ def _fall(found: Diagnosis) -> Iterator[str]:
     worst = int(np.nanargmax([x for x, _ in first]))
     joint = at(found.fit.joints[worst], found.fit.joints)
     (before, held_before), (after, held_after) = first[worst], last[worst]
-    held_out = found.ladder[-1].held_out
-    expected = None if held_out is None else held_out.held_out.expected
+    ahead = found.ladder[-1].held_out
+    expected = None if ahead is None else ahead.held_out.expected
     right = ""  # what the noise in the fitted readings does to a prediction, where it shows
     if expected is not None and times(expected[worst]) != times(1.0):
         right = f"; {times(expected[worst])} is expected of a right model"
