@@ -40,6 +40,8 @@ def sentences(found: Diagnosis) -> Iterator[str]:
     held = _held_out(found, law)
     if held:
         yield held
+    if law.variable == "time" and not law.factor:
+        yield "A sensor whose zero drifts moves the readings in the same way."
     if others:
         rest = [f"{what(x, joints)} ({percent(x.probability)})" for x in others]
         yield f"It may also be {' or '.join(rest)}."
@@ -54,10 +56,11 @@ def _held_out(found: Diagnosis, law: Law) -> str:
     if not np.isfinite([before[j], after[j]]).all():
         return ""
     first, last = times(float(before[j])), times(float(after[j]))
+    error = f"With it the held-out error{at(law.joint, found.fit.joints)}"
     if first == last:
-        return f"With it the held-out error stays {last} times the noise."
+        return f"{error} stays {last} times the noise."
     verb = "falls" if after[j] < before[j] else "rises"
-    return f"With it the held-out error {verb} from {first} to {last} times the noise."
+    return f"{error} {verb} from {first} to {last} times the noise."
 
 
 def text(found: Diagnosis) -> list[str]:
