@@ -144,6 +144,7 @@ def searched(study: Study, since: Sequence[int] = (0, 0)) -> dict[str, Any]:
             "probability": found.verdict_probability,
             "added": list(found.added),
             "lookalikes": [list(x) for x in found.lookalikes],
+            "coloured": found.coloured_noise is not None,
             "check": " ".join(found.words) if found.channels or found.explains_nothing else "",
             "next": "" if found.next_experiment is None else unbroken(found.next_experiment.words),
         },

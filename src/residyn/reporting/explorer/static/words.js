@@ -77,6 +77,9 @@ export function verdict({ model, base, chosen, candidates, joints, heldOut, like
   const noise = joints.every(
     (_, j) => model.fitted[j] <= NOISE && (!model.held_out || model.held_out[j] <= NOISE),
   );
+  const missing = found?.coloured
+    ? "noise that is not white, or something is still missing"
+    : "something is missing";
   const words = found?.check ? [found.check] : [];
   if (!chosen.length) {
     const each = joints.map(
@@ -85,7 +88,7 @@ export function verdict({ model, base, chosen, candidates, joints, heldOut, like
     words.push(
       noise
         ? "Springs and dampers leave nothing but noise: nothing is missing."
-        : `Springs and dampers leave ${listed(each)}: something is missing.`,
+        : `Springs and dampers leave ${listed(each)}: ${missing}.`,
     );
   } else {
     const j = top(base.fitted);
@@ -102,7 +105,13 @@ export function verdict({ model, base, chosen, candidates, joints, heldOut, like
       falls += ` from ${times(base.held_out[j])} to ${times(model.held_out[j])}`;
     }
     words.push(`${falls}.`);
-    words.push(noise ? "Nothing is left but noise." : "Something is still missing.");
+    words.push(
+      noise
+        ? "Nothing is left but noise."
+        : found?.coloured
+          ? `What is left is ${missing}.`
+          : "Something is still missing.",
+    );
   }
   if (!noise && likeliest && !found?.check) {
     const name = placed(candidates.get(likeliest.label), joints);
