@@ -89,6 +89,12 @@ def test_a_relaxing_spring_is_the_standard_linear_solid():
     np.testing.assert_allclose(residyn.simulate(model, t, start).q, exact, atol=2e-5)
 
 
+def test_one_joint_has_no_relaxing_spring():
+    """At its one frequency it is a spring and a damper, and with these the readings choose none."""
+    with pytest.raises(ValueError, match="needs a second joint"):
+        residyn.Relaxation.places(residyn.ConstantInertia([[1.0]], ["cart"], ["m"]))
+
+
 def test_a_relaxing_spring_is_named_with_its_numbers():
     t, start, noise = np.arange(1500) / 100, np.array([0.2, -0.1]), 1e-3
     q = relaxing(MATRIX, [20.0, 12.0], [0.1, 0.05], 1, 3.0, 0.25, start, t)

@@ -139,6 +139,15 @@ class Relaxation(JointEffect):
         grid=(0.3, 1.0, 3.0, 10.0),
     )
 
+    @classmethod
+    def places(cls, mechanism):
+        if len(mechanism.joints) < 2:
+            raise ValueError(
+                f"{cls.name} needs a second joint: one rings at one frequency, at which a spring "
+                "that relaxes is a spring and a damper"
+            )
+        return super().places(mechanism)
+
     def begin(self, motion, mechanism):
         # Where a slow pull from rest to the first angle leaves it.
         return (motion.q[mechanism.joints.index(self.joint)],)
