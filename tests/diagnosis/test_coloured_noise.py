@@ -8,46 +8,33 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
 import residyn
 from residyn.diagnosis.evidence import prior_of
 from residyn.diagnosis.missing_torque import scene_of
 from residyn.recordings.tables import InertiaTable
+from tests.exact import dry_motion
 
 INERTIA, STIFFNESS, DAMPING = 0.31, 9.4, 0.03
 STEP, RMS, TIME = 0.01, 2e-3, 0.045  # s; rad, and s of the noise
 
 
-def recorded(friction: float = 0.0, seed: int = 0, duration: float = 20.0) -> residyn.Experiment:
-    """A torsion pendulum, by SciPy from one reversal to the next, read with AR(1) noise."""
+def recorded(
+    friction: float = 0.0, seed: int = 0, duration: float = 20.0, white: bool = False
+) -> residyn.Experiment:
+    """A torsion pendulum, from one reversal to the next, read with AR(1) noise or white noise."""
     time = np.arange(0.0, duration, STEP)
-    q, v, t, angle = 0.25, 0.0, 0.0, np.empty_like(time)
-    while t < time[-1]:
-        way = -np.sign(q)  # of the swing to come
-        if abs(STIFFNESS * q) <= friction:
-            angle[time >= t] = q
-            break
-
-        def rates(_, x, way=way):
-            return x[1], -(STIFFNESS * x[0] + DAMPING * x[1] + friction * way) / INERTIA
-
-        def turns(_, x):
-            return x[1]
-
-        turns.terminal, turns.direction = True, -way
-        rest = t, time[-1] + STEP
-        part = solve_ivp(rates, rest, (q, v), events=turns, dense_output=True, rtol=1e-10)
-        here = (time >= t) & (time <= part.t[-1])
-        angle[here] = part.sol(time[here])[0]
-        t, q, v = part.t[-1], part.y[0, -1], 0.0
-    rng, keeps = np.random.default_rng(seed), np.exp(-STEP / TIME)
-    noise = np.empty_like(time)
-    noise[0] = RMS * rng.standard_normal()
-    for k, x in enumerate(RMS * np.sqrt(1 - keeps**2) * rng.standard_normal(len(time) - 1)):
-        noise[k + 1] = keeps * noise[k] + x
-    recording = residyn.Recording.from_arrays(time, (angle + noise)[:, None])
+    angle = dry_motion(
+        lambda q, v: (INERTIA * np.eye(1), -STIFFNESS * q - DAMPING * v),
+        np.array([friction]), np.array([0.25, 0.0]), time,
+    )  # fmt: skip
+    keeps = 0.0 if white else np.exp(-STEP / TIME)
+    pushed = RMS * np.sqrt(1 - keeps**2) * np.random.default_rng(seed).standard_normal(len(time))
+    pushed[0] /= np.sqrt(1 - keeps**2)  # it is stationary from the first
+    noise = lfilter([1.0], [1.0, -keeps], pushed)
+    recording = residyn.Recording.from_arrays(time, angle + noise[:, None])
     table = InertiaTable(("joint",), [[INERTIA]], ("rad",))
     return residyn.Experiment(table, (recording,))
 
@@ -105,17 +92,6 @@ def test_friction_is_found_in_coloured_noise():
 
 
 def test_white_noise_is_not_called_coloured():
-    experiment = recorded()
-    (recording,) = experiment.recordings
-    rng = np.random.default_rng(5)
-    time = recording.time
-    decay = DAMPING / 2 / INERTIA
-    w = np.sqrt(STIFFNESS / INERTIA - decay**2)
-    q = 0.25 * np.exp(-decay * time) * (np.cos(w * time) + decay / w * np.sin(w * time))
-    q = q + RMS * rng.standard_normal(len(time))
-    plain = dataclasses.replace(
-        experiment, recordings=(residyn.Recording.from_arrays(time, q[:, None]),)
-    )
-    found = residyn.diagnose(plain)
+    found = residyn.diagnose(recorded(seed=5, white=True))
     assert found.verdict == "adequate"
     assert found.coloured_noise is None
