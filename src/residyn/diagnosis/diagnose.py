@@ -373,7 +373,7 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
     still = missing_of(scene, best, pairs=pairs)
     missing = still
     if best.added:
-        missing = missing_of(fits.scene, search.led, [*shown, *others[:CURVES]])
+        missing = missing_of(fits.scene, search.base_under_torque, [*shown, *others[:CURVES]])
     verdict, probability = posterior.verdict()
     noise = _coloured_noise(scene, models[-1].fit)
     # All evidences are those of white noise: where none is that, no model of them is adequate.

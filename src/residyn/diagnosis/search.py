@@ -460,7 +460,7 @@ def begun_as(start: Trajectory, known: Trajectory) -> Trajectory:
 def screening_motion(scene: Scene, model: Tried) -> tuple[Trajectory, float]:
     """The motion that candidates are screened along, and its random torque: the likeliest, or one
     that still lets the readings lead."""
-    noise = model.best.coloured is not None  # which leads nowhere
+    noise = model.best.coloured is not None  # of the readings: the louder, the less they lead
     intensity = model.intensity if noise else max(model.intensity, READINGS_LEAD)
     if intensity == model.intensity:
         return model.best, intensity
@@ -646,7 +646,7 @@ class Search:
             self._keep(model.added, *own)
 
     @property
-    def led(self) -> Tried:
+    def base_under_torque(self) -> Tried:
         """The base model under a random torque, whatever the noise."""
         return self._white[1][frozenset()] if self._white else self.base
 
