@@ -41,7 +41,7 @@ from .law import (
 )
 
 _AT_ONCE = 64  # instants: their slopes, some 4 KB each, stay in a second-level cache
-_NEWTON = 5  # steps to the friction of joints that hold each other
+_NEWTON = 5  # steps to the friction of joints that hold each other: more change no digit of it
 _IN_A_CALL = 8  # times as many: a divisor of all grids' lengths, and long beside what a call costs
 
 
