@@ -18,7 +18,7 @@ from residyn.physics.parameter import Scales, parameters_of
 with jax.enable_x64(True):
     ARM = residyn.PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.3, bearings=[1, 1], load=1.5)
     HANGING = residyn.PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, 0.0, bearings=[1, 1])
-SCALES = Scales(inertia=0.6, frequency=5.0, amplitude=0.2)
+SCALES = Scales(inertia=0.6, frequency=5.0, amplitude=0.2, swing=0.2)
 
 
 def arm_for(words):

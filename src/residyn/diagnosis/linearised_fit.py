@@ -25,7 +25,7 @@ from .evidence import gram_factor
 # A direction of the tangent this much shorter than the longest is rounding, or undetermined.
 _BLIND = 1e-5
 _STEPS = 60  # of Levenberg and Marquardt, at the most
-_SETTLED = 3e-3  # sigma: a step that moves all residuals together by less is the last one
+_SETTLED = 3e-3  # of the rms residual, or of sigma: the last step moves all of them by less
 _DAMPING = 1e-6, 1e6  # of a step, relative to the squares of each unknown: at first, at the most
 _STEEP = 1 / np.finfo(float).eps  # sigma for an unknown of one: its own rounding is a sigma then
 _NOTHING = np.finfo(float).tiny / np.finfo(float).eps  # squares from which on all digits are there
@@ -64,12 +64,10 @@ class Minimum(NamedTuple):
 def minimum(
     problem: Problem,
     at: Unknowns,
-    size: float = 1.0,
     most: int = _STEPS,
     enough: float = math.inf,
 ) -> Minimum:
-    """Levenberg and Marquardt's descent from unknowns that are near already, in `most` steps;
-    `size` is the least rms residual to expect, in sigma.
+    """Levenberg and Marquardt's descent from unknowns that are near already, in `most` steps.
 
     One compiled program evaluates predictions and slopes; what is linear is done here. Where the
     motion has kinks no step is small enough to end by itself: there the descent ends when even a
@@ -81,6 +79,7 @@ def minimum(
     problem = tight(problem)
     moves = np.asarray(problem.active) > 0
     P, S = len(moves), np.shape(at.states)[1]
+    readings = max(1, np.count_nonzero(problem.recorded.weights))
     known = np.zeros(P + S)
     known[P + 2 * problem.recorded.angles.shape[-1] :] = 1.0  # internal states, to their scale
 
@@ -115,7 +114,7 @@ def minimum(
             break
         step = np.concatenate([np.tile(numbers, (len(states), 1)), states], axis=1)
         size_of = np.einsum("ra,rab,rb->", step, here.square, step)
-        converged = min(gain, size_of) < (_SETTLED * size) ** 2
+        converged = min(gain, size_of) < _SETTLED**2 * max(1.0, there.cost / readings)
         damping, here = max(0.1 * damping, _DAMPING[0]), there
     if here.cost > enough:
         raise Hopeless
@@ -148,9 +147,8 @@ def refitted(fit: Fit, kept: Sequence[np.ndarray]) -> tuple[Unknowns, bool]:
         ~(np.isfinite(r.recording.angle) & k[:, None])
         for k, r in zip(kept, fit.fitted, strict=True)
     ]
-    size = max(1.0, float(np.sqrt(fit.reduced_chi2)))
     try:
-        found = minimum(reweighted(fit.problem, dropped), fit.unknowns, size)
+        found = minimum(reweighted(fit.problem, dropped), fit.unknowns)
     except FitError:
         return fit.unknowns, False
     return found.at, found.converged

@@ -13,7 +13,7 @@ from ..physics.mechanism import ArmEffect, arm_of
 from ..physics.motion import Scalar
 from ..physics.parameter import Dimension, param
 
-PER_LENGTH = Dimension("N s^2/m^3", "N s^2/m^3", lambda s: s.inertia / (s.amplitude * s.length**4))
+PER_LENGTH = Dimension("N s^2/m^3", "N s^2/m^3", lambda s: s.inertia / (s.swing * s.length**4))
 # Gauss and Legendre's three points on a link of length 1: exact for the integrals here where the
 # speed has one sign along the link.
 _POINTS = tuple(0.5 + 0.5 * x for x in (-math.sqrt(0.6), 0.0, math.sqrt(0.6)))

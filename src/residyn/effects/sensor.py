@@ -4,7 +4,7 @@ from ..physics.effect import JointEffect
 from ..physics.motion import Scalar
 from ..physics.parameter import ANGLE, DURATION, RATIO, Dimension, param
 
-CURVE = Dimension("1/rad", "1/m", lambda s: 1.0 / s.amplitude)
+CURVE = Dimension("1/rad", "1/m", lambda s: 1.0 / s.swing)
 
 
 class _SensorEffect(JointEffect):

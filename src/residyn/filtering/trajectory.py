@@ -166,9 +166,12 @@ class Scene:
         duration = recordings[long].duration
         slowest = 2 * math.pi / duration
         pace = np.maximum(np.sqrt(stiffness / np.diag(inertia)), slowest)
-        sizes = np.diag(inertia), pace, math.sqrt(2) * amplitude, mechanisms[long].reach()
+        amplitude = math.sqrt(2) * amplitude
+        swing = np.maximum(recordings[long].extent.largest, amplitude)
+        sizes = np.diag(inertia), pace, amplitude, mechanisms[long].reach()
         self.scales = [
-            Scales(*map(float, own), duration=duration) for own in zip(*sizes, strict=True)
+            Scales(*map(float, own), duration=duration, swing=float(most))
+            for *own, most in zip(*sizes, swing, strict=True)
         ]
         self.torque = np.array([s.inertia * s.frequency**2 * s.amplitude for s in self.scales])
         self.readings = Readings(g.angle, g.seen, g.variance)

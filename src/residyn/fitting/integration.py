@@ -43,7 +43,7 @@ TENTH = 0.1
 error as hardly counts. As an error of its own it would make standard errors half a per cent wider.
 """
 _TIGHTER = 2.0**5
-# Refined steps are to leave this share of the noise; no more than so many times as many are taken,
+# Refined steps are to leave this share of it; no more than so many times as many are taken,
 # and in all, what that costs being in proportion, and room in memory with it.
 _AIM, MOST_AT_ONCE, _MOST_IN_ALL = 0.02, 8, 64
 _ORDER, _ROUGH_ORDER = 5.0, 2.0
@@ -136,11 +136,12 @@ def too_coarse(error: float, chi2: float) -> bool:
     return error > TENTH * math.sqrt(max(1.0, chi2))
 
 
-def refined(here: Ready, error: float) -> Ready | None:
+def refined(here: Ready, error: float, chi2: float) -> Ready | None:
     """The same recordings with so many more steps that this integration error would have been
-    small; None if these are too many, or chosen by what integrates."""
-    order = _ROUGH_ORDER if here.model.rough else _ORDER
-    times = (error / _AIM) ** (1 / order) if math.isfinite(error) else MOST_AT_ONCE
+    small beside what counts (`too_coarse`); None if these are too many, or chosen by what
+    integrates."""
+    order, aim = _ROUGH_ORDER if here.model.rough else _ORDER, _AIM * math.sqrt(max(1.0, chi2))
+    times = (error / aim) ** (1 / order) if math.isfinite(error) else MOST_AT_ONCE
     finer = here.finer * min(max(2, math.ceil(times)), MOST_AT_ONCE)
     return None if here.adapts or finer > _MOST_IN_ALL else here._replace(finer=finer)
 

@@ -293,13 +293,19 @@ class Ready(NamedTuple):
         amplitudes and rates of the readings alone, or for one angular `frequency`."""
         mechanism, size = self.model.mechanism, self.amplitude
         pace = self.pace if frequency is None else np.full(len(size), frequency)
-        each = np.asarray(_inertia(mechanism)), pace, size, np.array(mechanism.reach())
+        swing, reach = np.maximum(self.swing, size), np.array(mechanism.reach())
+        each = np.asarray(_inertia(mechanism)), pace, size, reach, swing
 
         def of(joint: int | None) -> Scales:
-            own = (float(x[-1 if joint is None else joint]) for x in each)
-            return Scales(*own, duration=self.duration)
+            *own, swing = (float(x[-1 if joint is None else joint]) for x in each)
+            return Scales(*own, duration=self.duration, swing=swing)
 
         return of
+
+    @property
+    def swing(self) -> np.ndarray:
+        """(n,) largest angle of each joint, rad or m."""
+        return np.max([r.extent.largest for r in self.recordings], axis=0)
 
     @property
     def duration(self) -> float:
@@ -309,9 +315,8 @@ class Ready(NamedTuple):
     @property
     def pace(self) -> np.ndarray:
         """(n,) typical angular frequency of each joint's motion, rad/s."""
-        swing = np.max([r.extent.largest for r in self.recordings], axis=0)
         rate = np.max([r.extent.rate for r in self.recordings], axis=0)
-        return np.maximum(rate / np.maximum(swing, self.amplitude), self._slowest)
+        return np.maximum(rate / np.maximum(self.swing, self.amplitude), self._slowest)
 
     @property
     def _slowest(self) -> float:

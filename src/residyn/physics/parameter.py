@@ -24,8 +24,9 @@ Sign = Literal["any", "positive"]
 class Scales(NamedTuple):
     """Typical size of a joint's motion: what a parameter of that joint can be measured against.
 
-    `inertia` in kg m^2 (or kg), `frequency` in rad/s, `amplitude` in rad (or m), `length` of the
-    link in m, `duration` of the recording in s.
+    `inertia` in kg m^2 (or kg), `frequency` in rad/s, `amplitude` (as of a sine with the motion's
+    rms) and `swing` (the largest angle, which differs where the motion decays) in rad (or m),
+    `length` of the link in m, `duration` of the recording in s.
     """
 
     inertia: float = 1.0
@@ -33,6 +34,7 @@ class Scales(NamedTuple):
     amplitude: float = 1.0
     length: float = 1.0
     duration: float = 1.0
+    swing: float = 1.0
 
 
 class Dimension(NamedTuple):
@@ -71,15 +73,15 @@ STIFFNESS = Dimension("N m/rad", "N/m", lambda s: s.inertia * s.frequency**2, "N
 STIFFNESS_RATE = Dimension(
     "N m/(rad s)", "N/(m s)", lambda s: s.inertia * s.frequency**2 / s.duration
 )
-CUBIC = Dimension("N m/rad^3", "N/m^3", lambda s: s.inertia * (s.frequency / s.amplitude) ** 2)
+# Of powers of the motion: as large as the spring's torque at full swing. In a motion that decays
+# their rms is then about what a typical torque's is, too.
+CUBIC = Dimension("N m/rad^3", "N/m^3", lambda s: s.inertia * (s.frequency / s.swing) ** 2)
 DAMPING = Dimension("N m s/rad", "N s/m", lambda s: s.inertia * s.frequency, "N s/rad")
-QUADRATIC = Dimension("N m s^2/rad^2", "N s^2/m^2", lambda s: s.inertia / s.amplitude)
+QUADRATIC = Dimension("N m s^2/rad^2", "N s^2/m^2", lambda s: s.inertia / s.swing)
 # Of a point of a link, such as a bearing: forces that turn it as a torque of typical size does.
 FORCE = Dimension("N", "N", lambda s: s.inertia * s.frequency**2 * s.amplitude / s.length)
 POINT_DAMPING = Dimension("N s/m", "N s/m", lambda s: s.inertia * s.frequency / s.length**2)
-POINT_QUADRATIC = Dimension(
-    "N s^2/m^2", "N s^2/m^2", lambda s: s.inertia / (s.amplitude * s.length**3)
-)
+POINT_QUADRATIC = Dimension("N s^2/m^2", "N s^2/m^2", lambda s: s.inertia / (s.swing * s.length**3))
 
 
 @dataclasses.dataclass(frozen=True)

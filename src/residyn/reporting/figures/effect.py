@@ -19,7 +19,7 @@ from .style import FAINT, MEASURED, MODEL, RESIDUAL, blank, styled
 _RELEASE = (0.2, -0.2)
 _SECONDS, _RATE = 16.0, 400.0
 _EDGE = 4  # samples at the ends where a difference is one-sided
-_SCALES = Scales(inertia=0.6, frequency=5.0, amplitude=0.1, duration=_SECONDS)
+_SCALES = Scales(inertia=0.6, frequency=5.0, amplitude=0.1, swing=0.1, duration=_SECONDS)
 # Share of the typical size at which an effect can be seen beside the ringing without burying it.
 _STRENGTH = 0.1
 _STRONG = {
