@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import InputError, did_you_mean, entries, flag, inside, number, quote
 from .arrays import check_drive, check_enough, check_noise, check_table, clock_warnings
+from .bandwidth import independent
 from .noise import noise_and_warnings
 from .outliers import outlier_mask
 from .reads import READS, angles_from, check_reads
@@ -138,6 +139,13 @@ class Recording:
                 angle = np.where(outlier_mask(time, angle), np.nan, angle)
                 time, angle = block_means(time, many), block_means(angle, many)
                 force = None if force is None else block_means(force, many)
+            one, cut_off = independent(time, angle) if force is None else (1, np.inf)
+            if one > 1:
+                warnings.append(
+                    f"its readings were low-pass filtered, at about {cut_off:.2g} Hz: one of {one} "
+                    "is taken, for those between say nothing new"
+                )
+                time, angle = time[::one], angle[::one]
             if rest is not None:
                 off, more = _rest(rest, time, angle)
                 angle, warnings = angle - off, warnings + more
