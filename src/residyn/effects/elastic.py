@@ -57,7 +57,7 @@ class AsymmetricStiffness(JointEffect):
     stiffness: Scalar = param("half the difference of the two sides' stiffness", STIFFNESS)
 
     def joint_torque(self, motion):
-        return self.stiffness * jnp.abs(motion.q)
+        return self.stiffness * (2.0 * motion.beyond(0.0) - motion.q)
 
 
 class DeadZone(JointEffect):
@@ -89,7 +89,8 @@ class DeadZone(JointEffect):
 
     def joint_torque(self, motion):
         gap = jnp.abs(self.gap)
-        return -self.stiffness * jnp.clip(motion.q, -gap, gap)
+        # clip(q, -g, g)
+        return -self.stiffness * (motion.beyond(-gap) - motion.beyond(gap) - gap)
 
 
 class StiffnessDrift(JointEffect):

@@ -287,12 +287,12 @@ def torque_law(effect: AbstractEffect, mechanism, q, v, t, z, step, spread, numb
     own, around = with_numbers(effect, numbers), _around(effect, mechanism)
     alone = of_one_joint(effect)
     direction = tuple(float(alone) if effect.dry else jnp.sign(x) for x in v)
-    motion = Motion(t, split(q), split(v), direction, split(z), None, 1.0)
+    motion = Motion(t, split(q), split(v), direction, split(z))
     if effect.grips:
         # A point's direction is smoothed over the ramp's time, and over what is not known of its
         # velocity (1.5 standard deviations, as a normal velocity's mean direction is).
         now = jax.lax.stop_gradient(own)
-        lost = now.lost_speed(motion, mechanism) + 1e-12
+        lost = now.lost_speed(motion._replace(grain=1.0), mechanism) + 1e-12
         unsure = now.speed_spread(split(spread), mechanism)
         motion = motion._replace(grain=2 * RAMP * step + 1.5 * unsure / lost)
     torque, level = own.torque(motion, around), (0.0,) * len(v)

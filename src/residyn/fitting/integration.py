@@ -138,9 +138,10 @@ def too_coarse(error: float, chi2: float) -> bool:
 
 def refined(here: Ready, error: float, chi2: float) -> Ready | None:
     """The same recordings with so many more steps that this integration error would have been
-    small beside what counts (`too_coarse`); None if these are too many, or chosen by what
-    integrates."""
-    order, aim = _ROUGH_ORDER if here.model.rough else _ORDER, _AIM * math.sqrt(max(1.0, chi2))
+    small beside what the readings are missed by otherwise; None if these are too many, or chosen by
+    what integrates."""
+    order = _ROUGH_ORDER if here.model.rough else _ORDER
+    aim = _AIM * math.sqrt(max(1.0, chi2 - error**2))
     times = (error / aim) ** (1 / order) if math.isfinite(error) else MOST_AT_ONCE
     finer = here.finer * min(max(2, math.ceil(times)), MOST_AT_ONCE)
     return None if here.adapts or finer > _MOST_IN_ALL else here._replace(finer=finer)

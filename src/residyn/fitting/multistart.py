@@ -43,7 +43,9 @@ from .smoothing import uniform
 
 DEFAULT_STARTS = 6
 
-_CALLS = 4  # of at most `least_squares.STEPS` steps
+_CALLS = 4  # of at most `least_squares.STEPS` steps, if they gain no more than ...
+_GAINS = 1.0  # ... this: the square of a standard error, which grows with the residual
+_MOST_CALLS = 16
 _BEHIND = 25.0  # times the least cost: a start that is worse after a horizon does not go on
 _SAME = 0.5  # starts that end within this many standard errors of another one have ended there
 _CYCLES = 3  # of the fastest mode, in the first horizon and in a segment
@@ -263,7 +265,7 @@ def _further(
     has so many calls."""
     readings = max(1, np.count_nonzero(problem.recorded.weights))
     ends, left = list(ends), [() if end.converged else tuple(shares) for end in ends]
-    units, made = [1.0] * len(ends), [0] * len(ends)
+    units, made, idle = [1.0] * len(ends), [0] * len(ends), [0] * len(ends)
     while going := [i for i, own in enumerate(left) if own]:
         watch = watching()  # which looks at each share's end
         few = [1 if watch is not None or units[i] > 1.0 else len(left[i]) for i in going]
@@ -274,15 +276,18 @@ def _further(
         for i, out in zip(going, outs, strict=True):
             y, squeezed, cost, steps, good, done = jax.device_get(out)
             total, agreeing = ends[i].steps + int(steps), ends[i].agreeing
+            gain, here = (ends[i].cost - float(cost)) / units[i] ** 2, done == 1
             ends[i] = Polished(y, squeezed, float(cost), total, bool(good), agreeing)
-            made[i] = made[i] + 1 if done == 1 else 1
+            made[i] = made[i] + 1 if here else 1
+            idle[i] = idle[i] + (not gain > _GAINS) if here else 1
             left[i] = left[i][int(done) - 1 :]
             if np.isfinite(ends[i].cost):
                 units[i] = max(1.0, math.sqrt(ends[i].cost / readings))
             if watch is not None:
                 watch.descended(problem, y, int(steps))
-            if good or made[i] == calls or (watch is not None and watch.over()):
-                left[i], units[i], made[i] = left[i][1:], 1.0, 0
+            over = idle[i] >= calls or made[i] == _MOST_CALLS or (calls == 1 and made[i])
+            if good or over or (watch is not None and watch.over()):
+                left[i], units[i], made[i], idle[i] = left[i][1:], 1.0, 0, 0
     return ends
 
 

@@ -51,7 +51,13 @@ class Motion(NamedTuple):
         """The motion of one joint."""
         turn = self.q if self.turn is None else self.turn
         return JointMotion(
-            self.t, self.q[joint], self.v[joint], self.direction[joint], self.memory, turn[joint]
+            self.t,
+            self.q[joint],
+            self.v[joint],
+            self.direction[joint],
+            self.memory,
+            turn[joint],
+            self.grain,
         )
 
 
@@ -64,6 +70,17 @@ class JointMotion(NamedTuple):
     direction: Scalar
     memory: tuple[Scalar, ...] = ()
     turn: Scalar = 0.0
+    grain: Scalar = 0.0
+
+    def beyond(self, corner: Scalar) -> Scalar:
+        """How far the joint is beyond an angle, max(q - corner, 0): its mean over the way that the
+        joint goes in a grain of time before and after. Then the sum over instants two grains apart
+        is the integral, and its derivative in the corner, which jumps there, is that integral's.
+        """
+        x, way = self.q - corner, jnp.abs(self.v) * self.grain
+        inside = jnp.abs(x) < way
+        safe = jnp.where(inside, way, 1.0)
+        return jnp.where(inside, 0.25 * (x + way) ** 2 / safe, jnp.maximum(x, 0.0))
 
 
 def split(x) -> tuple:

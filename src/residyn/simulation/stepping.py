@@ -20,7 +20,8 @@ from ..physics.motion import Joints, Motion, Scalar
 from .dry_friction import break_away, position_within, reversals, sliding, turning_point
 from .equation import Args, rates, signs
 
-# What counts as unresolved inside a step, as a share of it: below 0.4 the stages would chatter.
+# What counts as unresolved inside a step, as a share of it: below 0.4 the stages would chatter, and
+# means over grains before and after a stage would not reach the next one.
 _GRAIN = 0.5
 
 
@@ -50,6 +51,7 @@ for _i, _row in enumerate(_METHOD.a_lower[: _STAGES - 1], start=1):
 # same by a finer rule, Gauss' two points in each eighth of a step: its error at corners.
 _FINE = ((np.arange(8)[:, None] + 0.5 + np.array([-1.0, 1.0]) / 12**0.5) / 8).ravel()
 _PLACES = np.append(_NODES, _FINE)
+_FINE_GRAIN = 1 / 16  # of a step: half an eighth, so that means over grains leave no gap
 _IN_RATE = np.append(_WEIGHTS, np.full(len(_FINE), -1 / len(_FINE)))
 _IN_POSITION = np.append(_WEIGHTS @ _TABLE, (_FINE - 1) / len(_FINE))
 
@@ -85,7 +87,11 @@ def _tsit5(rates, h, y: State):
 def smooth_step(args: Args, t, h, y: State) -> tuple[State, Joints]:
     """One step: its end, and the acceleration at its beginning."""
     turn = _turns_ahead(args, t, h, y)
-    end, first, last = _tsit5(lambda s, x: rates(args, turn(s, x.motion(t + s * h))), h, y)
+
+    def at(share, x: State) -> Motion:
+        return turn(share, x.motion(t + share * h)._replace(grain=_GRAIN * h))
+
+    end, first, last = _tsit5(lambda share, x: rates(args, at(share, x)), h, y)
     end = _past_corners(args, t, h, y, end, first, last, signs)
     return _settled(args, t, h, y, end, first, last), first
 
@@ -169,18 +175,20 @@ def _past_corners(args: Args, t, h, y: State, end: State, first, last, direction
     bodies = model.bodies
     when, where = _turned(h, y, end, first, last)
 
-    def torque(share) -> Joints:
+    def torque(share, grain) -> Joints:
         ends = list(zip(y.q, end.q, y.v, end.v, first, last, strict=True))
         q = tuple(position_within(share, q0, q1, h * v0, h * v1) for q0, q1, v0, v1, _, _ in ends)
         v = tuple(position_within(share, v0, v1, h * a0, h * a1) for _, _, v0, v1, a0, a1 in ends)
         turn = tuple(
             jnp.where(share > w, there, x) for w, there, x in zip(when, where, q, strict=True)
         )
-        motion = State(q, v, y.z).motion(t + share * h, direction(v))._replace(turn=turn)
+        motion = State(q, v, y.z).motion(t + share * h, direction(v))
+        motion = motion._replace(turn=turn, grain=grain * h)
         each = [e.torque(own, bodies) for e, own in model.each(motion) if e.rough]
         return tuple(jnp.asarray(sum(parts), float) for parts in zip(*each, strict=True))
 
-    along = jax.vmap(torque)(jnp.asarray(_PLACES))
+    grains = jnp.where(jnp.arange(len(_PLACES)) < _STAGES, _GRAIN, _FINE_GRAIN)
+    along = jax.vmap(torque)(jnp.asarray(_PLACES), grains)
     errors = (tuple(jnp.dot(jnp.asarray(w), x) for x in along) for w in (_IN_RATE, _IN_POSITION))
     dv, dq = (solve_inertia(bodies.mass_matrix(end.q), error) for error in errors)
     return end._replace(

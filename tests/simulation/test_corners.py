@@ -1,0 +1,50 @@
+"""Corners of a torque: the motion, and how it changes with where a corner is.
+
+A mass that flies freely through a gap between two springs has a motion in closed form.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from residyn.effects import DeadZone, Spring
+from residyn.physics.mechanism import ConstantInertia
+from residyn.physics.model import Model
+from residyn.simulation.simulate import simulate, steps_for
+
+SWING, STIFFNESS, GAP = 0.3, 9.0, 0.04
+TIME = np.linspace(0.0, 20.0, 801)
+
+
+def free_play(stiffness: float, gap: float) -> np.ndarray:
+    """(N,) of a unit mass let go at SWING: half a sine beyond the gap, a straight line inside."""
+    pace = np.sqrt(stiffness)
+    quarter, speed = 0.5 * np.pi / pace, (SWING - gap) * pace
+    half = 2 * quarter + 2 * gap / speed
+    turns = np.floor((TIME + quarter) / half)
+    since = TIME + quarter - turns * half  # it came out of the gap
+    beyond = gap + (SWING - gap) * np.sin(pace * since)
+    inside = gap - speed * (since - 2 * quarter)
+    return (-1.0) ** turns * np.where(since < 2 * quarter, beyond, inside)
+
+
+def model(stiffness, gap) -> Model:
+    mechanism = ConstantInertia(((1.0,),), ("joint",), ("rad",))
+    return Model(mechanism, (Spring("joint", stiffness), DeadZone("joint", stiffness, gap)))
+
+
+@pytest.mark.parametrize(("finer", "off", "wrong"), [(1, 3e-4, 2e-3), (4, 1e-5, 2e-4)])
+def test_a_motion_through_a_gap_and_its_slopes_are_those_in_closed_form(finer, off, wrong):
+    numbers = jnp.array([STIFFNESS, GAP])
+    steps = finer * steps_for(model(*numbers), TIME[-1])
+
+    def motion(numbers):
+        return simulate(model(*numbers), TIME, [SWING], steps=steps).q[:, 0]
+
+    np.testing.assert_allclose(motion(numbers), free_play(STIFFNESS, GAP), atol=off)
+    d = 1e-6
+    for i, found in enumerate(np.asarray(jax.jacfwd(motion)(numbers)).T):
+        up, down = (free_play(*(numbers + s * d * (np.arange(2) == i))) for s in (1, -1))
+        slope = (up - down) / (2 * d)
+        assert np.sqrt(np.mean((found - slope) ** 2)) < wrong * np.sqrt(np.mean(slope**2))
