@@ -13,6 +13,7 @@ from residyn.physics.mechanism import ConstantInertia
 from residyn.physics.model import Model
 from residyn.simulation.simulate import simulate, steps_for
 
+pytestmark = pytest.mark.usefixtures("float64")
 SWING, STIFFNESS, GAP = 0.3, 9.0, 0.04
 TIME = np.linspace(0.0, 20.0, 801)
 
@@ -48,3 +49,10 @@ def test_a_motion_through_a_gap_and_its_slopes_are_those_in_closed_form(finer, o
         up, down = (free_play(*(numbers + s * d * (np.arange(2) == i))) for s in (1, -1))
         slope = (up - down) / (2 * d)
         assert np.sqrt(np.mean((found - slope) ** 2)) < wrong * np.sqrt(np.mean(slope**2))
+
+
+def test_a_joint_that_is_loose_at_rest_is_integrated_in_single_precision_too():
+    with jax.enable_x64(False):
+        loose = model(STIFFNESS, GAP)
+        found = simulate(loose, TIME, [SWING], steps=steps_for(loose, TIME[-1])).q[:, 0]
+    np.testing.assert_allclose(found, free_play(STIFFNESS, GAP), atol=1e-3)

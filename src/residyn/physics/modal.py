@@ -154,7 +154,8 @@ def _past_rest(here, slope, pull):
     turned = here.swapaxes(slope, -1, -2)
     square = turned @ slope
     # A joint without stiffness rests anywhere: the small ridge leaves it where it is.
-    ridge = _RIDGE * here.trace(square, axis1=-2, axis2=-1) + 1e-300
+    tiny = here.finfo(square.dtype).tiny
+    ridge = _RIDGE * here.trace(square, axis1=-2, axis2=-1) + tiny
     square = square + ridge[..., None, None] * here.eye(slope.shape[-1])
     return here.linalg.solve(square, turned @ pull[..., None])[..., 0]
 
