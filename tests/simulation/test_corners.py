@@ -54,5 +54,6 @@ def test_a_motion_through_a_gap_and_its_slopes_are_those_in_closed_form(finer, o
 def test_a_joint_that_is_loose_at_rest_is_integrated_in_single_precision_too():
     with jax.enable_x64(False):
         loose = model(STIFFNESS, GAP)
-        found = simulate(loose, TIME, [SWING], steps=steps_for(loose, TIME[-1])).q[:, 0]
+        time = TIME.astype(np.float32)
+        found = simulate(loose, time, [SWING], steps=steps_for(loose, 20.0)).q[:, 0]
     np.testing.assert_allclose(found, free_play(STIFFNESS, GAP), atol=1e-3)
