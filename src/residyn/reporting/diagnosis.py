@@ -451,9 +451,12 @@ def _size(r: RandomTorque, found: Diagnosis) -> str:
 
 def _matters(found: Diagnosis) -> Iterator[str]:
     """What the missing torque could do to stiffness and damping, if all of it went with the angle
-    or all of it with the rate; nothing of numbers that did not settle."""
+    or all of it with the rate; nothing of numbers that did not settle, nor where it is known to go
+    with time."""
     told = []
-    if not found.fit.stands:
+    law = found.laws[0] if found.laws else None
+    with_time = law and law.probability > 0.5 and (law.variable, law.factor) == ("time", "")
+    if with_time or not found.fit.stands:
         return
     for j, r in enumerate(found.random_torque):
         if not _known(r):
