@@ -144,7 +144,7 @@ class Experiment:
     def warnings(self) -> tuple[str, ...]:
         """What is doubtful in the recordings, and in their fitting together."""
         own = [line for recording in self.recordings for line in recording.warnings]
-        return (*own, *_in_degrees(self), *_not_held_out(self), *_twice(self), *_no_load(self))
+        return (*own, *_in_another_unit(self), *_not_held_out(self), *_twice(self), *_no_load(self))
 
 
 def must_be_experiment(given: Any) -> None:
@@ -253,18 +253,18 @@ def _read(
     return recording
 
 
-def _in_degrees(experiment: Experiment) -> list[str]:
-    """Doubts about the unit of angles: no braked joint turns by five radians, and who counts an
-    elbow's rest in radians seldom takes more than half a turn."""
-    large = []
+def _in_another_unit(experiment: Experiment) -> list[str]:
+    """Doubts about the unit of readings: no braked joint turns by five radians or slides by five
+    metres, and who counts an elbow's rest in radians seldom takes more than half a turn."""
+    large, other = [], {"rad": "degrees", "m": "mm"}
     for recording, _ in by_recording(experiment.recordings):
         sizes = zip(recording.sizes, experiment.reading_units, strict=True)
         for j, (size, unit) in enumerate(sizes):
-            if unit == "rad" and f"q{j + 1}" not in recording.stated and size > 5:
-                large.append(f"{recording.name}: q{j + 1} reaches {size:.3g}")
+            if unit in other and f"q{j + 1}" not in recording.stated and size > 5:
+                large.append((f"{recording.name}: q{j + 1} reaches {size:.3g}", unit))
         if abs(recording.theta2) > np.pi:
-            large.append(f"{recording.name}: theta2 = {recording.theta2:g}")
-    return [f"{seen}: in degrees? it must be in rad" for seen in large]
+            large.append((f"{recording.name}: theta2 = {recording.theta2:g}", "rad"))
+    return [f"{seen}: in {other[unit]}? it must be in {unit}" for seen, unit in large]
 
 
 def _not_held_out(experiment: Experiment) -> list[str]:

@@ -233,10 +233,13 @@ def _none_named(found: Diagnosis) -> Iterator[str]:
 
 
 def _laws(found: Diagnosis) -> Iterator[str]:
+    titles = [title(x) for x in found.added]
     for family in accepted(found):
         members = dict(family.members)
         for label in (x for x in found.added if x in members):
             name, numbers = title(label), _numbers(found, label)
+            if titles.count(name) > 1:
+                name = at_place(label, found.fit.joints)
             further = [
                 c for c in found.candidates if c.effect in members and _extends(c.effect, label)
             ]
