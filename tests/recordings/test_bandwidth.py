@@ -49,7 +49,7 @@ def test_other_readings_are_taken_as_they_are(damping, noise):
             assert independent(TIME, column[:, None]) == (1, np.inf)
 
 
-def test_several_joints_are_thinned_alike_and_uneven_samples_not_at_all():
+def test_several_joints_are_thinned_alike_and_uneven_or_many_lost_samples_not_at_all():
     sections = butter(4, 0.1, output="sos")
     one = sosfiltfilt(sections, ringing() + white(1))
     other = sosfiltfilt(sections, ringing(1.7) + white(2))
@@ -57,8 +57,13 @@ def test_several_joints_are_thinned_alike_and_uneven_samples_not_at_all():
     assert independent(TIME, angle)[0] in (9, 10, 11)
     mixed = np.stack([one, ringing(1.7) + white(2)], axis=1)
     assert independent(TIME, mixed)[0] == 1
-    jitter = TIME + 1e-3 * np.random.default_rng(1).uniform(-1, 1, len(TIME))
-    assert independent(jitter, angle)[0] == 1
+    rng = np.random.default_rng(1)
+    assert independent(np.round(1.03 * TIME, 3), angle)[0] == independent(TIME, angle)[0]
+    uneven = np.sort(TIME + 0.1 * rng.uniform(-1, 1, len(TIME)))
+    assert independent(uneven, angle)[0] == 1
+    few, many = (np.where(rng.uniform(size=angle.shape) < x, np.nan, angle) for x in (0.01, 0.1))
+    assert independent(TIME, few)[0] in (9, 10, 11)
+    assert independent(TIME, many)[0] == 1
 
 
 def test_a_filtered_recording_says_what_was_taken_and_its_noise_is_what_scatters():

@@ -557,6 +557,11 @@ def test_refuses_degrees_and_warns_of_them_in_python(folder):
     # The same numbers may be millimetres where nothing says they are angles.
     write_csv(folder / "mm.csv", t, table[0])
     assert experiment(folder, CART, entry(file="mm.csv")).warnings == ()
+    (line,) = experiment(folder, CART, 'units = ["m"]', entry(file="mm.csv")).warnings
+    assert "mm.csv: q1 reaches" in line
+    assert "in mm? it must be in m" in line
+    stated = entry('units = { q1 = "mm" }', file="mm.csv")
+    assert experiment(folder, CART, 'units = ["m"]', stated).warnings == ()
 
 
 @pytest.mark.parametrize("role", ["fit", "inertia"])

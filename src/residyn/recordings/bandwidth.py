@@ -22,18 +22,19 @@ _FLAT = 2.0  # between the powers of a plateau's bands and their mean, at most, 
 _SIGMAS = 3.0  # ... this many standard deviations of what so many lines tell of a band
 _ENDS = 10.0, 100.0  # times less power an octave beyond the plateau, and at the highest frequencies
 _NOISE = 1e-2  # of all power, at most: what has more of it is motion
-_EVEN = 1e-2  # of a sample's distance: filters work on even samples
+_EVEN = 1.0  # samples that an instant may be off its place: filters work on even ones
+_LOST = 0.05  # of the readings, at most
 
 
 def independent(time: np.ndarray, angle: np.ndarray) -> tuple[int, float]:
     """One of how many readings (N, n) to take so that their noise is white, 1 if it is, and the
     cut-off that shows in all joints that move, Hz (inf for none)."""
-    gaps = np.diff(time)
-    dt = float(np.median(gaps))
-    band = 0.0
-    if np.abs(gaps - dt).max() < _EVEN * dt and np.isfinite(angle).all():
-        moves = angle[:, np.ptp(angle, axis=0) > 0]
-        band = max((_bandwidth(x) for x in moves.T), default=0.0)
+    index, dt, band = np.arange(len(time)), (time[-1] - time[0]) / (len(time) - 1), 0.0
+    lost = ~np.isfinite(angle)
+    if np.abs(time - time[0] - dt * index).max() < _EVEN * dt and lost.mean() < _LOST:
+        pairs = zip(angle.T, ~lost.T, strict=True)
+        whole = [np.interp(index, index[seen], x[seen]) for x, seen in pairs if seen.any()]
+        band = max((_bandwidth(x) for x in whole if np.ptp(x) > 0), default=0.0)
     one = round(1 / band) if band else 1
     return (one, 0.5 * band / dt) if one > 1 else (1, np.inf)
 
