@@ -1,16 +1,18 @@
 """The fit, end to end, on MuJoCo arms whose truth is known."""
 
 import dataclasses
+import math
 from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import residyn
 from residyn.fitting import initial_guess, lanes
-from residyn.fitting.covariance import numbers_of
-from residyn.fitting.least_squares import Compressed, Polished
+from residyn.fitting.covariance import numbers_of, spread_of
+from residyn.fitting.least_squares import Compressed, Polished, compressed
 from residyn.fitting.linalg import Spread
 from residyn.fitting.multistart import distinct
 from residyn.fitting.problem import Unknowns, model_for, ready
@@ -713,3 +715,33 @@ def test_a_disturbance_much_faster_than_the_arm_rings_is_fitted():
     for name, truth in (("torque", torque), ("frequency", frequency)):
         number = values[f"periodic_disturbance:joint.{name}"]
         assert abs(abs(number.value) - truth) < 4 * number.std
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_standard_errors_are_those_of_the_model_and_not_of_its_steps(seed):
+    """Of a weak hysteresis strength, angle and sharpness are known along a ridge; slopes that are
+    wrong by per cents would tell where on it. The motion is SciPy's, of Bouc and Wen's equations.
+    """
+    torque, angle, sharpness, sigma = 0.02, 0.05, 1.0, 2e-4
+
+    def rates(_, x):
+        q, v, z = x
+        loaded = abs(z) ** sharpness if v * z > 0 else 0.0
+        return v, -9.0 * q - 0.03 * v - torque * z, v / angle * (1.0 - loaded)
+
+    t = np.linspace(0.0, 20.0, 2001)
+    begin = 0.3, 0.0, 1.0 - math.exp(-0.3 / angle)
+    how = {"rtol": 1e-9, "atol": 1e-12, "max_step": 0.01}
+    q = solve_ivp(rates, (0.0, 20.0), begin, t_eval=t, **how).y[0]
+    q = q + sigma * np.random.default_rng(seed).standard_normal(len(t))
+    recording = residyn.Recording.from_arrays(t, q, noise=sigma)
+    mechanism = residyn.ConstantInertia([[1.0]], ["joint"], ["rad"])
+    found = residyn.fit(residyn.Experiment(mechanism, (recording,)), effects=["hysteresis"])
+    finer = found.ready._replace(finer=16 * found.ready.finer)
+    with jax.enable_x64(True):
+        problem, _ = finer.problem(found.model, [r.wild for r in found.fitted])
+        states = np.stack([r.state for r in found.fitted])
+        there = compressed(problem, problem.scaled(found.model.vector(), states))
+    sizes, chi2 = np.asarray(problem.scale.numbers), max(1.0, found.reduced_chi2)
+    exact = spread_of(np.asarray(there.factor), sizes, chi2).std
+    np.testing.assert_allclose([n.std for n in found.numbers], exact, rtol=0.15)

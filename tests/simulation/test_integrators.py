@@ -275,7 +275,7 @@ def test_a_correction_that_the_model_does_not_follow_is_not_made(usual):
 
         for times in (1.0, 10.0):
             moved.clear()
-            found, _ = alone(corrected(descent, usual.experiment.fit_recordings, evaluate))
+            found, *_ = alone(corrected(descent, usual.experiment.fit_recordings, evaluate))
             assert moved == [False, True]
             assert (found is descent) == (times == 10.0)
 

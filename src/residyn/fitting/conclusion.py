@@ -18,7 +18,7 @@ from ..recordings.experiment import Experiment
 from ..recordings.segments import by_recording
 from .covariance import infinite_slopes_of, modes_of, numbers_of, spread_of
 from .history import History
-from .integration import at_twice_the_steps, corrected, refined, too_coarse
+from .integration import at_twice_the_steps, corrected, refined
 from .lanes import Fitting, alone, evaluating
 from .least_squares import Compressed, compressed
 from .linalg import BLIND, damped_step
@@ -53,13 +53,13 @@ def finishing(
 
     recordings, usual = experiment.fit_recordings, None
     if correct:
-        descent, error = yield from corrected(descent, recordings, evaluated)
-        while too_coarse(error, descent.reduced_chi2):
+        descent, error, coarse = yield from corrected(descent, recordings, evaluated)
+        while coarse:
             again = yield from _with_shorter_steps(descent, error, progress, search)
             if again is None:
                 break
             usual = usual or (int(descent.problem.steps), error)
-            descent, error = yield from corrected(again, recordings, evaluated)
+            descent, error, coarse = yield from corrected(again, recordings, evaluated)
     else:
         _, error = yield from at_twice_the_steps(descent, recordings, evaluated)
     model, fitted = descent.model, descent.beside(recordings)

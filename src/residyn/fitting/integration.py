@@ -29,6 +29,7 @@ from ..physics.modal import fastest
 from ..physics.model import Model
 from ..recordings.recording import Recording
 from ..simulation.integrator import Integrator
+from .covariance import spread_of
 from .history import watching
 from .lanes import Fitting
 from .layout import drives
@@ -42,6 +43,8 @@ TENTH = 0.1
 """Of the noise, or of what a model misses the readings by, if that is more: as much integration
 error as hardly counts. As an error of its own it would make standard errors half a per cent wider.
 """
+_SURE = 1.1
+"""Standard errors are known to a tenth: no steps may change them by more."""
 _TIGHTER = 2.0**5
 # Refined steps are to leave this share of it; no more than so many times as many are taken,
 # and in all, what that costs being in proportion, and room in memory with it.
@@ -58,17 +61,19 @@ def corrected(
     descent: Descent,
     recordings: Sequence[Recording],
     evaluate: Callable[[Problem, Unknowns], Fitting[Compressed]],
-) -> Fitting[tuple[Descent, float]]:
-    """A descent's minimum without the error that integration has left in it, to first order, and
-    that error, in times the noise; inf where twice the steps lead to no finite motion, and to no
-    other minimum. `evaluate` gives residual and Jacobian of a problem."""
+) -> Fitting[tuple[Descent, float, bool]]:
+    """A descent's minimum without the error that integration has left in it, to first order; that
+    error, in times the noise; and whether shorter steps are called for, by it or by the standard
+    errors. The error is inf where twice the steps lead to no finite motion, and to no other
+    minimum. `evaluate` gives residual and Jacobian of a problem."""
     problem, y = descent.problem, descent.unknowns
     fine, error = yield from at_twice_the_steps(descent, recordings, evaluate)
+    coarse = too_coarse(error, descent.reduced_chi2)
     watch = watching()
     if watch is not None:
         watch.descended(problem, y, 2)
-    if too_coarse(error, descent.reduced_chi2):  # shorter steps are called for
-        return descent, error
+    if coarse or _misjudged(descent, fine):
+        return descent, error, True
     factor, count, n = np.asarray(fine.factor), y.numbers.shape[0], fine.predicted.shape[-1]
     square = factor.transpose(0, 2, 1) @ factor
     slope = np.einsum("rij,ri->rj", factor, fine.along)
@@ -78,15 +83,28 @@ def corrected(
     local = step.local()
     moved = np.sqrt(np.einsum("ra,rab,rb->", local, square, local))
     if not moved > RESIDUAL_TOLERANCE:  # the descent did not look any closer
-        return descent, error
+        return descent, error, False
     there = jax.tree.map(np.add, y, step)
     found = jax.device_get((yield from evaluate(problem, there)))
     if watch is not None:
         watch.descended(problem, there, 1)
     cost = float(found.cost)
     if not math.sqrt(cost) <= math.sqrt(descent.cost) + moved:  # it bends more than slopes say
-        return descent, error
-    return descent._replace(unknowns=there, compressed=found, cost=cost), error
+        return descent, error, False
+    return descent._replace(unknowns=there, compressed=found, cost=cost), error, False
+
+
+def _misjudged(descent: Descent, fine: Compressed) -> bool:
+    """Whether twice the steps change the standard error of a number by more than a tenth, unless it
+    is larger than the number itself at either. Where a torque has corners, slopes are less exact
+    than the motion, and along a combination of numbers that hardly moves it their errors would be
+    all that is known."""
+    unit, factors = np.ones(len(descent.numbers)), (descent.compressed.factor, fine.factor)
+    before, after = (spread_of(np.asarray(x), unit, 1.0).std for x in factors)
+    known = np.isfinite(before) & np.isfinite(after)
+    known &= np.minimum(before, after) < np.abs(descent.unknowns.numbers)
+    off = np.abs(np.log(after[known] / before[known]))
+    return bool(np.any(off > math.log(_SURE)))
 
 
 def at_twice_the_steps(

@@ -193,10 +193,11 @@ def _misfit(fit: Fit) -> Iterator[str]:
 def _integration(fit: Fit) -> Iterator[str]:
     if fit.shortened is not None:
         steps, error = fit.shortened
-        yield (
-            f"the usual {steps} integration steps left an error of {error:.2g} times the noise: "
-            f"the fit went on with {fit.integration_steps}"
-        )
+        left = f"left an error of {error:.2g} times the noise"
+        if not too_coarse(error, fit.reduced_chi2):
+            left = "left standard errors wrong by more than a tenth"
+        more = f"the fit went on with {fit.integration_steps}"
+        yield f"the usual {steps} integration steps {left}: {more}"
     if not too_coarse(fit.integration_error, fit.reduced_chi2):
         return
     chosen = fit.experiment.integrator

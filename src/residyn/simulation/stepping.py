@@ -7,6 +7,7 @@ is corrected. A memory that follows the motion needs to know how far a joint wen
 round: the stages foresee that, and the end of the step knows.
 """
 
+import itertools
 from typing import NamedTuple
 
 import diffrax
@@ -164,34 +165,48 @@ def _settled(args: Args, t, h, y: State, end: State, first: Joints, last: Joints
 
 
 def _past_corners(args: Args, t, h, y: State, end: State, first, last, direction) -> State:
-    """The end of a step, corrected for corners of the torque inside it.
+    """The end of a step, corrected for corners of torques and of rates of internal states in it.
 
-    A corner costs the stages their order, as a quadrature of that torque, which is all that they
-    are to it: along the step's own path, the difference to a finer quadrature is the error made.
+    A corner costs the stages their order, as a quadrature of that torque or rate, which is all that
+    they are to it: along the step's own path, the difference to a finer quadrature is the error
+    made.
     """
     model = args.model
     if not any(effect.rough for effect in model.effects):
         return end
     bodies = model.bodies
     when, where = _turned(h, y, end, first, last)
+    follows = [effect.follows for effect in model.effects for _ in effect.memory]
 
-    def torque(share, grain) -> Joints:
+    def rough(share, grain) -> tuple[Joints, Joints]:  # torques and rates
         ends = list(zip(y.q, end.q, y.v, end.v, first, last, strict=True))
         q = tuple(position_within(share, q0, q1, h * v0, h * v1) for q0, q1, v0, v1, _, _ in ends)
         v = tuple(position_within(share, v0, v1, h * a0, h * a1) for _, _, v0, v1, a0, a1 in ends)
         turn = tuple(
             jnp.where(share > w, there, x) for w, there, x in zip(when, where, q, strict=True)
         )
-        motion = State(q, v, y.z).motion(t + share * h, direction(v))
+        ends = zip(y.z, end.z, follows, strict=True)
+        z = tuple(z0 if own else z0 + share * (z1 - z0) for z0, z1, own in ends)
+        motion = State(q, v, z).motion(t + share * h, direction(v))
         motion = motion._replace(turn=turn, grain=grain * h)
-        each = [e.torque(own, bodies) for e, own in model.each(motion) if e.rough]
-        return tuple(jnp.asarray(sum(parts), float) for parts in zip(*each, strict=True))
+        each = [(e, own) for e, own in model.each(motion)]
+        torques = zip(*(e.torque(own, bodies) for e, own in each if e.rough), strict=True)
+        rates = (
+            e.rate(own, bodies) if e.rough and not e.follows else (0.0,) * len(e.memory)
+            for e, own in each
+        )  # fmt: skip
+        found = map(sum, torques), itertools.chain(*rates)
+        torque, rate = (tuple(jnp.asarray(x, float) for x in part) for part in found)
+        return torque, rate
 
     grains = jnp.where(jnp.arange(len(_PLACES)) < _STAGES, _GRAIN, _FINE_GRAIN)
-    along = jax.vmap(torque)(jnp.asarray(_PLACES), grains)
-    errors = (tuple(jnp.dot(jnp.asarray(w), x) for x in along) for w in (_IN_RATE, _IN_POSITION))
+    torques, rates = jax.vmap(rough)(jnp.asarray(_PLACES), grains)
+    errors = (tuple(jnp.dot(jnp.asarray(w), x) for x in torques) for w in (_IN_RATE, _IN_POSITION))
     dv, dq = (solve_inertia(bodies.mass_matrix(end.q), error) for error in errors)
     return end._replace(
         q=tuple(x + h**2 * d for x, d in zip(end.q, dq, strict=True)),
         v=tuple(x + h * d for x, d in zip(end.v, dv, strict=True)),
+        z=tuple(
+            x - h * jnp.dot(jnp.asarray(_IN_RATE), r) for x, r in zip(end.z, rates, strict=True)
+        ),
     )
