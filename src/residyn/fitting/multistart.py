@@ -246,7 +246,7 @@ def polishing(problem: Problem, starts: Unknowns, shares: Sequence[float]) -> Fi
     going, shares = _begun(starts), list(shares)
     if len(going) > 1:
         # Those that had not settled go on where they are before more of the recording counts.
-        going = distinct((yield from _further(problem, going, shares[:1], calls=1)))
+        going = distinct((yield from _further(problem, going, shares[:1], most=1)))
         going = distinct((yield from _further(problem, going, shares[:1])))
         shares = shares[1:] or shares
     while shares:
@@ -259,10 +259,10 @@ def polishing(problem: Problem, starts: Unknowns, shares: Sequence[float]) -> Fi
 
 
 def _further(
-    problem: Problem, ends: Sequence[Polished], shares: Sequence[float], calls: int = _CALLS
+    problem: Problem, ends: Sequence[Polished], shares: Sequence[float], most: int = _MOST_CALLS
 ) -> Fitting[list[Polished]]:
     """Where those that have not settled end over growing shares of the recordings, of which each
-    has so many calls."""
+    has so many calls at the `most`, and no more than a few that hardly gain."""
     readings = max(1, np.count_nonzero(problem.recorded.weights))
     ends, left = list(ends), [() if end.converged else tuple(shares) for end in ends]
     units, made, idle = [1.0] * len(ends), [0] * len(ends), [0] * len(ends)
@@ -285,7 +285,7 @@ def _further(
                 units[i] = max(1.0, math.sqrt(ends[i].cost / readings))
             if watch is not None:
                 watch.descended(problem, y, int(steps))
-            over = idle[i] >= calls or made[i] == _MOST_CALLS or (calls == 1 and made[i])
+            over = idle[i] == _CALLS or made[i] == most
             if good or over or (watch is not None and watch.over()):
                 left[i], units[i], made[i], idle[i] = left[i][1:], 1.0, 0, 0
     return ends
@@ -403,7 +403,7 @@ def _shooting(
         found = memory_along_readings(here, numbers, memory, at)
         each[..., -found.shape[-1] :] = found
     y = Unknowns(numbers / problem.scale.numbers, each / problem.scale.states)
-    ends = distinct((yield from _further(problem, _begun(y), [1.0], calls=1)))[:2]
+    ends = distinct((yield from _further(problem, _begun(y), [1.0], most=1)))[:2]
     end = distinct((yield from _further(problem, ends, [1.0])))[0]
     if not np.isfinite(end.cost):
         return None
