@@ -96,7 +96,7 @@ def corrected(
 
 def _misjudged(descent: Descent, fine: Compressed) -> bool:
     """Whether twice the steps change the standard error of a number by more than a tenth, unless it
-    is larger than the number itself at either. Where a torque has corners, slopes are less exact
+    is larger than the number itself with both. Where a torque has corners, slopes are less exact
     than the motion, and along a combination of numbers that hardly moves it their errors would be
     all that is known."""
     unit, factors = np.ones(len(descent.numbers)), (descent.compressed.factor, fine.factor)
