@@ -474,3 +474,10 @@ def test_a_rounding_error_is_no_number_of_standard_errors():
     same = dataclasses.replace(NEXT, helps=False, difference=9.9e-17, now=0.0)
     assert "differ by less than 0.01 standard errors" in same.words
     assert "e-17" not in same.words
+
+
+def test_what_tells_two_models_by_their_spread_alone_is_not_said_to_part_their_predictions():
+    words = dataclasses.replace(NEXT, helps=True, difference=0.3, now=1.2).words
+    assert "less than a standard error of all readings together" in words
+    assert "1.2" not in words
+    assert "where now it is" in dataclasses.replace(NEXT, helps=True, difference=3.0).words

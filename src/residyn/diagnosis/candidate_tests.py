@@ -131,15 +131,14 @@ class Test(Result):
     probability_right: float
     """Expected probability of the likeliest model then."""
     between: tuple[tuple[str, ...], tuple[str, ...]]
-    """What the likeliest model adds, and the likeliest rival that it is told from, each without
-    what both have."""
+    """What the two likeliest models add, each without what both have."""
     difference: float
     """Their predictions differ by this many standard errors of all readings together, after the
     rival has adjusted its numbers as far as it may."""
     now: float
     """The same for the recordings that there are."""
     joint: str
-    """Where these are told apart most clearly by one reading,"""
+    """Where the two are told apart most clearly by one reading,"""
     reads: str
     """what is read there: "angle", "rate" or "acceleration","""
     unit: str
@@ -355,22 +354,21 @@ class Predictions:
         ]
         return np.concatenate([angle, rate, memory])
 
-    def clearest(
-        self, index: int, share: float, rival: int
-    ) -> tuple[int, int, list[tuple[float, float]]]:
-        """The sample and joint at which one reading tells the likeliest model and one of its rivals
-        apart best, and every model's reading there with its standard error."""
+    def clearest(self, index: int, share: float) -> tuple[int, int, list[tuple[float, float]]]:
+        """The sample and joint at which one reading tells the two likeliest models apart best, and
+        every model's reading there with its standard error."""
         keep = slice(0, math.ceil(share * _SAMPLES))
         means, stds = [], []
-        for each, readings, slopes in zip(self.rivals, self.readings, self.slopes, strict=True):
-            by, P = slopes[index, keep], len(each.root)
-            numbers, release = by[..., :P] @ each.root, by[..., P:] * self._unknown(each, index)
+        for rival, readings, slopes in zip(self.rivals, self.readings, self.slopes, strict=True):
+            by, P = slopes[index, keep], len(rival.root)
+            numbers, release = by[..., :P] @ rival.root, by[..., P:] * self._unknown(rival, index)
             means.append(readings[index, keep])
             stds.append(np.sqrt((numbers**2).sum(-1) + (release**2).sum(-1) + self.noise**2))
-        apart = np.abs(means[0] - means[rival]) / np.hypot(stds[0], stds[rival])
+        a, b = 0, min(1, len(means) - 1)
+        apart = np.abs(means[a] - means[b]) / np.hypot(stds[a], stds[b])
         k, j = np.unravel_index(int(np.argmax(apart)), apart.shape)
-        found = [(float(m[k, j]), float(s[k, j])) for m, s in zip(means, stds, strict=True)]
-        return int(k), int(j), found
+        each = [(float(m[k, j]), float(s[k, j])) for m, s in zip(means, stds, strict=True)]
+        return int(k), int(j), each
 
 
 @kept(like=(0, 0))
@@ -457,14 +455,9 @@ def best_tests(
             shorter = ((s, x := all_of_them.of(best, s), after(x)) for s in _SHARES[:-1])
             chosen = next((x for x in shorter if x[2].entropy <= enough), chosen)
         share, test, left = chosen
-        each = [separation(test[0], x) for x in test[1:]] or [0.0]
-        # Two models whose predictions differ by less are told apart by their priors alone.
-        rival, apart = next(((k, x) for k, x in enumerate(each, 1) if x > 1.0), (1, each[0]))
-        falls = before - left.entropy > WORTHWHILE * float(entropy(p)) and apart > 1.0
-        helps = wanted is not None or falls
+        helps = wanted is not None or before - left.entropy > WORTHWHILE * float(entropy(p))
         made.append(test)
-        other = min(rival, len(rivals) - 1)
-        found.append(_test(all_of_them, best, share, other, apart, left, helps))
+        found.append(_test(all_of_them, best, share, separation(test), left, helps))
         before = left.entropy
         if not helps:
             break
@@ -472,18 +465,16 @@ def best_tests(
 
 
 def _test(
-    all_of_them: Predictions, index: int, share: float, rival: int, apart: float, told: Worth,
-    helps: bool,
-) -> Test:  # fmt: skip
-    """One of them, or its beginning, and what it tells beside those before it: the likeliest model
-    and its `rival` are `apart`."""
+    all_of_them: Predictions, index: int, share: float, apart: float, told: Worth, helps: bool
+) -> Test:
+    """One of them, or its beginning, and what it tells beside those before it."""
     s, experiment = all_of_them.settings[index], all_of_them.experiment
     models = [r.tried for r in all_of_them.rivals]
     arm = isinstance(experiment.inertia, ArmTable)
     table = isinstance(experiment.inertia, InertiaTable)
     loaded = any(x.recording.load for x in all_of_them.settings)
-    k, j, readings = all_of_them.clearest(index, share, rival)
-    first, second = models[0], models[rival]
+    k, j, readings = all_of_them.clearest(index, share)
+    first, second = models[0], models[min(1, len(models) - 1)]
     one, other = (
         tuple(x for x in m.added if x not in n.added) for m, n in ((first, second), (second, first))
     )
@@ -514,9 +505,12 @@ def _test(
     )
 
 
-def separation(a: Predicted, b: Predicted) -> float:
-    """d of two models: their difference in standard errors, after the second has bent its numbers
-    as far as it may."""
+def separation(test: Sequence[Predicted]) -> float:
+    """d of the two likeliest models: their difference in standard errors, after the second has bent
+    its numbers as far as it may."""
+    if len(test) < 2:
+        return 0.0
+    a, b = test[0], test[1]
     u, d = np.column_stack([b.numbers, b.release]), a.mean - b.mean
     bend = np.linalg.solve(np.eye(u.shape[1]) + u.T @ u, u.T @ d)
     return math.sqrt(max(0.0, float(d @ d - (u.T @ d) @ bend)))

@@ -74,8 +74,14 @@ def sentence(test: Test) -> str:
             f"Nothing would help: no test within the limits would {aim}. At best the predictions "
             f"differ by {parts}, where now it is {now}."
         )
+    tells = f"the predictions then differ by {parts}, where now it is {now}"
+    if test.difference < 1.0:
+        tells = (
+            "these two then differ by less than a standard error of all readings together, but not "
+            "in how far they leave the readings open"
+        )
     return (
-        f"To {aim}, {recipe(test)}: the predictions then differ by {parts}, where now it is {now}, "
+        f"To {aim}, {recipe(test)}: {tells}, "
         f"and the likeliest is expected to have {percent(test.probability_right)}."
     )
 
