@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
-from residyn.effects import DeadZone, Spring
+from residyn.effects import DeadZone, Hysteresis, Spring
 from residyn.physics.mechanism import ConstantInertia
 from residyn.physics.model import Model
 from residyn.simulation.simulate import simulate, steps_for
@@ -49,6 +50,25 @@ def test_a_motion_through_a_gap_and_its_slopes_are_those_in_closed_form(finer, o
         up, down = (free_play(*(numbers + s * d * (np.arange(2) == i))) for s in (1, -1))
         slope = (up - down) / (2 * d)
         assert np.sqrt(np.mean((found - slope) ** 2)) < wrong * np.sqrt(np.mean(slope**2))
+
+
+def test_corners_of_an_internal_states_rate_are_integrated_too():
+    """Bouc and Wen's equations by SciPy: the rate of z turns where the joint does."""
+    torque, angle, start = 0.3, 0.15, 1.0 - np.exp(-SWING / 0.15)
+
+    def rates(_, x):
+        q, v, z = x
+        loaded = abs(z) if v * z > 0 else 0.0
+        return v, -STIFFNESS * q - torque * z, v / angle * (1.0 - loaded)
+
+    how = {"rtol": 1e-11, "atol": 1e-13, "max_step": 2e-3}
+    exact = solve_ivp(rates, (0.0, TIME[-1]), (SWING, 0.0, start), t_eval=TIME, **how).y[0]
+    mechanism = ConstantInertia(((1.0,),), ("joint",), ("rad",))
+    bouc_wen = Model(mechanism, (Spring("joint", STIFFNESS), Hysteresis("joint", torque, angle)))
+    steps = 4 * steps_for(bouc_wen, TIME[-1])
+    np.testing.assert_allclose(
+        simulate(bouc_wen, TIME, [SWING], steps=steps).q[:, 0], exact, atol=1e-6
+    )
 
 
 def test_a_joint_that_is_loose_at_rest_is_integrated_in_single_precision_too():

@@ -888,7 +888,7 @@ class Search:
         every = self._rivals()
         each = [(m, x) for m in self.tried.values() if m.log_posterior > lowest for x in m.added]
         for model, label in each:
-            for row, behind in every[label]:
+            for row, behind in every.get(label, ()):
                 added, log = _replaced(model.added, label, row.effect), model.log_posterior - behind
                 key = frozenset(added)
                 if key not in self.tried and log > hoped.get(key, (lowest,))[0]:
@@ -909,7 +909,7 @@ class Search:
     def _rivals(self) -> dict[str, list[tuple[Column, float]]]:
         """Of each effect that made some model likelier, those that in its place did nearly as well,
         as that model's screen has them, and by how many nats they were behind."""
-        found = collections.defaultdict(list)
+        found: dict[str, list[tuple[Column, float]]] = collections.defaultdict(list)
         for parent, screen in self.screens.items():
             rows = [(s, self.tried.get(parent | {s.effect.label})) for s in screen.ranked]
             joined = [(s, m.log_posterior) for s, m in rows if m is not None]

@@ -46,7 +46,7 @@ error as hardly counts. As an error of its own it would make standard errors hal
 _SURE = 1.1
 """Standard errors are known to a tenth: no steps may change them by more."""
 _TIGHTER = 2.0**5
-# Refined steps are to leave this share of it; no more than so many times as many are taken,
+# Refined steps are to leave this share of what `TENTH` is of; no more than so many times as many,
 # and in all, what that costs being in proportion, and room in memory with it.
 _AIM, MOST_AT_ONCE, _MOST_IN_ALL = 0.02, 8, 64
 _ORDER, _ROUGH_ORDER = 5.0, 2.0

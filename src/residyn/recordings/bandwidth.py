@@ -17,26 +17,28 @@ import math
 import numpy as np
 
 _BANDS = 4  # of an octave
-_LINES = 6  # of a band, at least
-_FLAT = 2.0  # between the powers of a plateau's bands and their mean, at most, or ...
+_LINES = 6  # of a band, at least: three independent ones
+_FLAT = 2.0  # between a plateau's bands and their mean, at most: half power is its end, or ...
 _SIGMAS = 3.0  # ... this many standard deviations of what so many lines tell of a band
-_ENDS = 10.0, 100.0  # times less power an octave beyond the plateau, and at the highest frequencies
-_NOISE = 1e-2  # of all power, at most: what has more of it is motion
+# Times less power, at least: an octave beyond the plateau, where a filter of second order has 16
+# times less; and at the highest frequencies, where noise of a tenth would still count as noise.
+_ENDS = 10.0, 100.0
+_NOISE = 1e-2  # of all power, at most: noise of a tenth of the motion, above which it is motion
 _EVEN = 1.0  # samples that an instant may be off its place: filters work on even ones
-_LOST = 0.05  # of the readings, at most
+_LOST = 0.05  # of the readings, at most: lines across more have a spectrum of their own
 
 
 def independent(time: np.ndarray, angle: np.ndarray) -> tuple[int, float]:
-    """One of how many readings (N, n) to take so that their noise is white, 1 if it is, and the
-    cut-off that shows in all joints that move, Hz (inf for none)."""
+    """One of how many readings (N, n) is to be taken so that the noise of these is white (1 where
+    all is), and the bandwidth of the noise, the largest of all joints that move, Hz (inf there)."""
     index, dt, band = np.arange(len(time)), (time[-1] - time[0]) / (len(time) - 1), 0.0
     lost = ~np.isfinite(angle)
     if np.abs(time - time[0] - dt * index).max() < _EVEN * dt and lost.mean() < _LOST:
         pairs = zip(angle.T, ~lost.T, strict=True)
         whole = [np.interp(index, index[seen], x[seen]) for x, seen in pairs if seen.any()]
         band = max((_bandwidth(x) for x in whole if np.ptp(x) > 0), default=0.0)
-    one = round(1 / band) if band else 1
-    return (one, 0.5 * band / dt) if one > 1 else (1, np.inf)
+    every = round(1 / band) if band else 1
+    return (every, 0.5 * band / dt) if every > 1 else (1, np.inf)
 
 
 def _bandwidth(x: np.ndarray) -> float:

@@ -139,13 +139,13 @@ class Recording:
                 angle = np.where(outlier_mask(time, angle), np.nan, angle)
                 time, angle = block_means(time, many), block_means(angle, many)
                 force = None if force is None else block_means(force, many)
-            one, cut_off = independent(time, angle) if force is None else (1, np.inf)
-            if one > 1:
+            every, cut_off = independent(time, angle) if force is None else (1, np.inf)
+            if every > 1:
                 warnings.append(
-                    f"its readings were low-pass filtered, at about {cut_off:.2g} Hz: one of {one} "
-                    "is taken, for those between say nothing new"
+                    f"its readings were low-pass filtered, at about {cut_off:.2g} Hz: one of "
+                    f"{every} is taken, for those between say nothing new"
                 )
-                time, angle = time[::one], angle[::one]
+                time, angle = time[::every], angle[::every]
             if rest is not None:
                 off, more = _rest(rest, time, angle)
                 angle, warnings = angle - off, warnings + more

@@ -182,31 +182,31 @@ def _past_corners(args: Args, t, h, y: State, end: State, first, last, direction
         ends = list(zip(y.q, end.q, y.v, end.v, first, last, strict=True))
         q = tuple(position_within(share, q0, q1, h * v0, h * v1) for q0, q1, v0, v1, _, _ in ends)
         v = tuple(position_within(share, v0, v1, h * a0, h * a1) for _, _, v0, v1, a0, a1 in ends)
+        states = zip(y.z, end.z, follows, strict=True)
+        z = tuple(z0 if own else z0 + share * (z1 - z0) for z0, z1, own in states)
         turn = tuple(
             jnp.where(share > w, there, x) for w, there, x in zip(when, where, q, strict=True)
         )
-        ends = zip(y.z, end.z, follows, strict=True)
-        z = tuple(z0 if own else z0 + share * (z1 - z0) for z0, z1, own in ends)
         motion = State(q, v, z).motion(t + share * h, direction(v))
         motion = motion._replace(turn=turn, grain=grain * h)
-        each = [(e, own) for e, own in model.each(motion)]
+        each = list(model.each(motion))
         torques = zip(*(e.torque(own, bodies) for e, own in each if e.rough), strict=True)
-        rates = (
+        changes = (
             e.rate(own, bodies) if e.rough and not e.follows else (0.0,) * len(e.memory)
             for e, own in each
         )  # fmt: skip
-        found = map(sum, torques), itertools.chain(*rates)
-        torque, rate = (tuple(jnp.asarray(x, float) for x in part) for part in found)
-        return torque, rate
+        found = map(sum, torques), itertools.chain(*changes)
+        torque, change = (tuple(jnp.asarray(x, float) for x in part) for part in found)
+        return torque, change
 
     grains = jnp.where(jnp.arange(len(_PLACES)) < _STAGES, _GRAIN, _FINE_GRAIN)
-    torques, rates = jax.vmap(rough)(jnp.asarray(_PLACES), grains)
+    torques, changes = jax.vmap(rough)(jnp.asarray(_PLACES), grains)
     errors = (tuple(jnp.dot(jnp.asarray(w), x) for x in torques) for w in (_IN_RATE, _IN_POSITION))
     dv, dq = (solve_inertia(bodies.mass_matrix(end.q), error) for error in errors)
     return end._replace(
         q=tuple(x + h**2 * d for x, d in zip(end.q, dq, strict=True)),
         v=tuple(x + h * d for x, d in zip(end.v, dv, strict=True)),
         z=tuple(
-            x - h * jnp.dot(jnp.asarray(_IN_RATE), r) for x, r in zip(end.z, rates, strict=True)
+            x - h * jnp.dot(jnp.asarray(_IN_RATE), r) for x, r in zip(end.z, changes, strict=True)
         ),
     )
