@@ -23,7 +23,7 @@ MASS, STIFFNESS, DAMPING, FRICTION, COEFFICIENT = 1.5, 200.0, 0.4, 0.2, 0.03
 NOISE = 2e-5
 TABLE = InertiaTable(("cart",), ((MASS,),), ("m",))
 
-pytestmark = pytest.mark.usefixtures("float64")
+pytestmark = pytest.mark.usefixtures("float64", "compiled_in_less_time")
 
 
 def release(load=0.0, friction=FRICTION, seed=0, rate=100.0, **more):

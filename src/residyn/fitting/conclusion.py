@@ -103,7 +103,7 @@ def _with_shorter_steps(
 ) -> Fitting[Descent | None]:
     """The descent from where it ended, with so many steps that this integration error would have
     been small; None if there cannot be, or if they lead nowhere."""
-    here = refined(descent.here, error, descent.reduced_chi2)
+    here = refined(descent, error)
     if here is None:
         return None
     progress("fitting again with shorter integration steps")

@@ -47,7 +47,8 @@ _SURE = 1.1
 """Standard errors are known to a tenth: no steps may change them by more."""
 _TIGHTER = 2.0**5
 # Refined steps are to leave this share of what `TENTH` is of; no more than so many times as many,
-# and in all, what that costs being in proportion, and room in memory with it.
+# and in all than the readings' own motion asks for, what that costs being in proportion, and room
+# in memory with it.
 _AIM, MOST_AT_ONCE, _MOST_IN_ALL = 0.02, 8, 64
 _ORDER, _ROUGH_ORDER = 5.0, 2.0
 # What a fit is checked against: this solver, or, where joints stick, so many times its own steps.
@@ -154,15 +155,18 @@ def too_coarse(error: float, chi2: float) -> bool:
     return error > TENTH * math.sqrt(max(1.0, chi2))
 
 
-def refined(here: Ready, error: float, chi2: float) -> Ready | None:
-    """The same recordings with so many more steps that this integration error would have been
+def refined(descent: Descent, error: float) -> Ready | None:
+    """A descent's recordings with so many more steps that this integration error would have been
     small beside what the readings are missed by otherwise; None if these are too many, or chosen by
-    what integrates."""
-    order = _ROUGH_ORDER if here.model.rough else _ORDER
-    aim = _AIM * math.sqrt(max(1.0, chi2 - error**2))
+    what integrates. A model that is damped without bounds asks for ever more by itself."""
+    here, model = descent.here, descent.model
+    order = _ROUGH_ORDER if model.rough else _ORDER
+    aim = _AIM * math.sqrt(max(1.0, descent.reduced_chi2 - error**2))
     times = (error / aim) ** (1 / order) if math.isfinite(error) else MOST_AT_ONCE
-    finer = here.finer * min(max(2, math.ceil(times)), MOST_AT_ONCE)
-    return None if here.adapts or finer > _MOST_IN_ALL else here._replace(finer=finer)
+    more = here._replace(finer=here.finer * min(max(2, math.ceil(times)), MOST_AT_ONCE))
+    usual = here._replace(finer=1).steps(model, float(here.pace.max()))
+    too_many = max(more.finer, more.steps(model) / usual) > _MOST_IN_ALL
+    return None if here.adapts or too_many else more
 
 
 def stable(here: Ready, begin: Model) -> Ready | None:
