@@ -227,6 +227,17 @@ def test_bearing_drag_is_fitted_though_all_check_recordings_are_bare():
     assert np.isfinite(fit.check_rmse).all()
 
 
+def test_starts_that_segments_confirm_are_counted_as_they_agree():
+    """Where a law leaves something, and starts agree, segments end in the same place."""
+    arm, drag = rig.paper_twin(0.3), rig.Hidden("quadratic_drag:elbow", {"coefficient": 0.5})
+    made = rig.record(
+        np.random.default_rng(1), arm, [0.2, 0.1], [drag], seconds=10.0, rate=100.0, noise=3e-4
+    )
+    wrong = residyn.fit(experiment(made), effects=["coulomb_friction:elbow"], starts=3)
+    assert wrong.reduced_chi2 > 1.1
+    assert wrong.agreeing_starts == 3
+
+
 @pytest.mark.slow
 def test_hidden_coulomb_friction_shows_and_then_fits():
     rng = np.random.default_rng([8, 1])

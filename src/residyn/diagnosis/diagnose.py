@@ -361,7 +361,7 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
         advice = next(iter(best_tests(fits.whole, scene, rivals, p)[0]), None)
     if search.curves:
         search.say("looking for its formula")
-    laws = laws_of(search, posterior.of_curves.tolist(), search.best.log_evidence, fits)
+    laws = laws_of(search, posterior.of_laws, search.best.log_evidence, fits)
     shown = [(search.tried.get(frozenset([x]), best), x) for x in best.added]
     others = [
         (search.tried[frozenset([x])], x)
@@ -525,6 +525,13 @@ class Posterior:
         work = np.min([self._at_work(model, x) for x in model.added] or 1.0, axis=0)
         return float((work * model.weights)[model.enough].sum())
 
+    @property
+    def of_laws(self) -> list[float]:
+        """Probability that there is each law without a name: that of its model, less what may be of
+        another torque that it only takes up a part of."""
+        each = ((c, c.weights @ self._at_work(c, None)) for c in self.curves)
+        return [p * float(work) for p, (_, work) in zip(self.of_curves, each, strict=True)]
+
     def verdict(self) -> tuple[Verdict, float]:
         """The likeliest of the three, and its probability."""
         sums = {"adequate": 0.0, "missing": 0.0, "unexplained": 0.0}
@@ -660,7 +667,7 @@ def _random_torque(
         low, high = map(float, np.quantile(
             sizes[:, j], (0.025, 0.975), weights=weights, method="inverted_cdf"
         ))  # fmt: skip
-        mean = float(weights @ sizes[:, j])
-        share = mean / spring[j] if spring[j] > 0 else math.nan
-        found.append(RandomTorque(joint, scene.torque_units[j], mean, low, high, share))
+        rms = math.sqrt(weights @ sizes[:, j] ** 2)
+        share = rms / spring[j] if spring[j] > 0 else math.nan
+        found.append(RandomTorque(joint, scene.torque_units[j], rms, low, high, share))
     return tuple(found)

@@ -68,7 +68,8 @@ class MissingTorque:
     amplitude: np.ndarray
     """(N, n) local amplitude of the angle about where it rests, rad or m."""
     rms: np.ndarray
-    """(n,) rms of the torque, N m or N."""
+    """(n,) rms of the torque, N m or N: the root of its mean square's expected value, which is that
+    of the estimate's square and its variance."""
     share_of_spring: np.ndarray
     """(n,) `rms` over that of the restoring torque: of springs and of what acts in their place, or
     of Z q'' if the joint has neither."""
@@ -146,7 +147,7 @@ def torques_of(
     for i, recording in enumerate(scene.recordings):
         own = g.of(i)
         time, angle = g.time[own], best.path[own, :n]
-        rms, whole = (np.sqrt(np.mean(x[own] ** 2, axis=0)) for x in (mean, pulled_back))
+        rms, whole = (np.sqrt(np.mean(x[own], axis=0)) for x in (square, pulled_back**2))
         found.append(
             MissingTorque(
                 time=time + recording.time[0],

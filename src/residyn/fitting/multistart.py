@@ -148,7 +148,11 @@ def multistart(
         assert failed is not None
         raise failed
     best = min(found, key=lambda d: d.cost)
-    return best._replace(starts=starts, steps=sum(d.steps for d in found))
+    ends = ((best.problem.scaled(d.numbers, d.states), d) for d in found)
+    same = [d.agreeing for y, d in ends if _distance(best, best._replace(unknowns=y)) < _SAME]
+    agreeing = min(sum(same), starts)  # what began from where they ended is no further start
+    steps = sum(d.steps for d in found)
+    return best._replace(starts=starts, agreeing=agreeing, steps=steps)
 
 
 def _perhaps_local(descent: Descent) -> bool:
@@ -312,7 +316,7 @@ def distinct(ends: Sequence[Polished]) -> list[Polished]:
     return found
 
 
-def _distance(one: Polished, other: Polished) -> float:
+def _distance(one: Polished | Descent, other: Polished | Descent) -> float:
     """Between two ends, in standard errors of the first."""
     gap = jax.tree.map(np.subtract, other.unknowns, one.unknowns)
     return float(np.linalg.norm(np.einsum("rij,rj->ri", one.compressed.factor, gap.local())))

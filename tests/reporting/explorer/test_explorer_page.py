@@ -27,6 +27,7 @@ from residyn.reporting.explorer import page
 from residyn.reporting.explorer.hidden import hide_one
 from residyn.reporting.explorer.payload import Drawn, packed, payload
 from residyn.reporting.explorer.study import Study
+from residyn.reporting.numbers import times
 from residyn.runtime.export_cache import keep_in
 from tests.chromium import complaints, driver, until
 
@@ -217,11 +218,18 @@ def test_where_a_joint_may_stick_a_probability_is_the_searchs_or_is_not_known(of
             const each = e.probabilities(chosen);
             return [dry, other, smooth].map((x) => each.get(x).probability);
         });
-        e.keep({ tried: [model([], 0), model([dry], 900), model([other], 880)], screened: [] });
+        const nothing = { tried: [], screened: [], unnamed: [] };
+        const tried = [model([], 0), model([dry], 900), model([other], 880)];
+        e.keep({ ...nothing, tried });
         const before = found();
-        e.keep({ tried: [], screened: [{ added: [dry], gains: { [smooth]: -2 } }] });
-        return [before, found()];"""
-    before, after = ask(offline, script, FRICTION, "stribeck_friction:elbow", SMOOTH)
+        e.keep({ ...nothing, screened: [{ added: [dry], gains: { [smooth]: -2 } }] });
+        const after = found();
+        e.keep({ ...nothing, unnamed: [{ beside: [], gain: 960 }] });
+        return [before, after, found(), [[], [dry]].map((chosen) => e.ofUnnamed(chosen))];"""
+    given = FRICTION, "stribeck_friction:elbow", SMOOTH
+    before, after, beside, unnamed = ask(offline, script, *given)
+    assert unnamed == pytest.approx([1, 0], abs=1e-9)
+    assert beside[1:] == after[1:]
     alone, other, both = before
     assert alone[:2] == pytest.approx([1, 0], abs=1e-3)
     assert other[:2] == pytest.approx([1, 1], abs=1e-3)
@@ -372,9 +380,10 @@ def test_a_live_search_says_what_a_diagnosis_does_and_the_page_what_to_check(stu
 
 
 def test_words(offline):
-    script = "return [m.command(given[0], ['x:y z']), m.times(10.4), m.times(0.98)];"
-    found = ask(offline, script, "a'b <i>.toml")
-    assert found == ["residyn fit 'a'\\''b <i>.toml' --with 'x:y z'", "10", "0.98"]
+    script = "return [m.command(given[0], ['x:y z']), ...given[1].map(m.times)];"
+    errors = [10.4, 9.97, 3.14, 0.98, 0.1, 0.0314]
+    found = ask(offline, script, "a'b <i>.toml", errors)
+    assert found == ["residyn fit 'a'\\''b <i>.toml' --with 'x:y z'", *map(times, errors)]
 
 
 def test_what_is_saved_is_an_experiment_file_whatever_names_say(offline):

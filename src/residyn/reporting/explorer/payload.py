@@ -122,7 +122,7 @@ def payload(study: Study, *, live: bool = False, name: str = "", toml: str | Non
 
 
 def searched(study: Study, since: Sequence[int] = (0, 0)) -> dict[str, Any]:
-    """What a search and fits have added: `tried`, `screened`, `verdict`, and `fits` by least
+    """What a search and fits have added: `tried`, `screened`, `unnamed`, `verdict`, `fits` by least
     squares and by the smoother but for the first `since` of each; how many there are is `known`."""
     found, base, tried = study.found, study.search.base, list(study.search.tried.values())
     fits, refits = list(study.fits.items()), list(study.refits)
@@ -135,6 +135,11 @@ def searched(study: Study, since: Sequence[int] = (0, 0)) -> dict[str, Any]:
             {"added": sorted(key), "gains": {s.effect.label: s.gain for s in screen.ranked}}
             for key, screen in list(study.search.screens.items())
             if key
+        ],
+        "unnamed": [
+            {"beside": list(c.added), "gain": c.log_posterior - parent.log_posterior}
+            for c in study.search.curves
+            if c.matters and (parent := study.search.tried.get(frozenset(c.added)))
         ],
         "fits": [fitted(study, sorted(k), f) for k, f in fits[since[0]:]]
         + [r for k in refits[since[1]:] if k not in study.fits and (r := refitted(study, k))],

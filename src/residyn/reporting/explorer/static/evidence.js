@@ -20,9 +20,13 @@ export class Evidence {
     this.keep(data);
   }
 
-  /** Take in models that were tried, and the first order beside those that were extended. */
-  keep({ tried, screened }) {
+  /**
+   * Take in models that were tried, the first order beside those that were extended, and by how much
+   * laws without a name raise the log posterior beside some.
+   */
+  keep({ tried, screened, unnamed }) {
     this.known = new Map();
+    this.unnamed = unnamed;
     for (const beside of screened) this.screened.set(keyOf(beside.added), beside.gains);
     for (const model of tried) this.tried.set(keyOf(model.added), model.log_evidence);
   }
@@ -93,12 +97,21 @@ export class Evidence {
 
   /**
    * Label -> { probability, exact }: for each effect outside the chosen set, that it is the one to
-   * add next, where nothing more is a choice too; for each inside, that the model is better with it
+   * add next, where nothing more and a law without a name are choices too; for each inside, that the model is better with it
    * than without it. What was not tried is known to first order, about this model if the search has
    * extended it, else about the base model, corrected by what the search found for the effect alone;
    * with an effect by which a joint may stick that says nothing, and the probability is null.
    */
   probabilities(chosen) {
+    return this.about(chosen).each;
+  }
+
+  /** That a law without a name is to be added next. */
+  ofUnnamed(chosen) {
+    return this.about(chosen).unnamed;
+  }
+
+  about(chosen) {
     const here = keyOf(chosen);
     if (!this.known.has(here)) this.known.set(here, this.weighed(chosen, here));
     return this.known.get(here);
@@ -128,7 +141,9 @@ export class Evidence {
       if (gain === undefined) found.set(label, { probability: null, exact: false });
       else further.push([label, gain + this.logPrior(rest.length + 1), exact !== undefined]);
     }
-    const total = logSumExp([stay, ...further.map(([, w]) => w)]);
+    const beside = this.unnamed.filter((law) => keyOf(law.beside) === here);
+    const unnamed = logSumExp(beside.map((law) => stay + law.gain));
+    const total = logSumExp([stay, unnamed, ...further.map(([, w]) => w)]);
     for (const [label, weight, exact] of further) {
       found.set(label, { probability: Math.exp(weight - total), exact });
     }
@@ -144,6 +159,6 @@ export class Evidence {
       const probability = gain === undefined ? null : 1 / (1 + Math.exp(-odds));
       found.set(label, { probability, exact });
     }
-    return found;
+    return { each: found, unnamed: Math.exp(unnamed - total) };
   }
 }

@@ -235,12 +235,14 @@ export class Page {
     this.verdict.classList.toggle("good", told.good);
   }
 
-  /** { label, probability, exact } of what is most probable next, or null. */
+  /** { label, probability, exact } of what is most probable next, or null; a law without a name has
+   * no label. */
   likeliest(chosen) {
-    const next = [...this.evidence.probabilities(chosen)]
+    const unnamed = { label: null, probability: this.evidence.ofUnnamed(chosen), exact: true };
+    const each = [...this.evidence.probabilities(chosen)]
       .filter(([label]) => !chosen.includes(label))
-      .map(([label, found]) => ({ label, ...found }))
-      .sort((a, b) => b.probability - a.probability)[0];
+      .map(([label, found]) => ({ label, ...found }));
+    const next = [...each, unnamed].sort((a, b) => b.probability - a.probability)[0];
     return next && this.weighed(next.exact) && next.probability > LIKELY ? next : null;
   }
 

@@ -1,10 +1,10 @@
 // Numbers and verdicts in words.
 
-/** Three digits, or two from 10 times on. */
+/** How many times, to two digits: 0.98 reads "1.0". Python: numbers.times. */
 export function times(x) {
   if (x === null || !Number.isFinite(x)) return "?";
   if (x >= 9.95) return x.toFixed(0);
-  return x >= 0.995 ? x.toFixed(1) : x.toFixed(2);
+  return x >= 0.1 ? x.toFixed(1) : x.toPrecision(2);
 }
 
 /** A probability: never 100 %, as nothing measured is certain. */
@@ -114,7 +114,8 @@ export function verdict({ model, base, chosen, candidates, joints, heldOut, like
     );
   }
   if (!noise && likeliest && !found?.check) {
-    const name = placed(candidates.get(likeliest.label), joints);
+    const { label } = likeliest;
+    const name = label ? placed(candidates.get(label), joints) : "a law without a name";
     const sure = likeliest.exact ? "" : ", to first order";
     words.push(`Most probable next: ${name} (${percent(likeliest.probability)}${sure}).`);
   }
