@@ -23,6 +23,7 @@ from ..diagnosis.result import (
     Value,
 )
 from ..effects import catalogue
+from ..fitting.result import Fit
 from ..physics.parameter import parameters_of
 from . import latex as tex
 from . import laws
@@ -80,7 +81,8 @@ def sentences(found: Diagnosis) -> tuple[str, ...]:
         named = [_families, _laws] if found.added else [_families, _none_named]
         named = [_none_named, _standing_in] if _stand_in(found) else named
         left = _left if found.coloured is None else _coloured
-        parts = [_unphysical, *named, laws.sentences, _others, _fall, _noise, left]
+        named += [laws.sentences, _others]
+        parts = [_unphysical, *named, _unphysical_base, _fall, _noise, left]
     return tuple(words for part in (_stopped, *parts) for words in part(found))
 
 
@@ -96,17 +98,21 @@ def _stopped(found: Diagnosis) -> Iterator[str]:
 
 def _unphysical(found: Diagnosis) -> Iterator[str]:
     """A spring or damper whose number is below zero by more than its error."""
-    last, first = (
-        [f"{n.name} is {measured(n.value, n.std, n.unit)}" for n in fit.unphysical]
-        for fit in (found.fit, found.base)
-    )
-    if last:
+    if found.fit.unphysical:
         yield (
-            f"This model cannot be right: {listed(last)}, and no arm has a negative stiffness "
-            "or damping. Check the inertias, the signs and the units before anything else."
+            f"This model cannot be right: {_below_zero(found.fit)}, and no arm has a negative "
+            "stiffness or damping. Check the inertias, the signs and the units before anything "
+            "else."
         )
-    elif first:
-        yield f"Springs and dampers alone cannot be right: {listed(first)}."
+
+
+def _unphysical_base(found: Diagnosis) -> Iterator[str]:
+    if found.base.unphysical and not found.fit.unphysical:
+        yield f"Springs and dampers alone cannot be right: {_below_zero(found.base)}."
+
+
+def _below_zero(fit: Fit) -> str:
+    return listed([f"{n.name} is {measured(n.value, n.std, n.unit)}" for n in fit.unphysical])
 
 
 def _channels(found: Diagnosis) -> Iterator[str]:

@@ -66,7 +66,7 @@ def times(value: float) -> str:
     """How many times, to two digits: 0.98 reads "1.0", as the third digit says nothing."""
     if value >= 1e4:
         return f"{value:.1e}"
-    return plain(value, 2) if not 0.1 <= value < 9.95 else f"{value:.1f}"
+    return f"{value:.{0 if value >= 9.95 else 1}f}" if value >= 0.1 else plain(value, 2)
 
 
 def percent(probability: float) -> str:

@@ -55,7 +55,7 @@ export function placed(candidate, joints) {
 export function standing({ how, fitted }, sticks, working) {
   const words = {
     refitted: "refitted: every number of this model by least squares",
-    smoothed: `refitted: least squares by the smoother${sticks ? ", to about 1\u00a0% where a joint sticks" : ""}`,
+    smoothed: `refitted: least squares by the smoother${sticks ? "; where a joint sticks, to a first approximation" : ""}`,
     "first order": fitted
       ? "first order: predicted, nothing fitted yet"
       : `no first-order answer: where a joint sticks nothing is linear${working ? "" : "; residyn explore fits it"}`,
