@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import warnings
 
 import diffrax
 import jax
@@ -232,6 +233,20 @@ def test_single_precision_works_too():
         q = residyn.simulate(model, np.arange(200) * 0.01, [0.1, 0.0]).q
         assert q.dtype == jnp.float32
         assert np.isfinite(q).all()
+
+
+def test_single_precision_after_double_is_silent(undamped):
+    model = undamped + residyn.Hysteresis("elbow", 0.1, 0.05)
+
+    def last(stiffness):
+        stiffer = model.with_values({"spring:elbow.stiffness": stiffness})
+        return residyn.simulate(stiffer, [0.0, 1.0], [0.2, -0.1], steps=20).q[-1, 1]
+
+    wide = last(16.0)
+    with jax.enable_x64(False), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert float(last(16.0)) == pytest.approx(float(wide), rel=1e-4)
+        assert jax.grad(last)(16.0).dtype == jnp.float32
 
 
 @pytest.mark.parametrize("joints", [1, 3, 5])
