@@ -370,6 +370,31 @@ def test_masses_that_there_cannot_be_are_refused(matrix, how, words):
         ConstantInertia(matrix, **how)
 
 
+@pytest.mark.parametrize(
+    "change",
+    [{"shoulder": -1.0}, {"elbow": 0.0}, {"coupling": 5.0}, {"elbow": np.nan}, {"theta2": np.inf}],
+)
+def test_an_arm_that_there_cannot_be_is_refused(change):
+    given = {"shoulder": 1.1662, "elbow": 0.579, "coupling": 1.4384} | change
+    ((name, value),) = change.items()
+    with pytest.raises(ValueError, match=rf"{name} = {value}.*must be finite, and shoulder\*elbow"):
+        PlanarArm([0.4, 0.4], **given)
+
+
+def test_traced_and_mapped_arms_are_taken_as_they_are():
+    def frequency(elbow):
+        arm = PlanarArm([0.4, 0.4], 1.1662, elbow, 1.4384)
+        return residyn.modes(arm + Spring("shoulder", 16.0) + Spring("elbow", 16.0)).frequency_hz[0]
+
+    inertias = jnp.array([0.5, 0.6])
+    arms = PlanarArm([0.4, 0.4], 1.1662, inertias, 1.4384)  # a pytree of two
+    assert jax.tree.map(lambda x: -x, arms).elbow.tolist() == (-inertias).tolist()
+    found = jax.jit(jax.vmap(jax.grad(frequency)))(inertias)
+    for slope, elbow in zip(found, inertias, strict=True):
+        finite = (frequency(elbow + 1e-6) - frequency(elbow - 1e-6)) / 2e-6
+        assert float(slope) == pytest.approx(float(finite), rel=1e-5)
+
+
 def test_traced_masses_are_taken_as_they_are():
     def frequency(mass):
         bodies = ConstantInertia(jnp.reshape(mass, (1, 1)))
