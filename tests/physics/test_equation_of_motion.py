@@ -5,6 +5,7 @@ import math
 import warnings
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -502,6 +503,22 @@ def test_a_known_model_chooses_its_steps_beside_traced_states(undamped):
     np.testing.assert_allclose(traced, found, atol=1e-6)
     with pytest.raises(ValueError, match="give steps="):
         jax.jit(lambda t: residyn.simulate(undamped, t, q0).q)(times)
+
+
+def test_what_is_no_model_and_numbers_that_are_several_are_told(undamped):
+    for given in (undamped.mechanism, "arm"):
+        with pytest.raises(TypeError, match=f"{type(given).__name__} is no model"):
+            residyn.modes(given)
+    several = undamped + Damper("elbow", [0.1, 0.2])
+    for call in (residyn.modes, lambda m: residyn.simulate(m, [0.0, 1.0], [0.1, 0.0], steps=20).q):
+        with pytest.raises(ValueError, match=r"damper:elbow.damping has shape \(2,\): must be one"):
+            call(several)
+        axes = jax.tree.map(lambda x: 0 if np.shape(x) == (2,) else None, several)
+        axes = eqx.tree_at(lambda m: m.mechanism, axes, None)
+        found = jax.tree.leaves(jax.vmap(call, (axes,))(several))
+        assert all(np.isfinite(x).all() and len(x) == 2 for x in found)
+    with pytest.raises(ValueError, match="3 values: the model has 2 fitted numbers: spring:should"):
+        undamped.with_vector(np.ones(3))
 
 
 def test_a_model_shows_its_numbers_and_refuses_a_joint_that_is_not_there():
