@@ -571,7 +571,7 @@ def test_warns_of_a_clock_that_does_not_count_seconds(scale, word):
     assert "must be in s" in warning
 
 
-def test_refuses_degrees_and_warns_of_them_in_python(folder):
+def test_refuses_degrees_of_a_file_and_of_arrays(folder):
     t, q, _ = ringing(np.random.default_rng(0), modes=(1.0, 2.0))
     table = [np.degrees(0.3 * q), np.degrees(0.2 * q)]
     write_csv(folder / "degrees.csv", t, np.stack(table, axis=1))
@@ -586,10 +586,16 @@ def test_refuses_degrees_and_warns_of_them_in_python(folder):
         entries = entry(f"theta2 = {beyond}", units, file="degrees.csv")
         (line,) = experiment(folder, ARM, entries).warnings
         assert f"theta2 = {beyond}: in degrees?" in line
-    made = Recording.from_arrays(t, np.stack(table, axis=1), theta2=17, name="degrees.csv")
-    lines = Experiment(ArmTable((0.4, 0.4), 1.1662, 0.579, 1.4384), (made,)).warnings
-    assert len(lines) == 3
-    assert all("degrees.csv" in line and "must be in rad" in line for line in lines)
+    angles = np.stack(table, axis=1)
+    for bodies in (ARM_TABLE, BENT):
+        made = Recording.from_arrays(t, angles, theta2=17 if bodies is ARM_TABLE else 0.3)
+        with pytest.raises(InputError, match=r"recording: .*: in degrees\?"):
+            Experiment(bodies, (made,))
+        made = Recording.from_arrays(t, angles, theta2=0.3)
+        with pytest.raises(InputError, match=r"recording: q1 reaches .*: in degrees\?.* stated ="):
+            Experiment(bodies, (made,))
+        made = Recording.from_arrays(t, angles, theta2=0.3, stated=["q1", "q2"])
+        assert Experiment(bodies, (made,)).warnings == ()
     # The same numbers may be millimetres where nothing says they are angles.
     write_csv(folder / "mm.csv", t, table[0])
     assert experiment(folder, CART, entry(file="mm.csv")).warnings == ()

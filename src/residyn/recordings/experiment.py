@@ -23,7 +23,7 @@ from .limits import Limits
 from .motion_capture.angles import read as read_markers
 from .reads import READS, check_reads, reading_units
 from .recording import Recording
-from .sanity import not_free, off_rest_alike
+from .sanity import in_degrees, not_free, off_rest_alike
 from .segments import by_recording
 from .tables import ArmTable, Bearing, InertiaTable, check_bearings
 from .toml import parse
@@ -31,7 +31,11 @@ from .toml import parse
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """The inertia of what moved, and its recordings."""
+    """The inertia of what moved, and its recordings.
+
+    **Raises:** `TypeError` for what is no inertia or no recording, `InputError` for recordings that
+    do not go with it or with each other, and for angles that seem to be in degrees.
+    """
 
     inertia: ArmTable | InertiaTable | AbstractMechanism
     """A table, or a mechanism of your own: it is then as it is in every recording, and one that
@@ -84,6 +88,13 @@ class Experiment:
                     f"{recording.name}: reads is not as in {first.name}: recordings that are "
                     "fitted together read the same of each joint"
                 )
+            # A part of a recording may lie farther from rest than nearly all of it.
+            if recording.role == "inertia" or recording.segment_of is not None:
+                continue
+            hint = 'if it is in rad, stated = ["{}"] of its recording says so'
+            large = in_degrees(recording, self.reading_units, recording.stated, hint)
+            if large is not None:
+                raise InputError(f"{recording.name}: {large.words}")
 
     @property
     def joints(self) -> tuple[str, ...]:
