@@ -178,8 +178,9 @@ def simulate(
     - `drive`: external torque on the joints.
     - `steps`: number of integration steps; None chooses from the fastest mode, which needs concrete
       numbers: give it inside `jax.jit`, `grad` or `vmap` of the model's numbers.
-    - `adjoint`: how to differentiate. None: with fixed steps, forward and reverse mode both work.
-      Or a diffrax adjoint, such as `diffrax.RecursiveCheckpointAdjoint()` for the least memory in
+    - `adjoint`: how to differentiate. None: with fixed steps, forward and reverse mode both work;
+      with an `integrator` its own adjoint, or else reverse mode. Or a diffrax adjoint, such as
+      `diffrax.ForwardMode()`, or `diffrax.RecursiveCheckpointAdjoint()` for the least memory in
       reverse mode.
     - `integrator`: "fixed" steps (None); or a solver of diffrax, by name ("Tsit5", "Dopri8",
       "Kvaerno5"), as an instance, or as an `Integrator` with tolerances of its own. `steps` is then
