@@ -92,6 +92,9 @@ from .recordings.experiment import Experiment as Experiment
 from .recordings.experiment import load as load
 from .recordings.limits import Limits as Limits
 from .recordings.recording import Recording as Recording
+from .recordings.tables import ArmTable as ArmTable
+from .recordings.tables import Bearing as Bearing
+from .recordings.tables import InertiaTable as InertiaTable
 from .runtime.settings import set_up as set_up
 from .simulation.integrator import Integrator as Integrator
 from .simulation.interpolation import Trajectory as Trajectory

@@ -758,7 +758,9 @@ def test_readings_in_degrees_are_no_motion_of_this_arm(outside):
     """57 times the angle, at which the arm would whirl: there is nothing to search from. One second
     of it is followed in as many steps as six of the others."""
     time, angle = outside.t[:80], np.rad2deg(outside.q[:80])
-    found = residyn.diagnose(experiment(recording(time, angle)), max_effects=1, starts=1)
+    found = residyn.diagnose(
+        experiment(recording(time, angle, stated=["q1", "q2"])), max_effects=1, starts=1
+    )
     assert found.explains_nothing
     assert found.verdict == "unexplained"
     assert found.added == ()

@@ -5,12 +5,15 @@ import json
 import re
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import residyn
 from residyn import effects
 from residyn.cli import main
+from residyn.fitting.integration import stable
+from residyn.fitting.problem import ready
 
 ROOT = "self.coefficient * jnp.sign(motion.v) * jnp.sqrt(jnp.abs(motion.v))"
 README = Path(__file__).parents[2] / "README.md"
@@ -238,6 +241,38 @@ def test_an_instance_is_checked_as_a_file_is(kind, says):
     bodies = residyn.ConstantInertia([[1.0]], ["cart"], ["m"])
     with pytest.raises(residyn.InputError, match=says):
         residyn.fit(residyn.Experiment(bodies, [run]), effects=[kind("cart")], starts=1)
+
+
+class Logarithm(residyn.JointEffect):
+    name = "own_logarithm"
+    torque_at_1: float = residyn.param("torque", residyn.parameter.TORQUE)
+
+    def joint_torque(self, motion):
+        return self.torque_at_1 * jnp.log(motion.q)
+
+
+def test_a_law_or_a_number_that_is_not_finite_is_named():
+    time = np.linspace(0.0, 4.0, 80)
+    run = residyn.Recording.from_arrays(time, 0.1 * np.cos(6 * time)[:, None], name="run")
+    bodies = residyn.ConstantInertia([[1.0]], ["cart"], ["m"])
+    model = bodies + residyn.Spring("cart", 36.0)
+    endless, wild = Logarithm("cart", 0.1), residyn.CoulombFriction("cart", np.nan)
+    words = "at rest the torque of own_logarithm:cart, or its slope, is not finite"
+    for call in (residyn.simulate, lambda model, t, q0: residyn.steps_for(model, t[-1])):
+        with pytest.raises(ValueError, match=words):
+            call(model + endless, time, [0.1])
+    rig = residyn.Experiment(bodies, [run])
+    here = ready(rig, [run], [endless])
+    with pytest.raises(residyn.FitError, match=words):
+        stable(here, here.model.with_vector(here.typical()))
+    words = "own_logarithm:cart: its torque is not finite along the readings of run"
+    with pytest.raises(residyn.InputError, match=words):
+        residyn.fit(rig, effects=[endless], starts=1)
+    words = "coulomb_friction:cart.torque = nan: must be finite"
+    with pytest.raises(ValueError, match=words):
+        residyn.simulate(model + wild, time, [0.1], steps=50)
+    with pytest.raises(ValueError, match=words):
+        residyn.fit(rig, effects=[wild], starts=1)
 
 
 def test_a_model_takes_no_effect_without_a_name():

@@ -2,8 +2,10 @@
 
 import dataclasses
 import math
+import warnings
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -234,6 +236,20 @@ def test_single_precision_works_too():
         assert np.isfinite(q).all()
 
 
+def test_single_precision_after_double_is_silent(undamped):
+    model = undamped + residyn.Hysteresis("elbow", 0.1, 0.05)
+
+    def last(stiffness):
+        stiffer = model.with_values({"spring:elbow.stiffness": stiffness})
+        return residyn.simulate(stiffer, [0.0, 1.0], [0.2, -0.1], steps=20).q[-1, 1]
+
+    wide = last(16.0)
+    with jax.enable_x64(False), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert float(last(16.0)) == pytest.approx(float(wide), rel=1e-4)
+        assert jax.grad(last)(16.0).dtype == jnp.float32
+
+
 @pytest.mark.parametrize("joints", [1, 3, 5])
 def test_constant_inertia_of_any_size_rings_at_its_eigenfrequencies(joints):
     rng = np.random.default_rng(joints)
@@ -355,6 +371,31 @@ def test_masses_that_there_cannot_be_are_refused(matrix, how, words):
         ConstantInertia(matrix, **how)
 
 
+@pytest.mark.parametrize(
+    "change",
+    [{"shoulder": -1.0}, {"elbow": 0.0}, {"coupling": 5.0}, {"elbow": np.nan}, {"theta2": np.inf}],
+)
+def test_an_arm_that_there_cannot_be_is_refused(change):
+    given = {"shoulder": 1.1662, "elbow": 0.579, "coupling": 1.4384} | change
+    ((name, value),) = change.items()
+    with pytest.raises(ValueError, match=rf"{name} = {value}.*must be finite, and shoulder\*elbow"):
+        PlanarArm([0.4, 0.4], **given)
+
+
+def test_traced_and_mapped_arms_are_taken_as_they_are():
+    def frequency(elbow):
+        arm = PlanarArm([0.4, 0.4], 1.1662, elbow, 1.4384)
+        return residyn.modes(arm + Spring("shoulder", 16.0) + Spring("elbow", 16.0)).frequency_hz[0]
+
+    inertias = jnp.array([0.5, 0.6])
+    arms = PlanarArm([0.4, 0.4], 1.1662, inertias, 1.4384)  # a pytree of two
+    assert jax.tree.map(lambda x: -x, arms).elbow.tolist() == (-inertias).tolist()
+    found = jax.jit(jax.vmap(jax.grad(frequency)))(inertias)
+    for slope, elbow in zip(found, inertias, strict=True):
+        finite = (frequency(elbow + 1e-6) - frequency(elbow - 1e-6)) / 2e-6
+        assert float(slope) == pytest.approx(float(finite), rel=1e-5)
+
+
 def test_traced_masses_are_taken_as_they_are():
     def frequency(mass):
         bodies = ConstantInertia(jnp.reshape(mass, (1, 1)))
@@ -462,6 +503,22 @@ def test_a_known_model_chooses_its_steps_beside_traced_states(undamped):
     np.testing.assert_allclose(traced, found, atol=1e-6)
     with pytest.raises(ValueError, match="give steps="):
         jax.jit(lambda t: residyn.simulate(undamped, t, q0).q)(times)
+
+
+def test_what_is_no_model_and_numbers_that_are_several_are_told(undamped):
+    for given in (undamped.mechanism, "arm"):
+        with pytest.raises(TypeError, match=f"{type(given).__name__} is no model"):
+            residyn.modes(given)
+    several = undamped + Damper("elbow", [0.1, 0.2])
+    for call in (residyn.modes, lambda m: residyn.simulate(m, [0.0, 1.0], [0.1, 0.0], steps=20).q):
+        with pytest.raises(ValueError, match=r"damper:elbow.damping has shape \(2,\): must be one"):
+            call(several)
+        axes = jax.tree.map(lambda x: 0 if np.shape(x) == (2,) else None, several)
+        axes = eqx.tree_at(lambda m: m.mechanism, axes, None)
+        found = jax.tree.leaves(jax.vmap(call, (axes,))(several))
+        assert all(np.isfinite(x).all() and len(x) == 2 for x in found)
+    with pytest.raises(ValueError, match="3 values: the model has 2 fitted numbers: spring:should"):
+        undamped.with_vector(np.ones(3))
 
 
 def test_a_model_shows_its_numbers_and_refuses_a_joint_that_is_not_there():

@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import residyn
 from residyn.errors import InputError
+from residyn.physics.mechanism import ConstantInertia, PlanarArm
 from residyn.recordings.csv import read_csv, write_csv
 from residyn.recordings.experiment import Experiment, load
 from residyn.recordings.noise import estimate_noise
@@ -38,6 +40,9 @@ joint = "wrist"
 mass = 1.9635
 inertia = 0.00245437
 """
+BENT = PlanarArm([0.4, 0.4], 1.1662, 0.579, 1.4384, theta2=0.3)
+SLIDING = ConstantInertia(np.diag([2.0, 1.0]))
+ARM_TABLE = residyn.ArmTable((0.4, 0.4), 1.1662, 0.579, 1.4384)
 
 
 def entry(*lines, file="two.csv"):
@@ -446,6 +451,37 @@ def test_an_experiment_made_in_python_is_held_to_the_same():
     assert here.fit_recordings == (recording,)
 
 
+@pytest.mark.parametrize(
+    ("bodies", "stated", "words"),
+    [
+        (BENT, {"theta2": 0.9}, "theta2 = 0.9, but PlanarArm has 0.3 .* residyn.ArmTable takes"),
+        (BENT, {"load": 2.0}, "load = 2, but PlanarArm has 0"),
+        (SLIDING, {"extra_mass": 0.5}, "ConstantInertia has 0 .* residyn.InertiaTable takes"),
+        (ARM_TABLE, {"extra_mass": 0.5}, "extra_mass = 0.5, but ArmTable has 0"),
+    ],
+)
+def test_a_pose_or_a_load_that_bodies_cannot_follow_is_refused(bodies, stated, words):
+    t, q, _ = ringing(np.random.default_rng(0))
+    q = np.stack([q, -q], axis=1)
+    own = {key: getattr(bodies, key, 0.0) for key in stated}
+    silent, same, other = (Recording.from_arrays(t, q, **how) for how in ({}, own, stated))
+    assert Experiment(bodies, [silent]).recordings == (silent,)
+    assert Experiment(bodies, [same, same]).recordings == (same, same)
+    with pytest.raises(InputError, match=f"recording: .*{words}"):
+        Experiment(bodies, [same, other])
+    of_masses = residyn.InertiaTable(("a", "b"), ((2, 0), (0, 1)))
+    table = of_masses if "extra_mass" in stated else ARM_TABLE
+    assert Experiment(table, [same, other]).recordings == (same, other)
+
+
+def test_what_is_no_inertia_and_no_recording_is_told():
+    t, q, _ = ringing(np.random.default_rng(0))
+    with pytest.raises(TypeError, match='"arm" is no inertia'):
+        Experiment("arm", [Recording.from_arrays(t, q)])  # type: ignore
+    with pytest.raises(TypeError, match="ndarray is no recording"):
+        Experiment(ARM_TABLE, [q])  # type: ignore
+
+
 # A recording
 
 
@@ -535,7 +571,7 @@ def test_warns_of_a_clock_that_does_not_count_seconds(scale, word):
     assert "must be in s" in warning
 
 
-def test_refuses_degrees_and_warns_of_them_in_python(folder):
+def test_refuses_degrees_of_a_file_and_of_arrays(folder):
     t, q, _ = ringing(np.random.default_rng(0), modes=(1.0, 2.0))
     table = [np.degrees(0.3 * q), np.degrees(0.2 * q)]
     write_csv(folder / "degrees.csv", t, np.stack(table, axis=1))
@@ -550,10 +586,16 @@ def test_refuses_degrees_and_warns_of_them_in_python(folder):
         entries = entry(f"theta2 = {beyond}", units, file="degrees.csv")
         (line,) = experiment(folder, ARM, entries).warnings
         assert f"theta2 = {beyond}: in degrees?" in line
-    made = Recording.from_arrays(t, np.stack(table, axis=1), theta2=17, name="degrees.csv")
-    lines = Experiment(ArmTable((0.4, 0.4), 1.1662, 0.579, 1.4384), (made,)).warnings
-    assert len(lines) == 3
-    assert all("degrees.csv" in line and "must be in rad" in line for line in lines)
+    angles = np.stack(table, axis=1)
+    for bodies in (ARM_TABLE, BENT):
+        made = Recording.from_arrays(t, angles, theta2=17 if bodies is ARM_TABLE else 0.3)
+        with pytest.raises(InputError, match=r"recording: .*: in degrees\?"):
+            Experiment(bodies, (made,))
+        made = Recording.from_arrays(t, angles, theta2=0.3)
+        with pytest.raises(InputError, match=r"recording: q1 reaches .*: in degrees\?.* stated ="):
+            Experiment(bodies, (made,))
+        made = Recording.from_arrays(t, angles, theta2=0.3, stated=["q1", "q2"])
+        assert Experiment(bodies, (made,)).warnings == ()
     # The same numbers may be millimetres where nothing says they are angles.
     write_csv(folder / "mm.csv", t, table[0])
     assert experiment(folder, CART, entry(file="mm.csv")).warnings == ()

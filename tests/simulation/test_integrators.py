@@ -119,6 +119,21 @@ def test_simulate_takes_any_integrator():
     np.testing.assert_allclose(paths[2], paths[3], atol=1e-7)
 
 
+def test_a_solver_of_diffrax_differentiates_in_the_mode_of_its_adjoint():
+    cart = residyn.ConstantInertia([[1.0]], ["cart"], ["m"]) + residyn.Spring("cart", 9.0)
+
+    def last(stiffness, **how):
+        stiffer = cart.with_values({"spring:cart.stiffness": stiffness})
+        how = {"steps": 20, "integrator": "Dopri8"} | how
+        return residyn.simulate(stiffer, [0.0, 1.0], [0.1], **how).q[-1, 0]
+
+    with jax.enable_x64(True):
+        exact = -0.1 * np.sin(3.0) / 6.0  # d/dk of 0.1 cos(sqrt(k) t), k = 9, t = 1
+        assert float(jax.grad(last)(9.0)) == pytest.approx(exact, rel=1e-6)
+        forward = jax.jacfwd(lambda k: last(k, adjoint=diffrax.ForwardMode()))(9.0)
+        assert float(forward) == pytest.approx(exact, rel=1e-6)
+
+
 def test_a_drive_that_jumps_is_followed(smooth):
     recording = smooth.recordings[0]
     drive = np.zeros_like(recording.angle)

@@ -13,10 +13,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..physics.modal import infinite_slopes_of
 from ..physics.model import Model
 from ..recordings.experiment import Experiment
 from ..recordings.segments import by_recording
-from .covariance import infinite_slopes_of, modes_of, numbers_of, spread_of
+from .covariance import modes_of, numbers_of, spread_of
 from .history import History
 from .integration import at_twice_the_steps, corrected, refined
 from .lanes import Fitting, alone, evaluating

@@ -10,9 +10,9 @@ frequency that two stiffnesses only set together, has its error all the same.
 import numpy as np
 
 from ..physics.effect import unit_of
-from ..physics.modal import at_rest, state_matrices
 from ..physics.modal import modes_of as rings_of
-from ..physics.model import Model, changed
+from ..physics.modal import state_matrices
+from ..physics.model import Model
 from .linalg import Spread, information, inverse_of
 from .result import Mode, Number
 
@@ -59,9 +59,3 @@ def modes_of(model: Model, spread: Spread) -> tuple[Mode, ...]:
         for i, (frequency, damping) in enumerate(best.T)
         if frequency > 0 and abs(damping) < 1 - 1e-9
     )
-
-
-def infinite_slopes_of(model: Model) -> tuple[str, ...]:
-    """Labels of effects whose torque has an infinite slope at rest: the model has no modes."""
-    alone = {e.label: changed(model, effects=(e,)) for e in model.effects}
-    return tuple(x for x, m in alone.items() if not np.isfinite(at_rest(m)[1]).all())

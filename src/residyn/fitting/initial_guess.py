@@ -27,9 +27,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..errors import InputError
 from ..physics.effect import BASE
 from ..physics.modal import paces
-from ..physics.model import Model
+from ..physics.model import Model, changed
 from ..physics.motion import Motion, split, stack
 from ..physics.parameter import stacked
 from ..runtime.export_cache import kept
@@ -59,15 +60,36 @@ _SLOWER = 0.75  # share of the starts that are no faster than the one that sets 
 
 
 def first_guess(here: Ready, starts: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where the starts begin, the best one first: numbers (S, P), internal states (S, R, m)."""
+    """Where the starts begin, the best one first: numbers (S, P), internal states (S, R, m).
+
+    **Raises:** `InputError` for an effect whose torque is not finite along the readings.
+    """
     found = closed_form(here, here.typical())
     some = various(here, found.numbers)[:starts] if starts > 1 else [0][: len(found.numbers)]
     if not some:
+        _check_finite(here)
         found, some = Trials(here.typical()[None], here.memory(1)), [0]
     candidates = _turned(here.model, found.numbers[some])
     more = starts - len(candidates)
     numbers = np.vstack([candidates, perturbed(candidates[0], more)])
     return numbers, found.memory[[*some, *some[:1] * more]]
+
+
+def _check_finite(here: Ready) -> None:
+    """**Raises:** `InputError` as `first_guess`."""
+
+    def torque(model: Model, q, v):
+        motion = Motion.at(0.0, q, v)
+        return stack(model.torque(motion._replace(memory=model.memory_begin(motion))))
+
+    for model, recording in zip(here.posed(), here.recordings, strict=True):
+        grid = uniform(recording, recording.outliers)
+        rates = np.gradient(grid.q, grid.dt, axis=0)
+        for effect in model.with_vector(here.typical()).effects:
+            alone = changed(model, effects=(effect,))
+            if not np.isfinite(jax.vmap(partial(torque, alone))(grid.q, rates)).all():
+                where = f"along the readings of {recording.name}"
+                raise InputError(f"{effect.label}: its torque is not finite {where}")
 
 
 def various(here: Ready, candidates: np.ndarray) -> list[int]:

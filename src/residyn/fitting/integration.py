@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..physics.modal import fastest
+from ..physics.modal import fastest, not_finite_at_rest
 from ..physics.model import Model
 from ..recordings.recording import Recording
 from ..simulation.integrator import Integrator
@@ -173,7 +173,8 @@ def stable(here: Ready, begin: Model) -> Ready | None:
     """The same recordings with steps that follow what fades fastest in the model `begin`; None if
     they do already.
 
-    **Raises:** `FitError` if that would take more than a few times as many.
+    **Raises:** `FitError` if that would take more than a few times as many, or if nothing says how
+    fast it fades.
     """
     if here.integrator is not None:
         return None
@@ -181,6 +182,9 @@ def stable(here: Ready, begin: Model) -> Ready | None:
     step = here.duration / here.steps(begin)
     if not rate * step > _STABLE:
         return None
+    if not math.isfinite(rate):
+        words = not_finite_at_rest(begin)
+        raise FitError(f"no start led to a motion that could be: {words}")
     times = math.ceil(2 * rate * step / _STABLE)
     if times > MOST_AT_ONCE:
         raise FitError(

@@ -23,7 +23,7 @@ from ..physics.effect import BASE
 from ..physics.inertia import AbstractInertia
 from ..physics.mechanism import AbstractMechanism, ConstantInertia, PlanarArm
 from ..physics.modal import fastest, ringing
-from ..physics.model import Model, changed
+from ..physics.model import Model, changed, check_model
 from ..physics.motion import split
 from ..physics.parameter import Scales, all_floating
 from ..recordings.experiment import Experiment
@@ -136,7 +136,8 @@ def mechanism_of(experiment: Experiment, recording: Recording) -> AbstractMechan
 def model_for(mechanism: AbstractMechanism, effects: Sequence[str | AbstractEffect] = ()) -> Model:
     """The base model (a spring and a damper at every joint, Eq. 4) plus effects, all silent.
 
-    **Raises:** `ValueError`, in one line, for an effect that does not exist or is there twice.
+    **Raises:** `ValueError`, in one line, for an effect that does not exist or is there twice, and
+    for a number that is not finite.
     """
     if isinstance(effects, str):
         raise ValueError(f'effects = "{effects}": must be a list, as ["{effects}"]')
@@ -148,6 +149,7 @@ def model_for(mechanism: AbstractMechanism, effects: Sequence[str | AbstractEffe
         )
         for each in named:
             model = model + all_floating(each)
+    check_model(model)
     return model
 
 

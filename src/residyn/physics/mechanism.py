@@ -5,6 +5,7 @@ does not depend on the positions is a `ConstantInertia`.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -46,6 +47,9 @@ class PlanarArm(AbstractMechanism):
     - `load`: what presses a load-dependent friction, N.
     - `run`: which run of the rig this is, for numbers that one run has for itself: 1, 2, ...; 0
       for those that share all numbers.
+
+    **Raises:** `ValueError` for other than two lengths, and for inertias that no arm has; traced
+    numbers are not looked at.
     """
 
     link_lengths: Float[Array, " 2"]
@@ -80,6 +84,17 @@ class PlanarArm(AbstractMechanism):
         self.bearings = floating(bearings)
         self.load, self.run = floating(load), floating(run)
         self.joints, self.units = ("shoulder", "elbow"), ("rad", "rad")
+        known = (self.shoulder, self.elbow, self.coupling, self.theta2, self.link_lengths)
+        if any(isinstance(x, Tracer) for x in known):
+            return
+        finite = all(np.isfinite(x).all() for x in known)
+        if not finite or not np.all(real_arm(self.link_lengths[0], *known[:3])):
+            raise ValueError(
+                f"shoulder = {quote(shoulder)}, elbow = {quote(elbow)}, coupling = "
+                f"{quote(coupling)}, theta2 = {quote(theta2)}, link_lengths = "
+                f"{quote(link_lengths)}: must be finite, and shoulder*elbow above (l1*coupling)^2, "
+                "both positive, or some motion would have no inertia"
+            )
 
     def mass_matrix(self, q):
         """Eq. 2."""
@@ -103,6 +118,13 @@ class PlanarArm(AbstractMechanism):
     def link_angles(self, q):
         """q1 and q1 + theta2 + q2."""
         return q[0], q[0] + self.theta2 + q[1]
+
+
+def real_arm(l1: Any, shoulder: Any, elbow: Any, coupling: Any) -> Any:
+    """Whether Eq. 2's mass matrix of such an arm is positive definite, whatever its elbow's angle;
+    of arrays, of each."""
+    cross = l1 * coupling
+    return (shoulder > 0) & (elbow > 0) & (shoulder * elbow > cross * cross)
 
 
 def arm_of(mechanism: AbstractInertia, name: str) -> PlanarArm:

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from ..runtime.export_cache import kept
-from .model import Model
+from .model import Model, changed, check_model
 from .motion import Motion, split, stack
 from .parameter import all_floating
 
@@ -72,6 +72,19 @@ def state_matrix(model: Model, q: Float[Array, " n"] | None = None) -> Float[Arr
 def fastest(model: Model) -> float:
     """Largest angular frequency of the linearised model, rad/s (concrete numbers only)."""
     return float(paces(model, np.asarray(model.vector())[None]).max())
+
+
+def infinite_slopes_of(model: Model) -> tuple[str, ...]:
+    """Labels of effects whose torque, or its slope, is not finite at rest: the model has no modes
+    (concrete numbers only)."""
+    alone = {e.label: changed(model, effects=(e,)) for e in model.effects}
+    return tuple(x for x, m in alone.items() if not np.isfinite(at_rest(m)[1]).all())
+
+
+def not_finite_at_rest(model: Model) -> str:
+    """In words, which of a model's effects `infinite_slopes_of` names."""
+    labels = ", ".join(infinite_slopes_of(model)) or "some effect"
+    return f"at rest the torque of {labels}, or its slope, is not finite"
 
 
 def ringing(model: Model) -> float:
@@ -178,7 +191,12 @@ def _linearised(model: Model, numbers, q):
 
 def modes(model: Model) -> Modes:
     """Natural frequencies and damping ratios, (n,) each, differentiable in the model's numbers but
-    at exactly critical damping, where eigenvalues have no slopes."""
+    at exactly critical damping, where eigenvalues have no slopes.
+
+    **Raises:** `TypeError` for what is no model, `ValueError` for a number of one that is not
+    finite, or is several.
+    """
+    check_model(model)
     return _modes(all_floating(model))
 
 

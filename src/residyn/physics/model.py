@@ -8,7 +8,7 @@ that JAX differentiates, vmaps and fits.
 import dataclasses
 import functools
 from collections.abc import Iterator, Mapping
-from typing import Generic, NamedTuple, Self, TypeVar
+from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 import equinox as eqx
 import jax
@@ -244,7 +244,15 @@ class Model(eqx.Module):
         return floating([float(v) for v in values])
 
     def with_vector(self, values: Float[Array | np.ndarray, " p"]) -> Self:
-        """The model with its fitted numbers replaced."""
+        """The model with its fitted numbers replaced.
+
+        **Raises:** `ValueError` for more or fewer than it has.
+        """
+        if len(values) != len(self.fitted):
+            raise ValueError(
+                f"{len(values)} values: the model has {len(self.fitted)} fitted numbers: "
+                f"{', '.join(n.name for n in self.fitted)}"
+            )
         if isinstance(values, jax.Array) and not isinstance(values, Tracer):
             values = jax.device_get(values)
         return _with(self, dict(zip([n.name for n in self.fitted], values, strict=True)))
@@ -263,6 +271,18 @@ class Model(eqx.Module):
             if name not in known:
                 raise ValueError(f"{name} is no number of this model ({', '.join(sorted(known))})")
         return _with(self, values)
+
+
+def check_model(given: Any) -> None:
+    """**Raises:** `TypeError` for what is no model, `ValueError` for a number of one that is not
+    finite, or is several; of what is traced only the shape is looked at."""
+    if not isinstance(given, Model):
+        raise TypeError(f"{type(given).__name__} is no model: a mechanism plus effects is one")
+    for name, value in given.values().items():
+        if shape := np.shape(value):
+            raise ValueError(f"{name} has shape {shape}: must be one number, or mapped by jax.vmap")
+        if not isinstance(value, Tracer) and not np.isfinite(value):
+            raise ValueError(f"{name} = {value}: must be finite")
 
 
 # Functions, not methods: Equinox makes a pytree of every bound method, which takes its time.

@@ -136,9 +136,9 @@ def _bearings(experiment: Experiment) -> np.ndarray:
     table = experiment.inertia
     assert isinstance(table, ArmTable)
     with jax.enable_x64(True):
-        bare = PlanarArm(table.link_lengths, 0.0, 0.0, 0.0)
+        bare = PlanarArm(table.link_lengths, 1.0, 1.0, 0.0)  # any arm: what is added is the same
         arm = with_bearings(bare, experiment.bearings)  # pyrefly: ignore[bad-argument-type]
-        return np.array([float(x) for x in (arm.shoulder, arm.elbow, arm.coupling)])
+        return np.array([float(x) for x in (arm.shoulder - 1, arm.elbow - 1, arm.coupling)])
 
 
 def _solved(

@@ -23,7 +23,7 @@ from .limits import Limits
 from .motion_capture.angles import read as read_markers
 from .reads import READS, check_reads, reading_units
 from .recording import Recording
-from .sanity import not_free, off_rest_alike
+from .sanity import in_degrees, not_free, off_rest_alike
 from .segments import by_recording
 from .tables import ArmTable, Bearing, InertiaTable, check_bearings
 from .toml import parse
@@ -31,10 +31,15 @@ from .toml import parse
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """The inertia of what moved, and its recordings."""
+    """The inertia of what moved, and its recordings.
+
+    **Raises:** `TypeError` for what is no inertia or no recording, `InputError` for recordings that
+    do not go with it or with each other, and for angles that seem to be in degrees.
+    """
 
     inertia: ArmTable | InertiaTable | AbstractMechanism
-    """A table, or a mechanism of your own: it is then as it is in every recording."""
+    """A table, or a mechanism of your own: it is then as it is in every recording, and one that
+    states another pose or load is refused."""
     recordings: tuple[Recording, ...]
     bearings: tuple[Bearing, ...] = ()
     path: str = ""
@@ -47,7 +52,19 @@ class Experiment:
         object.__setattr__(self, "integrator", integrator_of(self.integrator))
         object.__setattr__(self, "recordings", tuple(self.recordings))
         object.__setattr__(self, "bearings", tuple(self.bearings))
+        if not isinstance(self.inertia, ArmTable | InertiaTable | AbstractMechanism):
+            raise TypeError(
+                f"{quote(self.inertia)} is no inertia: residyn.ArmTable, residyn.InertiaTable or a "
+                "mechanism is"
+            )
+        for recording in self.recordings:
+            if not isinstance(recording, Recording):
+                raise TypeError(
+                    f"{type(recording).__name__} is no recording: residyn.Recording.from_arrays "
+                    "makes one of arrays"
+                )
         check_bearings(self.inertia, self.bearings)
+        _check_stated(self.inertia, self.recordings)
         if self.limits is not None:
             arm = isinstance(self.inertia, ArmTable)
             self.limits.check(self.joints, arm, bool(self.bearings))
@@ -71,6 +88,13 @@ class Experiment:
                     f"{recording.name}: reads is not as in {first.name}: recordings that are "
                     "fitted together read the same of each joint"
                 )
+            # A part of a recording may lie farther from rest than nearly all of it.
+            if recording.role == "inertia" or recording.segment_of is not None:
+                continue
+            hint = 'if it is in rad, stated = ["{}"] of its recording says so'
+            large = in_degrees(recording, self.reading_units, recording.stated, hint)
+            if large is not None:
+                raise InputError(f"{recording.name}: {large.words}")
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -145,6 +169,28 @@ class Experiment:
         """What is doubtful in the recordings, and in their fitting together."""
         own = [line for recording in self.recordings for line in recording.warnings]
         return (*own, *_in_another_unit(self), *_not_held_out(self), *_twice(self), *_no_load(self))
+
+
+def _check_stated(inertia: Any, recordings: Sequence[Recording]) -> None:
+    """**Raises:** `InputError` for a recording in another pose, or loaded otherwise, than `inertia`
+    is in all of them. Markers give an angle at rest to whatever they are on: it is a pose only of
+    an arm."""
+    for key, table, fixed in (
+        ("theta2", "residyn.ArmTable", hasattr(inertia, "theta2")),
+        ("extra_mass", "residyn.InertiaTable", not isinstance(inertia, InertiaTable)),
+        ("load", "a table of inertia", isinstance(inertia, AbstractMechanism)),
+    ):
+        stated = [getattr(recording, key) for recording in recordings]
+        # 0 is what is not stated, unless another recording states something else.
+        if not fixed or not any(stated):
+            continue
+        own = float(getattr(inertia, key, 0.0))
+        for recording, value in zip(recordings, stated, strict=True):
+            if not np.isclose(value, own):  # a mechanism may be in single precision
+                raise InputError(
+                    f"{recording.name}: {key} = {value:g}, but {type(inertia).__name__} has "
+                    f"{own:g} in every recording; {table} takes each recording's own"
+                )
 
 
 def must_be_experiment(given: Any) -> None:

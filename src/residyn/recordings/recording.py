@@ -113,6 +113,8 @@ class Recording:
           from which the motion is free.
         - `rest`: where the joints rest, (n,) rad or m, which is taken off; "estimate" finds it in
           the ringing. None is zero. Of a rate or an acceleration it is the sensor's own zero.
+        - `stated`: columns, "t", "q1", ..., whose unit is known and not to be doubted, as of joints
+          that turn by more than 5 rad.
         - the others: the fields of the same name.
         """
         name = str(name)

@@ -11,7 +11,7 @@ swings on, a rest is within 0.28 of the amplitude (a slipping brake apart), and 
 go leaves `_STILL` within 0.10 of a period. Limits are 0.5 and 0.2.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,8 +53,7 @@ def not_free(
     """
     time, angle, said = recording.time, recording.angle, table.stated
     if abs(recording.theta2) > 2 * np.pi:
-        words = f"theta2 = {recording.theta2:g}: in degrees? it must be in rad"
-        return Finding(words, "theta2", float(np.radians(recording.theta2)))
+        return in_degrees(recording, units, said, "")
     if "t" not in said and (warnings := clock_warnings(time)):
         unit = clock_unit(time)
         words = f'{warnings[0]}; units = {{ t = "{unit}" }} says so, or "s" if it is'
@@ -63,13 +62,9 @@ def not_free(
         return Finding(words, "units", {"t": unit})
     if units and (code := _lost(recording, units, table)) is not None:
         return code
-    for j, size in enumerate(recording.sizes):
-        if units and units[j] == "rad" and f"q{j + 1}" not in said and size > _TURN:
-            words = (
-                f"q{j + 1} reaches {size:.3g} rad, more than a braked joint turns: in degrees? "
-                f'units = {{ q{j + 1} = "deg" }} says so, or "rad" if it is'
-            )
-            return Finding(words, "units", {f"q{j + 1}": "deg"})
+    hint = 'units = {{ {} = "deg" }} says so, or "rad" if it is'
+    if (large := in_degrees(recording, units, said, hint)) is not None:
+        return large
     if recording.drive is not None or not (np.nanmax(angle, 0) > np.nanmin(angle, 0)).any():
         return None
     if units and (wild := _no_angle(recording, units, table)) is not None:
@@ -92,6 +87,21 @@ def not_free(
         return Finding(words, "start", "release")
     if "rest" not in keys and len(motion) >= _FEWEST * period:
         return _off_rest(motion, units)
+    return None
+
+
+def in_degrees(
+    recording: Recording, units: tuple[str, ...] | None, said: Collection[str], hint: str
+) -> Finding | None:
+    """What is larger than any braked joint turns in rad, if anything is; a column whose unit is
+    `said` is believed, and `hint` tells how to say it of the column {}."""
+    if abs(recording.theta2) > 2 * np.pi:
+        words = f"theta2 = {recording.theta2:g}: in degrees? it must be in rad"
+        return Finding(words, "theta2", float(np.radians(recording.theta2)))
+    for j, size in enumerate(recording.sizes):
+        if units and units[j] == "rad" and f"q{j + 1}" not in said and size > _TURN:
+            words = f"q{j + 1} reaches {size:.3g} rad, more than a braked joint turns: in degrees? "
+            return Finding(words + hint.format(f"q{j + 1}"), "units", {f"q{j + 1}": "deg"})
     return None
 
 

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..errors import InputError, entries, number, quote
+from ..physics.mechanism import real_arm
 
 
 @dataclass(frozen=True)
@@ -126,9 +127,7 @@ def check_bearings(inertia: Any, bearings: Iterable[Bearing]) -> None:
         shoulder -= bearing.mass * l1 * l1
         elbow -= bearing.inertia + bearing.mass * reach * reach
         coupling -= bearing.mass * reach
-    # The least determinant of Eq. 2's mass matrix, over all angles of the elbow.
-    cross = l1 * coupling
-    if shoulder > 0 and elbow > 0 and shoulder * elbow > cross * cross:
+    if real_arm(l1, shoulder, elbow, coupling):
         return
     if bearings:
         raise InputError(

@@ -21,8 +21,8 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from ..effects import check_own
 from ..errors import quote
-from ..physics.modal import fastest, ringing
-from ..physics.model import Model
+from ..physics.modal import fastest, not_finite_at_rest, ringing
+from ..physics.model import Model, check_model
 from ..physics.motion import Joints, Scalar, split
 from ..physics.parameter import all_floating
 from .dry_friction import sliding
@@ -139,8 +139,16 @@ def _acceleration_at(args: Args, t, y: State) -> Joints:
 
 
 def steps_for(model: Model, duration: float, frequency: float | None = None) -> int:
-    """How many steps resolve the fastest mode over a duration in s (concrete numbers only)."""
+    """How many steps resolve the fastest mode over a duration in s (concrete numbers only).
+
+    **Raises:** `ValueError` where the model has none, as a torque or its slope is infinite at rest.
+    """
     fast = fastest(model) if frequency is None else frequency
+    if not math.isfinite(fast):
+        raise ValueError(
+            f"{not_finite_at_rest(model)}, so that no mode says how short steps must be: give "
+            "their number, steps="
+        )
     size = ROUGH_STEP if model.rough else SMOOTH_STEP
     # Without stiffness there is no mode to resolve; sixteen steps still follow any drift.
     return max(16, math.ceil(duration * fast / size))
@@ -170,8 +178,9 @@ def simulate(
     - `drive`: external torque on the joints.
     - `steps`: number of integration steps; None chooses from the fastest mode, which needs concrete
       numbers: give it inside `jax.jit`, `grad` or `vmap` of the model's numbers.
-    - `adjoint`: how to differentiate. None: with fixed steps, forward and reverse mode both work.
-      Or a diffrax adjoint, such as `diffrax.RecursiveCheckpointAdjoint()` for the least memory in
+    - `adjoint`: how to differentiate. None: with fixed steps, forward and reverse mode both work;
+      with an `integrator` its own adjoint, or else reverse mode. Or a diffrax adjoint, such as
+      `diffrax.ForwardMode()`, or `diffrax.RecursiveCheckpointAdjoint()` for the least memory in
       reverse mode.
     - `integrator`: "fixed" steps (None); or a solver of diffrax, by name ("Tsit5", "Dopri8",
       "Kvaerno5"), as an instance, or as an `Integrator` with tolerances of its own. `steps` is then
@@ -182,14 +191,14 @@ def simulate(
 
     **Returns:** a `Trajectory`.
 
-    **Raises:** `ValueError` for arrays of other shapes or not finite, for instants that are not
-    finite and increasing, two at least, for `steps` or `orders` that there cannot be, or if `steps`
-    is needed and cannot be chosen; `TypeError` for what is no model or no drive; `InputError` for
-    an integrator that does not exist or cannot integrate an effect of the model, and for a law of
-    your own with a mistake. What is traced is checked for its shape alone.
+    **Raises:** `ValueError` for arrays of other shapes or not finite, numbers of the model
+    included, for instants that are not finite and increasing, two at least, for `steps` or `orders`
+    that there cannot be, or if `steps` is needed and cannot be chosen; `TypeError` for what is no
+    model or no drive; `InputError` for an integrator that does not exist or cannot integrate an
+    effect of the model, and for a law of your own with a mistake. What is traced is checked for its
+    shape alone.
     """
-    if not isinstance(model, Model):
-        raise TypeError(f"{type(model).__name__} is no model: a mechanism plus effects is one")
+    check_model(model)
     check_own(model.effects, model.mechanism)
     joints = model.mechanism.joints
     q0 = jnp.asarray(q0, float)

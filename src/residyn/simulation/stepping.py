@@ -39,7 +39,8 @@ class State(NamedTuple):
 
 
 # Tsitouras' method of fifth order (Computers and Mathematics with Applications 62, 2011), less its
-# last stage, which only estimates the error.
+# last stage, which only estimates the error. A trace takes its tables with the precision in force
+# (`float`): where none is named, JAX gives what an earlier trace in another precision had.
 _METHOD = diffrax.Tsit5.tableau
 _STAGES = 6
 _WEIGHTS = _METHOD.b_sol[:_STAGES]
@@ -67,7 +68,7 @@ def _tsit5(rates, h, y: State):
     **Returns:** the state at the end of the step, and q'' at its first and last stage.
     """
     n, begin = len(y.q), (*y.q, *y.v, *y.z)
-    rows, nodes, order = jnp.asarray(_TABLE), jnp.asarray(_NODES), jnp.arange(_STAGES)
+    rows, nodes, order = jnp.asarray(_TABLE, float), jnp.asarray(_NODES, float), jnp.arange(_STAGES)
 
     def at(weights, slopes) -> State:
         x = tuple(b + h * jnp.sum(weights * s) for b, s in zip(begin, slopes, strict=True))
@@ -81,7 +82,7 @@ def _tsit5(rates, h, y: State):
 
     slopes = jax.lax.fori_loop(0, _STAGES, stage, (jnp.zeros(_STAGES),) * len(begin))
     first, last = (tuple(s[i] for s in slopes[n : 2 * n]) for i in (0, -1))
-    return at(jnp.asarray(_WEIGHTS), slopes), first, last
+    return at(jnp.asarray(_WEIGHTS, float), slopes), first, last
 
 
 @eqx.filter_jit
@@ -200,13 +201,16 @@ def _past_corners(args: Args, t, h, y: State, end: State, first, last, direction
         return torque, change
 
     grains = jnp.where(jnp.arange(len(_PLACES)) < _STAGES, _GRAIN, _FINE_GRAIN)
-    torques, changes = jax.vmap(rough)(jnp.asarray(_PLACES), grains)
-    errors = (tuple(jnp.dot(jnp.asarray(w), x) for x in torques) for w in (_IN_RATE, _IN_POSITION))
+    torques, changes = jax.vmap(rough)(jnp.asarray(_PLACES, float), grains)
+    errors = (
+        tuple(jnp.dot(jnp.asarray(w, float), x) for x in torques) for w in (_IN_RATE, _IN_POSITION)
+    )
     dv, dq = (solve_inertia(bodies.mass_matrix(end.q), error) for error in errors)
     return end._replace(
         q=tuple(x + h**2 * d for x, d in zip(end.q, dq, strict=True)),
         v=tuple(x + h * d for x, d in zip(end.v, dv, strict=True)),
         z=tuple(
-            x - h * jnp.dot(jnp.asarray(_IN_RATE), r) for x, r in zip(end.z, changes, strict=True)
+            x - h * jnp.dot(jnp.asarray(_IN_RATE, float), r)
+            for x, r in zip(end.z, changes, strict=True)
         ),
     )

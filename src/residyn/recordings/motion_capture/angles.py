@@ -70,7 +70,8 @@ class MotionCapture:
 
         **Arguments:** those of `Recording.from_arrays`, without `time` and `angle`.
         """
-        options = {"name": self.name, **options}
+        known = [f"q{j + 1}" for j in range(self.angle.shape[1])]  # in rad, as they are computed
+        options = {"name": self.name, "stated": known, **options}
         rest, of_rest = self._rest(options.get("start"), options.get("stop"))
         said = [*self.repairs, *self.warnings]
         if self.angle.shape[1] == 2:
