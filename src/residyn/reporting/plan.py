@@ -105,7 +105,8 @@ def text(found: Plan | Test) -> str:
 
 
 def _plan(plan: Plan) -> list[str]:
-    rows = [[percent(m.probability), named(m.added, plan.joints)] for m in plan.models]
+    among = 1.0 - plan.left_out  # so that all that is printed adds up to 100 %
+    rows = [[percent(among * m.probability), named(m.added, plan.joints)] for m in plan.models]
     out = ["[[Models in play]]", *(printed(Table(["", ""], rows, left=(1,))) if rows else [])]
     if plan.channels is not None:
         words = f"It seems that {plan.channels.words} ({percent(plan.channels.probability)})."
