@@ -19,7 +19,7 @@ from residyn.reporting import names, numbers
 from residyn.reporting import page as pages
 from residyn.reporting.figures.motion import thinned
 from residyn.reporting.layout import filled
-from tests.by_hand import LOST, NASTY, WILD, a_fit
+from tests.by_hand import LOST, NASTY, WILD, a_comparison, a_fit
 from tests.legible import legible
 
 
@@ -104,6 +104,14 @@ def test_page_says_everything(page, fit):
     assert "-0.970" in words
     for line in ("5 of 6", "N m/rad", "frequency (Hz)", "held-out", "Springs & dampers"):
         assert line in words
+
+
+def test_page_of_a_comparison_has_one_verdict(fit, monkeypatch):
+    monkeypatch.setattr("residyn.reporting.figures.inline.svg", lambda figure: "<svg/>")
+    compared = a_comparison(fit, 6.0, 1e-13)
+    page = report.render([("one", fit)], compared)
+    assert page.count('class="verdict') == 1
+    assert "whiteness test" in page.partition('class="verdict')[2].partition("</p>")[0]
 
 
 def test_page_of_one_fit_has_no_comparison(fit, monkeypatch):

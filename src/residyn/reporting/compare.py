@@ -19,7 +19,7 @@ from ..diagnosis.runs import OwnNumbers
 from ..recordings.experiment import Experiment
 from . import figures as plot
 from .layout import Table, filled, printed, section
-from .names import at_place, listed, lower, the, when_held_out
+from .names import at_place, force, listed, lower, the, when_held_out
 from .numbers import amount, p_size, p_value, percent, plain, prefixed, share, times
 
 if TYPE_CHECKING:
@@ -157,7 +157,8 @@ def _frequency(found: Comparison) -> str:
     ][:2]
     if clear:
         each = [f"{times(p.whole.ratio)} times the noise {_band(p, found)}" for p in clear]
-        words += f"; {listed(each)} is a sign of a torque that is not linear"
+        acts = force(found.fit.experiment.units)
+        words += f"; {listed(each)} is a sign of a {acts} that is not linear"
     return f"{words}."
 
 
@@ -323,7 +324,8 @@ def torque_words(found: Missing, joint: int) -> str:
     part = float(found.torque.share_of_spring[joint])
     words = f"{found.recording}, {found.joints[joint]}: "
     words += f"{plain(float(found.torque.rms[joint]))} {found.units[joint]} rms is missing"
-    words += f", {share(part)} of the restoring torque." if part == part else "."
+    acts = force([found.units[joint]])
+    words += f", {share(part)} of the restoring {acts}." if part == part else "."
     if not found.significant(joint):
         return f"{words} It is smaller than its own 95 % band: nothing is seen to be missing here."
     drawn = found.curves_at(joint)

@@ -17,7 +17,7 @@ from ..fitting.result import STRONG, STRUCTURE, Fit, RecordingFit
 from ..recordings.segments import by_recording
 from . import latex as tex
 from .layout import Table, filled, printed, section, separated, tabular, warned
-from .names import HELD_OUT, at_place, base_name, listed, lower, named, the
+from .names import HELD_OUT, at_place, base_name, force, listed, lower, named, position, the
 from .numbers import amount, plain, prefixed, share, times, with_error
 
 _OVERSTATED = 0.85  # reduced chi-square below which the noise must have been overstated
@@ -99,7 +99,8 @@ def _unphysical(fit: Fit) -> Iterable[str]:
     return (
         f"{n.name} = {n.value:.3g} +/- {n.std:.2g} {n.unit} is negative beyond its error, which no "
         "braked arm has: the recordings are not of an arm that rings down, an input is wrong "
-        "(inertia, the order or sign of the angles, their rest), or the model lacks an effect"
+        f"(inertia, order or sign of the {position(fit.experiment.units)}s, their rest), or the "
+        "model lacks an effect"
         for n in fit.unphysical
     )
 
@@ -114,7 +115,7 @@ def _open(fit: Fit) -> Iterator[str]:
                 "inertia and stiffness cannot both be found from free motion: scaling all "
                 "inertias, stiffnesses and dampings alike leaves it unchanged (Eq. 9); these data "
                 f"determine only ratios of {', '.join(members)}: measure the inertias first, "
-                "with a known drive torque"
+                f"with a known drive {force(fit.experiment.units)}"
             )
         elif len(members) == 1:
             yield (

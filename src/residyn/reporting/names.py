@@ -84,6 +84,17 @@ def named(labels: Sequence[str], joints: Sequence[str]) -> str:
     return listed([lower(at_place(x, joints)) for x in labels]) if labels else f"{PLAIN} alone"
 
 
+def force(units: Sequence[str | None] | None) -> str:
+    """What acts at joints that are read in "rad" or "m", or what is itself in "N m" or "N": a
+    torque, or a force where all of them slide."""
+    return "force" if units and {"m", "N"}.issuperset(units) else "torque"
+
+
+def position(units: Sequence[str | None] | None) -> str:
+    """What is read of joints in "rad" or "m": an angle, or a position where all of them slide."""
+    return "position" if units and {"m"}.issuperset(units) else "angle"
+
+
 def base_name(fit: Fit, comma: bool = False) -> str:
     """ "springs and dampers", and what else is in the model."""
     usual = {f"{kind}:{joint}" for kind in BASE for joint in fit.joints}

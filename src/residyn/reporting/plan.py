@@ -6,7 +6,7 @@ from ..diagnosis.candidate_tests import Test
 from ..diagnosis.plan import Plan
 from ..physics.parameter import INERTIA
 from .layout import Table, filled, printed
-from .names import listed, named, upper
+from .names import listed, named, position, upper
 from .numbers import amount, measured, percent, plain
 
 _TELLS = 2.0  # standard errors by which one reading tells two models apart 19 times in 20
@@ -88,7 +88,8 @@ def sentence(test: Test) -> str:
 
 def outcomes(test: Test) -> Table:
     joints = tuple(test.release)
-    what = f"{test.reads} of the {test.joint} after {plain(test.time, 3)} s"
+    reads = position([test.unit]) if test.reads == "angle" else test.reads
+    what = f"{reads} of the {test.joint} after {plain(test.time, 3)} s"
     rows = [
         [
             upper(named(x.added, joints)),
