@@ -125,6 +125,7 @@ def test_help(command, words):
     assert (end.status, end.err) == (0, "")
     assert "Usage: residyn" in end.out
     assert max(map(len, end.out.splitlines())) <= 80
+    assert "..." not in end.out.partition("Commands:")[2]  # no description is cut
 
 
 def test_help_names_the_options_of_the_contract(command):
@@ -148,8 +149,9 @@ BAD = {
     "no such file": (["fit", "none.toml"], "none.toml"),
     "a folder": (["fit", "."], "folder"),
     "not an experiment": (["fit", "one.csv"], "residyn new experiment.toml one.csv"),
-    "no such effect": (["fit", "cart.toml", "--with", "coulomb"], "coulomb_friction"),
-    "no such joint": (["fit", "cart.toml", "--with", "coulomb_friction:wheel"], "cart"),
+    "no such effect": (["fit", "cart.toml", "--with", "coulomb"], "--with: there is no effect"),
+    "no such rival": (["fit", "cart.toml", "--against", "gravty"], "--against: there is no effect"),
+    "no such joint": (["fit", "cart.toml", "--with", "coulomb_friction:wheel"], "goes with cart"),
     "effect of arms": (["fit", "cart.toml", "--with", "inertia_error:elbow"], "[arm]"),
     "twice": (["fit", "cart.toml", "--with", "spring:cart"], "already"),
     "no such method": (["fit", "cart.toml", "--method", "magic"], "levenberg"),
@@ -182,12 +184,15 @@ BAD = {
     ),
     "each nowhere": (["fit", "--each", "nowhere"], "no such folder"),
     "each of nothing": (["fit", "--each", "empty"], "no experiment in it"),
-    "each and one": (["fit", "cart.toml", "--each", "."], "goes without EXPERIMENT"),
+    "each and one": (["fit", "cart.toml", "--each", "."], "--each . does not go with EXPERIMENT"),
     "jobs of one": (["fit", "cart.toml", "--jobs", "2"], "--jobs 2 goes with --each"),
     "no jobs": (["fit", "--each", ".", "--jobs", "0"], "--jobs"),
     "lines nowhere": (["fit", "--each", ".", "--json", "no/all.jsonl"], "cannot be written"),
     "lines over input": (["fit", "--each", ".", "--json", "cart.toml"], "is an input"),
-    "race of nonsense": (["race", "cart.toml", "--methods", "nonsense"], "no such method"),
+    "race of nonsense": (
+        ["race", "cart.toml", "--methods", "nonsense"],
+        '--methods "nonsense": there',
+    ),
     "race of no minimiser": (["race", "cart.toml", "--methods", "optax.x"], "optax has no such"),
     "race back in time": (["race", "cart.toml", "--seconds", "-3"], "--seconds -3: must be"),
     "race of nothing": (["race", "cart.toml", "--simulations", "0"], "--simulations 0: must be"),
@@ -199,6 +204,10 @@ BAD = {
     "no such suspect": (["diagnose", "cart.toml", "--with", "coulomb"], "coulomb_friction"),
     "demo nowhere": (["demo", "--report", "no/such.html"], "no/such.html"),
     "no catalogue entry": (["effects", "coulomb"], "coulomb_friction"),
+    "no such picture": (
+        ["effects", "spring", "--plot", "x.bmp"],
+        "--plot x.bmp: must end in .png, .svg or .pdf",
+    ),
     "set without value": (
         ["simulate", "cart.toml", "--set", "spring:cart.stiffness"],
         "NAME=VALUE",
@@ -451,7 +460,10 @@ def read(path):
 def test_simulate_with_given_numbers(command, folder):
     end = command("simulate", "cart.toml", *SET, "--out", "given")
     assert end.status == 0
-    assert "first readings" in end.err
+    assert end.err == (
+        "begins with angles from the first readings, smoothed and rates of zero; --q0 and --v0 "
+        "give others\n"
+    )
     header = (folder / "given" / "one.csv").read_text().splitlines()[0]
     assert header == "t,q1"
     for name, angle in (("one", 0.05), ("two", -0.03)):
@@ -474,6 +486,8 @@ def test_simulate_begins_near_the_first_reading_however_late_it_is(command, fold
 def test_simulate_begins_where_it_is_told_and_adds_noise(command, folder):
     words = ("simulate", "cart.toml", *SET, "--q0", "0.2", "--v0", "0", "--out")
     assert command(*words, "still").err == ""
+    end = command(*words[:-3], "--out", "still")
+    assert end.err == "begins with rates of zero; --v0 gives others\n"
     for out, seed in (("a", "3"), ("b", "3"), ("c", "4")):
         assert command(*words, out, "--noise", "1e-3", "--seed", seed).status == 0
     still, a, b, c = (read(folder / out / "one.csv")[1] for out in ("still", "a", "b", "c"))
@@ -486,6 +500,10 @@ def test_simulate_begins_where_it_is_told_and_adds_noise(command, folder):
 def test_simulate_knows_what_a_recording_has_for_itself(command, folder):
     """No load presses the first one; the second has a load, and no damping."""
     loaded = 'load = 2.0\nown = ["damper:cart"]'
+    wrong = TOML.replace('role = "check"', loaded.replace("cart", "wheel"))
+    (folder / "wrong.toml").write_text(wrong)
+    end = command("fit", "wrong.toml")
+    assert end.err.startswith('residyn: wrong.toml: two.csv: own: "damper:wheel": damper goes')
     (folder / "runs.toml").write_text(TOML.replace('role = "check"', loaded))
     more = ("damper:cart.damping (two.csv)=0", "load_friction:cart.coefficient=0.1")
     words = ["simulate", "runs.toml", "--with", "load_friction", *SET, "--q0", "0.05", "--v0", "0"]

@@ -59,14 +59,14 @@ def command(tmp_path, monkeypatch, capsys):
 
 
 def test_the_command_passes_everything_on(command, found):
-    words = ["--with", "gravity", "--with", "wind", "--max-effects", "2", "--starts", "4"]
-    words += ["--budget", "12.5"]
+    words = ["--with", "coulomb_friction", "--with", "hysteresis", "--max-effects", "2"]
+    words += ["--starts", "4", "--budget", "12.5"]
     status, out, err, asked = command(*words, result=found["missing"])
     assert (status, err) == (0, "")
     assert out == f"{found['missing']}\n"
     del asked["progress"]
     assert asked == {
-        "effects": ["gravity", "wind"],
+        "effects": ["coulomb_friction", "hysteresis"],
         "max_effects": 2,
         "starts": 4,
         "budget": 12.5,

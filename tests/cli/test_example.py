@@ -169,7 +169,8 @@ def test_new_refuses_files_of_different_mechanisms(tmp_path, capsys):
     files = str(tmp_path / "arm.csv"), str(tmp_path / "carts.csv")
     assert main(["new", str(tmp_path / "x.toml"), *files]) == 2
     line = capsys.readouterr().err
-    assert f"carts.csv: has 2 columns of angles (m, m), {files[0]} has 2 (rad, rad)" in line
+    assert f"carts.csv: has joints in m, m, {files[0]} in rad, rad: an experiment is of one" in line
+    assert 'write the unit behind its name, as "q1 (m)"' in line
 
 
 def test_new_for_one_sliding_joint_and_for_what_is_no_table(tmp_path, capsys):

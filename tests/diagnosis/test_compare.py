@@ -13,6 +13,7 @@ from residyn.cli import main
 from residyn.diagnosis import compare_fit
 from residyn.diagnosis.bands import bands
 from residyn.diagnosis.linearised_fit import Tangent, spread
+from residyn.diagnosis.residuals import Cell, Part
 from residyn.diagnosis.rounding import Grid, hangs
 from residyn.diagnosis.spectrum import energies, spectrum, strips
 from residyn.diagnosis.whiteness import narrow_bands, whiteness_of
@@ -105,6 +106,25 @@ def test_friction_on_a_cart_shows_late_and_at_small_swings():
     last = found.where.time[-1]
     assert last.whole.ratio > 1.5 * found.where.joint[0].ratio
     assert (last.start, last.stop) == (8.75, 10.0)
+
+
+@pytest.mark.parametrize(("window", "word"), [(0, "early"), (2, "midway"), (7, "late")])
+def test_early_and_late_are_the_first_and_the_last_third(clean, window, word):
+    """The third of eight windows, from 7.5 s to 11.25 s of 30 s, is neither."""
+    loud, quiet = (Cell(x, 100.0) for x in (900.0, 100.0))
+    time = [
+        Part("", 3.75 * i, 3.75 * (i + 1), (quiet, loud if i == window else quiet))
+        for i in range(8)
+    ]
+    changed = {
+        "time": tuple(time),
+        "joint": (quiet, loud),
+        "white": {"shoulder": 0.5, "elbow": 0.0},
+    }
+    at = dataclasses.replace(clean.where, **changed)
+    found = dataclasses.replace(clean, where=at)
+    assert f"most at the elbow, {word} (3.0 times" in " ".join(found.words)
+    assert "p of whiteness test (0.001) 0.50 < 1e-12" in " ".join(str(found).split())
 
 
 def test_it_begins_with_the_verdict_and_fits_80_columns(clean, wrong):

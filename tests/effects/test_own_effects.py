@@ -101,7 +101,10 @@ def test_it_is_listed_and_shown(own, capsys):
     assert main(["effects", "--effects", str(own)]) == 0
     assert "quintic_stiffness" in capsys.readouterr().out
     assert main(["effects", "quintic_stiffness", "--effects", str(own)]) == 0
-    assert "end of the swing" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "end of the swing" in out
+    assert "parameters\n" in out
+    assert "source\n" not in out  # no heading of what the class does not say
 
 
 def test_python_takes_an_instance():

@@ -177,7 +177,8 @@ def test_it_reads_in_80_columns():
     assert "70 %" in text
     assert "was as likely as not beside each model" in " ".join(text.split())
     assert "0.4900 to 0.5100 Hz" in text
-    assert "expected to narrow it to +/- 0.0040." in " ".join(text.split())
+    assert "49.00 to 51.00 %" in text
+    assert "expected to narrow it to +/- 0.40 %." in " ".join(text.split())
     assert list(found.to_dict()) == [
         "models", "left_out", "stopped", "poses", "narrows", "next_test",
     ]  # fmt: skip

@@ -215,6 +215,9 @@ def test_printed_lines_fit_a_terminal(named):
     assert max(map(len, text.splitlines())) <= 80
     for words in ("[[Taken off]]", "drag of the air", "in orbit", "[[Check]]", "0.52"):
         assert words in text
+    # A damping ratio is in per cent wherever it stands.
+    told = r"damping ratio [\d.]+ % too \w+ \(measured [\d.]+ %\)"
+    assert re.search(told, " ".join(text.split()))
 
 
 def test_dry_friction_of_the_bearings_has_no_part_in_the_modes(named):

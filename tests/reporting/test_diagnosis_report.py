@@ -16,9 +16,11 @@ from residyn.diagnosis.missing_torque import scene_of
 from residyn.diagnosis.residuals import Coloured
 from residyn.diagnosis.result import Budget, ChannelError, Family
 from residyn.effects import ConstantTorque, StribeckFriction
+from residyn.recordings.tables import InertiaTable
 from residyn.reporting import diagnosis as text
 from residyn.reporting import figures as plot
 from residyn.reporting import names, numbers
+from residyn.reporting.compare import draw_torque
 from tests import by_hand
 from tests.by_hand import FOUND, NEXT, RIVAL, a_candidate, a_model
 from tests.chromium import driver
@@ -542,6 +544,34 @@ def test_a_law_without_a_name_has_a_curve_and_a_class(monkeypatch):
         assert {"rate (rad/s)", "at the elbow (N m)", "95 % band"} <= set(words)
 
 
+def test_where_joints_slide_it_is_of_positions_and_forces(monkeypatch):
+    def slides(fit):
+        experiment = dataclasses.replace(
+            fit.experiment, inertia=InertiaTable(fit.joints, ((1.0, 0.0), (0.0, 1.0)), ("m", "m"))
+        )
+        return dataclasses.replace(fit, experiment=experiment)
+
+    of_arm = by_hand.unexplained()
+    law = dataclasses.replace(by_hand.a_law(), variable="angle", unit="N", variable_unit="m")
+    missing = tuple(each._replace(units=("N", "N")) for each in of_arm.missing)
+    made = by_hand.a_diagnosis(
+        "unexplained",
+        [dataclasses.replace(step, fit=slides(step.fit)) for step in of_arm.ladder],
+        laws=(law,),
+        families=of_arm.families,
+        missing=missing,
+        still_missing=missing,
+        random_torque=tuple(dataclasses.replace(r, unit="N") for r in of_arm.random_torque),
+    )
+    page = report.render([("only", made.fit)], diagnosis=made)
+    words = re.sub(r"<(style|pre).*?</\1>|<[^>]*>", " ", page, flags=re.S) + " ".join(made.words)
+    words += " ".join(legible(plot.law(law), monkeypatch))
+    words += " ".join(legible(draw_torque(made.fit.experiment, missing[0], 1), monkeypatch))
+    for said in ("The force that is still missing", "restoring force", "depends on the position"):
+        assert said in words
+    assert set(re.findall(r".{20}(?:angle|torque(?! [\d.]+)).{9}", words)) == set()
+
+
 def test_a_page_of_nothing_missing(pages):
     assert headings(pages["adequate"])[0] == "Nothing is missing"
     assert "What cannot be told apart" not in pages["adequate"]
@@ -554,7 +584,7 @@ def test_on_a_phone_tables_stay_within_the_page_and_wide_pictures_scroll(tmp_pat
     long = {n: v._replace(std=1e-8) for n, v in first.parameters.items()}
     each = zip((first, second), (long, {}), strict=True)
     few = tuple(dataclasses.replace(c, parameters=values) for c, values in each)
-    made = by_hand.missing(candidates=few)
+    made = by_hand.missing(candidates=few, laws=(by_hand.a_law(),))
     path = tmp_path / "page.html"
     page = report.render([("last", made.fit)], diagnosis=made)
     path.write_text(re.sub(r"<source .*?>", "", page, flags=re.S), encoding="utf-8")
@@ -563,6 +593,8 @@ def test_on_a_phone_tables_stay_within_the_page_and_wide_pictures_scroll(tmp_pat
         browser.get(path.as_uri())
         widths = browser.execute_script("return [...document.images].map((x) => x.width)")
         assert set(widths) == {800}
+        law = "document.querySelector('pre')"
+        assert browser.execute_script(f"return {law}.scrollWidth > {law}.clientWidth")
         root = "document.documentElement"
         assert browser.execute_script(f"return {root}.scrollWidth <= {root}.clientWidth")
         empty = browser.find_elements("css selector", "td:empty")

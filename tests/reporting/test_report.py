@@ -18,7 +18,8 @@ from residyn.reporting import fit as about_fits
 from residyn.reporting import names, numbers
 from residyn.reporting import page as pages
 from residyn.reporting.figures.motion import thinned
-from tests.by_hand import LOST, NASTY, WILD, a_fit
+from residyn.reporting.layout import filled
+from tests.by_hand import LOST, NASTY, WILD, a_comparison, a_fit
 from tests.legible import legible
 
 
@@ -103,6 +104,14 @@ def test_page_says_everything(page, fit):
     assert "-0.970" in words
     for line in ("5 of 6", "N m/rad", "frequency (Hz)", "held-out", "Springs & dampers"):
         assert line in words
+
+
+def test_page_of_a_comparison_has_one_verdict(fit, monkeypatch):
+    monkeypatch.setattr("residyn.reporting.figures.inline.svg", lambda figure: "<svg/>")
+    compared = a_comparison(fit, 6.0, 1e-13)
+    page = report.render([("one", fit)], compared)
+    assert page.count('class="verdict') == 1
+    assert "whiteness test" in page.partition('class="verdict')[2].partition("</p>")[0]
 
 
 def test_page_of_one_fit_has_no_comparison(fit, monkeypatch):
@@ -285,6 +294,7 @@ def test_modes_say_which_recording_they_are_of(change, words, monkeypatch):
     )
     expected = f", as in one.csv ({words})" if words else ""
     head = "[[Modes]]  natural frequency, damping ratio" + expected
+    assert re.search(r"Hz   [\d.]+ \+/- [\d.]+ %", str(fit))
     assert f"{head} 1 0.36" in " ".join(str(fit).split()).replace("]] ", "]]  ")
     assert f"rings in small motion{expected}." in report.render([("one", fit)])
     told = fit.to_dict()["modes_of"]
@@ -322,6 +332,32 @@ def test_a_long_name_and_a_long_value_stand_apart():
     long = dataclasses.replace(first, name=first.name.ljust(36, "x"), value=-0.00294024)
     text = str(a_fit(numbers=(long, *rest)))
     assert f"{long.name} -0.00294024" in text
+
+
+def test_lines_break_neither_a_number_from_its_unit_nor_a_unit():
+    amounts = (
+        "0.00014 N m rms",
+        "3 N m s^2/rad^2",
+        "2 +/- 1 kg m^2",
+        "12 x noise",
+        "3 N m/(rad s)",
+    )
+    for room in range(18, 40):
+        lines = filled(" and ".join(amounts), width=room)
+        assert all(any(x.removesuffix(" rms") in line for line in lines) for x in amounts)
+
+
+def test_an_error_as_large_as_its_number_and_a_negative_one():
+    first, *rest = a_fit().numbers
+    sure = dataclasses.replace(first, name="quadratic_drag:shoulder.coefficient", value=-0.0328083)
+    fit = a_fit(numbers=(dataclasses.replace(sure, std=0.0327, unit="N m s^2/rad^2"), *rest))
+    text = str(fit)
+    assert "-0.0328083 +/- 0.0327 (100 %)" in text
+    assert max(map(len, text.splitlines())) <= 80
+    assert (
+        f"{sure.name} is negative, which physics does not allow, but by less than two errors"
+        in (" ".join(fit.warnings))
+    )
 
 
 def test_a_joint_with_a_number_goes_without_an_article():

@@ -22,7 +22,7 @@ def demo(
     report: _options.Report = _REPORT,
     no_cache: _options.NoCache = False,
 ) -> None:
-    """A shipped recording with a hidden effect, through the whole loop; needs no files."""
+    """Find what is hidden in a shipped recording: the whole loop. It needs no files."""
     out = Work(json, report or _REPORT)
     set_up_jax(not no_cache)
     with progress("loading"):

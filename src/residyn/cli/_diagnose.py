@@ -17,9 +17,9 @@ def compare(
     report: _options.Report = None,
     no_cache: _options.NoCache = False,
 ) -> None:
-    """Fit, and say where the model fails: when, at what swing, at what frequency."""
+    """Fit, and say where the model fails. When, at what swing, and at what frequency."""
     out = Work(json, report)
-    loaded = out.begin(experiment, own, no_cache)
+    loaded = out.begin(experiment, own, no_cache, named={"--with": effects or []})
     with computing() as say:
         from ..diagnosis import compare_fit
         from ..fitting import fit
@@ -46,7 +46,7 @@ def diagnose(
 ) -> None:
     """Name the effect that is missing, add it, and see the error fall."""
     out = Work(json, report, table, found_file)
-    loaded = out.begin(experiment, own, no_cache)
+    loaded = out.begin(experiment, own, no_cache, named={"--with": effects or []})
     how = {"effects": effects or [], "max_effects": most, "starts": starts, "budget": budget}
     with computing() as say:
         from ..diagnosis import diagnose
@@ -70,9 +70,9 @@ def plan(
     json: _options.Json = None,
     no_cache: _options.NoCache = False,
 ) -> None:
-    """The next tests to make, within [limits], and what each outcome would mean."""
+    """Plan the next tests, within [limits]. Each says what its outcomes would mean."""
     out = Work(json)
-    loaded = out.begin(experiment, own, no_cache)
+    loaded = out.begin(experiment, own, no_cache, named={"--with": effects or []})
     how = {"effects": effects or [], "max_effects": most, "starts": starts, "budget": budget}
     with computing() as say:
         from ..diagnosis import diagnose

@@ -42,7 +42,7 @@ def effects(
     json: _options.Json = None,
     no_cache: _options.NoCache = False,
 ) -> None:
-    """The catalogue of effects, one of them in full, or what an experiment could show of them."""
+    """List the effects, or tell all of one. With --detectable: what recordings could show."""
     if experiment is not None:
         if name is not None or plot is not None:
             raise InputError("--detectable EXPERIMENT is about all effects: leave the rest out")
@@ -59,6 +59,8 @@ def effects(
     if plot is not None:
         if name is None:
             raise InputError("--plot draws one effect: residyn effects NAME --plot FILE")
+        if Path(plot).suffix not in (".png", ".svg", ".pdf"):
+            raise InputError(f"--plot {plot}: must end in .png, .svg or .pdf")
         with inside("--plot"):
             check_writable(plot)
     bring(own)
@@ -88,11 +90,8 @@ def _draw(name: str, file: str) -> None:
     with progress("drawing"):
         from ..reporting.figures import signature
 
-        buffer, kind = io.BytesIO(), Path(file).suffix[1:] or "png"
-        try:
-            signature(name).savefig(buffer, dpi=150, format=kind)
-        except ValueError as error:  # no such format
-            raise InputError(f"--plot {file}: {error}") from None
+        buffer = io.BytesIO()
+        signature(name).savefig(buffer, dpi=150, format=Path(file).suffix[1:])
         with inside("--plot"):
             write(file, buffer.getvalue())
 
@@ -158,8 +157,9 @@ def _one(out: "Console", kind: "type[AbstractEffect]") -> None:
         "properties": [words for words, true in properties.items() if true],
         "source": [kind.source],
     }.items():
-        out.print(head, style="bold")
-        for words in paragraphs:
+        if any(paragraphs):
+            out.print(head, style="bold")
+        for words in filter(None, paragraphs):
             indented(out, words)
     if kind.name in BASE:
         out.print("in every model already")

@@ -36,7 +36,7 @@ def new(
     experiment: Annotated[str, _options.argument("EXPERIMENT.toml", "The file to write.")],
     recordings: Annotated[list[str], _options.argument("RECORDING.csv...", "What was recorded.")],
 ) -> None:
-    """Write a first experiment file from recordings; what they cannot tell is marked "?"."""
+    """Write a first experiment file from recordings. What they cannot tell is marked "?"."""
     path = Path(experiment)
     if path.suffix != ".toml":
         raise InputError(f"{experiment}: the experiment comes first, and must end in .toml")

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from . import _options
 from ._shell import DONE, NoNumbers, console, progress, set_up_jax, tell
-from ._work import bring, one_complaint
+from ._work import bring, must_go_with, one_complaint
 
 
 def explore(
@@ -29,7 +29,7 @@ def explore(
     ] = False,
     no_cache: _options.NoCache = False,
 ) -> None:
-    """Add effects by hand on a page, and watch the error fall; Ctrl-C stops it (status 0)."""
+    """Add effects by hand on a page, and watch the error fall. Ctrl-C stops it (status 0)."""
     set_up_jax(not no_cache)
     bring(own)
     with progress("loading"), contextlib.ExitStack() as stack:
@@ -49,6 +49,7 @@ def explore(
         with one_complaint():  # of nothing to fit or a wrong effect, before any page opens
             from ..fitting.problem import ready
 
+            must_go_with(files.experiment, "--with", effects or [])
             ready(files.experiment, files.experiment.fit_recordings, effects or [])
     out = console()
 

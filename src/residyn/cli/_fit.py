@@ -41,11 +41,7 @@ def fit(
     no_cache: _options.NoCache = False,
 ) -> None:
     """Fit springs, dampers and other effects to recordings."""
-    if method not in _options.METHODS and "." not in method:
-        raise InputError(
-            f'--method "{method}": there is no such method; it must be one of '
-            f"{', '.join(_options.METHODS)}, or a minimiser such as optimistix.BFGS"
-        )
+    _options.must_be_method("--method", method)
     if method not in _options.DESCENTS and starts != _options.STARTS:
         raise InputError(
             "--starts goes with --method levenberg or random; what else there is has no starts"
@@ -64,7 +60,7 @@ def fit(
         }
         wrong = [name for name, value in others.items() if value is not None]
         if wrong:
-            raise InputError(f"--each {each} goes without {', '.join(wrong)}; leave them out")
+            raise InputError(f"--each {each} does not go with {', '.join(wrong)}")
         bring(own)
         return _fit_each(each, effects or [], own, starts, json, no_cache, jobs)
     if jobs != 1:
@@ -74,10 +70,10 @@ def fit(
     if experiment is None:
         raise InputError("an EXPERIMENT is needed, a TOML file, or --each FOLDER")
     out = Work(json, report, table)
-    loaded = out.begin(experiment, own, no_cache, integrator)
-    both = [effects or []]
+    given = {"--with": effects or [], "--against": [e for e in against or [] if e != NOTHING]}
+    loaded = out.begin(experiment, own, no_cache, integrator, given)
+    both = list(given.values())[: 1 if against is None else 2]
     if against is not None:
-        both.append([e for e in against if e != NOTHING])
         with computing():
             from ..fitting.problem import ready
 

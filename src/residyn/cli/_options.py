@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from ..errors import InputError
 from ._shell import UsageError
 
 
@@ -55,6 +56,17 @@ METHODS = (*DESCENTS, *SEARCHES)
 SEEDED = METHODS[1:]
 STARTS = 6
 MAX_EFFECTS = 3
+
+
+def must_be_method(option: str, name: str) -> None:
+    """**Raises:** `InputError` for a method that there is not; a minimiser has a point in its
+    name."""
+    if name not in METHODS and "." not in name:
+        raise InputError(
+            f'{option} "{name}": there is no such method; it must be one of '
+            f"{', '.join(METHODS)}, or a minimiser such as optimistix.BFGS"
+        )
+
 
 _EXPERIMENT = argument(
     "EXPERIMENT",

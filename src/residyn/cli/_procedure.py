@@ -15,7 +15,7 @@ def inertia(
     report: _options.Report = None,
     no_cache: _options.NoCache = False,
 ) -> None:
-    """Find the arm's inertias from driven tests, and print its [arm] table."""
+    """Find the arm's inertias from driven tests. The [arm] table is printed too."""
     out = Work(json, report)
     loaded = out.begin(experiment, None, no_cache)
     with computing() as say, inside(experiment):
@@ -56,13 +56,13 @@ def unload(
     report: _options.Report = None,
     no_cache: _options.NoCache = False,
 ) -> None:
-    """Take the air bearings off, drag and friction too: how the arm rings in orbit."""
+    """Take the air bearings off: how the arm rings in orbit. Their drag and friction leave too."""
     if not diagnose and (most != _options.MAX_EFFECTS or budget is not None):
         raise InputError("--max-effects and --budget go with --diagnose")
     out = Work(json, report)
     names = "shoulder (kg m^2)", "elbow (kg m^2)", "coupling (kg m)"
     std = None if inertia_std is None else floats_of("--inertia-std", inertia_std, names, least=0)
-    loaded = out.begin(experiment, own, no_cache)
+    loaded = out.begin(experiment, own, no_cache, named={"--with": effects or []})
     how = {"effects": effects or [], "starts": starts}
     with computing() as say, inside(experiment):
         from .. import diagnosis, procedure

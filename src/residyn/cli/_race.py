@@ -36,12 +36,14 @@ def race(
     table: _options.Table = None,
     no_cache: _options.NoCache = False,
 ) -> None:
-    """Let gradients and evolutionary searches race on these recordings."""
+    """Let gradients and evolutionary searches race on recordings."""
     if seconds is not None and simulations is not None:
         raise InputError("--seconds and --simulations: give one of them")
     names = None if methods is None else [name.strip() for name in methods.split(",")]
+    for name in names or ():
+        _options.must_be_method("--methods", name)
     out = Work(json, report, table)
-    loaded = out.begin(experiment, own, no_cache, integrator)
+    loaded = out.begin(experiment, own, no_cache, integrator, {"--with": effects or []})
     with computing() as say:
         from ..fitting import race as run
 

@@ -54,7 +54,7 @@ def simulate(
         if name in numbers:
             raise InputError(f"--set {each}: {name} is set twice")
         numbers[name] = float_of(f"--set {name}", value)
-    loaded = Work().begin(experiment, own, no_cache, integrator)
+    loaded = Work().begin(experiment, own, no_cache, integrator, {"--with": effects or []})
     import numpy as np
 
     from ..fitting import fit, mechanism_of
@@ -78,10 +78,11 @@ def simulate(
                 begin = np.zeros(r.joints) if rates is None else rates
                 first = _first_angles(here, r, begin) if angles is None else angles
                 predicted.append(_motion(here, r, loaded.integrator, first, begin))
-        taken = ["angles from the first readings, smoothed"] * (angles is None)
-        taken += ["rates of zero"] * (rates is None)
+        taken = {} if angles is not None else {"--q0": "angles from the first readings, smoothed"}
+        taken |= {} if rates is not None else {"--v0": "rates of zero"}
         if taken:
-            words.print(f"begins with {' and '.join(taken)}; --q0 and --v0 give others")
+            give = f"{' and '.join(taken)} give{'s' * (len(taken) == 1)} others"
+            words.print(f"begins with {' and '.join(taken.values())}; {give}")
     else:
         with computing() as say:
             fitted = fit(loaded, effects=effects or [], starts=starts, progress=say)

@@ -6,7 +6,7 @@ import itertools
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,9 +56,15 @@ class Work:
         return console(stderr=self.json_file == "-")
 
     def begin(
-        self, path: str, own: Sequence[str] | None, no_cache: bool, integrator: str | None = None
+        self,
+        path: str,
+        own: Sequence[str] | None,
+        no_cache: bool,
+        integrator: str | None = None,
+        named: Mapping[str, Sequence[str]] | None = None,
     ) -> "Experiment":
-        """Make JAX and the user's own effects ready, and read the experiment."""
+        """Make JAX and the user's own effects ready, and read the experiment; `named`: by option,
+        the effects that must go with it."""
         set_up_jax(not no_cache)
         bring(own)
         experiment = load(path)
@@ -68,6 +74,8 @@ class Work:
             with inside("--integrator"):
                 experiment = dataclasses.replace(experiment, integrator=Integrator(integrator))
         self.spare(input_files(path, experiment, own))
+        for option, effects in (named or {}).items():
+            must_go_with(experiment, option, effects)
         return experiment
 
     def spare(self, inputs: Sequence[Path]) -> None:
@@ -143,6 +151,17 @@ def one_complaint() -> Iterator[None]:
         raise
     except (ValueError, MissingExtra) as error:
         raise InputError(str(error)) from None
+
+
+def must_go_with(experiment: "Experiment", option: str, effects: Sequence[str]) -> None:
+    """**Raises:** `InputError` for an effect that does not exist, or does not go with the
+    experiment's bodies."""
+    recordings = [r for r in experiment.recordings if r.role != "inertia"]
+    if effects and recordings:
+        with one_complaint(), inside(option):
+            from ..fitting.problem import mechanism_of, model_for, richest
+
+            model_for(richest([mechanism_of(experiment, r) for r in recordings]), effects)
 
 
 def must_stand(fit: "Fit", who: str = "") -> None:

@@ -129,27 +129,30 @@ def effects_named(words: str, mechanism: AbstractInertia) -> tuple[AbstractEffec
 
     A per-joint effect named without a joint is put at every joint.
 
-    **Raises:** `ValueError`, in one line, for a name or a place that does not exist here.
+    **Raises:** `InputError`, in one line, for a name or a place that does not exist here.
     """
     if not isinstance(words, str):
-        raise ValueError(
+        raise InputError(
             f'{quote(words)} is no effect: give its name, as "coulomb_friction:elbow", or an '
             'instance, as CoulombFriction("elbow")'
         )
     name, colon, place = words.partition(":")
     known = catalogue()
     if name not in known:
-        raise ValueError(f'there is no effect "{name}"{_nearest(name, known)}')
+        raise InputError(f'there is no effect "{name}"{_nearest(name, known)}')
     kind = known[name]
-    places = kind.places(mechanism)
+    try:
+        places = kind.places(mechanism)
+    except ValueError as error:
+        raise InputError(str(error)) from None
     if not places:
         if colon:
-            raise ValueError(f'"{words}": {name} acts on the whole mechanism and takes no joint')
+            raise InputError(f'"{words}": {name} acts on the whole mechanism and takes no joint')
         return (kind(),)
     if not colon:
         return tuple(kind(each) for each in places)  # pyrefly: ignore[bad-argument-count]
     if place not in places:
-        raise ValueError(
+        raise InputError(
             f'"{words}": {name} goes with {", ".join(places)}{_nearest(place, places)}'
         )
     return (kind(place),)  # pyrefly: ignore[bad-argument-count]

@@ -177,7 +177,7 @@ def with_own_numbers(
     sharing = len(by_recording(experiment.fit_recordings))
     runs: dict[str, tuple[tuple[int, str], ...]] = {}
     for words, each in experiment.own.items():
-        with inside(f"{each[0][1]}: own"):
+        with inside(": ".join(filter(None, [experiment.path, each[0][1], "own"]))):
             for effect in effects_named(words, mechanism):
                 own = tuple(dict.fromkeys([*runs.get(effect.label, ()), *each]))
                 if len(own) >= sharing:

@@ -17,6 +17,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, PyTree
 
+from ..errors import InputError
 from .effect import AbstractEffect, JointEffect, joint_of, unit_of
 from .inertia import AbstractInertia
 from .motion import Joints, Motion, split, stack
@@ -55,13 +56,13 @@ class Model(eqx.Module):
         if not getattr(effect, "name", None):
             raise TypeError(f"{type(effect).__name__} needs a name")
         if effect.label in self.labels:
-            raise ValueError(f"{effect.label} is in the model already")
+            raise InputError(f"{effect.label} is in the model already")
         if effect.place is not None:
             # Not `places` of a joint's effect: a bare arm, or one without load, may be given one.
             own = isinstance(effect, JointEffect)
             places = self.mechanism.joints if own else effect.places(self.mechanism)
             if effect.place not in places:
-                raise ValueError(f"{effect.label}: {effect.name} goes with {', '.join(places)}")
+                raise InputError(f"{effect.label}: {effect.name} goes with {', '.join(places)}")
         return dataclasses.replace(self, effects=(*self.effects, effect))
 
     def __str__(self) -> str:

@@ -49,8 +49,9 @@ def experiment_text(files: Sequence[Path], folder: Path) -> str:
         table, found = _entry(file, folder)
         if tables and found != kinds:
             raise InputError(
-                f"{file}: has {len(found)} columns of angles ({', '.join(found)}), {files[0]} has "
-                f"{len(kinds)} ({', '.join(kinds)}): an experiment is of one mechanism"
+                f"{file}: has joints in {', '.join(found)}, {files[0]} in {', '.join(kinds)}: an "
+                "experiment is of one mechanism; a column without a unit is taken to be in rad: "
+                'write the unit behind its name, as "q1 (m)"'
             )
         tables.append(table)
         kinds = found

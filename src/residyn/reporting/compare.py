@@ -19,8 +19,8 @@ from ..diagnosis.runs import OwnNumbers
 from ..recordings.experiment import Experiment
 from . import figures as plot
 from .layout import Table, filled, printed, section
-from .names import at_place, listed, lower, the, when_held_out
-from .numbers import amount, p_value, percent, plain, prefixed, share, times
+from .names import at_place, force, listed, lower, the, when_held_out
+from .numbers import amount, p_size, p_value, percent, plain, prefixed, share, times
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -104,7 +104,8 @@ def _when(at: Where) -> str:
         most, least = (f(told, key=lambda pair: pair[1].ratio) for f in (max, min))
         high, low = times(most[1].ratio), times(least[1].ratio)
         near = [p for p, c in told if c.ratio > _NEAR * most[1].ratio]
-        thirds = {min(2, int(1.5 * (p.start + p.stop) / at.time[-1].stop)) for p in near}
+        third = at.time[-1].stop / 3  # early, late: what lies within the first, within the last
+        thirds = {int(p.stop > third) + int(p.start >= 2 * third) for p in near}
         if _tells(most[1]) and most[1].ratio > _CONTRAST * least[1].ratio and len(thirds) < 3:
             when = listed([("early", "midway", "late")[i] for i in sorted(thirds)])
             spans = f"{high} times the noise {_span(most[0])}, {low} times {_span(least[0])}"
@@ -156,7 +157,8 @@ def _frequency(found: Comparison) -> str:
     ][:2]
     if clear:
         each = [f"{times(p.whole.ratio)} times the noise {_band(p, found)}" for p in clear]
-        words += f"; {listed(each)} is a sign of a torque that is not linear"
+        acts = force(found.fit.experiment.units)
+        words += f"; {listed(each)} is a sign of a {acts} that is not linear"
     return f"{words}."
 
 
@@ -234,7 +236,7 @@ def _where(found: Comparison) -> list[str]:
         ]
 
     out = section("Where", "share of the squared residual, and rms in times the noise")
-    p_values = ["-" if math.isnan(p) else f"{p:.1g}" for p in at.white.values()]
+    p_values = ["-" if math.isnan(p) else p_size(p) for p in at.white.values()]
     white = (f"p of whiteness test ({NOISE:g})", p_values)
     out += _by_joint("", at.joints, [("all", cells(at.joint)), white])
     out += _by_joint("time since the start, s", at.joints, rows(at.time))
@@ -322,7 +324,8 @@ def torque_words(found: Missing, joint: int) -> str:
     part = float(found.torque.share_of_spring[joint])
     words = f"{found.recording}, {found.joints[joint]}: "
     words += f"{plain(float(found.torque.rms[joint]))} {found.units[joint]} rms is missing"
-    words += f", {share(part)} of the restoring torque." if part == part else "."
+    acts = force([found.units[joint]])
+    words += f", {share(part)} of the restoring {acts}." if part == part else "."
     if not found.significant(joint):
         return f"{words} It is smaller than its own 95 % band: nothing is seen to be missing here."
     drawn = found.curves_at(joint)

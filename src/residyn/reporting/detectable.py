@@ -2,7 +2,7 @@
 
 from ..diagnosis.detectable import Atlas, Detectable
 from .layout import Table, filled, printed
-from .names import at_place, lower, title
+from .names import at_place, force, lower, title
 from .numbers import amount, plain, share
 
 _VALUES = 52  # columns of an effect's numbers
@@ -16,8 +16,8 @@ def text(atlas: Atlas) -> str:
     )
     head = filled(
         f"What {plain(atlas.duration, 3)} s of this motion can show (noise: {noise}). Strengths as "
-        "a share of the spring's torque at full swing, or of what else is typical: named in half "
-        "of all recordings, and told from the best rival with odds of 20 to 1."
+        f"a share of the spring's {force(atlas.units)} at full swing, or of what else is typical: "
+        "named in half of all recordings, and told from the best rival with odds of 20 to 1."
     )
     rows = []
     for e in atlas.effects:

@@ -37,6 +37,7 @@ from .names import (
     at,
     at_place,
     base_name,
+    force,
     listed,
     lower,
     modal,
@@ -44,6 +45,7 @@ from .names import (
     named,
     own_name,
     placed,
+    position,
     the,
     times_noise,
     title,
@@ -136,15 +138,16 @@ def _channels(found: Diagnosis) -> Iterator[str]:
 def _nothing_explained(found: Diagnosis) -> Iterator[str]:
     sizes = [
         f"{plain(r.rms, 2)} {r.unit} at {the(r.joint)}"
-        + (f" ({share(r.share_of_spring)} of the restoring torque)" if _known(r) else "")
+        + (f" ({share(r.share_of_spring)} of the restoring {force([r.unit])})" if _known(r) else "")
         for r in found.random_torque
     ]
+    acts, reads = force(found.fit.experiment.units), position(found.fit.experiment.units)
     yield (
         "The model does not explain this motion, so no effect can be named: beside its springs it "
-        f"needs a torque as large as theirs or larger: {listed(sizes)}."
+        f"needs a {acts} as large as theirs or larger: {listed(sizes)}."
     )
     yield (
-        "Check the recordings first: the units (rad or m, s), whether angles are counted from "
+        f"Check the recordings first: the units (rad or m, s), whether {reads}s are counted from "
         "where the joints rest, whether each column is the joint that it is named after, and "
         f"whether the inertias are of this arm. {_SMOOTHED}"
     )
@@ -157,8 +160,8 @@ def _nothing_explained(found: Diagnosis) -> Iterator[str]:
     ]
     if aside:
         yield (
-            f"The readings keep to one side of zero (means: {listed(aside)}): angles that are not "
-            "counted from rest look so."
+            f"The readings keep to one side of zero (means: {listed(aside)}): {reads}s that are "
+            "not counted from rest look so."
         )
 
 
@@ -391,7 +394,7 @@ def _left(found: Diagnosis) -> Iterator[str]:
         if found.laws:  # of which the model that lacks so much has none
             law = "that law" if len(found.laws) == 1 else "such a law"
             first = f"Without {law}, {lower(first)}"
-        yield f"{first} a torque of {sizes}."
+        yield f"{first} a {force(found.fit.experiment.units)} of {sizes}."
         yield from _matters(found)
         return
     if _instead(found):
@@ -406,7 +409,7 @@ def _left(found: Diagnosis) -> Iterator[str]:
         most = max(known, key=lambda r: r.high / _restoring(r) if _known(r) else r.high)
         if most.high > 0:
             size = f"{plain(most.high, 2)} {most.unit} rms{at(most.joint, found.fit.joints)}"
-            part = f", {share(most.high / _restoring(most))} of the restoring torque"
+            part = f", {share(most.high / _restoring(most))} of the restoring {force([most.unit])}"
             yield (
                 f"What may still be missing is no more than {size}"
                 f"{part if _known(most) else ''} (95 % band)."
@@ -420,7 +423,8 @@ def _coloured(found: Diagnosis) -> Iterator[str]:
     line = "" if left.frequency_hz is None else f", most of all at {plain(left.frequency_hz, 4)} Hz"
     yield (
         f"What is left{at(left.joint, found.fit.joints)} is {times(left.ratio)} times the noise, "
-        f"and not white{line}; no torque that changes as the arm moves explains it. Look at the "
+        f"and not white{line}; no {force(found.fit.experiment.units)} that changes as the arm "
+        "moves explains it. Look at the "
         f"sensor, at what carries it, and for hum in its cable. {_SMOOTHED}"
     )
 
@@ -453,7 +457,7 @@ def _restoring(r: RandomTorque) -> float:
 def _size(r: RandomTorque, found: Diagnosis) -> str:
     low, high = plain(r.low, 2), plain(r.high, 2)
     more = [f"95 % band {low} to {high}"] if low != high else []
-    more += [f"{share(r.share_of_spring)} of the restoring torque"] if _known(r) else []
+    more += [f"{share(r.share_of_spring)} of the restoring {force([r.unit])}"] if _known(r) else []
     size = f"{plain(r.rms, 2)} {r.unit} rms{at(r.joint, found.fit.joints)}"
     return f"{size} ({'; '.join(more)})" if more else size
 
@@ -475,7 +479,8 @@ def _matters(found: Diagnosis) -> Iterator[str]:
             words += f" or the damping by {share(r.rms / damper)}"
         told.append(words)
     if told:
-        yield f"At most, if it all went with the angle or the rate, it changes {'; '.join(told)}."
+        reads = position(found.fit.experiment.units)
+        yield f"At most, if it all went with the {reads} or the rate, it changes {'; '.join(told)}."
 
 
 def _damper(found: Diagnosis, joint: int) -> float:
@@ -674,7 +679,8 @@ def remainder_table(found: Diagnosis) -> Table:
         part = share(r.share_of_spring) if math.isfinite(r.share_of_spring) else ""
         band = f"{plain(r.low, 2)} to {plain(r.high, 2)} {r.unit}"
         rows.append([r.joint, f"{plain(r.rms, 2)} {r.unit}", band, part])
-    return Table(["joint", "rms", "95 % band", "share of the restoring torque"], rows)
+    acts = force(found.fit.experiment.units)
+    return Table(["joint", "rms", "95 % band", f"share of the restoring {acts}"], rows)
 
 
 # -- for a paper -----------------------------------------------------------------------------

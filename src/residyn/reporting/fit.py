@@ -17,7 +17,7 @@ from ..fitting.result import STRONG, STRUCTURE, Fit, RecordingFit
 from ..recordings.segments import by_recording
 from . import latex as tex
 from .layout import Table, filled, printed, section, separated, tabular, warned
-from .names import HELD_OUT, at_place, base_name, listed, lower, named, the
+from .names import HELD_OUT, at_place, base_name, force, listed, lower, named, position, the
 from .numbers import amount, plain, prefixed, share, times, with_error
 
 _OVERSTATED = 0.85  # reduced chi-square below which the noise must have been overstated
@@ -99,7 +99,8 @@ def _unphysical(fit: Fit) -> Iterable[str]:
     return (
         f"{n.name} = {n.value:.3g} +/- {n.std:.2g} {n.unit} is negative beyond its error, which no "
         "braked arm has: the recordings are not of an arm that rings down, an input is wrong "
-        "(inertia, the order or sign of the angles, their rest), or the model lacks an effect"
+        f"(inertia, order or sign of the {position(fit.experiment.units)}s, their rest), or the "
+        "model lacks an effect"
         for n in fit.unphysical
     )
 
@@ -114,7 +115,7 @@ def _open(fit: Fit) -> Iterator[str]:
                 "inertia and stiffness cannot both be found from free motion: scaling all "
                 "inertias, stiffnesses and dampings alike leaves it unchanged (Eq. 9); these data "
                 f"determine only ratios of {', '.join(members)}: measure the inertias first, "
-                "with a known drive torque"
+                f"with a known drive {force(fit.experiment.units)}"
             )
         elif len(members) == 1:
             yield (
@@ -163,7 +164,7 @@ def _signs(fit: Fit) -> Iterator[str]:
     sure = {n.name for n in fit.unphysical}
     for n in fit.numbers:
         if n.sign == "positive" and n.value < 0 and n.determined and n.name not in sure:
-            so = ", but no more than its error: these data cannot tell it from zero"
+            so = ", but by less than two errors: these data cannot tell it from zero"
             if n.negative:
                 so = ": the model lacks something, or an input is wrong"
             yield f"{n.name} is negative, which physics does not allow{so}"
@@ -272,8 +273,9 @@ def text(fit: Fit) -> str:
     width = max([30, *(len(n.name) for n in fit.own_numbers)])
     for n in fit.own_numbers:
         unit = "" if n.unit == "1" else f" {n.unit}"
-        error = f"{n.std:.3g} ({n.percent:.2g} %)" if n.determined else "not determined"
-        lines.append(f"  {n.name:<{width}} {n.value:10.6g} +/- {error}{unit}")
+        error = f"{n.std:.3g} ({plain(n.percent, 2)} %)" if n.determined else "not determined"
+        head = f"  {n.name:<{width}} {n.value:10.6g} "
+        lines += filled(f"+/- {error}{unit}", head, width + 3)
     lines += filled(
         ", ".join(f"{n.name} {n.start:.4g}" for n in fit.own_numbers), "  started from "
     )
@@ -281,9 +283,9 @@ def text(fit: Fit) -> str:
         lines += section("Modes", f"natural frequency, damping ratio{modes_of(fit)}")
     for i, m in enumerate(fit.modes, 1):
         frequency = _known(m.frequency_hz, m.frequency_hz_std, 6)
-        damping = _known(m.damping_ratio, m.damping_ratio_std, 4)
+        damping = _known(100 * m.damping_ratio, 100 * m.damping_ratio_std, 4)
         grows = "  grows: not physical" if m.grows else ""
-        lines.append(f"    {i}  {frequency} Hz   {damping}{grows}")
+        lines.append(f"    {i}  {frequency} Hz   {damping} %{grows}")
     strong = fit.strong_correlations()
     if strong:
         lines += section("Correlations", f"beyond {STRONG}")

@@ -7,16 +7,22 @@ import numpy as np
 from ..diagnosis.law import Law
 from ..diagnosis.result import Diagnosis
 from .layout import Table, filled, printed, section
-from .names import at, listed, modal, named, upper
+from .names import at, force, listed, modal, named, position, upper
 from .numbers import measured, nats, percent, times
 
-_WHAT = {"": "torque", "direction": "friction", "angle": "stiffness", "rate": "damping"}
+_WHAT = {"direction": "friction", "angle": "stiffness", "rate": "damping"}
 
 
 def what(law: Law, joints: tuple[str, ...] | list[str]) -> str:
     """ "a torque at the elbow that depends on the rate"."""
     how = "changes with" if law.variable == "time" else "depends on the"
-    return f"a {_WHAT[law.factor]}{at(law.joint, joints)} that {how} {law.variable}"
+    acts = _WHAT[law.factor] if law.factor else force([law.unit])
+    return f"a {acts}{at(law.joint, joints)} that {how} {variable(law)}"
+
+
+def variable(law: Law) -> str:
+    """Of which it is a law: "angle", or "position" where the joint slides; "rate" or "time"."""
+    return position([law.variable_unit]) if law.variable == "angle" else law.variable
 
 
 def formula(law: Law) -> str:

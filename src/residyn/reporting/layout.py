@@ -12,6 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from .latex import NEEDS
+from .numbers import glued
 
 WIDTH = 80
 
@@ -28,11 +29,9 @@ class Table:
 
 def filled(words: str, head: str = "", indent: int | None = None, width: int = WIDTH) -> list[str]:
     """Words in lines of 80 columns after a head; numbers stay with their units and errors."""
-    for kept in (" %", " +/- ", "N m", " x noise"):
-        words = words.replace(kept, kept.replace(" ", "\u00a0"))
     further = " " * (len(head) if indent is None else indent)
     lines = textwrap.wrap(
-        words, width, initial_indent=head, subsequent_indent=further, break_on_hyphens=False
+        glued(words), width, initial_indent=head, subsequent_indent=further, break_on_hyphens=False
     )
     return [line.replace("\u00a0", " ") for line in lines]
 

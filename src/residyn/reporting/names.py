@@ -2,13 +2,13 @@
 command lines; people read "Coulomb friction at the elbow", in tables "Coulomb friction, elbow"."""
 
 import math
-import re
 from collections.abc import Sequence
 
 from ..diagnosis.result import Candidate, Diagnosis, ModelState
 from ..effects import catalogue
 from ..fitting.result import Fit
 from ..physics.effect import BASE
+from .numbers import glued
 
 PLAIN = "springs and dampers"
 HELD_OUT = "held out"
@@ -20,11 +20,6 @@ SURE = 0.9
 _PERSONS = ("Bouc-Wen", "Coulomb", "Dahl", "Stribeck")
 _LINE = 0.001  # probability from which a candidate is worth a line
 _MOST, _FEWEST = 8, 3  # lines of candidates
-_STICKS = re.compile(
-    r"(?<=[\d±<>=]) (?=[\d±%])|(?<=\bp) (?=[<=])"
-    r"|(?<=\d) (?=(?:N|kg|m|mm|rad|mrad|s|Hz)\b)|(?<=N) (?=m\b)"
-)
-"""Spaces of numbers with signs and units."""
 
 
 def listed(words: Sequence[str]) -> str:
@@ -44,8 +39,7 @@ def lower(words: str) -> str:
 
 def unbroken(words: str) -> str:
     """For a page: numbers stay with their signs and units."""
-    words = words.replace(" +/- ", " ± ").replace("^2", "²").replace("^3", "³")
-    return _STICKS.sub("\u00a0", words)
+    return glued(words).replace("+/-", "±").replace("^2", "²").replace("^3", "³")
 
 
 def modal(probability: float) -> str:
@@ -88,6 +82,17 @@ def at_place(label: str, joints: Sequence[str], comma: bool = False) -> str:
 def named(labels: Sequence[str], joints: Sequence[str]) -> str:
     """ "Coulomb friction at the elbow and gravity"; without any, "springs and dampers alone"."""
     return listed([lower(at_place(x, joints)) for x in labels]) if labels else f"{PLAIN} alone"
+
+
+def force(units: Sequence[str | None] | None) -> str:
+    """What acts at joints that are read in "rad" or "m", or what is itself in "N m" or "N": a
+    torque, or a force where all of them slide."""
+    return "force" if units and {"m", "N"}.issuperset(units) else "torque"
+
+
+def position(units: Sequence[str | None] | None) -> str:
+    """What is read of joints in "rad" or "m": an angle, or a position where all of them slide."""
+    return "position" if units and {"m"}.issuperset(units) else "angle"
 
 
 def base_name(fit: Fit, comma: bool = False) -> str:

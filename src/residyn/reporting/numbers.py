@@ -5,10 +5,17 @@ same for a paper.
 """
 
 import math
+import re
 
 _SMALLER = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"))
 _BARE = ((1.0, ""), (1e-3, "×10⁻³"), (1e-6, "×10⁻⁶"))  # of a joint whose unit is not known
 _CERTAIN = 0.995
+_STICKS = re.compile(
+    r"(?<=[\d±<>=]) (?=[\d±%])|(?<=\bp) (?=[<=])|(?<=[\d?]) (?=\+/-)|(?<=\+/-) "
+    r"|(?<=[\d?]) (?=(?:N|kg|[mµ]?m|[mµ]?rad|deg|s|Hz|nats|x)\b)|(?<=\bx) (?=noise)"
+    r"|(?:(?<=\bN)|(?<=\bkg)|(?<=\bN m)|(?<=\(rad)|(?<=\(m)) (?=[ms]\b)"
+)
+"""Spaces of numbers with signs and units, and inside units."""
 
 
 def prefixed(unit: str | None, size: float) -> tuple[float, str]:
@@ -96,5 +103,15 @@ def nats(log_evidence: float) -> str:
 
 def p_value(p: float, threshold: float) -> str:
     """A p-value beside the threshold that it is compared with."""
-    size = "p < 1e-12" if p < 1e-12 else f"p = {p:.1g}" if p < 0.095 else f"p = {p:.2f}"
-    return f"{size}, threshold {threshold:g}"
+    size = p_size(p)
+    return f"p {size if size[0] == '<' else f'= {size}'}, threshold {threshold:g}"
+
+
+def p_size(p: float) -> str:
+    """A p-value; less than 1e-12 is hardly more than rounding."""
+    return "< 1e-12" if p < 1e-12 else f"{p:.1g}" if p < 0.095 else f"{p:.2f}"
+
+
+def glued(words: str) -> str:
+    """With spaces that do not break where numbers stay with their signs and units."""
+    return _STICKS.sub("\u00a0", words)

@@ -7,7 +7,8 @@ from .names import named, upper
 from .numbers import percent, plain, with_error
 from .plan import recipe
 
-_NAMES = {"frequency_hz": ("frequency", "Hz"), "damping_ratio": ("damping ratio", "")}
+_NAMES = {"frequency_hz": ("frequency", "Hz", 1.0), "damping_ratio": ("damping ratio", "%", 100.0)}
+"""In words, the unit in which each is told, and its number in that unit."""
 
 
 def text(found: OverModels) -> str:
@@ -40,12 +41,11 @@ def modes_tables(found: OverModels) -> list[tuple[str, Table]]:
     for theta2, modes in found.poses:
         rows = []
         for i, mode in enumerate(modes, 1):
-            for key, (words, unit) in _NAMES.items():
+            for key, (words, unit, factor) in _NAMES.items():
                 x: Spread = getattr(mode, key)
-                low, high = (with_error(v, x.std)[0] for v in (x.low, x.high))
+                low, high = (with_error(factor * v, factor * x.std)[0] for v in (x.low, x.high))
                 shares = (x.from_name, x.from_numbers, x.from_inertias)
-                band = f"{low} to {high} {unit}".rstrip()
-                rows.append([f"{i} {words}", band, *map(percent, shares)])
+                rows.append([f"{i} {words}", f"{low} to {high} {unit}", *map(percent, shares)])
             if mode.rings < 0.995:
                 rows.append([f"{i} rings with", percent(mode.rings), "", "", ""])
         head = ["mode", "95 % band", "from name", "numbers", "inertias"]
@@ -60,8 +60,8 @@ def narrowing_words(found: OverModels) -> str:
     if test is None or test.band is None or found.narrows is None:
         return ""
     spread: Spread = getattr(found.poses[0][1][0], found.narrows)
-    what, unit = _NAMES[found.narrows]
-    now, then = (f"+/- {plain(x, 2)} {unit}".rstrip() for x in (1.96 * spread.std, test.band))
+    what, unit, factor = _NAMES[found.narrows]
+    now, then = (f"+/- {plain(factor * x, 2)} {unit}" for x in (1.96 * spread.std, test.band))
     return (
         f"The {what} of mode 1 is what is known worst: {now} (95 %). {upper(recipe(test))}: that "
         f"is expected to narrow it to {then}."

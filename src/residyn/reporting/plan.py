@@ -6,7 +6,7 @@ from ..diagnosis.candidate_tests import Test
 from ..diagnosis.plan import Plan
 from ..physics.parameter import INERTIA
 from .layout import Table, filled, printed
-from .names import listed, named, upper
+from .names import listed, named, position, upper
 from .numbers import amount, measured, percent, plain
 
 _TELLS = 2.0  # standard errors by which one reading tells two models apart 19 times in 20
@@ -88,7 +88,8 @@ def sentence(test: Test) -> str:
 
 def outcomes(test: Test) -> Table:
     joints = tuple(test.release)
-    what = f"{test.reads} of the {test.joint} after {plain(test.time, 3)} s"
+    reads = position([test.unit]) if test.reads == "angle" else test.reads
+    what = f"{reads} of the {test.joint} after {plain(test.time, 3)} s"
     rows = [
         [
             upper(named(x.added, joints)),
@@ -105,7 +106,8 @@ def text(found: Plan | Test) -> str:
 
 
 def _plan(plan: Plan) -> list[str]:
-    rows = [[percent(m.probability), named(m.added, plan.joints)] for m in plan.models]
+    among = 1.0 - plan.left_out  # so that all that is printed adds up to 100 %
+    rows = [[percent(among * m.probability), named(m.added, plan.joints)] for m in plan.models]
     out = ["[[Models in play]]", *(printed(Table(["", ""], rows, left=(1,))) if rows else [])]
     if plan.channels is not None:
         words = f"It seems that {plan.channels.words} ({percent(plan.channels.probability)})."

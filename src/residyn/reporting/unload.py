@@ -21,7 +21,7 @@ from ..procedure.unloaded import BareCheck, Pose, Unloading
 from .inertia import at_odds
 from .layout import Table, filled, printed, section, warned
 from .names import STOPPED, named, upper
-from .numbers import amount, measured, plain, times, with_error
+from .numbers import amount, measured, plain, times
 
 _POOR = 0.05  # relative error of a predicted damping ratio beyond which it is said to be poor
 _SAME = 0.02  # elbow angles whose cosines are closer than this are one
@@ -69,10 +69,9 @@ def unphysical(found: Unloading) -> tuple[str, ...]:
                 )
             for order, mode in enumerate(modes, 1):
                 if decay_of(mode) is None:
-                    value, std = with_error(mode.damping_ratio, mode.damping_ratio_std)
                     less = "though by less than two standard errors"
                     said.append(
-                        f"mode {order} {at} grows, with a damping ratio of {value} +/- {std}: not "
+                        f"mode {order} {at} grows, with a damping ratio of {_damping(mode)}: not "
                         f"physical, {'as nothing drives the arm' if mode.grows else less}; these "
                         f"recordings do not determine how it decays; {remedy}"
                     )
@@ -280,12 +279,12 @@ def check_words(check: BareCheck, found: Unloading) -> str:
     seen, predicted = check.measured[0], check.predicted[0].damping_ratio
     damping = _off(check.damping_error)
     if predicted < 0:
-        damping = f"predicted {plain(predicted, 2)}, not physical"
+        damping = f"predicted {plain(100 * predicted, 2)} %, not physical"
     elif not seen.damping_ratio > 0:
         damping = "measured not physical"
     return (
         f"{words}; frequency {_off(check.frequency_error)} (measured {seen.frequency_hz:.5g} Hz), "
-        f"damping ratio {damping} (measured {seen.damping_ratio:.3g})"
+        f"damping ratio {damping} (measured {plain(100 * seen.damping_ratio, 3)} %)"
     )
 
 

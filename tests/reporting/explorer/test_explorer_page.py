@@ -379,6 +379,29 @@ def test_a_live_search_says_what_a_diagnosis_does_and_the_page_what_to_check(stu
     assert len(words) == 2  # and nothing of what may be missing
 
 
+@pytest.mark.parametrize(
+    ("then", "said"),
+    [
+        ((9.1, 8.0), ("stays at 9.1", "at 8.0")),
+        ((9.1, 1.0), ("stays at 9.1", "it falls from 8.0 to 1.0")),
+        ((1.5, 9.0), ("falls from 9.1 to 1.5", "it rises from 8.0 to 9.0")),
+        ((1.5, 1.6), ("falls from 9.1 to 1.5", "from 8.0 to 1.6")),
+    ],
+)
+def test_a_fall_is_told_of_fitted_and_of_held_out_readings(offline, then, said):
+    script = """
+        const told = ([fitted, held_out]) => ({ how: "", fitted: [fitted], held_out: [held_out] });
+        const chosen = ["cubic_stiffness:elbow"], joints = ["elbow"];
+        const candidates = new Map(data.candidates.map((c) => [c.label, c]));
+        const [base, model] = [told([9.1, 8.0]), told(given[0])];
+        const heldOut = "check recordings";
+        return m.verdict({ model, base, chosen, candidates, joints, heldOut }).words[0];
+    """
+    words = " times the noise, and on the held-out recordings ".join(said)
+    expected = f"With cubic stiffness the error at the elbow {words}."
+    assert ask(offline, script, then) == expected
+
+
 def test_words(offline):
     script = "return [m.command(given[0], ['x:y z']), ...given[1].map(m.times)];"
     errors = [10.4, 9.97, 3.14, 0.98, 0.1, 0.0314]
@@ -402,7 +425,7 @@ def test_a_click_answers_in_every_part_of_the_page(offline):
     assert pressed(offline, SMOOTH)
     assert text(offline, ".status").startswith("first order")
     assert text(offline, ".bars") != before[0]
-    assert "Cubic stiffness at the elbow" in text(offline, ".verdict")
+    assert "With cubic stiffness at the elbow the error" in text(offline, ".verdict")
     assert len(offline.find_elements("css selector", ".step")) == 2
     assert "Cubic stiffness" in text(offline, ".numbers")
     click(offline, offline.find_elements("css selector", ".step")[0])  # back down the staircase
@@ -574,7 +597,8 @@ return selectors.map((s) => {
 def test_all_fits_at_400_pixels_and_can_be_read(data, tmp_path, dark):
     path = tmp_path / "page.html"
     joints = ["<b>shoulder</b>", "elbow</script>"]
-    path.write_text(alone({**data, "joints": joints}), encoding="utf-8")
+    slide = {"units": ["m", "m"], "missing": [{**m, "units": ["N", "N"]} for m in data["missing"]]}
+    path.write_text(alone({**data, "joints": joints, **slide}), encoding="utf-8")
     browser = driver(400, 900, dark=dark)
     try:
         browser.get(path.as_uri())
@@ -585,6 +609,10 @@ def test_all_fits_at_400_pixels_and_can_be_read(data, tmp_path, dark):
         assert (browser.execute_script(background) == "rgb(255, 255, 255)") is not dark
         faint = [found for found in browser.execute_script(CONTRAST) if found[1] < 4.5]
         assert faint == []
+        panel = browser.find_elements("css selector", ".panel")[-2].text
+        assert "The force that springs and dampers lack" in panel
+        assert "an S against the position" in panel
+        assert "\nagainst position" in panel
         # Names of joints are text.
         assert joints[0] in text(browser, ".bars")
         assert browser.find_elements("css selector", ".explorer b b, .explorer h3 b") == []
@@ -730,11 +758,24 @@ def test_live_two_windows_at_once_do_not_disturb_each_other(live, address):
         toggle(live, FRICTION)
         until(lambda: refitted(live) and refitted(other))
         assert "Coulomb friction at the elbow" in text(live, ".verdict")
-        assert "Cubic stiffness at the elbow" in text(other, ".verdict")
+        assert "cubic stiffness at the elbow" in text(other, ".verdict")
         assert not pressed(live, SMOOTH)
         assert complaints(other) == []
     finally:
         other.quit()
+
+
+def test_live_without_an_answer_the_headline_says_so(live):
+    until(lambda: refitted(live))
+    cut = {"latency": 0, "downloadThroughput": -1, "uploadThroughput": -1}
+    live.execute_cdp_cmd("Network.enable", {})
+    live.execute_cdp_cmd("Network.emulateNetworkConditions", {**cut, "offline": True})
+    toggle(live, SMOOTH)
+    until(lambda: "The server does not answer" in text(live, ".verdict"), 20)
+    live.execute_cdp_cmd("Network.emulateNetworkConditions", {**cut, "offline": False})
+    toggle(live, SMOOTH)
+    until(lambda: refitted(live) and "does not answer" not in text(live, ".verdict"))
+    complaints(live)  # the browser's own, of what was not answered
 
 
 def test_live_recordings_that_are_new_or_changed_are_offered_and_read_by_a_click(live, address):

@@ -22,7 +22,7 @@ from ...filtering.law import numbers_of
 from ...fitting.result import Fit
 from ...recordings.reads import READS
 from ...recordings.segments import by_recording
-from ..names import unbroken
+from ..names import lower, unbroken
 from .first_order import ErrorGram, FirstOrder
 from .study import Study, sum_of
 
@@ -253,6 +253,7 @@ def _candidate(study: Study, s: Column):
     return {
         **{name: getattr(effect, name) for name in written},
         "title": effect.titled(),
+        "spoken": lower(effect.titled()),
         "kind": effect.kind(),
         "sticks": effect.dry or effect.follows,
         "oscillates": effect.oscillates is not None,

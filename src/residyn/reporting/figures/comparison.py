@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from ...diagnosis import Comparison, Curve, MissingTorque
 from ...diagnosis.residuals import Part
-from ..names import own_name, title
+from ..names import force, own_name, position, title
 from ..numbers import plain, prefixed
 from .style import BAND, DASHED, FAINT, INK, JOINTS, MODEL, RESIDUAL, blank, styled
 
@@ -139,17 +139,18 @@ def missing_torque(
     torque follows it more closely, as gravity does.
     """
     torque_unit, rate_unit = ("N", "m/s") if unit == "m" else ("N m", "rad/s")
+    acts, of_what = force([unit]), position([unit])
     angle_unit = unit or "rad or m"
     shown = next((c for c in curves if c.share > _WORTH and np.any(c.torque[:, joint])), None)
     figure = blank(narrow, 10.0 if narrow else 5.4)
     axes = figure.subplot_mosaic("t;q;v;a" if narrow else "ttt;qva")
     t, tau = missing.time - missing.time[0], missing.torque[:, joint]
     own = None if shown is None else shown.torque[:, joint]
-    _against_time(axes["t"], t, tau, missing.std[:, joint], shown, joint)
-    axes["t"].set_title(f"missing torque at the {name}" if name else "missing torque")
+    _against_time(axes["t"], t, tau, missing.std[:, joint], shown, joint, f"missing {acts}")
+    axes["t"].set_title(f"missing {acts} at the {name}" if name else f"missing {acts}")
     axes["t"].set(xlabel="time since the first sample (s)", ylim=_limits(tau))
     bare = tau if shown is None else tau - shown.changed[:, joint]
-    angle, of_what = missing.angle[:, joint], "angle"
+    angle = missing.angle[:, joint]
     if link_angle is not None and _scatter(link_angle, bare) < 0.5 * _scatter(angle, bare):
         angle, of_what = link_angle, "absolute angle of the link"
     for key, x, label in (
@@ -159,9 +160,9 @@ def missing_torque(
         _against(axes[key], x, bare, own)
         axes[key].set(xlabel=label, ylim=_limits(bare))
     _against_amplitude(axes["a"], missing.amplitude[:, joint], bare, own)
-    axes["a"].set(xlabel=f"amplitude ({angle_unit})", ylabel=f"rms torque ({torque_unit})")
+    axes["a"].set(xlabel=f"amplitude ({angle_unit})", ylabel=f"rms {acts} ({torque_unit})")
     for key in ("t", "q", "v"):
-        axes[key].set_ylabel(f"torque ({torque_unit})")
+        axes[key].set_ylabel(f"{acts} ({torque_unit})")
         axes[key].axhline(0.0, color=FAINT, lw=0.6, zorder=0)
     each = [axes[key].get_legend_handles_labels() for key in ("t", "q", "v")]
     keys = {label: handle for row in each for handle, label in zip(*row, strict=True)}
@@ -176,10 +177,10 @@ def _limits(torque: np.ndarray) -> tuple[float, float]:
     return -most, most
 
 
-def _against_time(ax: Axes, t, tau, std, shown: Curve | None, joint: int) -> None:
+def _against_time(ax: Axes, t, tau, std, shown: Curve | None, joint: int, words) -> None:
     band = 1.96 * std
     ax.fill_between(t, tau - band, tau + band, color=BAND, lw=0, label="95 % band")
-    ax.plot(t, tau, color=RESIDUAL, lw=0.9, label="missing torque")
+    ax.plot(t, tau, color=RESIDUAL, lw=0.9, label=words)
     if shown is not None:
         whole = shown.torque[:, joint] + shown.changed[:, joint]
         ax.plot(t, whole, color=MODEL, lw=0.8, alpha=0.9, label=_words(shown))

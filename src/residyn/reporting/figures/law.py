@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ...diagnosis.law import Law
+from ..laws import variable
 from ..names import lower, title
 from .style import BAND, DASHED, FAINT, INK, JOINTS, RESIDUAL, SHADE, blank, styled
 
@@ -31,7 +32,7 @@ def law(found: Law, *, narrow: bool = False) -> Figure:
     above.set(ylabel=f"at the {found.joint} ({found.unit})", ylim=(-size, size))
     below.fill_between(x, 0.0, found.visits, color=SHADE, step="mid")
     below.step(x, found.visits, where="mid", color=FAINT, lw=0.7)
-    below.set(xlabel=f"{found.variable} ({found.variable_unit})", yticks=(), ylabel="visits")
+    below.set(xlabel=f"{variable(found)} ({found.variable_unit})", yticks=(), ylabel="visits")
     figure.legend(
         *above.get_legend_handles_labels(), loc="outside lower left", ncols=1 if narrow else 4
     )

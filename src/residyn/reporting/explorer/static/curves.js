@@ -3,7 +3,7 @@
 import { drawn, rows } from "./arrays.js";
 import { TimeChart } from "./charts.js";
 import { element } from "./elements.js";
-import { inUnit } from "./words.js";
+import { inUnit, position } from "./words.js";
 
 export class Curves {
   constructor(data, { onStretch, colours }) {
@@ -19,7 +19,7 @@ export class Curves {
       const angle = new TimeChart(spots[0], {
         ...shared,
         height: 190,
-        label: inUnit(unit === "m" ? "position" : data.reads[j], unit),
+        label: inUnit(data.reads[j] === "angle" ? position([unit]) : data.reads[j], unit),
         series: [
           { colour: "measured", width: 4 },
           { colour: "model", width: 1.5 },

@@ -1,6 +1,7 @@
 // Where everything stands on the page, under which words.
 
 import { action, element, fill } from "./elements.js";
+import { force, position } from "./words.js";
 
 function panel(title, words, ...children) {
   return element(
@@ -23,6 +24,7 @@ function legend(words) {
 /** Fill `root` with the parts of a page; `hide` is one more button, or null. */
 export function lay(root, page, hide) {
   const { saving } = page;
+  const acts = force(page.data.units);
   fill(
     root,
     element(
@@ -78,13 +80,13 @@ export function lay(root, page, hide) {
       page.curves.place,
     ),
     panel(
-      "The torque that springs and dampers lack",
-      "Friction is a step against the rate, a stiffening spring an S against the angle, " +
-        "hysteresis a loop.",
+      `The ${acts} that springs and dampers lack`,
+      "Friction is a step against the rate, a stiffening spring an S against the " +
+        `${position(page.data.units)}, hysteresis a loop.`,
       legend({
         measured: "estimated from the motion",
         band: "95\u00a0% band",
-        model: "torque of the added effects",
+        model: `${acts} of the added effects`,
         mark: "in the chosen stretch",
       }),
       page.joints.place,

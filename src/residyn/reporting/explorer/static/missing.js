@@ -3,7 +3,7 @@
 import { drawn, rows } from "./arrays.js";
 import { CloudChart, TimeChart } from "./charts.js";
 import { element } from "./elements.js";
-import { inUnit } from "./words.js";
+import { force, inUnit, position } from "./words.js";
 
 const SIGMAS = 1.96;
 const LOUD = 100; // squared standard deviations from which on an instant says no more
@@ -20,22 +20,26 @@ export class Missing {
     this.names = data.recordings.length > 1 ? data.missing.map((m) => m.recording) : [];
     this.whose = element("p", { class: "note wide" });
     this.place = element("div", { class: "clouds" }, this.whose);
+    const unit = () => data.units[joint()];
     const of =
       (words, after = "") =>
       () =>
-        inUnit(words, data.units[joint()], after);
+        inUnit(words, unit(), after);
     const torque = () => {
-      const unit = data.missing[0].units[joint()];
-      return inUnit(unit === "N" ? "force" : "torque", unit);
+      const own = data.missing[0].units[joint()];
+      return inUnit(force([own]), own);
     };
-    const spot = (title, wide) => {
+    this.spoken = (what) => (what === "angle" ? position([unit()]) : what);
+    this.titles = new Map();
+    const spot = (what, wide) => {
       const place = element("div", { class: "chart" });
+      this.titles.set(what, element("h3", {}, ""));
       this.place.append(
-        element("div", { class: wide ? "wide" : null }, element("h3", {}, title), place),
+        element("div", { class: wide ? "wide" : null }, this.titles.get(what), place),
       );
       return place;
     };
-    this.overTime = new TimeChart(spot("against time", true), {
+    this.overTime = new TimeChart(spot("time", true), {
       height: 200,
       label: torque,
       zoomed: false,
@@ -49,10 +53,11 @@ export class Missing {
         { colour: "model", width: 1.5 },
       ],
     });
-    const labels = { rate: of("rate", "/s"), angle: of("angle"), amplitude: of("amplitude") };
+    const angle = () => inUnit(this.spoken("angle"), unit());
+    const labels = { rate: of("rate", "/s"), angle, amplitude: of("amplitude") };
     this.against = Object.entries(labels).map(([what, label]) => [
       what,
-      new CloudChart(spot(`against ${what}`), { height: 220, labels: [label, torque], colours }),
+      new CloudChart(spot(what), { height: 220, labels: [label, torque], colours }),
     ]);
     this.charts = [this.overTime, ...this.against.map(([, chart]) => chart)];
   }
@@ -71,6 +76,7 @@ export class Missing {
     const own = this.recordings[which];
     const chosen = which === recording ? stretch : null; // of a held-out one the torque is not known
     this.whose.textContent = this.names.length ? `In ${this.names[which]}.` : "";
+    for (const [what, title] of this.titles) title.textContent = `against ${this.spoken(what)}`;
     const [torque, std] = [own.torque[joint], own.std[joint]];
     const time = Array.from(own.time);
     let made = null;

@@ -62,7 +62,7 @@ export class Page {
     const { state } = this;
     const { values } = state;
     state.on(["chosen"], () => this.refits?.chosen()); // first: the server works while the page draws
-    state.on(["model", "found"], () => this.drawModel());
+    state.on(["model", "found", "error"], () => this.drawModel());
     state.on(["chosen", "found"], () => this.drawChips());
     state.on(["model", "recording", "stretch"], () => {
       this.curves.draw(values.model, values.recording, values.stretch);
@@ -215,7 +215,7 @@ export class Page {
   }
 
   drawModel() {
-    const { model, chosen, held, steps, found } = this.state.values;
+    const { model, chosen, held, steps, found, error } = this.state.values;
     const seen = steps.map((s) => ({ ...s, model: this.models.of(s.labels) }));
     this.scale.hold([model, this.models.base, ...seen.map((s) => s.model)]);
     this.bars.draw(model, this.models.base);
@@ -231,8 +231,10 @@ export class Page {
       likeliest: this.likeliest(chosen),
       found,
     });
-    this.verdict.textContent = told.words.join(" ");
-    this.verdict.classList.toggle("good", told.good);
+    this.verdict.textContent = error
+      ? `${error[0].toUpperCase()}${error.slice(1)}`
+      : told.words.join(" ");
+    this.verdict.classList.toggle("good", told.good && !error);
   }
 
   /** { label, probability, exact } of what is most probable next, or null; a law without a name has
@@ -250,6 +252,6 @@ export class Page {
     const { model, working, error } = this.state.values;
     const kind = error ? "error" : working ? "working" : model.how.replace(" ", "-");
     this.status.className = `status ${kind}`;
-    this.status.textContent = error || standing(model, this.models.sticks(model.added), working);
+    this.status.textContent = standing(model, this.models.sticks(model.added), working);
   }
 }

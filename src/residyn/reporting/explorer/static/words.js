@@ -37,18 +37,28 @@ export function inUnit(what, unit, after = "") {
   return unit ? `${what}, ${unit}${after}` : what;
 }
 
+/** What acts at joints in "rad" or "m", or is in "N m" or "N": "force" where all of them slide. */
+export function force(units) {
+  return units.every((unit) => unit === "m" || unit === "N") ? "force" : "torque";
+}
+
+/** What is read of joints in "rad" or "m": "position" where all of them slide. */
+export function position(units) {
+  return units.every((unit) => unit === "m") ? "position" : "angle";
+}
+
 /** "a, b and c". */
 export function listed(words) {
   if (words.length < 2) return words.join("");
   return `${words.slice(0, -1).join(", ")} and ${words.at(-1)}`;
 }
 
-/** "Coulomb friction at the elbow". */
+/** "cubic stiffness at the elbow", inside a sentence. */
 export function placed(candidate, joints) {
-  const { title, place } = candidate;
-  if (place === null) return title;
-  if (joints.length === 1 && joints.includes(place)) return title;
-  return joints.includes(place) ? `${title} at the ${place}` : `${title}, ${place}`;
+  const { spoken, place } = candidate;
+  if (place === null) return spoken;
+  if (joints.length === 1 && joints.includes(place)) return spoken;
+  return joints.includes(place) ? `${spoken} at the ${place}` : `${spoken}, ${place}`;
 }
 
 /** How the model that is shown came to be; `sticks`: whether a joint may stick with it. */
@@ -64,6 +74,12 @@ export function standing({ how, fitted }, sticks, working) {
 }
 
 const NOISE = 1.1; // times the noise: up to here nothing is left that one could see
+
+/** How an error changes: ["falls", "from 9.1 to 1.0"] or ["stays", "at 9.1"]. */
+function change(from, to) {
+  const verb = to < 0.98 * from ? "falls" : to > 1.02 * from ? "rises" : "stays";
+  return [verb, verb === "stays" ? `at ${times(to)}` : `from ${times(from)} to ${times(to)}`];
+}
 
 /** The verdict on the model that is shown: `{ good, words }`. */
 export function verdict({ model, base, chosen, candidates, joints, heldOut, likeliest, found }) {
@@ -92,17 +108,13 @@ export function verdict({ model, base, chosen, candidates, joints, heldOut, like
     );
   } else {
     const j = top(base.fitted);
+    const [verb, sizes] = change(base.fitted[j], model.fitted[j]);
     let falls = `With ${listed(names)} the error at the ${joints[j]} `;
-    const from = base.fitted[j];
-    const to = model.fitted[j];
-    const verb = to < 0.98 * from ? "falls" : to > 1.02 * from ? "rises" : "stays";
-    falls +=
-      verb === "stays"
-        ? `stays at ${times(to)} times the noise`
-        : `${verb} from ${times(from)} to ${times(to)} times the noise`;
+    falls += `${verb} ${sizes} times the noise`;
     if (base.held_out && model.held_out) {
+      const [again, held] = change(base.held_out[j], model.held_out[j]);
       falls += `, and on ${heldOut === "last third" ? "the last third, held out," : "the held-out recordings"}`;
-      falls += ` from ${times(base.held_out[j])} to ${times(model.held_out[j])}`;
+      falls += again === verb ? ` ${held}` : ` it ${again} ${held}`;
     }
     words.push(`${falls}.`);
     words.push(
