@@ -374,8 +374,8 @@ def test_a_fit_of_a_second_recording_compiles_nothing(case, second, monkeypatch)
 
 
 def test_an_arm_that_rests_elsewhere_is_fitted_from_its_own_stiffness():
-    """Springs that hold it away from zero look soft, or negative, if its rest is taken for zero. The
-    fit then damps the elbow without bounds, and integration steps follow only so far."""
+    """Springs that hold it away from zero look soft, or negative, if its rest is taken for zero.
+    The fit then damps the elbow without bounds, and integration steps follow only so far."""
     arm, push = rig.paper_twin(0.3), rig.Hidden("constant_torque:elbow", {"torque": 8.0})
     made = rig.record(
         np.random.default_rng(1), arm, [0.15, 0.1], [push], seconds=8.0, rate=50.0, noise=8e-3
@@ -386,6 +386,27 @@ def test_an_arm_that_rests_elsewhere_is_fitted_from_its_own_stiffness():
     np.testing.assert_allclose(starts, arm.stiffness, rtol=0.2)
     assert found.shortened is not None
     assert found.integration_steps < 64 * found.shortened[0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_gap_far_smaller_than_the_swing_is_found(seed):
+    """All that readings tell at first is stiffness times gap: a hyperbola in the plane of both."""
+
+    def rates(t, y, k=76.5, gap=1.38e-3):
+        return y[1], -(k * np.sign(y[0]) * max(abs(y[0]) - gap, 0.0) + 0.37 * y[1]) / 1.5
+
+    time, rng = np.arange(0.0, 18.0, 0.02), np.random.default_rng(seed)
+    how = {"t_eval": time, "rtol": 1e-9, "atol": 1e-12, "max_step": 2e-3}
+    motion = solve_ivp(rates, (0.0, 18.0), (0.09, 0.0), **how).y[0]
+    angle = motion + 5e-5 * rng.standard_normal(len(time))
+    cart = InertiaTable(("cart",), ((1.5,),), ("m",))
+    recording = residyn.Recording.from_arrays(time, angle[:, None], noise=5e-5)
+    fit = residyn.fit(residyn.Experiment(cart, (recording,)), effects=["dead_zone"], starts=1)
+    assert fit.converged
+    truth = {"spring:cart.stiffness": 76.5, "dead_zone:cart.stiffness": 76.5}
+    truth |= {"damper:cart.damping": 0.37, "dead_zone:cart.gap": 1.38e-3}
+    for n in fit.numbers:
+        assert abs(n.value - truth[n.name]) < 3 * n.std, n.name
 
 
 def test_starts_that_meet_go_on_as_one():

@@ -347,7 +347,7 @@ class CompressedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         return _Tried(jnp.asarray(jnp.inf), empty, still, jnp.asarray(1.0), jnp.asarray(False))
 
     def step(self, fn, y, args, options, state, tags):
-        there = jax.tree.map(jnp.add, y, state.step)
+        there = args.problem.after(y, state.step)
         _, new = fn(there, args)
         cost, first = new.cost, jnp.isinf(state.cost)
         promise = jnp.sum(_moved(state.here, state.step) ** 2) - jnp.sum(state.here.along**2)

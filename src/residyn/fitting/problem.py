@@ -89,6 +89,23 @@ class Problem(eqx.Module):
         moved = self.scale.numbers * y.numbers
         return here.where(self.active > 0, moved, kept)
 
+    def after(self, y: Unknowns, step: Unknowns) -> Unknowns:
+        """Scaled unknowns after a step of a descent.
+
+        What a law does grows with its strength and with its shape at the same time, so that what
+        readings tell is often a product of the two, and the valley of the cost a hyperbola, which
+        straight steps follow slowly. In logarithms it is straight. So of laws with a shape numbers
+        that are positive take steps of less than their own size in their logarithm.
+        """
+        fitted, here = self.model.fitted, np if isinstance(y.numbers, np.ndarray) else jnp
+        shaped = {n.effect for n in fitted if n.meaning.silent is None}
+        own = np.array([n.effect in shaped and n.meaning.sign == "positive" for n in fitted])
+        ratio = step.numbers / here.where(y.numbers == 0, 1.0, y.numbers)
+        small = own & (here.abs(ratio) < 1) & (y.numbers != 0)
+        factor = here.exp(here.where(small, ratio, 0.0))
+        numbers = here.where(small, y.numbers * factor, y.numbers + step.numbers)
+        return Unknowns(numbers, y.states + step.states)
+
     def states(self, y: Unknowns) -> Float[AnyArray, "R s"]:
         """The initial states, in their own units, at scaled unknowns."""
         return self.scale.states * y.states
