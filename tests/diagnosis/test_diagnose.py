@@ -123,7 +123,11 @@ def test_dry_friction_is_named_at_its_joint_and_the_error_falls(friction):
     assert last.held_out.held_out.ratio.max() < 1.3 < base.held_out.held_out.ratio.max()
 
 
-@pytest.mark.parametrize("hidden", [(), (DELAY,)], ids=["nothing", "a delay"])
+@pytest.mark.parametrize(
+    "hidden",
+    [pytest.param((), marks=pytest.mark.slow), (DELAY,)],
+    ids=["nothing", "a delay"],
+)
 def test_a_rest_that_was_estimated_is_a_number_of_the_base_model(hidden):
     """The estimate is off by half a milliradian and more, as large as the noise and white in no
     way; each recording's own, and no effect of the arm."""

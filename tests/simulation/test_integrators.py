@@ -129,7 +129,6 @@ def test_a_solver_of_diffrax_differentiates_in_the_mode_of_its_adjoint():
 
     with jax.enable_x64(True):
         exact = -0.1 * np.sin(3.0) / 6.0  # d/dk of 0.1 cos(sqrt(k) t), k = 9, t = 1
-        assert float(jax.grad(last)(9.0)) == pytest.approx(exact, rel=1e-6)
         forward = jax.jacfwd(lambda k: last(k, adjoint=diffrax.ForwardMode()))(9.0)
         assert float(forward) == pytest.approx(exact, rel=1e-6)
 
