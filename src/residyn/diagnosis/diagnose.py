@@ -361,7 +361,8 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
         advice = next(iter(best_tests(fits.whole, scene, rivals, p)[0]), None)
     if search.curves:
         search.say("looking for its formula")
-    laws = laws_of(search, posterior.of_laws, search.best.log_evidence, fits)
+    curves = posterior.of_curves.tolist(), posterior.of_laws
+    laws = laws_of(search, *curves, search.best.log_evidence, fits)
     shown = [(search.tried.get(frozenset([x]), best), x) for x in best.added]
     others = [
         (search.tried[frozenset([x])], x)

@@ -182,24 +182,25 @@ class Law:
 
 
 def laws_of(
-    search: Search, probabilities: Sequence[float], best: float, fits: Any
+    search: Search, models: Sequence[float], laws: Sequence[float], best: float, fits: Any
 ) -> tuple[Law, ...]:
     """The laws that a search's curves speak of, of probability `IN_PLAY` at least, the likeliest
-    first; where it has most of the posterior, with its formula or table. `best` is the log evidence
-    of the best model with names only; `fits` is `diagnose.Fits`."""
-    groups: dict[Any, list[tuple[CurveModel, float]]] = {}
-    for model, p in zip(search.curves, probabilities, strict=True):
+    first; where its model has most of the posterior, with its formula or table. `models`: the
+    posterior of each curve's model, `laws`: the probability that there is its law; `best` is the
+    log evidence of the best model with names only; `fits` is `diagnose.Fits`."""
+    groups: dict[Any, list[tuple[CurveModel, float, float]]] = {}
+    for model, p, law in zip(search.curves, models, laws, strict=True):
         if model.matters:
-            groups.setdefault((model.place.kind, model.place.joint), []).append((model, p))
-    found = [
-        (float(sum(p for _, p in each)), max((m for m, _ in each), key=lambda m: m.log_posterior))
-        for each in groups.values()
-    ]
+            groups.setdefault((model.place.kind, model.place.joint), []).append((model, p, law))
+    found = []
+    for each in groups.values():
+        own, p, law = zip(*each, strict=True)
+        found.append((sum(law), sum(p), max(own, key=lambda m: m.log_posterior)))
     found = sorted((f for f in found if f[0] >= IN_PLAY), key=lambda f: -f[0])
-    laws = [_law(search, top, p, best) for p, top in found]
-    if laws and found[0][0] > 0.5:
-        laws[0] = _with_class(search, found[0][1], laws[0], fits)
-    return tuple(laws)
+    told = [_law(search, top, law, best) for law, _, top in found]
+    if told and found[0][1] > 0.5:
+        told[0] = _with_class(search, found[0][2], told[0], fits)
+    return tuple(told)
 
 
 def _law(search: Search, model: CurveModel, probability: float, best: float) -> Law:

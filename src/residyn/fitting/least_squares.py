@@ -237,7 +237,7 @@ def first_step(problem: Problem, y: Unknowns, predicted, slopes) -> Unknowns:
         return _compress(J.T @ J + jnp.diag(known), J.T @ misfit + z, misfit @ misfit + z @ z)[:2]
 
     factor, along = jax.vmap(one)(problem.recorded, predicted, slopes, y.states)
-    return jax.tree.map(jnp.add, y, damped_least_squares(factor, along, 1.0, y))
+    return problem.after(y, damped_least_squares(factor, along, 1.0, y))
 
 
 class Polished(NamedTuple):
