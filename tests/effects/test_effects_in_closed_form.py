@@ -95,6 +95,7 @@ def test_one_joint_has_no_relaxing_spring():
         residyn.Relaxation.places(residyn.ConstantInertia([[1.0]], ["cart"], ["m"]))
 
 
+@pytest.mark.slow
 def test_a_relaxing_spring_is_named_with_its_numbers():
     t, start, noise = np.arange(1500) / 100, np.array([0.2, -0.1]), 1e-3
     q = relaxing(MATRIX, [20.0, 12.0], [0.1, 0.05], 1, 3.0, 0.25, start, t)

@@ -300,6 +300,7 @@ def test_a_diagnosis_fits_each_run_s_own_numbers_also_beside_runs_that_have_othe
     assert found.fit.reduced_chi2 < 1.1
 
 
+@pytest.mark.slow
 def test_a_diagnosis_of_runs_that_may_differ_names_what_they_share():
     runs = (
         release(seed=1),
