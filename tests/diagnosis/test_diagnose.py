@@ -208,7 +208,9 @@ def test_what_the_model_still_lacks_is_small_beside_the_spring(friction):
     for each in friction.random_torque:
         assert each.low <= each.rms <= each.high
         assert each.share_of_spring < 0.01
-    assert friction.missing[0].torque.rms[1] > 10 * friction.still_missing[0].torque.rms[1]
+    left = friction.still_missing[0].torque.rms
+    assert friction.missing[0].torque.rms[1] > 10 * left[1]
+    assert left == pytest.approx([each.rms for each in friction.random_torque])
 
 
 def test_the_right_effect_draws_the_curve_of_the_torque_that_is_missing():

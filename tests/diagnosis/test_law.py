@@ -275,7 +275,6 @@ def test_a_law_of_no_catalogue_is_found_at_its_joint_with_its_formula(quintic):
     assert law.held_out.held_out.ratio.max() < 1.2
 
 
-@pytest.mark.slow
 def test_a_law_that_a_name_comes_near_is_found_beside_it():
     """A dead zone and a cog nearly make an exponential stop: names alone leave no torque."""
     values = {"torque": 0.08, "angle": 0.2, "width": 0.06, "side": 1.0}
@@ -287,6 +286,7 @@ def test_a_law_that_a_name_comes_near_is_found_beside_it():
     kind = found.families[0]
     assert (kind.name, kind.place) == ("spring shape", "elbow")
     assert kind.unnamed > 0.8
+    assert law.probability == pytest.approx(kind.unnamed)
     assert found.words[0].startswith("Spring shape at the elbow is ")
     assert law.formula is not None
     assert law.formula.families == ("exponential",)
