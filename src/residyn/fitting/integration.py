@@ -165,8 +165,7 @@ def refined(descent: Descent, error: float) -> Ready | None:
     times = (error / aim) ** (1 / order) if math.isfinite(error) else MOST_AT_ONCE
     more = here._replace(finer=here.finer * min(max(2, math.ceil(times)), MOST_AT_ONCE))
     usual = here._replace(finer=1).steps(model, float(here.pace.max()))
-    too_many = max(more.finer, more.steps(model) / usual) > _MOST_IN_ALL
-    return None if here.adapts or too_many else more
+    return None if here.adapts or more.steps(model) > _MOST_IN_ALL * usual else more
 
 
 def stable(here: Ready, begin: Model) -> Ready | None:
