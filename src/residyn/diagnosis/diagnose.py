@@ -530,8 +530,8 @@ class Posterior:
     def of_laws(self) -> list[float]:
         """Probability that there is each law without a name: that of its model, less what may be of
         another torque that it only takes up a part of."""
-        each = ((c, c.weights @ self._at_work(c, None)) for c in self.curves)
-        return [p * float(work) for p, (_, work) in zip(self.of_curves, each, strict=True)]
+        pairs = zip(self.curves, self.of_curves, strict=True)
+        return [float(p * np.dot(c.weights, self._at_work(c, None))) for c, p in pairs]
 
     def verdict(self) -> tuple[Verdict, float]:
         """The likeliest of the three, and its probability."""
