@@ -104,7 +104,7 @@ def minimum(
     while steps < most and damping <= _DAMPING[1] and not converged:
         numbers, states = damped_step(here.square, here.slope, P, damping)
         numbers, steps = numbers * moves, steps + 1
-        there = evaluated(problem.after(here.at, Unknowns(numbers, states)), steps)
+        there = evaluated(problem.stepped(here.at, Unknowns(numbers, states)), steps)
         gain = here.cost - there.cost
         if gain < 0:
             damping = max(10 * damping, 1e3 * _DAMPING[0])

@@ -237,7 +237,7 @@ def first_step(problem: Problem, y: Unknowns, predicted, slopes) -> Unknowns:
         return _compress(J.T @ J + jnp.diag(known), J.T @ misfit + z, misfit @ misfit + z @ z)[:2]
 
     factor, along = jax.vmap(one)(problem.recorded, predicted, slopes, y.states)
-    return problem.after(y, damped_least_squares(factor, along, 1.0, y))
+    return problem.stepped(y, damped_least_squares(factor, along, 1.0, y))
 
 
 class Polished(NamedTuple):
@@ -347,7 +347,7 @@ class CompressedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         return _Tried(jnp.asarray(jnp.inf), empty, still, jnp.asarray(1.0), jnp.asarray(False))
 
     def step(self, fn, y, args, options, state, tags):
-        there = args.problem.after(y, state.step)
+        there = args.problem.stepped(y, state.step)
         _, new = fn(there, args)
         cost, first = new.cost, jnp.isinf(state.cost)
         promise = jnp.sum(_moved(state.here, state.step) ** 2) - jnp.sum(state.here.along**2)

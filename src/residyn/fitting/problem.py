@@ -89,13 +89,15 @@ class Problem(eqx.Module):
         moved = self.scale.numbers * y.numbers
         return here.where(self.active > 0, moved, kept)
 
-    def after(self, y: Unknowns, step: Unknowns) -> Unknowns:
-        """Scaled unknowns after a step of a descent.
+    def stepped(self, y: Unknowns, step: Unknowns) -> Unknowns:
+        """Scaled unknowns after a step of a descent: a retraction (Absil, Mahony and Sepulchre,
+        Optimization Algorithms on Matrix Manifolds, 2008, ch. 4), to first order their sum.
 
         What a law does grows with its strength and with its shape at the same time, so that what
         readings tell is often a product of the two, and the valley of the cost a hyperbola, which
         straight steps follow slowly. In logarithms it is straight. So of laws with a shape numbers
-        that are positive take steps of less than their own size in their logarithm.
+        that physics makes positive step in their logarithm; by straight lines where a step is as
+        long as the number, so that one of the wrong sign finds back across zero.
         """
         fitted, here = self.model.fitted, np if isinstance(y.numbers, np.ndarray) else jnp
         shaped = {n.effect for n in fitted if n.meaning.silent is None}
