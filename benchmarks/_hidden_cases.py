@@ -20,7 +20,8 @@ from tests import rig
 TUNING = tuple(range(7001, 7201))
 EVIDENCE = tuple(range(883001, 883201))
 FRESH = tuple(range(641301, 641501))
-SEEDS = {"tuning": TUNING, "evidence": EVIDENCE, "fresh": FRESH}
+LATEST = tuple(range(271801, 272001))
+SEEDS = {"tuning": TUNING, "evidence": EVIDENCE, "fresh": FRESH, "latest": LATEST}
 """A case of index i takes the i-th seed of a list. Frozen."""
 
 NOISE = (0.0025, 0.01, 0.05)
