@@ -272,7 +272,7 @@ def test_a_law_of_no_catalogue_is_found_at_its_joint_with_its_formula(quintic):
     truth = law.on_grid(0.02 * law.grid**5)
     inside = np.abs(law.mean - truth) < 1.96 * law.std
     assert np.sum(law.visits * inside) > 0.8
-    assert law.held_out.held_out.ratio.max() < 1.2
+    assert law.model.held_out.held_out.ratio.max() < 1.2
 
 
 def test_a_law_that_a_name_comes_near_is_found_beside_it():

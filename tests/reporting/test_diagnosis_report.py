@@ -364,7 +364,7 @@ def test_more_joints_than_columns_stand_under_each_other(found):
     fit = SimpleNamespace(joints=joints, model=model, reduced_chi2=2, rmse=rmse)
     held = SimpleNamespace(what="last third", held_out=SimpleNamespace(ratio=[4, 5, 6], rmse=rmse))
     step = SimpleNamespace(fit=fit, held_out=held, times_noise=[1, 2, 3], added=None)
-    lines = text.models(SimpleNamespace(fit=fit, ladder=(step,)))
+    lines = text.models(SimpleNamespace(fit=fit, models=(step,), laws=()))
     shown = [line.split()[-6:] for line in lines[-3:]]
     assert shown[0] == ["a", "1.0", "x", "4.0", "x", "2.00"]
     assert [row[-6] for row in shown] == ["a", "b", "c"]
@@ -542,6 +542,24 @@ def test_a_law_without_a_name_has_a_curve_and_a_class(monkeypatch):
     for narrow in (False, True):
         words = legible(plot.law(made.laws[0], narrow=narrow), monkeypatch)
         assert {"rate (rad/s)", "at the elbow (N m)", "95 % band"} <= set(words)
+
+
+def test_the_error_falls_with_a_law_without_a_name_too(monkeypatch):
+    alone = by_hand.unexplained()
+    model = a_model(by_hand.a_fit(alone.added, 0.0, 1.0), "elbow_rate_law:elbow", held=(14.0, 1.0))
+    law = dataclasses.replace(by_hand.a_law(), beside=alone.added, model=model)
+    made = by_hand.unexplained(laws=(law,))
+    said = "With the law without a name as well the error at the elbow stays 1.0 times the noise"
+    assert f"{said} (held out: from 2.0 to 1.0)." in made.words
+    assert made.fit is made.ladder[-1].fit
+    row = next(x for x in str(made).splitlines() if "+ a torque at the elbow" in x)
+    assert row.split()[-5:] == ["1.0", "x", "1.0", "x", "1.00"], row
+    words = " ".join(legible(plot.ladder(made), monkeypatch))
+    assert "a torque at the elbow" in " ".join(words.split())
+    assert made.to_dict()["laws"][0]["fitted"]["check_rmse"]["elbow"] == pytest.approx(1e-3)
+    # Beside other names it is no step on from these.
+    other = by_hand.unexplained(laws=(dataclasses.replace(law, beside=()),))
+    assert other.models == other.ladder
 
 
 def test_where_joints_slide_it_is_of_positions_and_forces(monkeypatch):

@@ -43,7 +43,7 @@ from .evidence import (
     at_work,
     log_sum,
 )
-from .forecast import held_out
+from .forecast import ModelState, held_out
 from .free_curves import compile_curves
 from .law import CurveModel, curve_models, laws_of
 from .linearised_fit import Hopeless, evaluated, polish
@@ -56,7 +56,6 @@ from .result import (
     ColouredNoise,
     Diagnosis,
     Family,
-    ModelState,
     RandomTorque,
     Value,
     Verdict,
@@ -417,7 +416,7 @@ def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...
     for model in models:
         result, joined = fits.of(model), labels[len(model.added) - 1] if model.added else None
         held = held_out(result)
-        relative = model.log_evidence - best.log_evidence
+        relative = model.log_evidence - search.best.log_evidence
         found.append(ModelState(joined, result, held, relative))
     give_back()
     return tuple(found)

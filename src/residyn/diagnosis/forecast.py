@@ -8,12 +8,13 @@ noise did to its numbers; that is known, and stands beside the error as `expecte
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..fitting.result import Fit, RecordingFit
-from ..runtime.json import finite
+from ..runtime.json import finite, number
 from .linearised_fit import predictions, refitted, spread
 
 _HORIZONS = 8
@@ -51,6 +52,40 @@ class HeldOut(NamedTuple):
         """The JSON under `held_out`."""
         each = {"joints": self.held_out.to_dict(joints), "fitted": self.fitted.to_dict(joints)}
         return {"what": self.what, **each}
+
+
+@dataclass(frozen=True, eq=False)
+class ModelState:
+    """One model on the way, fitted by least squares."""
+
+    added: str | None
+    """What joined it here, an effect or a law without a name; None for the base model."""
+    fit: Fit
+    held_out: HeldOut | None
+    """Its errors where it was not fitted; None if they could not be had."""
+    log_evidence: float
+    """Nats, relative to the best model with names only."""
+
+    @property
+    def times_noise(self) -> np.ndarray:
+        """(n,) rms residual over the noise, per joint, where it was fitted."""
+        return self.fit.ratio
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON of one step."""
+        joints = self.fit.joints
+
+        def each(x: np.ndarray) -> dict[str, float | None]:
+            return dict(zip(joints, map(number, x), strict=True))
+
+        held = self.held_out
+        return {
+            "model": list(self.fit.model.labels),
+            "rmse": each(self.fit.rmse),
+            "check_rmse": None if held is None else each(held.held_out.rmse),
+            "reduced_chi2": number(self.fit.reduced_chi2),
+            "log_evidence": number(self.log_evidence),
+        }
 
 
 class Ahead(NamedTuple):

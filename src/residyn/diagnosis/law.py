@@ -22,12 +22,11 @@ from ..filtering.free_curve import FreeCurve
 from ..filtering.law import number_slices, numbers_of, of_one_joint
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import FitError
-from ..fitting.result import Fit
 from ..physics.motion import JointMotion
 from ..runtime.json import number
 from .columns import with_effects
 from .evidence import CONTENDERS, FURTHER, HOPELESS, IN_PLAY, INTENSITIES, OUTSIDE, over_intensities
-from .forecast import HeldOut, held_out
+from .forecast import ModelState, held_out
 from .formula import FACTORS, SYMBOLS, likeliest, unit_of, written
 from .free_curves import (
     KINDS,
@@ -142,10 +141,8 @@ class Law:
     formula: Formula | None = None
     found: FoundLaw | None = None
     """The class that it is written as: the formula, or a table; None for all but the likeliest."""
-    fit: Fit | None = None
-    """With that class, by least squares; None where there is none."""
-    held_out: HeldOut | None = None
-    """Errors of that fit where it was not fitted."""
+    model: ModelState | None = None
+    """With that class, by least squares; None where no fit was found."""
 
     def to_dict(self) -> dict[str, Any]:
         """Its JSON."""
@@ -163,6 +160,7 @@ class Law:
             "unit": self.unit,
             "formula": None if self.formula is None else self.formula.to_dict(),
             "name": None if self.found is None else self.found.label,
+            "fitted": None if self.model is None else self.model.to_dict(),
         }
 
     def values(self, effect: Any) -> np.ndarray:
@@ -288,43 +286,48 @@ def _with_class(search: Search, model: CurveModel, law: Law, fits: Any) -> Law:
         more = over_intensities(settled.evidences) + terms.log_prior - curve
         found = written(scene, place, settled.found, source)
         if more > 0:
-            fit, held = _fitted(fits, of(found, settled.evidences, settled.best))
-            parameters = _as_fitted(found, fit)
-            if parameters and _predicts(held, _fitted(fits, parent)[1]):
+            fitted = _fitted(fits, of(found, settled.evidences, settled.best), law)
+            parameters = _as_fitted(found, fitted)
+            if parameters and _predicts(fitted, _fitted(fits, parent, law)):
                 numbers = (n._replace(value=parameters[n.field][0]) for n in found.numbers)
                 found = found._replace(numbers=tuple(numbers))
                 own = Formula(found.equation, terms.families, parameters, more)
-                return dataclasses.replace(law, formula=own, found=found, fit=fit, held_out=held)
+                return dataclasses.replace(law, formula=own, found=found, model=fitted)
     found = _tabulated(law, source)
     values = np.interp(points(place.low, place.high), law.grid, law.mean)
     t = with_curve(scene, model.best, place, heights_of(values))
-    fit, held = _fitted(fits, of(found, model.evidences, t))
-    return dataclasses.replace(law, found=found, fit=fit, held_out=held)
+    fitted = _fitted(fits, of(found, model.evidences, t), law)
+    return dataclasses.replace(law, found=found, model=fitted)
 
 
-def _as_fitted(found: FoundLaw, fit: Fit | None) -> dict[str, tuple[float, float, str]]:
+def _as_fitted(found: FoundLaw, fitted: ModelState | None) -> dict[str, tuple[float, float, str]]:
     """Value, standard error and unit of a law's numbers; none where the readings leave a shape
     open: least squares, which know no prior, may have left the formula then."""
-    each = {n.name: n for n in (fit.numbers if fit else ())}
+    each = {n.name: n for n in (fitted.fit.numbers if fitted else ())}
     own = {n.field: each.get(f"{found.label}.{n.field}") for n in found.numbers}
     told = {k: (float(n.value), float(n.std), n.unit) for k, n in own.items() if n}
     shapes = [told.get(n.field, (0.0, 0.0)) for n in found.numbers if not n.strength]
     return told if all(value > std for value, std, *_ in shapes) else {}
 
 
-def _fitted(fits: Any, tried: Tried) -> tuple[Fit | None, HeldOut | None]:
+def _fitted(fits: Any, tried: Tried, law: Law) -> ModelState | None:
     try:
         fit = fits.of(tried)
     except FitError:
-        return None, None
-    return fit, held_out(fit)
+        return None
+    return ModelState(
+        tried.added[-1] if tried.added else None, fit, held_out(fit), law.log_evidence
+    )
 
 
-def _predicts(with_it: HeldOut | None, without: HeldOut | None) -> bool:
+def _predicts(with_it: ModelState | None, without: ModelState | None) -> bool:
     """Whether held-out readings are predicted better with a law than without it."""
-    each = (with_it, without)
-    after, before = (np.inf if h is None else np.nansum(h.held_out.ratio**2) for h in each)
-    return bool(after < before)
+
+    def error(model: ModelState | None) -> float:
+        held = None if model is None else model.held_out
+        return math.inf if held is None else float(np.nansum(held.held_out.ratio**2))
+
+    return error(with_it) < error(without)
 
 
 def _tabulated(law: Law, source: str) -> FoundLaw:

@@ -9,14 +9,12 @@ import functools
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
-
 from ..fitting.result import Fit
 from ..runtime.json import finite, number
 from ..runtime.presentation import TableResult
 from .candidate_tests import Test
 from .compare import Comparison, compare_fit, summary
-from .forecast import HeldOut
+from .forecast import ModelState
 from .law import Law
 from .missing_torque import Missing
 from .residuals import Coloured
@@ -85,40 +83,6 @@ class Family:
             "probability": float(self.probability),
             "members": [{"effect": e, "probability": float(p)} for e, p in self.members],
             "without_a_name": float(self.unnamed),
-        }
-
-
-@dataclass(frozen=True, eq=False)
-class ModelState:
-    """One model on the way, fitted by least squares."""
-
-    added: str | None
-    """The effect that joined it here; None for the base model."""
-    fit: Fit
-    held_out: HeldOut | None
-    """Its errors where it was not fitted; None if they could not be had."""
-    log_evidence: float
-    """Nats, relative to the best model of all."""
-
-    @property
-    def times_noise(self) -> np.ndarray:
-        """(n,) rms residual over the noise, per joint, where it was fitted."""
-        return self.fit.ratio
-
-    def to_dict(self) -> dict[str, Any]:
-        """The JSON of one step."""
-        joints = self.fit.joints
-
-        def each(x: np.ndarray) -> dict[str, float | None]:
-            return dict(zip(joints, map(number, x), strict=True))
-
-        held = self.held_out
-        return {
-            "model": list(self.fit.model.labels),
-            "rmse": each(self.fit.rmse),
-            "check_rmse": None if held is None else each(held.held_out.rmse),
-            "reduced_chi2": number(self.fit.reduced_chi2),
-            "log_evidence": number(self.log_evidence),
         }
 
 
@@ -236,6 +200,15 @@ class Diagnosis(TableResult):
         """Names that joined the model, in order."""
         first = set(self.base.model.labels)
         return tuple(label for label in self.fit.model.labels if label not in first)
+
+    @property
+    def models(self) -> tuple[ModelState, ...]:
+        """The `ladder`; and, where the likeliest law without a name was fitted beside the last
+        model of it, that."""
+        law = self.laws[0] if self.laws else None
+        if law is None or law.model is None or set(law.beside) != set(self.added):
+            return self.ladder
+        return (*self.ladder, law.model)
 
     @property
     def base(self) -> Fit:

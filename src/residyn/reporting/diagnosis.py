@@ -41,7 +41,6 @@ from .names import (
     listed,
     lower,
     modal,
-    model_name,
     named,
     own_name,
     placed,
@@ -84,7 +83,7 @@ def sentences(found: Diagnosis) -> tuple[str, ...]:
         named = [_none_named, _standing_in] if _stand_in(found) else named
         left = _left if found.coloured is None else _coloured
         named += [laws.sentences, _others]
-        parts = [_unphysical, *named, _unphysical_base, _fall, _noise, left]
+        parts = [_unphysical, *named, _unphysical_base, _fall, laws.fall, _noise, left]
     return tuple(words for part in (_stopped, *parts) for words in part(found))
 
 
@@ -523,7 +522,7 @@ def models(found: Diagnosis) -> list[str]:
 
 
 def held_out(found: Diagnosis) -> str | None:
-    each = [r.held_out for r in found.ladder]
+    each = [r.held_out for r in found.models]
     what = next((held.what for held in each if held is not None), None)
     return what and when_held_out(what) + ("; -: that fit did not settle" if None in each else "")
 
@@ -538,7 +537,7 @@ def _models(
     """Of each model on the way its name; per joint a cell (joint, rms, times the noise) for each of
     the `_kinds`; and its chi-square."""
     kinds = _kinds(found)
-    for step in found.ladder:
+    for name, step in laws.models(found, comma=True):
         held = step.held_out
         rms = np.full(len(step.fit.joints), np.nan) if held is None else held.held_out.rmse
         sizes = zip(step.fit.rmse, rms, times_noise(step), strict=True)
@@ -546,7 +545,7 @@ def _models(
             [cell(j, float(x), r) for x, r, _ in zip(each, ratio, kinds, strict=False)]
             for j, (*each, ratio) in enumerate(sizes)
         ]
-        yield model_name(step, comma=True), cells, plain(step.fit.reduced_chi2)
+        yield name, cells, plain(step.fit.reduced_chi2)
 
 
 def candidates(found: Diagnosis) -> list[str]:
@@ -694,7 +693,7 @@ def latex(found: Diagnosis) -> str:
 def _models_latex(found: Diagnosis) -> str:
     kinds = _kinds(found)
     scales = [
-        prefixed(name, float(min(r.fit.rmse[j] for r in found.ladder)))
+        prefixed(name, float(min(r.fit.rmse[j] for r in found.models)))
         for j, name in enumerate(found.fit.units)
     ]
     above, below, rules = [""], ["Model"], []
@@ -734,7 +733,7 @@ def _candidates_latex(found: Diagnosis) -> str:
 def csv(found: Diagnosis) -> str:
     """One line for each number: which table and which line of it, name, value, std, unit."""
     rows: list[tuple[object, ...]] = []
-    for step in found.ladder:
+    for step in found.models:
         own = "ladder", base_name(step.fit) if step.added is None else f"+ {step.added}"
         for name, joint, x, u in residuals(step.fit):
             if name != "check_rmse":

@@ -2,12 +2,22 @@
 
 from collections.abc import Iterator
 
-import numpy as np
-
+from ..diagnosis.forecast import ModelState
 from ..diagnosis.law import Law
 from ..diagnosis.result import Diagnosis
 from .layout import Table, filled, printed, section
-from .names import at, force, listed, modal, named, position, upper
+from .names import (
+    HELD_OUT,
+    at,
+    force,
+    listed,
+    modal,
+    model_name,
+    named,
+    position,
+    times_noise,
+    upper,
+)
 from .numbers import measured, nats, percent, times
 
 _WHAT = {"direction": "friction", "angle": "stiffness", "rate": "damping"}
@@ -34,6 +44,14 @@ def formula(law: Law) -> str:
     return f"{law.formula.equation}, {listed(numbers)}"
 
 
+def models(found: Diagnosis, comma: bool = False) -> Iterator[tuple[str, ModelState]]:
+    """What joined each model that is shown, and the model."""
+    for step in found.models:
+        law = next((x for x in found.laws if x.model is step), None)
+        name = model_name(step, comma) if law is None else f"+ {what(law, found.fit.joints)}"
+        yield name, step
+
+
 def sentences(found: Diagnosis) -> Iterator[str]:
     """What is known of the likeliest law."""
     if not found.laws:
@@ -43,9 +61,6 @@ def sentences(found: Diagnosis) -> Iterator[str]:
     beside = f" beside {named(law.beside, joints)}" if law.beside else ""
     first = f"What has no name {modal(law.probability)} {what(law, joints)}{beside}"
     yield f"{first} ({percent(law.probability)})" + (f": {told}." if told else ".")
-    held = _held_out(found, law)
-    if held:
-        yield held
     if law.variable == "time" and not law.factor:
         yield "A sensor whose zero drifts moves the readings in the same way."
     if others:
@@ -53,20 +68,25 @@ def sentences(found: Diagnosis) -> Iterator[str]:
         yield f"It may also be {' or '.join(rest)}."
 
 
-def _held_out(found: Diagnosis, law: Law) -> str:
-    last = found.ladder[-1].held_out
-    if law.held_out is None or last is None:
-        return ""
-    before, after = last.held_out.ratio, law.held_out.held_out.ratio
-    j = found.fit.joints.index(law.joint)
-    if not np.isfinite([before[j], after[j]]).all():
-        return ""
-    first, last = times(float(before[j])), times(float(after[j]))
-    error = f"With it the held-out error{at(law.joint, found.fit.joints)}"
-    if first == last:
-        return f"{error} stays {last} times the noise."
-    verb = "falls" if after[j] < before[j] else "rises"
-    return f"{error} {verb} from {first} to {last} times the noise."
+def fall(found: Diagnosis) -> Iterator[str]:
+    """How far the error falls with the likeliest law at its joint."""
+    if len(found.models) == len(found.ladder):
+        return
+    j = found.fit.joints.index(found.laws[0].joint)
+    (first, held), (last, ahead) = (times_noise(m)[j] for m in found.models[-2:])
+    verb = "stays" if times(first) == times(last) else "falls" if last < first else "rises"
+    words = f"With the law without a name{' as well' if found.added else ''} the error"
+    words += (
+        f"{at(found.fit.joints[j], found.fit.joints)} {verb} {_from(first, last)} times the noise"
+    )
+    if held is not None and ahead is not None:
+        words += f" ({HELD_OUT}: {_from(held, ahead)})"
+    yield f"{words}."
+
+
+def _from(before: float, after: float) -> str:
+    first, last = times(before), times(after)
+    return last if first == last else f"from {first} to {last}"
 
 
 def text(found: Diagnosis) -> list[str]:

@@ -4,7 +4,8 @@ command lines; people read "Coulomb friction at the elbow", in tables "Coulomb f
 import math
 from collections.abc import Sequence
 
-from ..diagnosis.result import Candidate, Diagnosis, ModelState
+from ..diagnosis.forecast import ModelState
+from ..diagnosis.result import Candidate, Diagnosis
 from ..effects import catalogue
 from ..fitting.result import Fit
 from ..physics.effect import BASE

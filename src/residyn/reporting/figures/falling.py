@@ -13,8 +13,9 @@ from matplotlib.ticker import LogLocator
 
 from ...diagnosis.result import Diagnosis
 from ...fitting.result import Fit
+from .. import laws
 from ..fit import joint_errors
-from ..names import HELD_OUT, listed, model_name, times_noise, unnamed, untried
+from ..names import HELD_OUT, listed, times_noise, unnamed, untried
 from ..numbers import amount, plain, times
 from .style import BAND, DASHED, FAINT, INK, JOINTS, SOFT, blank, shortened, styled
 
@@ -56,8 +57,8 @@ def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
 
     At the line of the noise nothing is left that the recordings could still show.
     """
-    names = [model_name(step) for step in found.ladder]
-    each = [times_noise(step) for step in found.ladder]
+    names, models = zip(*laws.models(found), strict=True)
+    each = [times_noise(step) for step in models]
     end = ""
     if len(each) == 1 and found.verdict == "unexplained":
         end = f"{unnamed(found)}\nbrings it down to the noise"
