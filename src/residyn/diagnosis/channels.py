@@ -96,7 +96,9 @@ def reassigned(
         here = ready(dataclasses.replace(experiment, recordings=each), each, effects)
         none = [np.zeros(x.shape, bool) for x in angles]
         # What is linear in the readings is no faster than they are.
-        return Scene(here.recordings, here.mechanisms, none, scene.grid.fast), here.model.effects
+        found = Scene(here.recordings, here.mechanisms, none, scene.grid.fast)
+        found.catalogued, found.fixed = scene.catalogued, scene.fixed  # one program for all
+        return found, here.model.effects
 
     def under(channels: Channels) -> Reassigned | None:
         M = channels.matrix

@@ -177,7 +177,8 @@ def laws_for(
 ) -> Laws:
     """The laws of a program for some effects: the whole catalogue beside those that are `fixed`, by
     label; or no others, if another one of the effects is in no catalogue."""
-    others = tuple(e for e in effects if not usual(e) and not isinstance(e, FreeCurve))
+    own = (e for e in effects if not usual(e) and not isinstance(e, FreeCurve))
+    others = tuple(sorted(own, key=lambda e: e.label))  # in whatever order a model has them
     beside = [*effects, *catalogued] if all(e.label in fixed for e in others) else effects
     names = sorted({law_name(e) for e in beside if usual(e)})
     return Laws(tuple(names), others)
