@@ -35,7 +35,8 @@ RAMP = 0.4
 RUNS = 4
 """Room for recordings is this, or twice that, and so on ..."""
 ROOM = 4
-"""... for a model's effects it comes in multiples of this ..."""
+"""... for a model's effects it comes in multiples of this, a search's three and a free curve beside
+springs and dampers ..."""
 REGRESSORS = 11
 """... for its numbers, of this: 1 + 11 columns of means are whole vectors of 4 or 8 float64 ..."""
 STATES = 2
@@ -238,7 +239,8 @@ def tabulated(
 
     def slots(group: str) -> Slots:
         members = [i for i, e in enumerate(effects) if group_of(e) == group]
-        room = ROOM * max(1, math.ceil((len(members) + (group == "joint")) / ROOM))
+        least = 2 * len(joints) if group == "joint" else 0  # springs and dampers
+        room = ROOM * math.ceil(max(len(members), least + ROOM) / ROOM)
         p = most_numbers(laws.of(group))
         law, joint, column, state = np.zeros((4, room), int)
         values, widths = np.zeros((2, room, p))
