@@ -8,7 +8,7 @@ in them, carried over by the same columns: a prediction is bad only if it is off
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -42,7 +42,7 @@ class Minimum(NamedTuple):
     predicted: np.ndarray  # (R, N, n) rad or m
     residual: np.ndarray  # (R, N, n) whitened
     cost: float
-    """Sum of squared whitened residuals, what is known beforehand of internal states included."""
+    """Sum of squared whitened residuals, what is known beforehand included."""
     steps: int
     converged: bool
     square: np.ndarray
@@ -61,17 +61,23 @@ class Minimum(NamedTuple):
         return Compressed(*map(jnp.asarray, found))
 
 
+Known = Callable[[Unknowns], tuple[np.ndarray, np.ndarray]]
+"""What is known of unknowns beforehand: by how much (R, L) each is off its prior mean, in standard
+deviations, and the slope (R, L) of that in the unknown itself; 0 and 0 where nothing is known."""
+
+
 def minimum(
     problem: Problem,
     at: Unknowns,
     most: int = _STEPS,
     enough: float = math.inf,
+    known: Known | None = None,
 ) -> Minimum:
     """Levenberg and Marquardt's descent from unknowns that are near already, in `most` steps.
 
     One compiled program evaluates predictions and slopes; what is linear is done here. Where the
     motion has kinks no step is small enough to end by itself: there the descent ends when even a
-    short step gains nothing.
+    short step gains nothing. Unless something else is `known`, internal states are, to their scale.
 
     **Raises:** `FitError` where the motion runs away from the beginning; `Hopeless` where the cost
     stays above `enough`, and would if all steps to come took as much from it as the last one.
@@ -80,19 +86,23 @@ def minimum(
     moves = np.asarray(problem.active) > 0
     P, S = len(moves), np.shape(at.states)[1]
     readings = max(1, np.count_nonzero(problem.recorded.weights))
-    known = np.zeros(P + S)
-    known[P + 2 * problem.recorded.angles.shape[-1] :] = 1.0  # internal states, to their scale
+    inner = np.arange(P + S) >= P + 2 * problem.recorded.angles.shape[-1]
+
+    def of_internal_states(at: Unknowns) -> tuple[np.ndarray, np.ndarray]:
+        off = np.pad(np.asarray(at.states), ((0, 0), (P, 0)))
+        return off * inner, np.ones_like(off) * inner
+
+    known = known or of_internal_states
 
     def evaluated(at: Unknowns, steps: int) -> Minimum:
         predicted, slopes, residual = map(np.asarray, look(problem, at))
-        R, own = len(slopes), np.asarray(at.states)
+        R, (off, by) = len(slopes), known(at)
         with np.errstate(over="ignore", invalid="ignore"):  # of a motion that runs away
             J = slopes * np.asarray(problem.recorded.weights)[..., None]
             J = np.concatenate([J[..., :P] * moves, J[..., P:]], -1).reshape(R, -1, P + S)
-            square = J.transpose(0, 2, 1) @ J + np.diag(known)
-            slope = np.einsum("rml,rm->rl", J, residual.reshape(R, -1))
-        slope[:, P:] += known[P:] * own
-        cost = float(np.sum(residual**2) + np.sum((known[P:] * own) ** 2))
+            square = J.transpose(0, 2, 1) @ J + by[:, :, None] ** 2 * np.eye(P + S)
+            slope = np.einsum("rml,rm->rl", J, residual.reshape(R, -1)) + by * off
+        cost = float(np.sum(residual**2) + np.sum(off**2))
         sane = np.isfinite(cost) and np.abs(residual).max() < RUNAWAY and np.abs(J).max() < _STEEP
         cost = cost if sane else np.inf
         return Minimum(at, predicted, residual, cost, steps, False, square, slope)
