@@ -746,6 +746,23 @@ def test_recordings_of_one_name_and_clock_have_their_own_outliers_and_starts():
     np.testing.assert_allclose(starts, [0.1, -0.05], atol=1e-3)
 
 
+@pytest.mark.parametrize("ratio", [1.5, 2.4])
+def test_a_motion_that_does_not_ring_lacks_nothing(ratio):
+    """What accelerates is then a small difference of what spring and damper do."""
+    mass, stiffness = 2.0, 80.0
+    time = np.arange(500) / 100.0
+    slow, fast = np.sqrt(stiffness / mass) * (ratio + np.array([-1, 1]) * np.sqrt(ratio**2 - 1))
+    q = 0.05 * (fast * np.exp(-slow * time) - slow * np.exp(-fast * time)) / (fast - slow)
+    q = q + 2e-4 * np.random.default_rng(21).standard_normal(len(time))
+    seen = residyn.Recording.from_arrays(time, q[:, None], noise=2e-4)
+    table = InertiaTable(("cart",), ((mass,),), ("m",))
+    found = residyn.diagnose(residyn.Experiment(table, (seen,)))
+    assert found.verdict == "adequate"
+    assert found.added == ()
+    damping, std = parameter(found, "damper:cart.damping")
+    assert abs(damping - 2 * ratio * np.sqrt(stiffness * mass)) < 4 * std
+
+
 def test_a_driven_arm_tells_its_friction():
     time = np.arange(round(SECONDS * RATE) + 1) / RATE
     pushed = lambda t: 0.4 * np.sin(4.0 * t)  # noqa: E731

@@ -17,7 +17,8 @@ from scipy.special import erf, log_ndtr, softmax
 
 from ..effects import AbstractEffect
 from ..filtering.law import each_number
-from ..filtering.trajectory import Prior, Scene
+from ..filtering.trajectory import Prior, Scene, Trajectory
+from ..physics.effect import BASE
 from ..physics.parameter import Parameter
 
 # -- the numbers that decide ------------------------------------------------------------------
@@ -35,6 +36,10 @@ and buses are late by samples, not by cycles."""
 SHAPE = 1.0
 """Prior standard deviation of the logarithm of a shape (a gap, a rate, a frequency): an e-fold
 about the middle of its grid."""
+OUTGROWN = 2.0
+"""By how much a joint's spring or damper in the base model may exceed what is taken for the typical
+torque there, before that is taken for it: a factor of two in all widths is worth less than a nat a
+number."""
 STRENGTHS = (0.03, 0.3, 3.0)
 """Strengths, in standard deviations of the prior, about which a law that sticks is linearised: up
 to where a half-normal prior ends, a decade apart. The iteration goes on from the likeliest, so that
@@ -128,16 +133,29 @@ def prior_of(scene: Scene, effects: Sequence[AbstractEffect]) -> Prior:
 
 
 def width_of(scene: Scene, effect: AbstractEffect, number: Parameter) -> float:
-    """Prior standard deviation of a strength, in its own unit. What acts in the place of a spring
-    is known as a spring is: gravity may be all that pulls back, and a loose joint has none inside
-    its gap."""
-    if number.as_spring:
+    """Prior standard deviation of a strength, in its own unit. A damper, which is there in any
+    case, is known as a spring is, and so is what acts in the place of a spring: gravity may be all
+    that pulls back, and a loose joint has none inside its gap."""
+    if effect.name in BASE or number.as_spring:
         return scene.size(effect, number)
     if effect.senses and number.dimension.rotary in ("1", "1/rad"):  # of the scale at full swing
         return SCALE_ERROR * scene.size(effect, number)
     if effect.senses and number.dimension.rotary == "s":
         return DELAY / min(s.frequency for s in scene.scales)
     return WIDTH * scene.size(effect, number)
+
+
+def outgrown(scene: Scene, t: Trajectory) -> np.ndarray:
+    """(n,) how many times as large as what accelerates each joint a torque is there: as what its
+    spring or its damper does in a base model. In a motion that hardly rings these hold each other,
+    and what accelerates is a small difference of them. 1 where it is at most `OUTGROWN`."""
+    size, found = np.array([s.inertia * s.frequency**2 for s in scene.scales]), np.zeros(scene.n)
+    for (effect, _), x in zip(each_number(t.effects), t.numbers, strict=True):
+        if effect.name in BASE:
+            j = scene.joint_of(effect)
+            rate = scene.scales[j].frequency if effect.name == "damper" else 1.0
+            found[j] = max(found[j], rate * float(x))
+    return np.where(found > OUTGROWN * size, found / size, 1.0)
 
 
 def signed(number: Parameter) -> bool:
@@ -153,7 +171,7 @@ def _signed(effects: Sequence[AbstractEffect], prior: Prior, u: np.ndarray, std:
     for i, (effect, number) in enumerate(each_number(effects)):
         if signed(number):
             silent = (number.silent - prior.mean[i]) / prior.width[i]
-            wide = effect.name == "spring" or number.as_spring
+            wide = effect.name in BASE or number.as_spring
             yield u[..., i] - silent, std[..., i], 1.0 if wide else 1.0 / WIDTH
 
 

@@ -59,6 +59,7 @@ from .evidence import (
     half_normals,
     log_prior_intensity,
     log_prior_model,
+    outgrown,
     over_intensities,
     prior_of,
     right_signs,
@@ -402,13 +403,13 @@ def tried_alone(
 
     **Raises:** `FitError` if no motion goes with it.
     """
+    plain = [e for e in effects if _begins_at_once(e)]
+    silent = [e for e in effects if not _begins_at_once(e)]
+    begun = tried_alone(scene, plain, go_on=go_on) if silent else None
     start = scene.start(effects, prior_of(scene, effects))
     starts = [start, dataclasses.replace(start, path=np.zeros_like(start.path))]
     starts = [t for each in starts if (t := _smoothed(scene, each))]
-    plain = [e for e in effects if _begins_at_once(e)]
-    silent = [e for e in effects if not _begins_at_once(e)]
-    if silent:
-        begun = tried_alone(scene, plain, go_on=go_on)
+    if begun is not None:
         for effect in silent:
             t, intensity = screening_motion(scene, begun)
             linear = scene.linearised(t)
@@ -425,7 +426,12 @@ def tried_alone(
     each = [found for found in settle(scene, starts, INTENSITIES[0], go_on, known) if found]
     if not each:
         raise FitError("no motion of the model goes with the readings")
-    return max((Tried((), *found, log_prior=0.0) for found in each), key=lambda t: t.log_evidence)
+    best = max((Tried((), *found, log_prior=0.0) for found in each), key=lambda t: t.log_evidence)
+    times = outgrown(scene, best.best)
+    if best.log_evidence < known - HOPELESS or times.max() == 1.0:
+        return best
+    scene.heavier(times)
+    return tried_alone(scene, effects, known, go_on)
 
 
 def _begins_at_once(effect: AbstractEffect) -> bool:

@@ -163,17 +163,15 @@ class Scene:
         noise = np.sqrt(np.median(g.variance[g.of(long)], axis=0))
         noise = noise * recordings[long].as_angles.noise / recordings[long].noise
         amplitude = np.maximum(np.std(q[moves], axis=0), 3 * noise)
-        duration = recordings[long].duration
-        slowest = 2 * math.pi / duration
-        pace = np.maximum(np.sqrt(stiffness / np.diag(inertia)), slowest)
         amplitude = math.sqrt(2) * amplitude
         swing = np.maximum(recordings[long].extent.largest, amplitude)
+        duration = recordings[long].duration
+        pace = np.maximum(np.sqrt(stiffness / np.diag(inertia)), 2 * math.pi / duration)
         sizes = np.diag(inertia), pace, amplitude, mechanisms[long].reach()
-        self.scales = [
+        self._scale([
             Scales(*map(float, own), duration=duration, swing=float(most))
             for *own, most in zip(*sizes, swing, strict=True)
-        ]
-        self.torque = np.array([s.inertia * s.frequency**2 * s.amplitude for s in self.scales])
+        ])  # fmt: skip
         self.readings = Readings(g.angle, g.seen, g.variance)
         self.instants = Instants(
             step=g.step,
@@ -187,6 +185,16 @@ class Scene:
             first_angle=np.concatenate([q[1:], q[-1:]]).T,
             mechanisms=stacked_mechanisms(mechanisms, bucket(len(mechanisms), least=RUNS)),
         )
+
+    def heavier(self, times: np.ndarray) -> None:
+        """Take torques at the joints to be (n,) times as large as what accelerates them. Their pace
+        stays, and with it how fast anything is that acts."""
+        pairs = zip(self.scales, times.tolist(), strict=True)
+        self._scale([s._replace(inertia=s.inertia * k) for s, k in pairs])
+
+    def _scale(self, scales: list[Scales]) -> None:
+        self.scales = scales
+        self.torque = np.array([s.inertia * s.frequency**2 * s.amplitude for s in scales])
 
     def with_noise(self, coloured: float | None) -> "Scene":
         """The same recordings with noise of this correlation time, s, or white."""
