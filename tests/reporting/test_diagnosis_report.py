@@ -89,7 +89,7 @@ def test_a_law_that_is_enough_says_what_the_next_one_would_add():
     t = scene.start(members, prior)
     u = np.append(prior.regressors(known), t.u[len(known) :])
     at = dataclasses.replace(t, u=u, covariance=1e-12 * np.eye(len(u)))
-    tried = {frozenset({pull, RIVAL}): SimpleNamespace(best=at)}
+    tried = {frozenset({pull, RIVAL}): SimpleNamespace(posterior=at)}
     searched = dataclasses.replace(found, search=SimpleNamespace(scene=scene, tried=tried))
     words = " ".join(searched.words)
     value = re.search(r"is enough; Stribeck friction \(< 1 %\) would add excess (\S+)", words)

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..filtering.trajectory import Scene, Trajectory
+from ..filtering.trajectory import Scene
 from ..fitting.layout import bucket
 from ..fitting.problem import mechanism_of, posed
 from ..physics.modal import at_rest, equilibrium, fastest, modes_of
@@ -188,23 +188,13 @@ class Rival(NamedTuple):
     @classmethod
     def of(cls, scene: Scene, tried: Tried) -> "Rival":
         """A tried model."""
-        t = posterior_of(tried)
+        t = tried.posterior
         slopes = t.prior.slopes(t.u)
         own = t.covariance[: len(slopes), : len(slopes)] * np.outer(slopes, slopes)
         size = np.sqrt(np.maximum(np.diag(own), 1e-300))
         values, vectors = np.linalg.eigh(own / np.outer(size, size))
         root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
         return cls(tried, scene.model(t), root)
-
-
-def posterior_of(tried: Tried) -> Trajectory:
-    """A tried model with the posterior of its numbers: without a random torque as simulated
-    exactly, where it was; else as smoothed."""
-    t, known = tried.best, tried.simulated
-    if known is not None and tried.intensity == 0:
-        u = np.append(known.u, t.u[len(known.u) :])
-        return dataclasses.replace(t, u=u, covariance=known.covariance)
-    return t
 
 
 def settings_of(experiment: Experiment, scene: Scene, model: Model) -> list[Setting]:

@@ -394,7 +394,7 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
         coloured=left,
         coloured_noise=noise,
         random_torque=_random_torque(scene, best, pairs),
-        parameters=values_of(scene, best.best),
+        parameters=values_of(scene, best.posterior),
         channels=other
         and ChannelError(other.channels.words, posterior.of_reassigned, other.tried.complete > 0.5),
         intensity=0.0 if noise else float(np.dot(best.weights, INTENSITIES)),
@@ -559,7 +559,7 @@ class Posterior:
         found = []
         for label in (e.label for e in self.search.candidates):
             alone = self.search.tried.get(frozenset([label]))
-            values = values_of(self.search.scene, alone.best) if alone else {}
+            values = values_of(self.search.scene, alone.posterior) if alone else {}
             candidate = Candidate(
                 effect=label,
                 probability=self.of([label]),

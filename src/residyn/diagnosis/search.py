@@ -128,6 +128,16 @@ class Tried:
         """The likeliest random torque."""
         return INTENSITIES[int(np.argmax(self.weights))]
 
+    @property
+    def posterior(self) -> Trajectory:
+        """With the posterior of its numbers: as simulated exactly where it needs no random torque
+        and that was done; else as smoothed."""
+        t, known = self.best, self.simulated
+        if known is None or self.intensity > 0:
+            return t
+        u = np.append(known.u, t.u[len(known.u) :])
+        return dataclasses.replace(t, u=u, covariance=known.covariance)
+
     def starts(self, scene: Scene) -> tuple[Trajectory, ...]:
         """Where fits by least squares begin: without a random torque; and as it is, if it has one,
         for a random torque taken away may lead astray."""

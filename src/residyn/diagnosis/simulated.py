@@ -44,7 +44,8 @@ def simulated(scene: Scene, t: Trajectory, fit: Fit) -> Simulated | None:
     P, (R, S) = len(prior.mean), mean.shape
 
     def known(at: Unknowns) -> tuple[np.ndarray, np.ndarray]:
-        u, states = prior.regressors(problem.numbers(at)), (problem.states(at) - mean) / width
+        u = prior.regressors(np.asarray(problem.numbers(at)))
+        states = (problem.states(at) - mean) / width
         shared = np.arange(R)[:, None] == 0  # numbers are known once
         numbers = problem.scale.numbers / prior.slopes(u)
         off = np.concatenate([shared * u, states], axis=1)

@@ -25,7 +25,7 @@ from scipy.optimize import brentq
 from scipy.special import log_softmax, softmax
 from scipy.stats import norm
 
-from ..diagnosis.candidate_tests import Rival, Test, best_tests, in_play, posterior_of
+from ..diagnosis.candidate_tests import Rival, Test, best_tests, in_play
 from ..diagnosis.columns import Columns
 from ..diagnosis.diagnose import Posterior
 from ..diagnosis.evidence import DECADES, log_prior_model, means_of_base, over_widths, width_of
@@ -221,7 +221,7 @@ def at_any_width(model: Tried, label: str) -> Tried:
     i = next((own.start for e, own in slices if e.label == label), None)
     if i is None:
         return model
-    t = posterior_of(model)
+    t = model.posterior
     count = len(t.covariance)
     gain, mean, covariance = over_widths(t.u[:count], t.covariance, i, DECADES)
     best = replace(t, u=np.append(mean, t.u[count:]), covariance=covariance)

@@ -38,6 +38,7 @@ from .names import (
     at_place,
     base_name,
     force,
+    goes,
     listed,
     lower,
     modal,
@@ -306,7 +307,7 @@ def _would_add(candidate: Candidate, simpler: str, found: Diagnosis) -> str:
     model = found.search and found.search.tried.get(added)
     if not (found.search and model):
         return f"{law} is not needed"
-    values = values_of(found.search.scene, model.best)
+    values = values_of(found.search.scene, model.posterior)
     kind, there = (catalogue()[x.partition(":")[0]] for x in (candidate.effect, simpler))
     new = {p.name for p in parameters_of(kind) if p.silent is not None}
     new -= {p.name for p in parameters_of(there)}
@@ -319,6 +320,7 @@ def _others(found: Diagnosis) -> Iterator[str]:
     """Where the rest of the probability went."""
     own = told_first(found)
     others = [f for f in found.families if f not in own and f.probability >= _ALSO]
+    others.sort(key=lambda f: -f.probability)
     shown = [_likely(f, found) for f in others[:_NAMED]]
     if shown:
         more = len(others) - len(shown)
@@ -343,7 +345,7 @@ def _fall(found: Diagnosis) -> Iterator[str]:
     first, last = times_noise(found.ladder[0]), times_noise(found.ladder[-1])
     worst = int(np.nanargmax([x for x, _ in first]))
     joint = at(found.fit.joints[worst], found.fit.joints)
-    (before, held_before), (after, held_after) = first[worst], last[worst]
+    before, held_before = first[worst]
     ahead = found.ladder[-1].held_out
     expected = None if ahead is None else ahead.held_out.expected
     right = ""  # what the noise in the fitted readings does to a prediction, where it shows
@@ -353,17 +355,13 @@ def _fall(found: Diagnosis) -> Iterator[str]:
         held = "" if held_before is None else f" ({times(held_before)} times {HELD_OUT}{right})"
         yield f"The error{joint} is {times(before)} times the noise{held}."
         return
-    digits = next((d for d in (2, 3) if plain(before, d) != plain(after, d)), 4)
-    verb = "falls" if after < before else "goes"
     words = (
-        f"With {named(found.added, found.fit.joints)} the error{joint} {verb} from "
-        f"{plain(before, digits)} to {plain(after, digits)} times the noise"
+        f"With {named(found.added, found.fit.joints)} the error{joint} "
+        f"{goes(first[worst], last[worst], right)}"
     )
-    if held_before is not None and held_after is not None:
-        words += f" ({HELD_OUT}: from {times(held_before)} to {times(held_after)}{right})"
     part = explained_share(found)
     if found.verdict == "unexplained" and math.isfinite(part):
-        words += f"; that explains {share(part)} of the squared error above the noise"
+        words += f"; that explains {percent(part)} of the squared error above the noise"
     yield f"{words}."
 
 
@@ -517,7 +515,7 @@ def models(found: Diagnosis) -> list[str]:
         else:
             each = zip(joints, cells, strict=True)
             rows += [["" if j else name, joint, *c, chi2] for j, (joint, c) in enumerate(each)]
-    table = Table([*columns, "chi-square\nper reading"], rows, (0,) if beside else (0, 1))
+    table = Table([*columns, "reduced\nchi-square"], rows, (0,) if beside else (0, 1))
     return [*section("Models", head), *printed(table)]
 
 

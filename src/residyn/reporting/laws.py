@@ -7,9 +7,9 @@ from ..diagnosis.law import Law
 from ..diagnosis.result import Diagnosis
 from .layout import Table, filled, printed, section
 from .names import (
-    HELD_OUT,
     at,
     force,
+    goes,
     listed,
     modal,
     model_name,
@@ -18,7 +18,7 @@ from .names import (
     times_noise,
     upper,
 )
-from .numbers import measured, nats, percent, times
+from .numbers import measured, nats, percent
 
 _WHAT = {"direction": "friction", "angle": "stiffness", "rate": "damping"}
 
@@ -73,20 +73,9 @@ def fall(found: Diagnosis) -> Iterator[str]:
     if len(found.models) == len(found.ladder):
         return
     j = found.fit.joints.index(found.laws[0].joint)
-    (first, held), (last, ahead) = (times_noise(m)[j] for m in found.models[-2:])
-    verb = "stays" if times(first) == times(last) else "falls" if last < first else "rises"
+    before, after = (times_noise(m)[j] for m in found.models[-2:])
     words = f"With the law without a name{' as well' if found.added else ''} the error"
-    words += (
-        f"{at(found.fit.joints[j], found.fit.joints)} {verb} {_from(first, last)} times the noise"
-    )
-    if held is not None and ahead is not None:
-        words += f" ({HELD_OUT}: {_from(held, ahead)})"
-    yield f"{words}."
-
-
-def _from(before: float, after: float) -> str:
-    first, last = times(before), times(after)
-    return last if first == last else f"from {first} to {last}"
+    yield f"{words}{at(found.fit.joints[j], found.fit.joints)} {goes(before, after)}."
 
 
 def text(found: Diagnosis) -> list[str]:

@@ -76,6 +76,15 @@ def times(value: float) -> str:
     return f"{value:.{0 if value >= 9.95 else 1}f}" if value >= 0.1 else plain(value, 2)
 
 
+def moved(before: float, after: float, three: bool = False) -> str:
+    """How a size goes: "falls from 46 to 15", "rises from 1.0 to 1.1", "stays 1.0"; `three`
+    digits."""
+    first, last = (plain(x) if three else times(x) for x in (before, after))
+    if first == last:
+        return f"stays {times(before)}"
+    return f"{'falls' if after < before else 'rises'} from {first} to {last}"
+
+
 def percent(probability: float) -> str:
     """A probability: never 100 %, as nothing measured is certain."""
     if not math.isfinite(probability):

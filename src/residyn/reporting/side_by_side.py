@@ -62,7 +62,7 @@ class SideBySide:
     def __str__(self) -> str:
         sides = self.one, self.other
         errors = list(zip(*map(joint_errors, sides), strict=True))
-        rows = [["chi-square per reading", *(plain(f.reduced_chi2) for f in sides)]]
+        rows = [["reduced chi-square", *(plain(f.reduced_chi2) for f in sides)]]
         for pair in errors:
             cells = (f"{times(e.ratio)} x noise" for e in pair)
             rows.append([f"rms, {pair[0].joint}", *cells])
