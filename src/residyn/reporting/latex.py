@@ -30,9 +30,9 @@ def measured(value: float, std: float) -> str:
     last = _last_digit(std)
     size = math.floor(math.log10(max(abs(value), std)))
     if -4 < size < 6 and last <= 0:
-        return rf"${value:.{-last}f} \pm {std:.{-last}f}$"
+        return rf"${value:z.{-last}f} \pm {std:.{-last}f}$"
     digits = max(0, size - last)
-    parts = rf"{value / 10**size:.{digits}f} \pm {std / 10**size:.{digits}f}"
+    parts = rf"{value / 10**size:z.{digits}f} \pm {std / 10**size:.{digits}f}"
     return rf"$({parts}) \times 10^{{{size}}}$"
 
 

@@ -58,7 +58,8 @@ def with_error(value: float, std: float) -> tuple[str, str]:
     if last < -9 or size >= 1e6 or size < 1e-4:
         digits = min(max(1, math.floor(math.log10(size)) - last), 15)  # a float has no more
         return f"{value:.{digits}e}", f"{std:.1e}"
-    return f"{value:.{max(0, -last)}f}", f"{std:.{max(0, -last)}f}"
+    # z: what rounds to nothing has no sign.
+    return f"{value:z.{max(0, -last)}f}", f"{std:.{max(0, -last)}f}"
 
 
 def measured(value: float, std: float, unit: str = "1") -> str:

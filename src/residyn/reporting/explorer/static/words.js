@@ -29,7 +29,8 @@ export function measured(value, std, unit) {
     return `${plain(value)}${short}`;
   }
   const places = Math.max(0, Math.min(9, 1 - Math.floor(Math.log10(std))));
-  return `${value.toFixed(places)} ± ${std.toFixed(places)}${short}`;
+  const shown = value.toFixed(places).replace(/^-(?=[0.]+$)/, ""); // nothing has no sign
+  return `${shown} ± ${std.toFixed(places)}${short}`;
 }
 
 /** "rate, rad/s"; "rate" where the unit is not known. */
