@@ -642,6 +642,44 @@ def test_what_numbers_only_set_together_has_its_error():
     assert both.to_dict()["modes"][0]["frequency_hz_std"] == found.frequency_hz_std
 
 
+@pytest.mark.parametrize(
+    ("blind", "groups", "said"),
+    [
+        (
+            [[1, -1, 0, 0]],
+            ((0, 1),),
+            ["only a combination of {0}, {1}: changing them together leaves"],
+        ),
+        (
+            [[1, 1, 1, 0]],
+            ((0, 1, 2),),
+            ["only 2 combinations of {0}, {1}, {2}: changing them together leaves"],
+        ),
+        # Two ways among the same numbers are said once, whichever two vectors span them.
+        (
+            [[1, 1, -1, -1], [1, -2, 2, -1]],
+            ((0, 1, 2, 3),),
+            [
+                "only 2 combinations of {0}, {1}, {2}, {3}: changing them together in 2 "
+                "independent ways leaves"
+            ],
+        ),
+        # Two of different numbers are told apart, also where the vectors mix them.
+        ([[0, 1, 0, 1], [0, 1, 0, -1]], ((1,), (3,)), ["{1} is not", "{3} is not"]),
+    ],
+)
+def test_what_the_recordings_leave_open_is_said_once(blind, groups, said):
+    fit, blind = by_hand.a_fit(), np.array(blind, float)
+    blind = blind / np.linalg.norm(blind, axis=1, keepdims=True)
+    spread = Spread(1e-6 * np.eye(4), blind, np.ones(4), np.ones(len(blind)))
+    fit = dataclasses.replace(fit, spread=spread)
+    assert fit.open_groups == groups
+    told = [words for words in fit.warnings if "not determined" in words or "only" in words]
+    names = [n.name for n in fit.numbers]
+    assert len(told) == len(said)
+    assert all(s.format(*names) in words for s, words in zip(said, told, strict=True))
+
+
 @pytest.mark.parametrize(("torque", "unseen"), [(0.05, ()), (1e-4, ("stribeck_friction:elbow",))])
 def test_strengths_that_are_told_by_their_sum_are_seen_by_it(torque, unseen):
     """Far below its velocity Stribeck's law is Coulomb's, of torque and excess together."""

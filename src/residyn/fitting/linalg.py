@@ -104,8 +104,19 @@ class Spread(NamedTuple):
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Which numbers belong to each combination that data hardly see."""
-        return tuple(tuple(np.flatnonzero(np.abs(v) > PART).tolist()) for v in self.blind)
+        """Which numbers the combinations that data hardly see tie together, and each that is alone
+        in one. Of several, any mixture is hardly seen either: what counts is the space they span.
+        """
+        onto = self.blind.T @ self.blind  # the projection onto that space
+        part = np.sqrt(np.diag(onto))
+        tied = (np.abs(onto) > PART * part) & (part > PART) & (part[:, None] > PART)
+        tied = np.linalg.matrix_power(tied | tied.T, len(tied))  # through other numbers, too
+        return tuple(sorted({tuple(np.flatnonzero(row).tolist()) for row in tied if row.any()}))
+
+    def ways(self, group: Sequence[int]) -> int:
+        """In how many independent ways the numbers of one of `groups` change and data hardly see
+        it."""
+        return round(float(np.sum(self.blind[:, list(group)] ** 2)))
 
     def distance(self, off: np.ndarray, which: Sequence[int]) -> tuple[float, int]:
         """How far off (S,) some numbers are: squared and in standard errors, in the directions in

@@ -206,7 +206,7 @@ class Fit(TableResult):
 
     @property
     def open_groups(self) -> tuple[tuple[int, ...], ...]:
-        """Indices of numbers of which the data determine only a combination."""
+        """Indices of numbers of which the data determine only combinations, or, alone, nothing."""
         return self.spread.groups
 
     @property

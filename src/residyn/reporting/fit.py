@@ -123,9 +123,13 @@ def _open(fit: Fit) -> Iterator[str]:
                 "or changes them as another initial state would"
             )
         else:
+            free = fit.spread.ways(group)
+            left = len(members) - free
+            combinations = "a combination" if left == 1 else f"{left} combinations"
+            ways = "" if free == 1 else f" in {free} independent ways"
             yield (
-                f"these recordings determine only a combination of {', '.join(members)}: "
-                "changing them together leaves the motion unchanged"
+                f"these recordings determine only {combinations} of {', '.join(members)}: "
+                f"changing them together{ways} leaves the motion unchanged"
             )
 
 
