@@ -12,7 +12,7 @@ import residyn
 from residyn.cli import main
 from residyn.diagnosis import detectable
 from residyn.diagnosis.columns import Column
-from residyn.diagnosis.detectable import Rivals
+from residyn.diagnosis.detectable import Atlas, Detectable, Rivals
 from residyn.diagnosis.evidence import INTENSITIES, log_prior_intensity, subset
 from residyn.effects import CubicStiffness, QuadraticDrag
 from residyn.recordings.tables import InertiaTable
@@ -114,6 +114,22 @@ def test_it_reads_in_80_columns_and_as_json(atlases):
     assert [e["effect"] for e in told["effects"]] == [e.effect for e in atlas.effects]
     shares = [e["share"] for e in told["effects"] if e["share"] is not None]
     assert shares == sorted(shares)
+
+
+def test_shape_numbers_have_their_units():
+    size = 0.1, 0.02, None, None, None
+    made = (
+        Detectable("dead_zone:elbow", "stiffness", "N m/rad", {"gap": 0.02}, *size),
+        Detectable("dead_zone:slide", "stiffness", "N/m", {"gap": 0.02}, *size),
+        Detectable("hysteresis:slide", "torque", "N", {"angle": 0.05, "sharpness": 1.0}, *size),
+        Detectable("periodic_disturbance:elbow", "sine", "N m", {"frequency": 2.8}, *size),
+    )
+    words = str(Atlas(made, ("elbow", "slide"), ("rad", "m/s"), (1e-3, 1e-3), 20.0))
+    told = " ".join(words.split())
+    assert "at gap 0.020 rad" in told
+    assert "at gap 0.020 m" in told  # the slide's rate is what is read
+    assert "at angle 0.050 m, sharpness 1.0" in told
+    assert "at frequency 2.8 Hz" in told
 
 
 def test_noise_is_in_the_unit_of_what_is_read():
