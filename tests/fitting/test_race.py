@@ -204,6 +204,8 @@ def test_a_watch_stops_where_nothing_is_counted(monkeypatch):
 def test_budgets_and_methods_that_cannot_be(experiment, monkeypatch):
     with pytest.raises(ValueError, match="did you mean genetic"):
         residyn.race(experiment, methods=["genetics"])
+    with pytest.raises(ValueError, match=r'methods = "levenberg": must be a list, as \["leven'):
+        residyn.race(experiment, methods="levenberg")
     with pytest.raises(ValueError, match="is there twice"):
         residyn.race(experiment, methods=["levenberg", "levenberg"])
     with pytest.raises(ValueError, match="optimistix has no such"):

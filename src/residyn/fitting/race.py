@@ -192,9 +192,9 @@ def race(
 
     **Returns:** a `Race`.
 
-    **Raises:** `ValueError` for a method, a number of repeats or a budget that cannot be;
-    `TypeError` for what is no experiment; `MissingExtra` without evosax where a method needs it. A
-    method that finds nothing says so in its run.
+    **Raises:** `ValueError` for methods that are no list, for a method, a number of repeats or a
+    budget that cannot be; `TypeError` for what is no experiment; `MissingExtra` without evosax
+    where a method needs it. A method that finds nothing says so in its run.
     """
     must_be_experiment(experiment)
     if repeats < 1:
@@ -202,6 +202,8 @@ def race(
     for key, value in (("seconds", seconds), ("simulations", simulations)):
         if value is not None and not (value > 0 and math.isfinite(value)):
             raise ValueError(f"{key} = {value}: must be a number above 0")
+    if isinstance(methods, str):
+        raise ValueError(f'methods = "{methods}": must be a list, as ["{methods}"]')
     entered = {}
     for method in METHODS if methods is None else methods:
         name, words = named(method)
