@@ -60,8 +60,11 @@ def test_bootstrap_spreads_as_the_errors_say(fit):
 def test_the_batch_changes_nothing(fit):
     one, other = (residyn.bootstrap(fit, 10, seed=2, batch=b).numbers for b in (4, 10))
     np.testing.assert_allclose(one, other, rtol=1e-8)
-    with pytest.raises(ValueError, match="draws = 1"):
-        residyn.bootstrap(fit, 1)
+    for draws in (1, 2.5):
+        with pytest.raises(ValueError, match=f"draws = {draws}: must be a whole number"):
+            residyn.bootstrap(fit, draws)
+    with pytest.raises(ValueError, match=r"batch = 1.5: must be a whole number"):
+        residyn.bootstrap(fit, 10, batch=1.5)
 
 
 def fitted(batch, patch=setattr):

@@ -212,8 +212,9 @@ def test_budgets_and_methods_that_cannot_be(experiment, monkeypatch):
         residyn.race(experiment, methods=["optimistix.Nonsense"])
     with pytest.raises(ValueError, match="seconds = -1"):
         residyn.race(experiment, methods=["levenberg"], seconds=-1)
-    with pytest.raises(ValueError, match="repeats = 0"):
-        residyn.race(experiment, methods=["levenberg"], repeats=0)
+    for repeats in (0, 1.5):
+        with pytest.raises(ValueError, match=f"repeats = {repeats}: must be a whole number"):
+            residyn.race(experiment, methods=["levenberg"], repeats=repeats)
     monkeypatch.setitem(sys.modules, "evosax.algorithms", None)
     with pytest.raises(MissingExtra, match=r"residyn\[ga\]"):
         residyn.race(experiment, methods=["levenberg", "cma_es"])

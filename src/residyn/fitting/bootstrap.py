@@ -9,6 +9,7 @@ has one of its own. Memory stays that of a few batches.
 
 import functools
 from collections.abc import Callable
+from numbers import Integral
 from typing import NamedTuple
 
 import equinox as eqx
@@ -17,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from ..errors import quote
 from ..runtime.parallel import cores, in_order
 from .implicit import Embedded, embedded, minimum
 from .lanes import lanes
@@ -69,12 +71,13 @@ def bootstrap(
     - `batch`: fits that run side by side on each device; None is what suits it (1 on a CPU).
     - `progress`: called with a few words now and then.
 
-    **Raises:** `ValueError` for fewer than two draws, or an empty batch; `TypeError` for what is no
-    fit.
+    **Raises:** `ValueError` for draws or a batch that are no whole number, for fewer than two
+    draws, or an empty batch; `TypeError` for what is no fit.
     """
     must_be_fit(fit)
-    if draws < 2:
-        raise ValueError(f"draws = {draws}: a spread needs at least two")
+    if not isinstance(draws, Integral) or draws < 2:
+        raise ValueError(f"draws = {quote(draws)}: must be a whole number, at least two")
+    draws = int(draws)
     devices = jax.devices()
     with jax.enable_x64(True):
         fits = embedded(fit, fixed=False)

@@ -10,6 +10,7 @@ recordings) is written once, and the same.
 import dataclasses
 import math
 from collections.abc import Callable, Generator, Sequence
+from numbers import Integral
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -18,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from ..errors import quote
 from ..physics.parameter import stacked
 from ..runtime.export_cache import kept
 from .layout import read_of
@@ -130,14 +132,14 @@ def _descents_of_starts(problem: Problem, y: Unknowns, share, size):
 def lanes(batch: int | None, usual: int) -> int:
     """How many fits run at a time on all devices, `batch` on each; None is `usual`, 1 on a CPU.
 
-    **Raises:** `ValueError` for an empty batch.
+    **Raises:** `ValueError` for an empty batch, or what is no whole number.
     """
     devices = jax.devices()
     if batch is None:
         batch = 1 if devices[0].platform == "cpu" else usual
-    if batch < 1:
-        raise ValueError(f"batch = {batch}: must be at least 1")
-    return batch * len(devices)
+    if not isinstance(batch, Integral) or batch < 1:
+        raise ValueError(f"batch = {quote(batch)}: must be a whole number, at least one")
+    return int(batch) * len(devices)
 
 
 def together(fittings: Sequence[Fitting[Result]]) -> list[Result]:

@@ -13,11 +13,13 @@ of a descent, those of the whole fit: start, errors of the numbers and modes are
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from numbers import Integral
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..effects import AbstractEffect
+from ..errors import quote
 from ..recordings.experiment import Experiment, must_be_experiment
 from ..runtime.json import number
 from ..runtime.presentation import TableResult
@@ -197,8 +199,9 @@ def race(
     where a method needs it. A method that finds nothing says so in its run.
     """
     must_be_experiment(experiment)
-    if repeats < 1:
-        raise ValueError(f"repeats = {repeats}: at least one is needed")
+    if not isinstance(repeats, Integral) or repeats < 1:
+        raise ValueError(f"repeats = {quote(repeats)}: must be a whole number, at least one")
+    repeats = int(repeats)
     for key, value in (("seconds", seconds), ("simulations", simulations)):
         if value is not None and not (value > 0 and math.isfinite(value)):
             raise ValueError(f"{key} = {value}: must be a number above 0")
