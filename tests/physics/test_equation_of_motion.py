@@ -495,6 +495,18 @@ def test_impossible_arguments_of_a_simulation_are_refused(undamped, given, error
         residyn.simulate(undamped, [0.0, 1.0], [0.1, 0.0], **given)
 
 
+def test_a_motion_that_too_few_steps_do_not_follow_is_not_finite_traced_or_not(undamped):
+    times, q0 = np.linspace(0.0, 60.0, 50), np.array([0.25, -0.15])
+
+    def last(steps):
+        return lambda q0: residyn.simulate(undamped, times, q0, steps=steps).q[-1]
+
+    enough = residyn.steps_for(undamped, 60.0)
+    for steps, finite in ((10, False), (enough, True)):
+        for run in (last(steps), jax.jit(last(steps))):
+            assert np.isfinite(run(q0)).all() == finite
+
+
 def test_a_known_model_chooses_its_steps_beside_traced_states(undamped):
     times, q0 = np.linspace(0.0, 1.0, 5), np.array([0.1, -0.05])
     found = jax.jit(lambda q0: residyn.simulate(undamped, times, q0).q)(q0)

@@ -177,7 +177,8 @@ def simulate(
       what their effects begin with; None is nothing beyond.
     - `drive`: external torque on the joints.
     - `steps`: number of integration steps; None chooses from the fastest mode, which needs concrete
-      numbers: give it inside `jax.jit`, `grad` or `vmap` of the model's numbers.
+      numbers: give it inside `jax.jit`, `grad` or `vmap` of the model's numbers. With steps too
+      long for the fastest mode the motion runs away; `residyn.steps_for` says how many resolve it.
     - `adjoint`: how to differentiate. None: with fixed steps, forward and reverse mode both work;
       with an `integrator` its own adjoint, or else reverse mode. Or a diffrax adjoint, such as
       `diffrax.ForwardMode()`, or `diffrax.RecursiveCheckpointAdjoint()` for the least memory in
@@ -189,7 +190,9 @@ def simulate(
     - `orders`: (n,) which derivative of its angle the sensor of each joint reads: 0, an encoder; 1,
       a gyroscope; 2, an accelerometer. () is angles.
 
-    **Returns:** a `Trajectory`.
+    **Returns:** a `Trajectory`. Where the motion runs away, as `steps` are too few or the model
+    gains energy without bound, its numbers grow and then are not finite, without an error, which
+    no traced call could raise: look at `jnp.isfinite(trajectory.q).all()`.
 
     **Raises:** `ValueError` for arrays of other shapes or not finite, numbers of the model
     included, for instants that are not finite and increasing, two at least, for `steps` or `orders`
