@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import residyn
 from residyn.cli import main
+from residyn.errors import InputError
 from residyn.recordings.csv import write_csv
 from residyn.recordings.experiment import Experiment
 from residyn.recordings.recording import Recording
@@ -250,7 +251,8 @@ def test_a_joint_that_slides_one_way_has_no_offset_of_its_own():
     q, u = rigid(TRUTH[1], *motion, 1, coulomb=0.1, viscous=0.2)
     rng = np.random.default_rng(0)
     q, u[:, 1] = q + 1e-4 * rng.standard_normal(q.shape), u[:, 1] + 1e-3 * rng.standard_normal(2000)
-    recordings[2] = Recording.from_arrays(t, q, drive=u, role="inertia", name="test3.csv")
+    how = {"drive": u, "role": "inertia", "name": "test3.csv", "stated": ["q2"]}
+    recordings[2] = Recording.from_arrays(t, q, **how)
     result = residyn.inertia(Experiment(ArmTable((0.4, 0.4)), tuple(recordings)))
     assert result.elbow.value == pytest.approx(0.6, rel=0.01)
     assert result.tests[2].friction["offset"] is None
@@ -440,7 +442,7 @@ def lines_of_failure():
         angle += noise * rng.standard_normal(angle.shape)
         return Recording.from_arrays(t, angle, drive=u, role="inertia", name="odd.csv")
 
-    steady = 0.5 * t, 0.5 + 0 * t, 0 * t
+    steady = 0.48 * t - 4.8, 0.48 + 0 * t, 0 * t
     short = t[:40]
     return (
         {
@@ -554,6 +556,41 @@ def test_command_shows_numbers_that_are_no_arms_and_fails(command):
     assert "[arm]" not in out
     assert "no arm's inertia" in err
     assert err.count("\n") == 1
+
+
+def test_command_refuses_driven_tests_in_other_units(command):
+    one, two, elbow = rigid_experiment(TRUTH, [0.0, 1.5]).recordings
+    ms = dataclasses.replace(one, time=one.time * 1000)
+    degrees = dataclasses.replace(one, angle=np.degrees(one.angle))
+    posed = dataclasses.replace(two, theta2=90.0)
+    for recordings, words in (
+        ([ms, two, elbow], ["test1.csv", "milliseconds", 't = "ms"']),
+        ([degrees, two, elbow], ["test1.csv", "in degrees", 'q1 = "deg"']),
+        ([one, posed, elbow], ["test2.csv", "theta2 = 90: in degrees"]),
+    ):
+        status, out, err = command(recordings)
+        assert (status, out, err.count("\n")) == (2, "", 1)
+        assert all(word in err for word in words)
+
+
+def test_a_driven_joint_may_turn_round_where_the_unit_is_stated(tmp_path):
+    tests = rigid_experiment(TRUTH, [0.0, 1.5]).recordings
+    large = [dataclasses.replace(r, angle=10 * r.angle, drive=10 * r.drive) for r in tests]
+    write(tmp_path, large)
+    with pytest.raises(InputError, match="in degrees"):
+        residyn.load(tmp_path / "tests.toml")
+    text = (tmp_path / "tests.toml").read_text()
+    text = text.replace("role", 'units = { q1 = "rad", q2 = "rad" }\nrole')
+    (tmp_path / "tests.toml").write_text(text)
+    values = residyn.inertia(residyn.load(tmp_path / "tests.toml")).values
+    assert values == pytest.approx(TRUTH, rel=1e-2)
+
+
+def test_a_pose_beyond_half_a_turn_is_doubted():
+    experiment = rigid_experiment(TRUTH, [0.0, 1.5 - 2 * math.pi])
+    found = residyn.inertia(experiment)
+    assert [w for w in found.warnings if "theta2 = -4.78" in w and "in degrees?" in w]
+    assert "in degrees?" in str(found)
 
 
 def test_other_commands_want_the_inertias_first(command):

@@ -89,10 +89,11 @@ class Experiment:
                     "fitted together read the same of each joint"
                 )
             # A part of a recording may lie farther from rest than nearly all of it.
-            if recording.role == "inertia" or recording.segment_of is not None:
+            if recording.segment_of is not None:
                 continue
             hint = 'if it is in rad, stated = ["{}"] of its recording says so'
-            large = in_degrees(recording, self.reading_units, recording.stated, hint)
+            units = reading_units(self.units, recording.orders)
+            large = in_degrees(recording, units, recording.stated, hint)
             if large is not None:
                 raise InputError(f"{recording.name}: {large.words}")
 
@@ -285,7 +286,7 @@ def _read(
         said = "; ".join(filter(None, [table.understood, recording.understood]))
         recording = dataclasses.replace(recording, understood=said)
         odd = not_free(recording, reading_units(inertia.units, orders), table, options)
-        if odd is not None and recording.role != "inertia":
+        if odd is not None:
             raise InputError(f"{file}: {odd.words}")
         still = drive is None and not (np.nanmax(angle, 0) > np.nanmin(angle, 0)).any()
         if still and recording.role == "fit":

@@ -93,14 +93,15 @@ def not_free(
 def in_degrees(
     recording: Recording, units: tuple[str, ...] | None, said: Collection[str], hint: str
 ) -> Finding | None:
-    """What is larger than any braked joint turns in rad, if anything is; a column whose unit is
-    `said` is believed, and `hint` tells how to say it of the column {}."""
+    """What is larger than any braked joint turns in rad, if anything is, and seldom a driven one
+    does; a column whose unit is `said` is believed, and `hint` tells how to say it of column {}."""
     if abs(recording.theta2) > 2 * np.pi:
         words = f"theta2 = {recording.theta2:g}: in degrees? it must be in rad"
         return Finding(words, "theta2", float(np.radians(recording.theta2)))
     for j, size in enumerate(recording.sizes):
         if units and units[j] == "rad" and f"q{j + 1}" not in said and size > _TURN:
-            words = f"q{j + 1} reaches {size:.3g} rad, more than a braked joint turns: in degrees? "
+            than = ", more than a braked joint turns" if recording.drive is None else ""
+            words = f"q{j + 1} reaches {size:.3g} rad{than}: in degrees? "
             return Finding(words + hint.format(f"q{j + 1}"), "units", {f"q{j + 1}": "deg"})
     return None
 

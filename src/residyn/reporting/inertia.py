@@ -1,6 +1,7 @@
 """All that is said of step 1: tests, inertias with errors, the `[arm]` table, the page."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import chdtrc
@@ -27,9 +28,12 @@ _SURE = 3.0  # standard errors that make a difference more than chance
 
 
 def warnings(result: InertiaResult) -> tuple[str, ...]:
-    """All warnings of step 1: the recordings' own, then the result's."""
+    """All warnings of step 1: the recordings', alone and together, then the result's."""
     tests, checks = result.tests, (_close, _contradiction, _bearings, at_odds)
     said = [w for t in tests for w in _recording(t)]
+    driven = replace(result.experiment, recordings=tuple(t.test.recording for t in tests))
+    own = [w for r in driven.recordings for w in r.warnings]
+    said += [w for w in driven.warnings if w not in own]
     said += [w for t in tests for w in _of_test(t)]
     return tuple(said + [w for check in checks for w in check(result)])
 
