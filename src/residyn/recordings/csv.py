@@ -87,8 +87,8 @@ def read_lab_csv(path: str | os.PathLike[str], joints: Joints, layout: Layout) -
 
 
 def guessed_columns(path: str | os.PathLike[str]) -> tuple[dict[str, str], dict[str, str], bool]:
-    """What a file's columns may be, for a person to check: t is the one called so or the first, the
-    angles are those in units of angle or length, or else all others that have numbers.
+    """What a file's columns may be, for a person to check: t is the one called so, in s or the
+    first, the angles are those in units of angle or length, or else all others that have numbers.
 
     **Returns:** header names and units by t, q1, ..., and whether names say which angle is which.
 
@@ -241,16 +241,17 @@ def _values(
             while len(cells) > width and not cells[-1]:
                 cells.pop()
             if len(cells) != width:
-                raise InputError(_wrong_width(len(cells), width, separator))
+                raise InputError(_wrong_width(cells, width, separator))
             table.append([number_in(cells[at], name, decimal) for at, name in wanted])
         except InputError as error:
             raise InputError(f"{where}, line {line}: {error}") from None
     return np.array(table)
 
 
-def _wrong_width(count: int, width: int, separator: str) -> str:
+def _wrong_width(cells: Sequence[str], width: int, separator: str) -> str:
+    count = len(cells)
     said = f"has {count} cell{'s' * (count != 1)}; the header names {width} columns"
-    if separator == "," and count > width:
+    if separator == "," and count > width and not any("." in cell for cell in cells):
         said += (
             "; a comma between cells cannot be the decimal sign too: decimal commas need another "
             "separator, as semicolons, or quotes"

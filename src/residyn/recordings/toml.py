@@ -40,6 +40,11 @@ def parse(text: str, where: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
         recordings = _many(tables, "recordings", _RECORDING)
         if not recordings:
             raise InputError("there is no [[recordings]] table: nothing to work on")
+        if ("arm" in tables) == ("inertia" in tables):
+            have = "both [arm] and [inertia]" if "arm" in tables else "neither [arm] nor [inertia]"
+            raise InputError(
+                f"has {have}: give one, [arm] for two links or [inertia] for any matrix"
+            )
         for i, entry in enumerate(recordings):
             with inside(f"[[recordings]] {i + 1}"):
                 _check_recording(entry, "arm" in tables, bool(tables.get("air_bearings")))
@@ -48,11 +53,6 @@ def parse(text: str, where: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
             raise InputError(
                 'every recording has role = "check", so there is nothing to fit: '
                 'at least one must have role = "fit" or "inertia"'
-            )
-        if ("arm" in tables) == ("inertia" in tables):
-            have = "both [arm] and [inertia]" if "arm" in tables else "neither [arm] nor [inertia]"
-            raise InputError(
-                f"has {have}: give one, [arm] for two links or [inertia] for any matrix"
             )
         inertia = _one(tables, "arm", ArmTable) or _one(tables, "inertia", InertiaTable)
         if isinstance(inertia, ArmTable) and inertia.missing and roles != {"inertia"}:
