@@ -90,6 +90,10 @@ SPOILT = {
         ["Stamp,Angle (rad)", "2026-01-01T00:00:00.00Z,0.2", "2026-01-01T00:00:00.02Z,0.1"],
         'x.csv, line 2: t = "2026-01-01T00:00:00.00Z" is no number; times are in s',
     ),
+    "time stamps beside numbers": (
+        ["t,q1,q2", "2024-01-01 10:00:00.000,0,0.2", "2024-01-01 10:00:00.010,1,0.1"],
+        'x.csv, line 2: t = "2024-01-01 10:00:00.000" is no number; times are in s',
+    ),
     "a name twice": (
         [HEADER.replace("Ellbogen", "Schulter"), "0,0;4,0;-2,9", "10,0;3,9;-2,8"],
         'x.csv, line 1: two columns are called "Schulter (Grad)"',
@@ -120,6 +124,13 @@ def test_new_says_what_it_has_seen(tmp_path):
     np.testing.assert_allclose(
         np.nanmax(np.abs(experiment.recordings[0].angle), axis=0), [0.2, 0.1], rtol=0.1
     )
+
+
+def test_new_takes_times_in_s_beside_a_clock(tmp_path):
+    rows = [f"10:00:00,{t},{a},{b}" for t, (a, b) in zip(T, Q, strict=True)]
+    (tmp_path / "x.csv").write_text("\n".join(["Time,Elapsed (s),q1,q2", *rows]))
+    text, _ = made(tmp_path, tmp_path / "x.csv")
+    assert 'columns = { t = "Elapsed (s)", q1 = "q1", q2 = "q2" }' in text
 
 
 def test_new_does_not_guess_what_a_count_of_samples_is(tmp_path):
@@ -197,3 +208,12 @@ def test_new_says_in_which_unit_a_mass_is(tmp_path, unit, mass):
         x for x in (tmp_path / "new.toml").read_text().splitlines() if x.startswith("matrix")
     ]
     assert line.split("# ")[1] == mass
+
+
+def test_new_names_the_column_that_one_of_the_files_lacks(tmp_path, capsys):
+    (tmp_path / "two.csv").write_text(table("t,q1,q2", T, Q))
+    (tmp_path / "one.csv").write_text(table("t,q1", T, Q[:, :1]))
+    one, two = str(tmp_path / "one.csv"), str(tmp_path / "two.csv")
+    for files in ((one, two), (two, one)):
+        assert main(["new", str(tmp_path / "x.toml"), *files]) == 2
+        assert f'{one}: has no column "q2", as {two} has' in capsys.readouterr().err

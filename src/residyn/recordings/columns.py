@@ -309,7 +309,10 @@ def guessed(
     words = [_bare_unit(c) for c in below] or [_parts(cell)[1] for cell in header]
     bare = [_parts(cell)[0].casefold() for cell in header]
     plain = [i for i, ok in enumerate(numeric) if ok]
-    time = next((i for i in plain if bare[i] in _TIMES), plain[0])
+    called = [i for i, name in enumerate(bare) if name in _TIMES]
+    timed = [i for i in plain if _known(words[i], "s")]
+    # Times that are no numbers are refused by whoever reads them, not passed over.
+    time = [*(i for i in called if numeric[i]), *timed, *called, *plain][0]
     rest = [i for i in plain if i != time and not re.fullmatch("u[1-9][0-9]*", bare[i])]
     called = [i for i in rest if re.fullmatch("q[1-9][0-9]*", bare[i])]
     orders = {i: seen[1] for i in rest if (seen := quantity_of(words[i]))}

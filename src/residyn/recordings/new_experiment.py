@@ -44,9 +44,17 @@ def experiment_text(files: Sequence[Path], folder: Path) -> str:
 
     **Raises:** `InputError` for a recording that is no table with a header.
     """
-    tables, kinds = [], ()
+    tables, kinds, names = [], (), ()
     for file in files:
-        table, found = _entry(file, folder)
+        table, found, angles = _entry(file, folder)
+        if tables and len(found) != len(kinds):
+            by_size = sorted([(angles, file), (names, files[0])], key=lambda each: len(each[0]))
+            (few, lacking), (many, whole) = by_size
+            lost = ", ".join(quote(name) for name in many if name not in few)
+            raise InputError(
+                f"{lacking}: has no column {lost}, as {whole} has: an experiment is of one "
+                "mechanism, and each recording has all its joints"
+            )
         if tables and found != kinds:
             raise InputError(
                 f"{file}: has joints in {', '.join(found)}, {files[0]} in {', '.join(kinds)}: an "
@@ -54,7 +62,7 @@ def experiment_text(files: Sequence[Path], folder: Path) -> str:
                 'write the unit behind its name, as "q1 (m)"'
             )
         tables.append(table)
-        kinds = found
+        kinds, names = found, angles
     n = len(kinds)
     head = _INERTIA.format(
         joints=toml_value([f"joint{j + 1}" for j in range(n)]),
@@ -65,9 +73,9 @@ def experiment_text(files: Sequence[Path], folder: Path) -> str:
     return "\n".join([_ARM if kinds == ArmTable.units else head, *tables])
 
 
-def _entry(file: Path, folder: Path) -> tuple[str, tuple[str, ...]]:
-    """One `[[recordings]]` table, with a key for each thing that is seen in the recording, and its
-    joints' units."""
+def _entry(file: Path, folder: Path) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    """One `[[recordings]]` table, with a key for each thing that is seen in the recording; its
+    joints' units and their columns."""
     columns, units, ordered = guessed_columns(file)
     angles = list(columns)[1:]
     if not angles:
@@ -108,7 +116,7 @@ def _entry(file: Path, folder: Path) -> tuple[str, tuple[str, ...]]:
         lines.append(f"{key} = {toml_value(value)}")
     if kinds == ArmTable.units:
         lines.append('theta2 = "?"              # elbow angle at rest, rad; 0: stretched out')
-    return "\n".join([*lines, ""]), kinds
+    return "\n".join([*lines, ""]), kinds, joints.names
 
 
 def _comment(words: str) -> list[str]:
