@@ -132,6 +132,18 @@ def make_folder(path: Path) -> None:
         raise InputError(f"{path}: cannot be made ({error.strerror})") from None
 
 
+def check_folder(path: Path) -> None:
+    """That `make_folder` could make this folder, before the work whose results go there.
+
+    **Raises:** `InputError`.
+    """
+    missing = [each for each in (path, *path.parents) if not each.exists()]
+    make_folder(path)
+    with contextlib.suppress(OSError):
+        for each in missing:
+            each.rmdir()
+
+
 def check_writable(path: str | os.PathLike[str]) -> None:
     """That `write` could write this file, before the work whose result it will be.
 

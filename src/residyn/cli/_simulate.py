@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ..errors import InputError, inside
-from ..files import make_folder
+from ..files import check_folder, make_folder
 from . import _options
 from ._shell import NoNumbers, console
 from ._work import Work, computing, float_of, floats_of, input_files, must_stand
@@ -101,6 +101,8 @@ def simulate(
                 here = posed(fitted.model, mechanism_of(loaded, r))
                 predicted.append(_motion(here, r, loaded.integrator, first, begin, memory))
     random = np.random.default_rng(seed)
+    with inside("--out"):
+        make_folder(Path(out))
     for path, r, angle in zip(paths, shown, predicted, strict=True):
         if noise:
             angle = angle + noise * random.standard_normal(angle.shape)
@@ -192,5 +194,5 @@ def _paths(folder: Path, recordings: "Sequence[Recording]", inputs: Sequence[Pat
             raise InputError(f"{path}: is an input of this experiment; give --out another folder")
         paths.append(path)
     with inside("--out"):
-        make_folder(folder)
+        check_folder(folder)
     return paths
