@@ -147,7 +147,8 @@ def _hang_up() -> None:
 def _usage(error: Any) -> str:
     line = " ".join(error.format_message().split()).rstrip(".")
     path = error.ctx.command_path if error.ctx is not None else "residyn"
-    return f"{line[:1].lower()}{line[1:]}; see {path} --help"
+    line = line.replace(". Did you mean", "; did you mean")
+    return f"{line[:1].lower()}{line[1:]}{'' if line.endswith('?') else ';'} see {path} --help"
 
 
 def console(*, stderr: bool = False) -> "Console":
