@@ -144,7 +144,7 @@ def test_version(command):
 
 BAD = {
     "no experiment": (["fit"], "EXPERIMENT"),
-    "no such command": (["fti", "cart.toml"], "fti"),
+    "no such command": (["fti"], "'fti'; did you mean 'fit'? see residyn --help"),
     "no such option": (["fit", "cart.toml", "--fast"], "--fast"),
     "no such file": (["fit", "none.toml"], "none.toml"),
     "a folder": (["fit", "."], "folder"),
@@ -185,6 +185,10 @@ BAD = {
     "each nowhere": (["fit", "--each", "nowhere"], "no such folder"),
     "each of nothing": (["fit", "--each", "empty"], "no experiment in it"),
     "each and one": (["fit", "cart.toml", "--each", "."], "--each . does not go with EXPERIMENT"),
+    "each with no such effect": (
+        ["fit", "--each", ".", "--with", "coulomb"],
+        "--with: there is no effect",
+    ),
     "jobs of one": (["fit", "cart.toml", "--jobs", "2"], "--jobs 2 goes with --each"),
     "no jobs": (["fit", "--each", ".", "--jobs", "0"], "--jobs"),
     "lines nowhere": (["fit", "--each", ".", "--json", "no/all.jsonl"], "cannot be written"),
@@ -470,6 +474,14 @@ def test_simulate_with_given_numbers(command, folder):
         time, q = read(folder / "given" / f"{name}.csv")
         true = ringing(time, angle, 0) - ringing(time, 0.0, 0)
         np.testing.assert_allclose(q, true, atol=2 * NOISE)
+
+
+def test_simulate_leaves_no_folder_of_a_motion_that_runs_away(command, folder):
+    numbers = "--set", "spring:cart.stiffness=-1e6", "--set", "damper:cart.damping=-1e3"
+    end = command("simulate", "cart.toml", *numbers, "--out", "no/where")
+    assert (end.status, end.out) == (1, "")
+    assert "runs away" in end.err
+    assert not (folder / "no").exists()
 
 
 def test_simulate_begins_near_the_first_reading_however_late_it_is(command, folder):

@@ -5,7 +5,7 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from ..errors import InputError, did_you_mean, inside
+from ..errors import InputError, inside
 from ..files import check_writable, write
 from . import _options
 from ._shell import console, indented, progress
@@ -65,15 +65,12 @@ def effects(
             check_writable(plot)
     bring(own)
     with progress("loading"):
-        from ..effects import catalogue
+        from ..effects import catalogue, kind_named
     known = catalogue()
     out = console()
     if name is not None:
         name = name.partition(":")[0]
-        if name not in known:
-            hint = did_you_mean(name, known) or "`residyn effects` lists them"
-            raise InputError(f'there is no effect "{name}"; {hint}')
-        _one(out, known[name])
+        _one(out, kind_named(name))
         if plot is not None:
             _draw(name, plot)
             out.print(f"picture: {plot}", soft_wrap=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .. import reporting
-from ..errors import InputError
+from ..errors import InputError, inside
 from ..reporting.numbers import plain, times, with_error
 from ..runtime.json import finite
 from . import _options
@@ -129,9 +129,13 @@ def _fit_each(
     set_up_jax(not no_cache)
     to_terminal, bad = json == "-", 0
     with progress() as say, _workers(min(jobs, len(files)), own, not no_cache) as executor:
+        from ..effects import kind_named
         from ..fitting import fit_many
 
         interruptible()
+        with inside("--with"):  # of no file's making, so that it is no file's error
+            for words in effects:
+                kind_named(words)
         how = {"effects": effects, "starts": starts, "progress": say, "executor": executor}
         for each in fit_many(files, out=None if to_terminal else json, **how):
             for line in each.told.get("understood", ()):

@@ -124,6 +124,17 @@ def load_effects(path: str | Path) -> tuple[str, ...]:
     return tuple(kind.name for kind in kinds)
 
 
+def kind_named(words: str) -> type[AbstractEffect]:
+    """The effect's class that `name` or `name:place` asks for, whatever the place.
+
+    **Raises:** `InputError`, in one line, for a name that does not exist.
+    """
+    name, known = words.partition(":")[0], catalogue()
+    if name not in known:
+        raise InputError(f'there is no effect "{name}"{_nearest(name, known)}')
+    return known[name]
+
+
 def effects_named(words: str, mechanism: AbstractInertia) -> tuple[AbstractEffect, ...]:
     """The effects that `name` or `name:place` asks for on this mechanism, at their default values.
 
@@ -137,10 +148,7 @@ def effects_named(words: str, mechanism: AbstractInertia) -> tuple[AbstractEffec
             'instance, as CoulombFriction("elbow")'
         )
     name, colon, place = words.partition(":")
-    known = catalogue()
-    if name not in known:
-        raise InputError(f'there is no effect "{name}"{_nearest(name, known)}')
-    kind = known[name]
+    kind = kind_named(words)
     try:
         places = kind.places(mechanism)
     except ValueError as error:
