@@ -547,6 +547,16 @@ def test_command_fails_in_one_line(command, kept):
     assert ("does not stand out" if status == 1 else "elbow driven") in err
 
 
+def test_a_failure_tells_that_the_drive_was_filled_in():
+    recordings = list(rigid_experiment(TRUTH, [0.0, 1.5]).recordings)
+    t, angle, drive = (getattr(recordings[0], key) for key in ("time", "angle", "drive"))
+    lost = drive.copy()
+    lost[:1900, 0] = np.nan
+    recordings[0] = Recording.from_arrays(t, angle, drive=lost, role="inertia", name="odd.csv")
+    with pytest.raises(residyn.FitError, match=r"odd\.csv: u1 has 1900 missing values, filled in"):
+        residyn.inertia(Experiment(ArmTable((0.4, 0.4)), tuple(recordings)))
+
+
 def test_command_shows_numbers_that_are_no_arms_and_fails(command):
     """A second test whose pose is told wrong makes coupling larger than any body allows."""
     one, two, elbow = rigid_experiment(TRUTH, [0.0, 1.5]).recordings

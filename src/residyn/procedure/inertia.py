@@ -6,9 +6,10 @@ more tell the part that goes with the cosine from the part that does not (Eq. 14
 cosines differ enough (Eq. 16); least squares takes any number of them, each with its own error.
 """
 
+import contextlib
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import jax
 import numpy as np
@@ -153,7 +154,10 @@ def _solved(
     added, arm, solved = np.sum(design * bearings, axis=1), first, []
     for _ in range(_ROUNDS):
         parts = zip(tests, rows, begin, bearings, strict=True)
-        solved = [solve(t, r, b, arm - on) for t, r, b, on in parts]
+        solved = []
+        for t, r, b, on in parts:
+            with _gaps_told(t):
+                solved.append(solve(t, r, b, arm - on))
         begin = [s.values for s in solved]
         before, (arm, covariance, _) = arm, _combined(design, added, solved)
         if (np.abs(arm - before) < 1e-3 * np.sqrt(np.diag(covariance))).all():
@@ -162,6 +166,17 @@ def _solved(
         "the tests contradict each other: what the braked joints' give takes from the torques does "
         "not settle"
     )
+
+
+@contextlib.contextmanager
+def _gaps_told(test: DrivenTest) -> Iterator[None]:
+    """Where a test's numbers cannot be had, also say which of its drive is not as recorded."""
+    try:
+        yield
+    except FitError as error:
+        column = f"{test.name}: u{test.joint + 1} "
+        told = [w for w in test.recording.warnings if w.startswith(column)]
+        raise FitError("; ".join([str(error), *told])) from None
 
 
 def _combined(
