@@ -284,7 +284,15 @@ def a_plan():
 
 def an_atlas():
     size = 0.1, 0.02, 0.2, 0.04
-    one = Detectable("backlash:elbow", "stiffness", "N m/rad", {"gap": 0.01}, *size, by_hand.FOUND)
+    one = Detectable(
+        "backlash:elbow",
+        "stiffness",
+        "N m/rad",
+        {"gap": 0.01},
+        {"gap": "rad"},
+        *size,
+        by_hand.FOUND,
+    )
     return Atlas((one,), by_hand.JOINTS, ("rad", "rad"), (1e-3, 1e-3), 20.0)
 
 

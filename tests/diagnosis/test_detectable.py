@@ -118,16 +118,26 @@ def test_it_reads_in_80_columns_and_as_json(atlases):
 
 def test_shape_numbers_have_their_units():
     size = 0.1, 0.02, None, None, None
+    bend = {"angle": "m", "sharpness": "1"}
     made = (
-        Detectable("dead_zone:elbow", "stiffness", "N m/rad", {"gap": 0.02}, *size),
-        Detectable("dead_zone:slide", "stiffness", "N/m", {"gap": 0.02}, *size),
-        Detectable("hysteresis:slide", "torque", "N", {"angle": 0.05, "sharpness": 1.0}, *size),
-        Detectable("periodic_disturbance:elbow", "sine", "N m", {"frequency": 2.8}, *size),
+        Detectable("dead_zone:elbow", "stiffness", "N m/rad", {"gap": 0.02}, {"gap": "rad"}, *size),
+        Detectable("dead_zone:slide", "stiffness", "N/m", {"gap": 0.02}, {"gap": "m"}, *size),
+        Detectable(
+            "hysteresis:slide", "torque", "N", {"angle": 0.05, "sharpness": 1.0}, bend, *size
+        ),
+        Detectable(
+            "periodic_disturbance:elbow",
+            "sine",
+            "N m",
+            {"frequency": 2.8},
+            {"frequency": "Hz"},
+            *size,
+        ),
     )
     words = str(Atlas(made, ("elbow", "slide"), ("rad", "m/s"), (1e-3, 1e-3), 20.0))
     told = " ".join(words.split())
     assert "at gap 0.020 rad" in told
-    assert "at gap 0.020 m" in told  # the slide's rate is what is read
+    assert "at gap 0.020 m" in told
     assert "at angle 0.050 m, sharpness 1.0" in told
     assert "at frequency 2.8 Hz" in told
 

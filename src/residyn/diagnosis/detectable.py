@@ -65,6 +65,8 @@ class Detectable:
     unit: str
     shape: dict[str, float]
     """Its shape numbers, by name, as they were taken."""
+    shape_units: dict[str, str]
+    """Their units."""
     shows: float | None
     """Strength at which it is named in half of all recordings, alone or with look-alikes; None: at
     no strength up to the typical size of its dimension."""
@@ -243,12 +245,13 @@ def _one(scene: Scene, rivals: Rivals, effect: AbstractEffect) -> Detectable:
     told = None if shows is None else _half(lambda s: told_at(s)[1])
     at = told or shows
     rival = None if at is None else told_at(at)[2]
-    names = {x.field: x.name for x in numbers_of(effect)}
+    shapes = [x for x in numbers_of(effect) if x.field in shape]
     return Detectable(
         effect=effect.label,
         number=first.name,
         unit=scene.unit(effect, first),
-        shape={names[k]: float(v) for k, v in shape.items()},
+        shape={x.name: float(shape[x.field]) for x in shapes},
+        shape_units={x.name: scene.unit(effect, x) for x in shapes},
         shows=shows and float(shows * size),
         share=shows,
         told=told and float(told * size),

@@ -1,9 +1,6 @@
 """The atlas of detectable effects in lines of 80 columns."""
 
 from ..diagnosis.detectable import Atlas, Detectable
-from ..effects import catalogue
-from ..physics.effect import joint_of
-from ..physics.parameter import parameters_of
 from .layout import Table, filled, printed
 from .names import at_place, force, lower, title
 from .numbers import amount, plain, share
@@ -25,12 +22,11 @@ def text(atlas: Atlas) -> str:
     rows = []
     for e in atlas.effects:
         shares = ("never" if x is None else share(x) for x in (e.share, e.told_share))
-        rows.append(["\n".join(_one(e, atlas)), *shares])
+        rows.append(["\n".join(_one(e, atlas.joints)), *shares])
     return "\n".join([*head, *printed(Table(["", "named", "told"], rows), indent=0)])
 
 
-def _one(e: Detectable, atlas: Atlas) -> list[str]:
-    joints = atlas.joints
+def _one(e: Detectable, joints: tuple[str, ...]) -> list[str]:
     name = at_place(e.effect, joints, comma=True)
     if e.shows is None:
         return [name]
@@ -38,7 +34,7 @@ def _one(e: Detectable, atlas: Atlas) -> list[str]:
     if e.told is not None:
         words += f" and {_short(e.told, e.unit)}"
     if e.shape:
-        shape = (f"{k} {_short(v, _unit(e.effect, k, atlas))}" for k, v in e.shape.items())
+        shape = (f"{k} {_short(v, e.shape_units[k])}" for k, v in e.shape.items())
         words += f" at {', '.join(shape)}"
     if e.rival is not None:
         placed = e.rival.partition(":")[2]
@@ -49,13 +45,3 @@ def _one(e: Detectable, atlas: Atlas) -> list[str]:
 
 def _short(value: float, unit: str) -> str:
     return f"{plain(value, 2)}{'' if unit == '1' else f' {unit}'}"
-
-
-def _unit(label: str, name: str, atlas: Atlas) -> str:
-    """Of one number of an effect of the catalogue."""
-    numbers = parameters_of(catalogue()[label.partition(":")[0]])
-    number = next(p for p in numbers if p.name == name)
-    joint = joint_of(label, number, atlas.joints)
-    read = atlas.units if joint is None else atlas.units[joint : joint + 1]
-    # Of a joint whose rate is read in m/s, the unit is m.
-    return number.dimension.unit(*(unit.partition("/")[0] for unit in read if unit))
