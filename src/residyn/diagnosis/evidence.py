@@ -36,7 +36,7 @@ and buses are late by samples, not by cycles."""
 SHAPE = 1.0
 """Prior standard deviation of the logarithm of a shape (a gap, a rate, a frequency): an e-fold
 about the middle of its grid."""
-OUTGROWN = 2.0
+RESCALED = 2.0
 """By how much a joint's spring or damper in the base model may exceed what is taken for the typical
 torque there, before that is taken for it: a factor of two in all widths is worth less than a nat a
 number."""
@@ -145,17 +145,17 @@ def width_of(scene: Scene, effect: AbstractEffect, number: Parameter) -> float:
     return WIDTH * scene.size(effect, number)
 
 
-def outgrown(scene: Scene, t: Trajectory) -> np.ndarray:
+def torque_scales(scene: Scene, t: Trajectory) -> np.ndarray:
     """(n,) how many times as large as what accelerates each joint a torque is there: as what its
     spring or its damper does in a base model. In a motion that hardly rings these hold each other,
-    and what accelerates is a small difference of them. 1 where it is at most `OUTGROWN`."""
+    and what accelerates is a small difference of them. 1 where it is at most `RESCALED`."""
     size, found = np.array([s.inertia * s.frequency**2 for s in scene.scales]), np.zeros(scene.n)
     for (effect, _), x in zip(each_number(t.effects), t.numbers, strict=True):
         if effect.name in BASE:
             j = scene.joint_of(effect)
             rate = scene.scales[j].frequency if effect.name == "damper" else 1.0
             found[j] = max(found[j], rate * float(x))
-    return np.where(found > OUTGROWN * size, found / size, 1.0)
+    return np.where(found > RESCALED * size, found / size, 1.0)
 
 
 def signed(number: Parameter) -> bool:

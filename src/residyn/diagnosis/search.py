@@ -59,12 +59,12 @@ from .evidence import (
     half_normals,
     log_prior_intensity,
     log_prior_model,
-    outgrown,
     over_intensities,
     prior_of,
     right_signs,
     savage_dickey,
     signed,
+    torque_scales,
 )
 from .simulated import Simulated
 
@@ -437,10 +437,10 @@ def tried_alone(
     if not each:
         raise FitError("no motion of the model goes with the readings")
     best = max((Tried((), *found, log_prior=0.0) for found in each), key=lambda t: t.log_evidence)
-    times = outgrown(scene, best.best)
+    times = torque_scales(scene, best.best)
     if best.log_evidence < known - HOPELESS or times.max() == 1.0:
         return best
-    scene.heavier(times)
+    scene.scale_torques(times)
     return tried_alone(scene, effects, known, go_on)
 
 

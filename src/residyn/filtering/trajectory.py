@@ -168,7 +168,7 @@ class Scene:
         duration = recordings[long].duration
         pace = np.maximum(np.sqrt(stiffness / np.diag(inertia)), 2 * math.pi / duration)
         sizes = np.diag(inertia), pace, amplitude, mechanisms[long].reach()
-        self._scale([
+        self._set_scales([
             Scales(*map(float, own), duration=duration, swing=float(most))
             for *own, most in zip(*sizes, swing, strict=True)
         ])  # fmt: skip
@@ -186,13 +186,13 @@ class Scene:
             mechanisms=stacked_mechanisms(mechanisms, bucket(len(mechanisms), least=RUNS)),
         )
 
-    def heavier(self, times: np.ndarray) -> None:
+    def scale_torques(self, times: np.ndarray) -> None:
         """Take torques at the joints to be (n,) times as large as what accelerates them. Their pace
         stays, and with it how fast anything is that acts."""
         pairs = zip(self.scales, times.tolist(), strict=True)
-        self._scale([s._replace(inertia=s.inertia * k) for s, k in pairs])
+        self._set_scales([s._replace(inertia=s.inertia * k) for s, k in pairs])
 
-    def _scale(self, scales: list[Scales]) -> None:
+    def _set_scales(self, scales: list[Scales]) -> None:
         self.scales = scales
         self.torque = np.array([s.inertia * s.frequency**2 * s.amplitude for s in scales])
 

@@ -37,8 +37,8 @@ from .names import (
     at,
     at_place,
     base_name,
+    error_change,
     force,
-    goes,
     listed,
     lower,
     modal,
@@ -357,7 +357,7 @@ def _fall(found: Diagnosis) -> Iterator[str]:
         return
     words = (
         f"With {named(found.added, found.fit.joints)} the error{joint} "
-        f"{goes(first[worst], last[worst], right)}"
+        f"{error_change(first[worst], last[worst], right)}"
     )
     part = explained_share(found)
     if found.verdict == "unexplained" and math.isfinite(part):

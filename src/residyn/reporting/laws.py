@@ -8,8 +8,8 @@ from ..diagnosis.result import Diagnosis
 from .layout import Table, filled, printed, section
 from .names import (
     at,
+    error_change,
     force,
-    goes,
     listed,
     modal,
     model_name,
@@ -75,7 +75,7 @@ def fall(found: Diagnosis) -> Iterator[str]:
     j = found.fit.joints.index(found.laws[0].joint)
     before, after = (times_noise(m)[j] for m in found.models[-2:])
     words = f"With the law without a name{' as well' if found.added else ''} the error"
-    yield f"{words}{at(found.fit.joints[j], found.fit.joints)} {goes(before, after)}."
+    yield f"{words}{at(found.fit.joints[j], found.fit.joints)} {error_change(before, after)}."
 
 
 def text(found: Diagnosis) -> list[str]:

@@ -9,7 +9,7 @@ from ..diagnosis.result import Candidate, Diagnosis
 from ..effects import catalogue
 from ..fitting.result import Fit
 from ..physics.effect import BASE
-from .numbers import glued, moved, times
+from .numbers import change, glued, times
 
 PLAIN = "springs and dampers"
 HELD_OUT = "held out"
@@ -117,16 +117,16 @@ def times_noise(step: ModelState) -> list[tuple[float, float | None]]:
     return list(zip(map(float, step.times_noise), each, strict=True))
 
 
-def goes(
+def error_change(
     before: tuple[float, float | None], after: tuple[float, float | None], more: str = ""
 ) -> str:
     """How an error goes, fitted and held out: "falls from 46 to 15 times the noise (held out: from
     50 to 16)", with a third digit where only that differs; `more` is said behind."""
     (first, held), (last, ahead) = before, after
-    words = f"{moved(first, last, times(first) == times(last))} times the noise"
+    words = f"{change(first, last, times(first) == times(last))} times the noise"
     if held is None or ahead is None:
         return words
-    beside = moved(held, ahead)
+    beside = change(held, ahead)
     beside = f": {beside.removeprefix('falls ')}" if ahead < held else f": it {beside}"
     return f"{words} ({HELD_OUT}{beside}{more})"
 

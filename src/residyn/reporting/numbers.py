@@ -77,7 +77,7 @@ def times(value: float) -> str:
     return f"{value:.{0 if value >= 9.95 else 1}f}" if value >= 0.1 else plain(value, 2)
 
 
-def moved(before: float, after: float, three: bool = False) -> str:
+def change(before: float, after: float, three: bool = False) -> str:
     """How a size goes: "falls from 46 to 15", "rises from 1.0 to 1.1", "stays 1.0"; `three`
     digits."""
     first, last = (plain(x) if three else times(x) for x in (before, after))
