@@ -1,4 +1,4 @@
-"""Which models are worth their evidence: forward selection, exchange and backward elimination.
+"""Which models are worth their evidence: forward selection and backward elimination.
 
 From the model as it is, all candidates are screened to first order (`columns`); the contenders, and
 what no first order can see, are iterated to their own nonlinear evidence beside "nothing more",
@@ -8,7 +8,6 @@ evidences, are all that the rest of the diagnosis needs: it can stop at any time
 far.
 """
 
-import collections
 import contextlib
 import dataclasses
 import functools
@@ -629,7 +628,6 @@ class Search:
                 self.extend_by_two(self.tried[best])
             extended.add(best)
             self.reduce()
-            self._exchange()
             self._simulate()
 
     def _colour_noise(self) -> None:
@@ -898,44 +896,6 @@ class Search:
                     if rest and hoped > max(lowest, above) and (model, rest) not in self._reduced:
                         todo.append((model, label, less))
         self._simplify(todo)
-
-    def _exchange(self) -> None:
-        """Try in the models in play, in the place of each of their effects, those that could not be
-        told from it where it joined: beside other effects they may be told."""
-        lowest, hoped = self.best.log_posterior + math.log(IN_PLAY), {}
-        every = self._rivals()
-        each = [(m, x) for m in self.tried.values() if m.log_posterior > lowest for x in m.added]
-        for model, label in each:
-            for row, behind in every.get(label, ()):
-                added, log = _replaced(model.added, label, row.effect), model.log_posterior - behind
-                key = frozenset(added)
-                if key not in self.tried and log > hoped.get(key, (lowest,))[0]:
-                    hoped[key] = log, added, model, label, row
-        starts, loudest = {}, 0.0
-        for _, added, model, label, row in sorted(hoped.values(), key=lambda h: -h[0])[:CONTENDERS]:
-            motion, intensity = screening_motion(self.scene, model)
-            t, loudest = without(self.scene, motion, label), max(loudest, intensity)
-            if self._may_join(row.effect, t):
-                starts[added] = self.scene.consistent(extended(self.scene, t, row))
-        if starts:
-            self.say(f"weighing {len(starts)} exchanges")
-            each = settle(self.scene, list(starts.values()), loudest, self.in_time)
-            for added, found in zip(starts, each, strict=True):
-                if found is not None:
-                    self._keep(added, *found)
-
-    def _rivals(self) -> dict[str, list[tuple[Column, float]]]:
-        """Of each effect that made some model likelier, those that in its place did nearly as well,
-        as that model's screen has them, and by how many nats they were behind."""
-        found: dict[str, list[tuple[Column, float]]] = collections.defaultdict(list)
-        for parent, screen in self.screens.items():
-            rows = [(s, self.tried.get(parent | {s.effect.label})) for s in screen.ranked]
-            joined = [(s, m.log_posterior) for s, m in rows if m is not None]
-            for first, log in joined:
-                if log > self.tried[parent].log_posterior:
-                    near = [(s, log - x) for s, x in joined if x > log + math.log(IN_PLAY)]
-                    found[first.effect.label] += [(s, x) for s, x in near if s is not first]
-        return found
 
     def _take_each_away(self) -> None:
         """Try the models in play without each of their effects: whether one is at work shows beside
