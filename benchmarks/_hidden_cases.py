@@ -4,8 +4,8 @@ A case is one release of one random arm with something hidden in it, and everyth
 follows from its *seed*, its labels and its noise: so a case needs no file, and the same name means
 the same recording to every method. The lists of seeds are frozen. Whatever was tuned, a threshold
 or a line of code, was tuned on `TUNING`. `EVIDENCE` was committed before the diagnosis by marginal
-likelihood was written, and has been looked at since; `FRESH` was committed before the one run that
-is reported, and is for that run.
+likelihood was written, and has been looked at since; `FRESH`, `LATEST` and `UNSEEN` were each committed
+before the one run that is reported of them, and looked at after it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,14 @@ TUNING = tuple(range(7001, 7201))
 EVIDENCE = tuple(range(883001, 883201))
 FRESH = tuple(range(641301, 641501))
 LATEST = tuple(range(271801, 272001))
-SEEDS = {"tuning": TUNING, "evidence": EVIDENCE, "fresh": FRESH, "latest": LATEST}
+UNSEEN = tuple(range(314601, 314801))
+SEEDS = {
+    "tuning": TUNING,
+    "evidence": EVIDENCE,
+    "fresh": FRESH,
+    "latest": LATEST,
+    "unseen": UNSEEN,
+}
 """A case of index i takes the i-th seed of a list. Frozen."""
 
 NOISE = (0.0025, 0.01, 0.05)
