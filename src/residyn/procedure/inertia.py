@@ -156,7 +156,7 @@ def _solved(
         parts = zip(tests, rows, begin, bearings, strict=True)
         solved = []
         for t, r, b, on in parts:
-            with _gaps_told(t):
+            with _doubts_told(t):
                 solved.append(solve(t, r, b, arm - on))
         begin = [s.values for s in solved]
         before, (arm, covariance, _) = arm, _combined(design, added, solved)
@@ -169,14 +169,12 @@ def _solved(
 
 
 @contextlib.contextmanager
-def _gaps_told(test: DrivenTest) -> Iterator[None]:
-    """Where a test's numbers cannot be had, also say which of its drive is not as recorded."""
+def _doubts_told(test: DrivenTest) -> Iterator[None]:
+    """Where a test's numbers cannot be had, also say what is doubtful in its recording."""
     try:
         yield
     except FitError as error:
-        column = f"{test.name}: u{test.joint + 1} "
-        told = [w for w in test.recording.warnings if w.startswith(column)]
-        raise FitError("; ".join([str(error), *told])) from None
+        raise FitError("; ".join([str(error), *test.recording.warnings])) from None
 
 
 def _combined(
