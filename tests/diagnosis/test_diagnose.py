@@ -920,9 +920,12 @@ def test_a_budget_ends_the_search_with_the_best_so_far():
     assert found.budget.models == 1
 
 
-@pytest.mark.parametrize(("phase", "turn"), [("screening", 2), ("looking for a law", 1)])
+@pytest.mark.parametrize(
+    ("phase", "turn"), [("simulating", 1), ("screening", 2), ("looking for a law", 1)]
+)
 def test_ctrl_c_keeps_what_was_found(phase, turn):
-    """Pressed as the second round begins, and while laws without a name are sought."""
+    """Pressed before the first exact simulation, as the second round begins, and while laws without
+    a name are sought. What is then in play is simulated exactly, all of it."""
     rounds = []
 
     def progress(words):
@@ -935,6 +938,7 @@ def test_ctrl_c_keeps_what_was_found(phase, turn):
     assert found.budget.stopped == "interrupted"
     assert found.added == (CUBIC[0],)
     assert found.fit.rmse.max() < 1.1 * NOISE
+    assert found.search.best.simulated is not None
 
 
 def test_a_fixed_number_of_effects_is_not_exceeded():

@@ -255,9 +255,13 @@ def test_what_may_still_be_missing_is_no_secret():
 
 
 def test_what_has_no_name_may_be_in_the_place_of_what_was_added():
-    """Names leave only noise, and a law without a name would, too."""
+    """Names leave only noise, and a law without a name would, too. A name that is likely to be at
+    work is beside it."""
     left = by_hand.torques(1e-3, 1.0)
-    made = by_hand.unexplained(verdict_probability=0.54, random_torque=left)
+    doubted = (by_hand.a_candidate("asymmetric_stiffness:shoulder", 0.45, 0.0),)
+    settings = {"verdict_probability": 0.54, "random_torque": left}
+    made = by_hand.unexplained(**settings, candidates=doubted)
+    assert "Something more" in " ".join(by_hand.unexplained(**settings).words)
     words = " ".join(made.words)
     assert (
         "Beside asymmetric stiffness at the shoulder only noise is left; but a law that no effect "

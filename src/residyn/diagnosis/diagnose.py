@@ -375,7 +375,7 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
     if best.added:
         missing = missing_of(fits.scene, search.base_under_torque, [*shown, *others[:CURVES]])
     verdict, probability = posterior.verdict()
-    noise = _coloured_noise(scene, models[-1].fit)
+    noise = _coloured_noise(scene, best, models[-1].fit)
     # All evidences are those of white noise: where none is that, no model of them is adequate.
     left = coloured(models[-1].fit) if verdict != "unexplained" and noise is None else None
     if left is not None:
@@ -397,7 +397,7 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
         parameters=values_of(scene, best.posterior),
         channels=other
         and ChannelError(other.channels.words, posterior.of_reassigned, other.tried.complete > 0.5),
-        intensity=0.0 if noise else float(np.dot(best.weights, INTENSITIES)),
+        intensity=0.0 if scene.coloured else float(np.dot(best.weights, INTENSITIES)),
         explains_nothing=best.intensity >= EXPLAINS_NOTHING,
         budget=Budget(len(search.tried), len(search.candidates), search.stopped),
         seconds=time.perf_counter() - began,
@@ -645,9 +645,9 @@ class Posterior:
         return tuple(found)
 
 
-def _coloured_noise(scene: Scene, fit: Fit) -> ColouredNoise | None:
-    """What a fit leaves, where the models have noise that is not white."""
-    if scene.coloured is None:
+def _coloured_noise(scene: Scene, model: Tried, fit: Fit) -> ColouredNoise | None:
+    """What the fit of a model leaves, where the model needs noise that is not white."""
+    if scene.coloured is None or model.intensity == 0:
         return None
     each = zip(scene.joints, fit.experiment.reading_units, fit.rmse, strict=True)
     return ColouredNoise(scene.coloured, {joint: (float(rms), unit) for joint, unit, rms in each})

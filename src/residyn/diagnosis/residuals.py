@@ -76,8 +76,9 @@ class Coloured(NamedTuple):
 
 
 def coloured(fit: Fit) -> Coloured | None:
-    """What a fit leaves, if that is more than noise leaves and not white; else None."""
-    if not fit.misses:
+    """What a fit leaves, if that is more than noise leaves and not white; else None. Of what its
+    model leaves, a fit that did not settle says nothing."""
+    if not (fit.misses and fit.converged):
         return None
     white = where(fit, predictions(fit, fit.unknowns)[1]).white
     found = []

@@ -589,6 +589,10 @@ class Search:
             self._take_each_away()
             if self.best.intensity >= EXPLAINS_NOTHING:  # then no name says anything
                 self.tried, self.passed = {frozenset(): self.base}, {}
+        if self.stopped:  # what was tried last has the filter's evidence alone, others an exact one
+            self.deadline = math.inf
+            with self.ending():
+                self._simulate()
 
     def _in_coloured_noise(self, most: int) -> bool:
         """Go on with noise that is not white in the place of a random torque; whether that leaves a

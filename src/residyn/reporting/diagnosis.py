@@ -366,11 +366,12 @@ def _fall(found: Diagnosis) -> Iterator[str]:
 
 
 def _instead(found: Diagnosis) -> bool:
-    """Whether what has no name may be in the place of what was added, which leaves only noise, and
-    not beside it."""
+    """Whether what has no name may be in the place of what was added, which is not likely to be at
+    work and leaves only noise, and not beside it."""
     nothing_left = all(r.low == 0 for r in found.random_torque if math.isfinite(r.rms))
     unexplained = found.verdict == "unexplained" and found.coloured is None
-    return unexplained and bool(found.added) and nothing_left
+    doubted = [c for c in found.candidates if c.effect in found.added and c.probability < 0.5]
+    return unexplained and bool(doubted) and nothing_left
 
 
 def explained_share(found: Diagnosis) -> float:
@@ -436,9 +437,10 @@ def _noise(found: Diagnosis) -> Iterator[str]:
         for joint, (rms, unit) in noise.rms.items()
     ])  # fmt: skip
     yield (
-        f"The noise of the readings is not white: {each}, correlated over about "
-        f"{plain(noise.correlation_time, 2)} s. The probabilities count that; the standard errors "
-        "of the fit do not, and are too small."
+        f"The noise of the readings is not white: of {each}, a part is correlated over about "
+        f"{plain(noise.correlation_time, 2)} s. That may be the sensors', or small forces that no "
+        "effect of the catalogue explains, as of a floor that shakes. The probabilities count it; "
+        "the standard errors of the fit do not, and are too small."
     )
 
 
