@@ -12,11 +12,12 @@ import pytest
 
 import residyn
 from residyn.cli import main
-from residyn.diagnosis.linearised_fit import evaluated, polish
+from residyn.diagnosis.linearised_fit import on_host
 from residyn.fitting import FitError, integration
 from residyn.fitting.conclusion import finishing
 from residyn.fitting.integration import checked, corrected, too_coarse
 from residyn.fitting.lanes import alone, evaluating
+from residyn.fitting.least_squares import one_start
 from residyn.fitting.multistart import Descent, descending
 from residyn.fitting.problem import Ready, ready
 from residyn.recordings.tables import InertiaTable
@@ -282,14 +283,15 @@ def test_a_correction_that_the_model_does_not_follow_is_not_made(usual):
         descent = Descent(usual.ready, problem, wild, y, here, cost, 1, True)
         moved, times = [], 1.0
 
-        def evaluate(which, where):
-            found = yield from evaluating(which, where)
+        def one(which, where, shares, size):
+            at, found, *rest = one_start(which, where, shares, size)
             moved.append(where is not y)
-            return found._replace(beside=times * found.beside) if moved[-1] else found
+            more = found._replace(beside=times * found.beside) if moved[-1] else found
+            return at, more, *rest
 
         for times in (1.0, 10.0):
             moved.clear()
-            found, *_ = alone(corrected(descent, usual.experiment.fit_recordings, evaluate))
+            found, *_ = alone(corrected(descent, usual.experiment.fit_recordings), one)
             assert moved == [False, True]
             assert (found is descent) == (times == 10.0)
 
@@ -322,8 +324,8 @@ def test_a_search_by_other_means_goes_on_with_shorter_steps_too(usual, monkeypat
     wild = [r.wild for r in usual.fitted]
     with jax.enable_x64(True):
         begun = usual.ready, usual.model, numbers[None], wild
-        descent = alone(descending(*begun, near=near, search=polish))
-        fit = alone(finishing(usual.experiment, numbers, descent, 0.0, polish, evaluated))
+        descent = alone(descending(*begun, near=near), on_host)
+        fit = alone(finishing(usual.experiment, numbers, descent, 0.0), on_host)
     assert fit.shortened is not None
     assert fit.shortened[1] > 0.1
     assert fit.integration_steps == 4 * fit.shortened[0]

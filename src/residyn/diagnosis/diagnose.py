@@ -46,7 +46,7 @@ from .evidence import (
 from .forecast import ModelState, held_out
 from .free_curves import compile_curves
 from .law import CurveModel, curve_models, laws_of
-from .linearised_fit import Hopeless, evaluated, polish
+from .linearised_fit import Hopeless, on_host
 from .missing_torque import CURVES, missing_of, owning_base, restoring_torque, scene_of, with_rests
 from .residuals import coloured
 from .result import (
@@ -216,7 +216,7 @@ class Fits:
 
     def with_held_out(self, found: Fit) -> Fit:
         """One of these fits, with the recordings beside it that were held out."""
-        return with_held_out(found, self.experiment, polish)
+        return alone(with_held_out(found, self.experiment), on_host)
 
     def fitted(
         self,
@@ -251,10 +251,9 @@ class Fits:
             for numbers, states in starts:
                 begin = here.model.with_vector(jnp.asarray(numbers))
                 begun = here, begin, numbers[None], self._wild(here.recordings)
-                search = functools.partial(polish, enough=enough)
-                how = {"near": np.array([states]), "growing": growing, "search": search}
+                descent = descending(*begun, near=np.array([states]), growing=growing)
                 try:
-                    ends.append(alone(descending(*begun, **how)))
+                    ends.append(alone(descent, functools.partial(on_host, enough=enough)))
                 except Hopeless as error:
                     hopeless.append(error)
                 except FitError:
@@ -282,8 +281,7 @@ class Fits:
                 descend([self._from(best, t)])
             if ends:
                 with contextlib.suppress(FitError):
-                    end = finishing(fitted, t.numbers, lowest(), began, polish, evaluated)
-                    found = alone(end)
+                    found = alone(finishing(fitted, t.numbers, lowest(), began), on_host)
             elif hopeless:
                 raise hopeless[0]
         if found is None:

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..fitting.least_squares import RUNAWAY, Compressed, Polished, look
+from ..fitting.least_squares import RUNAWAY, Compressed, look
 from ..fitting.linalg import damped_step
 from ..fitting.problem import Problem, Unknowns, reweighted, tight
 from ..fitting.result import Fit, FitError
@@ -131,21 +131,21 @@ def minimum(
     return here._replace(steps=steps, converged=bool(converged or damping > _DAMPING[1]))
 
 
-def polish(
-    problem: Problem, starts: Unknowns, shares: Sequence[float], enough: float = math.inf
-) -> Polished:
-    """`fitting.multistart.polishing` of one start by `minimum`: first of the first so many readings
-    only, which cost no more than all, then of all."""
-    at, steps = jax.tree.map(lambda x: np.asarray(x)[0], starts), 0
-    recorded, found = problem.recorded, None
+def on_host(problem: Problem, y: Unknowns, shares, size, enough: float = math.inf):
+    """`least_squares.one_start` by `minimum`: first of the first so many readings only, which cost
+    no more than all, then of all. It is not to go on where it has not converged: of descents it
+    says one more than there were, then."""
+    shares, steps, found = shares[shares > 0], 0, None
     for share in shares:
+        recorded = problem.recorded
         early = np.asarray(recorded.row) < np.ceil(share * problem.steps)
         weights = np.where(early[..., None], recorded.weights, 0.0)
         part = eqx.tree_at(lambda p: p.recorded.weights, problem, weights)
-        found = minimum(part, at, enough=enough)
-        at, steps = found.at, steps + found.steps
+        found = minimum(part, y, _STEPS if np.isfinite(size) else 0, enough)
+        y, steps = found.at, steps + found.steps
     assert found is not None
-    return Polished(at, found.compressed(), found.cost, steps, found.converged)
+    done = len(shares) + (not found.converged)
+    return y, found.compressed(), found.cost, steps, found.converged, done
 
 
 def refitted(fit: Fit, kept: Sequence[np.ndarray]) -> tuple[Unknowns, bool]:
@@ -172,11 +172,6 @@ def predictions(fit: Fit, at: Unknowns) -> tuple[list[np.ndarray], list[np.ndarr
         for each in jax.device_get(look(tight(fit.problem), at)[:2])
     )
     return predicted, slopes
-
-
-def evaluated(problem: Problem, y: Unknowns) -> Compressed:
-    """Residual and Jacobian at these unknowns."""
-    return minimum(problem, y, most=0).compressed()
 
 
 class Tangent(NamedTuple):

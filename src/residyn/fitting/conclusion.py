@@ -6,7 +6,7 @@ Every search ends here, whatever it searched by.
 import dataclasses
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,8 +20,8 @@ from ..recordings.segments import by_recording
 from .covariance import modes_of, numbers_of, spread_of
 from .history import History
 from .integration import at_twice_the_steps, corrected, refined
-from .lanes import Fitting, alone, evaluating
-from .least_squares import Compressed, compressed
+from .lanes import Fitting, alone
+from .least_squares import Compressed, compressed, one_start
 from .linalg import BLIND, damped_step
 from .multistart import Descent, descending, polishing
 from .problem import Problem, Ready, Unknowns, mechanism_of, posed
@@ -37,32 +37,24 @@ def finishing(
     start: np.ndarray,
     descent: Descent,
     began: float,
-    search: Callable[..., Any] | None = None,
-    evaluate: Callable[[Problem, Unknowns], Compressed] | None = None,
     correct: bool = True,
     progress: Callable[[str], None] = lambda words: None,
 ) -> Fitting[Fit]:
     """What a fit returns, from where a descent ended; `start` (P,) is where it began. Where the
     error of the integration counts, the descent goes on with shorter steps, and `progress` is told;
     what is left of it is taken from the numbers. Neither, if they are no minimum (`correct`).
-    Initial states of check recordings are found by `search`, as in `descending`, which goes on
-    where a descent ended, too; `evaluate` gives residual and Jacobian, if not the program of the
-    descents."""
-
-    def evaluated(problem: Problem, y: Unknowns) -> Fitting[Compressed]:
-        return (yield from evaluating(problem, y)) if evaluate is None else evaluate(problem, y)
-
+    """
     recordings, usual = experiment.fit_recordings, None
     if correct:
-        descent, error, coarse = yield from corrected(descent, recordings, evaluated)
+        descent, error, coarse = yield from corrected(descent, recordings)
         while coarse:
-            again = yield from _with_shorter_steps(descent, error, progress, search)
+            again = yield from _with_shorter_steps(descent, error, progress)
             if again is None:
                 break
             usual = usual or (int(descent.problem.steps), error)
-            descent, error, coarse = yield from corrected(again, recordings, evaluated)
+            descent, error, coarse = yield from corrected(again, recordings)
     else:
-        _, error = yield from at_twice_the_steps(descent, recordings, evaluated)
+        _, error = yield from at_twice_the_steps(descent, recordings)
     model, fitted = descent.model, descent.beside(recordings)
     chi2 = descent.reduced_chi2
     # Errors assume that the residual is white noise of the size that was stated; where it is larger
@@ -70,7 +62,7 @@ def finishing(
     sizes = np.asarray(descent.problem.scale.numbers)
     spread = spread_of(np.asarray(descent.compressed.factor), sizes, max(1.0, chi2))
     modes = modes_of(model, spread)
-    held_out = yield from _held_out(experiment, model, descent.here, descent.problem, search)
+    held_out = yield from _held_out(experiment, model, descent.here, descent.problem)
     found = Fit(
         experiment=experiment,
         model=model,
@@ -93,14 +85,11 @@ def finishing(
         unknowns=descent.unknowns,
         ready=descent.here,
     )
-    return dataclasses.replace(found, needed=(yield from _needed(found, descent, search)))
+    return dataclasses.replace(found, needed=(yield from _needed(found, descent)))
 
 
 def _with_shorter_steps(
-    descent: Descent,
-    error: float,
-    progress: Callable[[str], None],
-    search: Callable[..., Any] | None,
+    descent: Descent, error: float, progress: Callable[[str], None]
 ) -> Fitting[Descent | None]:
     """The descent from where it ended, with so many steps that this integration error would have
     been small; None if there cannot be, or if they lead nowhere."""
@@ -110,7 +99,7 @@ def _with_shorter_steps(
     progress("fitting again with shorter integration steps")
     begin, states = (here, descent.model, descent.numbers[None]), descent.states[None]
     try:
-        again = yield from descending(*begin, descent.outliers, near=states, search=search)
+        again = yield from descending(*begin, descent.outliers, near=states)
     except FitError:
         return None
     return again._replace(
@@ -118,9 +107,7 @@ def _with_shorter_steps(
     )
 
 
-def _needed(
-    fit: Fit, descent: Descent, search: Callable[..., Any] | None
-) -> Fitting[tuple[str, ...]]:
+def _needed(fit: Fit, descent: Descent) -> Fitting[tuple[str, ...]]:
     """`Fit.needed`: each is left out, and all else is fitted again."""
     found = []
     for label in fit.unseen:
@@ -138,10 +125,7 @@ def _needed(
         )
         begin = problem.scaled(values, descent.states)
         starts = jax.tree.map(lambda x: np.asarray(x)[None], begin)
-        if search is None:
-            end = yield from polishing(problem, starts, [1.0])
-        else:
-            end = search(problem, starts, [1.0])
+        end = yield from polishing(problem, starts, [1.0])
         rise = (end.cost - descent.cost) / max(1.0, fit.reduced_chi2)
         if not by_chance(rise, int(own.sum())):
             found.append(label)
@@ -178,10 +162,17 @@ def searched(
     if not np.isfinite(cost):
         raise FitError("no individual led to finite numbers: is this the arm that was recorded?")
     end = Descent(here, problem, here.outliers, at, there, cost, found.steps, found.settled)
-    how = {"evaluate": compressed, "correct": False}
-    fit = alone(finishing(experiment, found.first, end, began, **how))
+    fit = alone(finishing(experiment, found.first, end, began, correct=False), _evaluated)
     far = _far(fit, there, np.asarray(problem.scale.numbers))
     return dataclasses.replace(fit, reason=reason, history=found.history, short_of_minimum=far)
+
+
+def _evaluated(problem: Problem, y: Unknowns, shares, size):
+    """`one_start`, which need not be compiled for what only evaluates."""
+    if np.isfinite(size):
+        return one_start(problem, y, shares, size)
+    found = compressed(problem, y)
+    return y, found, found.cost, 0, True, 1
 
 
 def _far(fit: Fit, there: Compressed, sizes: np.ndarray) -> tuple[str, float] | None:
@@ -197,18 +188,14 @@ def _far(fit: Fit, there: Compressed, sizes: np.ndarray) -> tuple[str, float] | 
     return fit.numbers[worst].name, float(far[worst])
 
 
-def with_held_out(fit: Fit, experiment: Experiment, search: Callable[..., Any]) -> Fit:
+def with_held_out(fit: Fit, experiment: Experiment) -> Fitting[Fit]:
     """A fit of the fitted recordings alone, with those that the experiment holds out beside it."""
-    more = alone(_held_out(experiment, fit.model, fit.ready, fit.problem, search))
+    more = yield from _held_out(experiment, fit.model, fit.ready, fit.problem)
     return dataclasses.replace(fit, experiment=experiment, recordings=(*fit.recordings, *more))
 
 
 def _held_out(
-    experiment: Experiment,
-    model: Model,
-    fitted: Ready,
-    like: Problem,
-    search: Callable[..., Any] | None,
+    experiment: Experiment, model: Model, fitted: Ready, like: Problem
 ) -> Fitting[list[RecordingFit]]:
     """Check recordings beside the fitted model: only their initial states are fitted."""
     group, found = len(fitted.recordings), []
@@ -222,9 +209,7 @@ def _held_out(
         begin = posed(model, mechanisms[0])
         here = fitted._replace(model=begin, recordings=tuple(filled), mechanisms=mechanisms)
         try:
-            end = yield from descending(
-                here, begin, numbers, here.outliers, like=like, search=search
-            )
+            end = yield from descending(here, begin, numbers, here.outliers, like=like)
         except FitError as error:
             names = " or ".join(whole.name for whole, _ in by_recording(some))
             raise FitError(f"{names} (held out): {error}") from None

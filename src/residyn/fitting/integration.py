@@ -18,7 +18,7 @@ A solver that chooses its steps takes them from its tolerances, which are made t
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -31,12 +31,12 @@ from ..recordings.recording import Recording
 from ..simulation.integrator import Integrator
 from .covariance import spread_of
 from .history import watching
-from .lanes import Fitting
+from .lanes import Fitting, evaluating
 from .layout import drives
 from .least_squares import RESIDUAL_TOLERANCE, Compressed, predictions
 from .linalg import BLIND, damped_step
 from .multistart import Descent
-from .problem import Problem, Ready, Unknowns
+from .problem import Problem, Ready
 from .result import Fit, FitError, RecordingFit
 
 TENTH = 0.1
@@ -59,16 +59,14 @@ _STABLE = 3.0
 
 
 def corrected(
-    descent: Descent,
-    recordings: Sequence[Recording],
-    evaluate: Callable[[Problem, Unknowns], Fitting[Compressed]],
+    descent: Descent, recordings: Sequence[Recording]
 ) -> Fitting[tuple[Descent, float, bool]]:
     """A descent's minimum without the error that integration has left in it, to first order; that
     error, in times the noise; and whether shorter steps are called for, by it or by the standard
     errors. The error is inf where twice the steps lead to no finite motion, and to no other
-    minimum. `evaluate` gives residual and Jacobian of a problem."""
+    minimum."""
     problem, y = descent.problem, descent.unknowns
-    fine, error = yield from at_twice_the_steps(descent, recordings, evaluate)
+    fine, error = yield from at_twice_the_steps(descent, recordings)
     coarse = too_coarse(error, descent.reduced_chi2)
     watch = watching()
     if watch is not None:
@@ -86,7 +84,7 @@ def corrected(
     if not moved > RESIDUAL_TOLERANCE:  # the descent did not look any closer
         return descent, error, False
     there = jax.tree.map(np.add, y, step)
-    found = jax.device_get((yield from evaluate(problem, there)))
+    found = jax.device_get((yield from evaluating(problem, there)))
     if watch is not None:
         watch.descended(problem, there, 1)
     cost = float(found.cost)
@@ -109,9 +107,7 @@ def _misjudged(descent: Descent, fine: Compressed) -> bool:
 
 
 def at_twice_the_steps(
-    descent: Descent,
-    recordings: Sequence[Recording],
-    evaluate: Callable[[Problem, Unknowns], Fitting[Compressed]],
+    descent: Descent, recordings: Sequence[Recording]
 ) -> Fitting[tuple[Compressed, float]]:
     """The motion where a descent ended, but at twice the steps: how far it is from the descent's
     own, a residual like any other, with its Jacobian; and the same in times the noise."""
@@ -119,7 +115,7 @@ def at_twice_the_steps(
     angles = np.zeros(np.shape(fine.recorded.angles))
     angles[:, : own.shape[1]] = own
     fine = dataclasses.replace(fine, recorded=dataclasses.replace(fine.recorded, angles=angles))
-    found = jax.device_get((yield from evaluate(fine, descent.unknowns)))
+    found = jax.device_get((yield from evaluating(fine, descent.unknowns)))
     return found, rms_over_noise(found.predicted, descent.beside(recordings))
 
 

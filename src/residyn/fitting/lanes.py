@@ -8,6 +8,7 @@ recordings) is written once, and the same.
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Generator, Sequence
 from numbers import Integral
@@ -33,6 +34,7 @@ from .least_squares import (
     side_by_side,
 )
 from .problem import Problem, Unknowns
+from .result import FitError
 
 Result = TypeVar("Result")
 _FEW = 8  # starts that a CPU runs one after the other
@@ -73,15 +75,20 @@ def evaluating(problem: Problem, y: Unknowns) -> Fitting[Compressed]:
     return squeezed
 
 
-def alone(fitting: Fitting[Result]) -> Result:
-    """The result of one fit, its descents one after the other."""
+def alone(fitting: Fitting[Result], one: Callable[..., Any] | None = None) -> Result:
+    """The result of one fit, its descents one after the other, each by `one`, or by `one_start`;
+    where that raises a `FitError`, so does what the fit has asked for."""
+    going, one = functools.partial(next, fitting), one or one_start
     try:
-        wanted = next(fitting)
         while True:
+            wanted = going()
             few = _FEW if jax.default_backend() == "cpu" else 1
             many = len(wanted) > few and wanted[0].shares[0] < 1.0
-            answer = _starts(wanted) if many else [one_start(*each) for each in wanted]
-            wanted = fitting.send(answer)
+            try:
+                answer = _starts(wanted) if many else [one(*each) for each in wanted]
+                going = functools.partial(fitting.send, answer)
+            except FitError as error:
+                going = functools.partial(fitting.throw, error)
     except StopIteration as end:
         return end.value
 

@@ -178,15 +178,13 @@ def descending(
     like: Problem | None = None,
     near: np.ndarray | None = None,
     growing: bool = False,
-    search: Callable[..., Polished] | None = None,
 ) -> Fitting[Descent]:
     """Descend from every row of `numbers` (S, P), and of `memory` (S, R, m); set outliers aside;
     descend again if there were.
 
     With `like`, the numbers stay as in `begin`, and that problem's compiled program serves. With
     `near` (S, R, s), initial states which are near enough that no phase can slip, all readings
-    count from the first step on, unless the horizon is to be `growing`, too. `search` descends
-    instead of `polishing`.
+    count from the first step on, unless the horizon is to be `growing`, too.
 
     **Raises:** `FitError` if no start led to a motion that could be.
     """
@@ -200,17 +198,13 @@ def descending(
         first[..., first.shape[-1] - memory.shape[-1] :] = memory
     y = Unknowns(numbers / problem.scale.numbers, first / problem.scale.states)
     shares = horizons(here, frequency) if near is None or growing else [1.0]
-
-    def polished(*given) -> Fitting[Polished]:
-        return (yield from polishing(*given)) if search is None else search(*given)
-
-    out = yield from polished(problem, y, shares)
+    out = yield from polishing(problem, y, shares)
     if len(shares) > 1 and not _sane(out, here.recordings):
-        out = yield from polished(problem, y, [1.0])
+        out = yield from polishing(problem, y, [1.0])
     steps, agreeing = out.steps, out.agreeing
     mirrored = _upright(problem, out.unknowns)
     if mirrored is not None:
-        out = yield from polished(problem, _single(mirrored), [1.0])
+        out = yield from polishing(problem, _single(mirrored), [1.0])
     for round_ in range(_ROUNDS + 1):
         if not np.isfinite(out.cost):
             raise FitError("no start led to finite numbers: is this the arm that was recorded?")
@@ -226,7 +220,7 @@ def descending(
         progress("fitting again without outliers")
         outliers = found
         problem = reweighted(problem, outliers)
-        out = yield from polished(problem, _single(out.unknowns), [1.0])
+        out = yield from polishing(problem, _single(out.unknowns), [1.0])
         steps += out.steps
     return Descent(here, problem, outliers, *out._replace(steps=steps, agreeing=agreeing), starts)
 

@@ -20,7 +20,7 @@ from ...diagnosis.columns import Columns, extended, nested
 from ...diagnosis.diagnose import MOST_EFFECTS, Fits, diagnosed
 from ...diagnosis.evidence import INTENSITIES
 from ...diagnosis.forecast import HeldOut, held_out
-from ...diagnosis.linearised_fit import evaluated, polish
+from ...diagnosis.linearised_fit import on_host
 from ...diagnosis.missing_torque import owning_base, scene_of, with_rests
 from ...diagnosis.result import Diagnosis
 from ...diagnosis.search import Search, Tried, screening_motion, settle, tried_alone
@@ -30,8 +30,8 @@ from ...fitting import DEFAULT_STARTS
 from ...fitting.conclusion import finishing
 from ...fitting.lanes import alone
 from ...fitting.multistart import Descent
-from ...fitting.problem import Unknowns, ready
-from ...fitting.result import Fit, FitError
+from ...fitting.problem import ready
+from ...fitting.result import Fit
 from ...physics.effect import BASE
 from ...recordings.experiment import Experiment
 from .first_order import FirstOrder, first_order
@@ -293,14 +293,11 @@ class Study:
         problem = dataclasses.replace(found.problem, model=begin, active=active)
         start, states = np.asarray(begin.vector()), found.problem.states(found.unknowns)
         at = problem.scaled(start, states)
-        out = polish(problem, Unknowns(*(np.asarray(x)[None] for x in at)), (1.0,))
-        if not np.isfinite(out.cost):
-            raise FitError("with these numbers the motion runs away")
+        end = on_host(problem, at, np.ones(1), 1.0)
         outliers = [r.wild for r in found.recordings if r.recording.role != "check"]
-        ends = out.unknowns, out.compressed, out.cost, out.steps, out.converged
-        descent = Descent(found.ready, problem, outliers, *ends)
-        given = found.experiment, start, descent, began, polish, evaluated
-        return alone(finishing(*given, correct=False))
+        descent = Descent(found.ready, problem, outliers, *end[:-1])
+        given = found.experiment, start, descent, began
+        return alone(finishing(*given, correct=False), on_host)
 
     # -- the search ---------------------------------------------------------------------------
 
