@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len
+from scipy.interpolate import CubicSpline
 
 from ..recordings.recording import Recording
 from ..recordings.resampling import even_step
@@ -45,26 +46,13 @@ def uniform(recording: Recording, outliers: np.ndarray) -> Uniform:
             continue
         known = time[use]
         at = grid.clip(known[0], known[-1])
-        q[:, joint] = _cubic(known, angle[use, joint], at)
+        q[:, joint] = CubicSpline(known, angle[use, joint])(at)
         after = np.searchsorted(known, at).clip(1, len(known) - 1)
         good &= (np.diff(known)[after - 1] < 4.5 * dt) & (np.abs(grid - at) < _EVEN * dt)
     drive = np.zeros_like(q)
     if recording.drive is not None:
         drive = np.stack([np.interp(grid, time, u) for u in recording.drive.T], axis=1)
     return Uniform(q, good, drive, dt)
-
-
-def _cubic(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Cubic Lagrange interpolation through the four nearest readings."""
-    first = (np.searchsorted(x, at) - 2).clip(0, len(x) - 4)
-    index = first[:, None] + np.arange(4)
-    nodes, values = x[index], y[index]
-    total = np.zeros(len(at))
-    for i in range(4):
-        others = [k for k in range(4) if k != i]
-        top = np.prod(at[:, None] - nodes[:, others], axis=1)
-        total += values[:, i] * top / np.prod(nodes[:, [i]] - nodes[:, others], axis=1)
-    return total
 
 
 def kernel(half: int, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
