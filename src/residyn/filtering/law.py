@@ -307,7 +307,7 @@ def torque_law(effect: AbstractEffect, mechanism, q, v, t, z, step, spread, numb
     return torque, level, rates
 
 
-def _with_slopes(f, count: int):
+def with_slopes(f, count: int):
     """Value and derivatives in the first so many arguments of a function of one instant."""
 
     def at(*args):
@@ -332,7 +332,7 @@ def along_torque(effect, room: tuple[int, int], mechanism, q, v, t, z, step, spr
         return _rows((*torques, *levels, *rates), 2 * q.shape[0] + room[0])
 
     def one(q, v, t, z, step, spread, mechanism):
-        return Slopes(*_with_slopes(at, 4)(q, v, z, numbers, t, step, spread, mechanism))
+        return Slopes(*with_slopes(at, 4)(q, v, z, numbers, t, step, spread, mechanism))
 
     axes = -1, -1, 0, -1, 0, -1, 0
     return jax.vmap(one, in_axes=axes, out_axes=-1)(q, v, t, z, step, spread, mechanism)
@@ -353,20 +353,6 @@ def follow(effect, room: int, q, v, t, z, far, numbers, mechanism):
     return _rows(tuple(own.follow(motion, _around(effect, mechanism))), room)
 
 
-def along_follow(effect, room: tuple[int, int], q, v, t, z, far, numbers, mechanism) -> Slopes:
-    """`follow` (m rows) of K steps, states `z` (m, K), ends `q`, `v` (r, K); slopes in the angles,
-    the states and the numbers."""
-
-    def at(q, z, u, t, v, far, mechanism):
-        return follow(effect, room[0], q, v, t, z, far, u, mechanism)
-
-    def one(q, v, t, z, far, mechanism):
-        value, by_q, by_z, by_u = _with_slopes(at, 3)(q, z, numbers, t, v, far, mechanism)
-        return Slopes(value, by_q, jnp.zeros_like(by_q), by_z, by_u)
-
-    return jax.vmap(one, in_axes=(-1, -1, 0, -1, -1, 0), out_axes=-1)(q, v, t, z, far, mechanism)
-
-
 def along_readings(effect, mechanism, angle, numbers):
     """What an effect of the sensors makes of angles (n, N): readings, and their slopes (n, n, N)
     and (n, p, N); `mechanism` with leaves (N, ...)."""
@@ -377,7 +363,7 @@ def along_readings(effect, mechanism, angle, numbers):
         return stack(own.reading(split(angle), mechanism))
 
     def one(angle, mechanism):
-        return _with_slopes(at, 2)(angle, numbers, mechanism)
+        return with_slopes(at, 2)(angle, numbers, mechanism)
 
     return jax.vmap(one, in_axes=(-1, 0), out_axes=-1)(angle, mechanism)
 
@@ -389,7 +375,7 @@ def along_delays(effect, mechanism, numbers):
     def late(u, mechanism):
         return stack(with_numbers(effect, u[:count]).delays(mechanism))
 
-    return jax.vmap(lambda m: _with_slopes(late, 1)(numbers, m), out_axes=-1)(mechanism)
+    return jax.vmap(lambda m: with_slopes(late, 1)(numbers, m), out_axes=-1)(mechanism)
 
 
 def states_along(effect: Any, numbers, mechanism, q, v, t, h, anew, z0):

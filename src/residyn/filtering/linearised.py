@@ -28,7 +28,6 @@ from .law import (
     Slots,
     Table,
     along_delays,
-    along_follow,
     along_readings,
     along_torque,
     beyond,
@@ -38,6 +37,7 @@ from .law import (
     most_states,
     numbers_of,
     with_numbers,
+    with_slopes,
 )
 
 _AT_ONCE = 64  # instants: their slopes, some 4 KB each, stay in a second-level cache
@@ -442,10 +442,8 @@ def _linearised(laws: Laws, table: Table, instants: Instants, at: Nodes, bodies,
     const = f.f - jnp.sum(f.by_x * x[None], axis=1)
     field = jnp.concatenate([f.by_x, const[:, None], f.by_torque, f.by_u], 1)
     phi = here(transition(h, here(field), X))
-    for known, slots, of_own in _groups(laws, table):
-        if any(e.follows for e in known):
-            early = at_nodes(bodies, instants.run, 1)
-            phi = _followed(known, slots, of_own, at, h, early, phi, X + 1 + n)
+    if any(e.follows for e in laws.each):
+        phi = _followed(laws, table, at, h, at_nodes(bodies, instants.run, 1), phi)
     A, c, T, B = phi[:, :X], phi[:, X], phi[:, X + 1 : X + 1 + n], phi[:, X + 1 + n :]
     Hx, Ht, Hu, seen = _readings(laws, table, instants, at, f, point)
     hc = seen - jnp.sum(Hx * x[None, :, :K], 1) - jnp.sum(Hu * point.u[:, None], 1)
@@ -491,37 +489,32 @@ def _of_bodies(laws: Laws, table: Table, instants: Instants, at: Nodes, accelera
     return jax.lax.cond(jnp.any(own), with_bodies, lambda x: x, torque_u)
 
 
-def _followed(known, slots: Slots, of_own, at: Nodes, h, mechanism, phi, inputs: int):
-    """The step phi (X, W, K) with the internal states of one group of effects that follow the
-    motion instead of having a rate: z+ = f(z, q+)."""
+def _followed(laws: Laws, table: Table, at: Nodes, h, mechanism, phi):
+    """The step phi (X, W, K) with the internal states that follow the motion instead of having a
+    rate: z+ = f(z, q+)."""
     n, (X, W, K) = at.q.shape[0], phi.shape
-    q, v, time = at.q[:, 2 * K :], at.v[:, 2 * K :], at.time[2 * K :]
-    far = beyond(at.v[:, :K], v, h)
-    m, p = most_states(known), most_numbers(known)
-    z = jnp.pad(at.z[:, :K], ((0, m), (0, 0)))
+    q, v, time, z = at.q[:, 2 * K :], at.v[:, 2 * K :], at.time[2 * K :], at.z[:, :K]
+    far, none = beyond(at.v[:, :K], v, h), jnp.zeros(W - X - 1 - n)
 
-    def branch(effect):
-        def moved(phi, e):
-            state = slots.state[e]
-            own = jax.lax.dynamic_slice(z, (state, 0), (m, K))
-            here, rates, beside = (of_own(x, e) for x in (q, v, far))
-            args = here, rates, time, own, beside, slots.numbers[e], mechanism
-            f = along_follow(effect, (m, p), *args)
-            rows = _product(f.by_q, of_own(phi[:n], e))
-            gone = jnp.sum(f.by_z * own[None], 1) + jnp.sum(f.by_q * here[None], 1)
-            rows = rows.at[:, X].add(f.value - gone)
-            wide = jnp.pad(rows, ((0, 0), (0, m + p), (0, 0)))
-            wide = _added(wide, f.by_z, 0, 2 * n + state)
-            wide = _added(wide, f.by_number * slots.slopes[e][:, None], 0, inputs + slots.column[e])
-            new = wide[: len(effect.memory), :W]
-            return jax.lax.dynamic_update_slice(phi, new, (2 * n + state, 0, 0))
+    def one(q, z, v, t, far, mechanism):
+        def moved(q, z, u):
+            for known, slots, of_own in _groups(laws, table):
+                if any(e.follows for e in known):
+                    columns = slots.column[:, None] + jnp.arange(slots.numbers.shape[1])
+                    own = slots._replace(numbers=slots.numbers + slots.slopes * u[columns])
+                    z = _moved(known, own, of_own, mechanism, q, v, t, far, z)
+            return z
 
-        return moved if effect.follows else lambda phi, e: phi
+        return with_slopes(moved, 3)(q, z, none)
 
-    branches = [branch(e) for e in known]
-    spare = jnp.concatenate([phi, jnp.zeros((m, W, K))])
-    step = lambda e, phi: jax.lax.switch(slots.law[e], branches, phi, e)  # noqa: E731
-    return jax.lax.fori_loop(0, slots.count, step, spare)[:X]
+    axes = -1, -1, -1, 0, -1, 0
+    args = q, z, v, time, far, mechanism
+    value, by_q, by_z, by_u = jax.vmap(one, in_axes=axes, out_axes=-1)(*args)
+    rows = _product(by_q, phi[:n])
+    gone = jnp.sum(by_z * z[None], 1) + jnp.sum(by_q * q[None], 1)
+    rows = rows.at[:, X].add(value - gone)
+    rows = rows.at[:, 2 * n : X].add(by_z).at[:, X + 1 + n :].add(by_u)
+    return phi.at[2 * n :].set(jnp.where(table.held[:, None, None], rows, phi[2 * n :]))
 
 
 @kept(like=0)
