@@ -20,9 +20,9 @@ from .result import Mode, Number
 def spread_of(factors: np.ndarray, sizes: np.ndarray, inflation: float) -> Spread:
     """How well the numbers, scaled by `sizes` (P,), are determined at the best fit; `inflation` of
     the variances."""
-    inverse, blind, size, along = inverse_of(information(factors, len(sizes)))
-    covariance = inflation * inverse * sizes * sizes[:, None]
-    return Spread(covariance, blind, size * sizes, inflation * along)
+    covariance, blind, size, variance = inverse_of(information(factors, len(sizes)))
+    covariance = inflation * covariance * sizes * sizes[:, None]
+    return Spread(covariance, blind, size * sizes, inflation * variance)
 
 
 def numbers_of(model: Model, start: np.ndarray, spread: Spread) -> tuple[Number, ...]:

@@ -129,27 +129,17 @@ class Spread(NamedTuple):
         return float(away @ np.linalg.solve(covariance, away)), len(seen)
 
 
-class Inverse(NamedTuple):
-    """The inverse (P, P) of a symmetric matrix where that has a rank, the (B, P) combinations of
-    unknowns with unit columns where it has none, the unknowns' sizes (P,) in which they are, and
-    the inverse (B,) along them, which is finite where there is no more than rounding."""
-
-    inverse: np.ndarray
-    blind: np.ndarray
-    size: np.ndarray
-    along: np.ndarray
-
-
-def inverse_of(known: Information) -> Inverse:
+def inverse_of(known: Information) -> Spread:
     """Pseudo-inverse of J'J, by its eigenvalues with columns that have unit length before the
-    states are taken out: of a column that they take up only rounding is left."""
+    states are taken out: of a column that they take up only rounding is left. Along combinations
+    that data hardly see the variance is finite where there is no more than rounding."""
     square, diagonal = known
     size = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(square * size * size[:, None])
     seen = values > BLIND
     part = vectors[:, seen] * size[:, None]
     along = 1.0 / np.maximum(values[~seen], RIDGE)
-    return Inverse((part / values[seen]) @ part.T, vectors[:, ~seen].T, size, along)
+    return Spread((part / values[seen]) @ part.T, vectors[:, ~seen].T, size, along)
 
 
 def damped_step(square: np.ndarray, slope: np.ndarray, count: int, damping: float) -> Unknowns:
