@@ -11,8 +11,6 @@ import pytest
 import residyn
 from residyn.cli import main
 from residyn.diagnosis.candidate_tests import (
-    Predictions,
-    Rival,
     Sweep,
     best_tests,
     in_play,
@@ -29,7 +27,6 @@ from residyn.effects import (
     ConstantTorque,
     CubicStiffness,
     Damper,
-    SensorCurve,
     SensorOffset,
     Spring,
 )
@@ -164,19 +161,6 @@ def test_no_test_tells_a_constant_torque_from_a_sensor_s_zero():
     assert test.probability_right == pytest.approx(0.5, abs=0.02)
     one, other = test.outcomes
     assert one.reading == pytest.approx(other.reading, abs=NOISE)
-
-
-def test_a_release_is_what_its_sensor_reads():
-    """Also where the sensor's scale changes along its range."""
-    straight = ringing(0.05)
-    angle = straight.angle + 2.0 * straight.angle**2
-    curved = residyn.Recording.from_arrays(straight.time, angle, noise=NOISE)
-    experiment = residyn.Experiment(CART, (curved,), limits=Limits(extra_mass=(0.0, 0.0)))
-    scene, models = models_of(experiment, SensorCurve("cart"))
-    told = Predictions(experiment, scene, [Rival.of(scene, m) for m in models])
-    releases = [s.release for s in told.settings]
-    for readings in told.readings:
-        np.testing.assert_allclose(readings[:, 0], releases, rtol=1e-6)
 
 
 def test_a_gyroscope_s_readings_are_predicted_as_rates(cubic):

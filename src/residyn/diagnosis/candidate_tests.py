@@ -62,8 +62,6 @@ swing shows under the largest, friction under less."""
 _BAND = (0.5, 1.5)
 """Of a sweep, in the lowest and the highest frequency of the modes: it passes the whole of each
 resonance, also under a load as heavy as what moves, which lowers it to 0.7."""
-_NEWTON = 4
-"""Steps to the angle that a sensor reads: a curve of 10 % is then right to 1e-9."""
 _NEARLY = 0.95
 """Of the fall of the entropy in the longest recording, from which a shorter one is enough: of two
 models the rest is at most 0.03 nats, about what the draws leave open."""
@@ -375,7 +373,7 @@ def _predict(
         def at(z):
             moved = posed(model.with_vector(z[:P]), mechanism)
             q, v, memory = z[P : P + n], z[P + n : P + 2 * n], z[P + 2 * n :]
-            q0 = q + _let_go(moved, release, orders)
+            q0 = equilibrium(moved) + release + q
             nodes = march(moved, times[0], times[-1], q0, v, steps=steps, z0=memory, drive=drive)
             found = read(moved, nodes, times, orders).readings
             return found, found
@@ -385,23 +383,6 @@ def _predict(
         return found, slopes
 
     return jax.lax.map(one, (mechanisms, releases, drives))
-
-
-def _let_go(model: Model, release, orders: tuple[int, ...]):
-    """(n,) angles of a model that is let go so far (n,) from its rest, as the sensors of angles
-    read it: whoever makes a test sees no other angle."""
-    rest = equilibrium(model)
-    q = rest + release
-    if not model.senses:
-        return q
-    angles = np.array([not order for order in orders or (0,) * len(release)])
-
-    def seen(q):
-        return jnp.where(angles, model.reading(q), q)
-
-    for _ in range(_NEWTON):
-        q = q + jnp.linalg.solve(jax.jacfwd(seen)(q), seen(rest) + release - seen(q))
-    return q
 
 
 def best_tests(
