@@ -58,7 +58,8 @@ def simulate(
     import numpy as np
 
     from ..fitting import fit, mechanism_of
-    from ..fitting.problem import posed
+    from ..fitting.problem import first_state, posed
+    from ..physics.modal import fastest
     from ..recordings.csv import write_csv
 
     angles = None if q0 is None else np.array(floats_of("--q0", q0, loaded.joints))
@@ -76,7 +77,8 @@ def simulate(
                 say(f"simulating {r.name}")
                 here = posed(model, mechanism_of(loaded, r))
                 begin = np.zeros(r.joints) if rates is None else rates
-                first = _first_angles(here, r, begin) if angles is None else angles
+                read = first_state(r, r.outliers, max(fastest(here), 1e-9))[: r.joints]
+                first = read if angles is None else angles
                 predicted.append(_motion(here, r, loaded.integrator, first, begin))
         taken = {} if angles is not None else {"--q0": "angles from the first readings, smoothed"}
         taken |= {} if rates is not None else {"--v0": "rates of zero"}
@@ -136,25 +138,6 @@ def _model_with(
             f"--set: {', '.join(missing)} not set; set all numbers, or none to have them fitted"
         )
     return model.with_values(numbers)
-
-
-def _first_angles(here: "Model", recording: "Recording", rates: "np.ndarray") -> "np.ndarray":
-    """Angles at each joint's first reading: a parabola of the known slope through the next ones."""
-    import numpy as np
-
-    from ..physics.modal import fastest
-
-    recording = recording.as_angles
-    # Up to here, a swing at the fastest mode is a parabola within 0.3 %.
-    window = 0.5 / max(fastest(here), 1e-9)
-    angles = []
-    for joint, rate in enumerate(rates):
-        seen = np.flatnonzero(np.isfinite(recording.angle[:, joint]))
-        time = recording.time[seen] - recording.time[seen[0]]
-        count = max(5, int(np.searchsorted(time, window)))
-        t, q = time[:count], recording.angle[seen[:count], joint] - rate * time[:count]
-        angles.append(np.polynomial.polynomial.polyfit(t / (t[-1] or 1.0), q, [0, 2])[0])
-    return np.array(angles)
 
 
 def _motion(

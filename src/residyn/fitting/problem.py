@@ -257,7 +257,7 @@ class Ready(NamedTuple):
             room, instants = max(room, like.room), max(instants, like.recorded.row.shape[-1])
         recorded = lay_out(self.recordings, self.mechanisms, outliers, steps, room, instants)
         pairs = zip(self.recordings, outliers, strict=True)
-        states = np.stack([_first_state(r, bad, frequency) for r, bad in pairs])
+        states = np.stack([first_state(r, bad, frequency) for r, bad in pairs])
         states = np.pad(states, ((0, 0), (0, len(begin.memory))))
         # A number's size is never zero: its value, or a part of what is typical of its dimension.
         values = np.nan_to_num(np.abs(begin.vector()), posinf=0.0)
@@ -406,7 +406,7 @@ def _inertia(mechanism: AbstractMechanism):
     return jnp.stack([jnp.asarray(row[i], float) for i, row in enumerate(matrix)])
 
 
-def _first_state(recording: Recording, outliers: np.ndarray, frequency: float) -> np.ndarray:
+def first_state(recording: Recording, outliers: np.ndarray, frequency: float) -> np.ndarray:
     """(q0, v0) from a cubic through the first quarter cycle that was read of each joint."""
     recording = recording.as_angles
     state = []
