@@ -87,9 +87,9 @@ def test_the_command_writes_json_and_a_report(command, found, tmp_path):
     [
         (["--max-effects", "-1"], None, 2, "--max-effects"),
         (["--max-effects", "some"], None, 2, "--max-effects"),
-        (["--budget", "0"], None, 2, "--budget 0: must be a number of seconds above 0"),
-        (["--budget", "-3"], None, 2, "--budget -3"),
-        (["--budget", "nan"], None, 2, "--budget nan"),
+        (["--budget", "0"], None, 2, "'--budget'"),
+        (["--budget", "-3"], None, 2, "'--budget'"),
+        (["--budget", "nan"], None, 2, "--budget"),
         (["--budget", "soon"], None, 2, "--budget"),
         (["--json", "one.csv"], None, 2, "input"),
         ([], ValueError('there is no effect "wind"'), 2, "wind"),

@@ -1,14 +1,11 @@
 """The options that several commands share, so that they read the same everywhere."""
 
-import contextlib
 import math
-from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
 
 from ..errors import InputError
-from ._shell import UsageError
 
 
 def option(usage: str, words: str, **more: Any) -> Any:
@@ -18,32 +15,20 @@ def option(usage: str, words: str, **more: Any) -> Any:
     return typer.Option(name, metavar=metavar or None, help=words, **more)
 
 
-def number(
-    usage: str,
-    words: str,
-    kind: Callable[[str], float] = int,
-    least: float = 0,
-    most: float = math.inf,
-    right: str = "",
-) -> Any:
-    """An option that is a number from `least` to `most`, whole if `kind` is `int`; `right` says
-    what would be right, where that does not."""
-    if not right:
-        end = " up" if most == math.inf else f" to {most:g}"
-        right = f"a{' whole' * (kind is int)} number from {least:g}{end}"
+def number(usage: str, words: str, least: float = 0, most: float | None = None) -> Any:
+    """An option that is a number from `least` to `most`. Typer refuses others, but not infinity,
+    nor NaN in some versions."""
 
-    def read(given: Any) -> float:
-        with contextlib.suppress(ValueError, OverflowError):
-            value = kind(given)
-            if least <= value <= most and value < math.inf:
-                return value
-        raise UsageError(f"{usage.split()[0]} {given}: must be {right}")
+    def finite(given: float | None) -> float | None:
+        if isinstance(given, float) and not math.isfinite(given):
+            raise typer.BadParameter(f"{given} is no finite number.")
+        return given
 
-    return option(usage, words, parser=read)
+    return option(usage, words, min=least, max=most, callback=finite)
 
 
 def seconds(usage: str, words: str) -> Any:
-    return number(usage, words, float, math.ulp(0.0), right="a number of seconds above 0")
+    return number(usage, words, least=0.001)
 
 
 def argument(metavar: str, words: str) -> Any:

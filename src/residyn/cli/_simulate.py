@@ -23,7 +23,7 @@ _SET = _options.option(
     "none: without any, they are fitted first.",
 )
 _OUT = _options.option("--out FOLDER", "Where the recordings go.")
-_NOISE = _options.number("--noise SIGMA", "Gaussian noise to add, rad (or m).", float)
+_NOISE = _options.number("--noise SIGMA", "Gaussian noise to add, rad (or m).")
 _SEED = _options.number("--seed N", "Which noise.")
 _Q0 = _options.option(
     "--q0 ANGLES", "Where to begin, rad (or m): one number per joint, as 0.25,-0.3."
