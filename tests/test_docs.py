@@ -255,7 +255,7 @@ def an_unloading():
     fit, known = by_hand.a_fit(), Spread(0.5, 0.49, 0.51, 0.005, 0.2, 0.5, 0.3)
     mode = ModeOver(known, known, 1.0)
     models, poses = (InPlay((), 1.0),), ((0.3, (mode,)),)
-    over = OverModels(models, 0.0, poses, by_hand.NEXT, "damping_ratio", (), by_hand.JOINTS)
+    over = OverModels(models, 0.0, poses, by_hand.NEXT, "damping_ratio", by_hand.JOINTS)
     pose = Pose(0.3, fit.model, fit.model, fit.modes, fit.modes)
     check = BareCheck(fit.recordings[1], fit.modes, fit)
     errors, step_1 = None, None  # of which nothing is written

@@ -168,7 +168,6 @@ def test_it_reads_in_80_columns():
         poses=((0.3, (ModeOver(known, known, 1.0),) * 2),),
         next_test=dataclasses.replace(NEXT, band=0.004),
         narrows="damping_ratio",
-        bare=(),
         joints=("shoulder", "elbow"),
     )
     text = str(found)

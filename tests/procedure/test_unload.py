@@ -685,7 +685,7 @@ def test_command_ends_with_1_where_a_mode_grows(command, tmp_path):
 
 
 def test_command_says_that_the_search_was_stopped(command, papers, monkeypatch):
-    over = OverModels((), 0.0, (), None, None, (), ("shoulder", "elbow"), "interrupted")
+    over = OverModels((), 0.0, (), None, None, ("shoulder", "elbow"), "interrupted")
     made = dataclasses.replace(papers, over_models=over)
     found = by_hand.missing(budget=Budget(4, 40, "interrupted"))
     monkeypatch.setattr(residyn.diagnosis, "diagnose", lambda *_, **__: found, raising=False)

@@ -15,7 +15,7 @@ from residyn.fitting import model_for
 from residyn.physics.bearings import with_bearings
 from residyn.procedure.carried import Carried
 from residyn.procedure.over_models import ModeOver, OverModels, Spread
-from residyn.procedure.ringdown import band_of, draws_of
+from residyn.procedure.ringdown import ring_down
 from residyn.recordings.experiment import Experiment
 from residyn.reporting import figures as plot
 from residyn.reporting import render_page
@@ -114,7 +114,7 @@ def test_there_is_a_band_where_what_is_open_leaves_the_motion_as_it_is():
     unseen = np.array([[0.0, 0.0, 0.4**2, 0.0, -1.0]]) * 0.1
     errors = Carried(1e-8 * np.eye(5), unseen, np.zeros((3, 3)), np.zeros((5, 3)))
     told = model, errors, np.linspace(0.0, 8.0, 81), np.array([0.2, -0.1]), 100, 0
-    on, off = (band_of(*draws_of(m, *told)) for m in (model, model.without("bearing_drag")))
+    on, off = (ring_down(m, *told) for m in (model, model.without("bearing_drag")))
     assert off.low is None
     assert 0 < np.max(on.high - on.low) < 0.01
 
@@ -160,7 +160,7 @@ def test_bands_over_all_models_and_the_test_that_narrows_them(found):
     models = InPlay((by_hand.FOUND,), 0.9), InPlay((), 0.1)
     test = dataclasses.replace(by_hand.NEXT, band=0.004)
     joints = found.fit.joints
-    over = OverModels(models, 0.0, ((0.3, (mode,)),), test, "frequency_hz", (), joints)
+    over = OverModels(models, 0.0, ((0.3, (mode,)),), test, "frequency_hz", joints)
     made = dataclasses.replace(found, over_models=over)
     said = "The frequency of mode 1 is what is known worst: +/- 0.020 Hz (95 %)"
     assert said in " ".join(str(made).split())

@@ -18,8 +18,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import brentq
 from scipy.special import log_softmax, softmax
@@ -41,7 +39,6 @@ from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
 from ..runtime.presentation import Result
 from .carried import NAMES, Carried, ModeSlopes, inertias, slopes_of_modes
-from .ringdown import DRAWS, RingDown, band_of, draws_of
 
 QUANTITIES = ("frequency_hz", "damping_ratio")
 
@@ -95,23 +92,9 @@ class OverModels(Result):
     """Which would narrow most what is known worst of the lowest mode of the first pose."""
     narrows: str | None
     """Which of `QUANTITIES` that is."""
-    bare: tuple[Bare, ...]
-    """Each model in play without bearings, in the first pose."""
     joints: tuple[str, ...]
     stopped: str | None = None
     """Why the search for models ended early, if it did: "interrupted" or "budget"."""
-
-    def ring_down(
-        self, times: np.ndarray, q0: np.ndarray, *, draws: int = DRAWS, seed: int = 0
-    ) -> RingDown:
-        """Angles without bearings at `times` (N,) s, let go at rest from `q0` (n,): those of the
-        likeliest model, and the band that holds 95 % over all models."""
-        with jax.enable_x64(True):
-            found = []
-            for model, bare in zip(self.models, self.bare, strict=True):
-                many, start = max(1, round(draws * model.probability)), jnp.asarray(q0)
-                found.append(draws_of(*bare, times, start, many, seed))
-            return band_of(found[0][0], np.concatenate([f[1] for f in found]))
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of `over_models`."""
@@ -162,7 +145,6 @@ def over_models(
         poses=tuple((pose.theta2, each) for pose, each in zip(poses, modes, strict=True)),
         next_test=test,
         narrows=narrows,
-        bare=free[0],
         joints=scene.joints,
         stopped=search.stopped,
     )

@@ -32,7 +32,7 @@ class RingDown(NamedTuple):
     high: Float[np.ndarray, "N n"] | None
 
 
-def draws_of(
+def ring_down(
     model: Model,
     fitted: Model,
     errors: Carried,
@@ -40,23 +40,21 @@ def draws_of(
     q0: Float[Array, " n"],
     draws: int,
     seed: int,
-) -> tuple[Trajectory, np.ndarray]:
-    """Let a model go at rest from `q0`: its motion, and that of each draw (draws, N, n); of none
-    where the recordings leave it open. `errors` are those of the model `fitted`, of which
-    `model` may lack some effects."""
+) -> RingDown:
+    """Let a model go at rest from `q0`. `errors` are those of the model `fitted`, of which `model`
+    may lack some effects."""
     steps = steps_for(model, float(times[-1] - times[0]))
     names = [n.name for n in fitted.fitted]
     kept = [names.index(n.name) for n in model.fitted]
     path, at = simulate(model, times, q0, steps=steps), (jnp.asarray(times), q0, steps)
     unseen = errors.unseen[np.any(errors.unseen[:, kept], axis=1)]
-    none = np.zeros((0, *np.shape(path.q)))
     if draws == 0 or not np.isfinite(errors.numbers).all():
-        return path, none
+        return RingDown(path, None, None)
     if len(unseen):
         beside = _simulated(model, MATTERS * unseen[:, kept], np.zeros((len(unseen), 3)), *at)
         moved_by = np.abs(np.asarray(beside) - path.q).max() / MATTERS
         if not moved_by <= MATTERS * np.abs(path.q).max():
-            return path, none
+            return RingDown(path, None, None)
     rng = np.random.default_rng(seed)
     how: Any = {"size": draws, "method": "eigh", "check_valid": "ignore"}  # they may be singular
     inertia = rng.multivariate_normal(np.zeros(3), errors.inertia, **how)
@@ -65,13 +63,7 @@ def draws_of(
     numbers = (own + inertia @ errors.moved.T)[:, kept]
     found = np.asarray(_simulated(model, numbers, inertia, *at))
     # What a draw cannot follow (a stiffness below zero, an arm that is none) lies outside.
-    return path, np.where(np.isfinite(found), found, np.inf)
-
-
-def band_of(path: Trajectory, found: np.ndarray) -> RingDown:
-    """A motion with the band that holds 95 % of the draws (draws, N, n), if there are any."""
-    if not len(found):
-        return RingDown(path, None, None)
+    found = np.where(np.isfinite(found), found, np.inf)
     low, high = np.percentile(found, _EDGES, axis=0, method="nearest")
     return RingDown(path, low, high)
 

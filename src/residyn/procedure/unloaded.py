@@ -17,7 +17,7 @@ from .carried import NAMES, Carried, inertias
 from .decay import decay_of
 from .over_models import OverModels
 from .result import InertiaResult
-from .ringdown import DRAWS, RingDown, band_of, draws_of
+from .ringdown import DRAWS, RingDown, ring_down
 
 _DECAYS = 3.0  # decay times of the slowest mode that a picture shows
 _CYCLES = 25  # but no more cycles than this, or its lines run together
@@ -166,7 +166,7 @@ class Unloading(Result):
             q0 = jnp.asarray(self.fit.recordings[0].state[: len(self.fit.joints)])
             times = self._times() if times is None else np.asarray(times, float)
             told = self.fit.model, self.errors, times, q0, draws, seed
-            on, off = (band_of(*draws_of(m, *told)) for m in (self.model, self.unloaded))
+            on, off = (ring_down(m, *told) for m in (self.model, self.unloaded))
             return on, off
 
     def _times(self) -> np.ndarray:
