@@ -361,6 +361,8 @@ def test_a_flexible_wrist_adds_a_mode():
         ([[2.0, np.nan], [np.nan, 3.0]], {}, "must be finite and symmetric"),
         ([[1.0, 2.0], [2.0, 1.0]], {}, "must be positive definite"),
         ([[-1.0]], {}, "must be positive definite"),
+        ([[0.0, 0.0], [0.0, 1.0]], {}, "must be positive definite"),
+        ([[0.9, 0.3], [0.3, 0.1]], {}, "must be positive definite"),  # but for rounding, singular
         (np.eye(2), {"joints": ["a", "a"]}, "no two may be alike"),
         (np.eye(2), {"units": ["rad"]}, 'must be "rad" or "m" for each of 2 joints'),
         (np.eye(2), {"units": ["deg", "m"]}, 'must be "rad" or "m"'),

@@ -323,7 +323,7 @@ def test_reads_standard_input(folder, monkeypatch):
         ),
         (
             ["[inertia]\njoints = ['a', 'b']\nmatrix = [[1, 0.2], [0.1, 1]]", entry()],
-            ["not symmetric", "row 2, column 1"],
+            ["matrix = [[1.0, 0.2], [0.1, 1.0]]: must be finite and symmetric"],
         ),
         ([CART, "units = ['deg']", entry()], ["units", '"m" or "rad"']),
         # [[air_bearings]]

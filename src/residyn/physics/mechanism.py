@@ -19,6 +19,8 @@ from .inertia import AbstractInertia
 from .model import Model
 from .parameter import floating
 
+_REAL = 100.0  # times rounding: a smaller inertia of some motion, in those of the joints, is none
+
 
 class AbstractMechanism(AbstractInertia):
     """A mechanism of n coordinates. To write one: give `joints`, `units` and `mass_matrix`.
@@ -185,11 +187,15 @@ class ConstantInertia(AbstractMechanism):
         if isinstance(self.matrix, Tracer):
             return
         known = np.asarray(self.matrix)
-        turned = np.swapaxes(known, -1, -2)
-        rounding = known.shape[-1] * np.finfo(known.dtype).eps * np.abs(known).max(initial=0.0)
+        turned, eps = np.swapaxes(known, -1, -2), np.finfo(known.dtype).eps
+        rounding = n * eps * np.abs(known).max(initial=0.0)
         if not (np.abs(known - turned) <= rounding).all() or not np.isfinite(known).all():
             raise ValueError(f"matrix = {quote(known.tolist())}: must be finite and symmetric")
-        if not (np.linalg.eigvalsh(known) > 0).all():
+        # Kilograms stand beside kilogram square metres: measure each joint by its own inertia.
+        own = np.diagonal(known, axis1=-2, axis2=-1)
+        size = np.sqrt(np.where(own > 0, own, 1.0))
+        scaled = known / size[..., None] / size[..., None, :]
+        if not (np.linalg.eigvalsh(scaled) > _REAL * eps).all():
             raise ValueError(f"matrix = {quote(known.tolist())}: must be positive definite")
 
     def mass_matrix(self, q):

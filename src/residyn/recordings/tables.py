@@ -10,10 +10,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import numpy as np
+import jax
 
 from ..errors import InputError, entries, number, quote
-from ..physics.mechanism import real_arm
+from ..physics.mechanism import ConstantInertia, real_arm
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,11 @@ class InertiaTable:
         if len(rows) != n or any(len(row) != n for row in rows):
             raise InputError(f"matrix = {quote(rows)}: must be {right}")
         matrix = tuple(tuple(number("matrix", x, "kg or kg m^2") for x in row) for row in rows)
-        _check_matrix(np.array(matrix))
+        try:
+            with jax.enable_x64(True):
+                ConstantInertia(matrix, joints)
+        except ValueError as error:
+            raise InputError(str(error)) from None
         units = self.units
         if units is not None:
             units = tuple(entries("units", units, 'a list, as ["m"]'))
@@ -142,20 +146,3 @@ def check_bearings(inertia: Any, bearings: Iterable[Bearing]) -> None:
         "cannot belong to a real arm: shoulder*elbow must be above (l1*coupling)^2, or some motion "
         f"would have no inertia{'; are the lengths in m?' * long}"
     )
-
-
-def _check_matrix(matrix: np.ndarray) -> None:
-    size = np.maximum(abs(matrix), abs(matrix.T))
-    for i, j in np.argwhere(np.tril(abs(matrix - matrix.T) > 1e-6 * size)):
-        raise InputError(
-            f"matrix is not symmetric: {matrix[i, j]:g} in row {i + 1}, column {j + 1}, but "
-            f"{matrix[j, i]:g} in row {j + 1}, column {i + 1}"
-        )
-    own = np.diag(matrix)
-    if (own > 0).all():
-        # Kilograms stand beside kilogram square metres: measure each joint by its own inertia.
-        with np.errstate(over="ignore"):
-            scaled = matrix / np.sqrt(own)[:, None] / np.sqrt(own)
-        if np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled).min() > 1e-12:
-            return
-    raise InputError("matrix is not positive definite: some motion would have no inertia")
