@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
@@ -91,14 +91,17 @@ def test_a_spoilt_csv(text):
     read_or_refused(lambda: read_csv(CSV, 2), "try.csv")
 
 
-FINITE = st.floats(allow_nan=False, allow_infinity=False)
+READINGS = st.floats(-1e30, 1e30)  # any that a recording may have
 
 
 @given(st.data(), st.integers(1, 3), st.booleans())
 @relaxed
 def test_a_written_csv_reads_back_exactly(data, joints, driven):
-    time = np.unique(data.draw(arrays.arrays(float, st.integers(1, 20), elements=FINITE)))
-    table = arrays.arrays(float, (len(time), joints), elements=st.one_of(FINITE, st.just(math.nan)))
+    time = np.unique(data.draw(arrays.arrays(float, st.integers(1, 20), elements=READINGS)))
+    assume(len(time) == 1 or np.median(np.diff(time)) >= 1e-9)
+    table = arrays.arrays(
+        float, (len(time), joints), elements=st.one_of(READINGS, st.just(math.nan))
+    )
     angle, drive = data.draw(table), data.draw(table) if driven else None
     write_csv(CSV, time, angle, drive)
     back = read_csv(CSV, joints)

@@ -23,7 +23,7 @@ import numpy as np
 
 from ..errors import InputError, inside, quote
 from ..files import read_table_text, write
-from .arrays import check_time
+from .arrays import check_table, check_time
 from .columns import Column, Joints, Layout, Table, columns_of, guessed, is_unit_row, matched
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eEdD][+-]?[0-9]+)?")
@@ -140,24 +140,14 @@ def write_csv(
 
     **Arguments:** `time` (N,) s; `angle` (N, n) or (N,), rad or m; `drive` like `angle`, N m or N.
     """
-    time = np.asarray(time, dtype=float)
-    if time.ndim != 1 or not len(time):
-        raise InputError(f"time has shape {time.shape}: it must be one row of samples")
-    columns = {"t": time}
-    for letter, values in [("q", angle)] + [("u", drive)] * (drive is not None):
-        values = np.asarray(values, dtype=float)
-        values = values[:, None] if values.ndim == 1 else values
-        if values.ndim != 2 or len(values) != len(time) or not values.shape[1]:
-            raise InputError(
-                f"{letter} has shape {values.shape}: it must be ({len(time)}, joints) like time"
-            )
-        columns |= {f"{letter}{j + 1}": column for j, column in enumerate(values.T)}
-    letters = "".join(name[0] for name in columns)
-    if letters.count("u") > letters.count("q"):
-        raise InputError("drive has more joints than angle")
+    time, angle = check_table(time, angle)
+    columns = {"t": time} | {f"q{j + 1}": column for j, column in enumerate(angle.T)}
+    if drive is not None:
+        _, drive = check_table(time, drive, "drive")
+        columns |= {f"u{j + 1}": column for j, column in enumerate(drive.T)}
+        if drive.shape[1] > angle.shape[1]:
+            raise InputError("drive has more joints than angle")
     table = np.stack(list(columns.values()), axis=1)
-    if np.isinf(table).any() or np.isnan(time).any():
-        raise InputError("time must be finite; angle and drive finite or NaN")
     # repr is the shortest text that reads back as the same number.
     lines = [",".join("" if x != x else repr(x) for x in row) for row in table.tolist()]
     text = "\n".join([",".join(columns), *lines, ""])
