@@ -151,18 +151,6 @@ def _nothing_explained(found: Diagnosis) -> Iterator[str]:
         "where the joints rest, whether each column is the joint that it is named after, and "
         f"whether the inertias are of this arm. {_SMOOTHED}"
     )
-    angles = [np.where(r.used, r.recording.angle, np.nan) for r in found.fit.fitted]
-    each = zip(found.fit.joints, np.concatenate(angles).T, strict=True)
-    aside = [
-        f"{joint} {plain(float(np.nanmean(x)), 3)}"
-        for joint, x in each
-        if np.nanmin(x) > 0 or np.nanmax(x) < 0
-    ]
-    if aside:
-        yield (
-            f"The readings keep to one side of zero (means: {listed(aside)}): {reads}s that are "
-            "not counted from rest look so."
-        )
 
 
 def _families(found: Diagnosis) -> Iterator[str]:

@@ -307,14 +307,11 @@ def modes_of(fit: Fit) -> str:
     modes depend on; else empty."""
     each = [r for r, _ in by_recording([f.recording for f in fit.recordings])]
     first, said = fit.posed_as, []
-    if len({r.theta2 for r in each}) > 1:
-        said.append(f"theta2 = {first.theta2:.4g} rad")
+    for key, unit in (("theta2", "rad"), ("extra_mass", "kg"), ("load", "N")):
+        if len({getattr(r, key) for r in each}) > 1:
+            said.append(f"{key} = {getattr(first, key):.4g} {unit}")
     if fit.experiment.bearings and len({r.air_bearings for r in each}) > 1:
         said.append("on the bearings" if first.air_bearings else "without bearings")
-    if len({r.extra_mass for r in each}) > 1:
-        said.append(f"extra_mass = {first.extra_mass:.4g} kg")
-    if len({r.load for r in each}) > 1:
-        said.append(f"load = {first.load:.4g} N")
     if len({fit.experiment.run_of(r) for r in each}) > 1:
         said.append("with its own numbers")
     return f", as in {first.name} ({', '.join(said)})" if said else ""
