@@ -4,8 +4,8 @@ A case is one release of one random arm with something hidden in it, and everyth
 follows from its *seed*, its labels and its noise: so a case needs no file, and the same name means
 the same recording to every method. The lists of seeds are frozen. Whatever was tuned, a threshold
 or a line of code, was tuned on `TUNING`. `EVIDENCE` was committed before the diagnosis by marginal
-likelihood was written, and has been looked at since; `FRESH`, `LATEST` and `UNSEEN` were each committed
-before the one run that is reported of them, and looked at after it.
+likelihood was written, and has been looked at since; `FRESH`, `LATEST` and `UNSEEN` were each
+committed before the one run that is reported of them, and looked at after it.
 """
 
 from __future__ import annotations
