@@ -259,6 +259,26 @@ def test_a_disturbance_much_faster_than_the_arm_rings_is_found():
     assert found.fit.reduced_chi2 < 1.2
 
 
+def test_a_line_that_no_random_torque_shows_is_surely_missing():
+    """A floor that shakes a mass at twice its mode: 0.1 N, of which each reading has half a noise."""
+    time = np.arange(0.0, 15.0, 0.01)
+
+    def rate(t, x):
+        pushed = 0.1 * np.sin(2 * np.pi * 7.3 * t + 0.3)
+        return [x[1], (-800.0 * x[0] - 1.2 * x[1] - pushed) / 2.0]
+
+    clean = solve_ivp(rate, (0.0, 15.0), [0.01, 0.0], t_eval=time, rtol=1e-9, atol=1e-12).y[0]
+    noise = 5e-5 * np.random.default_rng(0).standard_normal(len(time))
+    read = residyn.Recording.from_arrays(time, (clean + noise)[:, None])
+    table = InertiaTable(("mass",), [[2.0]], ("m",))
+    found = residyn.diagnose(residyn.Experiment(table, (read,)))
+    assert found.verdict == "missing"
+    assert found.added == ("periodic_disturbance:mass",)
+    assert found.verdict_probability > 0.95
+    frequency, std = parameter(found, "periodic_disturbance:mass.frequency")
+    assert abs(frequency - 7.3) < 3 * std
+
+
 def test_a_residual_that_is_not_white_is_told_from_noise():
     clean = release()
     hum = 8e-4 * np.sin(2 * np.pi * 33.0 * clean.t)[:, None] * [0, 1]

@@ -26,6 +26,7 @@ from residyn.diagnosis.evidence import (
     NEGLIGIBLE,
     OUTSIDE,
     WIDTH,
+    at_least,
     at_work,
     conditional,
     half_normal,
@@ -476,6 +477,15 @@ def test_the_prior_of_an_effects_size_is_that_of_a_strength(sizes):
             for a, b in itertools.pairwise(edges)]  # fmt: skip
     assert np.allclose(prior_sizes(sizes), each, atol=1e-6)
     assert prior_sizes(sizes).sum() == pytest.approx(1.0)
+
+
+def test_what_was_missing_is_no_less_than_what_an_effect_does():
+    weights = np.linspace(1.0, 2.0, len(INTENSITIES))
+    assert np.array_equal(at_least(weights, 0.0), weights)
+    known = at_least(weights, 0.028)
+    assert np.array_equal(known[:3], weights[:3])
+    assert known[3] == pytest.approx(weights[3:].sum())
+    assert not known[4:].any()
 
 
 def test_a_name_is_sure_where_it_leaves_little_of_what_was_missing():

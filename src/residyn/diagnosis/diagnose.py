@@ -40,6 +40,7 @@ from .evidence import (
     INDISTINGUISHABLE,
     INTENSITIES,
     NOISE,
+    at_least,
     at_work,
     log_sum,
 )
@@ -438,6 +439,7 @@ class Posterior:
     def __init__(self, search: Search):
         self.search = search
         self._needs = functools.cache(lambda model: model.needs(search.scene))
+        self._torques = functools.cache(lambda t: search.scene.torques(t))
         self.models, self.curves = list(search.tried.values()), search.curves
         passed = [m for added, m in search.passed.items() if added not in search.tried]
         self.named = [*self.models, *passed]
@@ -512,10 +514,22 @@ class Posterior:
     def _needed_without(self, model: Tried | CurveModel, label: str | None) -> np.ndarray:
         """(I,) posterior of the random torque that a model needs without one of its effects, or
         without its free curve: the least that any model needs which was tried and has no effect
-        beyond those. With more effects a model needs no more."""
-        rest = frozenset(model.added) - {label}
+        beyond those. With more effects a model needs no more. It is no less than what the effect
+        does: a random torque need not show a line that is far above the modes."""
+        rest, sizes = frozenset(model.added) - {label}, np.array(INTENSITIES)
         each = (self._needs(m) for added, m in self.search.tried.items() if added <= rest)
-        return min(each, key=lambda weights: weights @ np.array(INTENSITIES))
+        return at_least(min(each, key=lambda weights: weights @ sizes), self._does(model, label))
+
+    def _does(self, model: Tried | CurveModel, label: str | None) -> float:
+        """What an effect does in a model that neither springs nor dampers could: rms, in typical
+        torques, of the part of its torque that is no linear function of the state, at the joint
+        where that is largest; 0 of what is no torque."""
+        scene, t = self.search.scene, model.best
+        if label not in t.labels or scene.coloured is not None:
+            return 0.0
+        own, state = self._torques(t)[label][scene.real], t.path[scene.real, : 2 * scene.n]
+        own = own - state @ np.linalg.lstsq(state, own)[0]
+        return float(np.max(np.sqrt(np.mean(own**2, axis=0)) / scene.torque))
 
     def _explains(self, model: Tried | CurveModel) -> float:
         """Probability, given a model, that it needs no random torque that matters and that its

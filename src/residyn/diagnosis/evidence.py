@@ -265,6 +265,13 @@ def prior_sizes(sizes: Sequence[float]) -> np.ndarray:
     return -np.diff(erf(edges / WIDTH / math.sqrt(2)))
 
 
+def at_least(weights: np.ndarray, size: float) -> np.ndarray:
+    """(I,) the posterior of a random torque's intensity, of which it is known that it is no less
+    than a size."""
+    k = int(np.argmin(np.abs(np.log(np.maximum(INTENSITIES, 1e-9) / max(size, 1e-9)))))
+    return np.append(weights[:k], [weights[k:].sum(), *np.zeros(len(weights) - k - 1)])
+
+
 def at_work(before: np.ndarray, signs: Any = 1.0, noise: bool = False) -> np.ndarray:
     """(..., I) probability that an effect of a model is at work, for each random torque that the
     model still needs; `before` (..., I) is the posterior of the one that it needs without it.
