@@ -260,7 +260,7 @@ def test_a_disturbance_much_faster_than_the_arm_rings_is_found():
 
 
 def test_a_line_that_no_random_torque_shows_is_surely_missing():
-    """A floor that shakes a mass at twice its mode: 0.1 N, of which each reading has half a noise."""
+    """A floor that shakes a mass at twice its mode: in each reading it is half a noise."""
     time = np.arange(0.0, 15.0, 0.01)
 
     def rate(t, x):
