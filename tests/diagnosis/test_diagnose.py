@@ -3,6 +3,7 @@ by MuJoCo (tests/rig), which shares no code with the package; what decides is he
 forms in test_evidence.py."""
 
 import dataclasses
+import itertools
 import json
 import math
 from types import SimpleNamespace
@@ -35,6 +36,7 @@ from residyn.fitting.problem import Unknowns
 from residyn.physics.effect import JointEffect
 from residyn.physics.parameter import ANGLE, TORQUE, Dimension, param
 from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
+from residyn.reporting.numbers import percent
 from tests import rig
 
 ARM = rig.paper_twin(0.3)
@@ -192,6 +194,14 @@ def test_a_model_fits_no_worse_than_one_that_it_contains(friction, monkeypatch):
         again = friction.fits.fitted(tried)
     assert again.model.labels == friction.fit.model.labels
     assert again.reduced_chi2 < 1.02 * friction.base.reduced_chi2
+
+
+def test_of_one_printed_probability_the_better_evidence_is_first(friction, clean):
+    for found in (friction, clean):
+        rows = [(percent(c.probability), c.log_evidence) for c in found.candidates]
+        each = [[x for _, x in own] for _, own in itertools.groupby(rows, lambda row: row[0])]
+        assert any(len(own) > 3 for own in each)
+        assert all(own == sorted(own, reverse=True) for own in each)
 
 
 def test_law_and_place_share_the_probability_of_their_family(friction):

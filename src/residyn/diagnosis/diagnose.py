@@ -581,7 +581,8 @@ class Posterior:
             )
             if candidate.log_evidence > -math.inf:
                 found.append(candidate)
-        return tuple(sorted(found, key=lambda c: (-c.probability, -c.log_evidence)))
+        # By the probability as it is printed: of equal ones the evidence tells.
+        return tuple(sorted(found, key=lambda c: (-round(c.probability, 2), -c.log_evidence)))
 
     def families(self) -> tuple[Family, ...]:
         """Kinds of law and their places."""

@@ -154,7 +154,7 @@ class Diagnosis(TableResult):
     ladder: tuple[ModelState, ...]
     """From the base model to the likeliest one, each fitted."""
     candidates: tuple[Candidate, ...]
-    """The likeliest first."""
+    """The likeliest first, of equal ones (to 1 %) those with the higher evidence."""
     families: tuple[Family, ...]
     """The likeliest first."""
     lookalikes: tuple[tuple[str, ...], ...]

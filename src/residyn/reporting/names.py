@@ -135,7 +135,8 @@ def worth_showing(found: Diagnosis) -> tuple[Candidate, ...]:
     """The candidates that deserve a line: the likely ones, and the best of the rest."""
     told = [c for c in found.candidates if c.probability >= _LINE or c.effect in found.added]
     rest = [c for c in found.candidates if c not in told and math.isfinite(c.log_evidence)]
-    return (*told, *rest[: max(0, len(found.added) + _FEWEST - len(told))])[:_MOST]
+    shown = [*told, *rest[: max(0, len(found.added) + _FEWEST - len(told))]][:_MOST]
+    return tuple(c for c in found.candidates if c in shown)
 
 
 def unnamed(found: Diagnosis) -> str:
