@@ -165,7 +165,7 @@ def a_candidate(effect, probability, log_evidence, iterated=True):
     return Candidate(effect, probability, log_evidence, iterated, values)
 
 
-def a_model(fit, added=None, held=(46.0, 24.0), log_evidence=0.0):
+def a_model(fit, *added, held=(46.0, 24.0), log_evidence=0.0):
     """A model on the way with these held-out errors, in times the noise."""
     check = HeldOut("check recordings", an_error(*held), an_error(7.1, 11.0))
     return ModelState(added, fit, check, log_evidence)

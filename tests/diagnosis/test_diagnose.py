@@ -120,6 +120,7 @@ def test_dry_friction_is_named_at_its_joint_and_the_error_falls(friction):
     value, std = parameter(friction, "coulomb_friction:elbow.torque")
     assert abs(value - 0.05) < 4 * std
     base, last = friction.ladder
+    assert (base.added, last.added) == ((), friction.added)
     assert base.times_noise.max() > 3
     assert (last.times_noise < 1.1).all()
     assert last.held_out.held_out.ratio.max() < 1.3 < base.held_out.held_out.ratio.max()

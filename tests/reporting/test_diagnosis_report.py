@@ -324,6 +324,15 @@ def test_it_begins_with_the_verdict_and_fits_80_columns(found, kind):
     assert printed.endswith(str(found[kind].fit))
 
 
+def test_a_row_of_the_models_names_all_that_joined():
+    ladder, labels = by_hand.missing().ladder, (FOUND, "gravity")
+    both = a_model(by_hand.a_fit(labels, by_hand.SLIP, 0.98), *labels)
+    made = dataclasses.replace(by_hand.missing(), ladder=(ladder[0], both))
+    assert text.models(made)[-1].strip() == "+ gravity"
+    assert text.models_table(made).rows[1][0] == "+ Coulomb friction, elbow + gravity"
+    assert f"ladder,+ {FOUND} + gravity,reduced_chi2" in text.csv(made)
+
+
 def test_it_shows_the_models_and_the_candidates(found):
     printed = str(found["missing"])
     for line in (
@@ -367,7 +376,7 @@ def test_more_joints_than_columns_stand_under_each_other(found):
     model = SimpleNamespace(labels=())
     fit = SimpleNamespace(joints=joints, model=model, reduced_chi2=2, rmse=rmse)
     held = SimpleNamespace(what="last third", held_out=SimpleNamespace(ratio=[4, 5, 6], rmse=rmse))
-    step = SimpleNamespace(fit=fit, held_out=held, times_noise=[1, 2, 3], added=None)
+    step = SimpleNamespace(fit=fit, held_out=held, times_noise=[1, 2, 3], added=())
     lines = text.models(SimpleNamespace(fit=fit, models=(step,), laws=()))
     shown = [line.split()[-6:] for line in lines[-3:]]
     assert shown[0] == ["a", "1.0", "x", "4.0", "x", "2.00"]

@@ -406,14 +406,15 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
 
 
 def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...]:
-    """The models on the way to the best one: each of its effects joins in turn."""
-    labels, found = best.added, []
+    """The models that were tried on the way to the best one: its effects join in turn."""
+    labels, found, known = best.added, [], 0
     ways = (frozenset(labels[:k]) for k in range(len(labels) + 1))
     models = [search.tried[x] for x in ways if x in search.tried]
     for model in models:
         fits.begin(model)
     for model in models:
-        result, joined = fits.of(model), labels[len(model.added) - 1] if model.added else None
+        result = fits.of(model)
+        joined, known = labels[known : len(model.added)], len(model.added)
         held = held_out(result)
         relative = model.log_evidence - search.best.log_evidence
         found.append(ModelState(joined, result, held, relative))

@@ -58,8 +58,8 @@ class HeldOut(NamedTuple):
 class ModelState:
     """One model on the way, fitted by least squares."""
 
-    added: str | None
-    """What joined it here, an effect or a law without a name; None for the base model."""
+    added: tuple[str, ...]
+    """What joined it here, effects or a law without a name; nothing for the base model."""
     fit: Fit
     held_out: HeldOut | None
     """Its errors where it was not fitted; None if they could not be had."""

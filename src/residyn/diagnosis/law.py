@@ -315,9 +315,7 @@ def _fitted(fits: Any, tried: Tried, law: Law) -> ModelState | None:
         fit = fits.of(tried)
     except FitError:
         return None
-    return ModelState(
-        tried.added[-1] if tried.added else None, fit, held_out(fit), law.log_evidence
-    )
+    return ModelState(tried.added[-1:], fit, held_out(fit), law.log_evidence)
 
 
 def _predicts(with_it: ModelState | None, without: ModelState | None) -> bool:

@@ -722,7 +722,7 @@ def csv(found: Diagnosis) -> str:
     """One line for each number: which table and which line of it, name, value, std, unit."""
     rows: list[tuple[object, ...]] = []
     for step in found.models:
-        own = "ladder", base_name(step.fit) if step.added is None else f"+ {step.added}"
+        own = "ladder", f"+ {' + '.join(step.added)}" if step.added else base_name(step.fit)
         for name, joint, x, u in residuals(step.fit):
             if name != "check_rmse":
                 rows.append((*own, f"{name}:{joint}", x, None, u))

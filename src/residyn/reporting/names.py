@@ -105,9 +105,8 @@ def base_name(fit: Fit, comma: bool = False) -> str:
 
 def model_name(step: ModelState, comma: bool = False) -> str:
     """What joined the model on the way: "+ gravity"; of the base model, all that it has."""
-    if step.added is None:
-        return base_name(step.fit, comma)
-    return f"+ {lower(at_place(step.added, step.fit.joints, comma))}"
+    each = (f"+ {lower(at_place(x, step.fit.joints, comma))}" for x in step.added)
+    return " ".join(each) if step.added else base_name(step.fit, comma)
 
 
 def times_noise(step: ModelState) -> list[tuple[float, float | None]]:
