@@ -199,6 +199,32 @@ def test_new_for_one_sliding_joint_and_for_what_is_no_table(tmp_path, capsys):
     assert len(DIALECTS) >= 30
 
 
+UNSAID = {
+    "nothing": ("t,q1", "t in s, q1 in rad?", True),
+    "of the time": ("a,b (cm)", "t in s?", False),
+    "of the joint": ("Time (ms),b", "q1 in rad?", True),
+    "all of it": ("t (s),q1 (rad)", None, False),
+    "of an arm": ("t (s),q1,q2", "q1 in rad, q2 in rad?", False),
+}
+
+
+@pytest.mark.parametrize(("header", "says", "of_joint"), UNSAID.values(), ids=UNSAID)
+def test_new_says_which_units_the_file_does_not_say(tmp_path, header, says, of_joint):
+    n = header.count(",")
+    (tmp_path / "x.csv").write_text(table(header, T, Q[:, :n]))
+    assert main(["new", str(tmp_path / "new.toml"), str(tmp_path / "x.csv")]) == 0
+    text = (tmp_path / "new.toml").read_text()
+    lines = [line for line in text.splitlines() if "the file does not say" in line]
+    comments = [f"# the file does not say: {says}"] if says else []
+    assert [line for line in lines if line.startswith("#")] == comments
+    assert [line.split(" = ")[0] for line in lines if not line.startswith("#")] == (
+        ["units"] if of_joint else []
+    )
+    assert ("no arm of two links takes [inertia]" in text) == (n == 2)
+    first = [line for line in text.splitlines()[: 4 + n] if " # " in line]
+    assert len({line.index(" # ") for line in first}) == 1
+
+
 @pytest.mark.parametrize(("unit", "mass"), [("cm", "kg"), ("rad", "kg m^2")])
 def test_new_says_in_which_unit_a_mass_is(tmp_path, unit, mass):
     rows = (f"{t:.2f},{0.2 * np.cos(3 * t):.5f}" for t in np.arange(0, 15, 0.01))

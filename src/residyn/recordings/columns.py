@@ -320,7 +320,11 @@ def guessed(
     angles = called or sized or rest
     order = _named_order([bare[i] for i in angles])
     at = {"t": time} | {f"q{j + 1}": angles[i] for j, i in enumerate(order or range(len(angles)))}
-    said = {name: words[i] for name, i in at.items() if name != "t" and quantity_of(words[i])}
+    said = {
+        name: words[i]
+        for name, i in at.items()
+        if (i in timed if name == "t" else quantity_of(words[i]))
+    }
     return at, said, bool(order)
 
 

@@ -19,6 +19,7 @@ from .sanity import not_free
 from .tables import ArmTable
 
 _ARM = """\
+# What is no arm of two links takes [inertia] in its place (joints, units, matrix), and no theta2.
 [arm]                     # two links, with the bearings on: `residyn inertia`
 link_lengths = ["?", "?"] # m
 shoulder = "?"            # I1 about the shoulder + m2 l1^2, kg m^2
@@ -29,9 +30,10 @@ _AS_THEY_ARE = "no name says which column is which joint; the order is the file'
 _INERTIA = """\
 [inertia]                 # a constant mass matrix
 joints = {joints}
-units = {units}         # "rad" or "m" each
-matrix = {matrix}         # {unit}
+{units:<25} # "rad" or "m" each{unsaid}
+{matrix:<25} # {unit}
 """
+_UNSAID = "the file does not say:"
 _UNITS = {
     ("rad",): "kg m^2",
     ("m",): "kg",
@@ -44,9 +46,9 @@ def experiment_text(files: Sequence[Path], folder: Path) -> str:
 
     **Raises:** `InputError` for a recording that is no table with a header.
     """
-    tables, kinds, names = [], (), ()
+    tables, kinds, names, guessed = [], (), (), False
     for file in files:
-        table, found, angles = _entry(file, folder)
+        table, found, angles, unsaid = _entry(file, folder)
         if tables and len(found) != len(kinds):
             by_size = sorted([(angles, file), (names, files[0])], key=lambda each: len(each[0]))
             (few, lacking), (many, whole) = by_size
@@ -62,20 +64,21 @@ def experiment_text(files: Sequence[Path], folder: Path) -> str:
                 'write the unit behind its name, as "q1 (m)"'
             )
         tables.append(table)
-        kinds, names = found, angles
+        kinds, names, guessed = found, angles, guessed or unsaid
     n = len(kinds)
     head = _INERTIA.format(
         joints=toml_value([f"joint{j + 1}" for j in range(n)]),
-        units=toml_value(list(kinds)),
-        matrix=toml_value([["?"] * n] * n),
+        units=f"units = {toml_value(list(kinds))}",
+        unsaid=f"; {_UNSAID} rad?" if guessed else "",
+        matrix=f"matrix = {toml_value([['?'] * n] * n)}",
         unit=_UNITS[tuple(sorted(set(kinds)))],  # pyrefly: ignore[bad-index]
     )
     return "\n".join([_ARM if kinds == ArmTable.units else head, *tables])
 
 
-def _entry(file: Path, folder: Path) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+def _entry(file: Path, folder: Path) -> tuple[str, tuple[str, ...], tuple[str, ...], bool]:
     """One `[[recordings]]` table, with a key for each thing that is seen in the recording; its
-    joints' units and their columns."""
+    joints' units and their columns, and whether the file leaves the unit of a joint open."""
     columns, units, ordered = guessed_columns(file)
     angles = list(columns)[1:]
     if not angles:
@@ -110,13 +113,17 @@ def _entry(file: Path, folder: Path) -> tuple[str, tuple[str, ...], tuple[str, .
     lines = ["[[recordings]]", f"file = {toml_value(os.path.relpath(file, folder or Path()))}"]
     if understood:
         lines += _comment(understood)
+    unsaid = [x for x in columns if x not in units | keys.get("units", {})]
+    if unsaid:
+        each = (f"{x} in {'s' if x == 't' else 'rad'}" for x in unsaid)
+        lines += _comment(f"{_UNSAID} {', '.join(each)}?")
     for key, value in keys.items():
         if key in said:
             lines += _comment(f"seen: {said[key]}")
         lines.append(f"{key} = {toml_value(value)}")
     if kinds == ArmTable.units:
         lines.append('theta2 = "?"              # elbow angle at rest, rad; 0: stretched out')
-    return "\n".join([*lines, ""]), kinds, joints.names
+    return "\n".join([*lines, ""]), kinds, joints.names, unsaid not in ([], ["t"])
 
 
 def _comment(words: str) -> list[str]:
