@@ -226,6 +226,17 @@ def test_a_search_cut_short_does_not_blame_the_catalogue(count, says, monkeypatc
     assert ("effect that was tried" in shown) == (count == 2)
 
 
+def test_a_disturbance_may_be_in_the_sensor(found):
+    """In a linear rig a sine of the sensor's zero and one of a force have the same readings."""
+    says = "A sensor whose zero swings at that frequency"
+    label = "periodic_disturbance:elbow"
+    ladder = by_hand.missing().ladder[0], a_model(by_hand.a_fit((label,), 0.0, 1.0), label)
+    kinds = (Family("periodic disturbance", "elbow", 0.99, ((label, 0.99),)),)
+    made = by_hand.missing(families=kinds, lookalikes=())
+    assert says in " ".join(dataclasses.replace(made, ladder=ladder).words)
+    assert says not in " ".join(found["missing"].words)
+
+
 def test_nothing_missing(found):
     words = found["adequate"].words
     assert words[0] == "Nothing is missing that these recordings could show (> 99 %)."

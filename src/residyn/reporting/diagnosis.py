@@ -83,7 +83,7 @@ def sentences(found: Diagnosis) -> tuple[str, ...]:
         named = [_families, _laws] if found.added else [_families, _none_named]
         named = [_none_named, _standing_in] if _stand_in(found) else named
         left = _left if found.coloured is None else _coloured
-        named += [laws.sentences, _others]
+        named += [_hum, laws.sentences, _others]
         parts = [_unphysical, *named, _unphysical_base, _fall, laws.fall, _noise, left]
     return tuple(words for part in (_stopped, *parts) for words in part(found))
 
@@ -257,6 +257,15 @@ def _laws(found: Diagnosis) -> Iterator[str]:
                 yield f"{name}{told} is enough; {more}."
             elif numbers:
                 yield f"{name}: {numbers}."
+
+
+def _hum(found: Diagnosis) -> Iterator[str]:
+    """What else a disturbance may be: in a linear rig the two have the same readings."""
+    if any(e.oscillates for e in found.fit.model.effects if e.label in found.added):
+        yield (
+            "A sensor whose zero swings at that frequency, as hum in its cable makes it, moves the "
+            "readings in the same way."
+        )
 
 
 def _numbers(found: Diagnosis, label: str) -> str:
