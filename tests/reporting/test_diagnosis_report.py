@@ -581,9 +581,16 @@ def test_the_error_falls_with_a_law_without_a_name_too(monkeypatch):
     words = " ".join(legible(plot.ladder(made), monkeypatch))
     assert "a torque at the elbow" in " ".join(words.split())
     assert made.to_dict()["laws"][0]["fitted"]["check_rmse"]["elbow"] == pytest.approx(1e-3)
+    # Whose numbers are shown is said beside them.
+    without = "These numbers are those of the model without the law that has no name."
+    assert f"{without} [[Model]]" in " ".join(str(made).split())
+    page = report.render([("first", made.base), ("last", made.fit)], diagnosis=made)
+    assert page.count(without) == 1
+    assert without in page.rpartition("<h3>Numbers</h3>")[2]
     # Beside other names it is no step on from these.
     other = by_hand.unexplained(laws=(dataclasses.replace(law, beside=()),))
     assert other.models == other.ladder
+    assert without not in str(other)
 
 
 def test_where_joints_slide_it_is_of_positions_and_forces(monkeypatch):

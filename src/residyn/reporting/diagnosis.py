@@ -493,7 +493,8 @@ def _damper(found: Diagnosis, joint: int) -> float:
 def text(found: Diagnosis) -> str:
     parts = models, candidates, laws.text, lookalikes, next_experiment
     lines = [line for part in parts for line in part(found)]
-    return "\n".join([*filled(" ".join(found.words)), "", *lines, "", str(found.fit)])
+    lines += ["", *filled(laws.beside_fit(found))]
+    return "\n".join([*filled(" ".join(found.words)), "", *lines, str(found.fit)])
 
 
 def models(found: Diagnosis) -> list[str]:

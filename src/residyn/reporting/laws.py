@@ -70,12 +70,19 @@ def sentences(found: Diagnosis) -> Iterator[str]:
 
 def fall(found: Diagnosis) -> Iterator[str]:
     """How far the error falls with the likeliest law at its joint."""
-    if len(found.models) == len(found.ladder):
+    if not beside_fit(found):
         return
     j = found.fit.joints.index(found.laws[0].joint)
     before, after = (times_noise(m)[j] for m in found.models[-2:])
     words = f"With the law without a name{' as well' if found.added else ''} the error"
     yield f"{words}{at(found.fit.joints[j], found.fit.joints)} {error_change(before, after)}."
+
+
+def beside_fit(found: Diagnosis) -> str:
+    """What the numbers of the last model with names are, where a law joined it; else nothing."""
+    if len(found.models) == len(found.ladder):
+        return ""
+    return "These numbers are those of the model without the law that has no name."
 
 
 def text(found: Diagnosis) -> list[str]:
