@@ -224,6 +224,14 @@ def test_what_the_model_still_lacks_is_small_beside_the_spring(friction):
     assert left == pytest.approx([each.rms for each in friction.random_torque])
 
 
+def test_where_no_random_torque_is_needed_its_band_still_has_an_end(friction, clean):
+    """All up to a ten-thousandth of the spring's torque is one cell of the grid."""
+    assert all(each.rms == 0 for each in friction.random_torque)
+    for found in (friction, clean):
+        assert all(each.low == 0 < each.high < 1e-3 for each in found.random_torque)
+        assert "What may still be missing is no more than" in found.words[-1]
+
+
 def test_the_right_effect_draws_the_curve_of_the_torque_that_is_missing():
     case = release((COULOMB[0], {"torque": 0.15}), q0=(0.25, -0.2))
     with jax.enable_x64(True):

@@ -671,9 +671,15 @@ def _random_torque(
     scene: Scene, model: Tried, pairs: Sequence[tuple[float, Trajectory]]
 ) -> tuple[RandomTorque, ...]:
     """Per joint, what the model still lacks: its rms over the recordings, summed over intensities
-    (`pairs`, from `over_torques`)."""
-    sizes = np.array([np.sqrt(np.mean((t.torque**2 + t.torque_variance)[scene.real], axis=0))
-                      for _, t in pairs])  # fmt: skip
+    (`pairs`, from `over_torques`). None stands for all up to the least that is not none: where the
+    band ends there, that is its end."""
+
+    def size(t: Trajectory) -> np.ndarray:
+        return np.sqrt(np.mean((t.torque**2 + t.torque_variance)[scene.real], axis=0))
+
+    sizes, t = np.array([size(t) for _, t in pairs]), model.best
+    least = scene.smoothed(t, scene.linearised(t), INTENSITIES[-2])
+    bound = np.zeros(scene.n) if least is None else size(least)
     weights = np.array([w for w, _ in pairs])
     spring = np.sqrt(np.mean(restoring_torque(scene, model.best)[scene.real] ** 2, axis=0))
     found = []
@@ -683,5 +689,6 @@ def _random_torque(
         ))  # fmt: skip
         rms = math.sqrt(weights @ sizes[:, j] ** 2)
         share = rms / spring[j] if spring[j] > 0 else math.nan
+        high = high or float(bound[j])
         found.append(RandomTorque(joint, scene.torque_units[j], rms, low, high, share))
     return tuple(found)

@@ -404,11 +404,10 @@ def _left(found: Diagnosis) -> Iterator[str]:
         most = max(known, key=lambda r: r.high / _restoring(r) if _known(r) else r.high)
         if most.high > 0:
             size = f"{plain(most.high, 2)} {most.unit} rms{at(most.joint, found.fit.joints)}"
-            part = f", {share(most.high / _restoring(most))} of the restoring {force([most.unit])}"
-            yield (
-                f"What may still be missing is no more than {size}"
-                f"{part if _known(most) else ''} (95 % band)."
-            )
+            if _known(most):
+                size += f", {share(most.high / _restoring(most))} of the restoring "
+                size += force([most.unit])
+            yield f"What may still be missing is no more than {size} (95 % band)."
 
 
 def _coloured(found: Diagnosis) -> Iterator[str]:
