@@ -553,6 +553,12 @@ def test_what_nothing_explains_is_shown_first(pages):
     assert first[1:] == ["The torque that is still missing", "What it might be"]
 
 
+def test_the_picture_says_that_nothing_is_left_where_the_verdict_does(found, monkeypatch):
+    for kind, made in found.items():
+        words = " ".join(legible(plot.ladder(made), monkeypatch))
+        assert ("nothing is left to explain" in words) == (kind != "unexplained")
+
+
 def test_a_law_without_a_name_has_a_curve_and_a_class(monkeypatch):
     made = by_hand.unexplained(laws=(by_hand.a_law(),))
     what = "torque at the elbow that depends on the rate"

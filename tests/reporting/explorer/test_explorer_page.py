@@ -379,6 +379,25 @@ def test_a_live_search_says_what_a_diagnosis_does_and_the_page_what_to_check(stu
     assert len(words) == 2  # and nothing of what may be missing
 
 
+@pytest.mark.parametrize("chosen", [[], ["cubic_stiffness:elbow"]], ids=["base", "with an effect"])
+@pytest.mark.parametrize("verdict", ["missing", "unexplained"])
+def test_what_leaves_as_little_as_noise_is_no_better_than_the_verdict(offline, verdict, chosen):
+    script = """
+        const model = { how: "", fitted: [0.6] };
+        const candidates = new Map(data.candidates.map((c) => [c.label, c]));
+        const [verdict, chosen] = given;
+        const found = { verdict, probability: 0.94, lookalikes: [], check: "", next: "" };
+        const more = { base: model, chosen, candidates, joints: ["elbow"] };
+        const told = m.verdict({ model, ...more, found });
+        return [told.good, told.words.join(" ")];
+    """
+    good, words = ask(offline, script, verdict, chosen)
+    assert good == (verdict == "missing")
+    assert ("but noise" in words) == good
+    yet = "Yet no effect that was tried explains all of these readings (94\u00a0%)."
+    assert words.endswith(yet) != good
+
+
 @pytest.mark.parametrize(
     ("then", "said"),
     [
@@ -464,6 +483,7 @@ def test_chips_stand_in_the_order_of_the_numbers_they_show(offline):
         toggle(offline, label)
         numbers = offline.execute_script(percents)
         assert numbers == sorted(numbers, reverse=True)
+        assert chip(offline, SMOOTH).get_property("textContent").endswith("needed")
         assert offline.execute_script(first) == SMOOTH  # what is added, as it came
     for label in ("gravity", SMOOTH):
         toggle(offline, label)

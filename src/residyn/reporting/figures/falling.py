@@ -65,7 +65,7 @@ def ladder(found: Diagnosis, *, narrow: bool = False) -> Figure:
         end = "no effect was tried yet" if untried(found) else end
     if found.channels is not None:
         end = "the columns are to be put right first"
-    return _falling(found.fit, names, each, narrow, end)
+    return _falling(found.fit, names, each, narrow, end, found.verdict != "unexplained")
 
 
 @styled
@@ -81,6 +81,7 @@ def _falling(
     each: Sequence[Sequence[tuple[float, float | None]]],
     narrow: bool,
     end_words: str = "",
+    explained: bool = True,
 ) -> Figure:
     joints, count = fit.joints, len(names)
     sizes = np.array(each, float)  # of models, joints, and where: fitted or held out (None: NaN)
@@ -101,7 +102,7 @@ def _falling(
     end = count - 1 + after * step if count > 1 else width - _AXIS - before
     ax.set_xlim(-before * step, end)
     _scale(ax, [value for line in lines for value in line.values])
-    _floor(ax, 0.5 * (count - 1) if count > 1 else 0.5 * end, fit, narrow)
+    _floor(ax, 0.5 * (count - 1) if count > 1 else 0.5 * end, fit, explained and not narrow)
     for line in lines:
         inside = "white" if line.held else line.colour
         ax.plot(line.values, color=line.colour, mfc=inside, clip_on=False, **line.style)
@@ -135,14 +136,14 @@ def _scale(ax: Axes, values: Sequence[float]) -> None:
         ax.set_ylim(0, 1.25 * most)
 
 
-def _floor(ax: Axes, x: float, fit: Fit, narrow: bool) -> None:
+def _floor(ax: Axes, x: float, fit: Fit, explained: bool) -> None:
     """The noise, in its own unit, of each joint if they differ: nothing that is right lies far from
     it."""
     each = [amount(float(n), unit, 2) for n, unit in zip(fit.noise, fit.units, strict=True)]
     size = listed(list(dict.fromkeys(each)))
     ax.axhspan(0.0 if ax.get_yscale() == "linear" else 1e-9, 1.0, color=BAND, alpha=0.55, lw=0)
     ax.axhline(1.0, color=INK, lw=1.0, zorder=1)
-    words = f"the noise, {size}" + ("" if narrow else ": nothing is left to explain")
+    words = f"the noise, {size}" + (": nothing is left to explain" if explained else "")
     below: dict[str, Any] = {"ha": "center", "va": "top", "color": SOFT}
     ax.annotate(words, (x, 1.0), (0, -5), textcoords="offset points", **below)
 

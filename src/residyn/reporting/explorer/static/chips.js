@@ -42,7 +42,9 @@ export class Chips {
   chip(label, chosen, { probability, exact }, weighed) {
     const own = this.candidates.get(label);
     const known = weighed(exact);
-    let said = probability === null ? "not known" : percent(probability);
+    const on = chosen.includes(label);
+    let said =
+      probability === null ? "not known" : `${percent(probability)} ${on ? "needed" : "next"}`;
     if (!known) said = "not evaluated yet";
     const order = probability === null ? "" : "probability to first order";
     const words = [own.equation, own.looks_like, exact ? "" : order];
@@ -51,7 +53,7 @@ export class Chips {
       {
         type: "button",
         class: "chip",
-        "aria-pressed": String(chosen.includes(label)),
+        "aria-pressed": String(on),
         "data-effect": label,
         title: words.filter(Boolean).join("; "),
         click: () => this.onToggle(label),

@@ -43,8 +43,8 @@ export function lay(root, page, hide) {
       panel(
         "Add an effect",
         "A click adds it to the model or takes it away. The number on an effect that is added (✓) " +
-          "is the probability that the model is better with it than without it; on any other, " +
-          "that it is the one to add next.",
+          "is the probability that it is needed: that the model is better with it than without it; " +
+          "on any other, that it is the one to add next.",
         ...page.chips.parts,
         element("div", { class: "actions" }, ...saving.parts, hide, saving.said),
         hide

@@ -98,14 +98,15 @@ export function verdict({ model, base, chosen, candidates, joints, heldOut, like
     ? "noise that is not white, or something is still missing"
     : "something is missing";
   const words = found?.check ? [found.check] : [];
+  const good = noise && found?.verdict !== "unexplained";
   if (!chosen.length) {
     const each = joints.map(
       (joint, j) => `${times(model.fitted[j])} times the noise at the ${joint}`,
     );
     words.push(
-      noise
+      good
         ? "Springs and dampers leave nothing but noise: nothing is missing."
-        : `Springs and dampers leave ${listed(each)}: ${missing}.`,
+        : `Springs and dampers leave ${listed(each)}${noise ? "" : `: ${missing}`}.`,
     );
   } else {
     const j = top(base.fitted);
@@ -118,13 +119,13 @@ export function verdict({ model, base, chosen, candidates, joints, heldOut, like
       falls += again === verb ? ` ${held}` : ` it ${again} ${held}`;
     }
     words.push(`${falls}.`);
-    words.push(
-      noise
-        ? "Nothing is left but noise."
-        : found?.coloured
-          ? `What is left is ${missing}.`
-          : "Something is still missing.",
-    );
+    if (!noise) {
+      words.push(found?.coloured ? `What is left is ${missing}.` : "Something is still missing.");
+    } else if (good) words.push("Nothing is left but noise.");
+  }
+  if (noise && !good) {
+    const sure = percent(found.probability);
+    words.push(`Yet no effect that was tried explains all of these readings (${sure}).`);
   }
   if (!noise && likeliest && !found?.check) {
     const { label } = likeliest;
@@ -141,5 +142,5 @@ export function verdict({ model, base, chosen, candidates, joints, heldOut, like
     }
   }
   if (noise && found?.next) words.push(found.next);
-  return { good: noise, words };
+  return { good, words };
 }
