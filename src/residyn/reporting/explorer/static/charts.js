@@ -19,7 +19,8 @@ function axis(label, c, side) {
     labelFont: FONT,
     labelSize: 18,
     size: side === 2 ? 30 : 58,
-    space: side === 2 ? 50 : 22,
+    // Of a low chart as well, more than one tick has room.
+    space: side === 2 ? 50 : (_u, _axis, _least, _most, size) => Math.min(22, size / 4),
     grid: { stroke: () => c().line, width: 1 },
     ticks: { stroke: () => c().line, width: 1, size: 4 },
     values:
@@ -42,7 +43,7 @@ class Chart {
         width: Math.max(200, this.place.clientWidth),
         height: this.height,
         legend: { show: false },
-        padding: [8, 8, 0, 0],
+        padding: [8, 20, 0, 0], // half of the last number of the axis is beside the chart
         ...options,
       },
       data,
