@@ -100,6 +100,22 @@ def test_a_larger_limit_tells_more(cubic):
     assert large.probability_right > small.probability_right
 
 
+def test_a_load_that_is_not_spoken_of_is_put_on_only_where_it_tells_more(cubic):
+    """A large release tells the two for certain, with a load or without."""
+    experiment, scene, models = cubic
+
+    def planned(**limits):
+        given = limited(experiment, angle=0.2, **limits)
+        return best_tests(given, scene, models, np.array([0.5, 0.5]))[0][0]
+
+    bare, free = planned(), planned(extra_mass=(0.0, MASS))
+    assert bare.extra_mass == 0
+    assert free.extra_mass > 0
+    assert bare.entropy == pytest.approx(free.entropy, abs=0.01)
+    needed = planned(extra_mass=(0.5 * MASS, MASS))
+    assert needed.extra_mass >= 0.5 * MASS
+
+
 def test_where_the_models_cannot_part_nothing_helps(cubic):
     experiment, scene, models = cubic
     (test,), _ = best_tests(limited(experiment, angle=1e-4), scene, models, np.array([0.5, 0.5]))
@@ -197,7 +213,7 @@ def test_a_quantity_is_narrowed_by_what_measures_it(cubic):
 
 def test_a_sweep_of_the_motor_is_a_test(cubic):
     experiment, scene, models = cubic
-    limits = limited(experiment, angle=1e-3, drive=1.0)
+    limits = limited(experiment, angle=1e-3, drive=1.0, extra_mass=(0.0, MASS))
     (test,), _ = best_tests(limits, scene, models, np.array([0.5, 0.5]))
     assert test.drive is not None
     assert test.drive.torque == pytest.approx(1.0)

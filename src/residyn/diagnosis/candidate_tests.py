@@ -403,6 +403,9 @@ def best_tests(
         slopes=[r.root.T @ s for r, s in zip(rivals, quantity.slopes, strict=True)]
     )
     known = {i: x for i in range(len(all_of_them.settings)) if (x := all_of_them.of(i))}
+    # A load of which the experiment says nothing may not be at hand.
+    limits = experiment.limits or Limits()
+    loaded = limits.extra_mass or any(r.extra_mass for r in experiment.fit_recordings)
     made: list[list[Predicted]] = []
     found: list[Test] = []
     before = float(entropy(p))
@@ -410,16 +413,17 @@ def best_tests(
     def after(test: list[Predicted]) -> Worth:
         return worth(together([*made, test]), p, wanted)
 
-    def rank(told: Worth) -> tuple[float, float]:
+    def rank(i: int, told: Worth) -> tuple[float, ...]:
         if wanted is not None:
-            return told.variance, 0.0
+            return (told.variance,)
         # To two digits: the draws know no more. What is told for certain is told best by what
         # tells the most apart.
-        return round(told.entropy, 2), -told.separation
+        unheard = not loaded and all_of_them.settings[i].recording.extra_mass > 0
+        return round(told.entropy, 2), unheard, -told.separation
 
     while len(found) < min(tests, len(known)):
         told = {i: after(x) for i, x in known.items()}
-        best = min(told, key=lambda i: rank(told[i]))
+        best = min(told, key=lambda i: rank(i, told[i]))
         chosen = 1.0, known[best], told[best]
         if wanted is None:
             enough = before - _NEARLY * (before - told[best].entropy)
