@@ -134,6 +134,7 @@ def a_comparison(fit, times, p):
         joints=JOINTS,
         units=("rad", "rad"),
         white=dict.fromkeys(JOINTS, p),
+        line=dict.fromkeys(JOINTS, None),
         joint=(Cell(800 * times**2, 800.0),) * 2,
         time=tuple(part("", 2.5 * i, 2.5 * (i + 1)) for i in range(4)),
         amplitude=tuple(tuple(part("", a / 2, a, 1) for a in (0.2, 0.1, 0.05)) for _ in JOINTS),

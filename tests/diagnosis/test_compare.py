@@ -16,7 +16,7 @@ from residyn.diagnosis.linearised_fit import Tangent, spread
 from residyn.diagnosis.residuals import Cell, Part
 from residyn.diagnosis.rounding import Grid, hangs
 from residyn.diagnosis.spectrum import energies, spectrum, strips
-from residyn.diagnosis.whiteness import narrow_bands, whiteness_of
+from residyn.diagnosis.whiteness import narrow_bands, strongest_line, whiteness_of
 from residyn.fitting import Mode, RecordingFit
 from residyn.recordings.tables import ArmTable, InertiaTable
 
@@ -143,6 +143,29 @@ def test_it_begins_with_the_verdict_and_fits_80_columns(clean, wrong):
             assert heading in text
 
 
+@pytest.mark.parametrize(("lost", "noise"), [(0.0, None), (0.05, 1e-4)])
+def test_a_line_above_all_modes_is_not_white(lost, noise):
+    """Mains hum of 50.02 Hz, read at 64 Hz."""
+    t, rng = np.arange(1001) / 64, np.random.default_rng(7)
+    q = 0.05 * np.exp(-0.15 * t) * np.cos(10 * t) + 1e-4 * rng.standard_normal(t.shape)
+    q += 1e-4 * np.sin(2 * np.pi * 50.02 * t)
+    q[rng.random(t.shape) < lost] = np.nan
+    found = quickly(residyn.Recording.from_arrays(t, q, noise=noise), table=CART)
+    assert found.p < 1e-6
+    assert found.to_dict()["where"]["line"] == {"cart": pytest.approx(13.98, abs=0.02)}
+    assert "there is a line of 13.9" in " ".join(found.words)
+
+
+def test_noise_that_was_not_stated_is_not_called_stated(clean):
+    """An estimate that is half the noise, as of readings that a filter has smoothed."""
+    runs = [
+        dataclasses.replace(r.recording, noise_given=False, noise=r.recording.noise / 2)
+        for r in clean.fit.fitted
+    ]
+    found = compare_fit(residyn.fit(residyn.Experiment(TABLE, runs), starts=2), missing=())
+    assert "more noise than was estimated" in " ".join(found.words)
+
+
 def test_noise_that_is_stated_wrongly_is_no_failure_of_the_model():
     for factor, said in ((0.5, "more noise than was stated"), (2.0, "more than these readings")):
         found = quickly(recording(noise=factor * NOISE))
@@ -188,7 +211,7 @@ def test_json_is_the_fits_and_more(clean):
     more = {"words", "where", "held_out", "horizon", "missing_torque", "runs"}
     assert set(found) - set(clean.fit.to_dict()) == more
     where = found["where"]
-    assert set(where) == {"white", "joint", "time", "amplitude", "frequency"}
+    assert set(where) == {"white", "line", "joint", "time", "amplitude", "frequency"}
     assert set(where["white"]) == set(where["joint"]) == {"shoulder", "elbow"}
     assert where["time"][0].keys() == {"start", "stop", "share", "ratio", "joints"}
     assert where["frequency"][0].keys() == {"name", "start", "stop", "share", "ratio", "joints"}
@@ -287,6 +310,22 @@ def test_the_test_is_calibrated():
         chances += [whiteness_of([spectrum(row, narrow[-1].stop)], narrow) for row in rows]
     assert kstest(chances, "uniform").pvalue > 0.01
     assert np.mean(np.array(chances) < 0.05) < 0.12
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.05])
+def test_a_line_is_found_at_any_frequency_and_seldom_in_noise(lost):
+    rng = np.random.default_rng(12)
+    time, chances = np.arange(600) / 50, []
+    for _ in range(50):
+        for row in noise_less_fit(rng, time, 10, lost)[0]:
+            chances.append(strongest_line([row])[0])
+            f = rng.uniform(0.2, 24.8)
+            line = row.used * 0.6 * np.sin(2 * np.pi * f * time + rng.uniform(0, 6))
+            p, found = strongest_line([row._replace(residual=row.residual + line)])
+            assert p < 1e-3
+            assert abs(found - f) < 0.5 / 12
+    assert min(chances) > 1e-3
+    assert np.mean(np.array(chances) < 0.05) < 0.1
 
 
 def test_energies_add_up_and_have_their_expectation():

@@ -20,7 +20,7 @@ from ..runtime.json import finite, number
 from .bands import Band, bands
 from .evidence import NOISE
 from .linearised_fit import Tangent, predictions
-from .spectrum import Spectrum, energies, lines, strips
+from .spectrum import Spectrum, energies, strips
 from .whiteness import spectrum_of, white
 
 WINDOWS = 8
@@ -80,15 +80,12 @@ def coloured(fit: Fit) -> Coloured | None:
     model leaves, a fit that did not settle says nothing."""
     if not (fit.misses and fit.converged):
         return None
-    white = where(fit, predictions(fit, fit.unknowns)[1]).white
-    found = []
-    for j, (joint, ratio) in enumerate(zip(fit.joints, fit.ratio.tolist(), strict=True)):
-        longest = max(fit.fitted, key=lambda r: int(r.used[:, j].sum()))
-        time, use = longest.recording.time, longest.used[:, j]
-        left = (longest.left * longest.weight)[use, j]
-        line = next(iter(lines(time[use], left, float(np.median(np.diff(time))), NOISE)), None)
-        if line is not None or white[joint] < NOISE:
-            found.append(Coloured(joint, ratio, line))
+    at = where(fit, predictions(fit, fit.unknowns)[1])
+    found = [
+        Coloured(joint, ratio, at.line[joint])
+        for joint, ratio in zip(fit.joints, fit.ratio.tolist(), strict=True)
+        if at.white[joint] < NOISE
+    ]
     return max(found, key=lambda c: c.ratio, default=None)
 
 
@@ -103,6 +100,8 @@ class Where:
     units: tuple[str, ...]
     white: Mapping[str, float]
     """Of each joint, p of `whiteness.white`."""
+    line: Mapping[str, float | None]
+    """Of each joint, Hz, the strongest line; None if none stands out of white noise."""
     joint: tuple[Cell, ...]
     """One cell per joint."""
     time: tuple[Part, ...]
@@ -134,6 +133,7 @@ class Where:
 
         return {
             "white": {joint: number(p) for joint, p in self.white.items()},
+            "line": dict(self.line),
             "joint": {j: cell(c) for j, c in zip(self.joints, self.joint, strict=True)},
             "time": [part(p) for p in self.time],
             "amplitude": [
@@ -162,14 +162,14 @@ def where(fit: Fit, slopes: Sequence[np.ndarray]) -> Where:
         return tuple(Cell(*each) for each in zip(*sums, strict=True))
 
     cut = bands(fit.modes, fit.fitted)
-    spectra = [
-        [spectrum_of(strip, cut[-1].start) for strip in row]
-        for row in strips(fit.fitted, units, tangent, weights)
-    ]
+    rows = strips(fit.fitted, units, tangent, weights)
+    spectra = [[spectrum_of(strip, cut[-1].start) for strip in row] for row in rows]
+    tested = white(fit, slopes, cut, rows, spectra)
     return Where(
         joints=fit.joints,
         units=fit.units,
-        white=white(fit, slopes, cut, spectra),
+        white={joint: found.p for joint, found in tested.items()},
+        line={joint: found.line for joint, found in tested.items()},
         joint=cells([np.ones(len(u), bool) for u in units]),
         time=tuple(_by_time(fit.fitted, cells)),
         amplitude=tuple(_by_amplitude(fit, fit.fitted, cells)),

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import dct
+from scipy.fft import dct, next_fast_len, rfft
 
 from ..fitting.result import RecordingFit
 from .evidence import CONTENDERS
@@ -23,6 +23,7 @@ _EVENLY = 1e-9  # rad, over the highest cosine: this far off even counts as even
 _MOST = 4096  # rows; a longer recording is averaged in blocks, which keeps white noise white
 _PIECE = 64  # cosines at a time: eigenvalues of large matrices cost most
 _SEEN = 0.05  # of a cosine's own energy: what must be left of it to count
+_DENSE = 4  # frequencies of a periodogram per line (1/duration): the nearest keeps 95 % of a sine
 
 
 class Spectrum(NamedTuple):
@@ -130,6 +131,37 @@ def whitened(one: Spectrum, group: np.ndarray) -> np.ndarray:
     # Of the products, were the residual white noise less its part along the tangent.
     covariance = one.overlap[np.ix_(group, group)] - along.T @ along
     return _whitening(covariance) @ one.products[group]
+
+
+def periodogram(strip: Strip) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (F,), Hz, to half a reading's rate, and the energy (F,) that a sine of each, at
+    its best amplitude and phase, explains: chi-square with 2 degrees of freedom if only noise is
+    left. The least-squares periodogram (Lomb, Astrophysics and Space Science 39, 1976) less what
+    the fit has swallowed. Times count to a quarter of the step between readings: such a sine is
+    not quite one, but what noise has of it is known as well.
+    """
+    rows = np.flatnonzero(strip.used)
+    time = strip.time[rows] - strip.time[rows[0]]
+    step = float(np.median(np.diff(strip.time))) / 2
+    slot = np.rint(time / step).astype(int)
+    size = next_fast_len(_DENSE * (slot[-1] + 1), real=True)
+
+    def transformed(x: np.ndarray) -> np.ndarray:
+        return np.asarray(rfft(np.bincount(slot, x), size))
+
+    last = size // 4 + 1
+    count, product = transformed(np.ones(len(rows))), transformed(strip.residual[rows])[:last]
+    # Of cosine and sine, the products with each other: half the sum and the difference.
+    both, other = np.full(last, count[0].real), count[: 2 * last : 2].copy()
+    for column in strip.tangent[rows].T:
+        along = transformed(column)[:last]
+        both -= np.abs(along) ** 2
+        other -= along**2
+    square = both**2 - np.abs(other) ** 2
+    energy = 2 * (both * np.abs(product) ** 2 - (other.conj() * product**2).real)
+    seen = square > _SEEN * count[0].real ** 2
+    seen[:_DENSE] = False  # less than a cycle
+    return np.flatnonzero(seen) / (size * step), energy[seen] / square[seen]
 
 
 def _whitening(square: np.ndarray) -> np.ndarray:

@@ -4,47 +4,81 @@ White noise has the same energy at every frequency. The test takes the residual'
 bands, at the modes, at their multiples and in between, as a share of the energy in all frequencies,
 so that it asks for no sigma: noise that was stated or estimated wrongly does not fail it. If only
 noise is left, each share has a known distribution (a beta), lost samples, uneven times and the
-unknowns of the fit accounted for. The smallest of the bands' probabilities, corrected for their
-number, is the test's: p is below 0.01 in one of a hundred joints of which the model is right.
+unknowns of the fit accounted for. Bands end above the motion; a single line is sought at all
+frequencies (Fisher, Proc. R. Soc. A 125, 1929). The smallest probability of the bands, and that of
+the lines, each corrected for their number, make the test's: p is below 0.01 in no more than one of
+a hundred joints of which the model is right.
 """
 
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import betainc
 
 from ..fitting.result import Fit
 from .bands import LEAST, Band
+from .evidence import NOISE
 from .linearised_fit import Tangent
 from .rounding import Grid, hangs
-from .spectrum import Spectrum, Strip, spectrum, strips, whitened
+from .spectrum import Spectrum, Strip, periodogram, spectrum, strips, whitened
 
 _SLOWEST = 6  # half lines at the bottom that are a band of their own: offset, drift, creep
 _WIDEST = 16  # lines: a wider band is cut, lest a narrow line drown in it
 _ROUNDS = 6
 
 
+class White(NamedTuple):
+    """The test of one joint, over all fitted recordings."""
+
+    p: float
+    """Probability that noise alone leaves a residual so far from white; NaN: too few readings."""
+    line: float | None
+    """Hz, its strongest line; None if noise alone leaves one as strong with p of `NOISE`."""
+
+
 def white(
     fit: Fit,
     slopes: Sequence[np.ndarray],
     cells: Sequence[Band],
+    rows: Sequence[Sequence[Strip]],
     spectra: Sequence[Sequence[Spectrum | None]],
-) -> Mapping[str, float]:
-    """The test for each joint, over all fitted recordings: its p, NaN with too few readings.
+) -> Mapping[str, White]:
+    """The test of each joint.
 
     **Arguments:** `slopes` (N, n, L) per recording from `predictions`; `cells` from `bands.bands`;
-    `spectra` of the residual as it is, per joint and recording.
+    `rows` and `spectra` of the residual as it is, per joint and recording.
     """
     narrow = narrow_bands(cells, max(r.recording.duration for r in fit.fitted))
     grids = _grids(fit)
     if grids:
-        rounded = _without_rounding(fit, slopes, grids)
-        spectra = [[spectrum_of(s, narrow[-1].stop) for s in row] for row in rounded]
-    return {
-        joint: whiteness_of([s for s in row if s is not None], narrow)
-        for joint, row in zip(fit.joints, spectra, strict=True)
-    }
+        rows = _without_rounding(fit, slopes, grids)
+        spectra = [[spectrum_of(s, narrow[-1].stop) for s in row] for row in rows]
+    found = {}
+    for joint, row, parts in zip(fit.joints, rows, spectra, strict=True):
+        in_bands = whiteness_of([s for s in parts if s is not None], narrow)
+        p, line = strongest_line(row)
+        each = [x for x in (in_bands, p) if np.isfinite(x)]
+        found[joint] = White(of_the_least(each) if each else np.nan, line if p < NOISE else None)
+    return found
+
+
+def strongest_line(row: Sequence[Strip]) -> tuple[float, float]:
+    """Probability that noise alone leaves a line with so much of a recording's energy, corrected
+    for the number of frequencies and recordings, and its frequency, Hz; NaN if none can be seen."""
+    each, count = [(np.nan, np.nan)], 0
+    for strip in row:
+        left, along = strip.residual[strip.used], strip.tangent[strip.used]
+        freedom, total = len(left) - float((along**2).sum()), float(left @ left)
+        frequency, energy = periodogram(strip) if len(left) >= LEAST else (left[:0], left[:0])
+        count += len(frequency)
+        if len(frequency) and freedom > 2 and total > 0:
+            best = np.argmax(energy)
+            share = min(1.0, float(energy[best]) / total)
+            each.append(((1 - share) ** ((freedom - 2) / 2), float(frequency[best])))
+    least, line = min(each, key=lambda x: (not np.isfinite(x[0]), x[0]))
+    return of_the_least([least] * count) if count else np.nan, line
 
 
 def spectrum_of(strip: Strip, top: float) -> Spectrum | None:

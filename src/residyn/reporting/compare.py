@@ -42,10 +42,12 @@ _WORSE = 1.15  # of what three standard errors of the prediction allow
 
 def sentences(found: Comparison) -> tuple[str, ...]:
     chi2, at, left, p_values = found.fit.reduced_chi2, found.where, _left(found), _p_values(found)
+    given = all(r.recording.noise_given for r in found.fit.fitted)
+    noise = "stated" if given else "estimated"
     if found.p >= NOISE and chi2 > _LARGER:
         words = [
-            f"What is left is white ({p_values}), and yet {left}: more noise than was stated, not "
-            "a motion that the model lacks."
+            f"What is left is white ({p_values}), and yet {left}: more noise than was {noise}, "
+            "not a motion that the model lacks."
         ]
     elif found.p >= NOISE:
         words = [
@@ -53,7 +55,7 @@ def sentences(found: Comparison) -> tuple[str, ...]:
             f"{left}."
         ]
         if chi2 < _SMALLER:
-            words.append("The noise that was stated is more than these readings show.")
+            words.append(f"The noise that was {noise} is more than these readings show.")
     else:
         first = f"Something small is left that is not noise: {left}, but not white"
         if chi2 > _LARGER:
@@ -143,8 +145,9 @@ def _frequency(found: Comparison) -> str:
     bands = found.where.frequency
     total = sum(_excess(p.whole) for p in bands)
     parts = sorted((p for p in bands if _tells(p.whole)), key=lambda p: -_excess(p.whole))
+    line = _line(found)
     if not parts or total <= 0:
-        return ""
+        return f"There is {line}." if line else ""
     named = [p for p in parts if _excess(p.whole) > _NAMED * total][:3] or parts[:1]
     shares = [f"{plain(100 * _excess(p.whole) / total, 2)} % {_band(p, found)}" for p in named]
     words = f"Of what exceeds the noise, {listed(shares).replace(' % ', ' % lies ', 1)}"
@@ -159,7 +162,20 @@ def _frequency(found: Comparison) -> str:
         each = [f"{times(p.whole.ratio)} times the noise {_band(p, found)}" for p in clear]
         acts = force(found.fit.experiment.units)
         words += f"; {listed(each)} is a sign of a {acts} that is not linear"
-    return f"{words}."
+    return f"{words}; there is {line}." if line else f"{words}."
+
+
+def _line(found: Comparison) -> str:
+    """Lines where no mode is, and no multiple of one: "a line of 13.98 Hz at the mass"."""
+    at: dict[str, list[str]] = {}
+    for joint, f in found.where.line.items():
+        if f is None:
+            continue
+        names = [p.name for p in found.where.frequency if p.start <= f < p.stop]
+        if names and names[0] in ("below mode 1", "between", "low", "above"):
+            at.setdefault(plain(f, 4), []).append(f"at {the(joint)}")
+    each = [f"a line of {f} Hz {listed(joints)}" for f, joints in at.items()]
+    return listed(each) if each else ""
 
 
 def _band(part: Part, found: Comparison) -> str:
