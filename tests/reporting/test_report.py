@@ -328,6 +328,24 @@ def test_noise_that_is_too_large_is_said_to_be_what_it_is():
     assert any("below what the estimated noise allows" in x for x in fit.warnings)
 
 
+def test_stated_noise_may_be_right_where_readings_repeat_each_other():
+    def line(step):
+        fit = a_fit(chi2=0.3)
+        each = [
+            dataclasses.replace(x, angle=np.round(x.angle / step) * step)
+            for x in (r.recording for r in fit.recordings)
+        ]
+        each = zip(fit.recordings, each, strict=True)
+        fit = dataclasses.replace(
+            fit, recordings=tuple(dataclasses.replace(r, recording=x) for r, x in each)
+        )
+        (found,) = [x for x in fit.warnings if "below what the stated noise allows" in x]
+        return found
+
+    assert line(3e-3).endswith("the errors may be too small")
+    assert line(1e-5).endswith("and so are the errors above")
+
+
 def test_a_long_name_and_a_long_value_stand_apart():
     first, *rest = a_fit().numbers
     long = dataclasses.replace(first, name=first.name.ljust(36, "x"), value=-0.00294024)

@@ -14,6 +14,7 @@ import numpy as np
 from ..effects.inertia import InertiaError
 from ..fitting.integration import too_coarse
 from ..fitting.result import STRONG, STRUCTURE, Fit, RecordingFit
+from ..recordings.polynomial_spectrum import grid_step
 from ..recordings.segments import by_recording
 from . import latex as tex
 from .layout import Table, filled, printed, section, separated, tabular, warned
@@ -76,7 +77,10 @@ def verdict(fit: Fit) -> tuple[str, ...]:
 
 def chi2_words(chi2: float) -> str:
     if chi2 < _OVERSTATED:
-        return "less is left than the noise alone would leave: the noise is overstated"
+        return (
+            "less is left than the noise alone would leave: the noise is overstated, or rounded "
+            "readings repeat each other"
+        )
     if chi2 <= STRUCTURE:
         return "what is left is as large as the noise alone would leave"
     if chi2 <= 2:
@@ -185,14 +189,23 @@ def _misfit(fit: Fit) -> Iterator[str]:
     elif fit.reduced_chi2 < _OVERSTATED:
         below = f"chi-square is {fit.reduced_chi2:.3g}, below what the"
         if all(r.recording.noise_given for r in fit.fitted):
+            rounded = "; or readings repeat each other within a step of the sensor, and the errors"
             yield (
                 f"{below} stated noise allows: that noise is too large, and so are the errors above"
+                f"{f'{rounded} may be too small' if _rounded(fit) else ''}"
             )
         else:
             yield (
                 f"{below} estimated noise allows, as where readings repeat each other within a "
                 "step of the sensor: the errors above, which assume white noise, may be too small"
             )
+
+
+def _rounded(fit: Fit) -> bool:
+    """Whether a step of a sensor is larger than the noise, so that readings may repeat."""
+    runs = [r.recording for r in fit.fitted]
+    each = (pair for r in runs for pair in zip(r.angle.T, r.noise, strict=True))
+    return any(grid_step(q[np.isfinite(q)]) > noise for q, noise in each)
 
 
 def _integration(fit: Fit) -> Iterator[str]:
