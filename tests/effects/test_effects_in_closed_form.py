@@ -5,6 +5,8 @@ import pytest
 from scipy.linalg import expm
 
 import residyn
+from residyn.diagnosis.columns import candidates
+from residyn.diagnosis.missing_torque import scene_of
 from residyn.physics.motion import Motion
 from residyn.recordings.tables import InertiaTable
 
@@ -89,10 +91,35 @@ def test_a_relaxing_spring_is_the_standard_linear_solid():
     np.testing.assert_allclose(residyn.simulate(model, t, start).q, exact, atol=2e-5)
 
 
-def test_one_joint_has_no_relaxing_spring():
+def on_rubber(*extra_mass):
+    """A mass of 1 kg on a spring that relaxes, released bare or with more on it."""
+    t, noise, recordings = np.arange(400) / 50, 1e-4, []
+    for i, extra in enumerate(extra_mass):
+        q = relaxing(np.array([[1.0 + extra]]), [400.0], [1.0], 0, 120.0, 0.08, [0.02], t)
+        q = q + noise * np.random.default_rng(i).standard_normal(q.shape)
+        made = residyn.Recording.from_arrays(t, q, noise=noise, extra_mass=extra, name=f"run {i}")
+        recordings.append(made)
+    table = InertiaTable(("mass",), ((1.0,),), ("m",))
+    return residyn.Experiment(table, tuple(recordings))
+
+
+def test_two_loads_of_one_joint_show_a_relaxing_spring():
+    experiment = on_rubber(0.0, 3.0)
+    found = residyn.fit(experiment, effects=["relaxation:mass"], starts=2)
+    assert found.reduced_chi2 < 1.2
+    numbers = {n.name: n for n in found.numbers}
+    for name, true in ("stiffness", 120.0), ("time", 0.08):
+        number = numbers[f"relaxation:mass.{name}"]
+        assert abs(number.value - true) < 4 * number.std < 0.2 * true
+    assert "relaxation:mass" in [e.label for e in candidates(scene_of(experiment, ())[0], ())]
+
+
+def test_one_load_of_one_joint_does_not():
     """At its one frequency it is a spring and a damper, and with these the readings choose none."""
-    with pytest.raises(ValueError, match="needs a second joint"):
-        residyn.Relaxation.places(residyn.ConstantInertia([[1.0]], ["cart"], ["m"]))
+    experiment = on_rubber(0.0, 0.0)
+    with pytest.raises(ValueError, match="differ in extra_mass"):
+        residyn.fit(experiment, effects=["relaxation"], starts=1)
+    assert "relaxation:mass" not in [e.label for e in candidates(scene_of(experiment, ())[0], ())]
 
 
 @pytest.mark.slow

@@ -155,13 +155,14 @@ def one_complaint() -> Iterator[None]:
 
 def must_go_with(experiment: "Experiment", option: str, effects: Sequence[str]) -> None:
     """**Raises:** `InputError` for an effect that does not exist, or does not go with the
-    experiment's bodies."""
+    experiment."""
     recordings = [r for r in experiment.recordings if r.role != "inertia"]
     if effects and recordings:
         with one_complaint(), inside(option):
-            from ..fitting.problem import mechanism_of, model_for, richest
+            from ..fitting.problem import mechanism_of, model_for, must_show, richest
 
-            model_for(richest([mechanism_of(experiment, r) for r in recordings]), effects)
+            most = richest([mechanism_of(experiment, r) for r in recordings])
+            must_show(experiment.fit_recordings, model_for(most, effects).effects)
 
 
 def must_stand(fit: "Fit", who: str = "") -> None:

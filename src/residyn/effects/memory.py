@@ -127,6 +127,7 @@ class Relaxation(JointEffect):
     equation = "s (q - x), tau x' = q - x"
     looks_like = "modes of different frequency are damped, and stiffened, as no one damper does"
     source = "Maxwell 1867; Zener, Elasticity and Anelasticity of Metals, 1948"
+    of_frequency = True
     memory = (Memory("x", ANGLE),)
 
     stiffness: Scalar = param("stiffness that relaxes", STIFFNESS, sign="positive")
@@ -138,15 +139,6 @@ class Relaxation(JointEffect):
         default=1.0,
         grid=(0.3, 1.0, 3.0, 10.0),
     )
-
-    @classmethod
-    def places(cls, mechanism):
-        if len(mechanism.joints) < 2:
-            raise ValueError(
-                f"{cls.name} needs a second joint: one rings at one frequency, at which a spring "
-                "that relaxes is a spring and a damper"
-            )
-        return super().places(mechanism)
 
     def begin(self, motion, mechanism):
         # Where a slow pull from rest to the first angle leaves it.

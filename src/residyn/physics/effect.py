@@ -46,6 +46,8 @@ class AbstractEffect(eqx.Module):
       with more to it.
     - `of_load`: in proportion to the load that a recording states; where all state the same one, it
       cannot be told from Coulomb friction.
+    - `of_frequency`: True if at one frequency it is a spring and a damper, so that it takes two
+      joints, or two loads (`extra_mass`), to tell it from these.
     - `of_bearings`: True if it leaves with the air bearings (step 3 of the paper); None: not known,
       which step 3 then asks.
     """
@@ -68,6 +70,7 @@ class AbstractEffect(eqx.Module):
     oscillates: ClassVar[str | None] = None
     extends: ClassVar[str | None] = None
     of_load: ClassVar[bool] = False
+    of_frequency: ClassVar[bool] = False
     of_bearings: ClassVar[bool | None] = False
 
     @classmethod
