@@ -474,13 +474,11 @@ def begun_as(start: Trajectory, known: Trajectory) -> Trajectory:
 
 
 def screening_motion(scene: Scene, model: Tried) -> tuple[Trajectory, float]:
-    """The motion that candidates are screened along, and the loudest random torque at which they
-    are: the likeliest, or one that lets the readings lead, for a model that may be wrong. One that
-    needs no random torque has the right motion already: another, smoothed under one, would stick
-    elsewhere, and need it."""
+    """The motion that candidates are screened along, and its random torque: the likeliest, or one
+    that still lets the readings lead."""
     noise = model.best.coloured is not None  # of the readings: the louder, the less they lead
     intensity = model.intensity if noise else max(model.intensity, READINGS_LEAD)
-    if intensity == model.intensity or model.complete > 0.5:
+    if intensity == model.intensity:
         return model.best, intensity
     system = scene.linearised(model.best)
     return scene.smoothed(model.best, system, intensity) or model.best, intensity
