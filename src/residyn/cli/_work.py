@@ -159,10 +159,10 @@ def must_go_with(experiment: "Experiment", option: str, effects: Sequence[str]) 
     recordings = [r for r in experiment.recordings if r.role != "inertia"]
     if effects and recordings:
         with one_complaint(), inside(option):
-            from ..fitting.problem import mechanism_of, model_for, must_show, richest
+            from ..fitting.problem import check_identifiable, mechanism_of, model_for, richest
 
             most = richest([mechanism_of(experiment, r) for r in recordings])
-            must_show(experiment.fit_recordings, model_for(most, effects).effects)
+            check_identifiable(experiment.fit_recordings, model_for(most, effects).effects)
 
 
 def must_stand(fit: "Fit", who: str = "") -> None:

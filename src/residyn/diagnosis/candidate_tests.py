@@ -418,8 +418,8 @@ def best_tests(
             return (told.variance,)
         # To two digits: the draws know no more. What is told for certain is told best by what
         # tells the most apart.
-        unheard = not loaded and all_of_them.settings[i].recording.extra_mass > 0
-        return round(told.entropy, 2), unheard, -told.separation
+        unstated = not loaded and all_of_them.settings[i].recording.extra_mass > 0
+        return round(told.entropy, 2), unstated, -told.separation
 
     while len(found) < min(tests, len(known)):
         told = {i: after(x) for i, x in known.items()}

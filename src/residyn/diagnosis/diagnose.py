@@ -519,9 +519,11 @@ class Posterior:
         does: a random torque need not show a line that is far above the modes."""
         rest, sizes = frozenset(model.added) - {label}, np.array(INTENSITIES)
         each = (self._needs(m) for added, m in self.search.tried.items() if added <= rest)
-        return at_least(min(each, key=lambda weights: weights @ sizes), self._does(model, label))
+        return at_least(
+            min(each, key=lambda weights: weights @ sizes), self._beyond_base(model, label)
+        )
 
-    def _does(self, model: Tried | CurveModel, label: str | None) -> float:
+    def _beyond_base(self, model: Tried | CurveModel, label: str | None) -> float:
         """What an effect does in a model that neither springs nor dampers could: rms, in typical
         torques, of the part of its torque that is no linear function of the state, at the joint
         where that is largest; 0 of what is no torque."""
@@ -677,18 +679,15 @@ def _random_torque(
     def size(t: Trajectory) -> np.ndarray:
         return np.sqrt(np.mean((t.torque**2 + t.torque_variance)[scene.real], axis=0))
 
-    sizes, t = np.array([size(t) for _, t in pairs]), model.best
-    least = scene.smoothed(t, scene.linearised(t), INTENSITIES[-2])
-    bound = np.zeros(scene.n) if least is None else size(least)
-    weights = np.array([w for w, _ in pairs])
+    sizes, weights = np.array([size(t) for _, t in pairs]), np.array([w for w, _ in pairs])
+    low, high = np.quantile(sizes, (0.025, 0.975), axis=0, weights=weights, method="inverted_cdf")
+    if not high.all():
+        t = model.best
+        least = scene.smoothed(t, scene.linearised(t), INTENSITIES[-2])
+        high = high if least is None else np.where(high == 0, size(least), high)
     spring = np.sqrt(np.mean(restoring_torque(scene, model.best)[scene.real] ** 2, axis=0))
-    found = []
-    for j, joint in enumerate(scene.joints):
-        low, high = map(float, np.quantile(
-            sizes[:, j], (0.025, 0.975), weights=weights, method="inverted_cdf"
-        ))  # fmt: skip
-        rms = math.sqrt(weights @ sizes[:, j] ** 2)
-        share = rms / spring[j] if spring[j] > 0 else math.nan
-        high = high or float(bound[j])
-        found.append(RandomTorque(joint, scene.torque_units[j], rms, low, high, share))
-    return tuple(found)
+    rms = np.sqrt(weights @ sizes**2)
+    share = np.divide(rms, spring, out=np.full(scene.n, math.nan), where=spring > 0)
+    rows = zip(rms.tolist(), low.tolist(), high.tolist(), share.tolist(), strict=True)
+    names = zip(scene.joints, scene.torque_units, strict=True)
+    return tuple(RandomTorque(*own, *row) for own, row in zip(names, rows, strict=True))

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..effects import AbstractEffect
 from ..fitting.layout import bucket
-from ..fitting.problem import richest, shown
+from ..fitting.problem import identifiable, richest
 from ..physics.effect import joint_of, unit_of
 from ..physics.inertia import AbstractInertia
 from ..physics.model import Model
@@ -135,7 +135,9 @@ class Scene:
         rings = 0.0 if driven else math.sqrt(np.abs(roots).max())  # rad/s, the fastest mode
         self.grid: Grid = lay_out(recordings, wild, fast, rings)
         g = self.grid
-        self.catalogued = [e for e in catalogue_on(richest(mechanisms)) if shown(e, recordings)]
+        self.catalogued = [
+            e for e in catalogue_on(richest(mechanisms)) if identifiable(e, recordings)
+        ]
         self.fixed: tuple[str, ...] = ()
         """Labels of the effects that all models of a search have: one program serves all."""
         self.coloured: float | None = None

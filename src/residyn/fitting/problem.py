@@ -183,17 +183,17 @@ def richest(mechanisms: Sequence[_Bodies]) -> _Bodies:
     return max(mechanisms, key=most)
 
 
-def shown(effect: AbstractEffect, recordings: Sequence[Recording]) -> bool:
+def identifiable(effect: AbstractEffect, recordings: Sequence[Recording]) -> bool:
     """Whether recordings have as many frequencies as it takes to tell an effect from springs and
     dampers."""
     joints, loads = recordings[0].angle.shape[1], {r.extra_mass for r in recordings}
     return not effect.of_frequency or joints > 1 or len(loads) > 1
 
 
-def must_show(recordings: Sequence[Recording], effects: Iterable[AbstractEffect]) -> None:
-    """**Raises:** `InputError` for an effect that is not `shown` by recordings."""
+def check_identifiable(recordings: Sequence[Recording], effects: Iterable[AbstractEffect]) -> None:
+    """**Raises:** `InputError` for an effect that is not `identifiable` from recordings."""
     for effect in effects:
-        if recordings and not shown(effect, recordings):
+        if recordings and not identifiable(effect, recordings):
             raise InputError(
                 f"{effect.name} needs a second joint, or recordings that differ in extra_mass: at "
                 "one frequency it is a spring and a damper"
@@ -375,7 +375,7 @@ def ready(
     mechanisms = tuple(mechanism_of(experiment, r) for r in recordings)
     most = richest(mechanisms)
     shared = model_for(most, effects).effects
-    must_show(experiment.fit_recordings, shared)
+    check_identifiable(experiment.fit_recordings, shared)
     model = Model(mechanisms[0], with_own_numbers(shared, experiment, most))
     _goes_with_readings(model, recordings)
     integrator = integrator_of(experiment.integrator)
