@@ -25,11 +25,10 @@ from ..diagnosis.result import (
 from ..effects import catalogue
 from ..fitting.result import Fit
 from ..physics.parameter import parameters_of
-from . import latex as tex
-from . import laws
+from . import laws, layout
 from .compare import clearest, pairs
 from .fit import residuals
-from .layout import Table, filled, printed, section, separated, tabular
+from .layout import Table, filled, printed, section, separated
 from .names import (
     HELD_OUT,
     STOPPED,
@@ -56,7 +55,7 @@ from .names import (
     when_held_out,
     worth_showing,
 )
-from .numbers import amount, measured, nats, percent, plain, prefixed, share, times
+from .numbers import amount, measured, nats, percent, plain, share, times
 
 _ALSO = 0.01  # probability from which another family is named
 _NAMED = 3  # other families that are named
@@ -684,47 +683,15 @@ def remainder_table(found: Diagnosis) -> Table:
 
 def latex(found: Diagnosis) -> str:
     """Two tables: the models on the way, and the candidates that are worth a line."""
-    return f"{_models_latex(found)}\n{_candidates_latex(found).removeprefix(tex.NEEDS).lstrip()}"
-
-
-def _models_latex(found: Diagnosis) -> str:
-    kinds = _kinds(found)
-    scales = [
-        prefixed(name, float(min(r.fit.rmse[j] for r in found.models)))
-        for j, name in enumerate(found.fit.units)
-    ]
-    above, below, rules = [""], ["Model"], []
-    for joint, (_, short) in zip(found.fit.joints, scales, strict=True):
-        words = f"{tex.escaped(joint)} ({tex.unit(short)})"
-        if len(kinds) == 1:
-            below.append(words)
-            continue
-        rules.append(rf"\cmidrule(lr){{{len(below) + 1}-{len(below) + 2}}}")
-        above.append(rf"\multicolumn{{2}}{{c}}{{{words}}}")
-        below += kinds
-    each = _models(found, lambda j, rmse, _: tex.scientific(plain(rmse / scales[j][0])))
-    rows = [
-        [tex.escaped(name), *itertools.chain(*cells), tex.scientific(chi2)]
-        for name, cells, chi2 in each
-    ]
-    over = f"{' & '.join([*above, ''])} \\\\\n{' '.join(rules)}\n" if rules else ""
-    return tabular("l" + "r" * len(below), [*below, r"Reduced $\chi^2$"], [rows], over)
-
-
-def _candidates_latex(found: Diagnosis) -> str:
-    head = ["Effect", "Probability", r"$\Delta\log$ evidence", "Value", "Unit"]
     rows = []
     for c in worth_showing(found):
-        sure = tex.escaped(percent(c.probability)).replace("<", "$<$").replace(">", "$>$")
-        name = tex.escaped(at_place(c.effect, found.fit.joints, comma=True))
-        first = [name, sure, f"${nats(c.log_evidence)}$"]
-        if not c.parameters:
-            rows.append([*first, "--", ""])
-        for i, (name, v) in enumerate(c.parameters.items()):
-            own = f"{tex.escaped(own_name(name))} " if len(c.parameters) > 1 else ""
-            begin = first if i == 0 else ["", "", ""]
-            rows.append([*begin, own + tex.measured(v.value, v.std), tex.unit(v.unit)])
-    return tabular("lrrrl", head, [rows])
+        name = at_place(c.effect, found.fit.joints, comma=True)
+        first = [name, percent(c.probability), nats(c.log_evidence)]
+        each = [_values({n: v}) for n, v in c.parameters.items()] or [""]
+        rows += [[*(["", "", ""] if i else first), words] for i, words in enumerate(each)]
+    head = ["effect", "probability", "log evidence", "value"]
+    tables = models_table(found), Table(head, rows, left=(0, 3))
+    return "\n".join(map(layout.latex, tables))
 
 
 def csv(found: Diagnosis) -> str:

@@ -16,10 +16,10 @@ from ..fitting.integration import too_coarse
 from ..fitting.result import STRONG, STRUCTURE, Fit, RecordingFit
 from ..recordings.polynomial_spectrum import grid_step
 from ..recordings.segments import by_recording
-from . import latex as tex
-from .layout import Table, filled, printed, section, separated, tabular, warned
+from . import layout
+from .layout import Table, filled, printed, section, separated, warned
 from .names import HELD_OUT, at_place, base_name, force, listed, lower, named, position, the
-from .numbers import amount, plain, prefixed, share, times, with_error
+from .numbers import amount, measured, plain, prefixed, share, times, with_error
 
 _OVERSTATED = 0.85  # reduced chi-square below which the noise must have been overstated
 _STILL = 2.0  # times the noise: a joint that moves less than this hardly moves
@@ -429,25 +429,24 @@ def fall(first: Fit, last: Fit) -> str:
 
 def latex(fit: Fit) -> str:
     """Numbers with errors, modes, residuals."""
-    rows = []
+    numbers, modes, left = [], [], []
     for n in fit.own_numbers:
-        error = tex.measured(n.value, n.std) if n.determined else "not determined"
+        error = measured(n.value, n.std) if n.determined else "not determined"
         where = lower(at_place(n.name.partition(".")[0], fit.joints, comma=True))
-        rows.append([tex.escaped(where), tex.escaped(n.words), error, tex.unit(n.unit)])
-    modes = []
+        numbers.append([where, n.words, error, n.unit])
     for i, m in enumerate(fit.modes, 1):
-        frequency = tex.measured(m.frequency_hz, m.frequency_hz_std)
-        damping = tex.measured(m.damping_ratio, m.damping_ratio_std)
+        frequency = measured(m.frequency_hz, m.frequency_hz_std)
+        damping = measured(m.damping_ratio, m.damping_ratio_std)
         modes.append([f"mode {i}", "natural frequency", frequency, "Hz"])
         modes.append([f"mode {i}", "damping ratio", damping, "1"])
-    left, what = [], {"rmse": "rms residual", "check_rmse": f"rms residual, {HELD_OUT}"}
+    what = {"rmse": "rms residual", "check_rmse": f"rms residual, {HELD_OUT}"}
     for name, joint, size, own in residuals(fit):
         if name in what:
             factor, short = prefixed(own, size)
-            value = tex.scientific(plain(size / factor))
-            left.append([tex.escaped(joint), what[name], value, tex.unit(short)])
-    left.append(["all", r"reduced $\chi^2$", tex.scientific(plain(fit.reduced_chi2)), "1"])
-    return tabular("llrl", ["Where", "Quantity", "Value", "Unit"], [rows, modes, left])
+            left.append([joint, what[name], plain(size / factor), short])
+    left.append(["all", "reduced chi-square", plain(fit.reduced_chi2), "1"])
+    head = ["where", "quantity", "value", "unit"]
+    return layout.latex(*(Table(head, rows, left=(0, 1, 3)) for rows in (numbers, modes, left)))
 
 
 def csv(fit: Fit) -> str:

@@ -1,20 +1,35 @@
 """Sentences, tables and warnings in 80 columns; tables in LaTeX and as comma-separated values.
 
-A `Table` is words in rows. The same one is printed in a terminal (`printed`) and shown on a page
-(the macro `table` of `parts.html.j2`).
+A `Table` is words in rows. The same one is printed in a terminal (`printed`), shown on a page (the
+macro `table` of `parts.html.j2`) and typeset for a paper (`latex`).
 """
 
 import csv
 import io
 import math
+import re
 import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from .latex import NEEDS
 from .numbers import glued
 
 WIDTH = 80
+_SPECIAL = {c: f"\\{c}" for c in "&%$#_{}"} | {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "µ": r"\textmu{}",
+    "\u00a0": r"\,",
+    **{c: f"${c}$" for c in "<>"},
+    "×": r"$\times$",
+    **{c: f"$^{x}$" for c, x in zip("²³⁶⁻", "236-", strict=True)},
+}
+_NUMBER = r"-?\d[\d.]*(?:e[+-]\d+)?"
+_TYPESET = re.compile(
+    rf"(?<![\w.]){_NUMBER}(?:\u00a0\+/-\u00a0{_NUMBER})?(?![\w.])|\^\d|[{re.escape(''.join(_SPECIAL))}]"
+)
+"""Numbers, each with its error, exponents of units, and what LaTeX needs written otherwise."""
 
 
 @dataclass(frozen=True)
@@ -64,20 +79,28 @@ def printed(table: Table, indent: int = 4) -> list[str]:
     return [f"{'':{indent}}{line}".rstrip() for line in out.getvalue().splitlines()]
 
 
-def tabular(
-    columns: str, head: Sequence[str], blocks: Iterable[Sequence[Sequence[str]]], over: str = ""
-) -> str:
-    """A LaTeX `tabular` of rows in blocks with a rule between them; empty blocks are left out.
-    `over` are lines above the head."""
-    text = [NEEDS, rf"\begin{{tabular}}{{{columns}}}", r"\toprule", over + _row(head)]
-    for block in blocks:
-        if block:
-            text += [r"\midrule", *map(_row, block)]
-    return "\n".join([*text, r"\bottomrule", r"\end{tabular}"]) + "\n"
+def latex(*blocks: Table) -> str:
+    """Rows in blocks, with a rule between them, under the head of the first one: a `tabular` of
+    LaTeX, which needs the package booktabs. Empty blocks are left out."""
+    head, left = blocks[0].head, blocks[0].left
+    columns = "".join("l" if i in left else "r" for i in range(len(head)))
+    lines = [r"% needs \usepackage{booktabs}", rf"\begin{{tabular}}{{{columns}}}", r"\toprule"]
+    for i, rows in enumerate([[head], *(block.rows for block in blocks)]):
+        rule = [r"\midrule"] if i and rows else []
+        lines += rule + [" & ".join(map(typeset, row)) + r" \\" for row in rows]
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
 
 
-def _row(cells: Sequence[str]) -> str:
-    return " & ".join(cells) + r" \\"
+def typeset(words: str) -> str:
+    r"""Words as LaTeX shows them: "0.20 +/- 0.01 N m/rad^2" is `$0.20 \pm 0.01$\,N\,m/rad$^2$`."""
+
+    def typed(found: re.Match[str]) -> str:
+        if found[0] in _SPECIAL or found[0].isdigit():
+            return _SPECIAL.get(found[0], found[0])
+        number = found[0].replace("\u00a0+/-\u00a0", r" \pm ")
+        return "$" + re.sub(r"e\+?(-?)0*(\d+)", r" \\times 10^{\1\2}", number) + "$"
+
+    return _TYPESET.sub(typed, glued(words))
 
 
 def separated(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

@@ -1,7 +1,6 @@
 """Numbers as people read them: a unit of a fitting size, and no more digits than are known.
 
-`measured` is the one place where a value meets its standard error in text; `latex.measured` is the
-same for a paper.
+`measured` is the one place where a value meets its standard error in text.
 """
 
 import math

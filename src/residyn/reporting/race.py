@@ -8,8 +8,8 @@ import numpy as np
 from ..fitting.race import ONE, TEN, Race, Raced
 from ..physics.effect import BASE
 from . import figures as plot
-from . import latex as tex
-from .layout import Table, filled, printed, section, separated, tabular
+from . import layout
+from .layout import Table, filled, printed, section, separated
 
 _HEAD = ("method", "objective", "to 10 %", "to 1 %", "k off", "c off")
 MEANING = (
@@ -93,9 +93,7 @@ def curves(methods: Sequence[Raced], against: str) -> str:
 
 
 def latex(race: Race) -> str:
-    rows = [[*map(tex.escaped, row)] for row in table(race).rows]
-    head = ["Method", "Objective / best", r"to 10\,\%", r"to 1\,\%"]
-    return tabular("lrrrrr", [*head, r"$k$, std.\ errors off", r"$c$, std.\ errors off"], [rows])
+    return layout.latex(table(race))
 
 
 def csv(race: Race) -> str:
