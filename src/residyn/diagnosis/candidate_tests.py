@@ -103,7 +103,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Test(Result):
+class Test(Result, about="plan"):
     """A recording to make."""
 
     __test__ = False  # for pytest, which this is not

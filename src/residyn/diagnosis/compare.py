@@ -25,7 +25,7 @@ from .whiteness import of_the_least
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison(Result):
+class Comparison(Result, about="compare"):
     """A fitted model against measurement. Print it; or `to_dict()` for the JSON."""
 
     fit: Fit

@@ -84,7 +84,7 @@ class Detectable:
 
 
 @dataclass(frozen=True)
-class Atlas(Result):
+class Atlas(Result, about="detectable"):
     """What an arm, its noise and a length of recording can show. Print it; or `to_dict()`."""
 
     effects: tuple[Detectable, ...]

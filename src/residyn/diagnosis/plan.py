@@ -29,7 +29,7 @@ class InPlay:
 
 
 @dataclass(frozen=True)
-class Plan(Result):
+class Plan(Result, about="plan"):
     """The next tests, best first. Print it; or `to_dict()` for the JSON."""
 
     models: tuple[InPlay, ...]

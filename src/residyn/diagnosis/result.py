@@ -145,7 +145,7 @@ class ChannelError:
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis(TableResult):
+class Diagnosis(TableResult, about="diagnosis"):
     """Which physical effect is missing. Print it; or `to_dict()` for the JSON."""
 
     verdict: Verdict

@@ -94,7 +94,7 @@ class Raced:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Race(TableResult):
+class Race(TableResult, about="race"):
     """A race. Print it; `to_dict()` is the JSON, `to_latex()` and `to_csv()` are tables."""
 
     experiment: Experiment

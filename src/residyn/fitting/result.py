@@ -116,7 +116,7 @@ class RecordingFit:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit(TableResult):
+class Fit(TableResult, about="fit"):
     """A fitted model beside its recordings. Print it; `to_dict()` is the JSON, `to_latex()` and
     `to_csv()` are tables for a paper."""
 

@@ -80,7 +80,7 @@ class ModeOver:
 
 
 @dataclass(frozen=True, eq=False)
-class OverModels(Result):
+class OverModels(Result, about="over_models"):
     """How the arm rings without its bearings, over the models of a diagnosis. Print it."""
 
     models: tuple[InPlay, ...]

@@ -85,7 +85,7 @@ class TestResult:
 
 
 @dataclass(frozen=True, eq=False)
-class InertiaResult(Result):
+class InertiaResult(Result, about="inertia"):
     """The arm's inertias, bearings on. Print it; or `to_dict()` for the JSON."""
 
     experiment: Experiment

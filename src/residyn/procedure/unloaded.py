@@ -96,7 +96,7 @@ class BareCheck:
 
 
 @dataclass(frozen=True, eq=False)
-class Unloading(Result):
+class Unloading(Result, about="unload"):
     """Step 3. Print it; or `to_dict()` for the JSON.
 
     `poses` has the elbow angles of the fitted recordings, in their order; `with_bearings`,

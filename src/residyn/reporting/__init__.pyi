@@ -1,4 +1,3 @@
-from .about import of as of
 from .page import render as render
 from .page import render_page as render_page
 from .page import write_page as write_page

@@ -22,7 +22,6 @@ from ..fitting.result import Fit
 from ..procedure import InertiaResult, Unloading
 from . import compare, fit, laws, names, over_models
 from . import figures as plot
-from .about import of
 from .explorer.page import embedded, environment
 from .numbers import plain
 from .plan import outcomes
@@ -77,16 +76,15 @@ def render(
         models=fits,
         compared=compared,
         explorer=explorer,
-        about=None if diagnosis is None else of(diagnosis),
+        about=None if diagnosis is None else diagnosis.reporting,
         found=diagnosis,
     )
 
 
 def render_page(found: InertiaResult | Unloading | Race, title: str) -> str:
     """The page of another result as text."""
-    about = of(found)
-    kind = about.__name__.rpartition(".")[2]
-    return _filled(f"{kind}.html.j2", kind, title=title, about=about, found=found)
+    named = {"title": title, "about": found.reporting, "found": found}
+    return _filled(f"{found.about}.html.j2", found.about, **named)
 
 
 def _filled(template: str, kind: str, **named: Any) -> str:

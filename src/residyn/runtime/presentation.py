@@ -4,24 +4,35 @@ A result holds data. What is printed, drawn or typeset of it is written in `resi
 which imports the results and must not be imported by them. `print(result)` still has to work. So
 `Result` looks `reporting` up by name, when it is asked for text and not before.
 
-`residyn.reporting.of(result)` is the module that writes about results of this class. Its functions
-`text`, `latex`, `csv`, `sentences` and `warnings` take the result.
+Its class says which module there writes `about` it. The functions `text`, `latex`, `csv`,
+`sentences` and `warnings` of that module take the result.
 """
 
 import importlib
-from typing import Any
+from types import ModuleType
+from typing import Any, ClassVar
 
 
 class Result:
     """A result that can be printed."""
 
+    about: ClassVar[str]
+
+    def __init_subclass__(cls, about: str | None = None) -> None:
+        if about is not None:
+            cls.about = about
+
     def __str__(self) -> str:
         return self._presented("text")
 
+    @property
+    def reporting(self) -> ModuleType:
+        """The module that writes about results of this class."""
+        return importlib.import_module(f"residyn.reporting.{self.about}")
+
     def _presented(self, function: str) -> Any:
         """What `residyn.reporting` makes of this result."""
-        module = importlib.import_module("residyn.reporting").of(self)
-        return getattr(module, function)(self)
+        return getattr(self.reporting, function)(self)
 
 
 class TableResult(Result):
