@@ -301,17 +301,19 @@ def _read(
 
 
 def _in_another_unit(experiment: Experiment) -> list[str]:
-    """Doubts about the unit of readings: no braked joint turns by five radians or slides by five
-    metres, and who counts an elbow's rest in radians seldom takes more than half a turn."""
-    large, other = [], {"rad": "degrees", "m": "mm"}
+    """Doubts about the unit of readings: no braked joint slides by five metres, and who counts an
+    elbow's rest in radians seldom takes more than half a turn."""
+    doubts = []
     for recording, _ in by_recording(experiment.recordings):
         sizes = zip(recording.sizes, experiment.reading_units, strict=True)
-        for j, (size, unit) in enumerate(sizes):
-            if unit in other and f"q{j + 1}" not in recording.stated and size > 5:
-                large.append((f"{recording.name}: q{j + 1} reaches {size:.3g}", unit))
+        for j, (size, unit) in enumerate(sizes, 1):
+            if unit == "m" and f"q{j}" not in recording.stated and size > 5:
+                seen = f"{recording.name}: q{j} reaches {size:.3g}"
+                doubts.append(f"{seen}: in mm? it must be in m")
         if abs(recording.theta2) > np.pi:
-            large.append((f"{recording.name}: theta2 = {recording.theta2:g}", "rad"))
-    return [f"{seen}: in {other[unit]}? it must be in {unit}" for seen, unit in large]
+            seen = f"{recording.name}: theta2 = {recording.theta2:g}"
+            doubts.append(f"{seen}: in degrees? it must be in rad")
+    return doubts
 
 
 def _not_held_out(experiment: Experiment) -> list[str]:

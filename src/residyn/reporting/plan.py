@@ -166,8 +166,6 @@ def _test(index: int, test: Test, before: float) -> list[str]:
         "tells": f"entropy {plain(before, 2)} -> {plain(test.entropy, 2)} nats; the likeliest "
         f"model is then expected to have {percent(test.probability_right)}",
     }
-    if test.band is not None:
-        rows["narrows"] = f"the 95 % band to +/- {plain(test.band, 2)}"
     for head, words in rows.items():
         out += filled(words, f"     {head:<8}") if words else []
     out += printed(outcomes(test), indent=5)
