@@ -278,7 +278,7 @@ def a_plan():
     models = InPlay((by_hand.FOUND,), 0.7), InPlay((by_hand.RIVAL,), 0.3)
     test = dataclasses.replace(by_hand.NEXT, drive=Sweep("elbow", 2.0, 0.3, 4.5))
     columns = ChannelError("q1 and q2 exchanged", 0.9, True)
-    told = models, 0.02, 0.01, columns, 0.61, (test,), 144, False, 0.1, None, by_hand.JOINTS
+    told = models, 0.02, 0.01, columns, 0.61, (test,), 144, False, 0.1, by_hand.JOINTS
     return Plan(*told)
 
 

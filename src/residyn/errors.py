@@ -54,7 +54,7 @@ def inside(where: str) -> Iterator[None]:
         raise InputError(f"{where}: {error}") from None
 
 
-def quote(value: Any, most: int = 40) -> str:
+def quote(value: Any) -> str:
     """How a user would recognise what they wrote, shortened."""
     if isinstance(value, bool):
         text = str(value).lower()
@@ -65,7 +65,7 @@ def quote(value: Any, most: int = 40) -> str:
             text = str(value)
         except ValueError:  # Python refuses to print integers of thousands of digits
             text = "a huge number"
-    return text if len(text) <= most else text[: most - 3] + "..."
+    return text if len(text) <= 40 else text[:37] + "..."
 
 
 def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:

@@ -388,7 +388,6 @@ def a_plan(**changed):
         "tried": 144,
         "settled": False,
         "unexplained": 0.1,
-        "limits": None,
         "joints": ("shoulder", "elbow"),
     }
     return Plan(**(settings | changed))

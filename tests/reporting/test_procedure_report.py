@@ -113,7 +113,7 @@ def test_there_is_a_band_where_what_is_open_leaves_the_motion_as_it_is():
     assert model.labels[2:] == ("damper:shoulder", "damper:elbow", "bearing_drag")
     unseen = np.array([[0.0, 0.0, 0.4**2, 0.0, -1.0]]) * 0.1
     errors = Carried(1e-8 * np.eye(5), unseen, np.zeros((3, 3)), np.zeros((5, 3)))
-    told = model, errors, np.linspace(0.0, 8.0, 81), np.array([0.2, -0.1]), 100, 0
+    told = model, errors, np.linspace(0.0, 8.0, 81), np.array([0.2, -0.1]), 100
     on, off = (ring_down(m, *told) for m in (model, model.without("bearing_drag")))
     assert off.low is None
     assert 0 < np.max(on.high - on.low) < 0.01

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..errors import InputError
 from ..recordings.experiment import Experiment, must_be_experiment
-from ..recordings.limits import Limits
 from ..runtime.json import finite
 from ..runtime.presentation import Result
 from .candidate_tests import Test, best_tests, settled
@@ -50,7 +49,6 @@ class Plan(Result, about="plan"):
     """Whether the recordings tell the likeliest model from all else already."""
     unexplained: float
     """Probability that no model in play is complete."""
-    limits: Limits | None
     joints: tuple[str, ...]
 
     @property
@@ -60,7 +58,7 @@ class Plan(Result, about="plan"):
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of `residyn plan`."""
-        told = {k: v for k, v in vars(self).items() if k not in ("limits", "joints", "unnamed")}
+        told = {k: v for k, v in vars(self).items() if k not in ("joints", "unnamed")}
         return finite(
             told
             | {
@@ -125,6 +123,5 @@ def plan(
         tried=tried,
         settled=done,
         unexplained=1.0 - complete,
-        limits=found.fits.whole.limits,
         joints=found.search.scene.joints,
     )

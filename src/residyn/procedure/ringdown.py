@@ -39,7 +39,6 @@ def ring_down(
     times: Float[np.ndarray, " N"],
     q0: Float[Array, " n"],
     draws: int,
-    seed: int,
 ) -> RingDown:
     """Let a model go at rest from `q0`. `errors` are those of the model `fitted`, of which `model`
     may lack some effects."""
@@ -55,7 +54,7 @@ def ring_down(
         moved_by = np.abs(np.asarray(beside) - path.q).max() / MATTERS
         if not moved_by <= MATTERS * np.abs(path.q).max():
             return RingDown(path, None, None)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     how: Any = {"size": draws, "method": "eigh", "check_valid": "ignore"}  # they may be singular
     inertia = rng.multivariate_normal(np.zeros(3), errors.inertia, **how)
     own = rng.multivariate_normal(np.zeros(len(names)), errors.numbers, **how)

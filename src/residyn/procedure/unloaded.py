@@ -158,14 +158,14 @@ class Unloading(Result, about="unload"):
         return on.path, off.path
 
     def ring_downs(
-        self, times: np.ndarray | None = None, *, draws: int = DRAWS, seed: int = 0
+        self, times: np.ndarray | None = None, *, draws: int = DRAWS
     ) -> tuple[RingDown, RingDown]:
         """The same with the band of 95 %, from so many `draws` of the numbers and inertias; without
         `times`, until the slowest mode has fallen to 5 %, or for 25 of its cycles."""
         with jax.enable_x64(True):
             q0 = jnp.asarray(self.fit.recordings[0].state[: len(self.fit.joints)])
             times = self._times() if times is None else np.asarray(times, float)
-            told = self.fit.model, self.errors, times, q0, draws, seed
+            told = self.fit.model, self.errors, times, q0, draws
             on, off = (ring_down(m, *told) for m in (self.model, self.unloaded))
             return on, off
 
