@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..fitting.result import Fit, RecordingFit
+from ..fitting.result import Fit, in_noise, rms_of
 from ..runtime.json import finite, number
 from .linearised_fit import predictions, refitted, spread
 
@@ -162,17 +162,12 @@ def _run(fit: Fit, share: float) -> _Run | None:
 def held_out(fit: Fit) -> HeldOut | None:
     """Errors on the check recordings, or on the last third; None if that fit did not settle."""
     if fit.held_out:
-        return HeldOut("check recordings", _beside(fit.held_out), _beside(fit.fitted))
+        each = (Error(rms_of(x), rms_of(x, in_noise), None) for x in (fit.held_out, fit.fitted))
+        return HeldOut("check recordings", *each)
     run = _run(fit, 2 / 3)
     if run is None:
         return None
     return HeldOut("last third", run.error(0.0, np.inf), run.error(-np.inf, 0.0))
-
-
-def _beside(fits: Sequence[RecordingFit]) -> Error:
-    left = [np.where(r.used, r.residual, np.nan) for r in fits]
-    ratio = [x / r.recording.noise for x, r in zip(left, fits, strict=True)]
-    return Error(_rms(np.concatenate(left)), _rms(np.concatenate(ratio)), None)
 
 
 def horizon(fit: Fit) -> Horizon | None:

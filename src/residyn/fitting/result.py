@@ -112,7 +112,7 @@ class RecordingFit:
     @property
     def ratio(self) -> np.ndarray:
         """(n,) rms of residual / noise."""
-        return rms_of([self], _in_noise)
+        return rms_of([self], in_noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,12 +269,12 @@ class Fit(TableResult, about="fit"):
     @property
     def ratio(self) -> np.ndarray:
         """(n,) rms of residual / noise over the readings of the fitted recordings."""
-        return rms_of(self.fitted, _in_noise)
+        return rms_of(self.fitted, in_noise)
 
     @property
     def check_ratio(self) -> np.ndarray | None:
         """(n,) the same of the held-out recordings; None if there are none."""
-        return rms_of(self.held_out, _in_noise) if self.held_out else None
+        return rms_of(self.held_out, in_noise) if self.held_out else None
 
     @property
     def objective(self) -> float:
@@ -383,5 +383,6 @@ def rms_of(
     return np.sqrt(total / np.where(count, count, np.nan))
 
 
-def _in_noise(fit: RecordingFit) -> np.ndarray:
+def in_noise(fit: RecordingFit) -> np.ndarray:
+    """(N, n) residual in times the noise, 0 where nothing counts: `what` of `rms_of`."""
     return fit.weight * fit.left

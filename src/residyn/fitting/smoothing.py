@@ -111,7 +111,7 @@ def smooth(
     q, v, a = through(data.q, responses) / data.dt ** np.arange(3.0).reshape(3, 1, 1, 1)
     index = np.arange(0, length, stride)
     inside = (index >= halves[:, None]) & (index < length - halves[:, None])
-    inside &= _sums(~data.good, halves, stride) == 0
+    inside &= _sums(~data.good[None], halves, index) == 0
     # Where the motion has died away only noise is left, which would pull the numbers to itself.
     rest = np.median(data.q[-max(10, length // 10) :], axis=0)
     share = _beyond_noise(q - rest, inside, halves, stride, noise * louder[0][:, None]).max(axis=-1)
@@ -129,11 +129,8 @@ def _beyond_noise(
     """(H, G, n) how large the squares of x (H, G, n) are beyond those of its `noise` (H, n), in
     times the square of six times that noise: means over the instants `inside` (H, G) up to a
     kernel's width away."""
-    total = np.cumsum(np.pad(x**2 * inside[..., None], ((0, 0), (1, 0), (0, 0))), axis=1)
-    count = np.cumsum(np.pad(inside, ((0, 0), (1, 0))), axis=1)
-    index, near, rows = np.arange(x.shape[1]), 2 * halves[:, None] // stride, np.arange(len(x))
-    first, last = np.maximum(index - near, 0), np.minimum(index + near + 1, x.shape[1])
-    total, count = (y[rows[:, None], last] - y[rows[:, None], first] for y in (total, count))
+    near, index = 2 * halves // stride, np.arange(x.shape[1])
+    total, count = (_sums(y, near, index) for y in (x**2 * inside[..., None], inside))
     mean = np.maximum(total, 0.0) / np.maximum(count, 1)[..., None]
     return np.maximum(mean / noise[:, None] ** 2 - 1.0, 0.0) / 6**2
 
@@ -149,11 +146,10 @@ def _responses(halves: tuple[int, ...], size: int) -> tuple[np.ndarray, np.ndarr
     return np.fft.rfft(rows), np.sqrt((rows**2).sum(axis=-1))
 
 
-def _sums(x: np.ndarray, halves: np.ndarray, stride: int) -> np.ndarray:
-    """(H, G): the sum of x (G,) over the instants up to `halves` (H,) away, at every `stride`-th
-    instant."""
-    total = np.concatenate([[0.0], np.cumsum(x)])
-    index = np.arange(0, len(x), stride)
-    first = np.maximum(index - halves[:, None], 0)
-    last = np.minimum(index + halves[:, None] + 1, len(x))
-    return total[last] - total[first]
+def _sums(x: np.ndarray, near: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """(H, G, ...) sums of x (H, N, ...) or (1, N, ...) over the rows up to `near` (H,) away from
+    each of `index` (G,)."""
+    total = np.cumsum(np.pad(x, [(0, 0), (1, 0), *[(0, 0)] * (x.ndim - 2)]), axis=1)
+    rows, away = np.arange(len(x))[:, None], near[:, None]
+    last = np.minimum(index + away + 1, x.shape[1])
+    return total[rows, last] - total[rows, np.maximum(index - away, 0)]
