@@ -14,9 +14,8 @@ from residyn.diagnosis import compare_fit
 from residyn.diagnosis.bands import bands
 from residyn.diagnosis.linearised_fit import Tangent, spread
 from residyn.diagnosis.residuals import Cell, Part
-from residyn.diagnosis.rounding import Grid, hangs
 from residyn.diagnosis.spectrum import energies, spectrum, strips
-from residyn.diagnosis.whiteness import narrow_bands, strongest_line, whiteness_of
+from residyn.diagnosis.whiteness import Grid, hangs, narrow_bands, strongest_line, whiteness_of
 from residyn.fitting import Mode, RecordingFit
 from residyn.recordings.tables import ArmTable, InertiaTable
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from residyn.fitting import MissingExtra
-from residyn.fitting.posterior import gaussian
+from residyn.fitting.result import gaussian
 from tests import by_hand
 
 

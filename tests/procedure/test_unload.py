@@ -19,8 +19,8 @@ from residyn.diagnosis.result import Budget
 from residyn.fitting import FitError, Mode, mechanism_of, model_for
 from residyn.procedure import check_unload
 from residyn.procedure.carried import Carried, modes_with_errors
-from residyn.procedure.decay import decay_of
 from residyn.procedure.over_models import OverModels, without_effects_of_bearings
+from residyn.procedure.unloaded import decay_of
 from residyn.recordings.csv import write_csv
 from residyn.recordings.experiment import Experiment
 from residyn.recordings.recording import Recording

@@ -1,7 +1,8 @@
 """What step 3 returns: modes with and without the bearings, and how the prediction did."""
 
+import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,6 @@ from ..runtime.json import finite
 from ..runtime.presentation import Result
 from ..simulation.interpolation import Trajectory
 from .carried import NAMES, Carried, inertias
-from .decay import decay_of
 from .over_models import OverModels
 from .result import InertiaResult
 from .ringdown import DRAWS, RingDown, ring_down
@@ -23,6 +23,35 @@ _DECAYS = 3.0  # decay times of the slowest mode that a picture shows
 _CYCLES = 25  # but no more cycles than this, or its lines run together
 _POINTS = 14  # of a cycle
 _MOST = 500  # but no more of a mode than this
+_NORMAL = 1.96  # standard errors on each side of a 95 % interval
+
+
+class Decay(NamedTuple):
+    """Time to 1/e (s), which is 1 / (2 pi f zeta), and its 95 % interval; `high` is inf where the
+    interval of the rate holds zero, `low` and `high` are NaN where the recordings leave the damping
+    open."""
+
+    value: float
+    low: float
+    high: float
+
+
+def decay_of(mode: Mode) -> Decay | None:
+    """When a mode has fallen to 1/e; None for one that grows. An arm that nothing drives loses
+    energy: that a mode grows is said of the fit, or of what the recordings leave open.
+
+    The relative errors of frequency and damping ratio are added: the most that any correlation of
+    the two makes of them.
+    """
+    rate = 2 * math.pi * mode.frequency_hz * mode.damping_ratio
+    if not rate > 0:
+        return None
+    share = mode.frequency_hz_std / mode.frequency_hz + mode.damping_ratio_std / mode.damping_ratio
+    if not math.isfinite(share):
+        return Decay(1 / rate, math.nan, math.nan)
+    least = rate * (1 - _NORMAL * share)
+    high = 1 / least if least > 0 else math.inf
+    return Decay(1 / rate, 1 / (rate * (1 + _NORMAL * share)), high)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
 """All that is said of step 3: how the arm rings on its bearings and without them.
 
-When a mode falls to 1/e, and when it has no such time, is in `procedure.decay`.
+When a mode falls to 1/e, and when it has no such time, is in `procedure.unloaded`.
 
 Viscous drag of a bearing on the elbow is exactly a damper at the shoulder. That of one on the wrist
 is a damping matrix with off-diagonal terms, which turns with the elbow angle and leaves with the
@@ -14,10 +14,9 @@ import numpy as np
 
 from ..fitting.result import STRONG, Mode
 from ..procedure.carried import NAMES, inertias
-from ..procedure.decay import decay_of
 from ..procedure.result import UNITS
 from ..procedure.ringdown import RingDown
-from ..procedure.unloaded import BareCheck, Pose, Unloading
+from ..procedure.unloaded import BareCheck, Pose, Unloading, decay_of
 from .inertia import at_odds
 from .layout import Table, filled, printed, section, warned
 from .names import STOPPED, named, upper
