@@ -152,7 +152,7 @@ def test_a_diagnosis_in_latex(which):
     well_formed(latex)
     ladder, candidates = latex.split("\n\n")
     head, *rows = rows_of(ladder)
-    assert head[1] == "shoulder, fitted"
+    assert head[1] == "shoulder fitted"
     assert {len(row) for row in rows} == {6}
     assert {len(row) for row in rows_of(candidates)} == {4}
     assert len(rows) == len(found.ladder)

@@ -9,7 +9,7 @@ probability is at least 90 %.
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -497,24 +497,16 @@ def text(found: Diagnosis) -> str:
 
 def models(found: Diagnosis) -> list[str]:
     """The error of each model on the way; more joints than stand side by side, below each other."""
-    joints, held = found.fit.joints, held_out(found)
-    head = "rms residual in times the noise" + (f"; {HELD_OUT}: {held}" if held else "")
-    kinds, beside = _kinds(found), len(joints) <= 2
-    of = [f"{j if k == 'fitted' else ''}\n{k}" for j in joints for k in kinds]
-    columns = ["\nmodel", *of] if beside else ["model", "joint", *kinds]
-    rows = []
-
-    def cell(joint: int, rmse: float, ratio: float | None) -> str:
-        return "-" if ratio is None else f"{times(ratio)} x"
-
-    for name, cells, chi2 in _models(found, cell):
-        if beside:
-            rows.append([name, *itertools.chain(*cells), chi2])
-        else:
-            each = zip(joints, cells, strict=True)
-            rows += [["" if j else name, joint, *c, chi2] for j, (joint, c) in enumerate(each)]
-    table = Table([*columns, "reduced\nchi-square"], rows, (0,) if beside else (0, 1))
-    return [*section("Models", head), *printed(table)]
+    joints, held, table = found.fit.joints, held_out(found), models_table(found, sizes=False)
+    if len(joints) > 2:
+        kinds, rows = _kinds(found), []
+        for name, *cells, chi2 in table.rows:
+            for j, joint in enumerate(joints):
+                own = cells[len(kinds) * j :][: len(kinds)]
+                rows.append(["" if j else name, joint, *own, chi2])
+        table = Table(["model", "joint", *kinds, table.head[-1]], rows, left=(0, 1))
+    note = "rms residual in times the noise" + (f"; {HELD_OUT}: {held}" if held else "")
+    return [*section("Models", note), *printed(table)]
 
 
 def held_out(found: Diagnosis) -> str | None:
@@ -525,23 +517,6 @@ def held_out(found: Diagnosis) -> str | None:
 
 def _kinds(found: Diagnosis) -> list[str]:
     return ["fitted", HELD_OUT] if held_out(found) else ["fitted"]
-
-
-def _models(
-    found: Diagnosis, cell: Callable[[int, float, float | None], str]
-) -> Iterator[tuple[str, list[list[str]], str]]:
-    """Of each model on the way its name; per joint a cell (joint, rms, times the noise) for each of
-    the `_kinds`; and its chi-square."""
-    kinds = _kinds(found)
-    for name, step in laws.models(found, comma=True):
-        held = step.held_out
-        rms = np.full(len(step.fit.joints), np.nan) if held is None else held.held_out.rmse
-        sizes = zip(step.fit.rmse, rms, times_noise(step), strict=True)
-        cells = [
-            [cell(j, float(x), r) for x, r, _ in zip(each, ratio, kinds, strict=False)]
-            for j, (*each, ratio) in enumerate(sizes)
-        ]
-        yield name, cells, plain(step.fit.reduced_chi2)
 
 
 def candidates(found: Diagnosis) -> list[str]:
@@ -631,15 +606,22 @@ def torques_first_lacked(found: Diagnosis) -> list[tuple[Missing, int]]:
     return clearest(acting or pairs(ordered))
 
 
-def models_table(found: Diagnosis) -> Table:
-
-    def cell(joint: int, rmse: float, ratio: float | None) -> str:
-        size = amount(rmse, found.fit.units[joint])
-        return "-" if ratio is None else f"{size} ({times(ratio)} ×)"
-
-    rows = [[name, *itertools.chain(*cells), chi2] for name, cells, chi2 in _models(found, cell)]
-    head = [f"{joint}, {kind}" for joint in found.fit.joints for kind in _kinds(found)]
-    return Table(["model", *head, "reduced chi-square"], rows)
+def models_table(found: Diagnosis, sizes: bool = True) -> Table:
+    """The error of each model on the way at each joint, where it was fitted and held out: its size
+    and how many times the noise it is, or that alone; and its chi-square."""
+    kinds, rows = _kinds(found), []
+    for name, step in laws.models(found, comma=True):
+        held, cells = step.held_out, []
+        rms = step.fit.rmse, step.fit.rmse if held is None else held.held_out.rmse
+        for j, ratios in enumerate(times_noise(step)):
+            for x, ratio, _ in zip(rms, ratios, kinds, strict=False):
+                words = "-" if ratio is None else f"{times(ratio)} x"
+                if sizes and ratio is not None:
+                    words = f"{amount(float(x[j]), found.fit.units[j])} ({times(ratio)} ×)"
+                cells.append(words)
+        rows.append([name, *cells, plain(step.fit.reduced_chi2)])
+    head = [f"{joint}\n{kind}" for joint in found.fit.joints for kind in kinds]
+    return Table(["model", *head, "reduced\nchi-square"], rows)
 
 
 def families_table(found: Diagnosis) -> Table:

@@ -21,6 +21,7 @@ _SPECIAL = {c: f"\\{c}" for c in "&%$#_{}"} | {
     "^": r"\textasciicircum{}",
     "µ": r"\textmu{}",
     "\u00a0": r"\,",
+    "\n": " ",
     **{c: f"${c}$" for c in "<>"},
     "×": r"$\times$",
     **{c: f"$^{x}$" for c, x in zip("²³⁶⁻", "236-", strict=True)},
