@@ -18,11 +18,11 @@ import residyn
 from residyn import demo
 from residyn.cli import _shell
 from residyn.diagnosis.candidate_tests import Sweep
+from residyn.diagnosis.compare import OwnNumbers
 from residyn.diagnosis.detectable import Atlas, Detectable
 from residyn.diagnosis.law import Formula
 from residyn.diagnosis.plan import InPlay, Plan
 from residyn.diagnosis.result import ChannelError
-from residyn.diagnosis.runs import OwnNumbers
 from residyn.errors import InputError
 from residyn.fitting import batch, methods
 from residyn.fitting.history import History

@@ -12,8 +12,8 @@ import pytest
 import residyn
 from residyn import errors
 from residyn.cli import main
-from residyn.fitting import Genetic, History, MissingExtra, evolution, methods
-from residyn.fitting.genetic import Part, box, search_of
+from residyn.fitting import Genetic, History, MissingExtra, methods
+from residyn.fitting.genetic import Part, box, fold, search_of, traced_algorithm
 from residyn.fitting.history import Watch, relative_error, watched
 from residyn.fitting.multistart import beginning
 from residyn.fitting.problem import ready
@@ -155,7 +155,7 @@ def test_bounds_are_searched_logarithmically_where_only_the_order_is_known(exper
 
 def test_genes_beyond_a_bound_are_reflected():
     genes = jnp.array([-0.25, 0.25, 1.25, 2.25])
-    np.testing.assert_allclose(evolution.fold(genes), [0.25, 0.25, 0.75, 0.25])
+    np.testing.assert_allclose(fold(genes), [0.25, 0.25, 0.75, 0.25])
 
 
 @pytest.mark.parametrize(
@@ -191,7 +191,7 @@ def without_evosax(monkeypatch):
     def refuse(name):
         raise ModuleNotFoundError(f"No module named '{name}'", name=name)
 
-    evolution.traced_algorithm.cache_clear()
+    traced_algorithm.cache_clear()
     monkeypatch.setattr(errors, "importlib", SimpleNamespace(import_module=refuse))
 
 

@@ -8,8 +8,8 @@ import pytest
 
 import residyn
 from residyn.diagnosis.columns import Columns
+from residyn.diagnosis.compare import own_numbers
 from residyn.diagnosis.evidence import prior_of
-from residyn.diagnosis.runs import own_numbers
 from residyn.effects import SensorDelay, SensorOffset
 from residyn.effects.own_numbers import with_own
 from residyn.errors import InputError

@@ -8,6 +8,8 @@ squares would still take.
 """
 
 import dataclasses
+import functools
+import importlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -19,11 +21,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..effects import AbstractEffect
+from ..errors import extra
 from ..physics.model import Number as Fitted
 from ..physics.parameter import RATIO, STIFFNESS, Dimension
 from ..recordings.experiment import Experiment
 from .conclusion import Found, searched
-from .evolution import Strategy, fold, traced_algorithm
 from .history import History, Part, Watch, relative_error, watching
 from .initial_guess import resolving
 from .multistart import DEFAULT_STARTS, Beginning, beginning
@@ -60,7 +62,7 @@ class Genetic:
     - `strategy`: a name of `evosax.algorithms`: SimpleGA (selection of the best, uniform crossover,
       normal mutation that shrinks), CMA_ES, DifferentialEvolution, PSO, ...; the paper's kind is
       the default, CMA_ES with 20 individuals gets furthest.
-    - `settings`: what that strategy takes, beside the defaults in `fitting.evolution.USUAL`.
+    - `settings`: what that strategy takes, beside the defaults in `fitting.genetic.USUAL`.
     - `bounds`: (low, high) of a number by its name, in its own unit; without, from the typical
       sizes that the recordings show. Of one sign and a factor of ten apart, they are searched
       logarithmically.
@@ -225,6 +227,83 @@ def drawn(begin: Beginning, starts: int, seed: int) -> np.ndarray:
     if (watch := watching()) is not None:
         watch.add(_DRAWN, float(values[order[0]]))
     return np.stack([np.asarray(look.numbers(genes[i])) for i in order])
+
+
+# -- strategies of evosax --------------------------------------------------------------------
+
+# evosax knows no bounds: what steps over one is reflected back from it. The objective is thus one
+# periodic function, even about every bound. Strategies that keep a population are told the
+# reflected individuals; those that keep a distribution, what they drew.
+
+# evosax's own defaults are made for networks without bounds; these are for genes from 0 to 1. `std`
+# falls to `std_end` over the generations, geometrically. Tuned by `benchmarks.genetic tune`.
+USUAL: dict[str, dict[str, float]] = {
+    "SimpleGA": {"std": 0.1, "std_end": 1e-4, "crossover_rate": 0.5, "elite_ratio": 0.1},
+    "CMA_ES": {"std_init": 0.3},
+    "DifferentialEvolution": {"elitism": False, "differential_weight": 0.5},
+    "PSO": {"inertia_coeff": 0.7, "cognitive_coeff": 1.5, "social_coeff": 1.5},
+}
+"""Settings of the strategies that were tuned; others of evosax run with its own."""
+
+
+class Strategy(NamedTuple):
+    """One of evosax's algorithms, its parameters, and whether it keeps a population."""
+
+    algorithm: Any
+    params: Any
+    keeps_population: bool
+
+
+def fold(x: Array) -> Array:
+    """Genes reflected into 0 to 1."""
+    return 1 - jnp.abs(1 - jnp.mod(x, 2))
+
+
+def evosax_or_missing() -> tuple[dict[str, Any], dict[str, Any]]:
+    """All of evosax's algorithms by name, and those that keep a population.
+
+    **Raises:** `MissingExtra` without it.
+    """
+    needed = "the genetic algorithm needs evosax: pip install 'residyn[ga]'"
+    known = extra("evosax.algorithms", needed).algorithms
+    kept = extra("evosax.algorithms.population_based", needed).population_based_algorithms
+    return known, kept
+
+
+@functools.lru_cache(maxsize=64)  # evosax compiles anew for every object
+def traced_algorithm(
+    name: str, population: int, generations: int, size: int, settings: tuple[tuple[str, float], ...]
+) -> Strategy:
+    """A strategy for so many genes.
+
+    **Raises:** `MissingExtra` without evosax; `ValueError` for a strategy or a setting that it does
+    not have.
+    """
+    known, kept = evosax_or_missing()
+    if name not in known:
+        raise ValueError(f'strategy = "{name}": evosax has {", ".join(sorted(known))}')
+    chosen = {**USUAL.get(name, {}), **dict(settings)}
+    more = {}
+    if "std" in chosen:
+        optax = importlib.import_module("optax")
+        first = chosen.pop("std")
+        last = chosen.get("std_end", first)
+        more["std_schedule"] = optax.exponential_decay(first, max(1, generations - 1), last / first)
+    chosen.pop("std_end", None)
+    strategy = known[name](population_size=population, solution=jnp.zeros(size), **more)
+    strategy.elite_ratio = chosen.pop("elite_ratio", strategy.elite_ratio)
+    params = strategy.default_params
+    unknown = [key for key in chosen if not hasattr(params, key)]
+    if unknown:
+        raise ValueError(f"{unknown[0]} is no setting of {name}")
+    if "differential_weight" in chosen:  # drawn between two bounds, unless they are the same
+        weight = chosen["differential_weight"]
+        bounds = {"differential_weight_min": weight, "differential_weight_max": weight}
+        chosen = {**{k: v for k, v in bounds.items() if hasattr(params, k)}, **chosen}
+    return Strategy(strategy, params.replace(**chosen), name in kept)
+
+
+# -- generations -----------------------------------------------------------------------------
 
 
 def run(look: Search, how: Genetic, progress: Callable[[str], None] = lambda words: None) -> Found:

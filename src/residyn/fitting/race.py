@@ -23,8 +23,8 @@ from ..errors import quote
 from ..recordings.experiment import Experiment, must_be_experiment
 from ..runtime.json import number
 from ..runtime.presentation import TableResult
-from .evolution import evosax_or_missing
 from .fit import fit
+from .genetic import evosax_or_missing
 from .history import History, Watch, watched
 from .methods import GENETIC, LEVENBERG, METHODS, RANDOM, named
 from .result import Fit, FitError

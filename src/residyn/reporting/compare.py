@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..diagnosis.compare import Comparison
+from ..diagnosis.compare import Comparison, OwnNumbers
 from ..diagnosis.evidence import NOISE
 from ..diagnosis.missing_torque import Missing
 from ..diagnosis.residuals import Cell, Part, Where
-from ..diagnosis.runs import OwnNumbers
 from ..recordings.experiment import Experiment
 from . import figures as plot
 from .layout import Table, filled, printed, section
