@@ -121,20 +121,6 @@ def check_unload(
     `TypeError` for what is no experiment.
     """
     must_be_experiment(experiment)
-    _check(experiment)
-    with jax.enable_x64(True):
-        model = ready(experiment, experiment.fit_recordings, effects).model
-    for kind in [*map(type, model.effects), *(catalogue().values() if diagnosed else ())]:
-        if kind.of_bearings is None:
-            raise InputError(
-                f"{kind.name}: is it of the air bearings or of the joint? Write of_bearings = "
-                "True (it leaves with the bearings) or False (it stays) in class "
-                f"{kind.__name__}, {inspect.getsourcefile(kind)}"
-            )
-    return None if inertia_std is None else _covariance(inertia_std)
-
-
-def _check(experiment: Experiment) -> None:
     if not isinstance(experiment.inertia, ArmTable):
         raise InputError(
             "step 3 takes air bearings off an [arm]; the mass matrix of an [inertia] table has none"
@@ -149,6 +135,16 @@ def _check(experiment: Experiment) -> None:
             'no recording with role = "fit" was taken with the air bearings on: there is nothing '
             "to take off"
         )
+    with jax.enable_x64(True):
+        model = ready(experiment, experiment.fit_recordings, effects).model
+    for kind in [*map(type, model.effects), *(catalogue().values() if diagnosed else ())]:
+        if kind.of_bearings is None:
+            raise InputError(
+                f"{kind.name}: is it of the air bearings or of the joint? Write of_bearings = "
+                "True (it leaves with the bearings) or False (it stays) in class "
+                f"{kind.__name__}, {inspect.getsourcefile(kind)}"
+            )
+    return None if inertia_std is None else _covariance(inertia_std)
 
 
 def _own(model: Model) -> list[AbstractEffect]:

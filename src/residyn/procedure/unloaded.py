@@ -232,7 +232,18 @@ class Unloading(Result, about="unload"):
                 }
                 for p in self.poses
             ],
-            "check": [self._check(c) for c in self.check],
+            "check": [
+                {
+                    "recording": c.name,
+                    "theta2": c.beside.recording.theta2,
+                    "rmse": dict(zip(self.fit.joints, map(float, c.rmse), strict=True)),
+                    "frequency_error": c.frequency_error,
+                    "damping_error": c.damping_error,
+                    "predicted": {"modes": _modes(c.predicted)},
+                    "measured": {"modes": _modes(c.measured)},
+                }
+                for c in self.check
+            ],
             "inertia_std": None
             if self.inertia_covariance is None
             else dict(zip(NAMES, np.sqrt(np.diag(self.inertia_covariance)).tolist(), strict=True)),
@@ -240,17 +251,6 @@ class Unloading(Result, about="unload"):
             "over_models": None if self.over_models is None else self.over_models.to_dict(),
             "seconds": self.seconds,
             "warnings": [*self.fit.warnings, *self.warnings],
-        }
-
-    def _check(self, check: BareCheck) -> dict[str, Any]:
-        return {
-            "recording": check.name,
-            "theta2": check.beside.recording.theta2,
-            "rmse": dict(zip(self.fit.joints, map(float, check.rmse), strict=True)),
-            "frequency_error": check.frequency_error,
-            "damping_error": check.damping_error,
-            "predicted": {"modes": _modes(check.predicted)},
-            "measured": {"modes": _modes(check.measured)},
         }
 
 

@@ -47,7 +47,8 @@ def _aside(columns: np.ndarray, joint: int, n: int, period: float) -> float:
     """How far a joint's rest is from zero, while it moves, by all joints' angles, their squares and
     the sum of those, (N, n + ... + 1)."""
     window, leak = _window(len(columns), period)
-    means = _under(window, columns, max(1, len(window) // 8))
+    step = max(1, len(window) // 8)  # from one place of the window to the next
+    means = sliding_window_view(columns, len(window), axis=0)[::step] @ window
     size = np.sqrt(means[:, -1])
     off = leak * (size + 0.1 * size.max())
     causes = np.column_stack([np.ones(len(means)), means[:, n:-1]]) / off[:, None]
@@ -83,8 +84,3 @@ def _window(count: int, period: float) -> tuple[np.ndarray, float]:
     turn = 2 * np.pi * (np.arange(width) + 0.5) / width
     window = np.sum([a * np.cos(k * turn) for k, a in enumerate(_WINDOWS[spans])], axis=0)
     return window / window.sum(), _LEAK
-
-
-def _under(window: np.ndarray, columns: np.ndarray, step: int) -> np.ndarray:
-    """Weighted means of columns (N, k) under the window at every `step`-th place, (places, k)."""
-    return sliding_window_view(columns, len(window), axis=0)[::step] @ window
