@@ -970,6 +970,24 @@ def test_a_rest_that_is_known_roughly_is_each_recordings_own():
     assert not Recording.from_arrays(time, angle[:, None], rest=[0.2]).rest_estimated
 
 
+@pytest.mark.parametrize("first", [0.3, 0.1])
+def test_the_rest_of_what_never_moves_is_where_it_stands(first):
+    angle = np.full((200, 1), 0.3)
+    angle[0] = first
+    found = Recording.from_arrays(np.arange(200) * 0.02, angle, rest="estimate", noise=1e-3)
+    np.testing.assert_allclose(found.angle[1:], 0.0, atol=1e-3)
+
+
+def test_a_file_in_which_no_joint_moves_says_so_whatever_its_rest(tmp_path):
+    rows = [f"{0.02 * i:.2f},0.3" for i in range(200)]
+    (tmp_path / "one.csv").write_text("\n".join(["t,q1", *rows]))
+    table = "[inertia]\njoints = ['cart']\nunits = ['m']\nmatrix = [[1.0]]\n"
+    text = f"{table}[[recordings]]\nfile = 'one.csv'\nrest = 'estimate'\n"
+    (tmp_path / "e.toml").write_text(text)
+    with pytest.raises(InputError, match="no joint moves"):
+        load(tmp_path / "e.toml")
+
+
 def test_one_sample_is_called_one():
     with pytest.raises(InputError, match="has 1 sample; at least"):
         Recording.from_arrays(np.zeros(1), np.zeros((1, 1)))

@@ -50,14 +50,15 @@ def while_moving(motion: np.ndarray) -> np.ndarray:
 
 
 def slowest_period(motion: np.ndarray) -> float:
-    """The period of the slowest mode, in samples, of motion (N, n)."""
+    """The period of the slowest mode, in samples, of motion (N, n); of a single sample, which shows
+    no frequency, its own length."""
     count = len(motion)
     # Padded, so that a few swings in all are counted finely enough.
     window = np.hanning(count + 2)[1:-1]
     shaped = (motion - window @ motion / window.sum()) * window[:, None]
     length = cast(int, next_fast_len(8 * count, real=True))
     power = np.abs(np.fft.rfft(shaped, length, axis=0)[8:]) ** 2
-    large = power >= 0.02 * np.maximum(power.max(axis=0), 1e-300)
+    large = power >= 0.02 * np.maximum(power.max(axis=0, initial=0.0), 1e-300)
     peaks = large[1:-1] & (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])
     first = min((int(np.flatnonzero(p)[0]) for p in peaks.T if p.any()), default=0)
     return length / (first + 9)
