@@ -11,6 +11,7 @@ import pytest
 
 import residyn
 from residyn import reporting as report
+from residyn.diagnosis.forecast import Error, HeldOut
 from residyn.effects import catalogue
 from residyn.recordings.tables import Bearing
 from residyn.reporting import figures as plot
@@ -313,6 +314,22 @@ def test_modes_say_which_recording_they_are_of(change, words, monkeypatch):
 )
 def test_chi_square_in_words(chi2, words):
     assert words in about_fits.chi2_words(chi2)
+
+
+def test_a_prediction_is_worse_only_where_it_is():
+    fit = a_fit()
+    found = a_comparison(fit, 6.0, 1e-13)
+
+    def last(held, fitted):
+        error = [Error(1e-3 * np.array(x), np.array(x), np.ones(2)) for x in (held, fitted)]
+        return dataclasses.replace(found, held_out=HeldOut("last third", *error)).words[-1]
+
+    one = "is off by 26 and 34 times the noise: at the shoulder worse than where it was fitted (16"
+    assert f"{one} times)." in last((26.0, 34.0), (16.0, 39.0))
+    assert last((26.0, 64.0), (16.0, 39.0)).endswith(
+        "worse than where it was fitted (16 and 39 times)."
+    )
+    assert "worse" not in last((16.0, 34.0), (16.0, 39.0))
 
 
 def test_noise_that_is_too_large_is_said_to_be_what_it_is():

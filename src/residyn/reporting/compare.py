@@ -203,9 +203,12 @@ def _held_out(found: Comparison) -> list[str]:
     # Worse than where it was fitted, and than three standard errors of the prediction allow.
     expected, now, then = held.held_out.expected, held.held_out.ratio, held.fitted.ratio
     bound = 1.0 if expected is None else np.sqrt(1 + 9 * (expected**2 - 1))
-    if np.any((now > _WORSE * bound) & (now > _WORSE * then)):
-        fitted = listed([times(x) for x in held.fitted.ratio if math.isfinite(x)])
-        return [f"{words}: worse than where it was fitted ({fitted} times)."]
+    worse = np.flatnonzero((now > _WORSE * bound) & (now > _WORSE * then))
+    if len(worse):
+        joints = listed([the(found.fit.joints[j]) for j in worse])
+        at = f"at {joints} " if len(worse) < len(ratios) else ""
+        fitted = listed([times(then[j]) for j in worse])
+        return [f"{words}: {at}worse than where it was fitted ({fitted} times)."]
     return [f"{words}{', as it should be' if found.p >= NOISE else ''}."]
 
 
