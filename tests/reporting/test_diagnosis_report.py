@@ -14,11 +14,12 @@ from residyn import reporting as report
 from residyn.diagnosis.evidence import prior_of
 from residyn.diagnosis.missing_torque import scene_of
 from residyn.diagnosis.residuals import Coloured
-from residyn.diagnosis.result import Budget, ChannelError, Family
+from residyn.diagnosis.result import Budget, ChannelError, ColouredNoise, Family
 from residyn.effects import ConstantTorque, StribeckFriction
 from residyn.recordings.tables import InertiaTable
 from residyn.reporting import diagnosis as text
 from residyn.reporting import figures as plot
+from residyn.reporting import fit as about_fits
 from residyn.reporting import names, numbers
 from residyn.reporting.compare import draw_torque
 from tests import by_hand
@@ -258,6 +259,28 @@ def test_readings_that_no_torque_explains_are_said_to_be_so():
     words = " ".join(dataclasses.replace(beside, verdict="unexplained").words)
     assert words.startswith("Dry friction at the elbow is missing")
     assert "1.7 times the noise, and not white;" in words
+
+
+def test_noise_that_is_not_white_is_no_fault_of_the_model():
+    """Where the diagnosis says so, and that nothing is missing, all that is said of the fit
+    agrees."""
+    noise = ColouredNoise(0.08, {"shoulder": (1e-3, "rad"), "elbow": (2e-3, "rad")})
+    fit = by_hand.a_fit((), by_hand.SLIP, 3.16)
+    ladder = (a_model(fit, held=(1.8, 1.8)),)
+    assert "the model misses something" in " ".join(fit.warnings)
+    found = by_hand.a_diagnosis("adequate", ladder, families=(), coloured_noise=noise)
+    (line,) = [x for x in found.fit.warnings if "times the noise" in x]
+    assert "it is noise that is not white" in line
+    assert "too small" in line
+    (last,) = found.models
+    compared = by_hand.a_comparison(found.fit, 1.8, 1e-13)
+    assert compared.explained
+    page = report.render([("only", last.fit)], diagnosis=found)
+    said = [str(found), str(found.to_dict()), *about_fits.verdict(last.fit), *compared.words, page]
+    assert not [x for x in said if "misses something" in x or "missing in the model" in x]
+    left = dataclasses.replace(found, verdict="unexplained")
+    assert "the model misses something" in " ".join(left.fit.warnings)
+    assert left.models == left.ladder
 
 
 def test_what_may_still_be_missing_is_no_secret():

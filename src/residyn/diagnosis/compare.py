@@ -67,8 +67,8 @@ class Comparison(Result, about="compare"):
 
     @property
     def explained(self) -> bool:
-        """Whether what is left is as white as noise is."""
-        return self.p >= NOISE
+        """Whether what is left is as white as noise is, or is known to be noise that is not."""
+        return self.p >= NOISE or self.fit.coloured_noise
 
     @property
     def words(self) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ A name is worth something only beside what else was possible. Every probability 
 posterior probabilities of models that were tried (`evidence`).
 """
 
+import dataclasses
 import functools
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
@@ -206,19 +207,25 @@ class Diagnosis(TableResult, about="diagnosis"):
         """The `ladder`; and, where the likeliest law without a name was fitted beside the last
         model of it, that."""
         law = self.laws[0] if self.laws else None
+        last = self.ladder[-1]
+        last = last if self.fit is last.fit else dataclasses.replace(last, fit=self.fit)
+        named = *self.ladder[:-1], last
         if law is None or law.model is None or set(law.beside) != set(self.added):
-            return self.ladder
-        return (*self.ladder, law.model)
+            return named
+        return (*named, law.model)
 
     @property
     def base(self) -> Fit:
         """The fit without what was found."""
         return self.ladder[0].fit
 
-    @property
+    @functools.cached_property
     def fit(self) -> Fit:
-        """The fit with what was found."""
-        return self.ladder[-1].fit
+        """The fit with what was found. What it leaves is noise, if nothing else is missing."""
+        last = self.ladder[-1].fit
+        if self.coloured_noise is None or self.verdict == "unexplained":
+            return last
+        return dataclasses.replace(last, coloured_noise=True)
 
     @functools.cached_property
     def comparison(self) -> Comparison:

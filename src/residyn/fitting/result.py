@@ -156,6 +156,8 @@ class Fit(TableResult, about="fit"):
     needed: tuple[str, ...] = ()
     """Those of `unseen` without which chi-square rises by more than chance: that they act is seen,
     by what they remember or by strength and shape together, but not how strong they are."""
+    coloured_noise: bool = False
+    """Whether a diagnosis has found that the residual is noise, and that this is not white."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -247,8 +249,9 @@ class Fit(TableResult, about="fit"):
 
     @property
     def misses(self) -> bool:
-        """Whether the residual is more than noise."""
-        return self.reduced_chi2 > STRUCTURE
+        """Whether the residual is more than noise: noise that is not white may be larger than what
+        the differences of neighbouring readings say."""
+        return self.reduced_chi2 > STRUCTURE and not self.coloured_noise
 
     @property
     def unphysical(self) -> tuple[Number, ...]:

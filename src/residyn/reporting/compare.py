@@ -55,6 +55,8 @@ def sentences(found: Comparison) -> tuple[str, ...]:
         ]
         if chi2 < _SMALLER:
             words.append(f"The noise that was {noise} is more than these readings show.")
+    elif found.fit.coloured_noise:
+        words = [f"What is left is noise, though not white ({p_values}): {left}."]
     else:
         first = f"Something small is left that is not noise: {left}, but not white"
         if chi2 > _LARGER:

@@ -59,7 +59,7 @@ def joint_errors(fit: Fit) -> list[JointError]:
 
 def explained(fit: Fit) -> bool:
     """Whether what is left is no larger than the noise."""
-    return bool(fit.reduced_chi2 <= STRUCTURE)
+    return not fit.misses
 
 
 def verdict(fit: Fit) -> tuple[str, ...]:
@@ -69,13 +69,15 @@ def verdict(fit: Fit) -> tuple[str, ...]:
         noise, motion = ("", "") if left else (" the noise", " of the motion")
         words = f"{times(error.ratio)} times{noise} at {the(error.joint)}"
         left.append(words if good else f"{words} ({share(error.share)}{motion})")
-    what = "explains the motion down to the noise" if good else "misses something"
+    noise = "noise that is not white" if fit.coloured_noise else "the noise"
+    what = f"explains the motion down to {noise}" if good else "misses something"
     words = f"The model {what}: it leaves {listed(left)}."
     ratios = [times(e.check_ratio) for e in errors if e.check_ratio is not None]
     return (words, f"On the held-out recordings: {listed(ratios)} times.") if ratios else (words,)
 
 
-def chi2_words(chi2: float) -> str:
+def chi2_words(chi2: float, coloured: bool = False) -> str:
+    """`coloured`: what is left is known to be noise that is not white."""
     if chi2 < _OVERSTATED:
         return (
             "less is left than the noise alone would leave: the noise is overstated, or rounded "
@@ -83,6 +85,8 @@ def chi2_words(chi2: float) -> str:
         )
     if chi2 <= STRUCTURE:
         return "what is left is as large as the noise alone would leave"
+    if coloured:
+        return "more is left than white noise would leave: this noise is not white"
     if chi2 <= 2:
         return "a little more is left than the noise alone would leave"
     return "much more is left than the noise alone would leave: something is missing in the model"
@@ -179,12 +183,16 @@ def _signs(fit: Fit) -> Iterator[str]:
 
 
 def _misfit(fit: Fit) -> Iterator[str]:
-    if fit.misses:
+    if fit.reduced_chi2 > STRUCTURE:
         worst = max(joint_errors(fit), key=lambda e: e.ratio)
         noise = f"{worst.noise:.3g} {worst.unit}".strip()
+        if fit.misses:
+            so = "the model misses something, and the errors above"
+        else:
+            so = "it is noise that is not white, and the errors above"
         yield (
-            f"the residual at {worst.joint} is {worst.ratio:.3g} times the noise ({noise}): the "
-            "model misses something, and the errors above, which assume white noise, are too small"
+            f"the residual at {worst.joint} is {worst.ratio:.3g} times the noise ({noise}): {so}, "
+            "which assume white noise, are too small"
         )
     elif fit.reduced_chi2 < _OVERSTATED:
         below = f"chi-square is {fit.reduced_chi2:.3g}, below what the"
