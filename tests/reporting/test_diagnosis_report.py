@@ -15,7 +15,7 @@ from residyn.diagnosis.evidence import prior_of
 from residyn.diagnosis.missing_torque import scene_of
 from residyn.diagnosis.residuals import Coloured
 from residyn.diagnosis.result import Budget, ChannelError, ColouredNoise, Family
-from residyn.effects import ConstantTorque, StribeckFriction
+from residyn.effects import ConstantTorque, StribeckFriction, catalogue
 from residyn.recordings.tables import InertiaTable
 from residyn.reporting import diagnosis as text
 from residyn.reporting import figures as plot
@@ -144,6 +144,34 @@ def test_a_kind_whose_law_has_no_name_is_said_first():
     made = by_hand.a_diagnosis("unexplained", ladder, families=(kind,))
     assert "Also possible" not in " ".join(made.words)
     assert text.title_of(made).startswith("What is missing: dry friction at the elbow")
+
+
+def test_what_can_be_counted_has_an_article_in_a_sentence():
+    kinds = {kind.kind() for kind in catalogue().values()} - {"spring", "viscous damper"}
+    counted = {
+        "constant torque", "dead zone (backlash)", "periodic disturbance", "slipping brake",
+        "relaxing spring", "curved sensor", "sensor delay", "sensor offset", "sensor scale",
+        "flexible wrist", "inertia torque as printed (Eq. 3)", "spring", "viscous damper",
+    }  # fmt: skip
+    for kind in catalogue().values():
+        title = names.lower(kind.titled())
+        assert names.counted(title) == (title in counted), title
+    assert {kind for kind in kinds if names.an(kind) == kind} == {
+        "dry friction", "gravity", "stiffness drift", "stiffness between joints", "wrong inertia"
+    }  # fmt: skip
+    assert names.an("offset") == "an offset"
+    law = Family("damping law", "elbow", 0.99, (("quadratic_drag:elbow", 0.9), (FOUND, 0.09)))
+    offset = Family("offset", None, 0.03, (("constant_torque:elbow", 0.03),))
+    label = "quadratic_drag:elbow"
+    ladder = by_hand.missing().ladder[0], a_model(by_hand.a_fit((label,), 0.0, 1.0), label)
+    made = by_hand.a_diagnosis("missing", ladder, families=(law, offset))
+    assert made.words[0] == "A damping law at the elbow is missing (99 %)."
+    assert made.words[1].startswith("Among damping laws, the law is most likely quadratic drag (")
+    assert "Beside a damping law at the elbow, an offset (3 %) is possible too." in made.words
+    assert text.title_of(made) == "What is missing: a damping law at the elbow"
+    assert "Damping law, elbow" in str(text.families_table(made).rows)
+    unsure = dataclasses.replace(law, probability=0.96), offset
+    assert "Also possible: an offset (3 %)." in dataclasses.replace(made, families=unsure).words
 
 
 def test_what_is_possible_only_beside_what_is_sure_says_so():

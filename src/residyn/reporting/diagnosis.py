@@ -33,18 +33,20 @@ from .names import (
     HELD_OUT,
     STOPPED,
     SURE,
+    an,
     at,
     at_place,
     base_name,
+    counted,
     error_change,
     force,
     listed,
     lower,
     modal,
-    named,
     own_name,
     placed,
     position,
+    spoken,
     the,
     times_noise,
     title,
@@ -188,7 +190,9 @@ def _standing_in(found: Diagnosis) -> Iterator[str]:
 
 
 def _family(family: Family, found: Diagnosis, comma: bool = False) -> str:
-    return placed(family.name, family.place, found.fit.joints, comma)
+    """In a sentence, or with a `comma` in a table."""
+    words = placed(family.name, family.place, found.fit.joints, comma)
+    return words if comma else an(words)
 
 
 def _likely(family: Family, found: Diagnosis) -> str:
@@ -240,20 +244,21 @@ def _laws(found: Diagnosis) -> Iterator[str]:
                 c for c in found.candidates if c.effect in members and _extends(c.effect, label)
             ]
             rivals = [
-                f"{lower(title(x))} ({percent(p)})"
+                f"{an(title(x))} ({percent(p)})"
                 for x, p in family.members
                 if x not in found.added and p >= _ALSO
             ]
             if rivals:
                 inside = "; ".join(filter(None, [percent(members[label]), numbers]))
+                kind = f"Among {family.name}s" if counted(family.name) else f"Within {family.name}"
                 yield (
-                    f"Within {family.name}, the law is most likely {lower(name)} ({inside}); "
+                    f"{kind}, the law is most likely {an(name)} ({inside}); "
                     f"{listed(rivals)} {'is' if len(rivals) == 1 else 'are'} possible too."
                 )
             elif further and found.verdict != "unexplained":
                 told = f" ({numbers})" if numbers else ""
                 more = listed([_would_add(c, label, found) for c in further])
-                yield f"{name}{told} is enough; {more}."
+                yield f"{upper(an(name))}{told} is enough; {more}."
             elif numbers:
                 yield f"{name}: {numbers}."
 
@@ -298,7 +303,7 @@ def _extends(label: str, simpler: str) -> bool:
 def _would_add(candidate: Candidate, simpler: str, found: Diagnosis) -> str:
     """ "Stribeck friction (< 1 %) would add excess 0.0008 +/- 0.0005 N m": in the place of the
     simpler law, beside all else that was added; without a number where that was not iterated."""
-    law = f"{lower(title(candidate.effect))} ({percent(candidate.probability)})"
+    law = f"{an(title(candidate.effect))} ({percent(candidate.probability)})"
     added = frozenset(found.added) - {simpler} | {candidate.effect}
     model = found.search and found.search.tried.get(added)
     if not (found.search and model):
@@ -332,7 +337,7 @@ def _others(found: Diagnosis) -> Iterator[str]:
     for group in found.lookalikes:
         rivals = [x for x in group[1:] if not any(x in dict(f.members) for f in own)]
         if rivals:
-            one, others = (named(x, found.fit.joints) for x in (group[:1], rivals))
+            one, others = (spoken(x, found.fit.joints) for x in (group[:1], rivals))
             yield f"These recordings cannot tell {one} from {others}."
 
 
@@ -352,7 +357,7 @@ def _fall(found: Diagnosis) -> Iterator[str]:
         yield f"The error{joint} is {times(before)} times the noise{held}."
         return
     words = (
-        f"With {named(found.added, found.fit.joints)} the error{joint} "
+        f"With {spoken(found.added, found.fit.joints)} the error{joint} "
         f"{error_change(first[worst], last[worst], right)}"
     )
     part = explained_share(found)
@@ -392,7 +397,7 @@ def _left(found: Diagnosis) -> Iterator[str]:
         yield from _matters(found)
         return
     if _instead(found):
-        effects = named(found.added, found.fit.joints)
+        effects = spoken(found.added, found.fit.joints)
         yield (
             f"Beside {effects} only noise is left; but a law that {unnamed(found)} has may be "
             f"there instead ({percent(sure)})."
@@ -551,8 +556,8 @@ def alike(found: Diagnosis) -> Iterator[str]:
     joints = found.fit.joints
     for group in found.lookalikes:
         if len(group) > 1:
-            rivals = named(group[1:], joints)
-            yield f"{at_place(group[0], joints)} cannot be told from {rivals} by these recordings."
+            one, rivals = (spoken(x, joints) for x in (group[:1], group[1:]))
+            yield f"{upper(one)} cannot be told from {rivals} by these recordings."
 
 
 def next_experiment(found: Diagnosis) -> list[str]:

@@ -18,7 +18,7 @@ from ..recordings.polynomial_spectrum import grid_step
 from ..recordings.segments import by_recording
 from . import layout
 from .layout import Table, filled, printed, section, separated, warned
-from .names import HELD_OUT, at_place, base_name, force, listed, lower, named, position, the
+from .names import HELD_OUT, at_place, base_name, force, listed, lower, position, spoken, the
 from .numbers import amount, measured, plain, prefixed, share, times, with_error
 
 _OVERSTATED = 0.85  # reduced chi-square below which the noise must have been overstated
@@ -427,7 +427,7 @@ def fall(first: Fit, last: Fit) -> str:
     new = [x for x in last.model.labels if x not in first.model.labels]
     a, b = before[worst], after[worst]
     return (
-        f"With {named(new, last.joints) if new else 'the last'}, the error at {the(a.joint)} goes "
+        f"With {spoken(new, last.joints) if new else 'the last'}, the error at {the(a.joint)} goes "
         f"from {times(a.ratio)} times the noise to {times(b.ratio)} times."
     )
 

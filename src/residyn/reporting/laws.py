@@ -13,8 +13,8 @@ from .names import (
     listed,
     modal,
     model_name,
-    named,
     position,
+    spoken,
     times_noise,
     upper,
 )
@@ -58,7 +58,7 @@ def sentences(found: Diagnosis) -> Iterator[str]:
         return
     law, *others = found.laws
     joints, told = found.fit.joints, formula(law)
-    beside = f" beside {named(law.beside, joints)}" if law.beside else ""
+    beside = f" beside {spoken(law.beside, joints)}" if law.beside else ""
     first = f"What has no name {modal(law.probability)} {what(law, joints)}{beside}"
     yield f"{first} ({percent(law.probability)})" + (f": {told}." if told else ".")
     if law.variable == "time" and not law.factor:

@@ -2,6 +2,7 @@
 command lines; people read "Coulomb friction at the elbow", in tables "Coulomb friction, elbow"."""
 
 import math
+import re
 from collections.abc import Sequence
 
 from ..diagnosis.forecast import ModelState
@@ -19,6 +20,13 @@ STOPPED = {"interrupted": "was stopped by Ctrl-C", "budget": "ended when its bud
 SURE = 0.9
 """Probability from which a sentence says "is"."""
 _PERSONS = ("Bouc-Wen", "Coulomb", "Dahl", "Stribeck")
+_UNCOUNTED = (
+    "cogging", "damping", "drag", "drift", "friction", "gravity", "hysteresis", "inertia",
+    "stiffness",
+)  # fmt: skip
+"""What names are of that go without an article: "dry friction", "stiffness between joints"."""
+_FURTHER = re.compile(r" (?:\(|as |at |between |in |of )")
+"""Where what a name is of ends: "drag of the air bearings", "dead zone (backlash)"."""
 _LINE = 0.001  # probability from which a candidate is worth a line
 _MOST, _FEWEST = 8, 3  # lines of candidates
 
@@ -36,6 +44,19 @@ def upper(words: str) -> str:
 def lower(words: str) -> str:
     """The same with a small first letter, unless it begins with a person's name."""
     return words if words.split(" ", 1)[0] in _PERSONS else words[:1].lower() + words[1:]
+
+
+def counted(words: str) -> bool:
+    """Whether a name is of one thing ("damping law") and not of a quantity ("dry friction")."""
+    last = _FURTHER.split(words)[0].rpartition(" ")[2].lower()
+    return last not in _UNCOUNTED and not last.endswith("s")
+
+
+def an(words: str) -> str:
+    """A name as it stands in a sentence: "a damping law", "an offset", "dry friction"."""
+    words = lower(words)
+    article = "an" if words[:1].lower() in "aeiou" else "a"
+    return f"{article} {words}" if counted(words) else words
 
 
 def unbroken(words: str) -> str:
@@ -83,6 +104,11 @@ def at_place(label: str, joints: Sequence[str], comma: bool = False) -> str:
 def named(labels: Sequence[str], joints: Sequence[str]) -> str:
     """ "Coulomb friction at the elbow and gravity"; without any, "springs and dampers alone"."""
     return listed([lower(at_place(x, joints)) for x in labels]) if labels else f"{PLAIN} alone"
+
+
+def spoken(labels: Sequence[str], joints: Sequence[str]) -> str:
+    """The same in a sentence: "Coulomb friction at the elbow and a constant torque"."""
+    return listed([an(at_place(x, joints)) for x in labels]) if labels else named(labels, joints)
 
 
 def force(units: Sequence[str | None] | None) -> str:

@@ -6,7 +6,7 @@ from ..diagnosis.candidate_tests import Test
 from ..diagnosis.plan import Plan
 from ..physics.parameter import INERTIA
 from .layout import Table, filled, printed
-from .names import listed, named, position, upper
+from .names import listed, named, position, spoken, upper
 from .numbers import amount, measured, percent, plain
 
 _TELLS = 2.0  # standard errors by which one reading tells two models apart 19 times in 20
@@ -63,7 +63,7 @@ def _errors(count: float) -> str:
 
 def sentence(test: Test) -> str:
     joints = tuple(test.release)
-    one, other = (named(x, joints) for x in test.between)
+    one, other = (spoken(x, joints) for x in test.between)
     aim = f"tell {one} from {other}"
     if not all(test.between):  # the one is the other with more
         aim = f"see whether {other if test.between[1] else one} is there"

@@ -19,7 +19,7 @@ from ..procedure.ringdown import RingDown
 from ..procedure.unloaded import BareCheck, Pose, Unloading, decay_of
 from .inertia import at_odds
 from .layout import Table, filled, printed, section, warned
-from .names import STOPPED, named, upper
+from .names import STOPPED, spoken, upper
 from .numbers import amount, measured, plain, times
 
 _POOR = 0.05  # relative error of a predicted damping ratio beyond which it is said to be poor
@@ -228,7 +228,7 @@ def taken_off(found: Unloading) -> str:
     mass, many = sum(b.mass for b in bearings), "s" * (len(bearings) > 1)
     what = "the model names no drag or friction of theirs"
     if found.left_out:
-        what = f"and of the model {named(found.left_out, found.fit.joints)}"
+        what = f"and of the model {spoken(found.left_out, found.fit.joints)}"
     return f"{len(bearings)} air bearing{many}, {mass:.4g} kg (Eq. 5); {what}."
 
 
