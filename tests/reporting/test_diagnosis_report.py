@@ -174,6 +174,15 @@ def test_what_can_be_counted_has_an_article_in_a_sentence():
     assert "Also possible: an offset (3 %)." in dataclasses.replace(made, families=unsure).words
 
 
+def test_what_takes_up_a_part_is_said_once_to_be_no_cause():
+    made = by_hand.unexplained()
+    wrong = tuple(dataclasses.replace(f, probability=0.001) for f in made.families)
+    words = " ".join(dataclasses.replace(made, families=wrong).words)
+    assert "A spring shape at the shoulder takes up a part of it, but cannot be its cause" in words
+    assert words.count("no effect of the catalogue explains") == 1
+    assert "What is missing beside asymmetric stiffness at the shoulder is a torque of" in words
+
+
 def test_what_is_possible_only_beside_what_is_sure_says_so():
     other = family(0.03, "wrong inertia", "inertia_error:elbow")
     sure = by_hand.missing(families=(family(0.9999), other), lookalikes=())

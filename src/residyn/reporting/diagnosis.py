@@ -390,6 +390,8 @@ def _left(found: Diagnosis) -> Iterator[str]:
         sizes = listed([_size(r, found) for r in known]) if known else "unknown size"
         beyond = f"missing that {unnamed(found)} explains ({percent(sure)}):"
         first = f"Something more {modal(sure)} {beyond}" if found.added else "What is missing is"
+        if _stand_in(found):  # of which it has been said that no effect explains it
+            first = f"What is missing beside {spoken(found.added, found.fit.joints)} is"
         if found.laws:  # of which the model that lacks so much has none
             law = "that law" if len(found.laws) == 1 else "such a law"
             first = f"Without {law}, {lower(first)}"
