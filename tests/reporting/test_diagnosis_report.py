@@ -266,7 +266,7 @@ def test_a_search_cut_short_does_not_blame_the_catalogue(count, says, monkeypatc
 
 def test_a_disturbance_may_be_in_the_sensor(found):
     """In a linear rig a sine of the sensor's zero and one of a force have the same readings."""
-    says = "A sensor whose zero swings at that frequency"
+    says = "A sensor whose zero swings at the frequency of the disturbance"
     label = "periodic_disturbance:elbow"
     ladder = by_hand.missing().ladder[0], a_model(by_hand.a_fit((label,), 0.0, 1.0), label)
     kinds = (Family("periodic disturbance", "elbow", 0.99, ((label, 0.99),)),)

@@ -267,8 +267,8 @@ def _hum(found: Diagnosis) -> Iterator[str]:
     """What else a disturbance may be: in a linear rig the two have the same readings."""
     if any(e.oscillates for e in found.fit.model.effects if e.label in found.added):
         yield (
-            "A sensor whose zero swings at that frequency, as hum in its cable makes it, moves the "
-            "readings in the same way."
+            "A sensor whose zero swings at the frequency of the disturbance, as hum in its cable "
+            "makes it, moves the readings in the same way."
         )
 
 
