@@ -183,6 +183,15 @@ def test_what_takes_up_a_part_is_said_once_to_be_no_cause():
     assert "What is missing beside asymmetric stiffness at the shoulder is a torque of" in words
 
 
+def test_a_law_without_a_name_is_said_beside_what_it_joins():
+    law = dataclasses.replace(by_hand.a_law(), beside=("constant_torque:elbow", FOUND))
+    (said,) = [x for x in by_hand.unexplained(laws=(law,)).words if "what has no name" in x]
+    assert said == (
+        "Beside a constant torque at the elbow and Coulomb friction at the elbow, what has no name "
+        "is a torque at the elbow that depends on the rate (95 %)."
+    )
+
+
 def test_what_is_possible_only_beside_what_is_sure_says_so():
     other = family(0.03, "wrong inertia", "inertia_error:elbow")
     sure = by_hand.missing(families=(family(0.9999), other), lookalikes=())

@@ -58,8 +58,8 @@ def sentences(found: Diagnosis) -> Iterator[str]:
         return
     law, *others = found.laws
     joints, told = found.fit.joints, formula(law)
-    beside = f" beside {spoken(law.beside, joints)}" if law.beside else ""
-    first = f"What has no name {modal(law.probability)} {what(law, joints)}{beside}"
+    beside = f"Beside {spoken(law.beside, joints)}, " if law.beside else ""
+    first = upper(f"{beside}what has no name {modal(law.probability)} {what(law, joints)}")
     yield f"{first} ({percent(law.probability)})" + (f": {told}." if told else ".")
     if law.variable == "time" and not law.factor:
         yield "A sensor whose zero drifts moves the readings in the same way."
