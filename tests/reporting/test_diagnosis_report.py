@@ -20,6 +20,7 @@ from residyn.recordings.tables import InertiaTable
 from residyn.reporting import diagnosis as text
 from residyn.reporting import figures as plot
 from residyn.reporting import fit as about_fits
+from residyn.reporting import laws as about_laws
 from residyn.reporting import names, numbers
 from residyn.reporting.compare import draw_torque
 from tests import by_hand
@@ -190,6 +191,20 @@ def test_a_law_without_a_name_is_said_beside_what_it_joins():
         "Beside a constant torque at the elbow and Coulomb friction at the elbow, what has no name "
         "is a torque at the elbow that depends on the rate (95 %)."
     )
+
+
+def test_the_numbers_of_a_formula_stay_under_its_law():
+    numbers_of = dict.fromkeys("abcd", (0.42, 0.0015, "N m"))
+    formula = SimpleNamespace(
+        equation="sign(q') (a sin(2 pi q/period) + b cos(2 pi q/period))", parameters=numbers_of
+    )
+    law = dataclasses.replace(by_hand.a_law(), formula=formula)
+    _head, *lines = about_laws.text(by_hand.unexplained(laws=(law,)))
+    first = next(i for i, line in enumerate(lines) if "A torque at the elbow" in line)
+    last = next(i for i, line in enumerate(lines) if "--found" in line)
+    told = lines[first + 1 : last]
+    assert len(told) > 2
+    assert all(line.startswith(" " * 6) and len(line) <= 80 for line in told), told
 
 
 def test_what_is_possible_only_beside_what_is_sure_says_so():

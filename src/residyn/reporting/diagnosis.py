@@ -28,7 +28,7 @@ from ..physics.parameter import parameters_of
 from . import laws, layout
 from .compare import clearest, pairs
 from .fit import residuals
-from .layout import Table, filled, printed, section, separated
+from .layout import NUMBERS, Table, filled, printed, section, separated
 from .names import (
     HELD_OUT,
     STOPPED,
@@ -61,7 +61,6 @@ from .numbers import amount, measured, nats, percent, plain, share, times
 
 _ALSO = 0.01  # probability from which another family is named
 _NAMED = 3  # other families that are named
-_VALUES = 44  # columns of a candidate's numbers in a terminal
 _FAMILIES, _SHOWN = 5, 0.005  # families on a page, and the probability from which one has a line
 
 
@@ -537,7 +536,7 @@ def candidates(found: Diagnosis) -> list[str]:
     shown, rows = worth_showing(found), []
     for c in shown:
         name = at_place(c.effect, found.fit.joints, comma=True)
-        lines = [name, *filled(_values(c.parameters), "  ", width=_VALUES)]
+        lines = [name, *filled(_values(c.parameters), "  ", width=NUMBERS)]
         order = "" if c.iterated else " (1st order)"
         rows.append(["\n".join(lines), percent(c.probability), nats(c.log_evidence) + order])
     out = [*section("Candidates", note), *printed(Table(["", "probability", "log evidence"], rows))]

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from ..diagnosis.forecast import ModelState
 from ..diagnosis.law import Law
 from ..diagnosis.result import Diagnosis
-from .layout import Table, filled, printed, section
+from .layout import NUMBERS, Table, filled, printed, section
 from .names import (
     at,
     error_change,
@@ -91,7 +91,7 @@ def text(found: Diagnosis) -> list[str]:
     rows = []
     for law in found.laws:
         lines = [upper(what(law, found.fit.joints))]
-        lines += filled(formula(law), "  ", width=60) if law.formula else []
+        lines += filled(formula(law), "  ", width=NUMBERS) if law.formula else []
         rows.append(["\n".join(lines), percent(law.probability), nats(law.log_evidence)])
     note = (
         "free curves of one variable: probability, and log evidence (nats) relative to the best "

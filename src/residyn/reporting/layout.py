@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from .numbers import glued
 
 WIDTH = 80
+NUMBERS = 44
+"""Columns of an effect's or law's numbers in a terminal, beside two columns of what it is."""
 _SPECIAL = {c: f"\\{c}" for c in "&%$#_{}"} | {
     "\\": r"\textbackslash{}",
     "~": r"\textasciitilde{}",
