@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from residyn.diagnosis import Comparison, Curve, Missing, MissingTorque
+from residyn.diagnosis.bands import Band, Own
 from residyn.diagnosis.candidate_tests import Outcome, Test
 from residyn.diagnosis.forecast import Ahead, Error, HeldOut, Horizon
 from residyn.diagnosis.law import Law
@@ -130,6 +131,8 @@ def a_comparison(fit, times, p):
     def part(name, start, stop, joints=2):
         return Part(name, start, stop, (Cell(100 * times**2, 100.0),) * joints)
 
+    frequency = part("below mode 1", 0, 0.3), part("mode 1", 0.3, 0.4), part("above", 3, 40)
+    bands = tuple(Band(p.name, p.start, p.stop) for p in frequency)
     where = Where(
         joints=JOINTS,
         units=("rad", "rad"),
@@ -138,7 +141,8 @@ def a_comparison(fit, times, p):
         joint=(Cell(800 * times**2, 800.0),) * 2,
         time=tuple(part("", 2.5 * i, 2.5 * (i + 1)) for i in range(4)),
         amplitude=tuple(tuple(part("", a / 2, a, 1) for a in (0.2, 0.1, 0.05)) for _ in JOINTS),
-        frequency=(part("below mode 1", 0, 0.3), part("mode 1", 0.3, 0.4), part("above", 3, 40)),
+        frequency=frequency,
+        recordings=(Own(fit.recordings[0].recording.name, fit.modes, bands),),
     )
     error = an_error(times)
     ahead = tuple(Ahead(2.0 * i, 2.0 * i + 2, an_error(times)) for i in range(3))

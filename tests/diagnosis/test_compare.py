@@ -213,7 +213,8 @@ def test_json_is_the_fits_and_more(clean):
     assert set(where) == {"white", "line", "joint", "time", "amplitude", "frequency"}
     assert set(where["white"]) == set(where["joint"]) == {"shoulder", "elbow"}
     assert where["time"][0].keys() == {"start", "stop", "share", "ratio", "joints"}
-    assert where["frequency"][0].keys() == {"name", "start", "stop", "share", "ratio", "joints"}
+    bands = {"name", "start", "stop", "share", "ratio", "joints", "recordings"}
+    assert where["frequency"][0].keys() == bands
     assert where["amplitude"][0].keys() == {"joint", "unit", "start", "stop", "share", "ratio"}
     assert found["held_out"].keys() == {"what", "joints", "fitted"}
     assert found["held_out"]["joints"]["elbow"].keys() == {"rmse", "ratio", "expected"}
@@ -305,8 +306,8 @@ def test_the_test_is_calibrated():
     chances = []
     for _ in range(60):
         rows, beside = noise_less_fit(rng, time, 10, 0.1)
-        narrow = narrow_bands(bands(MODES, [beside]), 12.0)
-        chances += [whiteness_of([spectrum(row, narrow[-1].stop)], narrow) for row in rows]
+        narrow = narrow_bands(bands([MODES], [beside]), 12.0)
+        chances += [whiteness_of([spectrum(row, narrow[0][-1].stop)], narrow) for row in rows]
     assert kstest(chances, "uniform").pvalue > 0.01
     assert np.mean(np.array(chances) < 0.05) < 0.12
 
@@ -322,7 +323,7 @@ def test_a_line_is_found_at_any_frequency_and_seldom_in_noise(lost):
             line = row.used * 0.6 * np.sin(2 * np.pi * f * time + rng.uniform(0, 6))
             p, found = strongest_line([row._replace(residual=row.residual + line)])
             assert p < 1e-3
-            assert abs(found - f) < 0.5 / 12
+            assert abs(found.frequency - f) < 0.5 / 12
     assert min(chances) > 1e-3
     assert np.mean(np.array(chances) < 0.05) < 0.1
 
@@ -333,7 +334,7 @@ def test_energies_add_up_and_have_their_expectation():
     ratios = []
     for _ in range(20):
         rows, beside = noise_less_fit(rng, time, 8, 0.2)
-        cut = bands(MODES, [beside])
+        (cut,) = bands([MODES], [beside])
         one = spectrum(rows[0], cut[-1].start)
         energy, freedom = energies(one, [one.columns(b.start, b.stop) for b in cut[:-1]])
         assert (energy >= 0).all()
@@ -360,15 +361,69 @@ def test_bands_cover_every_frequency_once():
     close = [Mode(1.0, 0.0, 0.01, 0.0), Mode(1.05, 0.0, 0.01, 0.0)]
     high = [Mode(0.02, 0.0, 0.01, 0.0), Mode(44.0, 0.0, 0.01, 0.0)]
     for modes in (MODES, close, high, MODES[:1], []):
-        cut = bands(modes, [beside])
+        (cut,) = bands([modes], [beside])
         assert cut[0].start == 0
         assert cut[-1].name == "above"
         assert cut[-1].stop == pytest.approx(50)
         assert [b.stop for b in cut[:-1]] == [b.start for b in cut[1:]]
         assert all(b.stop > b.start for b in cut)
-    names = [b.name for b in bands(MODES, [beside])]
+    names = [b.name for b in bands([MODES], [beside])[0]]
     for name in ("below mode 1", "mode 1", "2 x mode 1", "mode 2", "3 x mode 2"):
         assert name in names
+
+
+def test_bands_are_about_each_recordings_own_modes():
+    made = [recording(t=TIME), recording(t=TIME)]
+    fitted = [RecordingFit(r, r.angle, np.zeros(r.angle.shape, bool), np.zeros(4)) for r in made]
+
+    def modes(*frequencies):
+        return [Mode(f, 0.0, 0.01, 0.0) for f in frequencies]
+
+    each = bands([modes(0.9, 4.0), modes(0.6, 3.1)], fitted)
+    assert [b.name for b in each[0]] == [b.name for b in each[1]]
+    for cut, low, high in zip(each, (0.9, 0.6), (4.0, 3.1), strict=True):
+        assert cut[0].start == 0
+        assert [b.stop for b in cut[:-1]] == [b.start for b in cut[1:]]
+        at = {"mode 1": low, "2 x mode 1": 2 * low, "mode 2": high, "2 x mode 2": 2 * high}
+        for name, f in at.items():
+            (band,) = [b for b in cut if b.name == name]
+            assert band.start < f < band.stop
+    narrow = narrow_bands(each, 12.0)
+    assert [b.name for b in narrow[0]] == [b.name for b in narrow[1]]
+    # On the other side of mode 2 a multiple is another band: it is none of all recordings.
+    crossed = bands([modes(1.5, 4.0), modes(1.5, 2.2)], fitted)
+    assert "2 x mode 1" not in {b.name for cut in crossed for b in cut}
+    assert "2 x mode 1" in {b.name for b in bands([modes(1.5, 4.0)], fitted[:1])[0]}
+
+
+def test_what_is_at_each_recordings_mode_is_said_to_be_at_a_mode():
+    """Carts of 1 and 3 kg: the slower one's mode is far below the first one's."""
+    made = []
+    for seed, extra in enumerate((0.0, 2.0)):
+        cart = rig.Cart(1.0 + extra, 100.0, 0.3)
+        q, _ = rig.simulate(cart, TIME, [0.05], frictionloss=[0.05])
+        q = q + 1e-4 * np.random.default_rng(seed).standard_normal(q.shape)
+        name = f"{extra:g}.csv"
+        settings = {"noise": 1e-4, "extra_mass": extra, "load": 9.81, "name": name}
+        made.append(residyn.Recording.from_arrays(TIME, q, **settings))
+    found = quickly(*made, table=CART)
+    slow, fast = 10 / (2 * np.pi * np.sqrt(3)), 10 / (2 * np.pi)
+    for own, f in zip(found.where.recordings, (fast, slow), strict=True):
+        assert own.modes[0].frequency_hz == pytest.approx(f, rel=0.02)
+    share = {p.name: p.whole.energy / found.where.total for p in found.where.frequency}
+    assert share["mode 1"] > 0.8
+    assert share["below mode 1"] < 0.1
+    total = sum(p.whole.energy for p in found.where.frequency)
+    assert total == pytest.approx(found.where.total)
+    words = " ".join(found.words)
+    assert "around mode 1 (0.9" in words
+    assert " to 1.59 Hz)" in words
+    assert "a line of" not in words
+    told = next(b for b in found.to_dict()["where"]["frequency"] if b["name"] == "mode 1")
+    assert told["start"] < fast < told["stop"]
+    assert told["recordings"]["0.csv"] == {k: told[k] for k in ("start", "stop")}
+    assert told["recordings"]["2.csv"]["start"] < slow < told["recordings"]["2.csv"]["stop"]
+    assert "frequency, Hz, as in 0.csv" in str(found)
 
 
 def test_rounding_of_a_smooth_curve_is_known():
@@ -468,6 +523,6 @@ def test_bad_input_is_one_line(folder, capsys, words, named):
 def test_without_a_period_nothing_hangs():
     """A driven slide rings in no mode: the motion may stand still, and is no ringing that ended."""
     time = np.arange(50) / 10.0
-    still = hangs(time, 0.0 * time, Grid(0.0, 1e-3), 0.0)
+    still = hangs(time, 0.0 * time, Grid(0.0, 1e-3), np.inf)
     assert still.shape == time.shape
     assert not still.any()

@@ -17,11 +17,11 @@ import numpy as np
 from ..filtering.grid import local_amplitude
 from ..fitting.result import Fit, RecordingFit
 from ..runtime.json import finite, number
-from .bands import Band, bands
+from .bands import Own, own_bands
 from .evidence import NOISE
 from .linearised_fit import Tangent, predictions
 from .spectrum import Spectrum, energies, strips
-from .whiteness import spectrum_of, white
+from .whiteness import Line, spectrum_of, white
 
 WINDOWS = 8
 _HALVINGS = 3  # amplitudes: above 1/2, 1/4, 1/8 of the largest, and the rest
@@ -82,7 +82,7 @@ def coloured(fit: Fit) -> Coloured | None:
         return None
     at = where(fit, predictions(fit, fit.unknowns)[1])
     found = [
-        Coloured(joint, ratio, at.line[joint])
+        Coloured(joint, ratio, at.line_hz(joint))
         for joint, ratio in zip(fit.joints, fit.ratio.tolist(), strict=True)
         if at.white[joint] < NOISE
     ]
@@ -100,22 +100,35 @@ class Where:
     units: tuple[str, ...]
     white: Mapping[str, float]
     """Of each joint, p of `whiteness.white`."""
-    line: Mapping[str, float | None]
-    """Of each joint, Hz, the strongest line; None if none stands out of white noise."""
+    line: Mapping[str, Line | None]
+    """Of each joint the strongest line; None if none stands out of white noise."""
     joint: tuple[Cell, ...]
     """One cell per joint."""
     time: tuple[Part, ...]
     """Equal windows of the time since each recording's first sample, s."""
     amplitude: tuple[tuple[Part, ...], ...]
     """Per joint, ranges of the local amplitude of its own swing, rad or m, largest first. Local:
-    sqrt(2) times the standard deviation over one period of the slowest mode."""
+    sqrt(2) times the standard deviation over one period of the recording's slowest mode."""
     frequency: tuple[Part, ...]
-    """Bands, Hz, tied to the modes: see `bands.Band`."""
+    """Bands tied to each recording's own modes, see `bands.Band`; their edges, Hz, are those of the
+    first recording."""
+    recordings: tuple[Own, ...]
+    """Of each fitted recording its modes and bands, as many as there are in `frequency`."""
 
     @property
     def total(self) -> float:
         """All squared residuals, in units of the noise."""
         return sum(c.energy for c in self.joint)
+
+    def line_hz(self, joint: str) -> float | None:
+        """The frequency of a joint's line, if it has one."""
+        line = self.line[joint]
+        return None if line is None else line.frequency
+
+    @property
+    def alike(self) -> bool:
+        """Whether all recordings have the same bands."""
+        return len({own.bands for own in self.recordings}) == 1
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON under `where`. All `share` are of the whole squared residual (in units of the
@@ -131,9 +144,14 @@ class Where:
             edges = {"start": number(p.start), "stop": number(p.stop)}
             return {**named, **edges, **cell(p.whole), "joints": each}
 
+        def edges(i: int) -> dict[str, Any]:
+            own = {own.name: own.bands[i] for own in self.recordings}
+            each = {name: {"start": b.start, "stop": b.stop} for name, b in own.items()}
+            return {"recordings": each}
+
         return {
             "white": {joint: number(p) for joint, p in self.white.items()},
-            "line": dict(self.line),
+            "line": {joint: self.line_hz(joint) for joint in self.line},
             "joint": {j: cell(c) for j, c in zip(self.joints, self.joint, strict=True)},
             "time": [part(p) for p in self.time],
             "amplitude": [
@@ -141,7 +159,7 @@ class Where:
                 for j, u, parts in zip(self.joints, self.units, self.amplitude, strict=True)
                 for p in parts
             ],
-            "frequency": [part(p) for p in self.frequency],
+            "frequency": [part(p) | edges(i) for i, p in enumerate(self.frequency)],
         }
 
 
@@ -161,10 +179,11 @@ def where(fit: Fit, slopes: Sequence[np.ndarray]) -> Where:
         ]
         return tuple(Cell(*each) for each in zip(*sums, strict=True))
 
-    cut = bands(fit.modes, fit.fitted)
+    own = own_bands(fit)
     rows = strips(fit.fitted, units, tangent, weights)
-    spectra = [[spectrum_of(strip, cut[-1].start) for strip in row] for row in rows]
-    tested = white(fit, slopes, cut, rows, spectra)
+    tops = [each.bands[-1].start for each in own]
+    spectra = [list(map(spectrum_of, row, tops)) for row in rows]
+    tested = white(fit, slopes, own, rows, spectra)
     return Where(
         joints=fit.joints,
         units=fit.units,
@@ -172,8 +191,9 @@ def where(fit: Fit, slopes: Sequence[np.ndarray]) -> Where:
         line={joint: found.line for joint, found in tested.items()},
         joint=cells([np.ones(len(u), bool) for u in units]),
         time=tuple(_by_time(fit.fitted, cells)),
-        amplitude=tuple(_by_amplitude(fit, fit.fitted, cells)),
-        frequency=_by_frequency(spectra, cut),
+        amplitude=tuple(_by_amplitude(fit, [each.period for each in own], cells)),
+        frequency=_by_frequency(spectra, own),
+        recordings=own,
     )
 
 
@@ -186,9 +206,8 @@ def _by_time(fitted: Sequence[RecordingFit], cells):
         yield Part("", float(a), float(b), cells(chosen))
 
 
-def _by_amplitude(fit: Fit, fitted: Sequence[RecordingFit], cells):
-    period = 1 / fit.modes[0].frequency_hz if fit.modes else math.inf
-    sizes = [swing(r, period) for r in fitted]
+def _by_amplitude(fit: Fit, periods: Sequence[float], cells):
+    sizes = list(map(swing, fit.fitted, periods))
     for j in range(len(fit.joints)):
         most = max(float(s[:, j].max()) for s in sizes)
         edges = [most * 0.5**i for i in range(_HALVINGS + 1)] + [0.0]
@@ -210,18 +229,18 @@ def swing(beside: RecordingFit, period: float) -> np.ndarray:
 
 
 def _by_frequency(
-    spectra: Sequence[Sequence[Spectrum | None]], cut: Sequence[Band]
+    spectra: Sequence[Sequence[Spectrum | None]], own: Sequence[Own]
 ) -> tuple[Part, ...]:
-    columns = []
+    columns, first = [], own[0].bands
     for row in spectra:
-        sums = np.zeros((2, len(cut)))
-        for one in row:
+        sums = np.zeros((2, len(first)))
+        for one, its in zip(row, own, strict=True):
             if one is not None:
-                found = energies(one, [one.columns(b.start, b.stop) for b in cut[:-1]])
+                found = energies(one, [one.columns(b.start, b.stop) for b in its.bands[:-1]])
                 whole = np.array([one.energy, one.freedom])
                 sums[:, :-1] += found
                 sums[:, -1] += np.maximum(whole - np.sum(found, axis=1), 0.0)
         columns.append([Cell(float(e), float(f)) for e, f in sums.T])
     return tuple(
-        Part(*band, cells) for band, cells in zip(cut, zip(*columns, strict=True), strict=True)
+        Part(*band, cells) for band, cells in zip(first, zip(*columns, strict=True), strict=True)
     )

@@ -19,7 +19,7 @@ from scipy.special import betainc
 
 from ..fitting.result import Fit
 from ..recordings.polynomial_spectrum import grid_step
-from .bands import LEAST, Band
+from .bands import LEAST, Band, Own
 from .evidence import NOISE
 from .linearised_fit import Tangent
 from .spectrum import Spectrum, Strip, periodogram, spectrum, strips, whitened
@@ -29,46 +29,58 @@ _WIDEST = 16  # lines: a wider band is cut, lest a narrow line drown in it
 _ROUNDS = 6
 
 
+class Line(NamedTuple):
+    """The strongest line of a joint's residual."""
+
+    frequency: float
+    """Hz."""
+    recording: int
+    """In which of the fitted recordings."""
+
+
 class White(NamedTuple):
     """The test of one joint, over all fitted recordings."""
 
     p: float
     """Probability that noise alone leaves a residual so far from white; NaN: too few readings."""
-    line: float | None
-    """Hz, its strongest line; None if noise alone leaves one as strong with p of `NOISE`."""
+    line: Line | None
+    """Its strongest line; None if noise alone leaves one as strong with p of `NOISE`."""
 
 
 def white(
     fit: Fit,
     slopes: Sequence[np.ndarray],
-    cells: Sequence[Band],
+    own: Sequence[Own],
     rows: Sequence[Sequence[Strip]],
     spectra: Sequence[Sequence[Spectrum | None]],
 ) -> Mapping[str, White]:
     """The test of each joint.
 
-    **Arguments:** `slopes` (N, n, L) per recording from `predictions`; `cells` from `bands.bands`;
+    **Arguments:** `slopes` (N, n, L) per recording from `predictions`; `own` of each recording;
     `rows` and `spectra` of the residual as it is, per joint and recording.
     """
-    narrow = narrow_bands(cells, max(r.recording.duration for r in fit.fitted))
+    longest = max(r.recording.duration for r in fit.fitted)
+    narrow = narrow_bands([each.bands for each in own], longest)
     grids = _grids(fit)
     if grids:
-        rows = _without_rounding(fit, slopes, grids)
-        spectra = [[spectrum_of(s, narrow[-1].stop) for s in row] for row in rows]
+        rows = _without_rounding(fit, slopes, grids, [each.period for each in own])
+        tops = [each[-1].stop for each in narrow]
+        spectra = [list(map(spectrum_of, row, tops)) for row in rows]
     found = {}
     for joint, row, parts in zip(fit.joints, rows, spectra, strict=True):
-        in_bands = whiteness_of([s for s in parts if s is not None], narrow)
+        in_bands = whiteness_of(parts, narrow)
         p, line = strongest_line(row)
         each = [x for x in (in_bands, p) if np.isfinite(x)]
         found[joint] = White(of_the_least(each) if each else np.nan, line if p < NOISE else None)
     return found
 
 
-def strongest_line(row: Sequence[Strip]) -> tuple[float, float]:
+def strongest_line(row: Sequence[Strip]) -> tuple[float, Line | None]:
     """Probability that noise alone leaves a line with so much of a recording's energy, corrected
-    for the number of frequencies and recordings, and its frequency, Hz; NaN if none can be seen."""
-    each, count = [(np.nan, np.nan)], 0
-    for strip in row:
+    for the number of frequencies and recordings, and the line; NaN and None if none can be seen."""
+    each: list[tuple[float, Line | None]] = [(np.nan, None)]
+    count = 0
+    for i, strip in enumerate(row):
         left, along = strip.residual[strip.used], strip.tangent[strip.used]
         freedom, total = len(left) - float((along**2).sum()), float(left @ left)
         frequency, energy = periodogram(strip) if len(left) >= LEAST else (left[:0], left[:0])
@@ -76,7 +88,8 @@ def strongest_line(row: Sequence[Strip]) -> tuple[float, float]:
         if len(frequency) and freedom > 2 and total > 0:
             best = np.argmax(energy)
             share = min(1.0, float(energy[best]) / total)
-            each.append(((1 - share) ** ((freedom - 2) / 2), float(frequency[best])))
+            line = Line(float(frequency[best]), i)
+            each.append(((1 - share) ** ((freedom - 2) / 2), line))
     least, line = min(each, key=lambda x: (not np.isfinite(x[0]), x[0]))
     return of_the_least([least] * count) if count else np.nan, line
 
@@ -86,13 +99,14 @@ def spectrum_of(strip: Strip, top: float) -> Spectrum | None:
     return spectrum(strip, top) if strip.used.sum() >= LEAST else None
 
 
-def whiteness_of(parts: Sequence[Spectrum], narrow: Sequence[Band]) -> float:
+def whiteness_of(parts: Sequence[Spectrum | None], narrow: Sequence[Sequence[Band]]) -> float:
     """Probability that noise alone leaves a residual with so much of its energy in one narrow band,
-    corrected for the number of bands."""
-    total, freedom = sum(p.energy for p in parts), sum(p.freedom for p in parts)
+    corrected for the number of bands; of each recording's spectrum its own bands."""
+    seen = [(p, own) for p, own in zip(parts, narrow, strict=True) if p is not None]
+    total, freedom = sum(p.energy for p, _ in seen), sum(p.freedom for p, _ in seen)
     found = []
-    for band in narrow:
-        z = [whitened(p, p.columns(band.start, band.stop)) for p in parts]
+    for i in range(len(narrow[0])):
+        z = [whitened(p, p.columns(own[i].start, own[i].stop)) for p, own in seen]
         energy, count = sum(float(x @ x) for x in z), sum(len(x) for x in z)
         if 0 < count < freedom - 1 and total > 0:
             p = betainc((freedom - count) / 2, count / 2, max(0.0, 1 - energy / total))
@@ -106,17 +120,24 @@ def of_the_least(p: Sequence[float]) -> float:
     return float(-np.expm1(len(p) * np.log1p(-least))) if least < 1 else 1.0
 
 
-def narrow_bands(cells: Sequence[Band], duration: float) -> list[Band]:
-    """The bands below the last one, cut to narrow ones."""
-    found = []
-    for name, start, stop in cells[:-1]:
+def narrow_bands(cut: Sequence[Sequence[Band]], duration: float) -> list[list[Band]]:
+    """Of each recording the bands below the last one, cut to narrow ones: into as many pieces in
+    all recordings, the longest of which has this duration (s)."""
+    found: list[list[Band]] = [[] for _ in cut]
+
+    def add(name: str, starts: np.ndarray, stops: np.ndarray) -> None:
+        for own, start, stop in zip(found, starts.tolist(), stops.tolist(), strict=True):
+            own.append(Band(name, start, stop))
+
+    for same in zip(*(own[:-1] for own in cut), strict=True):
+        start, stop = (np.array([getattr(b, edge) for b in same]) for edge in ("start", "stop"))
         slow = _SLOWEST / (2 * duration)
-        if start == 0 and stop > 2 * slow:
-            found.append(Band("slow", start, slow))
-            start = slow
-        pieces = max(1, int(np.ceil((stop - start) * duration / _WIDEST)))
-        edges = np.linspace(start, stop, pieces + 1)
-        found += [Band(name, a, b) for a, b in itertools.pairwise(edges)]
+        if (start == 0).all() and (stop > 2 * slow).all():
+            add("slow", start, np.full(len(cut), slow))
+            start = np.full(len(cut), slow)
+        pieces = max(1, int(np.ceil((stop - start).max() * duration / _WIDEST)))
+        for a, b in itertools.pairwise(np.linspace(start, stop, pieces + 1)):
+            add(same[0].name, a, b)
     return found
 
 
@@ -169,8 +190,8 @@ class Grid(NamedTuple):
 
 def hangs(time: np.ndarray, angle: np.ndarray, grid: Grid, period: float) -> np.ndarray:
     """Where (N,) the motion `angle` (N,) keeps within a step or two for a whole period (s);
-    nowhere, if there is no period (0)."""
-    if not period > 0:
+    nowhere, if there is no period (inf)."""
+    if not np.isfinite(period):
         return np.zeros(len(time), bool)
     low = np.searchsorted(time, time - period / 2)
     high = np.maximum(np.searchsorted(time, time + period / 2), np.arange(len(time)) + 1)
@@ -192,15 +213,18 @@ def _grids(fit: Fit) -> dict[tuple[int, int], Grid]:
 
 
 def _without_rounding(
-    fit: Fit, slopes: Sequence[np.ndarray], grids: Mapping[tuple[int, int], Grid]
+    fit: Fit,
+    slopes: Sequence[np.ndarray],
+    grids: Mapping[tuple[int, int], Grid],
+    periods: Sequence[float],
 ) -> list[list[Strip]]:
-    """The residual with the pattern of the encoder's steps taken out, per joint and recording."""
+    """The residual with the pattern of the encoder's steps taken out, per joint and recording;
+    `periods` of the recordings' slowest modes, s."""
     fitted = fit.fitted
     weights, left = [r.weight for r in fitted], [r.left for r in fitted]
-    period = 1 / fit.modes[0].frequency_hz if fit.modes else 0.0
     for (i, j), grid in grids.items():
         r = fitted[i]
-        weights[i][hangs(r.recording.time, r.predicted[:, j], grid, period), j] = 0.0
+        weights[i][hangs(r.recording.time, r.predicted[:, j], grid, periods[i]), j] = 0.0
     tangent = Tangent.of(slopes, weights, len(fit.numbers))
     moved, units = [np.zeros_like(x) for x in left], left
     for _ in range(_ROUNDS):

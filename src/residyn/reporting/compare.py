@@ -143,14 +143,14 @@ def _swing(at: Where) -> str:
 
 
 def _frequency(found: Comparison) -> str:
-    bands = found.where.frequency
+    at, bands = found.where, found.where.frequency
     total = sum(_excess(p.whole) for p in bands)
     parts = sorted((p for p in bands if _tells(p.whole)), key=lambda p: -_excess(p.whole))
     line = _line(found)
     if not parts or total <= 0:
         return f"There is {line}." if line else ""
     named = [p for p in parts if _excess(p.whole) > _NAMED * total][:3] or parts[:1]
-    shares = [f"{plain(100 * _excess(p.whole) / total, 2)} % {_band(p, found)}" for p in named]
+    shares = [f"{plain(100 * _excess(p.whole) / total, 2)} % {_band(p, at)}" for p in named]
     words = f"Of what exceeds the noise, {listed(shares).replace(' % ', ' % lies ', 1)}"
     # Multiples of modes that exceed the bands beside them.
     clear = [
@@ -160,7 +160,7 @@ def _frequency(found: Comparison) -> str:
         if p.whole.ratio > _CLEAR * max(before.whole.ratio, after.whole.ratio)
     ][:2]
     if clear:
-        each = [f"{times(p.whole.ratio)} times the noise {_band(p, found)}" for p in clear]
+        each = [f"{times(p.whole.ratio)} times the noise {_band(p, at)}" for p in clear]
         acts = force(found.fit.experiment.units)
         words += f"; {listed(each)} is a sign of a {acts} that is not linear"
     return f"{words}; there is {line}." if line else f"{words}."
@@ -169,27 +169,40 @@ def _frequency(found: Comparison) -> str:
 def _line(found: Comparison) -> str:
     """Lines where no mode is, and no multiple of one: "a line of 13.98 Hz at the mass"."""
     at: dict[str, list[str]] = {}
-    for joint, f in found.where.line.items():
-        if f is None:
+    for joint, line in found.where.line.items():
+        if line is None:
             continue
-        names = [p.name for p in found.where.frequency if p.start <= f < p.stop]
+        f, own = line.frequency, found.where.recordings[line.recording]
+        names = [b.name for b in own.bands if b.start <= f < b.stop]
         if names and names[0] in ("below mode 1", "between", "low", "above"):
             at.setdefault(plain(f, 4), []).append(f"at {the(joint)}")
     each = [f"a line of {f} Hz {listed(joints)}" for f, joints in at.items()]
     return listed(each) if each else ""
 
 
-def _band(part: Part, found: Comparison) -> str:
+def _band(part: Part, at: Where) -> str:
+    """Where it is: "around mode 1 (1.23 Hz)"; of recordings whose modes differ from the lowest to
+    the highest, "around mode 1 (0.71 to 1.23 Hz)"."""
+    i = next(k for k, p in enumerate(at.frequency) if p is part)
     factor, found_mode, mode = part.name.rpartition("mode ")
     if found_mode and not factor.startswith("below"):
-        frequency = found.fit.modes[int(mode) - 1].frequency_hz
-        frequency *= int(factor.split()[0]) if factor else 1
-        return f"around {part.name} ({plain(frequency)} Hz)"
+        times_mode = int(factor.split()[0]) if factor else 1
+        each = [times_mode * own.modes[int(mode) - 1].frequency_hz for own in at.recordings]
+        return f"around {part.name} ({_range(each)} Hz)"
+    starts, stops = zip(*(own.bands[i][1:] for own in at.recordings), strict=True)
     if part.name == "above":
-        return f"above {plain(part.start)} Hz"
-    if part.start == 0:
-        return f"below {plain(part.stop)} Hz"
-    return f"between {plain(part.start)} and {plain(part.stop)} Hz"
+        return f"above {_range(starts)} Hz"
+    if at.alike:
+        edges = f"{plain(part.start)} and {plain(part.stop)} Hz"
+        return f"between {edges}" if part.start > 0 else f"below {plain(part.stop)} Hz"
+    before, after = (at.frequency[k].name if k >= 0 else "" for k in (i - 1, i + 1))
+    after = f"{_range(stops)} Hz" if after == "above" else after
+    return f"between {before} and {after}" if before else f"below {after}"
+
+
+def _range(each: Sequence[float]) -> str:
+    low, high = plain(min(each)), plain(max(each))
+    return low if low == high else f"{low} to {high}"
 
 
 def _held_out(found: Comparison) -> list[str]:
@@ -264,7 +277,8 @@ def _where(found: Comparison) -> list[str]:
         size, name = prefixed(unit, parts[0].stop if parts else 1.0)
         label = f"swing at {the(joint)}, {name}".rstrip(", ")
         out += _by_joint(label, (joint,), rows(parts, size))
-    return [*out, *_by_joint("frequency, Hz", at.joints, rows(at.frequency))]
+    whose = "" if at.alike else f", as in {at.recordings[0].name}"
+    return [*out, *_by_joint(f"frequency, Hz{whose}", at.joints, rows(at.frequency))]
 
 
 def _edge(x: float) -> str:
