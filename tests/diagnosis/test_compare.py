@@ -328,6 +328,22 @@ def test_a_line_is_found_at_any_frequency_and_seldom_in_noise(lost):
     assert np.mean(np.array(chances) < 0.05) < 0.1
 
 
+@pytest.mark.parametrize("cycles", [0.8, 1.0, 1.5, 2.5, 7.3])
+def test_what_hardly_repeats_is_no_line(cycles):
+    """It is not white all the same."""
+    time = np.arange(700) / 50
+    (row, _), _ = noise_less_fit(np.random.default_rng(3), time, 4, 0.0)
+    slow = 2.0 * np.sin(2 * np.pi * cycles * time / time[-1] + 0.4)
+    p, found = strongest_line([row._replace(residual=row.residual + slow)])
+    assert p < 1e-3
+    if cycles < 2:
+        assert found is None
+    else:
+        assert found.frequency == pytest.approx(cycles / time[-1], abs=0.3 / time[-1])
+    louder = row.residual + slow + 4.0 * np.sin(2 * np.pi * 9.1 * time)
+    assert strongest_line([row._replace(residual=louder)])[1].frequency == pytest.approx(9.1, 1e-2)
+
+
 def test_energies_add_up_and_have_their_expectation():
     rng = np.random.default_rng(9)
     time = np.arange(800) * 0.02

@@ -101,7 +101,8 @@ class Where:
     white: Mapping[str, float]
     """Of each joint, p of `whiteness.white`."""
     line: Mapping[str, Line | None]
-    """Of each joint the strongest line; None if none stands out of white noise."""
+    """Of each joint the strongest line; None if none stands out of white noise, or what does is an
+    offset or a drift."""
     joint: tuple[Cell, ...]
     """One cell per joint."""
     time: tuple[Part, ...]

@@ -27,6 +27,10 @@ from .spectrum import Spectrum, Strip, periodogram, spectrum, strips, whitened
 _SLOWEST = 6  # half lines at the bottom that are a band of their own: offset, drift, creep
 _WIDEST = 16  # lines: a wider band is cut, lest a narrow line drown in it
 _ROUNDS = 6
+_CYCLES = 2.0
+"""In a recording, from which a line is one. Over T seconds a line, and the mean likewise, is spread
+by 1/T to each side: these overlap below 2/T, where an offset, a drift and a line cannot be told
+apart."""
 
 
 class Line(NamedTuple):
@@ -44,7 +48,8 @@ class White(NamedTuple):
     p: float
     """Probability that noise alone leaves a residual so far from white; NaN: too few readings."""
     line: Line | None
-    """Its strongest line; None if noise alone leaves one as strong with p of `NOISE`."""
+    """Its strongest line; None if noise alone leaves one as strong with p of `NOISE`, or if what is
+    strongest is as slow as an offset or a drift."""
 
 
 def white(
@@ -77,7 +82,8 @@ def white(
 
 def strongest_line(row: Sequence[Strip]) -> tuple[float, Line | None]:
     """Probability that noise alone leaves a line with so much of a recording's energy, corrected
-    for the number of frequencies and recordings, and the line; NaN and None if none can be seen."""
+    for the number of frequencies and recordings, and the line; NaN if none can be seen, and None if
+    none is, or what is strongest is too slow for one."""
     each: list[tuple[float, Line | None]] = [(np.nan, None)]
     count = 0
     for i, strip in enumerate(row):
@@ -88,7 +94,9 @@ def strongest_line(row: Sequence[Strip]) -> tuple[float, Line | None]:
         if len(frequency) and freedom > 2 and total > 0:
             best = np.argmax(energy)
             share = min(1.0, float(energy[best]) / total)
-            line = Line(float(frequency[best]), i)
+            time = strip.time[strip.used]
+            slow = float(frequency[best]) * (time[-1] - time[0]) < _CYCLES
+            line = None if slow else Line(float(frequency[best]), i)
             each.append(((1 - share) ** ((freedom - 2) / 2), line))
     least, line = min(each, key=lambda x: (not np.isfinite(x[0]), x[0]))
     return of_the_least([least] * count) if count else np.nan, line
