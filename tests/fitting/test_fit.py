@@ -621,6 +621,20 @@ def test_a_number_without_any_effect_is_not_determined():
     assert all("moment1" in text or "of link 1" in text for text in shown)
 
 
+@pytest.mark.parametrize("seed", [5, 22])
+def test_numbers_that_are_hardly_determined_settle_within_their_errors(seed):
+    """Of a cart that creeps back with one time constant, stiffness and damping are known together
+    only. They need not stand still to more digits than the data give."""
+    time = np.arange(600) * 0.02
+    noise = 1e-4 * np.random.default_rng(seed).standard_normal(len(time))
+    made = residyn.Recording.from_arrays(time, 0.05 * np.exp(-3 * time) + noise, noise=1e-4)
+    cart = InertiaTable(("cart",), ((1.0,),), ("m",))
+    found = residyn.fit(residyn.Experiment(cart, (made,)))
+    assert found.reduced_chi2 == pytest.approx(1, abs=0.2)
+    assert found.converged
+    assert "settle" not in " ".join(found.warnings)
+
+
 def test_what_numbers_only_set_together_has_its_error():
     """In a small swing a spring and gravity are told by their sum only, which sets the mode; what
     little gravity alone does there, a frequency that rises as the swing dies away, is in the

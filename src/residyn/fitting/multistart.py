@@ -36,7 +36,8 @@ from .history import watching
 from .initial_guess import first_guess, frequency_of, lines, memory_along_readings, resolving
 from .lanes import SHARES, Fitting, Wanted
 from .layout import bucket
-from .least_squares import Compressed, Polished
+from .least_squares import RESIDUAL_TOLERANCE, Compressed, Polished
+from .linalg import BLIND, damped_step
 from .problem import Problem, Ready, Unknowns, ready, reweighted
 from .result import FitError, RecordingFit
 from .smoothing import uniform
@@ -284,9 +285,24 @@ def _further(
             if watch is not None:
                 watch.descended(problem, y, int(steps))
             over = idle[i] == _CALLS or made[i] == most
+            if idle[i] == _CALLS and not good:
+                ends[i] = ends[i]._replace(converged=_settled(ends[i], units[i]))
             if good or over or (watch is not None and watch.over()):
                 left[i], units[i], made[i], idle[i] = left[i][1:], 1.0, 0, 0
     return ends
+
+
+def _settled(end: Polished, unit: float) -> bool:
+    """Whether the Gauss-Newton step from here would move the fit by next to nothing, in times the
+    `unit`, sigma: so far is the minimum, to first order, in standard errors of any number (the
+    relative offset of Bates and Watts, Technometrics 23, 1981). A number that the data hardly
+    determine need not stand still for that, as a descent demands, on the scale of its start."""
+    factor, along = np.asarray(end.compressed.factor), np.asarray(end.compressed.along)
+    if not (np.isfinite(factor).all() and np.isfinite(along).all()):
+        return False
+    square, slope = factor.transpose(0, 2, 1) @ factor, np.einsum("rij,ri->rj", factor, along)
+    step = damped_step(square, slope, len(end.unknowns.numbers), BLIND).local()
+    return bool(np.linalg.norm(np.einsum("rij,rj->ri", factor, step)) < RESIDUAL_TOLERANCE * unit)
 
 
 def _begun(starts: Unknowns) -> list[Polished]:
