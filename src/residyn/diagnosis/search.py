@@ -611,14 +611,20 @@ class Search:
             best = frozenset(self.best.added)
             if best in extended or len(best) >= most:
                 # Each effect in turn might have another in its place.
-                model = self.best
-                todo = [x for x in model.added if best - {x} not in extended]
+                todo = [
+                    (model, x)
+                    for model in self._as_likely()
+                    for x in model.added if frozenset(model.added) - {x} not in extended
+                ]  # fmt: skip
                 if not todo:
                     return
-                self._simplify([(model, x, None) for x in todo if best - {x} not in self.tried])
-                rest = [best - {x} for x in todo]
-                extended.update(x for x in rest if x not in self.tried)  # no motion has it
-                found = [x for x in rest if x in self.tried]
+                rests = [frozenset(model.added) - {x} for model, x in todo]
+                self._simplify([
+                    (*own, None) for own, rest in zip(todo, rests, strict=True)
+                    if rest not in self.tried
+                ])  # fmt: skip
+                found = [rest for rest in rests if rest in self.tried]
+                extended.update(set(rests).difference(found))  # no motion has these
                 if not found:
                     continue
                 best = found[0]
@@ -631,6 +637,18 @@ class Search:
             extended.add(best)
             self.reduce()
             self._simulate()
+
+    def _as_likely(self) -> list[Tried]:
+        """The models that cannot be told from the best, the likeliest first, but none of which a
+        part is likelier (Occam's window: Madigan and Raftery, J. American Statistical Association
+        89, 1994)."""
+        near = self.best.log_posterior - INDISTINGUISHABLE
+        found: list[Tried] = []
+        for model in sorted(self.tried.values(), key=lambda t: -t.log_posterior):
+            within = (set(other.added) < set(model.added) for other in found)
+            if model.log_posterior > near and not any(within):
+                found.append(model)
+        return found
 
     def _colour_noise(self) -> None:
         """Give all models noise that is not white in the place of a random torque, if the readings
