@@ -1055,3 +1055,37 @@ def test_an_effect_that_is_given_has_the_evidence_of_one_that_is_found():
         search = Search(*scene_of(rig, ()))
         added = search.beside(search.base, "hysteresis:cart")
     assert given.log_evidence == pytest.approx(added.log_evidence, abs=1.0)
+
+
+def a_joint_that_turns(torque, **how):
+    """A joint of 1 kg m^2 on a spring of 100 N m/rad, from SciPy, and a torque (q, v) besides."""
+    time = np.arange(0, 15, 0.02)
+    found = solve_ivp(
+        lambda _, x: (x[1], -100 * x[0] - 0.4 * x[1] - torque(*x)), (0, 15), (0.2, 0.0),
+        t_eval=time, rtol=1e-12, atol=1e-14,
+    ).y  # fmt: skip
+    seen = residyn.Recording.from_arrays(time, found[how.get("reads") == "rate"], **how)
+    return residyn.Experiment(InertiaTable(("axis",), ((1.0,),), ("rad",)), (seen,))
+
+
+def test_a_recording_without_any_noise_is_diagnosed():
+    with jax.enable_x64(True):
+        found = residyn.diagnose(a_joint_that_turns(lambda q, v: 200 * q**3))
+    assert found.added == ("cubic_stiffness:axis",)
+    assert found.verdict == "missing"
+    (cubic,) = (n for n in found.fit.numbers if n.name == "cubic_stiffness:axis.coefficient")
+    assert cubic.value == pytest.approx(200, rel=1e-5)
+
+
+def test_what_no_reading_could_show_is_not_named():
+    """A constant torque moves a joint's rest, of which a sensor of its rate knows nothing."""
+    noise = 0.01 * np.random.default_rng(0).standard_normal(750)
+    one = a_joint_that_turns(lambda q, v: 0.5 * np.tanh(v / 1e-3), reads="rate")
+    (seen,) = one.recordings
+    seen = residyn.Recording.from_arrays(seen.time, seen.angle[:, 0] + noise, reads="rate")
+    with jax.enable_x64(True):
+        found = residyn.diagnose(dataclasses.replace(one, recordings=(seen,)))
+    each = {c.effect: c.probability for c in found.candidates}
+    assert each["coulomb_friction:axis"] + each["stribeck_friction:axis"] > 0.9
+    assert each.get("constant_torque:axis", 0.0) == 0.0
+    assert found.next_experiment is None

@@ -25,12 +25,14 @@ from residyn.diagnosis.evidence import (
     INTENSITIES,
     NEGLIGIBLE,
     OUTSIDE,
+    SETTLED,
     WIDTH,
     at_least,
     at_work,
     conditional,
     half_normal,
     half_normals,
+    information,
     log_prior_intensity,
     log_prior_model,
     over_intensities,
@@ -579,6 +581,16 @@ def posterior(each, named=NOWHERE, curves=()):
     scene = SimpleNamespace(joints=("cart",))
     told = {"screens": {}, "curves": list(curves), "reassigned": None, "scene": scene}
     return Posterior(SimpleNamespace(**known, **told))
+
+
+def test_information_of_a_strength_that_was_read_once():
+    """Half the log of 1 + signal to noise. Where that is little, a log Bayes factor is less on
+    average (here the divergence of the readings' two normal densities)."""
+    for signal in (0.01, 0.2, 4.0):
+        told = information(np.array([[1 / (1 + signal)]]))
+        assert told == pytest.approx(0.5 * math.log(1 + signal))
+        if told < SETTLED:
+            assert 0.5 * (signal - math.log(1 + signal)) < told
 
 
 def in_a_complete_model(found, label):

@@ -13,7 +13,14 @@ import residyn
 from residyn import effects
 from residyn.cli import main
 from residyn.diagnosis import formula, free_curves
-from residyn.diagnosis.evidence import INTENSITIES, NEGLIGIBLE, conditional, prior_of, subset
+from residyn.diagnosis.evidence import (
+    IN_PLAY,
+    INTENSITIES,
+    NEGLIGIBLE,
+    conditional,
+    prior_of,
+    subset,
+)
 from residyn.diagnosis.free_curves import Along, Kind, Place, heights_of, points, splines
 from residyn.diagnosis.search import tried_alone
 from residyn.effects import Damper, Spring
@@ -73,7 +80,7 @@ def test_a_curve_s_columns_are_the_slopes_of_its_torque():
         scene, base = a_cart(bump)
         place = Place(Kind("angle"), 0, -0.4, 0.4)
         mean = np.random.default_rng(1).standard_normal(free_curves.SPLINES)
-        law = free_curves.Posterior(np.zeros(0), mean, np.zeros(0))
+        law = free_curves.Posterior(np.zeros(0), mean, np.zeros(0), np.zeros(0))
         along = Along(scene, base)
         held = free_curves.with_curve(scene, base, place, law.heights)
         torque = scene.torques(held)["free_curve:cart"][:, 0]
@@ -229,6 +236,18 @@ def test_what_is_held_is_taken_away_again():
         assert np.allclose(*logs, atol=1e-5)
 
 
+def test_a_curve_has_an_evidence_along_a_motion_that_does_not_visit_it():
+    """Its prior is known before the motion is: here one that stands still, at the end of all that
+    was visited."""
+    with jax.enable_x64(True):
+        scene, base = a_cart(bump)
+        (first, *_) = free_curves.screen(Along(scene, base), [0.1])
+        still = dataclasses.replace(base, path=np.full_like(base.path, 2.0 * base.path.max()))
+        found = first.posterior.beside(Along(scene, still), first.place, [0.1, 0.0])
+    assert not np.isnan(found.evidences).any()
+    assert np.isfinite(found.mean).all()
+
+
 def test_a_formula_whose_motion_runs_away_has_no_evidence(monkeypatch):
     """Above the density of the readings without a residual there is rounding only."""
     with jax.enable_x64(True):
@@ -292,6 +311,17 @@ def test_a_law_that_a_name_comes_near_is_found_beside_it():
     assert law.formula.families == ("exponential",)
     rise, error, _ = law.formula.parameters["rise"]
     assert 0 < error < rise
+
+
+def test_a_curve_beside_names_is_tried_beside_fewer(quintic):
+    """Whether a name is at work shows beside the curve without it."""
+    search = quintic.search
+    curves = {(c.place.kind, c.place.joint, frozenset(c.added)): c for c in search.curves}
+    top = max(c.log_posterior for c in curves.values())
+    for (kind, joint, added), curve in curves.items():
+        if curve.log_posterior > top + np.log(IN_PLAY):
+            rests = [added - {x} for x in added if added - {x} in search.tried]
+            assert all((kind, joint, rest) in curves for rest in rests)
 
 
 def test_the_written_file_loads_and_fits(quintic, tmp_path):

@@ -61,7 +61,7 @@ from .result import (
     Value,
     Verdict,
 )
-from .search import Search, Tried, signs_of
+from .search import Search, Tried, shows, signs_of
 from .simulated import Simulated, simulated
 
 MOST_EFFECTS = 3
@@ -406,15 +406,19 @@ def _concluded(search: Search, fits: Fits, began: float) -> Diagnosis:
 
 
 def _ladder_of(search: Search, fits: Fits, best: Tried) -> tuple[ModelState, ...]:
-    """The models that were tried on the way to the best one: its effects join in turn."""
-    labels, found, known = best.added, [], 0
-    ways = (frozenset(labels[:k]) for k in range(len(labels) + 1))
-    models = [search.tried[x] for x in ways if x in search.tried]
+    """Models that were tried on the way from the base model to the best one: of those with the
+    fewest more of its effects the likeliest in turn, however the search came there."""
+    models = [search.base]
+    while len(models[-1].added) < len(best.added):
+        own = set(models[-1].added)
+        ways = [m for x, m in search.tried.items() if own < x <= set(best.added)]
+        models.append(min(ways, key=lambda m: (len(m.added), -m.log_posterior)))
     for model in models:
         fits.begin(model)
+    found, known = [], ()
     for model in models:
         result = fits.of(model)
-        joined, known = labels[known : len(model.added)], len(model.added)
+        joined, known = tuple(x for x in model.added if x not in known), model.added
         held = held_out(result)
         relative = model.log_evidence - search.best.log_evidence
         found.append(ModelState(joined, result, held, relative))
@@ -441,7 +445,12 @@ class Posterior:
         self.search = search
         self._needs = functools.cache(lambda model: model.needs(search.scene))
         self._torques = functools.cache(lambda t: search.scene.torques(t))
-        self.models, self.curves = list(search.tried.values()), search.curves
+        self.curves = search.curves
+        self.models = [
+            m for m in search.tried.values()
+            if all(shows(m.posterior, x) for x in m.added)
+        ]  # fmt: skip
+        """Those that were tried, but for effects of which the readings say nothing."""
         passed = [m for added, m in search.passed.items() if added not in search.tried]
         self.named = [*self.models, *passed]
         """With those that are known to first order only."""
@@ -455,8 +464,8 @@ class Posterior:
         """The same, with what is that model beside a negligible law without a name."""
         places = {frozenset(m.added): i for i, m in enumerate(self.models)}
         for curve, log in zip(self.curves, each[len(self.named) :], strict=False):
-            if not curve.matters:
-                i = places[frozenset(curve.added)]
+            i = places.get(frozenset(curve.added))
+            if i is not None and not curve.matters:
                 self.log_with_negligible[i] = np.logaddexp(self.log_with_negligible[i], log)
         ends = np.cumsum([len(self.named), len(self.curves)])
         self.each, self.of_curves, of_other = np.split(np.exp(each), ends)

@@ -223,6 +223,13 @@ def savage_dickey(mean: np.ndarray, covariance: np.ndarray, signs: Sequence[bool
     return float(0.5 * normal + ratio[np.asarray(signs)].sum())
 
 
+def information(covariance: np.ndarray) -> float:
+    """What readings say of k strengths, nats: by how much the posterior, of `covariance` (k, k) in
+    prior widths, is narrower than the prior (Lindley, Annals of Mathematical Statistics 27, 1956).
+    Where that is little, their evidence says less still, on average, of whether there are any."""
+    return -0.5 * float(np.linalg.slogdet(covariance)[1])
+
+
 def over_widths(
     mean: np.ndarray, covariance: np.ndarray, i: int, widths: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:

@@ -274,6 +274,9 @@ class Posterior(NamedTuple):
     evidences: np.ndarray  # (I,) log evidence of model and curve under each random torque
     mean: np.ndarray  # (SPLINES,) heights
     covariance: np.ndarray  # (SPLINES, SPLINES)
+    roots: np.ndarray
+    """(H, SPLINES, SPLINES) `_priors` along the motion that it was screened along: a prior that
+    followed the iterated motion would be none."""
 
     @property
     def heights(self) -> np.ndarray:
@@ -285,7 +288,7 @@ class Posterior(NamedTuple):
     ) -> "Posterior":
         """The curve beside a model that holds it as it is here already."""
         totals, grams = along.gram([place], [_finer()], intensities, self.heights)
-        return _posterior(along, place, intensities, totals, grams)
+        return _posterior(along, self.roots, intensities, totals, grams)
 
 
 def _mixed(weights, means, covariances) -> tuple[np.ndarray, np.ndarray]:
@@ -296,8 +299,8 @@ def _mixed(weights, means, covariances) -> tuple[np.ndarray, np.ndarray]:
 
 
 @np.errstate(invalid="ignore")  # where a motion has run away nothing is finite
-def _posterior(along: Along, place: Place, intensities, totals, grams) -> Posterior:
-    P, roots = len(along.trajectory.u), _priors(along, place)
+def _posterior(along: Along, roots: np.ndarray, intensities, totals, grams) -> Posterior:
+    P = len(along.trajectory.u)
     each_of = len(roots) // len(CURVE_AMPLITUDES)
     prior = np.repeat(np.log(prior_sizes(CURVE_AMPLITUDES) / each_of), each_of)
     bases, rests = conditional(grams, P)
@@ -320,7 +323,7 @@ def _posterior(along: Along, place: Place, intensities, totals, grams) -> Poster
     evidences = along.scene.possible(np.array(evidences))
     weights = softmax(evidences + log_prior_intensity(intensities))
     means, covariances = (np.stack(x) for x in zip(*each, strict=True))
-    return Posterior(evidences, *_mixed(weights, means, covariances))
+    return Posterior(evidences, *_mixed(weights, means, covariances), roots)
 
 
 def signs(along: Along, grams: np.ndarray) -> np.ndarray:
@@ -355,7 +358,7 @@ def screen(along: Along, intensities: Sequence[float]) -> list[Screened]:
             own = 1 + P + SPLINES * i
             keep = np.r_[0 : 1 + P, own : own + SPLINES]
             each = grams[:, keep[:, None], keep]
-            post = _posterior(along, place, intensities, totals, each)
+            post = _posterior(along, _priors(along, place), intensities, totals, each)
             logs = post.evidences + log_prior_intensity(intensities)
             found.append(Screened(place, log_sum(logs), post))
         return found
@@ -380,8 +383,7 @@ class CurveModel(Tried):
     is its motion with the curve in it."""
 
     place: Place
-    mean: np.ndarray  # (SPLINES,) heights of the curve
-    covariance: np.ndarray
+    curve: Posterior
     held: np.ndarray  # (HEIGHTS,) heights that `best` has
     share: float
     """Rms torque of the curve, beyond what springs and dampers take up, over the spring's torque at
@@ -446,17 +448,16 @@ def with_curve(scene: Scene, t: Trajectory, place: Place, heights: np.ndarray) -
 
 
 def settled_curve(
-    scene: Scene, added: tuple[str, ...], start: Trajectory, first: Screened, loudest: float,
-    log_prior: float,
+    scene: Scene, added: tuple[str, ...], start: Trajectory, place: Place, curve: Posterior,
+    loudest: float, log_prior: float,
 ) -> CurveModel | None:  # fmt: skip
     """A model and a free curve, iterated to its evidence; None if it runs away."""
-    settled = settle(scene, start, first.place, first.posterior, loudest)
+    settled = settle(scene, start, place, curve, loudest)
     if settled is None or not np.isfinite(settled.evidences).any():
         return None
     evidences, best, held, found = settled
-    share = _share(Along(scene, best), first.place, found.mean)
-    law = first.place, found.mean, found.covariance, held.heights, share
-    return CurveModel(added, evidences, best, log_prior, *law)
+    share = _share(Along(scene, best), place, found.mean)
+    return CurveModel(added, evidences, best, log_prior, place, found, held.heights, share)
 
 
 def _share(along: Along, place: Place, heights: np.ndarray) -> float:

@@ -2,10 +2,10 @@
 
 When the search over names has ended, every free curve is screened beside the best model, beside
 those with one name less, and beside none, whether or not names explain the readings. Those that may
-have a part in the posterior are iterated like any other model and weigh as one more effect, each
-with the sums of a few terms that say the same. The leading curve's formula is accepted if its own
-nonlinear evidence beats the curve's and it predicts readings that were held out better than the
-model without it. Otherwise the curve itself, as a table, is the law.
+have a part in the posterior are iterated like any other model, beside fewer and fewer names, and
+weigh as one more effect, each with the sums of a few terms that say the same. The leading curve's
+formula is accepted if its own nonlinear evidence beats the curve's and it predicts readings that
+were held out better than the model without it. Otherwise the curve itself, as a table, is the law.
 """
 
 import dataclasses
@@ -24,8 +24,17 @@ from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import FitError
 from ..physics.motion import JointMotion
 from ..runtime.json import number
-from .columns import with_effects
-from .evidence import CONTENDERS, FURTHER, HOPELESS, IN_PLAY, INTENSITIES, OUTSIDE, over_intensities
+from .columns import with_effects, without
+from .evidence import (
+    CONTENDERS,
+    FURTHER,
+    HOPELESS,
+    IN_PLAY,
+    INTENSITIES,
+    OUTSIDE,
+    READINGS_LEAD,
+    over_intensities,
+)
 from .forecast import ModelState, held_out
 from .formula import FACTORS, SYMBOLS, likeliest, unit_of, written
 from .free_curves import (
@@ -76,14 +85,38 @@ def curve_models(search: Search) -> list[CurveModel]:
         few += [
             (parent.added, trajectory, s, intensity, prior) for s in each if s.log_evidence > least
         ]
-    models = []
-    for first in few:
+    models: dict[Any, CurveModel] = {}
+
+    def join(added: tuple[str, ...], start: Trajectory, place: Place, *more: Any) -> None:
         search.in_time()
-        model = settled_curve(scene, *first)
+        model = settled_curve(scene, added, start, place, *more)
         if model is not None:  # the law that has a simple formula is the likelier one
             formulas = tuple(likeliest(Along(scene, model.best), model))
-            models.append(dataclasses.replace(model, formulas=formulas))
-    return models
+            model = dataclasses.replace(model, formulas=formulas)
+            models[place.kind, place.joint, frozenset(added)] = model
+
+    for added, trajectory, s, *rest in few:
+        join(added, trajectory, s.place, s.posterior, *rest)
+    # Whether a name is at work beside a curve shows beside the curve without it.
+    tried = set(models)
+    while True:
+        top = max(m.log_posterior for m in (best, *models.values()))
+        todo = [
+            (model, x, key)
+            for model in models.values() if model.log_posterior > top + math.log(IN_PLAY)
+            for x in model.added
+            if (own := frozenset(model.added) - {x}) in search.tried
+            and (key := (model.place.kind, model.place.joint, own)) not in tried
+        ]  # fmt: skip
+        if not todo:
+            return list(models.values())
+        model, x, key = todo[0]
+        tried.add(key)
+        parent = search.tried[key[-1]]
+        prior = model.log_prior + parent.log_prior - search.tried[frozenset(model.added)].log_prior
+        loudest = max(model.intensity, READINGS_LEAD)
+        start = without(scene, model.best, x)
+        join(parent.added, start, model.place, model.curve, loudest, prior)
 
 
 class Formula(NamedTuple):
@@ -209,7 +242,7 @@ def _law(search: Search, model: CurveModel, probability: float, best: float) -> 
     nearest = np.clip(np.rint((x - place.low) / (grid[1] - grid[0])).astype(int), 0, GRID - 1)
     visits = np.bincount(nearest, minlength=GRID) / len(nearest)
     rows = place.beyond(splines(grid, place.low, place.high).toarray(), grid, visits)
-    variance = np.einsum("gi,ij,gj->g", rows, model.covariance, rows)
+    variance = np.einsum("gi,ij,gj->g", rows, model.curve.covariance, rows)
     kind = scene.units[place.joint]
     by = {"angle": f"/{kind}", "rate": f" s/{kind}"}.get(place.kind.factor, "")
     law = Law(
@@ -220,7 +253,7 @@ def _law(search: Search, model: CurveModel, probability: float, best: float) -> 
         probability=probability,
         log_evidence=model.log_evidence - best,
         grid=grid,
-        mean=rows @ model.mean,
+        mean=rows @ model.curve.mean,
         std=np.sqrt(np.maximum(variance, 0.0)),
         visits=visits,
         unit=scene.torque_units[place.joint] + by,

@@ -27,6 +27,7 @@ from ..filtering.linearised import Linear
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import FitError
 from ..physics.effect import BASE
+from ..physics.parameter import Parameter
 from ..runtime.memory import give_back
 from ..runtime.parallel import side_by_side
 from .columns import (
@@ -56,6 +57,7 @@ from .evidence import (
     WIDTH,
     correlation_times,
     half_normals,
+    information,
     log_prior_intensity,
     log_prior_model,
     over_intensities,
@@ -967,7 +969,22 @@ def bayes_factor(t: Trajectory, effect: AbstractEffect, less: AbstractEffect | N
     in its place, to first order (`savage_dickey`)."""
     kept = [n.field for n in strengths(less)] if less else []
     gone = [n for n in strengths(effect) if n.field not in kept]
-    first = number_slices(t.effects)[t.labels.index(effect.label)].start
-    which = [first + i for i, n in enumerate(numbers_of(effect)) if n in gone]
+    which = _places(t, effect, gone)
     covariance = t.covariance[np.ix_(which, which)]
     return savage_dickey(t.u[which], covariance, [signed(n) for n in gone])
+
+
+def shows(t: Trajectory, label: str) -> bool:
+    """Whether the readings say anything of an effect's strengths in a model (`information`): else
+    the odds of it are those of the prior, and no finding."""
+    if label not in t.labels:
+        return True
+    effect = t.effects[t.labels.index(label)]
+    which = _places(t, effect, strengths(effect))
+    return information(t.covariance[np.ix_(which, which)]) > SETTLED
+
+
+def _places(t: Trajectory, effect: AbstractEffect, numbers: Sequence[Parameter]) -> list[int]:
+    """Where some numbers of an effect stand among all of a model."""
+    first = number_slices(t.effects)[t.labels.index(effect.label)].start
+    return [first + i for i, n in enumerate(numbers_of(effect)) if n in numbers]
