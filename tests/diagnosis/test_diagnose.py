@@ -1064,7 +1064,7 @@ def a_joint_that_turns(torque, **how):
         lambda _, x: (x[1], -100 * x[0] - 0.4 * x[1] - torque(*x)), (0, 15), (0.2, 0.0),
         t_eval=time, rtol=1e-12, atol=1e-14,
     ).y  # fmt: skip
-    seen = residyn.Recording.from_arrays(time, found[how.get("reads") == "rate"], **how)
+    seen = residyn.Recording.from_arrays(time, found[int("reads" in how)], **how)
     return residyn.Experiment(InertiaTable(("axis",), ((1.0,),), ("rad",)), (seen,))
 
 

@@ -95,7 +95,7 @@ Effects = Annotated[
 ]
 Starts = Annotated[int, number("--starts N", "How many starts to fit from.", least=1)]
 MaxEffects = Annotated[
-    int, number("--max-effects N", "How many effects to add at most; 0 only names.")
+    int, number("--max-effects N", "How many effects to add at most; 0 tries none.")
 ]
 Budget = Annotated[
     float | None,

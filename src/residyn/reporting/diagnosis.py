@@ -81,6 +81,7 @@ def sentences(found: Diagnosis) -> tuple[str, ...]:
         parts = [_unphysical, _nothing_explained]
     else:
         named = [_families, _laws] if found.added else [_families, _none_named]
+        named = [_none_named, _families, _laws] if _first_unexplained(found) else named
         named = [_none_named, _standing_in] if _stand_in(found) else named
         left = _left if found.coloured is None else _coloured
         named += [_hum, laws.sentences, _others]
@@ -177,6 +178,13 @@ def _families(found: Diagnosis) -> Iterator[str]:
 def _stand_in(found: Diagnosis) -> bool:
     """Whether what was added is next to never at work: it fits with wrong signs only."""
     return bool(found.added) and max(f.probability for f in told_first(found)) < _ALSO
+
+
+def _first_unexplained(found: Diagnosis) -> bool:
+    """Whether it is surer that something has no name than what was added is at work."""
+    unexplained = found.verdict == "unexplained" and found.coloured is None and not _instead(found)
+    sure = max((f.probability for f in told_first(found)), default=1.0)
+    return unexplained and bool(found.added) and sure < min(SURE, found.verdict_probability)
 
 
 def _standing_in(found: Diagnosis) -> Iterator[str]:
@@ -388,7 +396,8 @@ def _left(found: Diagnosis) -> Iterator[str]:
     if found.verdict == "unexplained" and not _instead(found):
         sizes = listed([_size(r, found) for r in known]) if known else "unknown size"
         beyond = f"missing that {unnamed(found)} explains ({percent(sure)}):"
-        first = f"Something more {modal(sure)} {beyond}" if found.added else "What is missing is"
+        more = found.added and not _first_unexplained(found)
+        first = f"Something more {modal(sure)} {beyond}" if more else "What is missing is"
         if _stand_in(found):  # of which it has been said that no effect explains it
             first = f"What is missing beside {spoken(found.added, found.fit.joints)} is"
         if found.laws:  # of which the model that lacks so much has none
@@ -584,7 +593,7 @@ def title_of(found: Diagnosis) -> str:
         return "Nothing is missing"
     if untried(found):
         return "Something is missing; no effect was tried yet"
-    if not told_first(found) or _stand_in(found):
+    if not told_first(found) or _stand_in(found) or _first_unexplained(found):
         return f"Something is missing that {unnamed(found)} explains"
     words = [_family(f, found) for f in told_first(found)]
     other = f"something that {unnamed(found)} explains"
