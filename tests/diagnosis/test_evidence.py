@@ -35,6 +35,7 @@ from residyn.diagnosis.evidence import (
     information,
     log_prior_intensity,
     log_prior_model,
+    occams_window,
     over_intensities,
     over_widths,
     prior_of,
@@ -581,6 +582,13 @@ def posterior(each, named=NOWHERE, curves=()):
     scene = SimpleNamespace(joints=("cart",))
     told = {"screens": {}, "curves": list(curves), "reassigned": None, "scene": scene}
     return Posterior(SimpleNamespace(**known, **told))
+
+
+def test_occams_window_has_rivals_of_the_best_model_and_no_richer_ones():
+    logs = {"ab": 0.0, "ac": -2.5, "cd": -2.9, "abd": -1.0, "cde": -2.0, "a": -9.0, "ef": -3.1}
+    each = [SimpleNamespace(added=tuple(x), log_posterior=p) for x, p in logs.items()]
+    found = ["".join(m.added) for m in occams_window(each)]
+    assert found == ["ab", "cde", "ac", "cd"]  # odds of 20 are 3 nats
 
 
 def test_information_of_a_strength_that_was_read_once():

@@ -9,7 +9,7 @@ Algorithms, 2003, ch. 28). Nothing else in this folder decides.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -335,6 +335,18 @@ def log_prior_model(added: int, candidates: int) -> float:
     """Log prior of one set of `added` effects out of `candidates`."""
     sets = math.comb(candidates, added)
     return math.log(1 - FURTHER) + added * math.log(FURTHER) - math.log(sets)
+
+
+def occams_window(models: Iterable[Any]) -> list[Any]:
+    """The models that cannot be told from the likeliest (`INDISTINGUISHABLE`), the likeliest first,
+    but none of which a part is likelier (Madigan and Raftery, J. American Statistical Association
+    89, 1994). Each has labels `added` and a `log_posterior`."""
+    found: list[Any] = []
+    for model in sorted(models, key=lambda m: -m.log_posterior):
+        near = not found or model.log_posterior > found[0].log_posterior - INDISTINGUISHABLE
+        if near and not any(set(part.added) < set(model.added) for part in found):
+            found.append(model)
+    return found
 
 
 _ROUNDING = 1e-13

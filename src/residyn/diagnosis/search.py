@@ -60,6 +60,7 @@ from .evidence import (
     information,
     log_prior_intensity,
     log_prior_model,
+    occams_window,
     over_intensities,
     prior_of,
     right_signs,
@@ -615,7 +616,7 @@ class Search:
                 # Each effect in turn might have another in its place.
                 todo = [
                     (model, x)
-                    for model in self._as_likely()
+                    for model in occams_window(self.tried.values())
                     for x in model.added if frozenset(model.added) - {x} not in extended
                 ]  # fmt: skip
                 if not todo:
@@ -639,18 +640,6 @@ class Search:
             extended.add(best)
             self.reduce()
             self._simulate()
-
-    def _as_likely(self) -> list[Tried]:
-        """The models that cannot be told from the best, the likeliest first, but none of which a
-        part is likelier (Occam's window: Madigan and Raftery, J. American Statistical Association
-        89, 1994)."""
-        near = self.best.log_posterior - INDISTINGUISHABLE
-        found: list[Tried] = []
-        for model in sorted(self.tried.values(), key=lambda t: -t.log_posterior):
-            within = (set(other.added) < set(model.added) for other in found)
-            if model.log_posterior > near and not any(within):
-                found.append(model)
-        return found
 
     def _colour_noise(self) -> None:
         """Give all models noise that is not white in the place of a random torque, if the readings
