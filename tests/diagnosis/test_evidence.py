@@ -17,6 +17,7 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 
 import residyn
+from residyn.diagnosis import free_curves
 from residyn.diagnosis.columns import Column, Columns, Screen, candidates, extended
 from residyn.diagnosis.diagnose import Posterior
 from residyn.diagnosis.evidence import (
@@ -716,7 +717,7 @@ def a_curve(beside: Tried, kind: Kind) -> CurveModel:
     none = np.zeros(0)
     return CurveModel(
         beside.added, beside.evidences, beside.best, beside.log_prior,
-        place=Place(kind, 0, -1.0, 1.0), mean=none, covariance=none, held=none, share=0.1,
+        Place(kind, 0, -1.0, 1.0), free_curves.Posterior(none, none, none, none), none, share=0.1,
     )  # fmt: skip
 
 

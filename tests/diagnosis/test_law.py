@@ -181,7 +181,9 @@ def test_the_band_holds_a_known_curve_and_the_curve_is_found():
         along = Along(scene, base)
         found = free_curves.screen(along, [0.1, 0.01, 0.0])
         assert found[0].place.kind == Kind("angle")
-        settled = free_curves.settled_curve(scene, (), base, found[0], 0.1, 0.0)
+        settled = free_curves.settled_curve(
+            scene, (), base, found[0].place, found[0].posterior, 0.1, 0.0
+        )
         assert INTENSITIES[int(np.argmax(settled.evidences))] < NEGLIGIBLE
         x = np.linspace(settled.place.low, settled.place.high, 81)
         # Beside the line, which the spring takes up.
@@ -306,7 +308,7 @@ def test_a_law_that_a_name_comes_near_is_found_beside_it():
     assert (kind.name, kind.place) == ("spring shape", "elbow")
     assert kind.unnamed > 0.8
     assert law.probability == pytest.approx(kind.unnamed)
-    assert found.words[0].startswith("Spring shape at the elbow is ")
+    assert found.words[0].startswith("A spring shape at the elbow is ")
     assert law.formula is not None
     assert law.formula.families == ("exponential",)
     rise, error, _ = law.formula.parameters["rise"]
