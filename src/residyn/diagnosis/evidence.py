@@ -227,7 +227,8 @@ def information(covariance: np.ndarray) -> float:
     """What readings say of k strengths, nats: by how much the posterior, of `covariance` (k, k) in
     prior widths, is narrower than the prior (Lindley, Annals of Mathematical Statistics 27, 1956).
     Where that is little, their evidence says less still, on average, of whether there are any."""
-    return -0.5 * float(np.linalg.slogdet(covariance)[1])
+    with np.errstate(invalid="ignore"):  # of a motion that runs away
+        return -0.5 * float(np.linalg.slogdet(covariance)[1])
 
 
 def over_widths(
