@@ -199,7 +199,8 @@ class Diagnosis(TableResult, about="diagnosis"):
     @property
     def added(self) -> tuple[str, ...]:
         """Names that joined the model, in order."""
-        return tuple(label for model in self.ladder for label in model.added)
+        first = set(self.base.model.labels)
+        return tuple(label for label in self.fit.model.labels if label not in first)
 
     @property
     def models(self) -> tuple[ModelState, ...]:
