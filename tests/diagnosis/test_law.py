@@ -189,8 +189,8 @@ def test_the_band_holds_a_known_curve_and_the_curve_is_found():
         # Beside the line, which the spring takes up.
         off = np.eye(81) - np.outer(x, x) / (x @ x)
         rows = off @ splines(x, settled.place.low, settled.place.high)
-        std = np.sqrt(np.einsum("gi,ij,gj->g", rows, settled.covariance, rows))
-        error = rows @ settled.mean - off @ np.asarray(bump(x))
+        std = np.sqrt(np.einsum("gi,ij,gj->g", rows, settled.curve.covariance, rows))
+        error = rows @ settled.curve.mean - off @ np.asarray(bump(x))
         assert np.mean(np.abs(error) < 1.96 * std) > 0.85
         assert std.max() < 0.2  # of 1.5 N
 
