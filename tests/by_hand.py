@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from residyn.diagnosis import Comparison, Curve, Missing, MissingTorque
-from residyn.diagnosis.bands import Band, Own
+from residyn.diagnosis.bands import Band, RecordingBands
 from residyn.diagnosis.candidate_tests import Outcome, Test
 from residyn.diagnosis.forecast import Ahead, Error, HeldOut, Horizon
 from residyn.diagnosis.law import Law
@@ -142,7 +142,7 @@ def a_comparison(fit, times, p):
         time=tuple(part("", 2.5 * i, 2.5 * (i + 1)) for i in range(4)),
         amplitude=tuple(tuple(part("", a / 2, a, 1) for a in (0.2, 0.1, 0.05)) for _ in JOINTS),
         frequency=frequency,
-        recordings=(Own(fit.recordings[0].recording.name, fit.modes, bands),),
+        recordings=(RecordingBands(fit.recordings[0].recording.name, fit.modes, bands),),
     )
     error = an_error(times)
     ahead = tuple(Ahead(2.0 * i, 2.0 * i + 2, an_error(times)) for i in range(3))

@@ -41,7 +41,7 @@ class Band(NamedTuple):
     stop: float
 
 
-class Own(NamedTuple):
+class RecordingBands(NamedTuple):
     """What is one fitted recording's own: its name, modes (those of the model on its bodies) and
     bands."""
 
@@ -55,7 +55,7 @@ class Own(NamedTuple):
         return 1 / self.modes[0].frequency_hz if self.modes else math.inf
 
 
-def own_bands(fit: Fit) -> tuple[Own, ...]:
+def recording_bands(fit: Fit) -> tuple[RecordingBands, ...]:
     """Of each fitted recording."""
     known: list[tuple[Model, tuple[Mode, ...]]] = [(fit.model, fit.modes)]
     each = []
@@ -67,7 +67,7 @@ def own_bands(fit: Fit) -> tuple[Own, ...]:
             known.append((model, modes))
         each.append(modes)
     rows = zip(fit.fitted, each, bands(each, fit.fitted), strict=True)
-    return tuple(Own(f.recording.name, modes, cut) for f, modes, cut in rows)
+    return tuple(RecordingBands(f.recording.name, modes, cut) for f, modes, cut in rows)
 
 
 def bands(

@@ -17,7 +17,7 @@ import numpy as np
 from ..filtering.grid import local_amplitude
 from ..fitting.result import Fit, RecordingFit
 from ..runtime.json import finite, number
-from .bands import Own, own_bands
+from .bands import RecordingBands, recording_bands
 from .evidence import NOISE
 from .linearised_fit import Tangent, predictions
 from .spectrum import Spectrum, energies, strips
@@ -113,7 +113,7 @@ class Where:
     frequency: tuple[Part, ...]
     """Bands tied to each recording's own modes, see `bands.Band`; their edges, Hz, are those of the
     first recording."""
-    recordings: tuple[Own, ...]
+    recordings: tuple[RecordingBands, ...]
     """Of each fitted recording its modes and bands, as many as there are in `frequency`."""
 
     @property
@@ -180,7 +180,7 @@ def where(fit: Fit, slopes: Sequence[np.ndarray]) -> Where:
         ]
         return tuple(Cell(*each) for each in zip(*sums, strict=True))
 
-    own = own_bands(fit)
+    own = recording_bands(fit)
     rows = strips(fit.fitted, units, tangent, weights)
     tops = [each.bands[-1].start for each in own]
     spectra = [list(map(spectrum_of, row, tops)) for row in rows]
@@ -230,7 +230,7 @@ def swing(beside: RecordingFit, period: float) -> np.ndarray:
 
 
 def _by_frequency(
-    spectra: Sequence[Sequence[Spectrum | None]], own: Sequence[Own]
+    spectra: Sequence[Sequence[Spectrum | None]], own: Sequence[RecordingBands]
 ) -> tuple[Part, ...]:
     columns, first = [], own[0].bands
     for row in spectra:

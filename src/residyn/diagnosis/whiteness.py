@@ -19,7 +19,7 @@ from scipy.special import betainc
 
 from ..fitting.result import Fit
 from ..recordings.polynomial_spectrum import grid_step
-from .bands import LEAST, Band, Own
+from .bands import LEAST, Band, RecordingBands
 from .evidence import NOISE
 from .linearised_fit import Tangent
 from .spectrum import Spectrum, Strip, periodogram, spectrum, strips, whitened
@@ -55,7 +55,7 @@ class White(NamedTuple):
 def white(
     fit: Fit,
     slopes: Sequence[np.ndarray],
-    own: Sequence[Own],
+    own: Sequence[RecordingBands],
     rows: Sequence[Sequence[Strip]],
     spectra: Sequence[Sequence[Spectrum | None]],
 ) -> Mapping[str, White]:
