@@ -61,7 +61,7 @@ from .result import (
     Value,
     Verdict,
 )
-from .search import Search, Tried, shows, signs_of
+from .search import Search, Tried, signs_of
 from .simulated import Simulated, simulated
 
 MOST_EFFECTS = 3
@@ -446,10 +446,7 @@ class Posterior:
         self._needs = functools.cache(lambda model: model.needs(search.scene))
         self._torques = functools.cache(lambda t: search.scene.torques(t))
         self.curves = search.curves
-        self.models = [
-            m for m in search.tried.values()
-            if all(shows(m.posterior, x) for x in m.added)
-        ]  # fmt: skip
+        self.models = [m for m in search.tried.values() if m.informed]
         """Those that were tried, but for effects of which the readings say nothing."""
         passed = [m for added, m in search.passed.items() if added not in search.tried]
         self.named = [*self.models, *passed]

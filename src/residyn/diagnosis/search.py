@@ -126,6 +126,14 @@ class Tried:
         return COMPLETE if self.best.coloured is None else FAINT
 
     @property
+    def informed(self) -> bool:
+        """Whether the readings say anything of the strengths of each effect that was added
+        (`information`): else the model has the odds of the prior, which are no finding."""
+        t = self.posterior
+        each = (_places(t, e, strengths(e)) for e in t.effects if e.label in self.added)
+        return all(information(t.covariance[np.ix_(own, own)]) > SETTLED for own in each)
+
+    @property
     def intensity(self) -> float:
         """The likeliest random torque."""
         return INTENSITIES[int(np.argmax(self.weights))]
@@ -961,16 +969,6 @@ def bayes_factor(t: Trajectory, effect: AbstractEffect, less: AbstractEffect | N
     which = _places(t, effect, gone)
     covariance = t.covariance[np.ix_(which, which)]
     return savage_dickey(t.u[which], covariance, [signed(n) for n in gone])
-
-
-def shows(t: Trajectory, label: str) -> bool:
-    """Whether the readings say anything of an effect's strengths in a model (`information`): else
-    the odds of it are those of the prior, and no finding."""
-    if label not in t.labels:
-        return True
-    effect = t.effects[t.labels.index(label)]
-    which = _places(t, effect, strengths(effect))
-    return information(t.covariance[np.ix_(which, which)]) > SETTLED
 
 
 def _places(t: Trajectory, effect: AbstractEffect, numbers: Sequence[Parameter]) -> list[int]:
