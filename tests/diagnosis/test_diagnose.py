@@ -1057,11 +1057,11 @@ def test_an_effect_that_is_given_has_the_evidence_of_one_that_is_found():
     assert given.log_evidence == pytest.approx(added.log_evidence, abs=1.0)
 
 
-def a_joint_that_turns(torque, **how):
+def a_joint_that_turns(torque, begin=0.2, **how):
     """A joint of 1 kg m^2 on a spring of 100 N m/rad, from SciPy, and a torque (q, v) besides."""
     time = np.arange(0, 15, 0.02)
     found = solve_ivp(
-        lambda _, x: (x[1], -100 * x[0] - 0.4 * x[1] - torque(*x)), (0, 15), (0.2, 0.0),
+        lambda _, x: (x[1], -100 * x[0] - 0.4 * x[1] - torque(*x)), (0, 15), (begin, 0.0),
         t_eval=time, rtol=1e-12, atol=1e-14,
     ).y  # fmt: skip
     seen = residyn.Recording.from_arrays(time, found[int("reads" in how)], **how)
@@ -1089,3 +1089,17 @@ def test_what_no_reading_could_show_is_not_named():
     assert each["coulomb_friction:axis"] + each["stribeck_friction:axis"] > 0.9
     assert each.get("constant_torque:axis", 0.0) == 0.0
     assert found.next_experiment is None
+
+
+def test_models_on_the_way_are_in_the_order_of_their_evidence():
+    """However the search came there: of a pendulum in air, its gravity says more than its drag."""
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(750)
+    one = a_joint_that_turns(lambda q, v: 40 * np.sin(q) + 0.01 * v * abs(v), begin=1.0)
+    (seen,) = one.recordings
+    seen = residyn.Recording.from_arrays(seen.time, seen.angle[:, 0] + noise)
+    with jax.enable_x64(True):
+        found = residyn.diagnose(dataclasses.replace(one, recordings=(seen,)))
+    assert set(found.added) == {"pendulum", "quadratic_drag:axis"}
+    alone = {c.effect: c.log_evidence for c in found.candidates}
+    joined = [x for model in found.ladder for x in model.added]
+    assert joined == sorted(found.added, key=lambda x: -alone[x])

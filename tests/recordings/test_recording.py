@@ -681,8 +681,9 @@ def test_noise_of_an_encoder_is_at_least_its_rounding():
 
 def test_noise_that_is_not_there_is_said():
     t = np.arange(2000) / 100
-    here = Recording.from_arrays(t, 0.2 * np.exp(-0.1 * t) * np.cos(5 * t))
-    assert 0 < here.noise[0] < 1e-6
+    q = 0.2 * np.exp(-0.1 * t) * np.cos(5 * t)
+    here = Recording.from_arrays(t, q)
+    assert here.noise[0] == pytest.approx(1e-6 * np.sqrt(np.mean(q**2)), rel=0.1)
     assert "noise of q1 could not be seen" in here.warnings[0]
 
 

@@ -184,6 +184,21 @@ def test_what_takes_up_a_part_is_said_once_to_be_no_cause():
     assert "What is missing beside asymmetric stiffness at the shoulder is a torque of" in words
 
 
+def test_that_nothing_explains_it_is_said_first_where_it_is_surer_than_the_names():
+    made = by_hand.unexplained()
+    unsure = tuple(dataclasses.replace(f, probability=0.42) for f in made.families)
+    doubted = dataclasses.replace(made, families=unsure)
+    assert doubted.words[:2] == (
+        "Something is missing that no effect of the catalogue explains (> 99 %).",
+        "A spring shape at the shoulder may be missing (42 %).",
+    )
+    words = " ".join(doubted.words)
+    assert words.count("no effect of the catalogue explains") == 1
+    assert "What is missing is a torque of" in words
+    assert text.title_of(doubted).startswith("Something is missing that no effect")
+    assert made.words[0] == "A spring shape at the shoulder is missing (97 %)."
+
+
 def test_a_law_without_a_name_is_said_beside_what_it_joins():
     law = dataclasses.replace(by_hand.a_law(), beside=("constant_torque:elbow", FOUND))
     (said,) = [x for x in by_hand.unexplained(laws=(law,)).words if "what has no name" in x]

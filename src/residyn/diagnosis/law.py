@@ -66,13 +66,17 @@ def curve_models(search: Search) -> list[CurveModel]:
     **Raises:** `search.OutOfTime` after the search's deadline.
     """
     scene, best = search.scene, search.best
+
+    def prior_of(parent: Tried) -> float:
+        """One more effect, which is in no catalogue, and any of the curves."""
+        return parent.log_prior + math.log(FURTHER * OUTSIDE / (len(KINDS) * scene.n))
+
     own, few = frozenset(best.added), []
     wanted = dict.fromkeys([frozenset(), own, *(own - {x} for x in best.added)])
     for parent in (search.tried[s] for s in wanted if s in search.tried):
         search.in_time()
         trajectory, intensity = screening_motion(scene, parent)
-        # One more effect, which is in no catalogue, and any of the curves.
-        prior = parent.log_prior + math.log(FURTHER * OUTSIDE / (len(KINDS) * scene.n))
+        prior = prior_of(parent)
         # Where little is left, the first order is right, and by it most curves have no part; where
         # no model explains the readings, a curve that does may be far from it at first order.
         behind = HOPELESS if best.complete > 0.5 else math.inf
@@ -83,40 +87,32 @@ def curve_models(search: Search) -> list[CurveModel]:
         each = each[: 1 if parent.added else CONTENDERS]
         least = max(best.log_posterior - behind - prior, each[0].log_evidence - HOPELESS)
         few += [
-            (parent.added, trajectory, s, intensity, prior) for s in each if s.log_evidence > least
-        ]
-    models: dict[Any, CurveModel] = {}
-
-    def join(added: tuple[str, ...], start: Trajectory, place: Place, *more: Any) -> None:
-        search.in_time()
-        model = settled_curve(scene, added, start, place, *more)
-        if model is not None:  # the law that has a simple formula is the likelier one
-            formulas = tuple(likeliest(Along(scene, model.best), model))
-            model = dataclasses.replace(model, formulas=formulas)
-            models[place.kind, place.joint, frozenset(added)] = model
-
-    for added, trajectory, s, *rest in few:
-        join(added, trajectory, s.place, s.posterior, *rest)
-    # Whether a name is at work beside a curve shows beside the curve without it.
-    tried = set(models)
-    while True:
-        top = max(m.log_posterior for m in (best, *models.values()))
-        todo = [
-            (model, x, key)
-            for model in models.values() if model.log_posterior > top + math.log(IN_PLAY)
-            for x in model.added
-            if (own := frozenset(model.added) - {x}) in search.tried
-            and (key := (model.place.kind, model.place.joint, own)) not in tried
+            (parent, trajectory, s.place, s.posterior, intensity)
+            for s in each if s.log_evidence > least
         ]  # fmt: skip
-        if not todo:
-            return list(models.values())
-        model, x, key = todo[0]
-        tried.add(key)
-        parent = search.tried[key[-1]]
-        prior = model.log_prior + parent.log_prior - search.tried[frozenset(model.added)].log_prior
-        loudest = max(model.intensity, READINGS_LEAD)
-        start = without(scene, model.best, x)
-        join(parent.added, start, model.place, model.curve, loudest, prior)
+
+    def settled(parent: Tried, *start: Any) -> list[CurveModel]:
+        search.in_time()
+        model = settled_curve(scene, parent.added, *start, prior_of(parent))
+        if model is None:
+            return []
+        # The law that has a simple formula is the likelier one.
+        formulas = tuple(likeliest(Along(scene, model.best), model))
+        return [dataclasses.replace(model, formulas=formulas)]
+
+    models = [model for start in few for model in settled(*start)]
+    # Whether a name is at work beside a curve shows beside the curve without it.
+    known = {(m.place.kind, m.place.joint, frozenset(m.added)) for m in models}
+    for model in models:  # which grow on the way
+        top = max(m.log_posterior for m in (best, *models))
+        for x in model.added if model.log_posterior > top + math.log(IN_PLAY) else ():
+            rest = frozenset(model.added) - {x}
+            key = model.place.kind, model.place.joint, rest
+            if key not in known and rest in search.tried:
+                known.add(key)
+                start, loudest = without(scene, model.best, x), max(model.intensity, READINGS_LEAD)
+                models += settled(search.tried[rest], start, model.place, model.curve, loudest)
+    return models
 
 
 class Formula(NamedTuple):
