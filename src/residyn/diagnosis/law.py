@@ -43,6 +43,7 @@ from .free_curves import (
     CurveModel,
     Kind,
     Place,
+    Posterior,
     heights_of,
     points,
     screen,
@@ -91,9 +92,12 @@ def curve_models(search: Search) -> list[CurveModel]:
             for s in each if s.log_evidence > least
         ]  # fmt: skip
 
-    def settled(parent: Tried, *start: Any) -> list[CurveModel]:
+    def settled(
+        parent: Tried, start: Trajectory, place: Place, curve: Posterior, loudest: float
+    ) -> list[CurveModel]:
         search.in_time()
-        model = settled_curve(scene, parent.added, *start, prior_of(parent))
+        prior = prior_of(parent)
+        model = settled_curve(scene, parent.added, start, place, curve, loudest, prior)
         if model is None:
             return []
         # The law that has a simple formula is the likelier one.
