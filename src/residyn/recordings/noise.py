@@ -42,10 +42,10 @@ def noise_and_warnings(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray,
         good = np.flatnonzero(~outliers_of(time[seen], y, 0.0))
         good = good if len(good) >= 8 else np.arange(len(y))
         spread = [blocks(time[seen[part]], y[part]).spread for part in parts(good)]
-        floor = 1e-6 * math.sqrt(float(np.mean(y**2)))
+        rms = math.sqrt(float(np.mean(y**2)))
         own = max(float(np.median(spread)), grid_step(y) / math.sqrt(12))
-        sigma[j] = unit * max(own, floor)
-        if own < floor:
+        sigma[j] = unit * max(own, 1e-6 * rms)
+        if own < 1e-9 * rms:  # digits of float64, no noise of a sensor
             warnings.append(
                 f"noise of q{j + 1} could not be seen in the data; {sigma[j]:.3g} is taken, 1e-6 "
                 "of its rms motion; give noise to say what it is"
