@@ -459,14 +459,14 @@ class Screen:
         signs = [[s for row in rows for s in known_signs(row)] for rows in groups]
         return gains_of(self.grams, self.weights, which, signs)
 
-    def pairs(self, most: int) -> list[tuple[float, Column, Column]]:
-        """Every two of the best candidates that may be in one model, the best pair first."""
-        every = itertools.combinations(self.ranked[:most], 2)
+    @functools.cached_property
+    def pairs(self) -> list[tuple[float, Column, Column]]:
+        """Every two candidates that may be in one model, the best pair first."""
+        every = itertools.combinations(self.ranked, 2)
         each = [(a, b) for a, b in every if not nested(a.effect, b.effect)]
-        gains = [gain for gain, _ in self._gains(each)]
-        return sorted(
-            ((g, a, b) for g, (a, b) in zip(gains, each, strict=True)), key=lambda f: -f[0]
-        )
+        gains = (gain for gain, _ in self._gains(each))
+        found = ((gain, *pair) for gain, pair in zip(gains, each, strict=True))
+        return sorted(found, key=lambda own: -own[0])
 
 
 def nested(a: AbstractEffect, b: AbstractEffect) -> bool:

@@ -73,9 +73,9 @@ NOISE = 1e-3
 """Probability, if it is noise, below which `compare` says that a residual is not white: one right
 model in a thousand is doubted."""
 CONTENDERS = 6
-"""Candidates of each screen whose nonlinear evidence is worked out, as many pairs whose members
-are, and as many frequencies of each joint that a disturbance may have: of 780 pairs at first order
-the true one was among the first two on seven arms of eight, single effects of 1 % first on all."""
+"""Candidates of each screen whose nonlinear evidence is worked out, as many pairs, and as many
+frequencies of each joint that a disturbance may have: of 780 pairs at first order the true one was
+among the first two on seven arms of eight, single effects of 1 % first on all."""
 CURVE_AMPLITUDES = INTENSITIES[:6]
 """Sizes of a free curve's torque, in the spring's at full swing, of which the prior is that of a
 strength: half a decade apart, down to where an effect is hardly worth naming."""

@@ -11,6 +11,7 @@ far.
 import contextlib
 import dataclasses
 import functools
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -121,6 +122,11 @@ class Tried:
         return float(self.weights[self.enough].sum())
 
     @property
+    def nearly_complete(self) -> bool:
+        """Whether the filter cannot tell if the model needs a random torque."""
+        return self.evidences[-1] > self.evidences.max() - INDISTINGUISHABLE
+
+    @property
     def enough(self) -> np.ndarray:
         """(I,) the intensities with which the model needs no random torque that matters."""
         return COMPLETE if self.best.coloured is None else FAINT
@@ -159,8 +165,7 @@ class Tried:
         motion without one it errs alike under all random torques; not so along another, from which
         the motion without any is far, and what sticks has a motion of its own under each."""
         evidences = self.evidences.copy()
-        near = evidences[-1] > evidences.max() - INDISTINGUISHABLE
-        if near and not _sticks(self.best):
+        if self.nearly_complete and not _sticks(self.best):
             evidences += found.log_evidence - evidences[-1]
         evidences[-1] = found.log_evidence
         return dataclasses.replace(self, evidences=evidences, simulated=found)
@@ -351,7 +356,7 @@ def _sticks(t: Trajectory) -> bool:
 def _may_be_complete(model: Tried) -> bool:
     """Whether a model may need no random torque, which an exact simulation tells: a filter's word
     is not enough where something sticks."""
-    return model.complete > 0.5 or _sticks(model.best)
+    return model.nearly_complete or _sticks(model.best)
 
 
 def signs_of(t: Trajectory) -> np.ndarray:
@@ -639,12 +644,7 @@ class Search:
                 if not found:
                     continue
                 best = found[0]
-            self.extend(self.tried[best])
-            likelier = frozenset(self.best.added) != best
-            # Of pairs there is the first order alone, which is right where little is left.
-            little = self.best.intensity < READINGS_LEAD
-            if not likelier and little and len(best) + 2 <= most:
-                self.extend_by_two(self.tried[best])
+            self.extend(self.tried[best], most)
             extended.add(best)
             self.reduce()
             self._simulate()
@@ -799,48 +799,59 @@ class Search:
                 points.append(row._replace(regressors=screen.gain([row])[1]))
         return side_by_side([functools.partial(at, point) for point in points])
 
-    def extend(self, parent: Tried) -> None:
-        """Try a model with one more effect, each contender in turn."""
+    def extend(self, parent: Tried, most: int) -> None:
+        """Try a model with one more effect, each contender in turn, and with the likeliest pairs:
+        where each alone leaves about as much as before, both may leave nothing. Of `most` effects
+        in all."""
         trajectory, intensity = screening_motion(self.scene, parent)
         screen = self.screen(parent)
-        ranked = screen.ranked
-        pairs = (s for _, *pair in screen.pairs(3 * CONTENDERS)[:CONTENDERS] for s in pair)
-        chosen = {s.effect.label: s for s in (*ranked[:CONTENDERS], *pairs)}
+        prior, worth = self._price(parent, 1)
+        chosen, pairs = screen.ranked[:CONTENDERS], self._pairs(parent, screen, most)
         if parent.complete > 0.5:
             # What is left is small, and the first order right: by it most have no part.
-            prior, worth = self._price(parent, 1)
-            chosen = {k: s for k, s in chosen.items() if s.gain > worth}
-            for s in (s for s in ranked if s.gain <= worth):
+            chosen = [s for s in chosen if s.gain > worth]
+            pairs = [own for own in pairs if own[0] > self._price(parent, 2)[1]]
+            for s in (s for s in screen.ranked if s.gain <= worth):
                 added = (*parent.added, s.effect.label)
                 passed = Tried(added, parent.evidences + s.gain, parent.best, prior)
                 self.passed[frozenset(added)] = passed
+        starts = [self._start_of_two(trajectory, screen, a, b) for _, a, b in pairs]
         # A law that contains another's begins where that one has ended.
-        later = {k: s for k, s in chosen.items() if s.effect.extends}
-        for some in ({k: s for k, s in chosen.items() if k not in later}, later):
+        for later in (False, True):
             # Where something sticks, an iteration may end at corners that lie on its way.
-            starts = [
-                ((k,), self._start(parent, trajectory, x))
-                for k, s in some.items()
+            starts += [
+                ((s.effect.label,), self._start(parent, trajectory, x))
+                for s in chosen if bool(s.effect.extends) is later
                 for x in (s, *(s.alike if s.effect.follows else ()))
-            ]
+            ]  # fmt: skip
             self._join(parent, intensity, starts)
+            starts = []
 
-    def extend_by_two(self, parent: Tried) -> None:
-        """Try a model with the likeliest pairs of effects. Where each alone leaves as much as
-        before (two laws of damping in a recording that is hardly damped), both may leave nothing.
-        """
-        trajectory, intensity = screening_motion(self.scene, parent)
-        screen, (_, worth) = self.screen(parent), self._price(parent, 2)
-        starts = []
-        for gain, *pair in screen.pairs(len(screen.ranked))[:CONTENDERS]:
-            if gain > worth:
-                t, (_, u) = trajectory, screen.gain(pair)
-                ends = np.cumsum([len(s.which) for s in pair])
-                for s, own in zip(pair, np.split(u, ends[:-1]), strict=True):
-                    t = extended(self.scene, t, s._replace(regressors=own))
-                labels = tuple(s.effect.label for s in pair)
-                starts.append((labels, self.scene.consistent(t)))
-        self._join(parent, intensity, starts)
+    def _pairs(
+        self, parent: Tried, screen: Screen, most: int
+    ) -> list[tuple[float, Column, Column]]:
+        """The likeliest pairs of effects, to first order, that a model may have more: none of which
+        one of the two alone is likelier, for the other would follow it; nor of what sticks, of
+        which one linearisation says little."""
+        if len(parent.added) + 2 > most:
+            return []
+        more = self._price(parent, 2)[1] - self._price(parent, 1)[1]
+        alone = {s.effect.label: screen.gain([s])[0] for s in screen.ranked}
+        each = (
+            (gain, *pair) for gain, *pair in screen.pairs
+            if gain > max(alone[s.effect.label] for s in pair) + more
+            and not any(s.effect.dry or s.effect.follows for s in pair)
+        )  # fmt: skip
+        return list(itertools.islice(each, CONTENDERS))
+
+    def _start_of_two(
+        self, t: Trajectory, screen: Screen, *pair: Column
+    ) -> tuple[tuple[str, ...], Trajectory]:
+        """Where the iteration of a model with two more effects begins, as the screen has them."""
+        _, u = screen.gain(pair)
+        for s, own in zip(pair, np.split(u, [len(pair[0].which)]), strict=True):
+            t = extended(self.scene, t, s._replace(regressors=own))
+        return tuple(s.effect.label for s in pair), self.scene.consistent(t)
 
     def _price(self, parent: Tried, more: int) -> tuple[float, float]:
         """Log prior of a model with some more effects, and what they must raise the log evidence
