@@ -24,7 +24,7 @@ from residyn.diagnosis.evidence import (
     EXPLAINS_NOTHING,
     IN_PLAY,
     INTENSITIES,
-    half_normals,
+    non_normal_priors,
     over_intensities,
 )
 from residyn.diagnosis.linearised_fit import Hopeless, minimum
@@ -465,7 +465,7 @@ def test_without_a_random_torque_the_filter_has_the_evidence_of_exact_simulation
             found = scene.evidences(t, scene.linearised(t), [0.0] * 4)
             filtered = (
                 found.log_evidence[0]
-                + half_normals(t.effects, t.prior, found.regressors, found.std)[0]
+                + non_normal_priors(t.effects, t.prior, found.regressors, found.covariance)[0]
             )
             exact = simulated(scene, t, friction.fits.of(tried)).log_evidence
         assert exact == pytest.approx(filtered, abs=within)

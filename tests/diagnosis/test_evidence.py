@@ -12,16 +12,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.special import logsumexp
 from scipy.stats import norm
 
 import residyn
 from residyn.diagnosis import free_curves
-from residyn.diagnosis.columns import Column, Columns, Screen, candidates, extended
+from residyn.diagnosis.columns import (
+    Column,
+    Columns,
+    Screen,
+    candidates,
+    extended,
+    strengths,
+)
 from residyn.diagnosis.diagnose import Posterior
 from residyn.diagnosis.evidence import (
-    CURVE_AMPLITUDES,
+    AMPLITUDES,
     FURTHER,
     INTENSITIES,
     NEGLIGIBLE,
@@ -30,12 +37,14 @@ from residyn.diagnosis.evidence import (
     WIDTH,
     at_least,
     at_work,
+    common_size,
     conditional,
+    gains_of,
     half_normal,
-    half_normals,
     information,
     log_prior_intensity,
     log_prior_model,
+    non_normal_priors,
     occams_window,
     over_intensities,
     over_widths,
@@ -51,6 +60,7 @@ from residyn.diagnosis.search import Tried, settle, tried_alone
 from residyn.diagnosis.simulated import Simulated
 from residyn.effects import (
     AirDrag,
+    Cogging,
     ConstantTorque,
     CoulombFriction,
     CouplingStiffness,
@@ -61,6 +71,7 @@ from residyn.effects import (
     Hysteresis,
     SensorOffset,
     Spring,
+    StribeckFriction,
 )
 from residyn.filtering.trajectory import Prior, Scene, Trajectory
 from residyn.fitting.problem import Unknowns
@@ -209,6 +220,59 @@ def test_one_gram_matrix_holds_the_dense_gaussian_of_every_subset(seed, base, mo
     np.testing.assert_allclose(covariance, spread[base:, base:], atol=1e-9)
 
 
+@given(st.integers(0, 2**32 - 1))
+def test_the_strengths_of_one_effect_have_a_common_size(seed):
+    """Of sine and cosine u ~ N(0, a^2), for each of some sizes a: a mixture of dense Gaussians."""
+    rng = np.random.default_rng(seed)
+    w, W = rng.standard_normal(9), rng.standard_normal((9, 3)) * 10.0 ** rng.uniform(-1, 2)
+    cogging = Cogging("cart", 0.0, 0.0, 1.0)
+    sine, cosine = strengths(cogging)
+
+    def dense(ratio):
+        covariance = np.eye(9) + W @ np.diag([1.0, ratio**2, ratio**2]) @ W.T
+        return gaussian(w, np.zeros(9), covariance)
+
+    each = [dense(a / WIDTH) for a in AMPLITUDES]
+    expected = logsumexp(each, b=prior_sizes(AMPLITUDES)) - dense(1.0)
+    covariance = np.linalg.inv(np.eye(3) + W.T @ W)
+    mean = covariance @ W.T @ -w
+    assert common_size(mean[1:], covariance[1:, 1:], [sine, cosine]) == pytest.approx(expected)
+    prior = Prior(np.zeros(4), np.ones(4), np.zeros(4, bool))
+    u, every = np.append(mean, 0.0), block_diag(covariance, 1.0)
+    effects = [CubicStiffness("cart", 0.0), cogging]
+    assert non_normal_priors(effects, prior, u, every) == pytest.approx(expected)
+
+    # Beside a column of another effect, under two random torques.
+    gram = np.column_stack([w, W]).T @ np.column_stack([w, W])
+    plain, own = (
+        gains_of(np.stack([gram, 0.5 * gram]), np.zeros(2), [[0, 1, 2]], numbers)[0][0]
+        for numbers in (None, [[[strengths(effects[0])[0]], [sine, cosine]]])
+    )
+    half = np.linalg.inv(np.eye(3) + 0.5 * W.T @ W)
+    added = common_size((0.5 * half @ W.T @ -w)[1:], half[1:, 1:], [sine, cosine])
+    first, other = (subset(g, [0, 1, 2])[0] for g in (gram, 0.5 * gram))
+    assert plain == pytest.approx(np.logaddexp(first, other))
+    assert own == pytest.approx(np.logaddexp(first + expected, other + added))
+
+
+def test_strengths_of_one_size_have_the_signs_that_physics_gives_them():
+    """Of two levels of friction, each read once: products of integrals over the right side."""
+    reading, noise = np.array([0.05, 0.02]), np.array([0.01, 0.02])
+    covariance = np.diag(1 / (1 + 1 / noise**2))
+    found = common_size(covariance @ (reading / noise**2), covariance,
+                        strengths(StribeckFriction("cart", 0.0, 0.0, 1.0)))  # fmt: skip
+
+    def right(size):
+        return [quad(lambda u, r=r, s=s: 2 * norm.pdf(r, u, s) * norm.pdf(u, 0, size), 0, 1,
+                     points=[0.05])[0]
+                for r, s in zip(reading, noise, strict=True)]  # fmt: skip
+
+    each = [np.prod(right(a / WIDTH)) for a in AMPLITUDES]
+    whole = [norm.pdf(r, 0, math.hypot(1, s)) for r, s in zip(reading, noise, strict=True)]
+    expected = math.log(np.dot(prior_sizes(AMPLITUDES), each) / np.prod(whole))
+    assert found == pytest.approx(expected, abs=1e-6)
+
+
 def test_the_density_of_none_tells_what_a_model_without_some_columns_has():
     rng = np.random.default_rng(3)
     columns = rng.standard_normal((30, 6)) @ np.diag([3.0, 1.0, 2.0, 0.5, 1.0, 1.0])
@@ -319,7 +383,7 @@ def test_an_effect_that_is_not_there_pays_for_its_prior(ringing):
         for e in (base, richer)
     )
     cubic = scene.evidences(two[1], scene.linearised(two[1]), [0.0])
-    u, std = cubic.regressors[0, 2], cubic.std[0, 2]
+    u, std = cubic.regressors[0, 2], math.sqrt(cubic.covariance[0, 2, 2])
     price = 0.5 * u**2 / std**2 + math.log(std)
     assert two[0][-1] - one[0][-1] == pytest.approx(price, abs=0.1)
     assert price < 0
@@ -336,7 +400,7 @@ def test_no_spring_has_less_than_nothing(reading, noise):
     found = np.array([mean]), np.array([std])
     positive = norm.sf(0.0, loc=size * (1 + mean), scale=size * std)
     expected = math.log(max(positive, 1e-300)) - math.log(norm.sf(0.0, loc=size, scale=size))
-    added = half_normals([Spring("cart", 1.0)], prior, *found)
+    added = non_normal_priors([Spring("cart", 1.0)], prior, found[0], np.array([[std**2]]))
     assert added == pytest.approx(expected, rel=1e-6) or positive < 1e-290
     right = right_signs([Spring("cart", 1.0)], prior, *found)
     assert right == pytest.approx(min(2 * positive, 1.0), rel=1e-6, abs=1e-290)
@@ -473,7 +537,7 @@ def test_all_strengths_of_a_disturbance_have_its_phase():
     np.testing.assert_allclose(t.path[:, 2], begun[:, 0] + phase)
 
 
-@pytest.mark.parametrize("sizes", [CURVE_AMPLITUDES, INTENSITIES[:-1], (0.3,)])
+@pytest.mark.parametrize("sizes", [AMPLITUDES, INTENSITIES[:-1], (0.3,)])
 def test_the_prior_of_an_effects_size_is_that_of_a_strength(sizes):
     """The half-normal's probability of each cell of the grid, by quadrature."""
     edges = [10.0, *(math.sqrt(a * b) for a, b in itertools.pairwise(sizes)), 0.0]

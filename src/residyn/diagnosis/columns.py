@@ -52,7 +52,7 @@ from ..filtering.linearised import (
 from ..filtering.trajectory import Scene, Trajectory
 from ..physics.effect import BASE
 from ..physics.motion import Motion, split, stack
-from ..physics.parameter import FREQUENCY
+from ..physics.parameter import FREQUENCY, Parameter
 from ..runtime.export_cache import kept
 from .evidence import (
     CONTENDERS,
@@ -456,8 +456,8 @@ class Screen:
     def _gains(self, groups: Sequence[Sequence[Column]]) -> list[tuple[float, np.ndarray]]:
         """`gain` of each group of rows."""
         which = [[i for row in rows for i in row.which] for rows in groups]
-        signs = [[s for row in rows for s in known_signs(row)] for rows in groups]
-        return gains_of(self.grams, self.weights, which, signs)
+        numbers = [[strengths_of_columns(row) for row in rows] for rows in groups]
+        return gains_of(self.grams, self.weights, which, numbers)
 
     @functools.cached_property
     def pairs(self) -> list[tuple[float, Column, Column]]:
@@ -474,11 +474,11 @@ def nested(a: AbstractEffect, b: AbstractEffect) -> bool:
     return a.place == b.place and (a.extends == b.name or b.extends == a.name)
 
 
-def known_signs(row: Column) -> list[bool]:
-    """Of each column, whether the sign of its strength is known."""
+def strengths_of_columns(row: Column) -> list[Parameter | None]:
+    """The strength that each column is of; None of sine and cosine of an unknown phase."""
     if row.effect.oscillates:
-        return [False] * len(row.which)
-    return [signed(number) for number in strengths(row.effect)]
+        return [None] * len(row.which)
+    return [*strengths(row.effect)]
 
 
 def spectral_lines(

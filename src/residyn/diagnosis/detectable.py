@@ -32,16 +32,16 @@ from ..physics.modal import modes
 from ..recordings.experiment import Experiment, must_be_experiment
 from ..runtime.json import finite
 from ..runtime.presentation import Result
-from .columns import Column, Columns, candidates, known_signs, nested, strengths
+from .columns import Column, Columns, candidates, nested, strengths, strengths_of_columns
 from .evidence import (
     COMPLETE,
     INDISTINGUISHABLE,
     INTENSITIES,
     at_work,
     conditional,
-    half_normal,
     log_prior_intensity,
     log_prior_model,
+    priors_of_columns,
     width_of,
 )
 from .missing_torque import scene_of, with_rests
@@ -175,8 +175,8 @@ class Rivals:
             inner = self.gram[:, which[:, :, None], which[:, None, :]]
             covariance = np.linalg.inv(np.eye(size) + inner)  # (I, R, k, k)
             half = 0.5 * np.linalg.slogdet(covariance)[1]
-            sided = np.array([known_signs(rows[i]) for i in own])  # (R, k)
-            self._alike.append((own, which, covariance, half, sided))
+            numbers = [[strengths_of_columns(rows[i])] for i in own]
+            self._alike.append((own, which, covariance, half, numbers))
         labels = [row.effect.label for row in rows]
         self._begins = [labels.index(x) for x in self.labels]
         counts = np.diff([*self._begins, len(rows)])
@@ -200,13 +200,11 @@ class Rivals:
         x = self._across + shift
         base = self._base - self._across @ made - 0.5 * (shift @ made)
         gains = np.empty((len(self.rows), *base.shape))
-        for rows, which, covariance, half, sided in self._alike:
+        for rows, which, covariance, half, numbers in self._alike:
             own = x[..., which]
             mean = np.einsum("dirk,irkl->dirl", own, covariance)
             gain = 0.5 * np.sum(own * mean, -1) + half
-            for k, known in enumerate(sided.T):
-                ratio = mean[:, :, known, k] / np.sqrt(covariance[:, known, k, k])
-                gain[:, :, known] += half_normal(ratio)
+            gain += priors_of_columns(mean, covariance, numbers)
             gains[rows] = np.moveaxis(gain, 2, 0)
         return base, base + np.logaddexp.reduceat(gains, self._begins) - self._log_shapes
 

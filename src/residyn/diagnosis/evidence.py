@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import erf, log_ndtr, softmax
 
 from ..effects import AbstractEffect
-from ..filtering.law import each_number
+from ..filtering.law import each_number, number_slices, numbers_of
 from ..filtering.trajectory import Prior, Scene, Trajectory
 from ..physics.effect import BASE
 from ..physics.parameter import Parameter
@@ -76,10 +76,11 @@ CONTENDERS = 6
 """Candidates of each screen whose nonlinear evidence is worked out, as many pairs, and as many
 frequencies of each joint that a disturbance may have: of 780 pairs at first order the true one was
 among the first two on seven arms of eight, single effects of 1 % first on all."""
-CURVE_AMPLITUDES = INTENSITIES[:6]
-"""Sizes of a free curve's torque, in the spring's at full swing, of which the prior is that of a
-strength: half a decade apart, down to where an effect is hardly worth naming."""
-DECADES = np.array(CURVE_AMPLITUDES[1:]) / WIDTH
+AMPLITUDES = INTENSITIES[:6]
+"""Sizes of a torque with several unknowns that have one cause, a free curve's heights or an
+effect's strengths, in the spring's at full swing. Their prior is that of a strength: half a decade
+apart, down to where an effect is hardly worth naming."""
+DECADES = np.array(AMPLITUDES[1:]) / WIDTH
 """Prior widths, in those of a strength, of damping that is there in any case and of which nobody
 knows how large it is: half a decade apart, from `WIDTH` down to where it changes nothing."""
 CURVE_LENGTHS = (0.08, 0.2, 0.5, 1.5)
@@ -165,28 +166,67 @@ def signed(number: Parameter) -> bool:
 
 
 def _signed(effects: Sequence[AbstractEffect], prior: Prior, u: np.ndarray, std: np.ndarray):
-    """Each number whose sign is known: by how much (...,) it is on the right side of where it is
-    silent, and its standard deviation, both in prior widths, and how many of these make the typical
-    size of its dimension."""
+    """Each number whose sign is known: which it is, by how much (...,) it is on the right side of
+    where it is silent, and its standard deviation, both in prior widths, and how many of these make
+    the typical size of its dimension."""
     for i, (effect, number) in enumerate(each_number(effects)):
         if signed(number):
             silent = (number.silent - prior.mean[i]) / prior.width[i]
             wide = effect.name in BASE or number.as_spring
-            yield u[..., i] - silent, std[..., i], 1.0 if wide else 1.0 / WIDTH
+            yield i, u[..., i] - silent, std[..., i], 1.0 if wide else 1.0 / WIDTH
 
 
-def half_normals(
-    effects: Sequence[AbstractEffect], prior: Prior, u: np.ndarray, std: np.ndarray
+def non_normal_priors(
+    effects: Sequence[AbstractEffect], prior: Prior, u: np.ndarray, covariance: np.ndarray
 ) -> np.ndarray:
-    """(...,) what the cut normal priors of a model add to its log evidence: of each number whose
-    sign is known the log of the probability, after the readings over before them, that it is on
-    the right side of where it is silent. `u`, `std` (..., P) are posterior means and standard
-    deviations of the regressors, which have unit normal priors."""
+    """(...,) what the priors of a model add to its log evidence under unit normal ones, of which
+    `u` (..., P) and `covariance` (..., P, P) are the posterior: of the strengths of an effect that
+    has several, their common size (`common_size`); of each other number whose sign is known the log
+    of the probability, after the readings over before them, that it is on the right side of where
+    it is silent."""
+    std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
     nothing = np.zeros(u.shape[-1]), np.ones(u.shape[-1])
-    after, before = (_signed(effects, prior, *known) for known in ((u, std), nothing))
-    pairs = zip(after, before, strict=True)
-    each = (log_ndtr(off / s) - log_ndtr(first / one) for (off, s, _), (first, one, _) in pairs)
-    return sum(each, np.zeros(u.shape[:-1]))
+    total, several = np.zeros(u.shape[:-1]), set()
+    for effect, first in zip(effects, number_slices(effects), strict=True):
+        each = enumerate(numbers_of(effect), first.start)
+        own = [(i, number) for i, number in each if number.silent is not None]
+        if len(own) > 1:
+            which, numbers = zip(*own, strict=True)
+            inner = covariance[..., np.array(which)[:, None], which]
+            total = total + common_size(u[..., which], inner, numbers)
+            several.update(which)
+    pairs = zip(_signed(effects, prior, u, std), _signed(effects, prior, *nothing), strict=True)
+    for (i, off, s, _), (_, first, one, _) in pairs:
+        if i not in several:
+            total = total + log_ndtr(off / s) - log_ndtr(first / one)
+    return total
+
+
+def common_size(
+    mean: np.ndarray, covariance: np.ndarray, numbers: Sequence[Parameter]
+) -> np.ndarray:
+    """(...,) by how much the log evidence of k strengths changes if one of `AMPLITUDES` is the
+    prior standard deviation of all of them, each sign as it is known, and not their own widths.
+
+    A hierarchical prior (Gelman et al., Bayesian Data Analysis, 2013, ch. 5): a table that is
+    hardly tilted pulls weakly at every joint. The posterior N(m, V) under unit normal priors goes
+    over to N(m', V') with V'^-1 = V^-1 - 1 + R^-2 and V'^-1 m' = V^-1 m, if the prior of the i-th
+    is R_ii times as wide, and the evidence changes by
+    sqrt(|V'| / |V|) / |R| exp(m' V'^-1 m' / 2 - m V^-1 m / 2).
+    """
+    ratio = np.array(AMPLITUDES)[:, None] / np.where([n.as_spring for n in numbers], 1.0, WIDTH)
+    with np.errstate(invalid="ignore"):  # of a motion that runs away
+        precision = np.linalg.inv(covariance)
+        h = (precision @ mean[..., None])[..., 0]
+        wider = np.eye(len(numbers)) * (ratio**-2.0 - 1.0)[..., None]
+        new = np.linalg.inv(precision[..., None, :, :] + wider)
+        means = (new @ h[..., None, :, None])[..., 0]
+        raised = np.sum(means * h[..., None, :], -1) - np.sum(mean * h, -1)[..., None]
+        volume = np.linalg.slogdet(new)[1] - np.linalg.slogdet(covariance)[1][..., None]
+        ratios = half_normal(means / np.sqrt(np.diagonal(new, axis1=-2, axis2=-1)))
+    signs = np.where([signed(n) for n in numbers], ratios, 0.0).sum(-1)
+    logs = 0.5 * (volume + raised) - np.log(ratio).sum(-1) + signs
+    return np.logaddexp.reduce(logs + np.log(prior_sizes(AMPLITUDES)), axis=-1)
 
 
 def right_signs(
@@ -201,7 +241,7 @@ def right_signs(
     any number: what came out on the wrong side may be there by as much.
     """
     total = np.zeros(u.shape[:-1])
-    for off, s, size in _signed(effects, prior, u, std):
+    for _, off, s, size in _signed(effects, prior, u, std):
         ratio = off / np.where(off < 0, np.hypot(s, left * size), s)
         total = total + np.minimum(half_normal(ratio), 0.0)
     return np.exp(total)
@@ -403,23 +443,48 @@ def subset(gram: np.ndarray, columns) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return 0.5 * np.sum(x[..., 0] ** 2, -1) - logs, mean, np.linalg.inv(inner)
 
 
+def priors_of_columns(
+    mean: np.ndarray,
+    covariance: np.ndarray,
+    numbers: Sequence[Sequence[Sequence[Parameter | None]]],
+) -> np.ndarray:
+    """(..., S) what the priors of S sets of k columns add to their log evidence under unit normal
+    ones, of which `mean` (..., S, k) and `covariance` (..., S, k, k) are the posterior; `numbers`:
+    of each set, effect by effect, the strength that each column is of. None has a unit normal
+    prior."""
+    std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    alone = [
+        [len(effect) == 1 and n is not None and signed(n) for effect in own for n in effect]
+        for own in numbers
+    ]
+    total = np.where(alone, half_normal(mean / std), 0.0).sum(-1)
+    for i, own in enumerate(numbers):
+        first = 0
+        for effect in own:
+            at = slice(first, first := first + len(effect))
+            if len(effect) > 1 and None not in effect:
+                inner = covariance[..., i, at, at]
+                total[..., i] += common_size(mean[..., i, at], inner, effect)
+    return total
+
+
 def gains_of(
     grams: np.ndarray, logs: np.ndarray, sets: Sequence[Sequence[int]],
-    signs: Sequence[Sequence[bool]] | None = None,
+    numbers: Sequence[Sequence[Sequence[Parameter | None]]] | None = None,
 ) -> list[tuple[float, np.ndarray]]:  # fmt: skip
     """Log evidence of each of some sets of columns, random torques summed over, and their posterior
     mean under the likeliest.
 
-    `grams` (I, 1 + C, 1 + C) and `logs` (I,) log evidences under each random torque; `signs`: of
-    each column of each set, whether it has a half-normal prior. Sets of as many columns at once.
+    `grams` (I, 1 + C, 1 + C) and `logs` (I,) log evidences under each random torque; `numbers`: of
+    each set, effect by effect, the strength that each column is of, whose prior it has; None has a
+    unit normal one, as have all without. Sets of as many columns at once.
     """
     found: dict[int, tuple[float, np.ndarray]] = {}
     for size in {len(s) for s in sets}:
         own = [i for i, s in enumerate(sets) if len(s) == size]
         gain, mean, covariance = subset(grams, [sets[i] for i in own])
-        if signs is not None:
-            std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-            gain = gain + np.where([signs[i] for i in own], half_normal(mean / std), 0.0).sum(-1)
+        if numbers is not None:
+            gain = gain + priors_of_columns(mean, covariance, [numbers[i] for i in own])
         each = gain + logs[:, None]
         each = np.where(np.isfinite(each), each, -np.inf)  # of a motion that runs away
         top = np.argmax(each, axis=0)

@@ -32,7 +32,7 @@ from ..runtime.export_cache import kept
 from ..runtime.parallel import side_by_side
 from .columns import responses
 from .evidence import (
-    CURVE_AMPLITUDES,
+    AMPLITUDES,
     CURVE_LENGTHS,
     FALL,
     INTENSITIES,
@@ -40,9 +40,9 @@ from .evidence import (
     SETTLED,
     conditional,
     gram_factor,
-    half_normals,
     log_prior_intensity,
     log_sum,
+    non_normal_priors,
     prior_sizes,
 )
 from .search import Tried
@@ -265,7 +265,7 @@ def _priors(along: Along, place: Place) -> np.ndarray:
         roots = roots - line[:, None] * share[:, None]
     rms = np.sqrt(np.einsum("hij,ik,hkj->h", roots, squares, roots))
     roots = along.typical(place) / rms[:, None, None] * roots
-    return np.concatenate([a * roots for a in CURVE_AMPLITUDES])
+    return np.concatenate([a * roots for a in AMPLITUDES])
 
 
 class Posterior(NamedTuple):
@@ -301,8 +301,8 @@ def _mixed(weights, means, covariances) -> tuple[np.ndarray, np.ndarray]:
 @np.errstate(invalid="ignore")  # where a motion has run away nothing is finite
 def _posterior(along: Along, roots: np.ndarray, intensities, totals, grams) -> Posterior:
     P = len(along.trajectory.u)
-    each_of = len(roots) // len(CURVE_AMPLITUDES)
-    prior = np.repeat(np.log(prior_sizes(CURVE_AMPLITUDES) / each_of), each_of)
+    each_of = len(roots) // len(AMPLITUDES)
+    prior = np.repeat(np.log(prior_sizes(AMPLITUDES) / each_of), each_of)
     bases, rests = conditional(grams, P)
     evidences, each = [], []
     for known, square, rest in zip(totals + bases, grams, rests, strict=True):
@@ -327,15 +327,15 @@ def _posterior(along: Along, roots: np.ndarray, intensities, totals, grams) -> P
 
 
 def signs(along: Along, grams: np.ndarray) -> np.ndarray:
-    """(I,) what the half-normal priors of the model's own numbers add to the log evidence, beside
-    some columns at their prior's width; `grams` (I, 1 + P + C, 1 + P + C) are of both."""
+    """(I,) what the priors of the model's own numbers add to the log evidence, beside some columns
+    at their prior's width; `grams` (I, 1 + P + C, 1 + P + C) are of both."""
     P = len(along.trajectory.u)
     factor = gram_factor(grams[:, 1:, 1:] + np.eye(grams.shape[-1] - 1))
     inverse = np.linalg.inv(factor)
     mean = -(inverse.mT @ inverse @ grams[:, 1:, :1])[..., 0]
-    std = np.sqrt(np.sum(inverse**2, axis=1))
+    covariance = inverse.mT @ inverse
     t = along.trajectory
-    return half_normals(t.effects, t.prior, mean[:, :P], std[:, :P])
+    return non_normal_priors(t.effects, t.prior, mean[:, :P], covariance[:, :P, :P])
 
 
 class Screened(NamedTuple):

@@ -57,10 +57,10 @@ from .evidence import (
     STRENGTHS,
     WIDTH,
     correlation_times,
-    half_normals,
     information,
     log_prior_intensity,
     log_prior_model,
+    non_normal_priors,
     occams_window,
     over_intensities,
     prior_of,
@@ -343,7 +343,8 @@ def _evidences(scene: Scene, t: Trajectory, linear: Linear, levels: np.ndarray) 
     for i in range(0, len(levels), _NEAR):  # one program for few and for all
         some = levels[np.minimum(np.arange(i, i + _NEAR), len(levels) - 1)]
         each = scene.evidences(t, linear, np.array(INTENSITIES)[some])
-        known = each.log_evidence + half_normals(t.effects, t.prior, each.regressors, each.std)
+        more = non_normal_priors(t.effects, t.prior, each.regressors, each.covariance)
+        known = each.log_evidence + more
         found[some] = scene.possible(known)
     return found
 

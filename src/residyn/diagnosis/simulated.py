@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve
 from ..filtering.trajectory import Scene, Trajectory
 from ..fitting.problem import Unknowns
 from ..fitting.result import Fit
-from .evidence import half_normals
+from .evidence import non_normal_priors
 from .linearised_fit import minimum
 
 
@@ -71,5 +71,5 @@ def simulated(scene: Scene, t: Trajectory, fit: Fit) -> Simulated | None:
     u = x[0, :P]
     log = scene.highest - 0.5 * (off + np.sum(x**2)) - np.log(np.diag(factor[0])).sum()
     covariance = cho_solve(factor, np.eye(len(square)))[:P, :P]  # pyrefly: ignore[bad-index]
-    log += half_normals(t.effects, prior, u, np.sqrt(np.diag(covariance)))
+    log += non_normal_priors(t.effects, prior, u, covariance)
     return Simulated(float(log), u, covariance)

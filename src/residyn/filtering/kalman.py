@@ -207,7 +207,7 @@ class Evidences(NamedTuple):
     log_evidence: Any
     """(I,) log marginal likelihood of the readings, regressors with unit normal priors."""
     regressors: Any  # (I, P) posterior means
-    std: Any  # (I, P) posterior standard deviations
+    covariance: Any  # (I, P, P)
 
 
 @kept(like=Evidences(0, 0, 0))
@@ -218,7 +218,7 @@ def evidences(system: System, readings: Readings, noise: Noise, intensities) -> 
         L, out = _filter(system, readings, noise.at(intensity))
         evidence, u, factor = _integrated(L, out.white)
         inverse = jax.scipy.linalg.solve_triangular(factor, jnp.eye(len(u)), lower=True)
-        return Evidences(evidence, u, jnp.sqrt(jnp.sum(inverse**2, axis=0)))
+        return Evidences(evidence, u, inverse.T @ inverse)
 
     return jax.vmap(at)(intensities)
 
