@@ -35,6 +35,7 @@ from residyn.diagnosis.evidence import (
     OUTSIDE,
     SETTLED,
     WIDTH,
+    Strength,
     at_least,
     at_work,
     common_size,
@@ -226,7 +227,7 @@ def test_the_strengths_of_one_effect_have_a_common_size(seed):
     rng = np.random.default_rng(seed)
     w, W = rng.standard_normal(9), rng.standard_normal((9, 3)) * 10.0 ** rng.uniform(-1, 2)
     cogging = Cogging("cart", 0.0, 0.0, 1.0)
-    sine, cosine = strengths(cogging)
+    both = [Strength(n, WIDTH) for n in strengths(cogging)]
 
     def dense(ratio):
         covariance = np.eye(9) + W @ np.diag([1.0, ratio**2, ratio**2]) @ W.T
@@ -236,8 +237,8 @@ def test_the_strengths_of_one_effect_have_a_common_size(seed):
     expected = logsumexp(each, b=prior_sizes(AMPLITUDES)) - dense(1.0)
     covariance = np.linalg.inv(np.eye(3) + W.T @ W)
     mean = covariance @ W.T @ -w
-    assert common_size(mean[1:], covariance[1:, 1:], [sine, cosine]) == pytest.approx(expected)
-    prior = Prior(np.zeros(4), np.ones(4), np.zeros(4, bool))
+    assert common_size(mean[1:], covariance[1:, 1:], both) == pytest.approx(expected)
+    prior = Prior(np.zeros(4), np.full(4, WIDTH), np.zeros(4, bool))
     u, every = np.append(mean, 0.0), block_diag(covariance, 1.0)
     effects = [CubicStiffness("cart", 0.0), cogging]
     assert non_normal_priors(effects, prior, u, every) == pytest.approx(expected)
@@ -246,21 +247,40 @@ def test_the_strengths_of_one_effect_have_a_common_size(seed):
     gram = np.column_stack([w, W]).T @ np.column_stack([w, W])
     plain, own = (
         gains_of(np.stack([gram, 0.5 * gram]), np.zeros(2), [[0, 1, 2]], numbers)[0][0]
-        for numbers in (None, [[[strengths(effects[0])[0]], [sine, cosine]]])
+        for numbers in (None, [[[None], both]])
     )
     half = np.linalg.inv(np.eye(3) + 0.5 * W.T @ W)
-    added = common_size((0.5 * half @ W.T @ -w)[1:], half[1:, 1:], [sine, cosine])
+    added = common_size((0.5 * half @ W.T @ -w)[1:], half[1:, 1:], both)
     first, other = (subset(g, [0, 1, 2])[0] for g in (gram, 0.5 * gram))
     assert plain == pytest.approx(np.logaddexp(first, other))
     assert own == pytest.approx(np.logaddexp(first + expected, other + added))
+
+
+def test_what_pulls_along_and_across_has_one_size_in_its_unit():
+    """Gravity's moments may be as large as the spring, and are as its lateral pulls, in N m."""
+    rng = np.random.default_rng(0)
+    w, W = rng.standard_normal(9), 30 * rng.standard_normal((9, 4))  # per N m
+    widths = np.array([8.0, 20.0, 0.3, 0.6])  # typical: 8, 20, 1 and 2 N m
+    pulls = [Strength(*own) for own in zip(strengths(Gravity()), widths, strict=True)]
+
+    def dense(widths):
+        return gaussian(w, np.zeros(9), np.eye(9) + W @ np.diag(np.square(widths)) @ W.T)
+
+    # Of 1 N m at one joint and 2 N m at the other; and up to what the springs do.
+    each = [dense(size * np.array([1, 2, 1, 2])) for size in (10, math.sqrt(10), 1, *AMPLITUDES)]
+    weights = 0.5 * np.append(np.full(3, 1 / 3), prior_sizes(AMPLITUDES))
+    precision = np.eye(4) + np.outer(widths, widths) * (W.T @ W)
+    covariance = np.linalg.inv(precision)
+    found = common_size(covariance @ (widths * (W.T @ -w)), covariance, pulls)
+    assert found == pytest.approx(logsumexp(each, b=weights) - dense(widths))
 
 
 def test_strengths_of_one_size_have_the_signs_that_physics_gives_them():
     """Of two levels of friction, each read once: products of integrals over the right side."""
     reading, noise = np.array([0.05, 0.02]), np.array([0.01, 0.02])
     covariance = np.diag(1 / (1 + 1 / noise**2))
-    found = common_size(covariance @ (reading / noise**2), covariance,
-                        strengths(StribeckFriction("cart", 0.0, 0.0, 1.0)))  # fmt: skip
+    levels = [Strength(n, 1.0) for n in strengths(StribeckFriction("cart", 0.0, 0.0, 1.0))]
+    found = common_size(covariance @ (reading / noise**2), covariance, levels)
 
     def right(size):
         return [quad(lambda u, r=r, s=s: 2 * norm.pdf(r, u, s) * norm.pdf(u, 0, size), 0, 1,

@@ -683,7 +683,7 @@ def test_noise_that_is_not_there_is_said():
     t = np.arange(2000) / 100
     q = 0.2 * np.exp(-0.1 * t) * np.cos(5 * t)
     here = Recording.from_arrays(t, q)
-    assert here.noise[0] == pytest.approx(1e-6 * np.sqrt(np.mean(q**2)), rel=0.1)
+    assert here.noise[0] == pytest.approx(1e-5 * np.sqrt(np.mean(q**2)), rel=0.1)
     assert "noise of q1 could not be seen" in here.warnings[0]
 
 

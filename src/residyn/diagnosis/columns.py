@@ -58,6 +58,7 @@ from .evidence import (
     CONTENDERS,
     INDISTINGUISHABLE,
     NOISE,
+    Strength,
     conditional,
     gains_of,
     log_prior_intensity,
@@ -102,9 +103,18 @@ class Column(NamedTuple):
     gain: float = 0.0  # by how much it raises the log evidence; its best, shapes averaged
     regressors: np.ndarray = np.zeros(0)  # posterior mean of its columns, in prior widths
     alike: tuple["Column", ...] = ()  # at other points of its grid, which cannot be told from it
+    widths: Sequence[float] = (1.0,)  # prior standard deviations of its strengths, in their units
+
+    @property
+    def strengths(self) -> list[Strength | None]:
+        """That each column is of; None of sine and cosine of an unknown phase."""
+        if self.effect.oscillates:
+            return [None] * len(self.which)
+        own = zip(strengths(self.effect), self.widths, strict=True)
+        return [Strength(number, float(width)) for number, width in own]
 
 
-def strengths(effect: AbstractEffect):
+def strengths(effect: AbstractEffect) -> list[Parameter]:
     """The numbers of an effect whose silent value silences it."""
     return [n for n in numbers_of(effect) if n.silent is not None]
 
@@ -367,7 +377,7 @@ class Columns:
                 at = first + i * phases * own
                 where = slice(row + i * phases * m, row + i * phases * m + m)
                 which = tuple(range(at, at + phases * own))
-                places.append((wanted[label], shape, which, where))
+                places.append((wanted[label], shape, which, where, width))
             first += len(numbers) * phases * own
             row += len(numbers) * phases * m
             if at_joint:
@@ -379,7 +389,10 @@ class Columns:
             (linear.by_x, linear.by_torque, linear.acceleration),
         )  # fmt: skip
         states = np.asarray(states)
-        self.rows += [Column(e, s, which, states[where].T) for e, s, which, where in places]
+        self.rows += [
+            Column(e, s, which, states[where].T, widths=widths)
+            for e, s, which, where, widths in places
+        ]
         self._count = first
         each = np.split(np.asarray(joint), np.cumsum(counts)[:-1], axis=-1)
         return Torques(answers, pushed, tuple(each), whole, sensors)
@@ -456,8 +469,8 @@ class Screen:
     def _gains(self, groups: Sequence[Sequence[Column]]) -> list[tuple[float, np.ndarray]]:
         """`gain` of each group of rows."""
         which = [[i for row in rows for i in row.which] for rows in groups]
-        numbers = [[strengths_of_columns(row) for row in rows] for rows in groups]
-        return gains_of(self.grams, self.weights, which, numbers)
+        each = [[row.strengths for row in rows] for rows in groups]
+        return gains_of(self.grams, self.weights, which, each)
 
     @functools.cached_property
     def pairs(self) -> list[tuple[float, Column, Column]]:
@@ -472,13 +485,6 @@ class Screen:
 def nested(a: AbstractEffect, b: AbstractEffect) -> bool:
     """Whether one of two effects is at the other's place and contains its law."""
     return a.place == b.place and (a.extends == b.name or b.extends == a.name)
-
-
-def strengths_of_columns(row: Column) -> list[Parameter | None]:
-    """The strength that each column is of; None of sine and cosine of an unknown phase."""
-    if row.effect.oscillates:
-        return [None] * len(row.which)
-    return [*strengths(row.effect)]
 
 
 def spectral_lines(

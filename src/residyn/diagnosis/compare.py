@@ -143,7 +143,7 @@ def _missing(experiment: Experiment, own, say: Callable[[str], None]) -> tuple[M
     scene, effects = scene_of(*with_rests(experiment, own))
     search = Search(scene, effects, say=say)
     if search.base.intensity > 0:
-        search.extend(search.base)
+        search.extend(search.base, 1)
     better = [t for t in search.singles if t.log_posterior > search.base.log_posterior]
     return missing_of(scene, search.base, [(t, t.added[0]) for t in better[:CURVES]])
 

@@ -32,7 +32,7 @@ from ..physics.modal import modes
 from ..recordings.experiment import Experiment, must_be_experiment
 from ..runtime.json import finite
 from ..runtime.presentation import Result
-from .columns import Column, Columns, candidates, nested, strengths, strengths_of_columns
+from .columns import Column, Columns, candidates, nested, strengths
 from .evidence import (
     COMPLETE,
     INDISTINGUISHABLE,
@@ -175,8 +175,8 @@ class Rivals:
             inner = self.gram[:, which[:, :, None], which[:, None, :]]
             covariance = np.linalg.inv(np.eye(size) + inner)  # (I, R, k, k)
             half = 0.5 * np.linalg.slogdet(covariance)[1]
-            numbers = [[strengths_of_columns(rows[i])] for i in own]
-            self._alike.append((own, which, covariance, half, numbers))
+            each = [[rows[i].strengths] for i in own]
+            self._alike.append((own, which, covariance, half, each))
         labels = [row.effect.label for row in rows]
         self._begins = [labels.index(x) for x in self.labels]
         counts = np.diff([*self._begins, len(rows)])
@@ -200,11 +200,11 @@ class Rivals:
         x = self._across + shift
         base = self._base - self._across @ made - 0.5 * (shift @ made)
         gains = np.empty((len(self.rows), *base.shape))
-        for rows, which, covariance, half, numbers in self._alike:
+        for rows, which, covariance, half, each in self._alike:
             own = x[..., which]
             mean = np.einsum("dirk,irkl->dirl", own, covariance)
             gain = 0.5 * np.sum(own * mean, -1) + half
-            gain += priors_of_columns(mean, covariance, numbers)
+            gain += priors_of_columns(mean, covariance, each)
             gains[rows] = np.moveaxis(gain, 2, 0)
         return base, base + np.logaddexp.reduceat(gains, self._begins) - self._log_shapes
 

@@ -10,7 +10,7 @@ Algorithms, 2003, ch. 28). Nothing else in this folder decides.
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import erf, log_ndtr, softmax
@@ -77,9 +77,8 @@ CONTENDERS = 6
 frequencies of each joint that a disturbance may have: of 780 pairs at first order the true one was
 among the first two on seven arms of eight, single effects of 1 % first on all."""
 AMPLITUDES = INTENSITIES[:6]
-"""Sizes of a torque with several unknowns that have one cause, a free curve's heights or an
-effect's strengths, in the spring's at full swing. Their prior is that of a strength: half a decade
-apart, down to where an effect is hardly worth naming."""
+"""Sizes of a free curve's torque, in the spring's at full swing, of which the prior is that of a
+strength: half a decade apart, down to where an effect is hardly worth naming."""
 DECADES = np.array(AMPLITUDES[1:]) / WIDTH
 """Prior widths, in those of a strength, of damping that is there in any case and of which nobody
 knows how large it is: half a decade apart, from `WIDTH` down to where it changes nothing."""
@@ -191,9 +190,10 @@ def non_normal_priors(
         each = enumerate(numbers_of(effect), first.start)
         own = [(i, number) for i, number in each if number.silent is not None]
         if len(own) > 1:
-            which, numbers = zip(*own, strict=True)
+            which = [i for i, _ in own]
             inner = covariance[..., np.array(which)[:, None], which]
-            total = total + common_size(u[..., which], inner, numbers)
+            strengths = [Strength(number, prior.width[i]) for i, number in own]
+            total = total + common_size(u[..., which], inner, strengths)
             several.update(which)
     pairs = zip(_signed(effects, prior, u, std), _signed(effects, prior, *nothing), strict=True)
     for (i, off, s, _), (_, first, one, _) in pairs:
@@ -202,31 +202,56 @@ def non_normal_priors(
     return total
 
 
+class Strength(NamedTuple):
+    """A strength of an effect, and its prior standard deviation were it the only one."""
+
+    number: Parameter
+    width: float  # in its own unit
+
+    @property
+    def size(self) -> float:
+        """Typical size, in its own unit."""
+        return self.width if self.number.as_spring else self.width / WIDTH
+
+
 def common_size(
-    mean: np.ndarray, covariance: np.ndarray, numbers: Sequence[Parameter]
+    mean: np.ndarray, covariance: np.ndarray, strengths: Sequence[Strength]
 ) -> np.ndarray:
-    """(...,) by how much the log evidence of k strengths changes if one of `AMPLITUDES` is the
-    prior standard deviation of all of them, each sign as it is known, and not their own widths.
+    """(...,) by how much the log evidence of the k strengths of an effect changes if these have a
+    common size, each sign as it is known, and not their own prior widths.
 
     A hierarchical prior (Gelman et al., Bayesian Data Analysis, 2013, ch. 5): a table that is
-    hardly tilted pulls weakly at every joint. The posterior N(m, V) under unit normal priors goes
-    over to N(m', V') with V'^-1 = V^-1 - 1 + R^-2 and V'^-1 m' = V^-1 m, if the prior of the i-th
-    is R_ii times as wide, and the evidence changes by
+    hardly tilted pulls weakly at every joint, along and across. The size is one of `AMPLITUDES`, in
+    typical ones, of which that in one unit at one joint is the smallest; where a strength may do
+    all that a spring does, with even odds one of the half decades from there to that. If it makes
+    the prior of the i-th R_ii times as wide, the posterior N(m, V) goes over to N(m', V') with
+    V'^-1 = V^-1 - 1 + R^-2 and V'^-1 m' = V^-1 m, and the evidence changes by
     sqrt(|V'| / |V|) / |R| exp(m' V'^-1 m' / 2 - m V^-1 m / 2).
     """
-    ratio = np.array(AMPLITUDES)[:, None] / np.where([n.as_spring for n in numbers], 1.0, WIDTH)
+    sizes: dict[Any, float] = {}
+    units = [(s.number.joint, s.number.dimension.rotary) for s in strengths]
+    for unit, strength in zip(units, strengths, strict=True):
+        sizes[unit] = min(strength.size, sizes.get(unit, math.inf))
+    base = np.array([sizes[unit] for unit in units])
+    amplitudes, weights = np.array(AMPLITUDES), prior_sizes(AMPLITUDES)
+    springs = [s.size / b for s, b in zip(strengths, base, strict=True) if s.number.as_spring]
+    if springs:
+        more = 10.0 ** (0.5 * np.arange(1 + math.ceil(2 * math.log10(max(springs)))))
+        amplitudes = np.append(amplitudes, more)
+        weights = 0.5 * np.append(weights, np.full(len(more), 1 / len(more)))
+    ratio = amplitudes[:, None] * base / [s.width for s in strengths]
     with np.errstate(invalid="ignore"):  # of a motion that runs away
         precision = np.linalg.inv(covariance)
         h = (precision @ mean[..., None])[..., 0]
-        wider = np.eye(len(numbers)) * (ratio**-2.0 - 1.0)[..., None]
+        wider = np.eye(len(base)) * (ratio**-2.0 - 1.0)[..., None]
         new = np.linalg.inv(precision[..., None, :, :] + wider)
         means = (new @ h[..., None, :, None])[..., 0]
         raised = np.sum(means * h[..., None, :], -1) - np.sum(mean * h, -1)[..., None]
         volume = np.linalg.slogdet(new)[1] - np.linalg.slogdet(covariance)[1][..., None]
         ratios = half_normal(means / np.sqrt(np.diagonal(new, axis1=-2, axis2=-1)))
-    signs = np.where([signed(n) for n in numbers], ratios, 0.0).sum(-1)
-    logs = 0.5 * (volume + raised) - np.log(ratio).sum(-1) + signs
-    return np.logaddexp.reduce(logs + np.log(prior_sizes(AMPLITUDES)), axis=-1)
+        signs = np.where([signed(s.number) for s in strengths], ratios, 0.0).sum(-1)
+        logs = 0.5 * (volume + raised) - np.log(ratio).sum(-1) + signs
+        return np.logaddexp.reduce(logs + np.log(weights), axis=-1)
 
 
 def right_signs(
@@ -446,45 +471,46 @@ def subset(gram: np.ndarray, columns) -> tuple[np.ndarray, np.ndarray, np.ndarra
 def priors_of_columns(
     mean: np.ndarray,
     covariance: np.ndarray,
-    numbers: Sequence[Sequence[Sequence[Parameter | None]]],
+    strengths: Sequence[Sequence[Sequence[Strength | None]]],
 ) -> np.ndarray:
     """(..., S) what the priors of S sets of k columns add to their log evidence under unit normal
-    ones, of which `mean` (..., S, k) and `covariance` (..., S, k, k) are the posterior; `numbers`:
-    of each set, effect by effect, the strength that each column is of. None has a unit normal
-    prior."""
+    ones, of which `mean` (..., S, k) and `covariance` (..., S, k, k) are the posterior. `strengths`
+    are those that the columns of each set are of, effect by effect; None has a unit normal prior.
+    """
     std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
     alone = [
-        [len(effect) == 1 and n is not None and signed(n) for effect in own for n in effect]
-        for own in numbers
+        [len(effect) == 1 and s is not None and signed(s.number) for effect in own for s in effect]
+        for own in strengths
     ]
     total = np.where(alone, half_normal(mean / std), 0.0).sum(-1)
-    for i, own in enumerate(numbers):
+    for i, own in enumerate(strengths):
         first = 0
         for effect in own:
             at = slice(first, first := first + len(effect))
-            if len(effect) > 1 and None not in effect:
+            known = [s for s in effect if s is not None]
+            if len(known) > 1:
                 inner = covariance[..., i, at, at]
-                total[..., i] += common_size(mean[..., i, at], inner, effect)
+                total[..., i] += common_size(mean[..., i, at], inner, known)
     return total
 
 
 def gains_of(
     grams: np.ndarray, logs: np.ndarray, sets: Sequence[Sequence[int]],
-    numbers: Sequence[Sequence[Sequence[Parameter | None]]] | None = None,
+    strengths: Sequence[Sequence[Sequence[Strength | None]]] | None = None,
 ) -> list[tuple[float, np.ndarray]]:  # fmt: skip
     """Log evidence of each of some sets of columns, random torques summed over, and their posterior
     mean under the likeliest.
 
-    `grams` (I, 1 + C, 1 + C) and `logs` (I,) log evidences under each random torque; `numbers`: of
-    each set, effect by effect, the strength that each column is of, whose prior it has; None has a
-    unit normal one, as have all without. Sets of as many columns at once.
+    `grams` (I, 1 + C, 1 + C) and `logs` (I,) log evidences under each random torque; `strengths` as
+    in `priors_of_columns`, without which all priors are unit normal. Sets of as many columns at
+    once.
     """
     found: dict[int, tuple[float, np.ndarray]] = {}
     for size in {len(s) for s in sets}:
         own = [i for i, s in enumerate(sets) if len(s) == size]
         gain, mean, covariance = subset(grams, [sets[i] for i in own])
-        if numbers is not None:
-            gain = gain + priors_of_columns(mean, covariance, [numbers[i] for i in own])
+        if strengths is not None:
+            gain = gain + priors_of_columns(mean, covariance, [strengths[i] for i in own])
         each = gain + logs[:, None]
         each = np.where(np.isfinite(each), each, -np.inf)  # of a motion that runs away
         top = np.argmax(each, axis=0)

@@ -832,16 +832,16 @@ class Search:
         self, parent: Tried, screen: Screen, most: int
     ) -> list[tuple[float, Column, Column]]:
         """The likeliest pairs of effects, to first order, that a model may have more: none of which
-        one of the two alone is likelier, for the other would follow it; nor of what sticks, of
-        which one linearisation says little."""
+        one of the two alone is likelier, for the other would follow it; and no two that follow
+        an angle, which never settle under a random torque."""
         if len(parent.added) + 2 > most:
             return []
         more = self._price(parent, 2)[1] - self._price(parent, 1)[1]
         alone = {s.effect.label: screen.gain([s])[0] for s in screen.ranked}
         each = (
-            (gain, *pair) for gain, *pair in screen.pairs
-            if gain > max(alone[s.effect.label] for s in pair) + more
-            and not any(s.effect.dry or s.effect.follows for s in pair)
+            (gain, a, b) for gain, a, b in screen.pairs
+            if gain > max(alone[s.effect.label] for s in (a, b)) + more
+            and not (a.effect.follows and b.effect.follows)
         )  # fmt: skip
         return list(itertools.islice(each, CONTENDERS))
 

@@ -17,7 +17,7 @@ from .polynomial_spectrum import blocks, grid_step, parts, scaled
 def estimate_noise(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Sigma of one reading, per joint, from what is above the motion's band.
 
-    Never below the rounding of an encoder or a printout (step/sqrt(12)), nor below 1e-6 of the rms
+    Never below the rounding of an encoder or a printout (step/sqrt(12)), nor below 1e-5 of the rms
     motion, to which a fit integrates: data without any noise still need a sigma. A joint that never
     moves shows no noise; it gets the largest of the others'.
 
@@ -44,10 +44,10 @@ def noise_and_warnings(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray,
         spread = [blocks(time[seen[part]], y[part]).spread for part in parts(good)]
         rms = math.sqrt(float(np.mean(y**2)))
         own = max(float(np.median(spread)), grid_step(y) / math.sqrt(12))
-        sigma[j] = unit * max(own, 1e-6 * rms)
+        sigma[j] = unit * max(own, 1e-5 * rms)
         if own < 1e-9 * rms:  # digits of float64, no noise of a sensor
             warnings.append(
-                f"noise of q{j + 1} could not be seen in the data; {sigma[j]:.3g} is taken, 1e-6 "
+                f"noise of q{j + 1} could not be seen in the data; {sigma[j]:.3g} is taken, 1e-5 "
                 "of its rms motion; give noise to say what it is"
             )
     for j in still:
