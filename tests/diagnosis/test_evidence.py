@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
-from scipy.linalg import block_diag, cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
 from scipy.stats import norm
 
@@ -61,7 +61,7 @@ from residyn.diagnosis.search import Tried, settle, tried_alone
 from residyn.diagnosis.simulated import Simulated
 from residyn.effects import (
     AirDrag,
-    Cogging,
+    AsymmetricStiffness,
     ConstantTorque,
     CoulombFriction,
     CouplingStiffness,
@@ -222,60 +222,33 @@ def test_one_gram_matrix_holds_the_dense_gaussian_of_every_subset(seed, base, mo
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_the_strengths_of_one_effect_have_a_common_size(seed):
-    """Of sine and cosine u ~ N(0, a^2), for each of some sizes a: a mixture of dense Gaussians."""
+def test_what_one_tilt_scales_has_one_size_in_its_unit(seed):
+    """A mixture of dense Gaussians. Gravity's moments may be as large as the springs, and are as
+    its lateral pulls, in N m."""
     rng = np.random.default_rng(seed)
-    w, W = rng.standard_normal(9), rng.standard_normal((9, 3)) * 10.0 ** rng.uniform(-1, 2)
-    cogging = Cogging("cart", 0.0, 0.0, 1.0)
-    both = [Strength(n, WIDTH) for n in strengths(cogging)]
-
-    def dense(ratio):
-        covariance = np.eye(9) + W @ np.diag([1.0, ratio**2, ratio**2]) @ W.T
-        return gaussian(w, np.zeros(9), covariance)
-
-    each = [dense(a / WIDTH) for a in AMPLITUDES]
-    expected = logsumexp(each, b=prior_sizes(AMPLITUDES)) - dense(1.0)
-    covariance = np.linalg.inv(np.eye(3) + W.T @ W)
-    mean = covariance @ W.T @ -w
-    assert common_size(mean[1:], covariance[1:, 1:], both) == pytest.approx(expected)
-    prior = Prior(np.zeros(4), np.full(4, WIDTH), np.zeros(4, bool))
-    u, every = np.append(mean, 0.0), block_diag(covariance, 1.0)
-    effects = [CubicStiffness("cart", 0.0), cogging]
-    assert non_normal_priors(effects, prior, u, every) == pytest.approx(expected)
-
-    # Beside a column of another effect, under two random torques.
-    gram = np.column_stack([w, W]).T @ np.column_stack([w, W])
-    plain, own = (
-        gains_of(np.stack([gram, 0.5 * gram]), np.zeros(2), [[0, 1, 2]], numbers)[0][0]
-        for numbers in (None, [[[None], both]])
-    )
-    half = np.linalg.inv(np.eye(3) + 0.5 * W.T @ W)
-    added = common_size((0.5 * half @ W.T @ -w)[1:], half[1:, 1:], both)
-    first, other = (subset(g, [0, 1, 2])[0] for g in (gram, 0.5 * gram))
-    assert plain == pytest.approx(np.logaddexp(first, other))
-    assert own == pytest.approx(np.logaddexp(first + expected, other + added))
-
-
-def test_what_pulls_along_and_across_has_one_size_in_its_unit():
-    """Gravity's moments may be as large as the spring, and are as its lateral pulls, in N m."""
-    rng = np.random.default_rng(0)
-    w, W = rng.standard_normal(9), 30 * rng.standard_normal((9, 4))  # per N m
-    widths = np.array([8.0, 20.0, 0.3, 0.6])  # typical: 8, 20, 1 and 2 N m
-    pulls = [Strength(*own) for own in zip(strengths(Gravity()), widths, strict=True)]
+    w, W = rng.standard_normal(9), rng.standard_normal((9, 5)) * 10 ** rng.uniform(-1, 2)  # per N m
+    widths = np.array([1.0, 8.0, 20.0, 0.3, 0.6])  # typical: 8, 20, 1 and 2 N m
 
     def dense(widths):
         return gaussian(w, np.zeros(9), np.eye(9) + W @ np.diag(np.square(widths)) @ W.T)
 
-    # Of 1 N m at one joint and 2 N m at the other; and up to what the springs do.
-    each = [dense(size * np.array([1, 2, 1, 2])) for size in (10, math.sqrt(10), 1, *AMPLITUDES)]
+    each = [dense([1.0, s, 2 * s, s, 2 * s]) for s in (10, math.sqrt(10), 1, *AMPLITUDES)]
     weights = 0.5 * np.append(np.full(3, 1 / 3), prior_sizes(AMPLITUDES))
-    precision = np.eye(4) + np.outer(widths, widths) * (W.T @ W)
-    covariance = np.linalg.inv(precision)
-    found = common_size(covariance @ (widths * (W.T @ -w)), covariance, pulls)
-    assert found == pytest.approx(logsumexp(each, b=weights) - dense(widths))
+    expected = logsumexp(each, b=weights) - dense(widths)
+    white = np.column_stack([w, widths * W])
+    gram = white.T @ white
+    whole, u, covariance = subset(gram, range(5))
+
+    # Beside a number of another effect: of a model, and as columns of a screen.
+    prior = Prior(np.zeros(5), widths, np.zeros(5, bool))
+    effects = [AsymmetricStiffness("cart", 0.0), Gravity()]
+    assert non_normal_priors(effects, prior, u, covariance) == pytest.approx(expected, abs=1e-6)
+    pulls = [Strength(*own) for own in zip(strengths(Gravity()), widths[1:], strict=True)]
+    ((gain, _),) = gains_of(gram[None], np.zeros(1), [range(5)], [[[None], pulls]])
+    assert gain == pytest.approx(whole + expected, abs=1e-6)
 
 
-def test_strengths_of_one_size_have_the_signs_that_physics_gives_them():
+def test_what_has_one_size_has_the_signs_that_physics_gives_it():
     """Of two levels of friction, each read once: products of integrals over the right side."""
     reading, noise = np.array([0.05, 0.02]), np.array([0.01, 0.02])
     covariance = np.diag(1 / (1 + 1 / noise**2))

@@ -106,12 +106,14 @@ class Column(NamedTuple):
     widths: Sequence[float] = (1.0,)  # prior standard deviations of its strengths, in their units
 
     @property
-    def strengths(self) -> list[Strength | None]:
-        """That each column is of; None of sine and cosine of an unknown phase."""
+    def strengths(self) -> list[list[Strength | None]]:
+        """That its columns are of, those together that are of one size; None of sine and cosine of
+        an unknown phase."""
         if self.effect.oscillates:
-            return [None] * len(self.which)
+            return [[None]] * len(self.which)
         own = zip(strengths(self.effect), self.widths, strict=True)
-        return [Strength(number, float(width)) for number, width in own]
+        each = [Strength(number, float(width)) for number, width in own]
+        return [each] if self.effect.of_one_size else [[s] for s in each]
 
 
 def strengths(effect: AbstractEffect) -> list[Parameter]:
@@ -469,7 +471,7 @@ class Screen:
     def _gains(self, groups: Sequence[Sequence[Column]]) -> list[tuple[float, np.ndarray]]:
         """`gain` of each group of rows."""
         which = [[i for row in rows for i in row.which] for rows in groups]
-        each = [[row.strengths for row in rows] for rows in groups]
+        each = [[own for row in rows for own in row.strengths] for rows in groups]
         return gains_of(self.grams, self.weights, which, each)
 
     @functools.cached_property

@@ -175,7 +175,7 @@ class Rivals:
             inner = self.gram[:, which[:, :, None], which[:, None, :]]
             covariance = np.linalg.inv(np.eye(size) + inner)  # (I, R, k, k)
             half = 0.5 * np.linalg.slogdet(covariance)[1]
-            each = [[rows[i].strengths] for i in own]
+            each = [rows[i].strengths for i in own]
             self._alike.append((own, which, covariance, half, each))
         labels = [row.effect.label for row in rows]
         self._begins = [labels.index(x) for x in self.labels]

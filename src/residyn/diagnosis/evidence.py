@@ -180,24 +180,22 @@ def non_normal_priors(
 ) -> np.ndarray:
     """(...,) what the priors of a model add to its log evidence under unit normal ones, of which
     `u` (..., P) and `covariance` (..., P, P) are the posterior: of the strengths of an effect that
-    has several, their common size (`common_size`); of each other number whose sign is known the log
+    is `of_one_size`, that size (`common_size`); of each other number whose sign is known the log
     of the probability, after the readings over before them, that it is on the right side of where
     it is silent."""
     std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
     nothing = np.zeros(u.shape[-1]), np.ones(u.shape[-1])
-    total, several = np.zeros(u.shape[:-1]), set()
+    total, sized = np.zeros(u.shape[:-1]), set()
     for effect, first in zip(effects, number_slices(effects), strict=True):
         each = enumerate(numbers_of(effect), first.start)
-        own = [(i, number) for i, number in each if number.silent is not None]
-        if len(own) > 1:
-            which = [i for i, _ in own]
-            inner = covariance[..., np.array(which)[:, None], which]
-            strengths = [Strength(number, prior.width[i]) for i, number in own]
-            total = total + common_size(u[..., which], inner, strengths)
-            several.update(which)
+        own = {i: Strength(n, prior.width[i]) for i, n in each if n.silent is not None}
+        if effect.of_one_size:
+            inner = covariance[..., np.array([*own])[:, None], [*own]]
+            total = total + common_size(u[..., [*own]], inner, [*own.values()])
+            sized.update(own)
     pairs = zip(_signed(effects, prior, u, std), _signed(effects, prior, *nothing), strict=True)
     for (i, off, s, _), (_, first, one, _) in pairs:
-        if i not in several:
+        if i not in sized:
             total = total + log_ndtr(off / s) - log_ndtr(first / one)
     return total
 
@@ -218,7 +216,7 @@ def common_size(
     mean: np.ndarray, covariance: np.ndarray, strengths: Sequence[Strength]
 ) -> np.ndarray:
     """(...,) by how much the log evidence of the k strengths of an effect changes if these have a
-    common size, each sign as it is known, and not their own prior widths.
+    common size, each sign as it is known, and not unit normal priors.
 
     A hierarchical prior (Gelman et al., Bayesian Data Analysis, 2013, ch. 5): a table that is
     hardly tilted pulls weakly at every joint, along and across. The size is one of `AMPLITUDES`, in
@@ -475,19 +473,20 @@ def priors_of_columns(
 ) -> np.ndarray:
     """(..., S) what the priors of S sets of k columns add to their log evidence under unit normal
     ones, of which `mean` (..., S, k) and `covariance` (..., S, k, k) are the posterior. `strengths`
-    are those that the columns of each set are of, effect by effect; None has a unit normal prior.
+    are those that the columns of each set are of, those together that are of one size; None has a
+    unit normal prior.
     """
     std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-    alone = [
-        [len(effect) == 1 and s is not None and signed(s.number) for effect in own for s in effect]
+    sided = [
+        [len(group) == 1 and s is not None and signed(s.number) for group in own for s in group]
         for own in strengths
     ]
-    total = np.where(alone, half_normal(mean / std), 0.0).sum(-1)
+    total = np.where(sided, half_normal(mean / std), 0.0).sum(-1)
     for i, own in enumerate(strengths):
         first = 0
-        for effect in own:
-            at = slice(first, first := first + len(effect))
-            known = [s for s in effect if s is not None]
+        for group in own:
+            at = slice(first, first := first + len(group))
+            known = [s for s in group if s is not None]
             if len(known) > 1:
                 inner = covariance[..., i, at, at]
                 total[..., i] += common_size(mean[..., i, at], inner, known)

@@ -19,6 +19,7 @@ class _Weight(AbstractEffect):
     """Gravity on the links of an arm."""
 
     family = "gravity"
+    of_one_size = True
 
     moment1: Scalar = param(
         "pull of link 1 (and what it carries) towards 0", MOMENT, joint=0, as_spring=True

@@ -48,6 +48,7 @@ class AbstractEffect(eqx.Module):
       cannot be told from Coulomb friction.
     - `of_frequency`: True if at one frequency it is a spring and a damper, so that it takes two
       joints, or two loads (`extra_mass`), to tell it from these.
+    - `of_one_size`: True if one unknown scales all its strengths alike, as a tilt does gravity's.
     - `of_bearings`: True if it leaves with the air bearings (step 3 of the paper); None: not known,
       which step 3 then asks.
     """
@@ -71,6 +72,7 @@ class AbstractEffect(eqx.Module):
     extends: ClassVar[str | None] = None
     of_load: ClassVar[bool] = False
     of_frequency: ClassVar[bool] = False
+    of_one_size: ClassVar[bool] = False
     of_bearings: ClassVar[bool | None] = False
 
     @classmethod
