@@ -112,7 +112,7 @@ class Column(NamedTuple):
         if self.effect.oscillates:
             return [[None]] * len(self.which)
         own = zip(strengths(self.effect), self.widths, strict=True)
-        each = [Strength(number, float(width)) for number, width in own]
+        each: list[Strength | None] = [Strength(number, float(width)) for number, width in own]
         return [each] if self.effect.of_one_size else [[s] for s in each]
 
 

@@ -832,8 +832,8 @@ class Search:
         self, parent: Tried, screen: Screen, most: int
     ) -> list[tuple[float, Column, Column]]:
         """The likeliest pairs of effects, to first order, that a model may have more: none of which
-        one of the two alone is likelier, for the other would follow it; and no two that follow
-        an angle, which never settle under a random torque."""
+        one of the two alone is likelier, for the other would follow it; and none with what
+        follows the angle, of which one linearisation about no strength says little."""
         if len(parent.added) + 2 > most:
             return []
         more = self._price(parent, 2)[1] - self._price(parent, 1)[1]
@@ -841,7 +841,7 @@ class Search:
         each = (
             (gain, a, b) for gain, a, b in screen.pairs
             if gain > max(alone[s.effect.label] for s in (a, b)) + more
-            and not (a.effect.follows and b.effect.follows)
+            and not (a.effect.follows or b.effect.follows)
         )  # fmt: skip
         return list(itertools.islice(each, CONTENDERS))
 
