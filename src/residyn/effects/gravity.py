@@ -19,7 +19,6 @@ class _Weight(AbstractEffect):
     """Gravity on the links of an arm."""
 
     family = "gravity"
-    of_one_size = True
 
     moment1: Scalar = param(
         "pull of link 1 (and what it carries) towards 0", MOMENT, joint=0, as_spring=True
@@ -72,6 +71,7 @@ class Gravity(_Weight):
     looks_like = "frequency falls with amplitude; rest shifts on a tilted table"
     source = "Lagrange, with V = sum of -M_i cos(phi_i) + L_i sin(phi_i)"
     extends = "pendulum"
+    of_one_size = True
 
     lateral1: Scalar = param("pull of link 1 across", TORQUE, joint=0)
     lateral2: Scalar = param("pull of link 2 across", TORQUE, joint=1)
