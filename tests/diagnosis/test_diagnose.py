@@ -2,6 +2,7 @@
 by MuJoCo (tests/rig), which shares no code with the package; what decides is held against closed
 forms in test_evidence.py."""
 
+import copy
 import dataclasses
 import itertools
 import json
@@ -469,6 +470,20 @@ def test_without_a_random_torque_the_filter_has_the_evidence_of_exact_simulation
             )
             exact = simulated(scene, t, friction.fits.of(tried)).log_evidence
         assert exact == pytest.approx(filtered, abs=within)
+
+
+@pytest.mark.parametrize(("behind", "simulated"), [(2.9, True), (20.0, False)])
+def test_what_the_filter_cannot_tell_from_a_complete_model_is_simulated(clean, behind, simulated):
+    """However much likelier a random torque is by the filter, whose evidence errs by nats."""
+    search, label, asked = copy.copy(clean.search), "cubic_stiffness:elbow", []
+    evidences = np.full(len(INTENSITIES), -100.0)
+    evidences[-3:] = 0.0, -behind, -behind
+    model = Tried((label,), evidences, dataclasses.replace(search.base.best), 0.0)
+    search.exact = lambda model: asked.append(model.added)
+    search.tried = {**search.tried, frozenset([label]): model}
+    search.beside(search.base, label)
+    assert model.complete < 0.5
+    assert asked == [(label,)] * simulated
 
 
 def test_slopes_too_steep_for_arithmetic_leave_no_evidence_of_exact_simulation(
