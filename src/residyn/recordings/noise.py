@@ -18,8 +18,8 @@ def estimate_noise(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Sigma of one reading, per joint, from what is above the motion's band.
 
     Never below the rounding of an encoder or a printout (step/sqrt(12)), nor below 1e-5 of the rms
-    motion, to which a fit integrates: data without any noise still need a sigma. A joint that never
-    moves shows no noise; it gets the largest of the others'.
+    motion, ten times what the steps of a diagnosis' filter err by: data without any noise still
+    need a sigma. A joint that never moves shows no noise; it gets the largest of the others'.
 
     **Arguments:** `time` (N,) s; `angle` (N, n) rad or m, NaN where one is missing.
 
