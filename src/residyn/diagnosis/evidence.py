@@ -189,7 +189,7 @@ def non_normal_priors(
     for effect, first in zip(effects, number_slices(effects), strict=True):
         each = enumerate(numbers_of(effect), first.start)
         own = {i: Strength(n, prior.width[i]) for i, n in each if n.silent is not None}
-        if effect.of_one_size:
+        if effect.of_one_size and len(own) > 1:
             inner = covariance[..., np.array([*own])[:, None], [*own]]
             total = total + common_size(u[..., [*own]], inner, [*own.values()])
             sized.update(own)
