@@ -212,19 +212,13 @@ class Strength(NamedTuple):
         return self.width if self.number.as_spring else self.width / WIDTH
 
 
-def common_size(
-    mean: np.ndarray, covariance: np.ndarray, strengths: Sequence[Strength]
-) -> np.ndarray:
-    """(...,) by how much the log evidence of the k strengths of an effect changes if these have a
-    common size, each sign as it is known, and not unit normal priors.
+def common_sizes(strengths: Sequence[Strength]) -> tuple[np.ndarray, np.ndarray]:
+    """(S, k) how many times as wide the priors of k strengths are with each of their common sizes,
+    and (S,) the prior of that.
 
-    A hierarchical prior (Gelman et al., Bayesian Data Analysis, 2013, ch. 5): a table that is
-    hardly tilted pulls weakly at every joint, along and across. The size is one of `AMPLITUDES`, in
-    typical ones, of which that in one unit at one joint is the smallest; where a strength may do
-    all that a spring does, with even odds one of the half decades from there to that. If it makes
-    the prior of the i-th R_ii times as wide, the posterior N(m, V) goes over to N(m', V') with
-    V'^-1 = V^-1 - 1 + R^-2 and V'^-1 m' = V^-1 m, and the evidence changes by
-    sqrt(|V'| / |V|) / |R| exp(m' V'^-1 m' / 2 - m V^-1 m / 2).
+    The size is one of `AMPLITUDES`, in typical ones, of which that in one unit at one joint is the
+    smallest; where a strength may do all that a spring does, with even odds one of the half decades
+    from there to that.
     """
     sizes: dict[Any, float] = {}
     units = [(s.number.joint, s.number.dimension.rotary) for s in strengths]
@@ -237,11 +231,26 @@ def common_size(
         more = 10.0 ** (0.5 * np.arange(1 + math.ceil(2 * math.log10(max(springs)))))
         amplitudes = np.append(amplitudes, more)
         weights = 0.5 * np.append(weights, np.full(len(more), 1 / len(more)))
-    ratio = amplitudes[:, None] * base / [s.width for s in strengths]
+    return amplitudes[:, None] * base / [s.width for s in strengths], weights
+
+
+def common_size(
+    mean: np.ndarray, covariance: np.ndarray, strengths: Sequence[Strength]
+) -> np.ndarray:
+    """(...,) by how much the log evidence of the k strengths of an effect changes if these have a
+    common size, each sign as it is known, and not unit normal priors.
+
+    A hierarchical prior (Gelman et al., Bayesian Data Analysis, 2013, ch. 5): a table that is
+    hardly tilted pulls weakly at every joint, along and across. If a size makes the prior of the
+    i-th R_ii times as wide (`common_sizes`), the posterior N(m, V) goes over to N(m', V') with
+    V'^-1 = V^-1 - 1 + R^-2 and V'^-1 m' = V^-1 m, and the evidence changes by
+    sqrt(|V'| / |V|) / |R| exp(m' V'^-1 m' / 2 - m V^-1 m / 2).
+    """
+    ratio, weights = common_sizes(strengths)
     with np.errstate(invalid="ignore"):  # of a motion that runs away
         precision = np.linalg.inv(covariance)
         h = (precision @ mean[..., None])[..., 0]
-        wider = np.eye(len(base)) * (ratio**-2.0 - 1.0)[..., None]
+        wider = np.eye(len(strengths)) * (ratio**-2.0 - 1.0)[..., None]
         new = np.linalg.inv(precision[..., None, :, :] + wider)
         means = (new @ h[..., None, :, None])[..., 0]
         raised = np.sum(means * h[..., None, :], -1) - np.sum(mean * h, -1)[..., None]

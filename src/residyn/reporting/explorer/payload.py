@@ -16,7 +16,7 @@ import numpy as np
 from ... import __version__
 from ...diagnosis.columns import Column, strengths
 from ...diagnosis.diagnose import values_of
-from ...diagnosis.evidence import FURTHER, signed, width_of
+from ...diagnosis.evidence import FURTHER, common_sizes, signed, width_of
 from ...diagnosis.missing_torque import missing_of
 from ...filtering.law import numbers_of
 from ...fitting.result import Fit
@@ -272,7 +272,20 @@ def _candidate(study: Study, s: Column):
             }
             for n in strengths(effect)
         ],
+        "sizes": _sizes(s),
     }
+
+
+def _sizes(s: Column):
+    """Each size that the strengths of an effect may have in common: how many times as wide their
+    priors are with it, and its log prior. None where they have none in common."""
+    group = [own for own in s.strengths[0] if own is not None]
+    if len(group) < 2:
+        return []
+    return [
+        {"ratio": each.tolist(), "log_prior": math.log(weight)}
+        for each, weight in zip(*common_sizes(group), strict=True)
+    ]
 
 
 def _upper(g: np.ndarray) -> np.ndarray:

@@ -9,6 +9,15 @@ export function keyOf(labels) {
   return [...labels].sort().join(" + ");
 }
 
+/** What half-normal priors add, of an effect whose columns begin at one of those of a posterior. */
+function ofSigns(effect, { mean, spread }, first) {
+  let sum = 0;
+  effect.strengths.forEach((strength, i) => {
+    if (strength.signed) sum += Math.LN2 + logNormal(mean[first + i] / spread[first + i]);
+  });
+  return sum;
+}
+
 export class Evidence {
   constructor(data) {
     this.candidates = new Map(data.candidates.map((c) => [c.label, c]));
@@ -53,11 +62,16 @@ export class Evidence {
       let first = 0;
       for (const [label, which] of pairs) {
         const own = this.candidates.get(label);
-        if (!own.oscillates) {
-          own.strengths.forEach((strength, i) => {
-            if (!strength.signed) return;
-            gain += Math.LN2 + logNormal(found.mean[first + i] / found.spread[first + i]);
+        if (own.sizes.length) {
+          const each = own.sizes.map((size) => {
+            const scale = new Map(which.map((column, i) => [column + 1, size.ratio[i]]));
+            const times = (row) => scale.get(row) ?? 1;
+            const sized = subset((a, b) => times(a) * times(b) * gram(a, b), columns);
+            return size.log_prior + sized.gain + ofSigns(own, sized, first);
           });
+          gain += logSumExp(each) - found.gain;
+        } else if (!own.oscillates) {
+          gain += ofSigns(own, found, first);
         }
         first += which.length;
       }
