@@ -152,13 +152,14 @@ def test_what_can_be_counted_has_an_article_in_a_sentence():
     counted = {
         "constant torque", "dead zone (backlash)", "periodic disturbance", "slipping brake",
         "relaxing spring", "curved sensor", "sensor delay", "sensor offset", "sensor scale",
-        "flexible wrist", "inertia torque as printed (Eq. 3)", "spring", "viscous damper",
+        "flexible wrist", "inertia error", "inertia torque as printed (Eq. 3)", "spring",
+        "viscous damper",
     }  # fmt: skip
     for kind in catalogue().values():
         title = names.lower(kind.titled())
         assert names.counted(title) == (title in counted), title
     assert {kind for kind in kinds if names.an(kind) == kind} == {
-        "dry friction", "gravity", "stiffness drift", "stiffness between joints", "wrong inertia"
+        "dry friction", "gravity", "stiffness drift", "stiffness between joints"
     }  # fmt: skip
     assert names.an("offset") == "an offset"
     law = Family("damping law", "elbow", 0.99, (("quadratic_drag:elbow", 0.9), (FOUND, 0.09)))
@@ -223,12 +224,12 @@ def test_the_numbers_of_a_formula_stay_under_its_law():
 
 
 def test_what_is_possible_only_beside_what_is_sure_says_so():
-    other = family(0.03, "wrong inertia", "inertia_error:elbow")
+    other = family(0.03, "inertia error", "inertia_error:elbow")
     sure = by_hand.missing(families=(family(0.9999), other), lookalikes=())
-    said = "Beside dry friction at the elbow, wrong inertia at the elbow (3 %) is possible too."
+    said = "Beside dry friction at the elbow, an inertia error at the elbow (3 %) is possible too."
     assert said in sure.words
     instead = by_hand.missing(families=(family(0.96), other), lookalikes=())
-    assert "Also possible: wrong inertia at the elbow (3 %)." in instead.words
+    assert "Also possible: an inertia error at the elbow (3 %)." in instead.words
 
 
 def test_how_far_the_error_falls_and_how_small_the_rest_is(found):
@@ -504,7 +505,7 @@ def test_the_users_own_effects_are_part_of_the_base():
     [
         (FOUND, "Coulomb friction at the elbow"),
         ("gravity", "Gravity"),
-        ("inertia_error:coupling", "Wrong inertia (coupling)"),
+        ("inertia_error:coupling", "Inertia error (coupling)"),
         ("my_own_law:elbow", "My own law at the elbow"),
     ],
 )

@@ -189,7 +189,7 @@ def columns(
         which, m, alone = _which(effect), len(effect.memory), group_of(effect) == "joint"
         unit = jnp.eye(numbers.shape[-1])[which]
 
-        def of_phase(joint, numbers, width, begun, phase):
+        def one(joint, numbers, width, begun):
             def own(x):
                 return jax.lax.dynamic_slice_in_dim(x, joint, 1) if alone else x
 
@@ -197,7 +197,7 @@ def columns(
             z = jnp.zeros((m, 3 * K))
             if m:
                 args = three(q), three(v), at.time.reshape(3, K), instants.step
-                z = states_along(effect, numbers, early, *args, anew, begun + phase)
+                z = states_along(effect, numbers, early, *args, anew, begun)
                 begun, z = z[0], jnp.moveaxis(z, 0, 1).reshape(m, 3 * K)
             torque = _strengths(effect, unit, mechanism, q, v, at, z, numbers, d)
             if changes_bodies(effect):
@@ -211,12 +211,15 @@ def columns(
                 )
             return torque * width[:, None, None], begun
 
-        phases = jnp.asarray([0.0, math.pi / 2] if effect.oscillates else [0.0])
-        over = jax.vmap(of_phase, in_axes=(None, None, None, None, 0))
-        over = jax.vmap(over, in_axes=(None, 0, None, 0, None))
-        over = jax.vmap(over, in_axes=(0, 0, 0, 0, None))
-        torque, z = over(jnp.asarray(joint), numbers, widths, begun, phases)
-        return torque.reshape(len(z), -1, *torque.shape[-2:]), z.reshape(len(z), -1, K)
+        # One row for each joint, shape and phase: every `vmap` more would be traced through.
+        phases = np.array([0.0, math.pi / 2] if effect.oscillates else [0.0])
+        J, S, p = numbers.shape
+        rows = S * len(phases)
+        joint, widths = (jnp.repeat(jnp.asarray(x), rows, axis=0) for x in (joint, widths))
+        numbers = jnp.repeat(numbers.reshape(-1, p), len(phases), axis=0)
+        begun = begun.reshape(J * S, 1, m, K) + phases[:, None, None]
+        torque, z = jax.vmap(one)(joint, numbers, widths, begun.reshape(J * rows, m, K))
+        return torque.reshape(J, -1, *torque.shape[-2:]), z.reshape(J, rows * m, K)
 
     moves, none = jnp.concatenate([at.v, acceleration]), jnp.zeros((2 * n, 0, 3 * K))
     f = Field(moves, by_x[: 2 * n, : 2 * n], none, by_torque[: 2 * n], direction)

@@ -45,7 +45,7 @@ from .evidence import (
     log_sum,
 )
 from .forecast import ModelState, held_out
-from .free_curves import compile_curves
+from .free_curves import compile_screen
 from .law import CurveModel, curve_models, laws_of
 from .linearised_fit import Hopeless, on_host
 from .missing_torque import CURVES, missing_of, owning_base, restoring_torque, scene_of, with_rests
@@ -127,7 +127,7 @@ def diagnosed(
 ) -> Diagnosis:
     """What `diagnose` finds from a base model with some effects; `began` on `time.perf_counter`."""
     if search.compiled:  # compiled beside the search, at the end of which it is needed
-        fits.in_background(functools.partial(compile_curves, search.scene, search.base.best))
+        fits.in_background(functools.partial(compile_screen, search.scene, search.base.best))
     fits.begin(search.base)
     search.exact = fits.simulated
     given = fits.whole, effects, search.scene, search.base, len(search.candidates), search.in_time

@@ -369,12 +369,11 @@ def screen(along: Along, intensities: Sequence[float]) -> list[Screened]:
     return sorted(itertools.chain(*found), key=lambda s: -s.log_evidence)
 
 
-def compile_curves(scene: Scene, t: Trajectory) -> None:
-    """Compile what free curves run, by running it once along a motion."""
+def compile_screen(scene: Scene, t: Trajectory) -> None:
+    """Compile what `screen` runs, by running it once along a motion."""
     along = Along(scene, t)
     place = Place(KINDS[0], 0, *along.span(KINDS[0].variable, 0))
-    for room in _ROOMS:
-        along.gram([place], [np.zeros((HEIGHTS, room))], [0.0])
+    along.gram([place] * _AT_ONCE, [_finer()] * _AT_ONCE, [0.0])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

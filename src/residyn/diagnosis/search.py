@@ -801,32 +801,35 @@ class Search:
         return side_by_side([functools.partial(at, point) for point in points])
 
     def extend(self, parent: Tried, most: int) -> None:
-        """Try a model with one more effect, each contender in turn, and with the likeliest pairs:
-        where each alone leaves about as much as before, both may leave nothing. Of `most` effects
-        in all."""
+        """Try a model with one more effect, each contender in turn; and, unless one explains the
+        readings, with the likeliest pairs: where each alone leaves about as much as before, both
+        may leave nothing. Of `most` effects in all."""
         trajectory, intensity = screening_motion(self.scene, parent)
         screen = self.screen(parent)
         prior, worth = self._price(parent, 1)
-        chosen, pairs = screen.ranked[:CONTENDERS], self._pairs(parent, screen, most)
-        if parent.complete > 0.5:
+        chosen, little = screen.ranked[:CONTENDERS], parent.complete > 0.5
+        if little:
             # What is left is small, and the first order right: by it most have no part.
             chosen = [s for s in chosen if s.gain > worth]
-            pairs = [own for own in pairs if own[0] > self._price(parent, 2)[1]]
             for s in (s for s in screen.ranked if s.gain <= worth):
                 added = (*parent.added, s.effect.label)
                 passed = Tried(added, parent.evidences + s.gain, parent.best, prior)
                 self.passed[frozenset(added)] = passed
-        starts = [self._start_of_two(trajectory, screen, a, b) for _, a, b in pairs]
         # A law that contains another's begins where that one has ended.
         for later in (False, True):
             # Where something sticks, an iteration may end at corners that lie on its way.
-            starts += [
+            starts = [
                 ((s.effect.label,), self._start(parent, trajectory, x))
                 for s in chosen if bool(s.effect.extends) is later
                 for x in (s, *(s.alike if s.effect.follows else ()))
             ]  # fmt: skip
             self._join(parent, intensity, starts)
-            starts = []
+        if little or self.best.complete <= 0.5:
+            pairs = self._pairs(parent, screen, most)
+            if little:
+                pairs = [own for own in pairs if own[0] > self._price(parent, 2)[1]]
+            starts = [self._start_of_two(trajectory, screen, a, b) for _, a, b in pairs]
+            self._join(parent, intensity, starts)
 
     def _pairs(
         self, parent: Tried, screen: Screen, most: int

@@ -38,7 +38,7 @@ class InertiaError(AbstractEffect):
     """
 
     name = "inertia_error"
-    title = "Wrong inertia"
+    title = "Inertia error"
     equation = "Z(q) with shoulder, elbow or coupling times (1 + share)"
     looks_like = "modes and mode shapes off together; free motion shows only ratios (Eq. 9)"
     source = "paper, Eq. 9 and section 2.2"

@@ -21,8 +21,7 @@ SURE = 0.9
 """Probability from which a sentence says "is"."""
 _PERSONS = ("Bouc-Wen", "Coulomb", "Dahl", "Stribeck")
 _UNCOUNTED = (
-    "cogging", "damping", "drag", "drift", "friction", "gravity", "hysteresis", "inertia",
-    "stiffness",
+    "cogging", "damping", "drag", "drift", "friction", "gravity", "hysteresis", "stiffness",
 )  # fmt: skip
 """What names are of that go without an article: "dry friction", "stiffness between joints"."""
 _FURTHER = re.compile(r" (?:\(|as |at |between |in |of )")
