@@ -824,6 +824,7 @@ class Search:
                 for x in (s, *(s.alike if s.effect.follows else ()))
             ]  # fmt: skip
             self._join(parent, intensity, starts)
+        self._simulate()  # the filter may take a model for complete that is not
         if little or self.best.complete <= 0.5:
             pairs = self._pairs(parent, screen, most)
             if little:
