@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len
-from scipy.interpolate import CubicSpline
 
 from ..recordings.recording import Recording
 from ..recordings.resampling import even_step
@@ -44,6 +43,8 @@ def uniform(recording: Recording, outliers: np.ndarray) -> Uniform:
         if even and use.all():
             q[:, joint] = angle[:, joint]
             continue
+        from scipy.interpolate import CubicSpline  # a tenth of a second, and rarely needed
+
         known = time[use]
         at = grid.clip(known[0], known[-1])
         q[:, joint] = CubicSpline(known, angle[use, joint])(at)

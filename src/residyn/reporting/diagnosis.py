@@ -29,6 +29,7 @@ from . import laws, layout
 from .compare import clearest, pairs
 from .fit import residuals
 from .layout import NUMBERS, Table, filled, printed, section, separated
+from .models import times_noise, unnamed, untried, worth_showing
 from .names import (
     HELD_OUT,
     STOPPED,
@@ -48,14 +49,10 @@ from .names import (
     position,
     spoken,
     the,
-    times_noise,
     title,
     unbroken,
-    unnamed,
-    untried,
     upper,
     when_held_out,
-    worth_showing,
 )
 from .numbers import amount, measured, nats, percent, plain, share, times
 

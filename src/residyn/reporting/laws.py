@@ -6,16 +6,15 @@ from ..diagnosis.forecast import ModelState
 from ..diagnosis.law import Law
 from ..diagnosis.result import Diagnosis
 from .layout import NUMBERS, Table, filled, printed, section
+from .models import model_name, times_noise
 from .names import (
     at,
     error_change,
     force,
     listed,
     modal,
-    model_name,
     position,
     spoken,
-    times_noise,
     upper,
 )
 from .numbers import measured, nats, percent

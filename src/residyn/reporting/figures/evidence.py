@@ -11,7 +11,8 @@ from matplotlib.ticker import FixedLocator, NullLocator
 
 from ...diagnosis.evidence import INDISTINGUISHABLE
 from ...diagnosis.result import Diagnosis
-from ..names import at_place, base_name, worth_showing
+from ..models import worth_showing
+from ..names import at_place, base_name
 from ..numbers import nats, percent
 from .style import BAND, DASHED, HELD_OUT, INK, MODEL, RESIDUAL, blank, styled
 

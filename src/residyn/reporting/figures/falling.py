@@ -15,7 +15,8 @@ from ...diagnosis.result import Diagnosis
 from ...fitting.result import Fit
 from .. import laws
 from ..fit import joint_errors
-from ..names import HELD_OUT, listed, times_noise, unnamed, untried
+from ..models import times_noise, unnamed, untried
+from ..names import HELD_OUT, listed
 from ..numbers import amount, plain, times
 from .style import BAND, DASHED, FAINT, INK, JOINTS, SOFT, blank, shortened, styled
 
