@@ -29,7 +29,6 @@ from . import laws, layout
 from .compare import clearest, pairs
 from .fit import residuals
 from .layout import NUMBERS, Table, filled, printed, section, separated
-from .models import times_noise, unnamed, untried, worth_showing
 from .names import (
     HELD_OUT,
     STOPPED,
@@ -55,6 +54,7 @@ from .names import (
     when_held_out,
 )
 from .numbers import amount, measured, nats, percent, plain, share, times
+from .tried import times_noise, unnamed, untried, worth_showing
 
 _ALSO = 0.01  # probability from which another family is named
 _NAMED = 3  # other families that are named

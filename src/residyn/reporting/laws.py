@@ -6,7 +6,6 @@ from ..diagnosis.forecast import ModelState
 from ..diagnosis.law import Law
 from ..diagnosis.result import Diagnosis
 from .layout import NUMBERS, Table, filled, printed, section
-from .models import model_name, times_noise
 from .names import (
     at,
     error_change,
@@ -18,6 +17,7 @@ from .names import (
     upper,
 )
 from .numbers import measured, nats, percent
+from .tried import model_name, times_noise
 
 _WHAT = {"direction": "friction", "angle": "stiffness", "rate": "damping"}
 

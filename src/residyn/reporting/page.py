@@ -20,7 +20,7 @@ from ..files import write
 from ..fitting.race import Race
 from ..fitting.result import Fit
 from ..procedure import InertiaResult, Unloading
-from . import compare, fit, laws, names, over_models
+from . import compare, fit, laws, names, over_models, tried
 from . import figures as plot
 from .explorer.page import embedded, environment
 from .numbers import plain
@@ -97,6 +97,7 @@ def _filled(template: str, kind: str, **named: Any) -> str:
     pages.globals.update(  # pyrefly: ignore[no-matching-overload]
         modules | given | named,
         over_models=over_models,
+        tried=tried,
         outcomes=outcomes,
         image=plot.image,
         version=__version__,

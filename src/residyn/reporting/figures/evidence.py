@@ -11,9 +11,9 @@ from matplotlib.ticker import FixedLocator, NullLocator
 
 from ...diagnosis.evidence import INDISTINGUISHABLE
 from ...diagnosis.result import Diagnosis
-from ..models import worth_showing
 from ..names import at_place, base_name
 from ..numbers import nats, percent
+from ..tried import worth_showing
 from .style import BAND, DASHED, HELD_OUT, INK, MODEL, RESIDUAL, blank, styled
 
 _ROW, _MARGIN = 0.36, 0.85  # inches

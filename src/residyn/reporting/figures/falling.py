@@ -15,9 +15,9 @@ from ...diagnosis.result import Diagnosis
 from ...fitting.result import Fit
 from .. import laws
 from ..fit import joint_errors
-from ..models import times_noise, unnamed, untried
 from ..names import HELD_OUT, listed
 from ..numbers import amount, plain, times
+from ..tried import times_noise, unnamed, untried
 from .style import BAND, DASHED, FAINT, INK, JOINTS, SOFT, blank, shortened, styled
 
 _LOG = 4.0  # from this fall on the scale is logarithmic
