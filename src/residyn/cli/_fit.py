@@ -13,7 +13,7 @@ from ..errors import InputError, inside
 from ..reporting.numbers import plain, times, with_error
 from ..runtime.json import finite
 from . import _options
-from ._shell import NoNumbers, interruptible, progress, set_up_jax, tell
+from ._shell import NoNumbers, work_begins, progress, set_up_jax, tell
 from ._work import Work, bring, computing, must_stand, title
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def _fit_each(
         from ..effects import kind_named
         from ..fitting import fit_many
 
-        interruptible()
+        work_begins()
         with inside("--with"):  # of no file's making, so that it is no file's error
             for words in effects:
                 kind_named(words)

@@ -3,6 +3,7 @@
 import _thread
 import contextlib
 import errno
+import gc
 import multiprocessing
 import os
 import signal
@@ -101,9 +102,13 @@ def indented(out: "Console", words: str) -> None:
         out.print(f"  {line}", soft_wrap=True)
 
 
-def interruptible() -> None:
-    """From here on Ctrl-C is an exception again: whoever computes may end well, with what it has
-    (see `residyn.__main__`)."""
+def work_begins() -> None:
+    """From here on Ctrl-C is an exception again: whoever computes may end well, with what it has.
+    And garbage is collected again, but not looked for among all that packages have made (see
+    `residyn.__main__`)."""
+    if not gc.isenabled():
+        gc.freeze()
+        gc.enable()
     now = signal.getsignal(signal.SIGINT)
     if getattr(now, "__module__", None) in ("residyn.__main__", "__main__"):
         signal.signal(signal.SIGINT, signal.default_int_handler)
