@@ -153,3 +153,12 @@ def test_importing_changes_no_setting_and_draws_nothing():
         "assert 'matplotlib' not in sys.modules; assert 'typer' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_fit_and_its_words_import_no_diagnosis():
+    """It would be a twentieth of a short command's time."""
+    code = (
+        "import sys; import residyn.fitting.fit, residyn.reporting.fit;"
+        "assert not [x for x in sys.modules if x.startswith('residyn.diagnosis')]"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
