@@ -629,6 +629,19 @@ def test_ctrl_c_is_not_lost_where_a_library_catches_everything():
     assert (end.returncode, end.stdout, end.stderr) == (130, "", "residyn: interrupted\n")
 
 
+def test_garbage_is_collected_again_where_the_work_begins():
+    end = in_new_process(
+        "import gc, sys\n"
+        "import residyn.__main__ as command\n"
+        "from residyn.demo import experiment_file\n"
+        "with experiment_file() as path:\n"
+        "    sys.argv = ['residyn', 'fit', str(path)]\n"
+        "    status = command.main()\n"
+        "print(status, gc.isenabled(), gc.get_freeze_count() > 0)\n"
+    )
+    assert end.stdout.splitlines()[-1] == "0 True True"
+
+
 def test_a_long_line_of_progress_keeps_its_spinner_and_its_clock(monkeypatch):
     from rich.console import Console
 
