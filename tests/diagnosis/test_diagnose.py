@@ -1121,3 +1121,22 @@ def test_two_effects_that_say_little_alone_are_found_together(drag, begin):
     alone = {c.effect: c.log_evidence for c in found.candidates}
     joined = [x for model in found.ladder for x in model.added]
     assert joined == sorted(found.added, key=lambda x: -alone[x])
+
+
+def test_a_check_recording_that_runs_away_costs_its_prediction_alone():
+    """A spring that softens, fitted to small swings, has no rest that large ones come back to."""
+    table, runs = InertiaTable(("joint",), [[0.3]], ("rad",)), []
+    for role, start, soft in (("fit", 0.2, 60.0), ("check", 0.9, 0.0)):
+        time = np.arange(0.0, 6.0, 0.01)
+        path = solve_ivp(
+            lambda _, x, soft=soft: [x[1], (-9.4 * x[0] + soft * x[0] ** 3 - 0.05 * x[1]) / 0.3],
+            (0.0, time[-1]), [start, 0.0], t_eval=time, rtol=1e-10, atol=1e-12,
+        )  # fmt: skip
+        angle = path.y[:1].T + 1e-4 * np.random.default_rng(0).standard_normal((len(time), 1))
+        runs.append(residyn.Recording.from_arrays(time, angle, noise=1e-4, role=role, name=role))
+    experiment = residyn.Experiment(table, tuple(runs))
+    found = residyn.diagnose(experiment, effects=["cubic_stiffness:joint"], max_effects=0)
+    value = found.parameters["cubic_stiffness:joint.coefficient"].value
+    assert value == pytest.approx(-60.0, rel=0.05)
+    assert found.models[-1].held_out is None
+    assert str(found)  # it is said without

@@ -216,8 +216,12 @@ class Fits:
             return self.with_held_out(self.fitted(tried, enough=enough))
 
     def with_held_out(self, found: Fit) -> Fit:
-        """One of these fits, with the recordings beside it that were held out."""
-        return alone(with_held_out(found, self.experiment), on_host)
+        """One of these fits, with the recordings beside it that were held out, unless its numbers
+        make their motion run away."""
+        try:
+            return alone(with_held_out(found, self.experiment), on_host)
+        except FitError:
+            return dataclasses.replace(found, experiment=self.experiment)
 
     def fitted(
         self,

@@ -161,6 +161,8 @@ def _run(fit: Fit, share: float) -> _Run | None:
 
 def held_out(fit: Fit) -> HeldOut | None:
     """Errors on the check recordings, or on the last third; None if that fit did not settle."""
+    if fit.experiment.check_recordings and not fit.held_out:
+        return None  # their motion runs away with the fit's numbers
     if fit.held_out:
         each = (Error(rms_of(x), rms_of(x, in_noise), None) for x in (fit.held_out, fit.fitted))
         return HeldOut("check recordings", *each)
