@@ -13,7 +13,7 @@ from ..errors import InputError, inside
 from ..reporting.numbers import plain, times, with_error
 from ..runtime.json import finite
 from . import _options
-from ._shell import NoNumbers, work_begins, progress, set_up_jax, tell
+from ._shell import NoNumbers, progress, set_up_jax, tell, work_begins
 from ._work import Work, bring, computing, must_stand, title
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import InputError, inside, number
 from ..files import check_writable, write
 from ..runtime.json import finite
-from ._shell import NoNumbers, console, work_begins, progress, set_up_jax, tell
+from ._shell import NoNumbers, console, progress, set_up_jax, tell, work_begins
 
 if TYPE_CHECKING:
     from rich.console import Console
