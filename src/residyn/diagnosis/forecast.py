@@ -160,9 +160,10 @@ def _run(fit: Fit, share: float) -> _Run | None:
 
 
 def held_out(fit: Fit) -> HeldOut | None:
-    """Errors on the check recordings, or on the last third; None if that fit did not settle."""
+    """Errors on the check recordings, or, of an experiment without any, on the last third; None if
+    their motion runs away with the fit's numbers, or the fit of the rest did not settle."""
     if fit.experiment.check_recordings and not fit.held_out:
-        return None  # their motion runs away with the fit's numbers
+        return None
     if fit.held_out:
         each = (Error(rms_of(x), rms_of(x, in_noise), None) for x in (fit.held_out, fit.fitted))
         return HeldOut("check recordings", *each)
