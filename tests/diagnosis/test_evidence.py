@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
-from scipy.stats import norm
+from scipy.stats import multivariate_normal, norm
 
 import residyn
 from residyn.diagnosis import free_curves
@@ -24,6 +24,7 @@ from residyn.diagnosis.columns import (
     Screen,
     candidates,
     extended,
+    of_one_kind,
     strengths,
 )
 from residyn.diagnosis.diagnose import Posterior
@@ -43,6 +44,7 @@ from residyn.diagnosis.evidence import (
     gains_of,
     half_normal,
     information,
+    laplace_about,
     log_prior_intensity,
     log_prior_model,
     non_normal_priors,
@@ -183,6 +185,23 @@ def test_a_prior_of_another_width_gives_the_posterior_of_a_fit_with_that_prior(s
     assert found[0] == pytest.approx(after - before, abs=1e-6)
     np.testing.assert_allclose(found[1], expected, atol=1e-6)
     np.testing.assert_allclose(found[2], spread, atol=1e-6)
+
+
+def test_about_a_point_that_is_no_maximum_the_density_is_that_of_the_point():
+    rng = np.random.default_rng(0)
+    mean, root, at, log = rng.normal(size=3), rng.normal(size=(3, 3)), rng.normal(size=3), 7.0
+    covariance = root @ root.T
+    known = log + multivariate_normal.logpdf(at, mean, covariance)
+    known += 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1]
+    assert laplace_about(log, mean, covariance, at) == pytest.approx(known, rel=1e-9)
+    assert laplace_about(log, mean, covariance, mean) == log
+
+
+def test_a_joint_has_one_law_of_each_kind():
+    friction = [CoulombFriction("elbow"), residyn.effects.DahlFriction("elbow")]
+    assert of_one_kind(*friction)
+    assert not of_one_kind(friction[0], residyn.effects.DahlFriction("shoulder"))
+    assert not of_one_kind(friction[0], CubicStiffness("elbow"))
 
 
 def test_a_prior_of_any_width_is_the_mixture_over_widths():

@@ -481,10 +481,16 @@ class Screen:
     def pairs(self) -> list[tuple[float, Column, Column]]:
         """Every two candidates that may be in one model, the best pair first."""
         every = itertools.combinations(self.ranked, 2)
-        each = [(a, b) for a, b in every if not nested(a.effect, b.effect)]
+        each = [(a, b) for a, b in every if not of_one_kind(a.effect, b.effect)]
         gains = (gain for gain, _ in self._gains(each))
         found = ((gain, *pair) for gain, pair in zip(gains, each, strict=True))
         return sorted(found, key=lambda own: -own[0])
+
+
+def of_one_kind(a: AbstractEffect, b: AbstractEffect) -> bool:
+    """Whether two effects are laws of one kind at one place: a joint has one friction, whichever
+    law that follows, so that no model has both."""
+    return a.place == b.place and a.kind() == b.kind()
 
 
 def nested(a: AbstractEffect, b: AbstractEffect) -> bool:

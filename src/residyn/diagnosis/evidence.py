@@ -303,6 +303,19 @@ def information(covariance: np.ndarray) -> float:
         return -0.5 * float(np.linalg.slogdet(covariance)[1])
 
 
+def laplace_about(
+    log_evidence: np.ndarray, mean: np.ndarray, covariance: np.ndarray, at: np.ndarray
+) -> np.ndarray:
+    """(...,) Laplace's approximation about numbers `at` (P,) that are not the likeliest: the
+    density there times the volume sqrt |2 pi V|. A `log_evidence` (...,) is that about the
+    posterior's `mean` (..., P), where a law that bends is another one than at `at`, and more by
+    d' V^-1 d / 2."""
+    off = mean - at
+    with np.errstate(all="ignore"):  # of a motion that runs away
+        square = np.einsum("...i,...ij,...j->...", off, np.linalg.inv(covariance), off)
+        return log_evidence - 0.5 * square
+
+
 def over_widths(
     mean: np.ndarray, covariance: np.ndarray, i: int, widths: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:

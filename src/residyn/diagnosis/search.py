@@ -38,6 +38,7 @@ from .columns import (
     candidates,
     extended,
     nested,
+    of_one_kind,
     spectral_lines,
     strengths,
     without,
@@ -58,6 +59,7 @@ from .evidence import (
     WIDTH,
     correlation_times,
     information,
+    laplace_about,
     log_prior_intensity,
     log_prior_model,
     non_normal_priors,
@@ -256,7 +258,8 @@ def _iterated(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None
         fall = float(evidences.max()) - float(known.max())
         if not fall < SETTLED and back is not None:
             if last or halved == _HALVED or fall < _ROUGH:
-                evidences = _evidences(scene, back, scene.linearised(back), every)
+                linear, rest = scene.linearised(back), fall < _ROUGH
+                evidences = _evidences(scene, back, linear, every, rest)
                 yield _State(t, evidences, rise, True)
             t = dataclasses.replace(t, u=(t.u + back.u) / 2, path=(t.path + back.path) / 2)
             halved += 1
@@ -265,9 +268,10 @@ def _iterated(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None
         if not np.isfinite(known).any():
             break
         level, before = min(likeliest, max(level, 0) + FALL), level
-        done = last or (level == before and abs(known[level] - evidences[level]) < SETTLED)
+        rest = bool(level == before and abs(known[level] - evidences[level]) < SETTLED)
+        done = last or rest
         if done:
-            known = _evidences(scene, t, linear, every)
+            known = _evidences(scene, t, linear, every, rest)
         moved = scene.smoothed(t, linear, INTENSITIES[level])
         if moved is None:
             break
@@ -277,75 +281,90 @@ def _iterated(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None
     yield None
 
 
-def _descended(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None]:
-    """Gauss-Newton steps of a model in which something sticks, under each random torque in turn.
+class _Step(NamedTuple):
+    """A Gauss-Newton step of a model."""
+
+    start: Trajectory
+    linear: Linear  # along `start`
+    end: Trajectory  # a share of the step on
+    off: float
+    """Nats by which the density of the numbers at `start` is below that after the whole step."""
+
+
+def _damped(scene: Scene, t: Trajectory, intensity: float) -> Iterator[_Step]:
+    """Gauss-Newton steps of a model in which something sticks, under one random torque.
 
     Turns on the motion itself, so that whole steps swing about the end. Half steps, and shorter
-    ones after each reversal, converge (Kesten, Annals of Mathematical Statistics 29, 1958). The
-    random torque falls when no number moves by a standard error any more. Loud torques hide what
-    sticks from the evidence, so that no model is hopeless before its end.
+    ones after each reversal, converge (Kesten, Annals of Mathematical Statistics 29, 1958).
     """
-    P, evidences = len(t.prior.mean), np.full(len(INTENSITIES), -np.inf)
-    best: list[Trajectory | None] = [None] * len(INTENSITIES)  # the motions that these are of
-    here, reversals, before = 0, 0, np.zeros(P)
-    for turn in range(_ITERATIONS):
-        last, lowest = turn == _ITERATIONS - 1, level == len(INTENSITIES) - 1
+    reversals, before = 0, np.zeros(len(t.u))
+    while True:
         linear, share = scene.linearised(t), 1.0 / (2.0 + reversals)
-        moved = scene.smoothed(t, linear, INTENSITIES[level], share)
-        if moved is None:
-            break
-        step = (moved.u - t.u)[:P] / share / np.sqrt(np.diag(moved.covariance)[:P])
-        here, reversals, before = here + 1, reversals + bool(step @ before < 0), step
-        converged = np.abs(step).max() * (_FINER if lowest else 1.0) < 1.0
-        settled = last or here == _HERE or converged
-        if settled or lowest:
-            # Each of its own motion: one under a louder torque says of them what is linear only.
-            own = np.arange(level, min(level + FALL, len(INTENSITIES)))
-            known = _evidences(scene, t, linear, own)[own]
-            evidences = evidences.copy()
-            evidences[own] = known
-            for i in own:
-                best[i] = t
-            hopeless = converged and not known.max() > evidences.max() - HOPELESS
-            if last or hopeless or (lowest and (settled or not np.isfinite(known).any())):
+        end = scene.smoothed(t, linear, intensity, share)
+        if end is None:
+            return
+        whole = (end.u - t.u) / share
+        slope = np.linalg.solve(end.covariance, whole)
+        yield _Step(t, linear, end, 0.5 * float(whole @ slope))
+        reversals, before, t = reversals + bool(slope @ before < 0.0), whole, end
+
+
+def _descended(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None]:
+    """Steps of a model in which something sticks, under each random torque in turn, and to rest
+    under the likeliest. Loud torques hide what sticks from the evidence, so that no model is
+    hopeless before its end."""
+    evidences, turns = np.full(len(INTENSITIES), -np.inf), 0
+    best: list[Trajectory | None] = [None] * len(INTENSITIES)  # the motions that these are of
+    while True:
+        step, least = None, _ROUGH if level < len(INTENSITIES) - 1 else SETTLED
+        for here, step in enumerate(_damped(scene, t, INTENSITIES[level]), 1):
+            turns += 1
+            if step.off < least or here == _HERE or turns == _ITERATIONS:
                 break
-            if settled:
-                level, here, reversals = min(level + FALL, len(evidences) - 1), 0, 0
-                before = np.zeros(P)
-        t = moved
+            t = step.end
+            yield _State(t, evidences)
+        if step is None:
+            break
+        # Each of its own motion: one under a louder torque says of them what is linear only.
+        own = np.arange(level, min(level + FALL, len(INTENSITIES)))
+        known = _evidences(scene, step.start, step.linear, own, at_rest=False)[own]
+        evidences = evidences.copy()
+        evidences[own] = known
+        for i in own:
+            best[i] = step.start
+        hopeless = step.off < least and not known.max() > evidences.max() - HOPELESS
+        if turns == _ITERATIONS or hopeless or level == len(INTENSITIES) - 1:
+            break
+        t, level = step.end, min(level + FALL, len(INTENSITIES) - 1)
         yield _State(t, evidences)
     level = int(np.argmax(evidences + log_prior_intensity(INTENSITIES)))
-    end = best[level]
-    if end is None:
+    end, step = best[level], None
+    if end is not None:
+        for here, step in enumerate(_damped(scene, end, INTENSITIES[level]), 1):
+            if step.off < SETTLED or here == _HERE:
+                break
+            yield _State(step.end, evidences)
+    if step is None:
         yield None
-    else:
-        yield _State(_end(scene, end, level, evidences[level]), evidences, done=True)
+        return
+    at, evidences = np.array([level]), evidences.copy()
+    evidences[level] = _evidences(scene, step.start, step.linear, at, at_rest=False)[level]
+    end = dataclasses.replace(step.end, u=step.start.u, path=step.start.path)
+    yield _State(end, evidences, done=True)
 
 
-def _end(scene: Scene, t: Trajectory, level: int, known: float) -> Trajectory:
-    """A model after a last Gauss-Newton step, of as much as keeps its evidence `known`: a brake
-    that holds along the motion says nothing of where it slips, and after a whole step may slip."""
-    moved = scene.smoothed(t, scene.linearised(t), INTENSITIES[level])
-    if moved is None:
-        return t
-    for _ in range(_HALVED):
-        here = _evidences(scene, moved, scene.linearised(moved), np.array([level]))[level]
-        if here > known - _ROUGH:
-            return moved
-        half = dataclasses.replace(moved, u=(t.u + moved.u) / 2, path=(t.path + moved.path) / 2)
-        moved = scene.consistent(half)
-    return dataclasses.replace(moved, u=t.u, path=t.path)
-
-
-def _evidences(scene: Scene, t: Trajectory, linear: Linear, levels: np.ndarray) -> np.ndarray:
-    """(I,) log evidences of a model at some random torques, -inf at others."""
+def _evidences(
+    scene: Scene, t: Trajectory, linear: Linear, levels: np.ndarray, at_rest: bool = True
+) -> np.ndarray:
+    """(I,) log evidences of a model at some random torques, -inf at others; about its own numbers
+    (`laplace_about`) if its iteration has not come to rest."""
     found = np.full(len(INTENSITIES), -np.inf)
     for i in range(0, len(levels), _NEAR):  # one program for few and for all
         some = levels[np.minimum(np.arange(i, i + _NEAR), len(levels) - 1)]
-        each = scene.evidences(t, linear, np.array(INTENSITIES)[some])
-        more = non_normal_priors(t.effects, t.prior, each.regressors, each.covariance)
-        known = each.log_evidence + more
-        found[some] = scene.possible(known)
+        logs, u, covariance = scene.evidences(t, linear, np.array(INTENSITIES)[some])
+        if not at_rest:
+            logs, u = laplace_about(logs, u, covariance, t.u), np.tile(t.u, (len(some), 1))
+        found[some] = scene.possible(logs + non_normal_priors(t.effects, t.prior, u, covariance))
     return found
 
 
@@ -610,12 +629,15 @@ class Search:
                 self._simulate()
 
     def _in_coloured_noise(self, most: int) -> bool:
-        """Go on with noise that is not white in the place of a random torque; whether that leaves a
-        complete model. If not, all is as before."""
-        self._colour_noise()
+        """Go on with noise that is not white in the place of a random torque, if the readings are
+        surely likelier so, or if no torque explains them; whether that leaves a complete model that
+        is surely likelier. If not, all is as before."""
+        least = self.best.log_posterior + INDISTINGUISHABLE
+        explains = self.base.intensity < EXPLAINS_NOTHING
+        self._colour_noise(least if explains else -math.inf)
         if self.scene.coloured is not None:
             self._grow(most)
-            if self.best.complete < 0.5:
+            if self.best.complete < 0.5 or self.best.log_posterior < least:
                 self.whiten_noise()
         return self.scene.coloured is not None
 
@@ -650,10 +672,10 @@ class Search:
             self.reduce()
             self._simulate()
 
-    def _colour_noise(self) -> None:
-        """Give all models noise that is not white in the place of a random torque, if the readings
-        are surely likelier so: an Ornstein-Uhlenbeck process, as that torque is, of the likeliest
-        correlation time."""
+    def _colour_noise(self, least: float) -> None:
+        """Give all models noise that is not white in the place of a random torque, if a log
+        posterior is then at `least` so high: an Ornstein-Uhlenbeck process, as that torque is, of
+        the likeliest correlation time."""
         scene, prior, every = self.scene, log_prior_intensity(INTENSITIES), range(len(INTENSITIES))
         longest = 1.0 / min(s.frequency for s in scene.scales)
         times = correlation_times(float(np.median(np.diff(scene.recordings[0].time))), longest)
@@ -666,20 +688,26 @@ class Search:
                 known = _evidences(scene.with_noise(own), model.best, linear, np.array(every))
                 log = over_intensities(known) + model.log_prior - math.log(len(times))
                 each.append((log, own, INTENSITIES[int(np.argmax(known + prior))]))
-        log, time_, loudest = max(each)
-        if log < self.best.log_posterior + INDISTINGUISHABLE:
-            return
+        _, time_, loudest = max(each)
         self.say("weighing noise that is not white")
         models, scene = list(self.tried.values()), scene.with_noise(time_)
-        found = settle(scene, [m.best for m in models], loudest, self.in_time)
-        settled = [(m, f) for m, f in zip(models, found, strict=True) if f is not None]
-        if not any(model is self.base for model, _ in settled):
+        models.sort(key=lambda model: model not in (self.base, self.best))
+        some, others = models[:2], models[2:]
+
+        def settled(each: Sequence[Tried]) -> list[tuple[Tried, tuple[np.ndarray, Trajectory]]]:
+            found = settle(scene, [m.best for m in each], loudest, self.in_time)
+            return [(m, f) for m, f in zip(each, found, strict=True) if f is not None]
+
+        known = settled(some)
+        log = max((over_intensities(f[0]) + m.log_prior for m, f in known), default=-math.inf)
+        if log < least or not any(model is self.base for model, _ in known):
             return
+        known += settled(others) if others else []
         self._white = self.scene, self.tried, self.passed, self.screens, self.reassignments
         self.scene, self.tried, self.passed, self.screens = scene, {}, {}, {}
         self.reassignments = ()
         self._reduced.clear()
-        for model, own in settled:
+        for model, own in known:
             self._keep(model.added, *own)
 
     @property
@@ -909,9 +937,12 @@ class Search:
         return self.scene.consistent(extended(self.scene, rest, found))
 
     def _may_join(self, effect: AbstractEffect, trajectory: Trajectory) -> bool:
-        """Whether an effect is not there, nor a law that it contains or that contains it."""
+        """Whether an effect is not there, nor a law that it contains or that contains it, nor one
+        of its kind that joined the base model."""
         return effect.label not in trajectory.labels and not any(
-            nested(effect, present) for present in trajectory.effects
+            nested(effect, present)
+            or (present.label not in self.fixed and of_one_kind(effect, present))
+            for present in trajectory.effects
         )
 
     def reduce(self) -> None:
