@@ -14,7 +14,7 @@ import functools
 import itertools
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -309,48 +309,58 @@ def _damped(scene: Scene, t: Trajectory, intensity: float) -> Iterator[_Step]:
         reversals, before, t = reversals + bool(slope @ before < 0.0), whole, end
 
 
+def _rested(
+    scene: Scene, t: Trajectory, level: int, known: _State, least: float
+) -> Generator[_State, None, _Step | None]:
+    """Damped steps until the density of the numbers is within `least` nats of its maximum; the
+    last of them. None where the model runs away."""
+    step = None
+    for here, step in enumerate(_damped(scene, t, INTENSITIES[level]), 1):
+        if step.off < least or here == _HERE:
+            break
+        yield known._replace(trajectory=step.end)
+    return step
+
+
 def _descended(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None]:
-    """Steps of a model in which something sticks, under each random torque in turn, and to rest
-    under the likeliest. Loud torques hide what sticks from the evidence, so that no model is
-    hopeless before its end."""
-    evidences, turns = np.full(len(INTENSITIES), -np.inf), 0
+    """Steps of a model in which something sticks, under each random torque in turn, then to rest
+    under the likeliest one and those next to it. Each has the evidence of its own motion: one under
+    a louder torque says of it what is linear only. Loud torques hide what sticks from the evidence,
+    so that no model is hopeless before its end."""
+    known, lowest = _State(t, np.full(len(INTENSITIES), -np.inf)), len(INTENSITIES) - 1
     best: list[Trajectory | None] = [None] * len(INTENSITIES)  # the motions that these are of
-    while True:
-        step, least = None, _ROUGH if level < len(INTENSITIES) - 1 else SETTLED
-        for here, step in enumerate(_damped(scene, t, INTENSITIES[level]), 1):
-            turns += 1
-            if step.off < least or here == _HERE or turns == _ITERATIONS:
-                break
-            t = step.end
-            yield _State(t, evidences)
+
+    def seen(step: _Step, levels: np.ndarray) -> np.ndarray:
+        t = dataclasses.replace(step.end, u=step.start.u, path=step.start.path)
+        found = _evidences(scene, step.start, step.linear, levels, at_rest=False)
+        for i in levels:
+            best[i] = t
+        known.evidences[levels] = found[levels]
+        return found[levels]
+
+    for at in (*range(level, lowest, FALL), lowest):
+        step = yield from _rested(scene, t, at, known, _ROUGH)
         if step is None:
             break
-        # Each of its own motion: one under a louder torque says of them what is linear only.
-        own = np.arange(level, min(level + FALL, len(INTENSITIES)))
-        known = _evidences(scene, step.start, step.linear, own, at_rest=False)[own]
-        evidences = evidences.copy()
-        evidences[own] = known
-        for i in own:
-            best[i] = step.start
-        hopeless = step.off < least and not known.max() > evidences.max() - HOPELESS
-        if turns == _ITERATIONS or hopeless or level == len(INTENSITIES) - 1:
+        found = seen(step, np.arange(at, min(at + FALL, lowest + 1)))
+        if step.off < _ROUGH and not found.max() > known.evidences.max() - HOPELESS:
             break
-        t, level = step.end, min(level + FALL, len(INTENSITIES) - 1)
-        yield _State(t, evidences)
-    level = int(np.argmax(evidences + log_prior_intensity(INTENSITIES)))
-    end, step = best[level], None
-    if end is not None:
-        for here, step in enumerate(_damped(scene, end, INTENSITIES[level]), 1):
-            if step.off < SETTLED or here == _HERE:
-                break
-            yield _State(step.end, evidences)
-    if step is None:
-        yield None
-        return
-    at, evidences = np.array([level]), evidences.copy()
-    evidences[level] = _evidences(scene, step.start, step.linear, at, at_rest=False)[level]
-    end = dataclasses.replace(step.end, u=step.start.u, path=step.start.path)
-    yield _State(end, evidences, done=True)
+        t = step.end
+    rested: set[int] = set()
+    while True:
+        likeliest = int(np.argmax(known.evidences + log_prior_intensity(INTENSITIES)))
+        near = likeliest, likeliest + 1, likeliest - 1
+        todo = [(i, t) for i in near if i not in rested and 0 <= i <= lowest and (t := best[i])]
+        if not todo:
+            break
+        at, t = todo[0]
+        rested.add(at)
+        step = yield from _rested(scene, t, at, known, SETTLED)
+        if step is not None:
+            seen(step, np.array([at]))
+            known = known._replace(rise=0.0)
+    end = best[likeliest]
+    yield end and known._replace(trajectory=end, done=True)
 
 
 def _evidences(
