@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, expm
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
@@ -35,6 +35,7 @@ from residyn.diagnosis.evidence import (
     NEGLIGIBLE,
     OUTSIDE,
     SETTLED,
+    TORQUE_TIMES,
     WIDTH,
     Strength,
     at_least,
@@ -59,7 +60,7 @@ from residyn.diagnosis.evidence import (
 )
 from residyn.diagnosis.free_curves import CurveModel, Kind, Place
 from residyn.diagnosis.linearised_fit import Minimum
-from residyn.diagnosis.search import Tried, settle, tried_alone
+from residyn.diagnosis.search import Tried, over_torque_times, settle, tried_alone
 from residyn.diagnosis.simulated import Simulated
 from residyn.effects import (
     AirDrag,
@@ -381,6 +382,39 @@ def test_evidence_of_spring_and_damper_is_the_integral_over_their_numbers(ringin
     cell = np.log(std * (offsets[1] - offsets[0])).sum()
     assert found == pytest.approx(logsumexp(grid) + cell, abs=0.01)
     assert model.complete > 0.8
+
+
+@pytest.mark.usefixtures("float64")
+@pytest.mark.parametrize("turns", [0.1, 1.0])
+def test_the_correlation_time_of_what_is_missing_is_found(turns):
+    """Of an oscillator under a random torque, in exact steps (Van Loan, IEEE Transactions on
+    Automatic Control 23, 1978)."""
+    pace, step, count = 7.0, 0.01, 2000  # rad/s, s
+    A = np.array([[0.0, 1.0, 0.0], [-(pace**2), -0.02 * pace, 1.0], [0.0, 0.0, -pace / turns]])
+    rms = 0.02 * pace**2 * 0.2  # of the spring's torque over the inertia, at 0.2 rad
+    Q = np.diag([0.0, 0.0, 2.0 * rms**2 * pace / turns])
+    both = expm(step * np.block([[-A, Q], [np.zeros((3, 3)), A.T]]))
+    F, pushed = both[3:, 3:].T, np.linalg.cholesky(both[3:, 3:].T @ both[:3, 3:])
+    rng, x, path = np.random.default_rng(3), np.array([0.2, 0.0, 0.0]), []
+    for _ in range(count):
+        path.append(x[0])
+        x = F @ x + pushed @ rng.standard_normal(3)
+    angle = np.array(path)[:, None] + 1e-5 * rng.standard_normal((count, 1))
+    recording = residyn.Recording.from_arrays(step * np.arange(count), angle, noise=1e-5)
+    table = residyn.ConstantInertia([[1.0]], ("joint",), ("rad",))
+    scene = Scene([recording], [table], [np.zeros(angle.shape, bool)])
+    found = tried_alone(scene, [residyn.Spring("joint"), residyn.effects.Damper("joint")])
+    assert found.best.torque_time == turns
+    # The evidence is the mean over the times, each along the same motion.
+    t, linear, each = found.best, scene.linearised(found.best), []
+    for x in TORQUE_TIMES:
+        own = scene.evidences(dataclasses.replace(t, torque_time=x), linear, [0.03])
+        more = non_normal_priors(t.effects, t.prior, own.regressors, own.covariance)
+        each.append((own.log_evidence + more)[0])
+    level, known = INTENSITIES.index(0.03), np.full(len(INTENSITIES), -np.inf)
+    known[level] = each[TORQUE_TIMES.index(turns)]
+    summed, _ = over_torque_times(scene, t, linear, known, np.array([level]))
+    assert summed[level] == pytest.approx(logsumexp(each) - math.log(len(TORQUE_TIMES)), abs=1e-6)
 
 
 def test_an_effect_that_is_not_there_pays_for_its_prior(ringing):

@@ -520,6 +520,22 @@ def test_the_order_of_recordings_changes_no_evidence():
     np.testing.assert_allclose(*found, rtol=1e-9)
 
 
+@pytest.mark.parametrize("turns", [0.1, 10.0])
+def test_a_random_torque_of_any_correlation_time_does_as_much_to_the_ringing(turns):
+    """Its power spectral density at the joint's frequency is that of one of a radian."""
+    truth = ARM + Spring("shoulder", 17.0) + Spring("elbow", 12.0)
+    recording, _ = a_recording(truth, rate=2000.0)
+    scene = Scene([recording], [ARM], [np.zeros(recording.angle.shape, bool)])
+    t, densities = scene.start(*base_of(scene)), []
+    for time in (1.0, turns):
+        noise = scene.noise(dataclasses.replace(t, torque_time=time))
+        decay, growth = noise.decay[0], noise.growth[0, 2 * scene.n + t.first.shape[1] :]
+        step = scene.grid.time[1] - scene.grid.time[0]
+        turn = np.exp(-1j * step * np.array([s.frequency for s in scene.scales]))
+        densities.append(growth / np.abs(1.0 - decay * turn) ** 2)
+    np.testing.assert_allclose(*densities, rtol=0.02)
+
+
 def test_no_evidence_is_above_the_density_of_readings_without_a_residual():
     recording, _ = a_recording(ARM + Spring("shoulder", 30.0) + Spring("elbow", 8.0))
     scene = Scene([recording], [ARM], [np.zeros(recording.angle.shape, bool)])

@@ -48,6 +48,10 @@ INTENSITIES = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4, 0.0)
 """Random torques (rms, in the spring's torque at full swing) over which the evidence is summed:
 half a decade apart, which no posterior of it is narrower than with a hundred independent
 instants."""
+TORQUE_TIMES = (1.0, 0.1)
+"""Correlation times of a random torque over which the evidence is summed, equally likely, in
+radians of a joint's ringing: what is missing may ring with the joint, or turn within a swing as
+friction does. What is slower is an offset or a drift, which are effects."""
 NO_RANDOM_TORQUE = 0.5
 """Prior probability that the model needs none; the other half is shared by the rest of the grid."""
 FURTHER = 0.5

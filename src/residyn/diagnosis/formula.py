@@ -34,6 +34,7 @@ from .evidence import (
     subset,
 )
 from .free_curves import Along, CurveModel, Kind, Place, heights_of, points, signs
+from .search import gain_of_torque_times
 
 MOST_TERMS = 3
 _KEPT = 12  # sums that a further term is tried with
@@ -247,7 +248,10 @@ class Every:
         at = np.array(INTENSITIES)[order]
         totals, self.grams = along.gram([model.place], [np.eye(HEIGHTS)], at, model.held)
         bases, self.rests = conditional(self.grams, len(along.trajectory.u))
-        self.bases = totals + bases + log_prior_intensity(at)
+        # Summed over the random torque's correlation time, as the curve's are.
+        t, linear = along.trajectory, along.linear
+        more = gain_of_torque_times(along.scene, t, linear, model.evidences)
+        self.bases = totals + bases + log_prior_intensity(at) + more[order]
         """(I,) the likeliest random torque first."""
 
 

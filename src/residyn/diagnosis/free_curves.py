@@ -45,7 +45,7 @@ from .evidence import (
     non_normal_priors,
     prior_sizes,
 )
-from .search import Tried
+from .search import Tried, gain_of_torque_times
 
 SPLINES = 32
 """Of one curve."""
@@ -435,7 +435,8 @@ def settle(
             return None
         if turn == _ITERATIONS - 1 or (likeliest == level and abs(here - before) < SETTLED):
             found = law.beside(along, place, INTENSITIES)
-            return Settled(found.evidences, t, law, found)
+            more = gain_of_torque_times(scene, t, along.linear, found.evidences)
+            return Settled(found.evidences + more, t, law, found)
         level, before, law = min(likeliest, level + FALL), here, found
     return None
 

@@ -56,6 +56,7 @@ from .evidence import (
     READINGS_LEAD,
     SETTLED,
     STRENGTHS,
+    TORQUE_TIMES,
     WIDTH,
     correlation_times,
     information,
@@ -201,13 +202,10 @@ def settle(
     `loudest`: the readings lead first, the model last. Where a joint or a brake sticks, loud
     torques hide it from the model that has it; there, each is gone through down to none and has
     the evidence of its own motion (graduated optimisation: Blake and Zisserman, Visual
-    Reconstruction, 1987).
+    Reconstruction, 1987). Evidences are sums over the random torque's correlation time.
     """
     first = next(k for k, x in enumerate(INTENSITIES) if x <= loudest)
-    each = [
-        _descended(scene, t, first) if _sticks(t) else _iterated(scene, t, first - FALL)
-        for t in starts
-    ]
+    each = [_settled(scene, t, first) for t in starts]
     found: list[_State | None] = [None] * len(starts)
     moving = list(range(len(starts)))
     while moving:
@@ -229,12 +227,87 @@ class _State(NamedTuple):
     rise: float = math.inf
     """Of the highest of them, nats, in the last iteration."""
     done: bool = False
+    likeliest_time: float = 1.0
+    """Correlation time of the random torque, where it is done."""
 
     def hopeless(self, best: float) -> bool:
         """Whether the model is hopelessly behind the best evidence of any, and still would be if
         all iterations to come raised it by as much as the last one. Their steps shrink by half at
         least where they converge at all."""
         return self.evidences.max() < best - HOPELESS - max(0.0, self.rise)
+
+
+def _settled(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None]:
+    """A model under a random torque from that of index `level` on, of the correlation time that its
+    trajectory has; where another one is likelier at its end, iterated once more, under that. Where
+    something sticks the time stays: it has its own motion under each torque in any case."""
+    if _sticks(t):
+        yield from _descended(scene, t, level)
+        return
+    found: _State | None = None
+    times: set[float] = set()
+    while t.torque_time not in times:
+        times.add(t.torque_time)
+        state = None
+        for state in _iterated(scene, t, level - FALL):
+            if state is None or state.done:
+                break
+            yield state
+        if state is None:
+            break
+        if found is None or over_intensities(state.evidences) > over_intensities(found.evidences):
+            found, level = state, int(np.argmax(state.evidences)) + FALL
+            t = dataclasses.replace(state.trajectory, torque_time=state.likeliest_time)
+            yield state._replace(rise=0.0, done=t.torque_time in times)
+    yield found and found._replace(done=True)
+
+
+def over_torque_times(
+    scene: Scene,
+    t: Trajectory,
+    linear: Linear,
+    known: np.ndarray,
+    levels: np.ndarray,
+    at_rest: bool = True,
+) -> tuple[np.ndarray, np.ndarray]:
+    """A model's log evidences `known` (I,) along its motion, at some levels summed over the random
+    torque's correlation time; and (T, I) those of each time there. `at_rest` as in
+    `_evidences`."""
+    if scene.coloured is not None:
+        return known, np.tile(known, (len(TORQUE_TIMES), 1))
+    each = np.full((len(TORQUE_TIMES), len(INTENSITIES)), -np.inf)
+    for i, x in enumerate(TORQUE_TIMES):
+        other = dataclasses.replace(t, torque_time=x)
+        own = known if x == t.torque_time else _evidences(scene, other, linear, levels, at_rest)
+        each[i, levels] = own[levels]
+    summed = known.copy()
+    summed[levels] = np.logaddexp.reduce(each[:, levels], axis=0) - math.log(len(TORQUE_TIMES))
+    return summed, each
+
+
+def _near(evidences: np.ndarray) -> np.ndarray:
+    """The levels about that of the likeliest random torque."""
+    likeliest = int(np.argmax(evidences + log_prior_intensity(INTENSITIES)))
+    first = min(max(likeliest - 1, 0), len(INTENSITIES) - _NEAR)
+    return np.arange(first, first + _NEAR)
+
+
+def _likeliest_time(t: Trajectory, each: np.ndarray) -> float:
+    """Of those log evidences (T, I) of each are known; a model's own if they are the same."""
+    totals = [over_intensities(x) for x in each]
+    best = TORQUE_TIMES[int(np.argmax(totals))]
+    own = totals[TORQUE_TIMES.index(t.torque_time)]
+    return best if max(totals) > own + SETTLED else t.torque_time
+
+
+def gain_of_torque_times(
+    scene: Scene, t: Trajectory, linear: Linear, evidences: np.ndarray
+) -> np.ndarray:
+    """(I,) by how much the log `evidences` of a model with a law that is fixed rise where they are
+    summed over the random torque's correlation time, near the likeliest torque."""
+    known = _evidences(scene, t, linear, _near(evidences))
+    summed, _ = over_torque_times(scene, t, linear, known, _near(evidences))
+    return np.where(np.isfinite(known), summed, 0.0) - np.where(np.isfinite(known), known, 0.0)
 
 
 def _iterated(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None]:
@@ -259,8 +332,9 @@ def _iterated(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None
         if not fall < SETTLED and back is not None:
             if last or halved == _HALVED or fall < _ROUGH:
                 linear, rest = scene.linearised(back), fall < _ROUGH
-                evidences = _evidences(scene, back, linear, every, rest)
-                yield _State(t, evidences, rise, True)
+                known = _evidences(scene, back, linear, every, rest)
+                evidences, each = over_torque_times(scene, back, linear, known, _near(known), rest)
+                yield _State(t, evidences, rise, True, _likeliest_time(t, each))
             t = dataclasses.replace(t, u=(t.u + back.u) / 2, path=(t.path + back.path) / 2)
             halved += 1
             yield _State(t, evidences, rise)
@@ -269,15 +343,17 @@ def _iterated(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None
             break
         level, before = min(likeliest, max(level, 0) + FALL), level
         rest = bool(level == before and abs(known[level] - evidences[level]) < SETTLED)
-        done = last or rest
+        done, time_ = last or rest, t.torque_time
         if done:
             known = _evidences(scene, t, linear, every, rest)
+            known, each = over_torque_times(scene, t, linear, known, _near(known), rest)
+            time_ = _likeliest_time(t, each)
         moved = scene.smoothed(t, linear, INTENSITIES[level])
         if moved is None:
             break
         rise = float(known.max()) - float(evidences.max())
         t, back, evidences, halved = moved, t, known, 0
-        yield _State(t, evidences, rise, done)
+        yield _State(t, evidences, rise, done, time_)
     yield None
 
 
@@ -329,13 +405,15 @@ def _descended(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | Non
     so that no model is hopeless before its end."""
     known, lowest = _State(t, np.full(len(INTENSITIES), -np.inf)), len(INTENSITIES) - 1
     best: list[Trajectory | None] = [None] * len(INTENSITIES)  # the motions that these are of
+    of_times = np.full((len(TORQUE_TIMES), len(INTENSITIES)), -np.inf)
 
     def seen(step: _Step, levels: np.ndarray) -> np.ndarray:
         t = dataclasses.replace(step.end, u=step.start.u, path=step.start.path)
         found = _evidences(scene, step.start, step.linear, levels, at_rest=False)
+        found, each = over_torque_times(scene, t, step.linear, found, levels, at_rest=False)
         for i in levels:
             best[i] = t
-        known.evidences[levels] = found[levels]
+        known.evidences[levels], of_times[:, levels] = found[levels], each[:, levels]
         return found[levels]
 
     for at in (*range(level, lowest, FALL), lowest):
@@ -360,6 +438,8 @@ def _descended(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | Non
             seen(step, np.array([at]))
             known = known._replace(rise=0.0)
     end = best[likeliest]
+    if end is not None:
+        end = dataclasses.replace(end, torque_time=_likeliest_time(end, of_times))
     yield end and known._replace(trajectory=end, done=True)
 
 
@@ -625,11 +705,9 @@ class Search:
             other = self.reassigned
             if other and (other.tried.complete > 0.5 or self.base.intensity >= WIDTH):
                 return  # nothing is left to be explained, or as much as effects are
-            explains = self.base.intensity < EXPLAINS_NOTHING
-            if explains or not self._in_coloured_noise(most):
-                self._grow(most)
-                if explains and self.best.complete < 0.5:
-                    self._in_coloured_noise(most)
+            self._grow(most)
+            if self.best.complete < 0.5:
+                self._in_coloured_noise(most)
             self._take_each_away()
             if self.best.intensity >= EXPLAINS_NOTHING:  # then no name says anything
                 self.tried, self.passed = {frozenset(): self.base}, {}
@@ -638,18 +716,17 @@ class Search:
             with self.ending():
                 self._simulate()
 
-    def _in_coloured_noise(self, most: int) -> bool:
+    def _in_coloured_noise(self, most: int) -> None:
         """Go on with noise that is not white in the place of a random torque, if the readings are
-        surely likelier so, or if no torque explains them; whether that leaves a complete model that
-        is surely likelier. If not, all is as before."""
+        surely likelier so, or if no model explains them; as long as that leaves a complete model
+        that is surely likelier. If not, all is as before."""
         least = self.best.log_posterior + INDISTINGUISHABLE
-        explains = self.base.intensity < EXPLAINS_NOTHING
+        explains = self.best.intensity < EXPLAINS_NOTHING
         self._colour_noise(least if explains else -math.inf)
         if self.scene.coloured is not None:
             self._grow(most)
             if self.best.complete < 0.5 or self.best.log_posterior < least:
                 self.whiten_noise()
-        return self.scene.coloured is not None
 
     def _grow(self, most: int) -> None:
         """Add effects, `most` at most."""

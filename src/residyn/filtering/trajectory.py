@@ -88,6 +88,8 @@ class Trajectory:
     torque: np.ndarray  # (K, n) the random torque, on the drive's side of Eq. 1
     torque_variance: np.ndarray
     coloured: float | None = None  # correlation time of the noise, if it was smoothed under that
+    torque_time: float = 1.0
+    """Correlation time of the random torque, in radians of each joint's ringing."""
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -293,11 +295,16 @@ class Scene:
             found[effect.label] = torque.T
         return found
 
+    def rms_torque(self, t: Trajectory) -> np.ndarray:
+        """(n,) of the random torque at intensity 1: with a correlation time of a radian of the
+        joint's ringing the typical torque. With another one as much as has the same spectral
+        density at the ringing, 2 rms^2 T / (1 + T^2), so that it does as much to the motion."""
+        time = t.torque_time
+        return self.torque * math.sqrt((1.0 + time**2) / (2.0 * time))
+
     def noise(self, t: Trajectory) -> Noise:
-        """First state, known to its typical size, and random torque: of typical torques (rms) at
-        intensity 1, correlated over one radian of a joint's ringing, for what it stands for changes
-        no faster than the motion does. Coloured noise in its place: of the readings' own rms at
-        intensity 1."""
+        """First state, known to its typical size, and random torque (`rms_torque` at intensity 1).
+        Coloured noise in its place: of the readings' own rms at intensity 1."""
         n, g = self.n, self.grid
         amplitude = np.array([s.amplitude for s in self.scales])
         pace = np.array([s.frequency for s in self.scales])
@@ -307,7 +314,7 @@ class Scene:
             memory[own] = [float(each.dimension.size(scale)) for each in effect.memory]
         mean = np.concatenate([self.q[self.begins[0]], np.zeros(n), t.first[0]])
         variance = np.concatenate([amplitude, amplitude * pace, memory]) ** 2
-        loud, fades = self.torque**2, pace
+        loud, fades = self.rms_torque(t) ** 2, pace / t.torque_time
         if self.coloured is not None:
             loud, fades = np.var(g.angle, axis=0, where=g.seen), np.full(n, 1.0 / self.coloured)
         decay = np.where(g.last[:, None], 0.0, np.exp(-g.step[:, None] * fades))
@@ -356,7 +363,7 @@ class Scene:
             torque=torque,
             # Readings make nothing less sure; rounding may, of a motion that grows exponentially.
             torque_variance=np.clip(
-                variance[:, X:], 0.0, 0.0 if coloured else (intensity * self.torque) ** 2
+                variance[:, X:], 0.0, 0.0 if coloured else (intensity * self.rms_torque(t)) ** 2
             ),
             coloured=self.coloured,
         )
