@@ -25,6 +25,7 @@ from residyn.diagnosis.evidence import (
     EXPLAINS_NOTHING,
     IN_PLAY,
     INTENSITIES,
+    laplace_about,
     non_normal_priors,
     over_intensities,
 )
@@ -713,8 +714,9 @@ def test_a_model_that_sticks_has_its_evidence_along_the_motion_that_it_keeps():
         model = search.beside(
             search.beside(search.base, "coulomb_friction:axis"), "brake_slip:axis"
         )
-        linear = search.scene.linearised(model.best)
-        (again,) = search.scene.evidences(model.best, linear, [model.intensity]).log_evidence
+        t, linear = model.best, search.scene.linearised(model.best)
+        logs, u, covariance = search.scene.evidences(t, linear, [model.intensity])
+        (again,) = laplace_about(logs, u, covariance, t.u)
     assert again == pytest.approx(model.evidences.max(), abs=5.0)
 
 

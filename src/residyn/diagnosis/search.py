@@ -388,14 +388,17 @@ def _damped(scene: Scene, t: Trajectory, intensity: float) -> Iterator[_Step]:
 def _rested(
     scene: Scene, t: Trajectory, level: int, known: _State, least: float
 ) -> Generator[_State, None, _Step | None]:
-    """Damped steps until the density of the numbers is within `least` nats of its maximum; the
-    last of them. None where the model runs away."""
-    step = None
+    """Damped steps until the density of the numbers is within `least` nats of its maximum; the one
+    that begins closest to it, for where a brake holds or slips they may jump. None where the model
+    runs away."""
+    best: _Step | None = None
     for here, step in enumerate(_damped(scene, t, INTENSITIES[level]), 1):
+        if best is None or step.off < best.off:
+            best = step
         if step.off < least or here == _HERE:
             break
         yield known._replace(trajectory=step.end)
-    return step
+    return best
 
 
 def _descended(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None]:
