@@ -78,7 +78,6 @@ _ITERATIONS = 20  # of one model, at the most
 _NEAR = 4  # random torques at which a model is judged while it moves
 _ROUGH = 1.0  # nats by which kinks make an evidence fall and rise where it is highest
 _HALVED = 4  # times that a step is halved, at the most
-_FINER = 5.0  # how much closer they come without a random torque
 _HERE = 6  # iterations at one random torque, at the most
 
 
@@ -412,7 +411,7 @@ def _descended(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | Non
 
     def seen(step: _Step, levels: np.ndarray) -> np.ndarray:
         t = dataclasses.replace(step.end, u=step.start.u, path=step.start.path)
-        found = _evidences(scene, step.start, step.linear, levels, at_rest=False)
+        found = _evidences(scene, t, step.linear, levels, at_rest=False)
         found, each = over_torque_times(scene, t, step.linear, found, levels, at_rest=False)
         for i in levels:
             best[i] = t
@@ -441,9 +440,11 @@ def _descended(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | Non
             seen(step, np.array([at]))
             known = known._replace(rise=0.0)
     end = best[likeliest]
-    if end is not None:
-        end = dataclasses.replace(end, torque_time=_likeliest_time(end, of_times))
-    yield end and known._replace(trajectory=end, done=True)
+    if end is None:
+        yield None
+        return
+    end = dataclasses.replace(end, torque_time=_likeliest_time(end, of_times))
+    yield known._replace(trajectory=end, done=True)
 
 
 def _evidences(
