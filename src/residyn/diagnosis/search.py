@@ -729,6 +729,7 @@ class Search:
         self._colour_noise(least if explains else -math.inf)
         if self.scene.coloured is not None:
             self._grow(most)
+            self._colour_noise(self.best.log_posterior)  # its time again, with what was found
             if self.best.complete < 0.5 or self.best.log_posterior < least:
                 self.whiten_noise()
 
@@ -780,6 +781,8 @@ class Search:
                 log = over_intensities(known) + model.log_prior - math.log(len(times))
                 each.append((log, own, INTENSITIES[int(np.argmax(known + prior))]))
         _, time_, loudest = max(each)
+        if time_ == scene.coloured:
+            return
         self.say("weighing noise that is not white")
         models, scene = list(self.tried.values()), scene.with_noise(time_)
         models.sort(key=lambda model: model not in (self.base, self.best))
@@ -794,7 +797,9 @@ class Search:
         if log < least or not any(model is self.base for model, _ in known):
             return
         known += settled(others) if others else []
-        self._white = self.scene, self.tried, self.passed, self.screens, self.reassignments
+        self._white = self._white or (
+            self.scene, self.tried, self.passed, self.screens, self.reassignments
+        )  # fmt: skip
         self.scene, self.tried, self.passed, self.screens = scene, {}, {}, {}
         self.reassignments = ()
         self._reduced.clear()
