@@ -284,10 +284,14 @@ def over_torque_times(
     return summed, each
 
 
-def _near(evidences: np.ndarray) -> np.ndarray:
-    """The levels about that of the likeliest random torque."""
-    likeliest = int(np.argmax(evidences + log_prior_intensity(INTENSITIES)))
-    first = min(max(likeliest - 1, 0), len(INTENSITIES) - _NEAR)
+def _likeliest(evidences: np.ndarray) -> int:
+    """The level of the likeliest random torque."""
+    return int(np.argmax(evidences + log_prior_intensity(INTENSITIES)))
+
+
+def _neighbours(level: int) -> np.ndarray:
+    """A level and those about it, `_NEAR` in all."""
+    first = min(max(level - 1, 0), len(INTENSITIES) - _NEAR)
     return np.arange(first, first + _NEAR)
 
 
@@ -304,8 +308,9 @@ def gain_of_torque_times(
 ) -> np.ndarray:
     """(I,) by how much the log `evidences` of a model with a law that is fixed rise where they are
     summed over the random torque's correlation time, near the likeliest torque."""
-    known = _evidences(scene, t, linear, _near(evidences))
-    summed, _ = over_torque_times(scene, t, linear, known, _near(evidences))
+    near = _neighbours(_likeliest(evidences))
+    known = _evidences(scene, t, linear, near)
+    summed, _ = over_torque_times(scene, t, linear, known, near)
     return np.where(np.isfinite(known), summed, 0.0) - np.where(np.isfinite(known), known, 0.0)
 
 
@@ -317,22 +322,23 @@ def _iterated(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None
     Evidence falls along the whole of a step where the model bends more than its slopes say: such a
     step is halved (backtracking; Nocedal and Wright, Numerical Optimization, 2006, ch. 3).
     """
-    prior, every = log_prior_intensity(INTENSITIES), np.arange(len(INTENSITIES))
+    every = np.arange(len(INTENSITIES))
     evidences, rise, back, halved = np.full(len(INTENSITIES), -np.inf), math.inf, None, 0
     for turn in range(_ITERATIONS):
         last, linear = turn == _ITERATIONS - 1, scene.linearised(t)
-        first = min(max(level - 1, 0), len(INTENSITIES) - _NEAR)
-        known = _evidences(scene, t, linear, np.arange(first, first + _NEAR))
-        likeliest = int(np.argmax(known + prior))
-        if likeliest == first > 0:  # it may be a louder one
+        near = _neighbours(level)
+        known = _evidences(scene, t, linear, near)
+        likeliest = _likeliest(known)
+        if likeliest == near[0] > 0:  # it may be a louder one
             known = _evidences(scene, t, linear, every)
-            likeliest = int(np.argmax(known + prior))
+            likeliest = _likeliest(known)
         fall = float(evidences.max()) - float(known.max())
         if not fall < SETTLED and back is not None:
             if last or halved == _HALVED or fall < _ROUGH:
                 linear, rest = scene.linearised(back), fall < _ROUGH
                 known = _evidences(scene, back, linear, every, rest)
-                evidences, each = over_torque_times(scene, back, linear, known, _near(known), rest)
+                near = _neighbours(_likeliest(known))
+                evidences, each = over_torque_times(scene, back, linear, known, near, rest)
                 yield _State(t, evidences, rise, True, _likeliest_time(t, each))
             t = dataclasses.replace(t, u=(t.u + back.u) / 2, path=(t.path + back.path) / 2)
             halved += 1
@@ -345,7 +351,8 @@ def _iterated(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None
         done, time_ = last or rest, t.torque_time
         if done:
             known = _evidences(scene, t, linear, every, rest)
-            known, each = over_torque_times(scene, t, linear, known, _near(known), rest)
+            near = _neighbours(_likeliest(known))
+            known, each = over_torque_times(scene, t, linear, known, near, rest)
             time_ = _likeliest_time(t, each)
         moved = scene.smoothed(t, linear, INTENSITIES[level])
         if moved is None:
@@ -409,7 +416,7 @@ def _descended(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | Non
     best: list[Trajectory | None] = [None] * len(INTENSITIES)  # the motions that these are of
     of_times = np.full((len(TORQUE_TIMES), len(INTENSITIES)), -np.inf)
 
-    def seen(step: _Step, levels: np.ndarray) -> np.ndarray:
+    def evaluate(step: _Step, levels: np.ndarray) -> np.ndarray:
         t = dataclasses.replace(step.end, u=step.start.u, path=step.start.path)
         found = _evidences(scene, t, step.linear, levels, at_rest=False)
         found, each = over_torque_times(scene, t, step.linear, found, levels, at_rest=False)
@@ -422,13 +429,13 @@ def _descended(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | Non
         step = yield from _rested(scene, t, at, known, _ROUGH)
         if step is None:
             break
-        found = seen(step, np.arange(at, min(at + FALL, lowest + 1)))
+        found = evaluate(step, np.arange(at, min(at + FALL, lowest + 1)))
         if step.off < _ROUGH and not found.max() > known.evidences.max() - HOPELESS:
             break
         t = step.end
     rested: set[int] = set()
     while True:
-        likeliest = int(np.argmax(known.evidences + log_prior_intensity(INTENSITIES)))
+        likeliest = _likeliest(known.evidences)
         near = likeliest, likeliest + 1, likeliest - 1
         todo = [(i, t) for i in near if i not in rested and 0 <= i <= lowest and (t := best[i])]
         if not todo:
@@ -437,7 +444,7 @@ def _descended(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | Non
         rested.add(at)
         step = yield from _rested(scene, t, at, known, SETTLED)
         if step is not None:
-            seen(step, np.array([at]))
+            evaluate(step, np.array([at]))
             known = known._replace(rise=0.0)
     end = best[likeliest]
     if end is None:
@@ -768,7 +775,7 @@ class Search:
         """Give all models noise that is not white in the place of a random torque, if a log
         posterior is then at `least` so high: an Ornstein-Uhlenbeck process, as that torque is, of
         the likeliest correlation time."""
-        scene, prior, every = self.scene, log_prior_intensity(INTENSITIES), range(len(INTENSITIES))
+        scene, every = self.scene, np.arange(len(INTENSITIES))
         longest = 1.0 / min(s.frequency for s in scene.scales)
         times = correlation_times(float(np.median(np.diff(scene.recordings[0].time))), longest)
         each = []
@@ -777,9 +784,9 @@ class Search:
             linear = scene.with_noise(longest).linearised(model.best)
             for own in times.tolist():
                 self.in_time()
-                known = _evidences(scene.with_noise(own), model.best, linear, np.array(every))
+                known = _evidences(scene.with_noise(own), model.best, linear, every)
                 log = over_intensities(known) + model.log_prior - math.log(len(times))
-                each.append((log, own, INTENSITIES[int(np.argmax(known + prior))]))
+                each.append((log, own, INTENSITIES[_likeliest(known)]))
         _, time_, loudest = max(each)
         if time_ == scene.coloured:
             return
