@@ -27,24 +27,28 @@ SCRIPT = Path(__file__).with_name("_scipy_script.py")
 TRUTH = np.array([*ARM.stiffness, *ARM.damping])
 
 
+def written(
+    folder: Path, name: str, arm: rig.Arm, rng: np.random.Generator, seconds: float
+) -> Path:
+    """An experiment's TOML file, its CSV file beside it: a release of an arm."""
+    release = np.array([0.2, -0.1]) * rng.uniform(0.7, 1.3, 2)
+    case = rig.record(rng, arm, release, [], seconds=seconds, rate=100.0, noise=NOISE)
+    csv = folder / f"{name}.csv"
+    rows = np.column_stack([case.t, case.q])
+    np.savetxt(csv, rows, delimiter=",", header="t,q1,q2", comments="")
+    toml = csv.with_suffix(".toml")
+    toml.write_text(
+        f"[arm]\nlink_lengths = [{arm.l1}, {arm.l2}]\nshoulder = {arm.shoulder}\n"
+        f"elbow = {arm.elbow}\ncoupling = {arm.coupling}\n\n"
+        f'[[recordings]]\nfile = "{csv.name}"\ntheta2 = {arm.theta2}\nnoise = {NOISE}\n'
+    )
+    return toml
+
+
 def recorded(folder: Path, seed: int) -> list[Path]:
-    """Two experiments' TOML files, their CSV files beside them."""
+    """Two experiments of different lengths."""
     rng = np.random.default_rng([seed, 11])
-    found = []
-    for i, seconds in enumerate(LENGTHS):
-        release = np.array([0.2, -0.1]) * rng.uniform(0.7, 1.3, 2)
-        case = rig.record(rng, ARM, release, [], seconds=seconds, rate=100.0, noise=NOISE)
-        csv = folder / f"release{i}.csv"
-        rows = np.column_stack([case.t, case.q])
-        np.savetxt(csv, rows, delimiter=",", header="t,q1,q2", comments="")
-        toml = csv.with_suffix(".toml")
-        toml.write_text(
-            f"[arm]\nlink_lengths = [{ARM.l1}, {ARM.l2}]\nshoulder = {ARM.shoulder}\n"
-            f"elbow = {ARM.elbow}\ncoupling = {ARM.coupling}\n\n"
-            f'[[recordings]]\nfile = "{csv.name}"\ntheta2 = {ARM.theta2}\nnoise = {NOISE}\n'
-        )
-        found.append(toml)
-    return found
+    return [written(folder, f"release{i}", ARM, rng, s) for i, s in enumerate(LENGTHS)]
 
 
 def timed(command: list[str], cache: Path) -> float:

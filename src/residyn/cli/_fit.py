@@ -19,6 +19,8 @@ from ._work import Work, bring, computing, must_stand, title
 if TYPE_CHECKING:
     from ..fitting.batch import Each
 
+_WORTH = 64
+"""Experiments for each of several processes: one starts in the time of some forty fits."""
 NOTHING = "nothing"
 """Of --against: no effect, springs and dampers alone."""
 
@@ -26,7 +28,7 @@ NOTHING = "nothing"
 def fit(
     experiment: _options.OneExperiment = None,
     each: _options.Each = None,
-    jobs: _options.Jobs = 1,
+    jobs: _options.Jobs = None,
     effects: _options.With = None,
     against: _options.Against = None,
     own: _options.Effects = None,
@@ -63,7 +65,7 @@ def fit(
             raise InputError(f"--each {each} does not go with {', '.join(wrong)}")
         bring(own)
         return _fit_each(each, effects or [], own, starts, json, no_cache, jobs)
-    if jobs != 1:
+    if jobs is not None:
         raise InputError(f"--jobs {jobs} goes with --each FOLDER")
     if against is not None and table is not None:
         raise InputError("--table is of one model; it goes without --against")
@@ -116,9 +118,10 @@ def _fit_each(
     starts: int,
     json: str | None,
     no_cache: bool,
-    jobs: int,
+    jobs: int | None,
 ) -> None:
-    """Fit every experiment of a folder, a line each as it is done, in `jobs` processes."""
+    """Fit every experiment of a folder, a line each as it is done, in `jobs` processes; as many as
+    there are cores, if each has as many experiments as pay for its start."""
     if not Path(folder).is_dir():
         raise InputError(f"--each {folder}: there is no such folder")
     files = sorted(str(file) for file in Path(folder).glob("*.toml"))
@@ -127,6 +130,9 @@ def _fit_each(
     out = Work(json)
     out.spare([Path(file) for file in (*files, *(own or ()))])
     set_up_jax(not no_cache)
+    from ..runtime.parallel import cores
+
+    jobs = jobs or min(cores(), len(files) // _WORTH)
     to_terminal, bad = json == "-", 0
     with progress() as say, _workers(min(jobs, len(files)), own, not no_cache) as executor:
         from ..effects import kind_named
@@ -155,8 +161,8 @@ def _fit_each(
 def _workers(
     jobs: int, own: Sequence[str] | None, cache: bool
 ) -> Iterator[ProcessPoolExecutor | None]:
-    """So many processes; none for one job, which this process does itself."""
-    if jobs == 1:
+    """So many processes; none for one job or less, which this process does itself."""
+    if jobs <= 1:
         yield None
         return
     pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _prepare, (own, cache))

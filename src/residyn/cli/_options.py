@@ -60,7 +60,13 @@ _EXPERIMENT = argument(
 Experiment = Annotated[str, _EXPERIMENT]
 OneExperiment = Annotated[str | None, _EXPERIMENT]
 Jobs = Annotated[
-    int, number("--jobs N", "With --each: how many processes share the experiments.", least=1)
+    int | None,
+    number(
+        "--jobs N",
+        "With --each: how many processes share the experiments; as many as there are cores, "
+        "unless there are few experiments for each.",
+        least=1,
+    ),
 ]
 Each = Annotated[
     str | None,

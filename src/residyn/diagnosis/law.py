@@ -10,6 +10,7 @@ were held out better than the model without it. Otherwise the curve itself, as a
 
 import dataclasses
 import datetime
+import functools
 import math
 import textwrap
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ from ..filtering.trajectory import Scene, Trajectory
 from ..fitting import FitError
 from ..physics.motion import JointMotion
 from ..runtime.json import number
+from ..runtime.parallel import side_by_side
 from .columns import with_effects, without
 from .evidence import (
     CONTENDERS,
@@ -94,28 +96,35 @@ def curve_models(search: Search) -> list[CurveModel]:
 
     def settled(
         parent: Tried, start: Trajectory, place: Place, curve: Posterior, loudest: float
-    ) -> list[CurveModel]:
+    ) -> CurveModel | None:
         search.in_time()
         prior = prior_of(parent)
         model = settled_curve(scene, parent.added, start, place, curve, loudest, prior)
-        if model is None:
-            return []
         # The law that has a simple formula is the likelier one.
-        formulas = tuple(likeliest(Along(scene, model.best), model))
-        return [dataclasses.replace(model, formulas=formulas)]
+        formulas = model and tuple(likeliest(Along(scene, model.best), model))
+        return model and dataclasses.replace(model, formulas=formulas)
 
-    models = [model for start in few for model in settled(*start)]
+    models: list[CurveModel] = []
+    begun, todo = 0, few
     # Whether a name is at work beside a curve shows beside the curve without it.
-    known = {(m.place.kind, m.place.joint, frozenset(m.added)) for m in models}
-    for model in models:  # which grow on the way
-        top = max(m.log_posterior for m in (best, *models))
-        for x in model.added if model.log_posterior > top + math.log(IN_PLAY) else ():
-            rest = frozenset(model.added) - {x}
-            key = model.place.kind, model.place.joint, rest
-            if key not in known and rest in search.tried:
-                known.add(key)
-                start, loudest = without(scene, model.best, x), max(model.intensity, READINGS_LEAD)
-                models += settled(search.tried[rest], start, model.place, model.curve, loudest)
+    known: set[tuple[Kind, int, frozenset[str]]] = set()
+    while todo:
+        each = side_by_side([functools.partial(settled, *start) for start in todo])
+        models += [model for model in each if model is not None]
+        known |= {(m.place.kind, m.place.joint, frozenset(m.added)) for m in models}
+        top, todo = max(m.log_posterior for m in (best, *models)), []
+        for model in models[begun:]:
+            for x in model.added if model.log_posterior > top + math.log(IN_PLAY) else ():
+                rest = frozenset(model.added) - {x}
+                key = model.place.kind, model.place.joint, rest
+                if key not in known and rest in search.tried:
+                    known.add(key)
+                    start, loudest = (
+                        without(scene, model.best, x),
+                        max(model.intensity, READINGS_LEAD),
+                    )
+                    todo.append((search.tried[rest], start, model.place, model.curve, loudest))
+        begun = len(models)
     return models
 
 
