@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.effects import experiment_of
 from residyn.diagnosis.missing_torque import scene_of, torques_of
-from residyn.diagnosis.search import tried_alone
+from residyn.diagnosis.tried import tried_alone
 from residyn.filtering.law import numbers_of
 from tests import rig
 

@@ -29,11 +29,13 @@ from residyn.diagnosis.evidence import (
     non_normal_priors,
     over_intensities,
 )
+from residyn.diagnosis.iteration import settle
 from residyn.diagnosis.linearised_fit import Hopeless, minimum
 from residyn.diagnosis.missing_torque import missing_of, scene_of
 from residyn.diagnosis.residuals import coloured
-from residyn.diagnosis.search import Search, Tried, settle, tried_alone
+from residyn.diagnosis.search import Search
 from residyn.diagnosis.simulated import simulated
+from residyn.diagnosis.tried import Tried, tried_alone
 from residyn.fitting.problem import Unknowns
 from residyn.physics.effect import JointEffect
 from residyn.physics.parameter import ANGLE, TORQUE, Dimension, param

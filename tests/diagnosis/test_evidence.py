@@ -59,9 +59,10 @@ from residyn.diagnosis.evidence import (
     subset,
 )
 from residyn.diagnosis.free_curves import CurveModel, Kind, Place
+from residyn.diagnosis.iteration import over_torque_times, settle
 from residyn.diagnosis.linearised_fit import Minimum
-from residyn.diagnosis.search import Tried, over_torque_times, settle, tried_alone
 from residyn.diagnosis.simulated import Simulated
+from residyn.diagnosis.tried import Tried, tried_alone
 from residyn.effects import (
     AirDrag,
     AsymmetricStiffness,

@@ -22,7 +22,8 @@ from residyn.diagnosis.evidence import (
 )
 from residyn.diagnosis.free_curves import Along, Kind, Place, heights_of, points, splines
 from residyn.diagnosis.law import curve_models
-from residyn.diagnosis.search import Search, tried_alone
+from residyn.diagnosis.search import Search
+from residyn.diagnosis.tried import tried_alone
 from residyn.effects import Damper, Spring
 from residyn.filtering.free_curve import HEIGHTS, FreeCurve
 from residyn.filtering.trajectory import Scene

@@ -19,10 +19,11 @@ from residyn.diagnosis.candidate_tests import (
 )
 from residyn.diagnosis.evidence import prior_of
 from residyn.diagnosis.experiment_design import Quantity, entropy
+from residyn.diagnosis.iteration import settle
 from residyn.diagnosis.missing_torque import scene_of
 from residyn.diagnosis.plan import InPlay, Plan
 from residyn.diagnosis.result import ChannelError
-from residyn.diagnosis.search import Tried, settle
+from residyn.diagnosis.tried import Tried
 from residyn.effects import (
     ConstantTorque,
     CubicStiffness,

@@ -10,9 +10,11 @@ from scipy.stats import norm
 import residyn
 from residyn.diagnosis.candidate_tests import Rival
 from residyn.diagnosis.evidence import prior_of
+from residyn.diagnosis.iteration import settle
 from residyn.diagnosis.missing_torque import scene_of
 from residyn.diagnosis.plan import InPlay
-from residyn.diagnosis.search import Search, Tried, settle, tried_alone
+from residyn.diagnosis.search import Search
+from residyn.diagnosis.tried import Tried, tried_alone
 from residyn.effects import BearingDrag
 from residyn.procedure.carried import NAMES, inertias, slopes_of_modes
 from residyn.procedure.over_models import (

@@ -35,7 +35,7 @@ from ..simulation.interpolation import read
 from ..simulation.simulate import SMOOTH_STEP, march
 from .evidence import CONTENDERS, IN_PLAY, INDISTINGUISHABLE, RELEASE_ERROR, WORTHWHILE
 from .experiment_design import Predicted, Quantity, Worth, entropy, reduced, together, worth
-from .search import Tried
+from .tried import Tried
 
 _SAMPLES = 512
 """Instants of a prediction: the separation of two models is then right to 1 % over 40 cycles, to

@@ -25,7 +25,7 @@ from ..recordings.experiment import Experiment
 from ..recordings.tables import ArmTable
 from ..runtime.parallel import side_by_side
 from .evidence import log_prior_model
-from .search import Tried, tried_alone
+from .tried import Tried, tried_alone
 
 
 class Channels(NamedTuple):

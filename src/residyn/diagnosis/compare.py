@@ -21,7 +21,8 @@ from .forecast import HeldOut, Horizon, held_out, horizon
 from .linearised_fit import predictions
 from .missing_torque import CURVES, Missing, missing_of, owning_base, scene_of, with_rests
 from .residuals import Where, where
-from .search import Search, tried_alone
+from .search import Search
+from .tried import tried_alone
 from .whiteness import of_the_least
 
 

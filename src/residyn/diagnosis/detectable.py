@@ -45,7 +45,7 @@ from .evidence import (
     width_of,
 )
 from .missing_torque import scene_of, with_rests
-from .search import tried_alone
+from .tried import tried_alone
 
 DRAWS = 200
 """Of recordings: the half of them is then known to 4 %."""

@@ -61,8 +61,9 @@ from .result import (
     Value,
     Verdict,
 )
-from .search import Search, Tried, signs_of
+from .search import Search
 from .simulated import Simulated, simulated
+from .tried import Tried, signs_of
 
 MOST_EFFECTS = 3
 """How many effects are added unless it is told otherwise."""

@@ -34,7 +34,7 @@ from .evidence import (
     subset,
 )
 from .free_curves import Along, CurveModel, Kind, Place, heights_of, points, signs
-from .search import gain_of_torque_times
+from .iteration import gain_of_torque_times
 
 MOST_TERMS = 3
 _KEPT = 12  # sums that a further term is tried with

@@ -45,7 +45,8 @@ from .evidence import (
     non_normal_priors,
     prior_sizes,
 )
-from .search import Tried, gain_of_torque_times
+from .iteration import gain_of_torque_times
+from .tried import Tried
 
 SPLINES = 32
 """Of one curve."""

@@ -54,7 +54,8 @@ from .free_curves import (
     splines,
     with_curve,
 )
-from .search import Search, Tried, screened_at, screening_motion, silenced
+from .search import Search
+from .tried import Tried, screened_at, screening_motion, silenced
 
 GRID = 101
 """Points at which a law is told."""
@@ -100,9 +101,11 @@ def curve_models(search: Search) -> list[CurveModel]:
         search.in_time()
         prior = prior_of(parent)
         model = settled_curve(scene, parent.added, start, place, curve, loudest, prior)
+        if model is None:
+            return None
         # The law that has a simple formula is the likelier one.
-        formulas = model and tuple(likeliest(Along(scene, model.best), model))
-        return model and dataclasses.replace(model, formulas=formulas)
+        formulas = tuple(likeliest(Along(scene, model.best), model))
+        return dataclasses.replace(model, formulas=formulas)
 
     models: list[CurveModel] = []
     begun, todo = 0, few

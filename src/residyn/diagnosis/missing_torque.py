@@ -29,7 +29,7 @@ from ..physics.model import Model
 from ..physics.parameter import parameters_of
 from ..recordings.experiment import Experiment
 from ..recordings.recording import Recording
-from .search import Tried, tried_alone
+from .tried import Tried, tried_alone
 
 CURVES = 2
 """Of rivals, drawn beside a missing torque."""

@@ -9,26 +9,20 @@ far.
 """
 
 import contextlib
-import dataclasses
 import functools
 import itertools
 import math
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
-from scipy.special import softmax
 
 from ..effects import AbstractEffect
-from ..effects.own_numbers import shared
 from ..filtering.kalman import System
-from ..filtering.law import number_slices, numbers_of, state_slices
+from ..filtering.law import number_slices, numbers_of
 from ..filtering.linearised import Linear
 from ..filtering.trajectory import Scene, Trajectory
-from ..fitting import FitError
-from ..physics.effect import BASE
-from ..physics.parameter import Parameter
 from ..runtime.memory import give_back
 from ..runtime.parallel import side_by_side
 from .columns import (
@@ -44,459 +38,24 @@ from .columns import (
     without,
 )
 from .evidence import (
-    COMPLETE,
     CONTENDERS,
     EXPLAINS_NOTHING,
-    FAINT,
-    FALL,
-    HOPELESS,
     IN_PLAY,
     INDISTINGUISHABLE,
     INTENSITIES,
-    READINGS_LEAD,
-    SETTLED,
     STRENGTHS,
-    TORQUE_TIMES,
     WIDTH,
     correlation_times,
-    information,
-    laplace_about,
-    log_prior_intensity,
     log_prior_model,
-    non_normal_priors,
     occams_window,
     over_intensities,
     prior_of,
-    right_signs,
     savage_dickey,
     signed,
-    torque_scales,
 )
+from .iteration import NEAR, evidences_at, likeliest_level, settle
 from .simulated import Simulated
-
-_ITERATIONS = 20  # of one model, at the most
-_NEAR = 4  # random torques at which a model is judged while it moves
-_ROUGH = 1.0  # nats by which kinks make an evidence fall and rise where it is highest
-_HALVED = 4  # times that a step is halved, at the most
-_HERE = 6  # iterations at one random torque, at the most
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Tried:
-    """A model, iterated to its evidence."""
-
-    added: tuple[str, ...]  # labels beyond the base model, in the order in which they joined
-    evidences: np.ndarray  # (I,) log evidence at each of `INTENSITIES` of the random torque
-    best: Trajectory  # at the likeliest of them
-    log_prior: float
-    simulated: Simulated | None = dataclasses.field(default=None, kw_only=True)
-    """Without a random torque, by exact simulation, where that was done."""
-
-    @property
-    def log_evidence(self) -> float:
-        """The random torque summed over."""
-        return over_intensities(self.evidences)
-
-    @property
-    def log_posterior(self) -> float:
-        """Not normalised."""
-        return self.log_evidence + self.log_prior
-
-    @functools.cached_property
-    def weights(self) -> np.ndarray:
-        """(I,) posterior of the random torque's intensity, given the model."""
-        return softmax(self.evidences + log_prior_intensity(INTENSITIES))
-
-    def needs(self, scene: Scene) -> np.ndarray:
-        """(I,) posterior of the random torque that the model needs: of louder ones, too, than it
-        was iterated under."""
-        known = np.isfinite(self.evidences)
-        if known.all():
-            return self.weights
-        every = np.arange(len(INTENSITIES))
-        each = _evidences(scene, self.best, scene.linearised(self.best), every)
-        each = np.where(known, self.evidences, each)
-        return softmax(each + log_prior_intensity(INTENSITIES))
-
-    @property
-    def complete(self) -> float:
-        """Probability, given the model, that it needs no random torque that matters."""
-        return float(self.weights[self.enough].sum())
-
-    @property
-    def nearly_complete(self) -> bool:
-        """Whether the filter cannot tell if the model needs a random torque."""
-        return self.evidences[-1] > self.evidences.max() - INDISTINGUISHABLE
-
-    @property
-    def enough(self) -> np.ndarray:
-        """(I,) the intensities with which the model needs no random torque that matters."""
-        return COMPLETE if self.best.coloured is None else FAINT
-
-    @property
-    def informed(self) -> bool:
-        """Whether the readings say anything of the strengths of each effect that was added
-        (`information`): else the model has the odds of the prior, which are no finding."""
-        t = self.posterior
-        each = (_places(t, e, strengths(e)) for e in t.effects if e.label in self.added)
-        return all(information(t.covariance[np.ix_(own, own)]) > SETTLED for own in each)
-
-    @property
-    def intensity(self) -> float:
-        """The likeliest random torque."""
-        return INTENSITIES[int(np.argmax(self.weights))]
-
-    @property
-    def posterior(self) -> Trajectory:
-        """With the posterior of its numbers: as simulated exactly where it needs no random torque
-        and that was done; else as smoothed."""
-        t, known = self.best, self.simulated
-        if known is None or self.intensity > 0:
-            return t
-        u = np.append(known.u, t.u[len(known.u) :])
-        return dataclasses.replace(t, u=u, covariance=known.covariance)
-
-    def starts(self, scene: Scene) -> tuple[Trajectory, ...]:
-        """Where fits by least squares begin: without a random torque; and as it is, if it has one,
-        for a random torque taken away may lead astray."""
-        silent = silenced(scene, self.best, self.intensity)
-        return (silent, self.best) if self.intensity > 0 else (silent,)
-
-    def simulated_as(self, found: Simulated) -> "Tried":
-        """This model, with its exact simulation without a random torque. Linearised once along the
-        motion without one it errs alike under all random torques; not so along another, from which
-        the motion without any is far, and what sticks has a motion of its own under each."""
-        evidences = self.evidences.copy()
-        if self.nearly_complete and not _sticks(self.best):
-            evidences += found.log_evidence - evidences[-1]
-        evidences[-1] = found.log_evidence
-        return dataclasses.replace(self, evidences=evidences, simulated=found)
-
-    def over_torques(self, scene: Scene) -> list[tuple[float, Trajectory]]:
-        """The motion under each random torque that counts, with its posterior probability; where
-        none can be smoothed (it runs away), the model's own."""
-        system = scene.linearised(self.best)
-        found = [
-            (w, scene.smoothed(self.best, system, x))
-            for w, x in zip(self.weights, INTENSITIES, strict=True)
-            if w > IN_PLAY
-        ]
-        kept = [(w, t) for w, t in found if t is not None] or [(1.0, self.best)]
-        return [(w / sum(w for w, _ in kept), t) for w, t in kept]
-
-
-def settle(
-    scene: Scene,
-    starts: Sequence[Trajectory],
-    loudest: float,
-    go_on: Callable[[], None] = lambda: None,
-    known: float = -math.inf,
-) -> list[tuple[np.ndarray, Trajectory] | None]:
-    """Iterate models side by side, each to its likeliest random torque and its own motion under it;
-    None for one that ran away, or fell hopelessly behind another, or behind the log evidence
-    `known`. `go_on` is called before each iteration.
-
-    Linearised along its motion, a model has an evidence under every random torque; the next motion
-    is smoothed under the likeliest one, which falls by a decade an iteration at the most, from
-    `loudest`: the readings lead first, the model last. Where a joint or a brake sticks, loud
-    torques hide it from the model that has it; there, each is gone through down to none and has
-    the evidence of its own motion (graduated optimisation: Blake and Zisserman, Visual
-    Reconstruction, 1987). Evidences are sums over the random torque's correlation time.
-    """
-    first = next(k for k, x in enumerate(INTENSITIES) if x <= loudest)
-    each = [_settled(scene, t, first) for t in starts]
-    found: list[_State | None] = [None] * len(starts)
-    moving = list(range(len(starts)))
-    while moving:
-        go_on()
-        steps = side_by_side([functools.partial(next, each[i]) for i in moving])
-        for i, state in zip(moving, steps, strict=True):
-            found[i] = state
-        best = max([known, *(s.evidences.max() for s in found if s is not None)])
-        moving = [i for i in moving if (s := found[i]) and not (s.done or s.hopeless(best))]
-    return [(s.evidences, s.trajectory) if s else None for s in found]
-
-
-class _State(NamedTuple):
-    """Where the iteration of a model is."""
-
-    trajectory: Trajectory
-    evidences: np.ndarray
-    """(I,) of a motion before the last smoothing, -inf where not known."""
-    rise: float = math.inf
-    """Of the highest of them, nats, in the last iteration."""
-    done: bool = False
-    likeliest_time: float = 1.0
-    """Correlation time of the random torque, where it is done."""
-
-    def hopeless(self, best: float) -> bool:
-        """Whether the model is hopelessly behind the best evidence of any, and still would be if
-        all iterations to come raised it by as much as the last one. Their steps shrink by half at
-        least where they converge at all."""
-        return self.evidences.max() < best - HOPELESS - max(0.0, self.rise)
-
-
-def _settled(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None]:
-    """A model under a random torque from that of index `level` on, of the correlation time that its
-    trajectory has; where another one is likelier at its end, iterated once more, under that. Where
-    something sticks the time stays: it has its own motion under each torque in any case."""
-    if _sticks(t):
-        yield from _descended(scene, t, level)
-        return
-    found: _State | None = None
-    times: set[float] = set()
-    while t.torque_time not in times:
-        times.add(t.torque_time)
-        state = None
-        for state in _iterated(scene, t, level - FALL):
-            if state is None or state.done:
-                break
-            yield state
-        if state is None:
-            break
-        if found is None or over_intensities(state.evidences) > over_intensities(found.evidences):
-            found, level = state, int(np.argmax(state.evidences)) + FALL
-            t = dataclasses.replace(state.trajectory, torque_time=state.likeliest_time)
-            yield state._replace(rise=0.0, done=t.torque_time in times)
-    yield found and found._replace(done=True)
-
-
-def over_torque_times(
-    scene: Scene,
-    t: Trajectory,
-    linear: Linear,
-    known: np.ndarray,
-    levels: np.ndarray,
-    at_rest: bool = True,
-) -> tuple[np.ndarray, np.ndarray]:
-    """A model's log evidences `known` (I,) along its motion, at some levels summed over the random
-    torque's correlation time; and (T, I) those of each time there. `at_rest` as in
-    `_evidences`."""
-    if scene.coloured is not None:
-        return known, np.tile(known, (len(TORQUE_TIMES), 1))
-    each = np.full((len(TORQUE_TIMES), len(INTENSITIES)), -np.inf)
-    for i, x in enumerate(TORQUE_TIMES):
-        other = dataclasses.replace(t, torque_time=x)
-        own = known if x == t.torque_time else _evidences(scene, other, linear, levels, at_rest)
-        each[i, levels] = own[levels]
-    summed = known.copy()
-    summed[levels] = np.logaddexp.reduce(each[:, levels], axis=0) - math.log(len(TORQUE_TIMES))
-    return summed, each
-
-
-def _likeliest(evidences: np.ndarray) -> int:
-    """The level of the likeliest random torque."""
-    return int(np.argmax(evidences + log_prior_intensity(INTENSITIES)))
-
-
-def _neighbours(level: int) -> np.ndarray:
-    """A level and those about it, `_NEAR` in all."""
-    first = min(max(level - 1, 0), len(INTENSITIES) - _NEAR)
-    return np.arange(first, first + _NEAR)
-
-
-def _likeliest_time(t: Trajectory, each: np.ndarray) -> float:
-    """Of those log evidences (T, I) of each are known; a model's own if they are the same."""
-    totals = [over_intensities(x) for x in each]
-    best = TORQUE_TIMES[int(np.argmax(totals))]
-    own = totals[TORQUE_TIMES.index(t.torque_time)]
-    return best if max(totals) > own + SETTLED else t.torque_time
-
-
-def gain_of_torque_times(
-    scene: Scene, t: Trajectory, linear: Linear, evidences: np.ndarray
-) -> np.ndarray:
-    """(I,) by how much the log `evidences` of a model with a law that is fixed rise where they are
-    summed over the random torque's correlation time, near the likeliest torque."""
-    near = _neighbours(_likeliest(evidences))
-    known = _evidences(scene, t, linear, near)
-    summed, _ = over_torque_times(scene, t, linear, known, near)
-    return np.where(np.isfinite(known), summed, 0.0) - np.where(np.isfinite(known), known, 0.0)
-
-
-def _iterated(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None]:
-    """Gauss-Newton steps of a model: its evidences where it is, near the random torque that it has,
-    and where they lead; all evidences where it ends. None where it runs away. The first random
-    torque is the one of index `level`, or one louder by `FALL`.
-
-    Evidence falls along the whole of a step where the model bends more than its slopes say: such a
-    step is halved (backtracking; Nocedal and Wright, Numerical Optimization, 2006, ch. 3).
-    """
-    every = np.arange(len(INTENSITIES))
-    evidences, rise, back, halved = np.full(len(INTENSITIES), -np.inf), math.inf, None, 0
-    for turn in range(_ITERATIONS):
-        last, linear = turn == _ITERATIONS - 1, scene.linearised(t)
-        near = _neighbours(level)
-        known = _evidences(scene, t, linear, near)
-        likeliest = _likeliest(known)
-        if likeliest == near[0] > 0:  # it may be a louder one
-            known = _evidences(scene, t, linear, every)
-            likeliest = _likeliest(known)
-        fall = float(evidences.max()) - float(known.max())
-        if not fall < SETTLED and back is not None:
-            if last or halved == _HALVED or fall < _ROUGH:
-                linear, rest = scene.linearised(back), fall < _ROUGH
-                known = _evidences(scene, back, linear, every, rest)
-                near = _neighbours(_likeliest(known))
-                evidences, each = over_torque_times(scene, back, linear, known, near, rest)
-                yield _State(t, evidences, rise, True, _likeliest_time(t, each))
-            t = dataclasses.replace(t, u=(t.u + back.u) / 2, path=(t.path + back.path) / 2)
-            halved += 1
-            yield _State(t, evidences, rise)
-            continue
-        if not np.isfinite(known).any():
-            break
-        level, before = min(likeliest, max(level, 0) + FALL), level
-        rest = bool(level == before and abs(known[level] - evidences[level]) < SETTLED)
-        done, time_ = last or rest, t.torque_time
-        if done:
-            known = _evidences(scene, t, linear, every, rest)
-            near = _neighbours(_likeliest(known))
-            known, each = over_torque_times(scene, t, linear, known, near, rest)
-            time_ = _likeliest_time(t, each)
-        moved = scene.smoothed(t, linear, INTENSITIES[level])
-        if moved is None:
-            break
-        rise = float(known.max()) - float(evidences.max())
-        t, back, evidences, halved = moved, t, known, 0
-        yield _State(t, evidences, rise, done, time_)
-    yield None
-
-
-class _Step(NamedTuple):
-    """A Gauss-Newton step of a model."""
-
-    start: Trajectory
-    linear: Linear  # along `start`
-    end: Trajectory  # a share of the step on
-    off: float
-    """Nats by which the density of the numbers at `start` is below that after the whole step."""
-
-
-def _damped(scene: Scene, t: Trajectory, intensity: float) -> Iterator[_Step]:
-    """Gauss-Newton steps of a model in which something sticks, under one random torque.
-
-    Turns on the motion itself, so that whole steps swing about the end. Half steps, and shorter
-    ones after each reversal, converge (Kesten, Annals of Mathematical Statistics 29, 1958).
-    """
-    reversals, before = 0, np.zeros(len(t.u))
-    while True:
-        linear, share = scene.linearised(t), 1.0 / (2.0 + reversals)
-        end = scene.smoothed(t, linear, intensity, share)
-        if end is None:
-            return
-        whole = (end.u - t.u) / share
-        slope = np.linalg.solve(end.covariance, whole)
-        yield _Step(t, linear, end, 0.5 * float(whole @ slope))
-        reversals, before, t = reversals + bool(slope @ before < 0.0), whole, end
-
-
-def _rested(
-    scene: Scene, t: Trajectory, level: int, known: _State, least: float
-) -> Generator[_State, None, _Step | None]:
-    """Damped steps until the density of the numbers is within `least` nats of its maximum; the one
-    that begins closest to it, for where a brake holds or slips they may jump. None where the model
-    runs away."""
-    best: _Step | None = None
-    for here, step in enumerate(_damped(scene, t, INTENSITIES[level]), 1):
-        if best is None or step.off < best.off:
-            best = step
-        if step.off < least or here == _HERE:
-            break
-        yield known._replace(trajectory=step.end)
-    return best
-
-
-def _descended(scene: Scene, t: Trajectory, level: int) -> Iterator[_State | None]:
-    """Steps of a model in which something sticks, under each random torque in turn, then to rest
-    under the likeliest one and those next to it. Each has the evidence of its own motion: one under
-    a louder torque says of it what is linear only. Loud torques hide what sticks from the evidence,
-    so that no model is hopeless before its end."""
-    known, lowest = _State(t, np.full(len(INTENSITIES), -np.inf)), len(INTENSITIES) - 1
-    best: list[Trajectory | None] = [None] * len(INTENSITIES)  # the motions that these are of
-    of_times = np.full((len(TORQUE_TIMES), len(INTENSITIES)), -np.inf)
-
-    def evaluate(step: _Step, levels: np.ndarray) -> np.ndarray:
-        t = dataclasses.replace(step.end, u=step.start.u, path=step.start.path)
-        found = _evidences(scene, t, step.linear, levels, at_rest=False)
-        found, each = over_torque_times(scene, t, step.linear, found, levels, at_rest=False)
-        for i in levels:
-            best[i] = t
-        known.evidences[levels], of_times[:, levels] = found[levels], each[:, levels]
-        return found[levels]
-
-    for at in (*range(level, lowest, FALL), lowest):
-        step = yield from _rested(scene, t, at, known, _ROUGH)
-        if step is None:
-            break
-        found = evaluate(step, np.arange(at, min(at + FALL, lowest + 1)))
-        if step.off < _ROUGH and not found.max() > known.evidences.max() - HOPELESS:
-            break
-        t = step.end
-    rested: set[int] = set()
-    while True:
-        likeliest = _likeliest(known.evidences)
-        near = likeliest, likeliest + 1, likeliest - 1
-        todo = [(i, t) for i in near if i not in rested and 0 <= i <= lowest and (t := best[i])]
-        if not todo:
-            break
-        at, t = todo[0]
-        rested.add(at)
-        step = yield from _rested(scene, t, at, known, SETTLED)
-        if step is not None:
-            evaluate(step, np.array([at]))
-            known = known._replace(rise=0.0)
-    end = best[likeliest]
-    if end is None:
-        yield None
-        return
-    end = dataclasses.replace(end, torque_time=_likeliest_time(end, of_times))
-    yield known._replace(trajectory=end, done=True)
-
-
-def _evidences(
-    scene: Scene, t: Trajectory, linear: Linear, levels: np.ndarray, at_rest: bool = True
-) -> np.ndarray:
-    """(I,) log evidences of a model at some random torques, -inf at others; about its own numbers
-    (`laplace_about`) if its iteration has not come to rest."""
-    found = np.full(len(INTENSITIES), -np.inf)
-    for i in range(0, len(levels), _NEAR):  # one program for few and for all
-        some = levels[np.minimum(np.arange(i, i + _NEAR), len(levels) - 1)]
-        logs, u, covariance = scene.evidences(t, linear, np.array(INTENSITIES)[some])
-        if not at_rest:
-            logs, u = laplace_about(logs, u, covariance, t.u), np.tile(t.u, (len(some), 1))
-        found[some] = scene.possible(logs + non_normal_priors(t.effects, t.prior, u, covariance))
-    return found
-
-
-def _sticks(t: Trajectory) -> bool:
-    """Whether a joint or a brake may stick."""
-    return any(e.dry or e.follows for e in t.effects)
-
-
-def _may_be_complete(model: Tried) -> bool:
-    """Whether a model may need no random torque, which an exact simulation tells: a filter's word
-    is not enough where something sticks."""
-    return model.nearly_complete or _sticks(model.best)
-
-
-def signs_of(t: Trajectory) -> np.ndarray:
-    """(I,) `right_signs` of a smoothed model, for each random torque that it still needs."""
-    std = np.sqrt(np.maximum(np.diag(t.covariance), 1e-300))
-    return right_signs(t.effects, t.prior, t.u, std, np.array(INTENSITIES))
-
-
-def silenced(scene: Scene, t: Trajectory, intensity: float) -> Trajectory:
-    """A model without a random torque: where a fit by least squares begins. If it runs away on the
-    way there, the last motion that did not."""
-    first = INTENSITIES.index(intensity)
-    for x in (*INTENSITIES[first + 1 :: FALL], 0.0, 0.0):
-        moved = scene.smoothed(t, scene.linearised(t), x)
-        if moved is None:
-            break
-        t = moved
-    return t
-
+from .tried import Tried, may_be_complete, places_of, screened_at, screening_motion, tried_alone
 
 _prepared: set[Any] = set()
 
@@ -520,7 +79,7 @@ def prepare(scene: Scene, base: Sequence[AbstractEffect], wanted: Sequence[Abstr
     linear = Linear(system, np.zeros((K, n)), *map(np.zeros, wide), *unused)
 
     def filters() -> None:
-        scene.evidences(t, linear, np.zeros(_NEAR))
+        scene.evidences(t, linear, np.zeros(NEAR))
         scene.smoothed(t, linear, 0.0)
         Columns(scene, t, wanted, [1.0], linear=linear).gram([0.0])
 
@@ -532,98 +91,6 @@ def prepare(scene: Scene, base: Sequence[AbstractEffect], wanted: Sequence[Abstr
 
 class OutOfTime(Exception):
     """The search's time is over."""
-
-
-def tried_alone(
-    scene: Scene,
-    effects: Sequence[AbstractEffect],
-    known: float = -math.inf,
-    go_on: Callable[[], None] = lambda: None,
-) -> Tried:
-    """A model by itself, linearised along the readings at first, and at rest: noise makes of
-    readings rates that no model follows. And, where it has effects that are silent there, from the
-    springs and dampers alone, which these join one by one as the screen has them: without a
-    strength neither shapes nor internal states matter, and no slope leads away. Where it falls
-    hopelessly behind a log evidence that is `known`, it is left as far as it has come. `go_on` is
-    called before each iteration.
-
-    **Raises:** `FitError` if no motion goes with it.
-    """
-    plain = [e for e in effects if _begins_at_once(e)]
-    silent = [e for e in effects if not _begins_at_once(e)]
-    begun = tried_alone(scene, plain, go_on=go_on) if silent else None
-    start = scene.start(effects, prior_of(scene, effects))
-    starts = [start, dataclasses.replace(start, path=np.zeros_like(start.path))]
-    starts = [t for each in starts if (t := _smoothed(scene, each))]
-    if begun is not None:
-        for effect in silent:
-            t, intensity = screening_motion(scene, begun)
-            linear = scene.linearised(t)
-            lines = spectral_lines(scene, t, linear)
-            columns = Columns(scene, t, [shared(effect)], lines, linear=linear)
-            (row,) = Screen(columns, screened_at(intensity)).ranked
-            begin = scene.consistent(extended(scene, t, row))
-            (found,) = settle(scene, [begin], intensity, go_on)
-            if found is None:
-                break
-            begun = Tried((), *found, log_prior=0.0)
-        else:
-            starts.append(scene.consistent(begun_as(start, begun.best)))
-    each = [found for found in settle(scene, starts, INTENSITIES[0], go_on, known) if found]
-    if not each:
-        raise FitError("no motion of the model goes with the readings")
-    best = max((Tried((), *found, log_prior=0.0) for found in each), key=lambda t: t.log_evidence)
-    times = torque_scales(scene, best.best)
-    if best.log_evidence < known - HOPELESS or times.max() == 1.0:
-        return best
-    scene.scale_torques(times)
-    return tried_alone(scene, effects, known, go_on)
-
-
-def _begins_at_once(effect: AbstractEffect) -> bool:
-    """Whether an effect that is silent has a slope all the same, wherever a motion begins."""
-    return effect.name in BASE or effect.senses or not strengths(effect)
-
-
-def _smoothed(scene: Scene, start: Trajectory) -> Trajectory | None:
-    """A start after one step. Of a path that no model was smoothed to, evidence says nothing: about
-    rest, that of a linear arm, which may be above all that the true one has."""
-    return scene.smoothed(start, scene.linearised(start), INTENSITIES[0])
-
-
-def begun_as(start: Trajectory, known: Trajectory) -> Trajectory:
-    """A model at its start, with the motion, numbers and internal states that another one with the
-    same effects has; numbers of a run's own as those that all share."""
-    n = known.path.shape[1] - known.first.shape[1]
-    t = dataclasses.replace(known, effects=start.effects, prior=start.prior, u=np.array(start.u))
-    t = dataclasses.replace(t, path=np.array(start.path), first=np.array(start.first))
-    t.path[:, :n] = known.path[:, :n]
-    places = zip(t.effects, number_slices(t.effects), state_slices(t.effects), strict=True)
-    for effect, own, states in places:
-        i = known.labels.index(effect.label)
-        fields = [x.field for x in numbers_of(known.effects[i])]
-        at = dict(zip(fields, known.u[number_slices(known.effects)[i]], strict=True))
-        t.u[own] = [at.get(x.field, at.get(x.field.rpartition("_")[0])) for x in numbers_of(effect)]
-        old = state_slices(known.effects)[i]
-        t.path[:, n:][:, states] = known.path[:, n:][:, old]
-        t.first[:, states] = known.first[:, old]
-    return t
-
-
-def screening_motion(scene: Scene, model: Tried) -> tuple[Trajectory, float]:
-    """The motion that candidates are screened along, and its random torque: the likeliest, or one
-    that still lets the readings lead."""
-    noise = model.best.coloured is not None  # of the readings: the louder, the less they lead
-    intensity = model.intensity if noise else max(model.intensity, READINGS_LEAD)
-    if intensity == model.intensity:
-        return model.best, intensity
-    system = scene.linearised(model.best)
-    return scene.smoothed(model.best, system, intensity) or model.best, intensity
-
-
-def screened_at(intensity: float) -> list[float]:
-    """Random torques over which a screen sums: the likeliest, one a decade below it, and none."""
-    return sorted({intensity, 0.1 * intensity, 0.0}, reverse=True)
 
 
 class Search:
@@ -784,9 +251,9 @@ class Search:
             linear = scene.with_noise(longest).linearised(model.best)
             for own in times.tolist():
                 self.in_time()
-                known = _evidences(scene.with_noise(own), model.best, linear, every)
+                known = evidences_at(scene.with_noise(own), model.best, linear, every)
                 log = over_intensities(known) + model.log_prior - math.log(len(times))
-                each.append((log, own, INTENSITIES[_likeliest(known)]))
+                each.append((log, own, INTENSITIES[likeliest_level(known)]))
         _, time_, loudest = max(each)
         if time_ == scene.coloured:
             return
@@ -843,7 +310,7 @@ class Search:
                 t
                 for t in sorted(self.tried.values(), key=lambda t: len(t.added))
                 if t.log_posterior > lowest and t.best not in self._simulated
-                if _may_be_complete(t)
+                if may_be_complete(t)
             ]
             if not todo:
                 return
@@ -875,7 +342,7 @@ class Search:
             self._keep((*parent.added, label), *found)
         model = self.tried[key]
         known = self.exact is None or model.best in self._simulated
-        if not known and self.scene.coloured is None and _may_be_complete(model):
+        if not known and self.scene.coloured is None and may_be_complete(model):
             self._without_torque([model])
         return self.tried[key]
 
@@ -911,14 +378,14 @@ class Search:
         have to move too far.
         """
         scene, first = self.scene, INTENSITIES.index(intensity)
-        first = min(max(first - 1, 0), len(INTENSITIES) - _NEAR)
-        levels = np.arange(first, first + _NEAR)
-        none = over_intensities(_evidences(scene, trajectory, linear, levels))
+        first = min(max(first - 1, 0), len(INTENSITIES) - NEAR)
+        levels = np.arange(first, first + NEAR)
+        none = over_intensities(evidences_at(scene, trajectory, linear, levels))
 
         def at(row: Column) -> Column:
             self.in_time()
             t = scene.consistent(extended(scene, trajectory, row))
-            here = _evidences(scene, t, scene.linearised(t), levels)
+            here = evidences_at(scene, t, scene.linearised(t), levels)
             return row._replace(gain=over_intensities(here) - none)
 
         points = []
@@ -1116,12 +583,6 @@ def bayes_factor(t: Trajectory, effect: AbstractEffect, less: AbstractEffect | N
     in its place, to first order (`savage_dickey`)."""
     kept = [n.field for n in strengths(less)] if less else []
     gone = [n for n in strengths(effect) if n.field not in kept]
-    which = _places(t, effect, gone)
+    which = places_of(t, effect, gone)
     covariance = t.covariance[np.ix_(which, which)]
     return savage_dickey(t.u[which], covariance, [signed(n) for n in gone])
-
-
-def _places(t: Trajectory, effect: AbstractEffect, numbers: Sequence[Parameter]) -> list[int]:
-    """Where some numbers of an effect stand among all of a model."""
-    first = number_slices(t.effects)[t.labels.index(effect.label)].start
-    return [first + i for i, n in enumerate(numbers_of(effect)) if n in numbers]

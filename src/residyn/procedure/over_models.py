@@ -29,7 +29,8 @@ from ..diagnosis.diagnose import Posterior
 from ..diagnosis.evidence import DECADES, log_prior_model, means_of_base, over_widths, width_of
 from ..diagnosis.experiment_design import Quantity
 from ..diagnosis.plan import InPlay
-from ..diagnosis.search import Search, Tried
+from ..diagnosis.search import Search
+from ..diagnosis.tried import Tried
 from ..effects import BearingDrag, InertiaError
 from ..filtering.law import number_slices, numbers_of
 from ..filtering.trajectory import Scene

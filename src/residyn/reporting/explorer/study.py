@@ -20,10 +20,12 @@ from ...diagnosis.columns import Columns, extended, nested
 from ...diagnosis.diagnose import MOST_EFFECTS, Fits, diagnosed
 from ...diagnosis.evidence import INTENSITIES
 from ...diagnosis.forecast import HeldOut, held_out
+from ...diagnosis.iteration import settle
 from ...diagnosis.linearised_fit import on_host
 from ...diagnosis.missing_torque import owning_base, scene_of, with_rests
 from ...diagnosis.result import Diagnosis
-from ...diagnosis.search import Search, Tried, screening_motion, settle, tried_alone
+from ...diagnosis.search import Search
+from ...diagnosis.tried import Tried, screening_motion, tried_alone
 from ...effects import AbstractEffect
 from ...filtering.trajectory import Prior, Scene, Trajectory
 from ...fitting import DEFAULT_STARTS
