@@ -75,9 +75,10 @@ def minimum(
 ) -> Minimum:
     """Levenberg and Marquardt's descent from unknowns that are near already, in `most` steps.
 
-    One compiled program evaluates predictions and slopes; what is linear is done here. Where the
-    motion has kinks no step is small enough to end by itself: there the descent ends when even a
-    short step gains nothing. Unless something else is `known`, internal states are, to their scale.
+    One compiled program evaluates predictions and slopes, up to the last reading that counts; what
+    is linear is done here. Where the motion has kinks no step is small enough to end by itself:
+    there the descent ends when even a short step gains nothing. Unless something else is `known`,
+    internal states are, to their scale.
 
     **Raises:** `FitError` where the motion runs away from the beginning; `Hopeless` where the cost
     stays above `enough`, and would if all steps to come took as much from it as the last one.
@@ -85,7 +86,10 @@ def minimum(
     problem = tight(problem)
     moves = np.asarray(problem.active) > 0
     P, S = len(moves), np.shape(at.states)[1]
-    readings = max(1, np.count_nonzero(problem.recorded.weights))
+    counts = np.asarray(problem.recorded.weights) > 0
+    readings, every = max(1, np.count_nonzero(counts)), np.asarray(problem.steps)
+    last = np.asarray(problem.recorded.row)[counts.any(axis=-1)].max(initial=0)
+    only = np.minimum(last + 1, every).astype(every.dtype)  # integration steps
     inner = np.arange(P + S) >= P + 2 * problem.recorded.angles.shape[-1]
 
     def of_internal_states(at: Unknowns) -> tuple[np.ndarray, np.ndarray]:
@@ -95,7 +99,7 @@ def minimum(
     known = known or of_internal_states
 
     def evaluated(at: Unknowns, steps: int) -> Minimum:
-        predicted, slopes, residual = map(np.asarray, look(problem, at))
+        predicted, slopes, residual = map(np.asarray, look(problem, at, only))
         R, (off, by) = len(slopes), known(at)
         with np.errstate(over="ignore", invalid="ignore"):  # of a motion that runs away
             J = slopes * np.asarray(problem.recorded.weights)[..., None]
@@ -128,6 +132,8 @@ def minimum(
         damping, here = max(0.1 * damping, _DAMPING[0]), there
     if here.cost > enough:
         raise Hopeless
+    if only < every:
+        here = here._replace(predicted=np.asarray(look(problem, here.at, every)[0]))
     return here._replace(steps=steps, converged=bool(converged or damping > _DAMPING[1]))
 
 
@@ -167,9 +173,10 @@ def refitted(fit: Fit, kept: Sequence[np.ndarray]) -> tuple[Unknowns, bool]:
 def predictions(fit: Fit, at: Unknowns) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Predicted readings (N, n) of each fitted recording, and their slopes (N, n, L) in its L
     unknowns: the shared numbers, then its own initial state, in the problem's scales."""
+    problem = tight(fit.problem)
     predicted, slopes = (
         [x[: len(f.recording.time)] for f, x in zip(fit.fitted, each, strict=True)]
-        for each in jax.device_get(look(tight(fit.problem), at)[:2])
+        for each in jax.device_get(look(problem, at, np.asarray(problem.steps))[:2])
     )
     return predicted, slopes
 

@@ -90,7 +90,7 @@ def bootstrap(
         noise = [jnp.asarray(size * r.recording.noise) for r in whole]
         mesh = Mesh(np.asarray(devices), ("fits",))
         divided = NamedSharding(mesh, PartitionSpec(None, "fits"))
-        seen = tuple(map(np.asarray, look(fits.problem, fits.start)[:2]))
+        seen = tuple(map(np.asarray, look(fits.problem, fits.start, fits.problem.steps)[:2]))
         pairs = zip(whole, fits.readings(jnp.asarray(seen[0])), strict=True)
         truth = [np.where(r.used, x, np.nan) for r, x in pairs]
         fits, seen = eqx.filter_shard((fits, seen), NamedSharding(mesh, PartitionSpec()))

@@ -41,9 +41,10 @@ RESIDUAL_TOLERANCE = 3e-3
 _UNKNOWN_TOLERANCE = 1e-5
 
 
-def predict(problem: Problem, one: Recorded, numbers, state) -> Float[Array, "N n"]:
-    """Predicted readings of one recording (`one` without its leading axis)."""
-    found = _simulated(problem, one, numbers, state)
+def predict(problem: Problem, one: Recorded, numbers, state, only=None) -> Float[Array, "N n"]:
+    """Predicted readings of one recording (`one` without its leading axis), in its `only` first so
+    many steps, if that is given: what is said of later ones means nothing."""
+    found = _simulated(problem, one, numbers, state, only)
     return read_rows(*found, jnp.asarray(one.row), jnp.asarray(one.place), one.orders)
 
 
@@ -205,14 +206,15 @@ def predictions(problem: Problem, numbers, states) -> Float[Array, "R N n"]:
 
 
 @kept(like=(0, 0, 0))
-def look(problem: Problem, y: Unknowns):
-    """Predictions (R, N, n), their slopes (R, N, n, L), and whitened residuals (R, N, n)."""
+def look(problem: Problem, y: Unknowns, only):
+    """Predictions (R, N, n), their slopes (R, N, n, L), and whitened residuals (R, N, n); `only`:
+    in the first so many steps, as in `predict`."""
     numbers = problem.scale.numbers.shape[0]
 
     def one(recorded, scale, state):
         def local(z):
             moved = problem.numbers(Unknowns(z[:numbers], y.states))
-            predicted = predict(problem, recorded, moved, scale * z[numbers:])
+            predicted = predict(problem, recorded, moved, scale * z[numbers:], only)
             return predicted, predicted
 
         z = jnp.concatenate([y.numbers, state])
