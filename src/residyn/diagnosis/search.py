@@ -40,6 +40,7 @@ from .columns import (
 from .evidence import (
     CONTENDERS,
     EXPLAINS_NOTHING,
+    HOPELESS,
     IN_PLAY,
     INDISTINGUISHABLE,
     INTENSITIES,
@@ -204,6 +205,7 @@ class Search:
         if self.scene.coloured is not None:
             self._grow(most)
             self._colour_noise(self.best.log_posterior)  # its time again, with what was found
+            self.screen(self.base)  # of what was not iterated, its evidence under that noise
             if self.best.complete < 0.5 or self.best.log_posterior < least:
                 self.whiten_noise()
 
@@ -213,7 +215,8 @@ class Search:
         self.screen(self.base)
         self._simulate()
         while not extended or self.best.intensity < EXPLAINS_NOTHING:
-            best = frozenset(self.best.added)
+            # In other noise, too, from the base model on.
+            best = frozenset(self.best.added) if extended else frozenset()
             if best in extended or len(best) >= most:
                 # Each effect in turn might have another in its place.
                 todo = [
@@ -259,6 +262,9 @@ class Search:
             return
         self.say("weighing noise that is not white")
         models, scene = list(self.tried.values()), scene.with_noise(time_)
+        if self.scene.coloured is not None:  # what was hopeless with another time still is
+            lowest = self.best.log_posterior - HOPELESS
+            models = [m for m in models if m is self.base or m.log_posterior > lowest]
         models.sort(key=lambda model: model not in (self.base, self.best))
         some, others = models[:2], models[2:]
 
