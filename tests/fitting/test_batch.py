@@ -4,6 +4,7 @@ killed run stopped."""
 import json
 import multiprocessing
 import os
+import resource
 import subprocess
 import sys
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
@@ -205,6 +206,20 @@ def test_processes_share_the_experiments(folder, capsys):
         other = theirs[name.replace("coulomb_friction", "stiction")]
         assert other["value"] == pytest.approx(value["value"], rel=1e-6, abs=1e-9)
     assert capsys.readouterr().out.count("reduced chi2") == 3
+
+
+@pytest.mark.skipif(os.cpu_count() == 1, reason="one core")
+@pytest.mark.parametrize(("copies", "shared"), [(1, False), (130, True)])
+def test_a_large_folder_is_shared_among_the_cores(copies, shared, folder, capsys):
+    text = (folder / "a.toml").read_text().replace("a.csv", "nowhere.csv")
+    for i in range(copies):
+        (folder / f"copy{i}.toml").write_text(text)
+    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+    assert cli.main(["fit", "--each", str(folder), "--starts", "1"]) == 1
+    assert (resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime > before) is shared
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == copies + 4
+    assert sum("nowhere.csv" in line for line in lines) == copies
 
 
 @pytest.mark.parametrize("kind", ["threads", "dask", "dying"])
