@@ -36,7 +36,7 @@ from residyn.diagnosis.residuals import coloured
 from residyn.diagnosis.search import Search
 from residyn.diagnosis.simulated import simulated
 from residyn.diagnosis.tried import Tried, tried_alone
-from residyn.fitting.problem import Unknowns
+from residyn.fitting.problem import Unknowns, reweighted
 from residyn.physics.effect import JointEffect
 from residyn.physics.parameter import ANGLE, TORQUE, Dimension, param
 from residyn.recordings.tables import ArmTable, Bearing, InertiaTable
@@ -515,6 +515,17 @@ def test_a_descent_that_would_end_too_high_ends_early(friction):
             minimum(near.problem, off, enough=0.5 * whole.cost)
     assert allowed.cost == whole.cost
     assert allowed.steps == whole.steps > 1
+
+
+def test_a_descent_over_a_part_of_the_readings_predicts_all_of_them(friction):
+    near = friction.fits.of(friction.search.base)
+    dropped = [r.recording.time[:, None] > 0.3 * r.recording.time[-1] for r in near.fitted]
+    late = [np.broadcast_to(d, r.used.shape) for d, r in zip(dropped, near.fitted, strict=True)]
+    with jax.enable_x64(True):
+        found = minimum(reweighted(near.problem, late), near.unknowns)
+        whole = minimum(near.problem, found.at, most=0)
+    assert found.steps > 0
+    np.testing.assert_allclose(found.predicted, whole.predicted, rtol=1e-12, atol=1e-15)
 
 
 def test_an_unknown_that_all_but_moves_no_reading_leaves_a_gram_matrix_positive(friction):

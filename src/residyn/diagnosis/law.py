@@ -122,11 +122,8 @@ def curve_models(search: Search) -> list[CurveModel]:
                 key = model.place.kind, model.place.joint, rest
                 if key not in known and rest in search.tried:
                     known.add(key)
-                    start, loudest = (
-                        without(scene, model.best, x),
-                        max(model.intensity, READINGS_LEAD),
-                    )
-                    todo.append((search.tried[rest], start, model.place, model.curve, loudest))
+                    law = model.place, model.curve, max(model.intensity, READINGS_LEAD)
+                    todo.append((search.tried[rest], without(scene, model.best, x), *law))
         begun = len(models)
     return models
 

@@ -54,7 +54,7 @@ from .evidence import (
     savage_dickey,
     signed,
 )
-from .iteration import NEAR, evidences_at, likeliest_level, settle
+from .iteration import NEAR, evidences_at, levels_about, likeliest_level, settle
 from .simulated import Simulated
 from .tried import Tried, may_be_complete, places_of, screened_at, screening_motion, tried_alone
 
@@ -383,9 +383,7 @@ class Search:
         little: each point of the grid has its own. About far too small a strength a shape would
         have to move too far.
         """
-        scene, first = self.scene, INTENSITIES.index(intensity)
-        first = min(max(first - 1, 0), len(INTENSITIES) - NEAR)
-        levels = np.arange(first, first + NEAR)
+        scene, levels = self.scene, levels_about(INTENSITIES.index(intensity))
         none = over_intensities(evidences_at(scene, trajectory, linear, levels))
 
         def at(row: Column) -> Column:
