@@ -37,7 +37,7 @@ from .least_squares import RESIDUAL_TOLERANCE, Compressed, predictions
 from .linalg import BLIND, damped_step
 from .multistart import Descent
 from .problem import Problem, Ready
-from .result import STRUCTURE, Fit, FitError, RecordingFit
+from .result import Fit, FitError, RecordingFit
 
 TENTH = 0.1
 """Of the noise, or of what a model misses the readings by, if that is more: as much integration
@@ -71,8 +71,7 @@ def corrected(
     watch = watching()
     if watch is not None:
         watch.descended(problem, y, 2)
-    # Standard errors of a model that misses something are no errors of its numbers, exact or not.
-    if coarse or (descent.reduced_chi2 <= STRUCTURE and _misjudged(descent, fine)):
+    if coarse or _misjudged(descent, fine):
         return descent, error, True
     factor, count, n = np.asarray(fine.factor), y.numbers.shape[0], fine.predicted.shape[-1]
     square = factor.transpose(0, 2, 1) @ factor
