@@ -132,7 +132,7 @@ def _fit_each(
     set_up_jax(not no_cache)
     from ..runtime.parallel import cores
 
-    jobs = jobs or min(cores(), len(files) // _WORTH)
+    jobs = jobs or max(1, min(cores(), len(files) // _WORTH))
     to_terminal, bad = json == "-", 0
     with progress() as say, _workers(min(jobs, len(files)), own, not no_cache) as executor:
         from ..effects import kind_named
@@ -161,8 +161,8 @@ def _fit_each(
 def _workers(
     jobs: int, own: Sequence[str] | None, cache: bool
 ) -> Iterator[ProcessPoolExecutor | None]:
-    """So many processes; none for one job or less, which this process does itself."""
-    if jobs <= 1:
+    """So many processes; none for one job, which this process does itself."""
+    if jobs == 1:
         yield None
         return
     pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _prepare, (own, cache))
