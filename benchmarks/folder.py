@@ -42,7 +42,7 @@ def _arm(rng: np.random.Generator) -> rig.Arm:
     return dataclasses.replace(ARM, stiffness=tuple(stiffness), damping=tuple(damping))
 
 
-def at_work(place: Path, jobs: int, cache: Path) -> tuple[float, float, float]:
+def measured(place: Path, jobs: int, cache: Path) -> tuple[float, float, float]:
     """Seconds to the first line, lines a second after it, and MB of the largest process."""
     command = [sys.executable, "-m", "residyn", "fit", "--each", str(place)]
     command += ["--jobs", str(jobs)] if jobs else []
@@ -94,7 +94,7 @@ def main() -> None:
         print("| cache | jobs | first, s | a second after it | MB of the largest process |")
         print("|---|---|---|---|---|")
         for words, jobs in [("empty", 0), *(("filled", j) for j in (0, *given.jobs))]:
-            first, rate, mb = at_work(place, jobs, cache)
+            first, rate, mb = measured(place, jobs, cache)
             print(f"| {words} | {jobs or '-'} | {first:.1f} | {rate:.1f} | {mb:.0f} |", flush=True)
 
 

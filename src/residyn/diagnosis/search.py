@@ -262,7 +262,7 @@ class Search:
             return
         self.say("weighing noise that is not white")
         models, scene = list(self.tried.values()), scene.with_noise(time_)
-        if self.scene.coloured is not None:  # what was hopeless with another time still is
+        if self.scene.coloured is not None:  # what was hopeless is not iterated again
             lowest = self.best.log_posterior - HOPELESS
             models = [m for m in models if m is self.base or m.log_posterior > lowest]
         models.sort(key=lambda model: model not in (self.base, self.best))
